@@ -1,0 +1,270 @@
+"""Curves by arc length: from a formula, from points, cut and moved; and centreline CSV files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicHermiteSpline, CubicSpline, PchipInterpolator, make_smoothing_spline
+from scipy.optimize import brentq
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from ctr_nlp.errors import CurveError
+
+Array = npt.NDArray[np.float64]
+Field = Callable[[Array], Array]
+Derivative = Callable[[Array, int], Array]
+
+CELLS = 2000
+"""Cells of the table between a curve's parameter and its arc length."""
+SHORTEST_MM = 1.0
+"""A path shorter than this was almost surely written in metres."""
+HEADING_MM = 10.0
+"""The mean direction over this first length becomes the insertion direction."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A curve in space by its arc length s in [0, length], in mm.
+
+    point, tangent: (n,) -> (n, 3), mm and unit vectors. curvature: (n,) -> (n,), unsigned, 1/mm.
+    radius: of the lumen, (n,) -> (n,) mm, or None. by_parameter: a fraction in [0, 1] of the range of the
+    curve's own parameter -> arc length in mm; None where the parameter is arc length. deviation: largest
+    distance from a given point, in mm (0 unless smoothing was asked for).
+    """
+
+    length: float
+    point: Field
+    tangent: Field
+    curvature: Field
+    radius: Field | None = None
+    by_parameter: Callable[[float], float] | None = None
+    deviation: float = 0.0
+
+    def length_at(self, fraction: float) -> float:
+        """Arc length in mm where the curve's own parameter has covered a fraction in [0, 1] of its range."""
+        return self.length * fraction if self.by_parameter is None else self.by_parameter(fraction)
+
+    def part(self, start: float, stop: float) -> Curve:
+        """The piece from arc length start to stop, in mm, its own parameter being arc length."""
+        if not 0 <= start < stop <= self.length:
+            raise CurveError(f"piece [{start:g}, {stop:g}] mm of a curve: it must lie within [0, {self.length:g}]")
+        return self._along(lambda s: s + start, stop - start)
+
+    def reversed(self) -> Curve:
+        """The same curve from its last point to its first."""
+        turned = self._along(lambda s: self.length - s, self.length)
+        return replace(turned, tangent=lambda s: -self.tangent(self.length - s))
+
+    def _along(self, at: Field, length: float) -> Curve:
+        radius = self.radius
+        return Curve(
+            length,
+            lambda s: self.point(at(s)),
+            lambda s: self.tangent(at(s)),
+            lambda s: self.curvature(at(s)),
+            None if radius is None else lambda s: radius(at(s)),
+            deviation=self.deviation,
+        )
+
+    def moved(self, transform: Array) -> Curve:
+        """The curve under a rigid transform (4, 4)."""
+        rotation, shift = transform[:3, :3], transform[:3, 3]
+        return replace(
+            self,
+            point=lambda s: self.point(s) @ rotation.T + shift,
+            tangent=lambda s: self.tangent(s) @ rotation.T,
+        )
+
+
+def curve_from_formula(formula: Callable[[Any], tuple[Any, Any, Any]], start: float, stop: float) -> Curve:
+    """The curve (x, y, z) = formula(u) in mm for u in [start, stop], written with CasADi's functions.
+
+    Derivatives are exact; curvature follows from them. Raises CurveError.
+    """
+    if not (np.isfinite([start, stop]).all() and start < stop):
+        raise CurveError(f"parameter range is [{start}, {stop}]; it must be finite and grow")
+    u = ca.SX.sym("u")
+    x = ca.vertcat(*(ca.SX(c) for c in formula(u)))
+    orders = [x, ca.jacobian(x, u)]
+    orders.append(ca.jacobian(orders[1], u))
+    functions = [ca.Function(f"d{i}", [u], [expression]) for i, expression in enumerate(orders)]
+    breaks = np.linspace(start, stop, CELLS + 1)
+    return _by_arc_length(lambda v, order: functions[order](v[None]).full().T, breaks)
+
+
+def curve_from_points(points: npt.ArrayLike, radius: npt.ArrayLike | None = None, smoothing: float = 0.0) -> Curve:
+    """The C2 cubic spline through points (n, 3) in mm, n >= 4; radius (n,) in mm where the lumen's is known.
+
+    smoothing: largest distance in mm that the curve may keep from the points; 0 passes through all of them,
+    and then only the curvature comes from a smoothing spline (by generalised cross-validation), since second
+    derivatives magnify the rounding of coordinates. The deviation found is in the result's `deviation`.
+    Raises CurveError.
+    """
+    given = np.asarray(points, dtype=float)
+    _check_points(given)
+    radii = None if radius is None else np.asarray(radius, dtype=float)
+    if radii is not None and (radii.shape != given.shape[:1] or not (np.isfinite(radii) & (radii > 0)).all()):
+        raise CurveError(f"lumen radii must be {len(given)} positive finite numbers in mm, one a point")
+    if not (np.isfinite(smoothing) and smoothing >= 0):
+        raise CurveError(f"smoothing is {smoothing} mm; it must be a finite number >= 0")
+    chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(given, axis=0), axis=1))])
+    if smoothing:
+        spline = bending = _smoothed(chord, given, smoothing)
+    else:
+        spline = CubicSpline(chord, given)
+        bending = make_smoothing_spline(chord, given) if len(given) > 4 else spline
+    per_span = max(1, CELLS // (len(chord) - 1))
+    breaks = np.interp(np.arange(per_span * (len(chord) - 1) + 1) / per_span, np.arange(len(chord)), chord)
+    by_chord = _by_arc_length(lambda v, order: spline(v, nu=order), breaks, lambda v, order: bending(v, nu=order))
+    curve = replace(by_chord, by_parameter=None)
+    if smoothing:
+        dense = curve.point(np.linspace(0, curve.length, 20 * CELLS))
+        curve = replace(curve, deviation=float(cKDTree(dense).query(given)[0].max()))
+    if radii is None:
+        return curve
+    lengths = np.array([by_chord.length_at(c / chord[-1]) for c in chord])
+    along = PchipInterpolator(lengths, radii)
+    return replace(curve, radius=lambda s: along(np.clip(s, 0.0, curve.length)))
+
+
+def _check_points(points: Array) -> None:
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise CurveError(f"points have shape {points.shape}; a centreline is (n, 3)")
+    if len(points) < 4:
+        raise CurveError(f"{len(points)} points; a centreline needs at least 4")
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if bad.size:
+        raise CurveError(f"point {bad[0] + 1} is {points[bad[0]].tolist()}; coordinates must be finite")
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if steps.sum() < SHORTEST_MM:
+        raise CurveError(
+            f"the path is {steps.sum():.3g} long; coordinates must be in millimetres, and these look like metres"
+        )
+    repeated = np.flatnonzero(steps < 1e-9 * steps.sum())
+    if repeated.size:
+        i = repeated[0]
+        raise CurveError(
+            f"points {i + 1} and {i + 2} are the same, {points[i].tolist()}; no point may be repeated"
+        )
+
+
+def _smoothed(chord: Array, points: Array, allowed: float) -> Any:
+    """The smoothest cubic smoothing spline that stays within allowed mm of every point."""
+
+    def spline(log_penalty: float) -> Any:
+        return make_smoothing_spline(chord, points, lam=10.0**log_penalty)
+
+    def excess(log_penalty: float) -> float:
+        return float(np.linalg.norm(spline(log_penalty)(chord) - points, axis=1).max()) - allowed
+
+    weakest, strongest = -9.0, 9.0
+    if len(points) < 5:
+        raise CurveError(f"{len(points)} points; smoothing needs at least 5")
+    if excess(weakest) >= 0:
+        return CubicSpline(chord, points)
+    if excess(strongest) <= 0:
+        return spline(strongest)
+    root = brentq(excess, weakest, strongest, xtol=1e-3)
+    return spline(root if excess(root) <= 0 else root - 1e-2)
+
+
+def _by_arc_length(derivative: Derivative, breaks: Array, bending: Derivative | None = None) -> Curve:
+    """Reparametrise x(u), given with its derivatives of order 0 to 2, by arc length; breaks (n,) span u.
+
+    Curvature comes from bending, where given, instead of x itself.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(5)
+    width = np.diff(breaks)
+    u = (breaks[:-1, None] + width[:, None] * (nodes + 1) / 2).ravel()
+    speeds = np.linalg.norm(derivative(u, 1), axis=1).reshape(len(width), -1)
+    s = np.concatenate([[0.0], np.cumsum(speeds @ weights * width / 2)])
+    at_breaks = np.linalg.norm(derivative(breaks, 1), axis=1)
+    if not np.isfinite(s[-1]) or (at_breaks <= 0).any() or (np.diff(s) <= 0).any():
+        raise CurveError("the curve stands still or leaves the finite numbers somewhere in its range")
+    bent = bending or derivative
+    to_parameter = CubicHermiteSpline(s, breaks, 1 / at_breaks)
+    to_length = CubicHermiteSpline(breaks, s, at_breaks)
+
+    def at(arc_length: Array) -> Array:
+        return np.clip(to_parameter(np.clip(arc_length, 0, s[-1])), breaks[0], breaks[-1])
+
+    def tangent(arc_length: Array) -> Array:
+        first = derivative(at(arc_length), 1)
+        return first / np.linalg.norm(first, axis=1, keepdims=True)
+
+    def curvature(arc_length: Array) -> Array:
+        first, second = (bent(at(arc_length), order) for order in (1, 2))
+        return np.linalg.norm(np.cross(first, second), axis=1) / np.linalg.norm(first, axis=1) ** 3
+
+    return Curve(
+        float(s[-1]),
+        lambda arc_length: derivative(at(arc_length), 0),
+        tangent,
+        curvature,
+        by_parameter=lambda fraction: float(to_length(breaks[0] + fraction * (breaks[-1] - breaks[0]))),
+    )
+
+
+def placed(curve: Curve) -> tuple[Curve, Array]:
+    """Move a curve before the robot; also the rigid transform (4, 4) from the curve's frame to the robot's.
+
+    Its first point goes to the origin; its mean direction over the first 10 mm turns to +z by the smallest
+    rotation.
+    """
+    ends = curve.point(np.array([0.0, min(HEADING_MM, curve.length)]))
+    heading = ends[1] - ends[0]
+    if np.linalg.norm(heading) < 1e-9:
+        raise CurveError(f"the path returns to its start within {HEADING_MM:g} mm; no insertion direction")
+    heading /= np.linalg.norm(heading)
+    axis = np.cross(heading, [0.0, 0.0, 1.0])
+    sine, cosine = np.linalg.norm(axis), heading[2]
+    unit = axis / sine if sine > 1e-12 else np.array([1.0, 0.0, 0.0])
+    rotation = Rotation.from_rotvec(np.arctan2(sine, cosine) * unit).as_matrix()
+    to_robot = np.eye(4)
+    to_robot[:3, :3], to_robot[:3, 3] = rotation, -rotation @ ends[0]
+    return curve.moved(to_robot), to_robot
+
+
+def trimmed(curve: Curve, longest: float, drop: Literal["start", "end"]) -> Curve:
+    """The curve without what exceeds longest mm, dropped at its start or its end."""
+    if curve.length <= longest:
+        return curve
+    return curve.part(curve.length - longest, curve.length) if drop == "start" else curve.part(0.0, longest)
+
+
+CSV_COLUMNS = ("x_mm", "y_mm", "z_mm")
+
+
+def read_csv(path: str | Path, smoothing: float = 0.0) -> Curve:
+    """The curve of a CSV file with columns x_mm, y_mm, z_mm and optionally radius_mm; raises CurveError."""
+    try:
+        lines = [line for line in Path(path).read_text(encoding="utf-8-sig").splitlines() if line.strip()]
+    except (OSError, UnicodeDecodeError) as error:
+        raise CurveError(f"centreline {path} cannot be read: {error}") from error
+    columns = [name.strip().lower() for name in lines[0].split(",")] if lines else []
+    expected = "expected a header x_mm,y_mm,z_mm and optionally radius_mm, then one point a line"
+    if not set(CSV_COLUMNS) <= set(columns) or len(set(columns)) != len(columns):
+        raise CurveError(f"{path} is not a centreline: its first line is {(lines or [''])[0][:60]!r}; {expected}")
+    rows = []
+    for number, line in enumerate(lines[1:], start=2):
+        try:
+            row = [float(cell) for cell in line.split(",")]
+        except ValueError as error:
+            raise CurveError(f"{path} is not a centreline: row {number} is {line[:60]!r}; {expected}") from error
+        if len(row) != len(columns):
+            raise CurveError(f"{path}: row {number} has {len(row)} cells, the header {len(columns)}")
+        rows.append(row)
+    table = np.array(rows).reshape(len(rows), len(columns))
+    points = table[:, [columns.index(name) for name in CSV_COLUMNS]]
+    radius = table[:, columns.index("radius_mm")] if "radius_mm" in columns else None
+    try:
+        return curve_from_points(points, radius, smoothing)
+    except CurveError as error:
+        raise CurveError(f"{path}: {error}") from error

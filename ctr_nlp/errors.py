@@ -1,0 +1,25 @@
+"""The errors this library raises on bad input; each names the field, its value and what is allowed."""
+
+
+class CtrError(Exception):
+    """Base of every error that ctr_nlp raises itself."""
+
+
+class RobotError(CtrError):
+    """Tubes or limits that no robot can have, or a robot file that cannot be read."""
+
+
+class CurveError(CtrError):
+    """Points, formulas or files that do not describe a centreline."""
+
+
+class ProblemError(CtrError):
+    """A robot and a target that do not go together."""
+
+
+class OptionError(CtrError):
+    """An unknown name, or an option out of its range; the message lists the valid ones."""
+
+
+class OutputError(CtrError):
+    """A place that cannot be written, or a plan that cannot be read."""

@@ -1,0 +1,30 @@
+"""What a formulation is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.nlp import Nlp
+from ctr_nlp.target import Frame
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """An Nlp that decides some entries of q, the others being given.
+
+    decides: indices into q, in the order of the Nlp's x. parameters: (frame, q) -> values by name, except
+    `previous` (the decided entries one frame before) and `motion_root` (sqrt(lambda) / dt), which every stage
+    has. schedule: values of further parameters, solved for one after the other, each from the last solution.
+    """
+
+    nlp: Nlp
+    decides: npt.NDArray[np.int_]
+    parameters: Callable[[Frame, Array], Mapping[str, Any]]
+    schedule: tuple[Mapping[str, float], ...] = ({},)

@@ -1,0 +1,117 @@
+"""The seed's two stages: curvature to extensions, eqs. (10)-(11), then extensions to rotations, eq. (12)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp import terms
+from ctr_nlp.formulations.stage import Stage
+from ctr_nlp.models import dominant
+from ctr_nlp.nlp import Nlp
+from ctr_nlp.robot import Robot
+from ctr_nlp.target import SIGMA, Frame
+
+Array = npt.NDArray[np.float64]
+
+WIDTHS_MM = (10.0, 4.0, 1.5)
+"""Widths of the smoothed jumps of curvature, tightened one after the other."""
+LENGTH_WEIGHT = 100.0
+"""Weight of (beta_d - length)^2 in stage one: eq. (11) does not see how far the robot is out."""
+
+
+def two_stage(robot: Robot, widths: tuple[float, ...] = WIDTHS_MM) -> tuple[Stage, ...]:
+    """Extension with smoothed jumps of curvature, widths in mm, largest first; then rotation."""
+    return _extension(robot, widths), _rotation(robot)
+
+
+def two_stage_exact(robot: Robot) -> tuple[Stage, ...]:
+    """Extension with the integral (11) itself, through the target's cumulative integrals; then rotation."""
+    return _extension(robot, None), _rotation(robot)
+
+
+def _extension(robot: Robot, widths: tuple[float, ...] | None) -> Stage:
+    """Stage one decides beta; widths = None takes the exact form."""
+    beta, previous = ca.SX.sym("beta", robot.d), ca.SX.sym("previous", robot.d)
+    length, root, width = ca.SX.sym("length"), ca.SX.sym("motion_root"), ca.SX.sym("width")
+    kappa, turning = ca.SX.sym("kappa", len(SIGMA)), ca.SX.sym("turning", len(SIGMA))
+    entries = ca.vertsplit(beta)
+    decides = np.arange(robot.d, 2 * robot.d)
+    parameters = {"turning": turning, "length": length, "previous": previous, "motion_root": root}
+    residuals = [
+        terms.length(entries[-1], length, LENGTH_WEIGHT),
+        terms.motion(beta, previous, robot.mm_per_unit[decides], root),
+    ]
+    costs = []
+    if widths is None:
+        parameters["kappa"] = kappa
+        costs.append(terms.curvature_exact(robot, entries, kappa, turning, length))
+    else:
+        parameters["width"] = width
+        residuals.append(terms.curvature(robot, entries, turning, length, width))
+
+    def fill(frame: Frame, q: Array) -> dict[str, Any]:
+        values = {"turning": frame.turning, "length": frame.length}
+        return values | {"kappa": frame.curvature} if widths is None else values
+
+    nlp = Nlp(
+        "extension",
+        beta,
+        robot.lower[decides],
+        robot.upper[decides],
+        parameters,
+        tuple(residuals),
+        tuple(costs),
+        terms.order(robot, entries),
+    )
+    return Stage(nlp, decides, fill, ({},) if widths is None else tuple({"width": w} for w in widths))
+
+
+def _rotation(robot: Robot) -> Stage:
+    """Stage two decides alpha and theta at given beta, sampled at the ends and midpoint of every segment.
+
+    Simpson's rule over these samples is the distance (8); each stands opposite the target's point of the
+    same sigma.
+    """
+    d = robot.d
+    decides = np.concatenate([np.arange(d), np.arange(2 * d, 2 * d + 2)])
+    x, previous = ca.SX.sym("alpha_theta", d + 2), ca.SX.sym("previous", d + 2)
+    beta, root, target = ca.SX.sym("beta", d), ca.SX.sym("motion_root"), ca.SX.sym("target", 2 * d, 3)
+    entries = ca.vertsplit(ca.vertcat(x[:d], beta, x[d:]))
+    sigma, quadrature = _samples(ca.vertsplit(beta), ca.vertcat)
+    points = dominant.backbone(robot, entries, sigma, ca).points
+    nlp = Nlp(
+        "rotation",
+        x,
+        robot.lower[decides],
+        robot.upper[decides],
+        {"beta": beta, "target": target, "previous": previous, "motion_root": root},
+        residuals=(
+            terms.shape(points, target, quadrature),
+            terms.motion(x, previous, robot.mm_per_unit[decides], root),
+        ),
+    )
+
+    def fill(frame: Frame, q: Array) -> dict[str, Any]:
+        extensions = robot.split(q)[1]
+        sigma, _ = _samples(list(extensions), lambda *entries: np.array(entries))
+        return {"beta": extensions, "target": frame.at(sigma)}
+
+    return Stage(nlp, decides, fill)
+
+
+def _samples(beta: Any, stack: Any) -> tuple[Any, Any]:
+    """Sigma at the midpoint and end of every segment, and Simpson's weights there (base point left out).
+
+    The base point of the first segment never moves.
+    """
+    edges = [0 * beta[0], *beta]
+    d = len(beta)
+    widths = [(edges[i + 1] - edges[i]) / beta[-1] for i in range(d)]
+    middles = [(edges[i] + edges[i + 1]) / 2 / beta[-1] for i in range(d)]
+    ends = [b / beta[-1] for b in beta]
+    joints = [(widths[i] + widths[i + 1]) / 6 for i in range(d - 1)] + [widths[-1] / 6]
+    return stack(*middles, *ends), stack(*(4 * w / 6 for w in widths), *joints)

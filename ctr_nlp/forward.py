@@ -1,0 +1,47 @@
+"""Numeric shapes of a robot, and a shape as a curve to follow."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.curve import Curve
+from ctr_nlp.models import dominant
+from ctr_nlp.robot import Robot
+from ctr_nlp.target import SIGMA
+
+Array = npt.NDArray[np.float64]
+
+
+def shapes(robot: Robot, q: Array, sigma: Array = SIGMA) -> Array:
+    """Points (T, n, 3) in mm of the dominant model at q (T, 2d + 2) and sigma (n,)."""
+    return _stacked(_backbone(robot, q, sigma).points)
+
+
+def tangents(robot: Robot, q: Array, sigma: Array = SIGMA) -> Array:
+    """Unit tangents (T, n, 3) of the dominant model at q (T, 2d + 2) and sigma (n,)."""
+    return _stacked(_backbone(robot, q, sigma).tangents)
+
+
+def _backbone(robot: Robot, q: Array, sigma: Array) -> dominant.Backbone:
+    columns = [column[:, None] for column in np.asarray(q, dtype=float).T]
+    return dominant.backbone(robot, columns, sigma, np)
+
+
+def _stacked(vector: dominant.Vector) -> Array:
+    return np.stack(np.broadcast_arrays(*vector), axis=-1)
+
+
+def shape_curve(robot: Robot, q: Array) -> Curve:
+    """The dominant model's shape at q (2d + 2,) as a curve with its exact curvature."""
+    beta = robot.split(q)[1]
+
+    def jump(x: Array) -> Array:
+        return np.heaviside(x, 0.0)
+
+    return Curve(
+        float(beta[-1]),
+        lambda s: shapes(robot, q[None], s / beta[-1])[0],
+        lambda s: tangents(robot, q[None], s / beta[-1])[0],
+        lambda s: dominant.curvature(robot, beta, s, jump, np),
+    )

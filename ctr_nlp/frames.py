@@ -1,0 +1,72 @@
+"""How one frame is asked for and answered, whatever solves it; and where a search without a past begins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import qmc
+
+from ctr_nlp.robot import Robot
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FrameResult:
+    """The configuration of one frame.
+
+    q (2d + 2,), and where success is False the one to fall back to, never a solution. objective: mm^2.
+    kkt: NaN for methods without multipliers. iterations: of the solver, or evaluations of the shape.
+    status: the solver's own word. warm: what the next frame may start from, known to the solver only.
+    """
+
+    q: Array
+    success: bool = True
+    objective: float = np.nan
+    kkt: float = np.nan
+    iterations: int = 0
+    status: str = ""
+    warm: Any = field(default=None, repr=False)
+
+
+class FrameSolver(Protocol):
+    """Solves single frames of one problem; frames count from 0."""
+
+    build_seconds: float
+    description: dict[str, Any]
+    """Goes into a plan's meta: formulation, model, solver, options."""
+
+    def search(self, frame: int) -> list[FrameResult]:
+        """Distinct answers for a frame without a past, best first; at least one."""
+
+    def step(self, frame: int, before: FrameResult) -> FrameResult:
+        """The answer for a frame within the robot's speed limits of the frame before."""
+
+
+def starts(robot: Robot, length: float, count: int, seed: int = 0) -> Array:
+    """Start configurations (count, 2d + 2) for a deployed length in mm: Sobol points within the robot's limits.
+
+    Without limits, angles of tubes span a full turn; tilts stay within 0.5 rad of upright.
+    """
+    d = robot.d
+    with np.errstate(all="ignore"):
+        unit = qmc.Sobol(2 * d + 2, seed=seed).random_base2(int(np.ceil(np.log2(count))))[:count]
+    widest = np.concatenate([np.full(d, np.pi), np.full(d, length), np.full(2, 0.5)])
+    lower = np.maximum(robot.lower, np.where(np.arange(2 * d + 2) // d == 1, 0.0, -widest))
+    upper = np.maximum(np.minimum(robot.upper, widest), lower)
+    q = lower + unit * (upper - lower)
+    beta = np.maximum.accumulate(q[:, d : 2 * d], axis=1)
+    beta[:, -1] = max(length, robot.lower[2 * d - 1])
+    q[:, d : 2 * d] = np.clip(beta, robot.lower[d : 2 * d], robot.upper[d : 2 * d])
+    return q
+
+
+def reachable(robot: Robot, previous: Array | None, dt: float) -> tuple[Array, Array]:
+    """Lower and upper bounds of q: the robot's limits and, from a previous q, what its speed allows in dt s."""
+    if previous is None:
+        return robot.lower, robot.upper
+    step = robot.speed * dt
+    return np.maximum(robot.lower, previous - step), np.minimum(robot.upper, previous + step)

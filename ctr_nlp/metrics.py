@@ -1,0 +1,119 @@
+"""Errors of a plan, section IV of the seed, always against the target itself."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.target import QUADRATURE
+
+if TYPE_CHECKING:
+    from ctr_nlp.plan import Plan
+
+Array = npt.NDArray[np.float64]
+
+
+def rms_over_sigma(distance: Array) -> Array:
+    """Root mean square over sigma of (.., 101) distances in mm, with trapezoidal weights."""
+    return np.sqrt(distance**2 @ QUADRATURE)
+
+
+def e1(plan: Plan) -> Array:
+    """Distance (T, 101) in mm between shape and target at the same sigma."""
+    return np.linalg.norm(plan.shape - plan.target, axis=-1)
+
+
+def e2(plan: Plan) -> Array:
+    """Root mean square of e1 over sigma, (T,) mm."""
+    return rms_over_sigma(e1(plan))
+
+
+def nearest(plan: Plan) -> Array:
+    """Distance (T, 101) in mm from each point of the shape to the nearest point of its frame's target."""
+    return np.array([_to_polyline(shape, target) for shape, target in zip(plan.shape, plan.target, strict=True)])
+
+
+def _to_polyline(points: Array, line: Array) -> Array:
+    """Distance (n,) from points (n, 3) to the polyline through line (m, 3)."""
+    start, span = line[:-1], np.diff(line, axis=0)
+    offset = points[:, None] - start
+    along = np.clip((offset * span).sum(-1) / np.maximum((span**2).sum(-1), 1e-30), 0.0, 1.0)
+    return np.linalg.norm(offset - along[..., None] * span, axis=-1).min(axis=1)
+
+
+def tip_angle(plan: Plan) -> Array:
+    """Angle (T,) in rad between the tip's direction and the target's."""
+    cross = np.linalg.norm(np.cross(plan.tip_direction, plan.target_direction), axis=-1)
+    return np.arctan2(cross, (plan.tip_direction * plan.target_direction).sum(-1))
+
+
+def by_frame(plan: Plan) -> dict[str, Array]:
+    """Columns (T,) of errors.csv: mm, s and rad. nearest is a root mean square over sigma, as e2."""
+    distance, near = e1(plan), nearest(plan)
+    return {
+        "frame": np.arange(1, len(plan.time) + 1),
+        "time": plan.time,
+        "e2": rms_over_sigma(distance),
+        "max": distance.max(axis=1),
+        "tip": distance[:, -1],
+        "nearest": rms_over_sigma(near),
+        "nearest_max": near.max(axis=1),
+        "tip_angle": tip_angle(plan),
+        "success": plan.success.astype(int),
+    }
+
+
+def summary(plan: Plan) -> dict[str, Any]:
+    """What summary.json holds: errors in mm over frames whose shape is known, motion, times, failures.
+
+    Numbers that do not exist (no frame solved, a single frame) are None.
+    """
+    columns = by_frame(plan)
+    known = np.isfinite(columns["e2"])
+    rms = columns["e2"][known]
+    steps = np.diff(plan.q[known], axis=0)
+    robot = plan.robot
+    seconds = plan.solve_time[np.isfinite(plan.solve_time)]
+    largest = np.abs(steps).max(axis=0, initial=0.0)
+    alpha, beta, theta = robot.split(largest)
+    return {
+        "e3": _number(np.sqrt(np.mean(rms**2)) if rms.size else np.nan),
+        "e4": _number(np.median(rms) if rms.size else np.nan),
+        "e_max": _number(columns["max"][known].max(initial=-np.inf)),
+        "tip_max": _number(columns["tip"][known].max(initial=-np.inf)),
+        "tip_angle_max_deg": _number(np.degrees(columns["tip_angle"][known].max(initial=-np.inf))),
+        "nearest_max": _number(columns["nearest_max"][known].max(initial=-np.inf)),
+        "roughness": _number(((steps * robot.mm_per_unit) ** 2).sum() / plan.dt),
+        "max_step": {
+            "alpha": float(alpha.max()),
+            "beta": float(beta.max()),
+            "theta": float(theta.max()),
+        },
+        "solve_ms": {
+            "median": _number(1e3 * np.median(seconds) if seconds.size else np.nan),
+            "p99": _number(1e3 * np.quantile(seconds, 0.99) if seconds.size else np.nan),
+            "total": _number(1e3 * seconds.sum()),
+        },
+        "search_s": plan.meta.get("search_s"),
+        "build_s": plan.meta.get("build_s"),
+        "frames": len(plan.time),
+        "failed": int((~plan.success).sum()),
+        "interrupted": bool(plan.meta.get("interrupted", False)),
+        "kkt_max": _number(plan.kkt[plan.success].max(initial=-np.inf)),
+        "weights": {
+            "motion_s2": plan.meta["options"].get("motion_weight_s2"),
+            "angle_mm_per_rad": float(robot.mm_per_unit[0]),
+        },
+        "problem": plan.meta["problem"]["name"],
+        "formulation": plan.meta["formulation"],
+        "model": plan.meta["model"],
+        "solver": plan.meta["solver"],
+        "direction": plan.meta["options"].get("direction"),
+        "smoothing_deviation": plan.meta["problem"]["deviation"],
+    }
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,128 @@
+"""The dominant-stiffness model, eqs. (1)-(4): between beta_{i-1} and beta_i, tube i alone sets the curvature.
+
+One source for symbols and numbers: `xp` is casadi (fields are SX, samples run down a column) or numpy
+(fields broadcast: configurations down, samples across).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ctr_nlp.robot import Robot, Tube
+
+Vector = tuple[Any, Any, Any]
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+
+
+class Backbone(NamedTuple):
+    """points: x, y, z of the samples in mm. tangents: x, y, z of the unit tangents there."""
+
+    points: Vector
+    tangents: Vector
+
+
+def backbone(robot: Robot, q: Sequence[Any], sigma: Any, xp: Any) -> Backbone:
+    """The shape C(s | q) at s = sigma beta_d, eqs. (1) and (4).
+
+    q: the 2d + 2 entries. A sample is clamped into every tube's segment in turn, so that the expression has
+    the same structure whichever tube the sample lies on; positions are C1 in beta.
+    """
+    alpha, beta, (theta_x, theta_y) = q[: robot.d], q[robot.d : 2 * robot.d], q[2 * robot.d :]
+    d1, d2, t = _base_frame(theta_x, theta_y, xp)
+    point, tangent = (0.0, 0.0, 0.0), t
+    s, start = sigma * beta[-1], 0 * beta[0]
+    for i, tube in enumerate(robot.tubes):
+        cos, sin = xp.cos(alpha[i]), xp.sin(alpha[i])
+        bend, normal = _sum(cos, d1, sin, d2), _sum(-sin, d1, cos, d2)
+        straight = _shows_transmission(robot, i)
+        reached = xp.fmin(xp.fmax(s, start), beta[i])
+        side, along, angle = _planar(tube, beta[i] - start, beta[i] - reached, straight, xp)
+        point = _plus(point, side, bend, along, t)
+        tangent = _plus(tangent, xp.sin(angle), bend, xp.cos(angle) - 1, t)
+        *_, angle = _planar(tube, beta[i] - start, 0 * start, straight, xp)
+        c, z = xp.cos(angle), xp.sin(angle)
+        turned, t = _sum(c, bend, -z, t), _sum(z, bend, c, t)
+        d1, d2 = _sum(cos, turned, -sin, normal), _sum(sin, turned, cos, normal)
+        start = beta[i]
+    return Backbone(point, tangent)
+
+
+def _shows_transmission(robot: Robot, i: int) -> bool:
+    """Whether tube i can be pushed out so far that its straight part shows."""
+    return bool(robot.upper[robot.d + i] > robot.tubes[i].curved_length)
+
+
+def _planar(tube: Tube, x_from: Any, x_to: Any, straight: bool, xp: Any) -> tuple[Any, Any, Any]:
+    """Travel on one tube between distances from its tip: (sideways mm, along mm, angle rad).
+
+    straight: whether the transmission behind the curved part can be on the way.
+    """
+    lead = 0.0
+    if straight:
+        end = tube.curved_length
+        lead = xp.fmax(x_from, end) - xp.fmax(x_to, end)
+        x_from, x_to = xp.fmin(x_from, end), xp.fmin(x_to, end)
+    length = x_from - x_to
+    if tube.root_curvature == tube.tip_curvature == 0:
+        return 0 * length, lead + length, 0 * length
+    if tube.root_curvature == tube.tip_curvature:
+        k = tube.tip_curvature
+        return 2 * xp.sin(k * length / 2) ** 2 / k, lead + xp.sin(k * length) / k, k * length
+    angle_from = _turning(tube, x_from)
+    side = along = 0.0
+    for node, weight in zip((_NODES + 1) / 2, _WEIGHTS / 2, strict=True):
+        angle = angle_from - _turning(tube, x_from - node * length)
+        side, along = side + weight * xp.sin(angle), along + weight * xp.cos(angle)
+    return side * length, lead + along * length, angle_from - _turning(tube, x_to)
+
+
+def _turning(tube: Tube, x: Any) -> Any:
+    """Integral of the curvature over the last x mm of a tube's curved part, rad."""
+    return tube.tip_curvature * x + _slope(tube) * x**2 / 2
+
+
+def _base_frame(theta_x: Any, theta_y: Any, xp: Any) -> tuple[Vector, Vector, Vector]:
+    """The columns of R = Ry(theta_y) Rx(theta_x), eq. (4)."""
+    cx, sx, cy, sy = xp.cos(theta_x), xp.sin(theta_x), xp.cos(theta_y), xp.sin(theta_y)
+    return (cy, 0.0, -sy), (sy * sx, cx, cy * sx), (sy * cx, -sx, cy * cx)
+
+
+def _sum(a: Any, u: Vector, b: Any, v: Vector) -> Vector:
+    return a * u[0] + b * v[0], a * u[1] + b * v[1], a * u[2] + b * v[2]
+
+
+def _plus(start: Vector, a: Any, u: Vector, b: Any, v: Vector) -> Vector:
+    change = _sum(a, u, b, v)
+    return start[0] + change[0], start[1] + change[1], start[2] + change[2]
+
+
+def curvature(robot: Robot, beta: Sequence[Any], s: Any, step: Any, xp: Any) -> Any:
+    """k(s | beta) in 1/mm, eq. (10), whatever alpha is; step(x) goes from 0 to 1 as x mm passes 0."""
+    value = _profile(robot, 0, beta[0] - s, step, xp)
+    for i in range(1, robot.d):
+        jump = _profile(robot, i, beta[i] - s, step, xp) - _profile(robot, i - 1, beta[i - 1] - s, step, xp)
+        value = value + jump * step(s - beta[i - 1])
+    return value
+
+
+def _profile(robot: Robot, i: int, x: Any, step: Any, xp: Any) -> Any:
+    """Pre-curvature of tube i at x mm from its tip, 1/mm."""
+    tube = robot.tubes[i]
+    value = tube.tip_curvature + _slope(tube) * xp.fmin(xp.fmax(x, 0.0), tube.curved_length)
+    return value * step(tube.curved_length - x) if _shows_transmission(robot, i) else value
+
+
+def curved_part(robot: Robot, i: int, start: Any, end: Any, xp: Any) -> tuple[Any, Any, Any]:
+    """Where between start and end (mm) tube i begins to curve, k there (1/mm) and dk/ds (1/mm^2)."""
+    tube = robot.tubes[i]
+    low = xp.fmax(start, end - tube.curved_length) if _shows_transmission(robot, i) else start
+    return low, tube.tip_curvature + _slope(tube) * (end - low), -_slope(tube)
+
+
+def _slope(tube: Tube) -> float:
+    """Growth of the pre-curvature from the tip to the root, 1/mm^2."""
+    return (tube.root_curvature - tube.tip_curvature) / tube.curved_length if tube.curved_length else 0.0

@@ -1,0 +1,161 @@
+"""A plan: configurations over time with the shapes and targets they belong to, and plan.npz."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import platform
+import tempfile
+import zipfile
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.errors import OutputError
+from ctr_nlp.forward import shapes, tangents
+from ctr_nlp.problem import Problem
+from ctr_nlp.robot import Robot
+
+Array = npt.NDArray[np.float64]
+
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Plan:
+    """T frames of motion for a robot of d tubes; the arrays of plan.npz under their names.
+
+    time (T,) s; alpha (T, d) rad; beta (T, d) mm; theta (T, 2) rad; target, shape (T, 101, 3) mm at uniform
+    sigma; target_direction, tip_direction (T, 3) unit tangents at the tip; solve_time (T,) s; success (T,);
+    objective (T,) mm^2; kkt (T,); stability, stability_between (T,), NaN on the dominant model; to_robot
+    (4, 4), file to robot frame; lumen_radius (T, 101) mm and truth (T, 2d + 2), where known. Frames that
+    were never reached hold NaN.
+    """
+
+    time: Array
+    alpha: Array
+    beta: Array
+    theta: Array
+    target: Array
+    shape: Array
+    target_direction: Array
+    tip_direction: Array
+    solve_time: Array
+    success: npt.NDArray[np.bool_]
+    objective: Array
+    kkt: Array
+    stability: Array
+    stability_between: Array
+    to_robot: Array
+    meta: dict[str, Any]
+    lumen_radius: Array | None = None
+    truth: Array | None = None
+
+    @cached_property
+    def robot(self) -> Robot:
+        """The robot that the plan is for."""
+        return Robot.from_dict(self.meta["robot"])
+
+    @property
+    def q(self) -> Array:
+        """Configurations (T, 2d + 2), eq. (5)."""
+        return np.concatenate([self.alpha, self.beta, self.theta], axis=1)
+
+    @property
+    def dt(self) -> float:
+        """Time from frame to frame, s."""
+        return float(self.time[0])
+
+    @property
+    def complete(self) -> bool:
+        """Whether every frame was solved."""
+        return bool(self.success.all())
+
+    def save(self, path: str | Path) -> None:
+        """Write plan.npz, whole or not at all; raises OutputError."""
+        arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "meta"}
+        present = {name: array for name, array in arrays.items() if array is not None}
+        target = Path(path)
+        partial = None
+        try:
+            with tempfile.NamedTemporaryFile(dir=target.parent, suffix=".npz", delete=False) as file:
+                partial = file.name
+                np.savez_compressed(file, meta=np.array(json.dumps(self.meta, allow_nan=False)), **present)
+            os.replace(partial, target)
+        except OSError as error:
+            if partial is not None:
+                Path(partial).unlink(missing_ok=True)
+            raise OutputError(f"plan cannot be written to {target}: {error}") from error
+
+    @classmethod
+    def load(cls, path: str | Path) -> Plan:
+        """Read plan.npz without pickle; raises OutputError where it is not a plan."""
+        names = {f.name for f in fields(cls)}
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                arrays = {name: data[name] for name in data.files if name in names}
+            meta = json.loads(str(arrays.pop("meta")))
+            if meta["format"] != FORMAT:
+                raise OutputError(f"{path} has format {meta['format']}; this version reads {FORMAT}")
+            return cls(meta=meta, **arrays)
+        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+            raise OutputError(f"{path} is not a plan: {error}") from error
+
+
+def plan_from_configurations(
+    problem: Problem,
+    q: Array,
+    meta: dict[str, Any],
+    *,
+    success: npt.NDArray[np.bool_],
+    solve_time: Array,
+    objective: Array,
+    kkt: Array,
+) -> Plan:
+    """The plan that moves a problem's robot through q (T, 2d + 2); meta tells how q was found."""
+    robot, frames = problem.robot, problem.samples
+    alpha, beta, theta = robot.split(q)
+    unknown = np.full(problem.frames, np.nan)
+    radii = [frame.radius for frame in frames]
+    return Plan(
+        time=np.arange(1, problem.frames + 1) * problem.dt,
+        alpha=alpha,
+        beta=beta,
+        theta=theta,
+        target=np.array([frame.points for frame in frames]),
+        shape=shapes(robot, q),
+        target_direction=np.array([frame.tangents[-1] for frame in frames]),
+        tip_direction=tangents(robot, q, np.ones(1))[:, 0],
+        solve_time=solve_time,
+        success=success,
+        objective=objective,
+        kkt=kkt,
+        stability=unknown,
+        stability_between=unknown,
+        to_robot=np.eye(4) if problem.to_robot is None else problem.to_robot,
+        meta=meta
+        | {
+            "problem": {
+                "name": problem.name,
+                "frames": problem.frames,
+                "duration": problem.duration,
+                "deviation": problem.deviation,
+            },
+            "robot": robot.to_dict(),
+            "versions": {
+                "ctr_nlp": importlib.metadata.version("ctr_nlp"),
+                "casadi": ca.__version__,
+                "numpy": np.__version__,
+                "python": platform.python_version(),
+            },
+            "format": FORMAT,
+        },
+        lumen_radius=None if any(radius is None for radius in radii) else np.array(radii),
+        truth=problem.truth,
+    )

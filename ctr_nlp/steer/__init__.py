@@ -1,0 +1,5 @@
+"""Problems to plans."""
+
+from ctr_nlp.steer.per_frame import DIRECTIONS, march, solve_per_frame
+
+__all__ = ["DIRECTIONS", "march", "solve_per_frame"]

@@ -1,0 +1,120 @@
+"""Frames of a problem solved as NLPs, stage after stage."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.errors import OptionError
+from ctr_nlp.formulations import FORMULATIONS
+from ctr_nlp.frames import FrameResult, reachable, starts
+from ctr_nlp.models import MODELS
+from ctr_nlp.problem import Problem
+from ctr_nlp.solvers import NlpSolver, Solution
+
+Array = npt.NDArray[np.float64]
+
+SEARCH_STARTS = 32
+"""Starts of a search without a past."""
+RETRY_STARTS = 8
+"""Further starts for a frame on which the solver failed."""
+DISTINCT = 1e-3
+"""Two answers are distinct where their objectives differ by more than this part."""
+MOTION_WEIGHT = 1e-6
+"""lambda of eq. (9) in s^2; with 0.1 s a frame, a step of 1 mm costs as much as 0.01 mm of shape error."""
+
+
+class NlpFrames:
+    """A FrameSolver: the stages of a formulation, built once and solved for any frame."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        formulation: str = "joint",
+        solver: str = "ipopt",
+        model: str = "dominant",
+        motion_weight: float = MOTION_WEIGHT,
+        seed: int = 0,
+    ) -> None:
+        """Build the NLPs. motion_weight: lambda in s^2; seed: of the search's starts. Raises OptionError."""
+        for name, value, allowed in (
+            ("formulation", formulation, FORMULATIONS),
+            ("model", model, MODELS),
+        ):
+            if value not in allowed:
+                raise OptionError(f"{name} is {value!r}; it must be one of {', '.join(allowed)}")
+        if not (math.isfinite(motion_weight) and motion_weight >= 0):
+            raise OptionError(f"motion_weight is {motion_weight} s^2; it must be a finite number >= 0")
+        self.problem = problem
+        self.seed = seed
+        self._root = math.sqrt(motion_weight) / problem.dt
+        self._stages = FORMULATIONS[formulation](problem.robot)
+        self._solvers = tuple(NlpSolver(stage.nlp, solver) for stage in self._stages)
+        self.build_seconds = sum(solver.build_seconds for solver in self._solvers)
+        self.description: dict[str, Any] = {
+            "formulation": formulation,
+            "model": model,
+            "solver": solver,
+            "options": {"motion_weight_s2": motion_weight, "seed": seed},
+        }
+
+    def search(self, frame: int) -> list[FrameResult]:
+        """Distinct answers for a frame without a past, best first; at least one."""
+        length = self.problem.samples[frame].length
+        guesses = starts(self.problem.robot, length, SEARCH_STARTS, self.seed)
+        results = sorted(self._attempts(frame, guesses, None), key=lambda r: r.objective)
+        distinct: list[FrameResult] = []
+        for result in results:
+            if not distinct or result.objective > distinct[-1].objective * (1 + DISTINCT) + 1e-9:
+                distinct.append(result)
+        return distinct or [FrameResult(guesses[0], success=False, status="no start was solved")]
+
+    def step(self, frame: int, before: FrameResult) -> FrameResult:
+        """The answer for a frame within speed limits of the one before; other starts are tried on failure."""
+        result = self._solve(frame, before.q, before.q, before.warm)
+        if result.success:
+            return result
+        low, high = reachable(self.problem.robot, before.q, self.problem.dt)
+        guesses = starts(self.problem.robot, self.problem.samples[frame].length, RETRY_STARTS, self.seed)
+        attempts = self._attempts(frame, np.clip(guesses, low, high), before.q)
+        best = min(attempts, key=lambda r: r.objective, default=None)
+        return best or replace(result, q=before.q, warm=None)
+
+    def _attempts(self, frame: int, guesses: Iterable[Array], previous: Array | None) -> list[FrameResult]:
+        results = (self._solve(frame, guess, previous, None) for guess in guesses)
+        return [result for result in results if result.success]
+
+    def _solve(
+        self, index: int, guess: Array, previous: Array | None, warm: tuple[Solution, ...] | None
+    ) -> FrameResult:
+        frame, q = self.problem.samples[index], guess.copy()
+        low, high = reachable(self.problem.robot, previous, self.problem.dt)
+        solutions: list[Solution] = []
+        iterations = 0
+        for k, (stage, solver) in enumerate(zip(self._stages, self._solvers, strict=True)):
+            decides = stage.decides
+            values = dict(stage.parameters(frame, q))
+            values["previous"] = (q if previous is None else previous)[decides]
+            values["motion_root"] = 0.0 if previous is None else self._root
+            solution = warm[k] if warm else None
+            for step in stage.schedule:
+                packed = stage.nlp.pack(values | step)
+                solution = solver(q[decides], packed, low[decides], high[decides], solution)
+                q[decides] = solution.x
+                iterations += solution.iterations
+            assert solution is not None
+            solutions.append(solution)
+        return FrameResult(
+            q,
+            all(solution.success for solution in solutions),
+            solutions[-1].objective,
+            max(solution.kkt for solution in solutions),
+            iterations,
+            ", ".join(solution.status for solution in solutions),
+            tuple(solutions),
+        )

@@ -1,0 +1,183 @@
+"""Steering frame by frame: a first frame found by search, then each from the one before it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.errors import OptionError
+from ctr_nlp.forward import shapes
+from ctr_nlp.frames import FrameResult, FrameSolver
+from ctr_nlp.metrics import rms_over_sigma
+from ctr_nlp.plan import Plan, plan_from_configurations
+from ctr_nlp.problem import Problem
+from ctr_nlp.steer.nlp_frames import MOTION_WEIGHT, NlpFrames
+
+Array = npt.NDArray[np.float64]
+Direction = Literal["forward", "backward", "best"]
+Progress = Callable[[int, int, str], None]
+"""Called with (frames done, frames in all, what is being done)."""
+
+DIRECTIONS = ("forward", "backward", "best")
+CANDIDATES = 2
+"""Distinct answers of the first frame from which a whole motion is tried, in each direction."""
+
+
+def solve_per_frame(
+    problem: Problem,
+    formulation: str = "joint",
+    *,
+    model: str = "dominant",
+    solver: str = "ipopt",
+    direction: Direction = "best",
+    start: npt.ArrayLike | None = None,
+    motion_weight: float = MOTION_WEIGHT,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Plan:
+    """The plan that follows a problem's target frame by frame.
+
+    formulation: joint, two-stage or two-stage-exact. solver: ipopt or sqp. direction: in which order frames
+    are solved; best tries both. start: q (2d + 2,) at time 0, from which the motion then leads forward.
+    motion_weight: lambda of eq. (9), s^2. Frames that could not be solved are marked in the plan. Ctrl-C ends
+    the work; the plan then has what was solved and is marked as interrupted. Raises OptionError, RobotError.
+    """
+    return march(
+        problem,
+        NlpFrames(problem, formulation, solver, model, motion_weight, seed),
+        direction,
+        start,
+        progress,
+    )
+
+
+def march(
+    problem: Problem,
+    solver: FrameSolver,
+    direction: Direction = "best",
+    start: npt.ArrayLike | None = None,
+    progress: Progress | None = None,
+) -> Plan:
+    """The plan that any FrameSolver makes; arguments as for solve_per_frame."""
+    if direction not in DIRECTIONS:
+        raise OptionError(f"direction is {direction!r}; it must be one of {', '.join(DIRECTIONS)}")
+    q0 = None if start is None else np.asarray(start, dtype=float)
+    if q0 is not None:
+        problem.robot.check(q0, "start")
+        if direction == "backward":
+            raise OptionError("direction is 'backward' and a start is given; a motion from a start goes forward")
+    passes: list[_Pass] = []
+    interrupted = False
+    begin = time.perf_counter()
+    try:
+        passes = _first_frames(problem, solver, direction, q0)
+        search_seconds = time.perf_counter() - begin
+        for number, one in enumerate(passes):
+            note = f"{one.direction}, try {number + 1} of {len(passes)}"
+            one.run(
+                solver,
+                lambda done, n=number, text=note: _report(progress, n, len(passes), done, problem, text),
+            )
+    except KeyboardInterrupt:
+        interrupted = True
+        search_seconds = time.perf_counter() - begin
+    best = min(passes, key=lambda one: one.badness(problem), default=_Pass("none", range(0)))
+    return _plan(problem, solver, best, interrupted, search_seconds, len(passes), q0)
+
+
+@dataclass
+class _Pass:
+    """One run through all frames; results and seconds by frame number."""
+
+    direction: str
+    order: Sequence[int]
+    before: FrameResult | None = None
+    results: dict[int, FrameResult] = field(default_factory=dict)
+    seconds: dict[int, float] = field(default_factory=dict)
+
+    def run(self, solver: FrameSolver, tick: Callable[[int], None]) -> None:
+        before = self.before
+        for frame in self.order:
+            if frame in self.results:
+                before = self.results[frame]
+                continue
+            assert before is not None
+            begin = time.perf_counter()
+            before = solver.step(frame, before)
+            self.seconds[frame] = time.perf_counter() - begin
+            self.results[frame] = before
+            tick(len(self.results))
+
+    def badness(self, problem: Problem) -> tuple[int, float]:
+        """Frames not solved, then the mean square error of the others in mm^2."""
+        solved = [j for j, result in self.results.items() if result.success]
+        if not solved:
+            return problem.frames, np.inf
+        found = shapes(problem.robot, np.array([self.results[j].q for j in solved]))
+        wanted = np.array([problem.samples[j].points for j in solved])
+        squares = rms_over_sigma(np.linalg.norm(found - wanted, axis=-1)) ** 2
+        return problem.frames - len(solved), float(squares.mean())
+
+
+def _first_frames(problem: Problem, solver: FrameSolver, direction: Direction, q0: Array | None) -> list[_Pass]:
+    forward = range(problem.frames)
+    if q0 is not None:
+        return [_Pass("forward", forward, FrameResult(q0))]
+    orders: dict[str, range] = {"forward": forward, "backward": forward[::-1]}
+    wanted = orders if direction == "best" and problem.frames > 1 else {direction: orders.get(direction, forward)}
+    passes = []
+    for name, order in wanted.items():
+        for first in solver.search(order[0])[:CANDIDATES]:
+            begin = time.perf_counter()
+            again = solver.step(order[0], first) if first.success else first
+            seconds = time.perf_counter() - begin
+            passes.append(
+                _Pass(name, order, None, {order[0]: again if again.success else first}, {order[0]: seconds})
+            )
+    return passes
+
+
+def _report(progress: Progress | None, number: int, passes: int, done: int, problem: Problem, note: str) -> None:
+    if progress is not None:
+        progress(number * problem.frames + done, passes * problem.frames, note)
+
+
+def _plan(
+    problem: Problem,
+    solver: FrameSolver,
+    best: _Pass,
+    interrupted: bool,
+    search_seconds: float,
+    passes: int,
+    q0: Array | None,
+) -> Plan:
+    missing = FrameResult(np.full(2 * problem.robot.d + 2, np.nan), success=False, status="not reached")
+    results = [best.results.get(j, missing) for j in range(problem.frames)]
+    description = solver.description
+    options = description["options"] | {
+        "direction": best.direction,
+        "passes": passes,
+        "start": None if q0 is None else q0.tolist(),
+    }
+    meta = description | {
+        "options": options,
+        "build_s": solver.build_seconds,
+        "search_s": search_seconds,
+        "interrupted": interrupted,
+        "iterations": sum(result.iterations for result in results),
+        "failures": {str(j + 1): r.status for j, r in enumerate(results) if not r.success},
+    }
+    return plan_from_configurations(
+        problem,
+        np.array([result.q for result in results]),
+        meta,
+        success=np.array([result.success for result in results]),
+        solve_time=np.array([best.seconds.get(j, np.nan) for j in range(problem.frames)]),
+        objective=np.array([result.objective for result in results]),
+        kkt=np.array([result.kkt for result in results]),
+    )

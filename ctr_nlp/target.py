@@ -1,0 +1,93 @@
+"""What the robot is to follow: a curve and a length for every frame, sampled once for all users."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicHermiteSpline
+
+from ctr_nlp.curve import Curve
+from ctr_nlp.errors import ProblemError
+
+Array = npt.NDArray[np.float64]
+
+SIGMA = np.linspace(0.0, 1.0, 101)
+"""Normalised arc lengths at which targets and shapes are sampled and errors measured."""
+SIGMA.flags.writeable = False
+QUADRATURE = np.full(101, 0.01)
+"""Trapezoidal weights on SIGMA; they sum to 1."""
+QUADRATURE[[0, -1]] = 0.005
+QUADRATURE.flags.writeable = False
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The target of one frame at SIGMA.
+
+    points (101, 3) mm; tangents (101, 3); curvature (101,) 1/mm; turning (101,) rad, the integral of
+    curvature over arc length from 0; length mm; radius (101,) mm of the lumen, or None.
+    """
+
+    points: Array
+    tangents: Array
+    curvature: Array
+    turning: Array
+    length: float
+    radius: Array | None
+
+    def at(self, sigma: Array) -> Array:
+        """Points (n, 3) in mm at any sigma (n,), by the cubic through points and tangents."""
+        return CubicHermiteSpline(SIGMA, self.points, self.tangents * self.length)(sigma)
+
+
+@dataclass(frozen=True)
+class Target:
+    """For frame j = 1..T a curve and the arc length in mm to which it is to be followed."""
+
+    curves: tuple[Curve, ...]
+    lengths: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if not self.curves:
+            raise ProblemError("a target with 0 frames; give at least 1")
+
+    def __len__(self) -> int:
+        return len(self.curves)
+
+    def sample(self) -> tuple[Frame, ...]:
+        """The target at SIGMA, frame by frame."""
+        return tuple(_sampled(curve, length) for curve, length in zip(self.curves, self.lengths, strict=True))
+
+
+def growing(path: Curve, frames: int = 100) -> Target:
+    """A path followed as it grows, eq. (7): frame j has the part with parameter <= j / frames of its range."""
+    check_frames(frames)
+    lengths = tuple(path.length_at(j / frames) for j in range(1, frames + 1))
+    return Target((path,) * frames, lengths)
+
+
+def sequence(shapes: Sequence[Curve]) -> Target:
+    """A target whose frames are whole curves, one each."""
+    return Target(tuple(shapes), tuple(shape.length for shape in shapes))
+
+
+def check_frames(frames: int) -> None:
+    """Raise ProblemError unless frames is a whole number of at least 1."""
+    if isinstance(frames, bool) or not isinstance(frames, (int, np.integer)) or frames < 1:
+        raise ProblemError(f"frames is {frames!r}; it must be a whole number of at least 1")
+
+
+FINER = 8
+"""Steps of the curvature's quadrature between two neighbours of SIGMA."""
+
+
+def _sampled(curve: Curve, length: float) -> Frame:
+    s = SIGMA * length
+    fine = np.linspace(0.0, length, FINER * (len(SIGMA) - 1) + 1)
+    middle = curve.curvature((fine[1:] + fine[:-1]) / 2)
+    turning = np.concatenate([[0.0], np.cumsum(middle * np.diff(fine))])[::FINER]
+    radius = None if curve.radius is None else curve.radius(s)
+    return Frame(curve.point(s), curve.tangent(s), curve.curvature(s), turning, length, radius)

@@ -1,0 +1,125 @@
+"""Named residuals and constraints that formulations add up: pure functions of symbols; no solver in sight."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.models import dominant
+from ctr_nlp.nlp import Constraint, Cost, Residual
+from ctr_nlp.robot import Robot
+
+Array = npt.NDArray[np.float64]
+
+
+def shape(points: dominant.Vector, target: ca.SX, quadrature: Any) -> Residual:
+    """Distance from the robot to its target at equal sigma, eq. (8).
+
+    points: x, y, z, each (n, 1) mm. target: (n, 3) mm. quadrature: (n,), non-negative, sums to 1.
+    """
+    root = ca.sqrt(quadrature)
+    return Residual("shape", ca.vertcat(*(root * (points[i] - target[:, i]) for i in range(3))))
+
+
+def motion(x: ca.SX, previous: ca.SX, mm_per_unit: Array, root: ca.SX) -> Residual:
+    """Change of configuration over one frame, eq. (9).
+
+    root: sqrt(lambda) / dt, with lambda in s^2 and dt in s; 0 where there is no frame before.
+    """
+    return Residual("motion", root * ca.DM(mm_per_unit) * (x - previous))
+
+
+def length(beta_d: ca.SX, target_length: ca.SX, weight: float) -> Residual:
+    """Deployed length against the target's, mm; weight has no unit."""
+    return Residual("length", np.sqrt(weight) * (beta_d - target_length))
+
+
+def lever(robot: Robot) -> float:
+    """A curvature error of 1/mm kept over the whole reach moves the tip by this many mm^2: reach^2 / 2.
+
+    It turns residuals in 1/mm into mm, so that they stand beside shape and motion.
+    """
+    return robot.reach**2 / 2
+
+
+def curvature(robot: Robot, beta: Sequence[ca.SX], turning: ca.SX, target_length: ca.SX, width: ca.SX) -> Residual:
+    """Curvature of the robot against the target's, eq. (11), its jumps smoothed over a width in mm.
+
+    turning: (n + 1,) integral of the target's curvature in rad at uniform sigma; each residual compares the
+    target's mean over a cell with the robot's value at its middle. As a mean over sigma, the sum cannot be
+    made small by shrinking the robot.
+    """
+    cells = turning.numel() - 1
+    middle = ca.DM((np.arange(cells) + 0.5) / cells)
+    mean = (turning[1:] - turning[:-1]) * (cells / target_length)
+    here = dominant.curvature(robot, beta, middle * beta[-1], lambda x: smooth_step(x / width), ca)
+    return Residual("curvature", lever(robot) / np.sqrt(cells) * (here - mean))
+
+
+def smooth_step(x: Any) -> Any:
+    """S(x), from 0 to 1; 96 % of the rise lies in [-1, 1]."""
+    return (1 + ca.tanh(2 * x)) / 2
+
+
+def curvature_exact(
+    robot: Robot, beta: Sequence[ca.SX], kappa: ca.SX, turning: ca.SX, target_length: ca.SX
+) -> Cost:
+    """The integral in eq. (11) itself, as a mean over sigma and without any smoothing of jumps.
+
+    Per tube, the mean of (k - kappa)^2 needs the target's curvature only through its cumulative integrals
+    at the tube's two ends. The mean of kappa^2, which no beta changes, is left out.
+    kappa: (n + 1,) in 1/mm and turning: (n + 1,) in rad, at uniform sigma.
+    """
+    total, start = ca.SX(0), ca.SX(0)
+    first, second = _cumulative(kappa, turning, target_length)
+    for i, tube in enumerate(robot.tubes):
+        low, at_low, slope = dominant.curved_part(robot, i, start, beta[i], ca)
+        sigma_low, sigma_high, per_sigma = low / beta[-1], beta[i] / beta[-1], slope * beta[-1]
+        width, turned = sigma_high - sigma_low, first(sigma_high) - first(sigma_low)
+        own = at_low**2 * width + at_low * per_sigma * width**2 + per_sigma**2 * width**3 / 3
+        mixed = at_low * turned
+        if tube.root_curvature != tube.tip_curvature:
+            mixed += per_sigma * (width * first(sigma_high) - second(sigma_high) + second(sigma_low))
+        total += own - 2 * mixed
+        start = beta[i]
+    return Cost("curvature", lever(robot) ** 2 * total)
+
+
+def _cumulative(kappa: ca.SX, turning: ca.SX, target_length: ca.SX) -> tuple[Any, Any]:
+    """The integral over sigma of the target's curvature from 0, and that integral's own integral.
+
+    Between grid points the first is the cubic that meets turning and kappa at both: C1 everywhere.
+    """
+    cells = kappa.numel() - 1
+    h = 1 / cells
+    nodes = ca.DM(np.arange(cells) * h)
+    rise = (turning[1:] - turning[:-1]) / target_length
+    a, b = kappa[:-1], kappa[1:]
+    cubic = (a + b) / h**2 - 2 * rise / h**3
+    square = 3 * rise / h**2 - (2 * a + b) / h
+    before = turning[:-1] / target_length
+
+    def first(sigma: ca.SX) -> ca.SX:
+        c = ca.fmin(ca.fmax(sigma - nodes, 0), h)
+        return ca.sum1(c * (a + c * (square + c * cubic)))
+
+    def second(sigma: ca.SX) -> ca.SX:
+        c = ca.fmin(ca.fmax(sigma - nodes, 0), h)
+        return ca.sum1(c * (before + c * (a / 2 + c * (square / 3 + c * cubic / 4))))
+
+    return first, second
+
+
+def order(robot: Robot, beta: Sequence[ca.SX]) -> tuple[Constraint, ...]:
+    """beta_i <= beta_{i+1}, eq. (2), and the least gap between carriages where the robot has one."""
+    if robot.d == 1:
+        return ()
+    growth = ca.vertcat(*(beta[i + 1] - beta[i] for i in range(robot.d - 1)))
+    most = np.full(robot.d - 1, np.inf)
+    if robot.limits.carriage_gap is not None:
+        most = np.diff([tube.length for tube in robot.tubes]) - robot.limits.carriage_gap
+    return (Constraint("order", growth, np.zeros(robot.d - 1), most),)

@@ -1,0 +1,13 @@
+"""The seed's cosine, Fig. 4 (a)."""
+
+import math
+
+import casadi as ca
+
+from ctr_nlp import Problem, Robot, curve_from_formula, growing
+
+
+def problem(robot: Robot, frames: int, duration: float) -> Problem:
+    """(10 cos 0.044 u - 10, 0, u), u in [0, 45.45 pi]; mm."""
+    path = curve_from_formula(lambda u: (10 * ca.cos(0.044 * u) - 10, 0, u), 0.0, 45.45 * math.pi)
+    return Problem("cos", robot, growing(path, frames), duration)
