@@ -39,25 +39,27 @@ def length(beta_d: ca.SX, target_length: ca.SX, weight: float) -> Residual:
 
 
 def lever(robot: Robot) -> float:
-    """A curvature error of 1/mm kept over the whole reach moves the tip by this many mm^2: reach^2 / 2.
+    """What turns 1/mm into mm, so that stage one has the scale of shape errors: reach^2 / (2 sqrt 5), mm^2.
 
-    It turns residuals in 1/mm into mm, so that they stand beside shape and motion.
+    A curvature error kept along the whole reach moves the points by it times s^2 / 2; this is the root mean
+    square over sigma.
     """
-    return robot.reach**2 / 2
+    return robot.reach**2 / (2 * np.sqrt(5))
 
 
-def curvature(robot: Robot, beta: Sequence[ca.SX], turning: ca.SX, target_length: ca.SX, width: ca.SX) -> Residual:
+def curvature(robot: Robot, beta: Sequence[ca.SX], turning: ca.SX, target_length: ca.SX, width: ca.SX) -> Cost:
     """Curvature of the robot against the target's, eq. (11), its jumps smoothed over a width in mm.
 
-    turning: (n + 1,) integral of the target's curvature in rad at uniform sigma; each residual compares the
-    target's mean over a cell with the robot's value at its middle. As a mean over sigma, the sum cannot be
-    made small by shrinking the robot.
+    turning: (n + 1,) integral of the target's curvature in rad at uniform sigma; the target's mean over each
+    cell is compared with the robot's value at its middle. As a mean over sigma, the sum cannot be made small
+    by shrinking the robot. A Cost, not a Residual: what is left at the optimum is large and its second
+    derivatives dominate, so that Gauss-Newton steps do not converge.
     """
     cells = turning.numel() - 1
     middle = ca.DM((np.arange(cells) + 0.5) / cells)
     mean = (turning[1:] - turning[:-1]) * (cells / target_length)
     here = dominant.curvature(robot, beta, middle * beta[-1], lambda x: smooth_step(x / width), ca)
-    return Residual("curvature", lever(robot) / np.sqrt(cells) * (here - mean))
+    return Cost("curvature", lever(robot) ** 2 / cells * ca.sumsqr(here - mean))
 
 
 def smooth_step(x: Any) -> Any:

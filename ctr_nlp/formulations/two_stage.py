@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import casadi as ca
@@ -41,17 +42,16 @@ def _extension(robot: Robot, widths: tuple[float, ...] | None) -> Stage:
     entries = ca.vertsplit(beta)
     decides = np.arange(robot.d, 2 * robot.d)
     parameters = {"turning": turning, "length": length, "previous": previous, "motion_root": root}
-    residuals = [
+    residuals = (
         terms.length(entries[-1], length, LENGTH_WEIGHT),
         terms.motion(beta, previous, robot.mm_per_unit[decides], root),
-    ]
-    costs = []
+    )
     if widths is None:
         parameters["kappa"] = kappa
-        costs.append(terms.curvature_exact(robot, entries, kappa, turning, length))
+        curvature = terms.curvature_exact(robot, entries, kappa, turning, length)
     else:
         parameters["width"] = width
-        residuals.append(terms.curvature(robot, entries, turning, length, width))
+        curvature = terms.curvature(robot, entries, turning, length, width)
 
     def fill(frame: Frame, q: Array) -> dict[str, Any]:
         values = {"turning": frame.turning, "length": frame.length}
@@ -63,8 +63,8 @@ def _extension(robot: Robot, widths: tuple[float, ...] | None) -> Stage:
         robot.lower[decides],
         robot.upper[decides],
         parameters,
-        tuple(residuals),
-        tuple(costs),
+        residuals,
+        (curvature,),
         terms.order(robot, entries),
     )
     return Stage(nlp, decides, fill, ({},) if widths is None else tuple({"width": w} for w in widths))
@@ -81,8 +81,8 @@ def _rotation(robot: Robot) -> Stage:
     x, previous = ca.SX.sym("alpha_theta", d + 2), ca.SX.sym("previous", d + 2)
     beta, root, target = ca.SX.sym("beta", d), ca.SX.sym("motion_root"), ca.SX.sym("target", 2 * d, 3)
     entries = ca.vertsplit(ca.vertcat(x[:d], beta, x[d:]))
-    sigma, quadrature = _samples(ca.vertsplit(beta), ca.vertcat)
-    points = dominant.backbone(robot, entries, sigma, ca).points
+    sigma, quadrature = _samples(ca.vertsplit(beta), ca)
+    points = dominant.backbone(robot, entries, ca.vertcat(*sigma), ca).points
     nlp = Nlp(
         "rotation",
         x,
@@ -90,28 +90,28 @@ def _rotation(robot: Robot) -> Stage:
         robot.upper[decides],
         {"beta": beta, "target": target, "previous": previous, "motion_root": root},
         residuals=(
-            terms.shape(points, target, quadrature),
+            terms.shape(points, target, ca.vertcat(*quadrature)),
             terms.motion(x, previous, robot.mm_per_unit[decides], root),
         ),
     )
 
     def fill(frame: Frame, q: Array) -> dict[str, Any]:
         extensions = robot.split(q)[1]
-        sigma, _ = _samples(list(extensions), lambda *entries: np.array(entries))
-        return {"beta": extensions, "target": frame.at(sigma)}
+        sigma, _ = _samples(extensions, np)
+        return {"beta": extensions, "target": frame.at(np.array(sigma))}
 
     return Stage(nlp, decides, fill)
 
 
-def _samples(beta: Any, stack: Any) -> tuple[Any, Any]:
-    """Sigma at the midpoint and end of every segment, and Simpson's weights there (base point left out).
+def _samples(beta: Any, xp: Any) -> tuple[list[Any], list[Any]]:
+    """Sigma at the midpoints, then the ends of all segments, and Simpson's weights there.
 
-    The base point of the first segment never moves.
+    The base point never moves and is left out. A solver's beta may break the order by its tolerance, and
+    weights must not become negative.
     """
-    edges = [0 * beta[0], *beta]
-    d = len(beta)
-    widths = [(edges[i + 1] - edges[i]) / beta[-1] for i in range(d)]
-    middles = [(edges[i] + edges[i + 1]) / 2 / beta[-1] for i in range(d)]
-    ends = [b / beta[-1] for b in beta]
-    joints = [(widths[i] + widths[i + 1]) / 6 for i in range(d - 1)] + [widths[-1] / 6]
-    return stack(*middles, *ends), stack(*(4 * w / 6 for w in widths), *joints)
+    edges = [0 * beta[0], *(beta[i] for i in range(len(beta)))]
+    widths = [xp.fmax(high - low, 0) / beta[-1] for low, high in itertools.pairwise(edges)]
+    middles = [(low + high) / 2 / beta[-1] for low, high in itertools.pairwise(edges)]
+    at_ends = [(low + high) / 6 for low, high in itertools.pairwise([*widths, 0])]
+    sigma = [*middles, *(edge / beta[-1] for edge in edges[1:])]
+    return sigma, [*(4 * width / 6 for width in widths), *at_ends]

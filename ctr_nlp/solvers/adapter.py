@@ -16,17 +16,18 @@ from ctr_nlp.nlp import Nlp, kkt_residual
 
 Array = npt.NDArray[np.float64]
 
-SOLVED = {"Solve_Succeeded", "Solved_To_Acceptable_Level", "SUCCESS"}
 FEASIBLE = 1e-6
 """A point that leaves bounds or constraints by more than this (rad, mm) is no solution, whatever a solver says."""
+OPTIMAL = 1e-2
+"""Nor is one with a larger KKT residual (mm^2 per rad or mm); IPOPT reaches 1e-6, and so do most SQP solves."""
 
 
 @dataclass(frozen=True)
 class Solution:
     """What a solver found.
 
-    x (n,); objective mm^2; kkt: residual computed from the Nlp alone; success: the solver says so and the
-    point is finite and feasible; status: the solver's own word; seconds: of the call; lam_x, lam_g:
+    x (n,); objective mm^2; kkt: residual computed from the Nlp alone; success: the point is finite, feasible and a
+    KKT point, whatever the solver says; status: the solver's own word; seconds: of the call; lam_x, lam_g:
     multipliers to warm-start from.
     """
 
@@ -76,9 +77,9 @@ class NlpSolver:
         x, lam_x, lam_g = (result[key].full().ravel() for key in ("x", "lam_x", "lam_g"))
         g = result["g"].full().ravel()
         violation = np.concatenate([low - x, x - high, g_low - g, g - g_high]).max()
-        success = status in SOLVED and bool(np.isfinite(x).all()) and bool(violation <= FEASIBLE)
         x = np.clip(x, low, high)
         kkt = kkt_residual(self.nlp, x, p, low, high, lam_x, lam_g)
+        success = bool(violation <= FEASIBLE) and kkt <= OPTIMAL
         return Solution(x, float(result["f"]), kkt, success, status, iterations, seconds, lam_x, lam_g)
 
 
@@ -124,30 +125,14 @@ def _ipopt(nlp: Nlp) -> ca.Function:
 
 
 def _sqp(nlp: Nlp) -> ca.Function:
-    """CasADi's sqpmethod over qrqp, with a damped Gauss-Newton Hessian.
+    """CasADi's sqpmethod over qrqp: damped Gauss-Newton, or BFGS where the objective has other terms.
 
     An indefinite Hessian makes it report success at poor points, and with its default of 3 line-search
     steps it cycles where second derivatives jump.
     """
-    if nlp.costs:
-        names = ", ".join(cost.name for cost in nlp.costs)
-        raise OptionError(
-            f"solver 'sqp' needs least-squares terms, and {names} of {nlp.name} is none; use 'ipopt'"
-        )
-    jacobian = ca.jacobian(nlp.residual, nlp.x)
-    lam_f, lam_g = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", nlp.g.numel())
-    hessian = 2 * lam_f * (jacobian.T @ jacobian + DAMPING * ca.SX.eye(nlp.x.numel()))
-    names = ["x", "p", "lam_f", "lam_g"], ["hess_gamma_x_x"]
-    gauss_newton = ca.Function("nlp_hess_l", [nlp.x, nlp.p, lam_f, lam_g], [hessian], *names, {"cse": True})
     options = {
-        "hess_lag": gauss_newton,
         "qpsol": "qrqp",
-        "qpsol_options": {
-            "print_iter": False,
-            "print_header": False,
-            "print_info": False,
-            "error_on_fail": False,
-        },
+        "qpsol_options": {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False},
         "print_header": False,
         "print_iteration": False,
         "print_status": False,
@@ -155,7 +140,19 @@ def _sqp(nlp: Nlp) -> ca.Function:
         "max_iter_ls": 20,
         "beta": 0.5,
     }
+    if nlp.costs:
+        options["hessian_approximation"] = "limited-memory"
+    else:
+        options["hess_lag"] = _gauss_newton(nlp)
     return ca.nlpsol("sqp", "sqpmethod", _problem(nlp), COMMON | options)
+
+
+def _gauss_newton(nlp: Nlp) -> ca.Function:
+    jacobian = ca.jacobian(nlp.residual, nlp.x)
+    lam_f, lam_g = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", nlp.g.numel())
+    hessian = 2 * lam_f * (jacobian.T @ jacobian + DAMPING * ca.SX.eye(nlp.x.numel()))
+    names = ["x", "p", "lam_f", "lam_g"], ["hess_gamma_x_x"]
+    return ca.Function("nlp_hess_l", [nlp.x, nlp.p, lam_f, lam_g], [hessian], *names, {"cse": True})
 
 
 DAMPING = 1e-3

@@ -81,9 +81,9 @@ class NlpFrames:
             return result
         low, high = reachable(self.problem.robot, before.q, self.problem.dt)
         guesses = starts(self.problem.robot, self.problem.samples[frame].length, RETRY_STARTS, self.seed)
-        attempts = self._attempts(frame, np.clip(guesses, low, high), before.q)
+        attempts = self._attempts(frame, [before.q, *np.clip(guesses, low, high)], before.q)
         best = min(attempts, key=lambda r: r.objective, default=None)
-        return best or replace(result, q=before.q, warm=None)
+        return best or replace(result, q=before.q)
 
     def _attempts(self, frame: int, guesses: Iterable[Array], previous: Array | None) -> list[FrameResult]:
         results = (self._solve(frame, guess, previous, None) for guess in guesses)
@@ -108,13 +108,10 @@ class NlpFrames:
                 q[decides] = solution.x
                 iterations += solution.iterations
             assert solution is not None
+            if not solution.success:
+                failure = f"{stage.nlp.name}: {solution.status}, KKT residual {solution.kkt:.1e}"
+                return FrameResult(guess, False, iterations=iterations, status=failure)
             solutions.append(solution)
-        return FrameResult(
-            q,
-            all(solution.success for solution in solutions),
-            solutions[-1].objective,
-            max(solution.kkt for solution in solutions),
-            iterations,
-            ", ".join(solution.status for solution in solutions),
-            tuple(solutions),
-        )
+        kkt = max(solution.kkt for solution in solutions)
+        status = ", ".join(solution.status for solution in solutions)
+        return FrameResult(q, True, solutions[-1].objective, kkt, iterations, status, tuple(solutions))
