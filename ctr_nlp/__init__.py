@@ -7,6 +7,7 @@ from ctr_nlp.metrics import by_frame, summary
 from ctr_nlp.plan import Plan
 from ctr_nlp.problem import Problem, problem_from_file
 from ctr_nlp.robot import Limits, Robot, Tube, seed_robot
+from ctr_nlp.settings import Settings
 from ctr_nlp.steer import solve_per_frame
 from ctr_nlp.target import Target, growing, sequence
 
@@ -17,6 +18,7 @@ __all__ = [
     "Plan",
     "Problem",
     "Robot",
+    "Settings",
     "Target",
     "Tube",
     "by_frame",

@@ -103,7 +103,7 @@ def summary(plan: Plan) -> dict[str, Any]:
         "interrupted": bool(plan.meta.get("interrupted", False)),
         "kkt_max": _number(plan.kkt[plan.success].max(initial=-np.inf)),
         "weights": {
-            "motion_s2": plan.meta["options"].get("motion_weight_s2"),
+            "motion_s2": plan.meta["options"].get("motion_weight"),
             "angle_mm_per_rad": float(robot.mm_per_unit[0]),
         },
         "problem": plan.meta["problem"]["name"],

@@ -124,7 +124,7 @@ def plan_from_configurations(
     unknown = np.full(problem.frames, np.nan)
     radii = [frame.radius for frame in frames]
     return Plan(
-        time=np.arange(1, problem.frames + 1) * problem.dt,
+        time=np.arange(1.0, problem.frames + 1) * problem.dt,
         alpha=alpha,
         beta=beta,
         theta=theta,
@@ -150,7 +150,7 @@ def plan_from_configurations(
             "robot": robot.to_dict(),
             "versions": {
                 "ctr_nlp": importlib.metadata.version("ctr_nlp"),
-                "casadi": ca.__version__,
+                "casadi": ca.CasadiMeta.version(),
                 "numpy": np.__version__,
                 "python": platform.python_version(),
             },

@@ -158,14 +158,15 @@ class Robot:
             lo, hi = lower[self.d + i], upper[self.d + i]
             if lo < 0 or hi > tube.length:
                 raise RobotError(
-                    f"limits of beta_{i + 1} are [{lo:g}, {hi:g}] mm; they must lie in [0, length = {tube.length:g}]"
+                    f"limits of beta_{i + 1} are [{lo:g}, {hi:g}] mm; they must lie in [0, {tube.length:g}], "
+                    "the tube's length"
                 )
             if i and gap is not None:
                 high += tube.length - self.tubes[i - 1].length - gap
             low, high = max(low, lo), min(high, hi) if i and gap is not None else hi
             if low > high:
                 raise RobotError(
-                    f"limits of beta_{i + 1} leave no room: it must be at least {low:g} mm (order and lower limits) "
+                    f"limits of beta_{i + 1} leave no room: it must be at least {low:g} mm (order, lower limits) "
                     f"and at most {high:g} mm (upper limits and carriage gap)"
                 )
 

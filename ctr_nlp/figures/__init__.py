@@ -1,0 +1,9 @@
+"""Plans to pictures: what the seed shows in its Figs. 4, 5, 6 and 8, for any plan."""
+
+from ctr_nlp.figures.files import save_all
+from ctr_nlp.figures.frames import by_frame
+from ctr_nlp.figures.motion import configuration
+from ctr_nlp.figures.overlay import shapes
+from ctr_nlp.figures.violins import errors
+
+__all__ = ["by_frame", "configuration", "errors", "save_all", "shapes"]

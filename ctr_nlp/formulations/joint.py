@@ -10,13 +10,14 @@ from ctr_nlp.formulations.stage import Stage
 from ctr_nlp.models import dominant
 from ctr_nlp.nlp import Nlp
 from ctr_nlp.robot import Robot
+from ctr_nlp.settings import Settings
 from ctr_nlp.target import SIGMA
 
 STRIDE = 5
 """Every STRIDE-th of the target's 101 samples enters the NLP, 21 in all."""
 
 
-def joint(robot: Robot) -> tuple[Stage, ...]:
+def joint(robot: Robot, settings: Settings) -> tuple[Stage, ...]:
     """One stage that decides q itself, so that bounds and step limits are bounds of the NLP."""
     n = 2 * robot.d + 2
     sigma = SIGMA[::STRIDE]

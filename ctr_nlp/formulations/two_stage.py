@@ -14,22 +14,23 @@ from ctr_nlp.formulations.stage import Stage
 from ctr_nlp.models import dominant
 from ctr_nlp.nlp import Nlp
 from ctr_nlp.robot import Robot
+from ctr_nlp.settings import Settings
 from ctr_nlp.target import SIGMA, Frame
 
 Array = npt.NDArray[np.float64]
 
-WIDTHS_MM = (10.0, 4.0, 1.5)
-"""Widths of the smoothed jumps of curvature, tightened one after the other."""
+TIGHTENING = (6.0, 2.5, 1.0)
+"""Widths of the smoothed jumps of curvature, in units of the last, solved for one after the other."""
 LENGTH_WEIGHT = 100.0
 """Weight of (beta_d - length)^2 in stage one: eq. (11) does not see how far the robot is out."""
 
 
-def two_stage(robot: Robot, widths: tuple[float, ...] = WIDTHS_MM) -> tuple[Stage, ...]:
-    """Extension with smoothed jumps of curvature, widths in mm, largest first; then rotation."""
-    return _extension(robot, widths), _rotation(robot)
+def two_stage(robot: Robot, settings: Settings) -> tuple[Stage, ...]:
+    """Extension with smoothed jumps of curvature, tightened to settings.jump_width; then rotation."""
+    return _extension(robot, tuple(factor * settings.jump_width for factor in TIGHTENING)), _rotation(robot)
 
 
-def two_stage_exact(robot: Robot) -> tuple[Stage, ...]:
+def two_stage_exact(robot: Robot, settings: Settings) -> tuple[Stage, ...]:
     """Extension with the integral (11) itself, through the target's cumulative integrals; then rotation."""
     return _extension(robot, None), _rotation(robot)
 

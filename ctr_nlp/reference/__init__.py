@@ -1,0 +1,35 @@
+"""The methods to compare with, in vectorised numpy and scipy, as their authors describe them.
+
+None of them knows the robot's speed limits; largest steps are part of every comparison.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+
+from ctr_nlp.errors import OptionError
+from ctr_nlp.problem import Problem
+from ctr_nlp.reference.descent import Method, ReferenceFrames
+from ctr_nlp.reference.euclidean import euclidean
+from ctr_nlp.reference.seed_two_stage import seed_two_stage
+from ctr_nlp.reference.tip_jacobian import tip_jacobian
+from ctr_nlp.settings import Settings
+
+METHODS: dict[str, Callable[[Problem, float], Method]] = {
+    "seed-two-stage": seed_two_stage,
+    "euclidean": euclidean,
+    "tip-jacobian": tip_jacobian,
+}
+"""Every reference method by the name that options use: (problem, lambda / dt^2) -> method."""
+
+
+def reference_frames(problem: Problem, name: str, settings: Settings) -> ReferenceFrames:
+    """A reference method as a FrameSolver; raises OptionError where the name is unknown."""
+    if name not in METHODS:
+        raise OptionError(f"reference method is {name!r}; it must be one of {', '.join(METHODS)}")
+    method = METHODS[name](problem, settings.motion_weight / problem.dt**2)
+    return ReferenceFrames(problem, name, method, asdict(settings))
+
+
+__all__ = ["METHODS", "reference_frames"]

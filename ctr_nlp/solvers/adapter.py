@@ -43,17 +43,14 @@ class Solution:
 
 
 class NlpSolver:
-    """A built solver for one Nlp, to be called for any start, parameters and bounds; not for two threads at once."""
+    """A solver built for one Nlp, called for any start, parameters and bounds; not from two threads at once."""
 
     def __init__(self, nlp: Nlp, solver: str) -> None:
         """Build; raises OptionError where the solver is unknown or does not suit the problem."""
         if solver not in SOLVERS:
             raise OptionError(f"solver is {solver!r}; it must be one of {', '.join(SOLVERS)}")
         self.nlp = nlp
-        begin = time.perf_counter()
         self._solve = SOLVERS[solver](nlp)
-        nlp.kkt_function  # noqa: B018 (built here so that no frame pays for it)
-        self.build_seconds = time.perf_counter() - begin
 
     def __call__(
         self,
@@ -96,7 +93,12 @@ def _problem(nlp: Nlp) -> dict[str, ca.SX]:
     return {"x": nlp.x, "p": nlp.p, "f": nlp.objective, "g": nlp.g}
 
 
-COMMON = {"print_time": False, "calc_lam_p": False, "show_eval_warnings": False, "error_on_fail": False}
+COMMON: dict[str, Any] = {
+    "print_time": False,
+    "calc_lam_p": False,
+    "show_eval_warnings": False,
+    "error_on_fail": False,
+}
 
 
 def _ipopt(nlp: Nlp) -> ca.Function:
@@ -130,7 +132,7 @@ def _sqp(nlp: Nlp) -> ca.Function:
     An indefinite Hessian makes it report success at poor points, and with its default of 3 line-search
     steps it cycles where second derivatives jump.
     """
-    options = {
+    options: dict[str, Any] = {
         "qpsol": "qrqp",
         "qpsol_options": {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False},
         "print_header": False,

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.frames import FrameResult, reachable, starts
 from ctr_nlp.models import MODELS
 from ctr_nlp.problem import Problem
+from ctr_nlp.settings import Settings
 from ctr_nlp.solvers import NlpSolver, Solution
 
 Array = npt.NDArray[np.float64]
@@ -25,8 +27,7 @@ RETRY_STARTS = 8
 """Further starts for a frame on which the solver failed."""
 DISTINCT = 1e-3
 """Two answers are distinct where their objectives differ by more than this part."""
-MOTION_WEIGHT = 1e-6
-"""lambda of eq. (9) in s^2; with 0.1 s a frame, a step of 1 mm costs as much as 0.01 mm of shape error."""
+DEFAULTS = Settings()
 
 
 class NlpFrames:
@@ -38,35 +39,30 @@ class NlpFrames:
         formulation: str = "joint",
         solver: str = "ipopt",
         model: str = "dominant",
-        motion_weight: float = MOTION_WEIGHT,
-        seed: int = 0,
+        settings: Settings = DEFAULTS,
     ) -> None:
-        """Build the NLPs. motion_weight: lambda in s^2; seed: of the search's starts. Raises OptionError."""
-        for name, value, allowed in (
-            ("formulation", formulation, FORMULATIONS),
-            ("model", model, MODELS),
-        ):
+        """Build the NLPs; raises OptionError for names that do not exist."""
+        for name, value, allowed in (("formulation", formulation, FORMULATIONS), ("model", model, MODELS)):
             if value not in allowed:
                 raise OptionError(f"{name} is {value!r}; it must be one of {', '.join(allowed)}")
-        if not (math.isfinite(motion_weight) and motion_weight >= 0):
-            raise OptionError(f"motion_weight is {motion_weight} s^2; it must be a finite number >= 0")
         self.problem = problem
-        self.seed = seed
-        self._root = math.sqrt(motion_weight) / problem.dt
-        self._stages = FORMULATIONS[formulation](problem.robot)
+        self._seed = settings.seed
+        self._root = math.sqrt(settings.motion_weight) / problem.dt
+        begin = time.perf_counter()
+        self._stages = FORMULATIONS[formulation](problem.robot, settings)
         self._solvers = tuple(NlpSolver(stage.nlp, solver) for stage in self._stages)
-        self.build_seconds = sum(solver.build_seconds for solver in self._solvers)
+        self.build_seconds = time.perf_counter() - begin
         self.description: dict[str, Any] = {
             "formulation": formulation,
             "model": model,
             "solver": solver,
-            "options": {"motion_weight_s2": motion_weight, "seed": seed},
+            "options": asdict(settings),
         }
 
     def search(self, frame: int) -> list[FrameResult]:
         """Distinct answers for a frame without a past, best first; at least one."""
         length = self.problem.samples[frame].length
-        guesses = starts(self.problem.robot, length, SEARCH_STARTS, self.seed)
+        guesses = starts(self.problem.robot, length, SEARCH_STARTS, self._seed)
         results = sorted(self._attempts(frame, guesses, None), key=lambda r: r.objective)
         distinct: list[FrameResult] = []
         for result in results:
@@ -80,7 +76,7 @@ class NlpFrames:
         if result.success:
             return result
         low, high = reachable(self.problem.robot, before.q, self.problem.dt)
-        guesses = starts(self.problem.robot, self.problem.samples[frame].length, RETRY_STARTS, self.seed)
+        guesses = starts(self.problem.robot, self.problem.samples[frame].length, RETRY_STARTS, self._seed)
         attempts = self._attempts(frame, [before.q, *np.clip(guesses, low, high)], before.q)
         best = min(attempts, key=lambda r: r.objective, default=None)
         return best or replace(result, q=before.q)
@@ -103,7 +99,7 @@ class NlpFrames:
             values["motion_root"] = 0.0 if previous is None else self._root
             solution = warm[k] if warm else None
             for step in stage.schedule:
-                packed = stage.nlp.pack(values | step)
+                packed = stage.nlp.pack({**values, **step})
                 solution = solver(q[decides], packed, low[decides], high[decides], solution)
                 q[decides] = solution.x
                 iterations += solution.iterations

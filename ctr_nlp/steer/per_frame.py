@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,8 @@ from ctr_nlp.frames import FrameResult, FrameSolver
 from ctr_nlp.metrics import rms_over_sigma
 from ctr_nlp.plan import Plan, plan_from_configurations
 from ctr_nlp.problem import Problem
-from ctr_nlp.steer.nlp_frames import MOTION_WEIGHT, NlpFrames
+from ctr_nlp.settings import Settings
+from ctr_nlp.steer.nlp_frames import DEFAULTS, NlpFrames
 
 Array = npt.NDArray[np.float64]
 Direction = Literal["forward", "backward", "best"]
@@ -24,7 +25,7 @@ Progress = Callable[[int, int, str], None]
 """Called with (frames done, frames in all, what is being done)."""
 
 DIRECTIONS = ("forward", "backward", "best")
-CANDIDATES = 2
+CANDIDATES = 4
 """Distinct answers of the first frame from which a whole motion is tried, in each direction."""
 
 
@@ -36,20 +37,19 @@ def solve_per_frame(
     solver: str = "ipopt",
     direction: Direction = "best",
     start: npt.ArrayLike | None = None,
-    motion_weight: float = MOTION_WEIGHT,
-    seed: int = 0,
+    settings: Settings = DEFAULTS,
     progress: Progress | None = None,
 ) -> Plan:
     """The plan that follows a problem's target frame by frame.
 
     formulation: joint, two-stage or two-stage-exact. solver: ipopt or sqp. direction: in which order frames
     are solved; best tries both. start: q (2d + 2,) at time 0, from which the motion then leads forward.
-    motion_weight: lambda of eq. (9), s^2. Frames that could not be solved are marked in the plan. Ctrl-C ends
+    settings: weights, widths and seeds. Frames that could not be solved are marked in the plan. Ctrl-C ends
     the work; the plan then has what was solved and is marked as interrupted. Raises OptionError, RobotError.
     """
     return march(
         problem,
-        NlpFrames(problem, formulation, solver, model, motion_weight, seed),
+        NlpFrames(problem, formulation, solver, model, settings),
         direction,
         start,
         progress,
@@ -72,22 +72,25 @@ def march(
         if direction == "backward":
             raise OptionError("direction is 'backward' and a start is given; a motion from a start goes forward")
     passes: list[_Pass] = []
-    interrupted = False
+    search_seconds, interrupted = None, False
     begin = time.perf_counter()
     try:
         passes = _first_frames(problem, solver, direction, q0)
         search_seconds = time.perf_counter() - begin
         for number, one in enumerate(passes):
-            note = f"{one.direction}, try {number + 1} of {len(passes)}"
-            one.run(
-                solver,
-                lambda done, n=number, text=note: _report(progress, n, len(passes), done, problem, text),
-            )
+            for done in one.run(solver):
+                if progress is not None:
+                    note = f"{one.direction}, try {number + 1} of {len(passes)}"
+                    progress(number * problem.frames + done, len(passes) * problem.frames, note)
     except KeyboardInterrupt:
         interrupted = True
-        search_seconds = time.perf_counter() - begin
     best = min(passes, key=lambda one: one.badness(problem), default=_Pass("none", range(0)))
-    return _plan(problem, solver, best, interrupted, search_seconds, len(passes), q0)
+    options = {
+        "direction": best.direction,
+        "passes": len(passes),
+        "start": None if q0 is None else q0.tolist(),
+    }
+    return _plan(problem, solver, best, options, {"search_s": search_seconds, "interrupted": interrupted})
 
 
 @dataclass
@@ -100,18 +103,17 @@ class _Pass:
     results: dict[int, FrameResult] = field(default_factory=dict)
     seconds: dict[int, float] = field(default_factory=dict)
 
-    def run(self, solver: FrameSolver, tick: Callable[[int], None]) -> None:
+    def run(self, solver: FrameSolver) -> Iterator[int]:
+        """Solve the frames that have no result yet, in order; yields how many have one."""
         before = self.before
         for frame in self.order:
-            if frame in self.results:
-                before = self.results[frame]
-                continue
-            assert before is not None
-            begin = time.perf_counter()
-            before = solver.step(frame, before)
-            self.seconds[frame] = time.perf_counter() - begin
-            self.results[frame] = before
-            tick(len(self.results))
+            if frame not in self.results:
+                assert before is not None
+                begin = time.perf_counter()
+                self.results[frame] = solver.step(frame, before)
+                self.seconds[frame] = time.perf_counter() - begin
+            before = self.results[frame]
+            yield len(self.results)
 
     def badness(self, problem: Problem) -> tuple[int, float]:
         """Frames not solved, then the mean square error of the others in mm^2."""
@@ -142,33 +144,16 @@ def _first_frames(problem: Problem, solver: FrameSolver, direction: Direction, q
     return passes
 
 
-def _report(progress: Progress | None, number: int, passes: int, done: int, problem: Problem, note: str) -> None:
-    if progress is not None:
-        progress(number * problem.frames + done, passes * problem.frames, note)
-
-
 def _plan(
-    problem: Problem,
-    solver: FrameSolver,
-    best: _Pass,
-    interrupted: bool,
-    search_seconds: float,
-    passes: int,
-    q0: Array | None,
+    problem: Problem, solver: FrameSolver, best: _Pass, options: dict[str, Any], work: dict[str, Any]
 ) -> Plan:
     missing = FrameResult(np.full(2 * problem.robot.d + 2, np.nan), success=False, status="not reached")
     results = [best.results.get(j, missing) for j in range(problem.frames)]
-    description = solver.description
-    options = description["options"] | {
-        "direction": best.direction,
-        "passes": passes,
-        "start": None if q0 is None else q0.tolist(),
-    }
-    meta = description | {
-        "options": options,
+    meta = {
+        **solver.description,
+        **work,
+        "options": solver.description["options"] | options,
         "build_s": solver.build_seconds,
-        "search_s": search_seconds,
-        "interrupted": interrupted,
         "iterations": sum(result.iterations for result in results),
         "failures": {str(j + 1): r.status for j, r in enumerate(results) if not r.success},
     }

@@ -1,0 +1,83 @@
+"""Synthetic airways: trachea to a right lower-lobe segmental bronchus, from published morphometry."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from ctr_nlp.curve import Curve, curve_from_points
+
+Array = npt.NDArray[np.float64]
+
+
+class Generation(NamedTuple):
+    """Least and largest diameter and length of a bronchus, mm."""
+
+    name: str
+    diameter: tuple[float, float]
+    length: tuple[float, float]
+
+
+GENERATIONS = (
+    Generation("trachea", (18, 18), (100, 100)),
+    Generation("right main bronchus", (15, 15), (22, 25)),
+    Generation("intermediate bronchus", (12, 12), (19, 25)),
+    Generation("lower-lobe bronchus and basal trunk", (11, 11), (10, 15)),
+    Generation("segmental bronchus", (6, 8), (9, 15)),
+)
+BIFURCATION_DEG = (28.0, 40.0)
+ROLL_DEG = (40.0, 90.0)
+"""Between the bending planes of consecutive corners, to either side."""
+ROUNDING_MM = (12.0, 25.0)
+"""Radius at which a corner is rounded, the smaller where two corners share a short bronchus."""
+SPACING_MM = 0.5
+
+
+def synthetic_airway(seed: int = 0) -> Curve:
+    """The centreline, lumen radius included, of the airway that a seed stands for; trachea downwards."""
+    random = np.random.default_rng(seed)
+    lengths = np.array([random.uniform(*generation.length) for generation in GENERATIONS])
+    diameters = np.array([random.uniform(*generation.diameter) for generation in GENERATIONS])
+    angles = np.radians(random.uniform(*BIFURCATION_DEG, len(GENERATIONS) - 1))
+    rolls = np.radians(random.uniform(*ROLL_DEG, len(angles))) * random.choice([-1, 1], len(angles))
+    rolls[0] = random.uniform(-np.pi, np.pi)
+    room = np.minimum(
+        lengths[:-1] * np.where(np.arange(len(angles)) > 0, 0.5, 1), lengths[1:] * np.append(np.full(3, 0.5), 1)
+    )
+    widest = np.minimum(ROUNDING_MM[1], room / np.tan(angles / 2))
+    rounding = random.uniform(ROUNDING_MM[0], widest)
+    points, corners = _path(lengths, angles, rolls, rounding)
+    walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    middles = np.concatenate([[0.0], (corners[1:] + corners[:-1]) / 2, [walked[-1]]])
+    return curve_from_points(points, np.interp(walked, middles, diameters / 2))
+
+
+def _path(lengths: Array, angles: Array, rolls: Array, rounding: Array) -> tuple[Array, Array]:
+    """Points every SPACING_MM along straight bronchi and rounded corners; arc length at corners' middles.
+
+    The frame's third axis points along the path, its first towards the side of the next bend.
+    """
+    cut = rounding * np.tan(angles / 2)
+    straights = lengths - np.append(0.0, cut) - np.append(cut, 0.0)
+    frame, pieces, corners, walked = Rotation.identity(), [np.zeros((1, 3))], [], 0.0
+    for i, straight in enumerate(straights):
+        pieces.append(pieces[-1][-1] + np.outer(_steps(straight), frame.apply([0.0, 0.0, 1.0])))
+        walked += straight
+        if i < len(angles):
+            frame = frame * Rotation.from_euler("z", rolls[i])
+            turn = _steps(rounding[i] * angles[i]) / rounding[i]
+            bend = rounding[i] * np.column_stack([1 - np.cos(turn), 0 * turn, np.sin(turn)])
+            pieces.append(pieces[-1][-1] + frame.apply(bend))
+            frame = frame * Rotation.from_euler("y", angles[i])
+            corners.append(walked + rounding[i] * angles[i] / 2)
+            walked += rounding[i] * angles[i]
+    return np.vstack(pieces), np.array(corners)
+
+
+def _steps(length: float) -> Array:
+    """Evenly spaced arc lengths from 0 (excluded) to length, mm."""
+    count = max(1, round(length / SPACING_MM))
+    return np.arange(1.0, count + 1) * (length / count)

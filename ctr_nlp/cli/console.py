@@ -1,0 +1,73 @@
+"""What a person sees: progress while a program works, tables at its end, errors and exit codes."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from ctr_nlp.errors import CtrError
+
+SOLVED, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+"""Exit codes of every program."""
+
+PIPED_WIDTH = 160
+"""Columns assumed where output does not go to a terminal."""
+
+
+def console(stderr: bool = False) -> Console:
+    """A console on stdout or stderr, wide enough for tables where it is not a terminal."""
+    found = Console(stderr=stderr, highlight=False)
+    return found if found.is_terminal else Console(stderr=stderr, highlight=False, width=PIPED_WIDTH)
+
+
+def guarded(program: Callable[[], int]) -> int:
+    """Run a program; bad input becomes one line and exit code 2, Ctrl-C exit code 130."""
+    try:
+        return program()
+    except CtrError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        sys.stderr.write("interrupted; nothing was written\n")
+        return INTERRUPTED
+
+
+@contextmanager
+def progress_bar() -> Iterator[Callable[[str], Callable[[int, int, str], None]]]:
+    """A bar on stderr; what it yields turns a label into a callback (done, total, note)."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=None)
+
+        def labelled(label: str) -> Callable[[int, int, str], None]:
+            bar.update(task, description=label, completed=0, total=None)
+            return lambda done, total, note: bar.update(
+                task, description=f"{label} ({note})", completed=done, total=total
+            )
+
+        yield labelled
+
+
+def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+    """A table with a left-aligned first column; numbers are cut to what is worth reading."""
+    table = Table(title=title, title_justify="left")
+    for i, column in enumerate(columns):
+        table.add_column(column, justify="left" if i == 0 else "right")
+    for row in rows:
+        table.add_row(*(shown(cell) for cell in row))
+    console().print(table)
+
+
+def shown(cell: Any) -> str:
+    """A cell as text: three significant digits or two decimals, nothing for None."""
+    if cell is None:
+        return ""
+    if isinstance(cell, float):
+        return f"{cell:.3g}" if abs(cell) < 10 else f"{cell:.1f}"
+    return str(cell)

@@ -1,0 +1,77 @@
+"""The configuration over time and its distance from the known one, as Fig. 8 of the seed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import matplotlib
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ctr_nlp.figures.page import STYLE, at_least, curve, head, shade, shade_failures
+from ctr_nlp.figures.palette import AMBIGUOUS, TILT, tube_colour, tube_width
+from ctr_nlp.figures.truth import error_from_truth, indistinct
+from ctr_nlp.plan import Plan
+
+Array = npt.NDArray[np.float64]
+
+NAMES = ("α (rad)", "β (mm)", "θ (rad)")
+LEAST_SPAN = (0.1, 1.0, 0.1)
+"""Least vertical ranges of alpha, beta and theta, rad and mm."""
+LEAST_ERROR_SPAN = (1e-3, 1e-3, 1e-3)
+
+
+@matplotlib.rc_context(STYLE)
+def configuration(plan: Plan) -> Figure:
+    """Alpha, beta with its limits and theta over time; beside them q - truth where the truth is known."""
+    columns = 1 if plan.truth is None else 2
+    figure = Figure(figsize=(2.2 + 4.2 * columns, 6.2), layout="constrained")
+    grid = figure.subplots(3, columns, sharex=True, squeeze=False)
+    _column(grid[:, 0], plan, plan.q, LEAST_SPAN)
+    _limits(grid[1, 0], plan)
+    if plan.truth is not None:
+        _column(grid[:, 1], plan, error_from_truth(plan), LEAST_ERROR_SPAN)
+        for axes, name in zip(grid[:, 1], NAMES, strict=True):
+            axes.set_ylabel(f"error of {name}")
+        for axes in grid[::2, 1]:
+            shade(axes, plan.time, plan.dt, indistinct(plan), AMBIGUOUS, "α, θy are\none rotation")
+    for row in grid:
+        _legend(row)
+    head(figure, plan, "Configuration")
+    return figure
+
+
+def _column(column: npt.NDArray[np.object_], plan: Plan, values: Array, least: tuple[float, ...]) -> None:
+    """Three panels of values (T, 2d + 2) in the order of q."""
+    for axes, part, name, span in zip(column, plan.robot.split(values), NAMES, least, strict=True):
+        shade_failures(axes, plan, plan.time, plan.dt)
+        for i in range(part.shape[1]):
+            curve(axes, plan.time, part[:, i], **_look(name, i, plan.robot.d))
+        at_least(axes, span)
+        axes.set_ylabel(name)
+        axes.set_xlim(0.0, plan.time[-1])
+    column[-1].set_xlabel("time (s)")
+
+
+def _look(name: str, i: int, d: int) -> dict[str, Any]:
+    if name.startswith("θ"):
+        return {"label": f"θ{'xy'[i]}", "color": TILT[i], "lw": (2.4, 1.2)[i]}
+    return {"label": f"{name[0]}{i + 1}", "color": tube_colour(i), "lw": tube_width(i, d)}
+
+
+def _legend(row: npt.NDArray[np.object_]) -> None:
+    """One legend to the right of the row for all that its panels name."""
+    named = [axes.get_legend_handles_labels() for axes in row]
+    handles = {label: handle for some, labels in named for handle, label in zip(some, labels, strict=True)}
+    row[-1].legend(handles.values(), handles.keys(), loc="center left", bbox_to_anchor=(1.01, 0.5))
+
+
+def _limits(axes: Axes, plan: Plan) -> None:
+    """Thin dashed lines at the limits of every beta that has any, in its tube's colour."""
+    robot = plan.robot
+    for bound in (robot.lower, robot.upper):
+        for i, value in enumerate(robot.split(bound)[1]):
+            axes.axhline(value, color=tube_colour(i), lw=0.9, ls=(0, (5, 3)), zorder=1)
+    axes.plot([], [], color="0.4", lw=0.9, ls=(0, (5, 3)), label="limits")

@@ -1,0 +1,161 @@
+"""Shapes over their targets, as Fig. 4 of the seed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import matplotlib
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from ctr_nlp.errors import OptionError
+from ctr_nlp.figures.page import STYLE, head
+from ctr_nlp.figures.palette import BLACK, tube_colour, tube_width
+from ctr_nlp.plan import Plan
+from ctr_nlp.target import SIGMA
+
+Array = npt.NDArray[np.float64]
+
+SHOWN = 6
+"""Frames in the picture where the caller names none."""
+FLAT = 0.05
+"""A view whose width is below this part of the whole extent is left out."""
+SLIM = 0.15
+"""Least width of a panel as part of the whole extent."""
+SPACE = (8.0, 5.2)
+"""Width and height in inches that all panels together may take, unless they would be narrower than LEAST."""
+LEAST = 0.5
+LEFT, RIGHT, TOP, BOTTOM = 0.65, 0.15, 1.1, 0.9
+"""Inches around the panels, for labels, title and key."""
+NARROWEST, ENTRY = 5.0, 0.95
+"""Least width of the picture in inches, which the title needs, and the width of an entry of the key."""
+GAP, BELOW, BELOW_CAPTION = 0.2, 0.55, 1.05
+"""Inches between columns, between the views of a frame, and between rows of frames."""
+
+
+@matplotlib.rc_context(STYLE)
+def shapes(plan: Plan, frames: Sequence[int] | None = None) -> Figure:
+    """Shapes, tube by tube, over their targets, to scale, in mm.
+
+    frames: their numbers from 1, as in errors.csv; by default six, evenly spread, the last one included.
+    The z-axis, along which the robot is inserted, points up. A motion near the zx- or the yz-plane is seen
+    from one side, any other from two. Raises OptionError for a frame that the plan does not have.
+    """
+    shown = _shown(plan, frames)
+    index = np.array(shown) - 1
+    points = np.concatenate([plan.target[index], plan.shape[index]]).reshape(-1, 3)
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    views = _views(high - low)
+    panel = _panel(high - low)
+    figure, grid = _grid(len(shown), len(views), panel)
+    columns = grid.shape[1]
+    for k, number in enumerate(shown):
+        for view, sideways in enumerate(views):
+            axes = grid[k // columns * len(views) + view, k % columns]
+            _draw(axes, plan, number - 1, sideways)
+            _frame(axes, (low + high) / 2, panel, sideways)
+            if view == 0:
+                axes.set_title(_caption(plan, number))
+    for axes in grid[:, 0]:
+        axes.set_ylabel("z (mm)")
+    figure.legend(handles=_key(plan.robot.d), loc="lower center", ncols=int(figure.get_figwidth() / ENTRY))
+    head(figure, plan, "Shapes and targets")
+    return figure
+
+
+def _shown(plan: Plan, frames: Sequence[int] | None) -> list[int]:
+    count = len(plan.time)
+    if frames is None:
+        return sorted({max(1, round(count * k / SHOWN)) for k in range(1, SHOWN + 1)})
+    for number in frames:
+        if not 1 <= number <= count:
+            raise OptionError(f"frames has {number}; the plan has frames 1 to {count}")
+    if not frames:
+        raise OptionError("frames is empty; name at least one")
+    return list(frames)
+
+
+def _views(extent: Array) -> list[int]:
+    """The horizontal axes, 0 for x and 1 for y, of the views that show something; at least one."""
+    wide = [axis for axis in (0, 1) if extent[axis] > FLAT * extent.max()]
+    return wide or [int(extent[1] > extent[0])]
+
+
+def _panel(extent: Array) -> Array:
+    """Width and height in mm of every panel; they share one scale."""
+    margin = 0.05 * extent.max()
+    return np.array([max(extent[:2].max(), SLIM * extent.max()), extent[2]]) + 2 * margin
+
+
+def _grid(count: int, views: int, panel: Array) -> tuple[Figure, npt.NDArray[np.object_]]:
+    """A figure with room for the frames in reading order, the views of each below one another."""
+
+    def scale(columns: int) -> float:
+        rows = math.ceil(count / columns) * views
+        return float(min(SPACE[0] / (columns * panel[0]), SPACE[1] / (rows * panel[1])))
+
+    columns = count if views > 1 else max(range(1, count + 1), key=scale)
+    rows = math.ceil(count / columns) * views
+    below = BELOW if views > 1 else BELOW_CAPTION
+    width, height = panel * max(scale(columns), LEAST / panel[0])
+    across, down = columns * (width + GAP) - GAP, rows * (height + below) - below
+    left, right = max(LEFT, (NARROWEST - across) / 2), max(RIGHT, (NARROWEST - across) / 2)
+    figure = Figure(figsize=(left + across + right, BOTTOM + down + TOP))
+    grid = figure.subplots(rows, columns, sharex="row", sharey=True, squeeze=False)
+    figure.subplots_adjust(
+        left=left / figure.get_figwidth(),
+        right=1 - right / figure.get_figwidth(),
+        bottom=BOTTOM / figure.get_figheight(),
+        top=1 - TOP / figure.get_figheight(),
+        wspace=GAP / width,
+        hspace=below / height,
+    )
+    for spare in grid.flat[count * views :]:
+        spare.remove()
+    return figure, grid
+
+
+def _draw(axes: Axes, plan: Plan, frame: int, sideways: int) -> None:
+    """One frame: each tube where it is the outermost one, and the target as a thin dashed line upon it."""
+    shape, d = plan.shape[frame], plan.robot.d
+    if np.isfinite(shape).all():
+        ends = _ends(plan.beta[frame])
+        for i, (start, end) in enumerate(zip([0.0, *ends], ends, strict=False)):
+            sigma = np.concatenate([[start], SIGMA[(start < SIGMA) & (end > SIGMA)], [end]])
+            part = np.array([np.interp(sigma, SIGMA, coordinate) for coordinate in shape.T])
+            if end > start:
+                axes.plot(
+                    part[sideways], part[2], color=tube_colour(i), lw=tube_width(i, d), solid_capstyle="butt"
+                )
+    axes.plot(plan.target[frame, :, sideways], plan.target[frame, :, 2], color=BLACK, lw=0.8, ls=(0, (4, 2)))
+
+
+def _ends(beta: Array) -> Array:
+    """Sigma (d,) at which each tube ends; the innermost one at 1."""
+    ends = np.clip(beta / max(beta[-1], 1e-9), 0.0, 1.0)
+    ends[-1] = 1.0
+    return np.maximum.accumulate(ends)
+
+
+def _frame(axes: Axes, middle: Array, panel: Array, sideways: int) -> None:
+    axes.set_aspect("equal")
+    axes.set_xlim(middle[sideways] - panel[0] / 2, middle[sideways] + panel[0] / 2)
+    axes.set_ylim(middle[2] - panel[1] / 2, middle[2] + panel[1] / 2)
+    axes.set_xlabel(f"{'xy'[sideways]} (mm)")
+    axes.locator_params(axis="x", nbins=3)
+
+
+def _caption(plan: Plan, number: int) -> str:
+    state = "" if plan.success[number - 1] else "\nfailed"
+    if np.isnan(plan.shape[number - 1]).any():
+        state = "\nnot reached"
+    return f"frame {number}\n{plan.time[number - 1]:.3g} s{state}"
+
+
+def _key(d: int) -> list[Line2D]:
+    tubes = [Line2D([], [], color=tube_colour(i), lw=tube_width(i, d), label=f"tube {i + 1}") for i in range(d)]
+    return [*tubes, Line2D([], [], color=BLACK, lw=0.8, ls=(0, (4, 2)), label="target")]

@@ -1,0 +1,80 @@
+"""What all pictures share: style, heading, and marks behind some of the frames."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties, findfont, get_font
+
+from ctr_nlp.figures.palette import FAILED, UNREACHED
+from ctr_nlp.metrics import summary
+from ctr_nlp.plan import Plan
+
+STYLE: Any = {
+    "font.size": 9,
+    "axes.labelsize": 9,
+    "axes.titlesize": 9,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "grid.color": "0.9",
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+}
+"""Settings under which each picture is drawn, whatever the caller's own are."""
+
+
+def head(figure: Figure, plan: Plan, title: str) -> None:
+    """Title a picture with what it shows, the problem, how it was solved, and the error over all frames."""
+    numbers = summary(plan)
+    e3 = "no frame reached" if numbers["e3"] is None else f"e3 = {numbers['e3']:.3g} mm"
+    failed = f", {numbers['failed']} of {numbers['frames']} frames failed" if numbers["failed"] else ""
+    how = f"{numbers['formulation']}, {numbers['model']} model, {numbers['solver']}"
+    text = _printable(f"{title}: {numbers['problem']}") + f"\n{how}; {e3}{failed}"
+    figure.suptitle(text, fontsize=10, parse_math=False)
+
+
+def _printable(text: str) -> str:
+    """The text with "?" for what the font lacks: a file, and so a problem, may have any name."""
+    font = get_font(findfont(FontProperties()))
+    return "".join(c if font.get_char_index(ord(c)) else "?" for c in text)
+
+
+def shade(
+    axes: Axes, centres: npt.NDArray[Any], width: float, mask: npt.NDArray[np.bool_], colour: str, label: str
+) -> None:
+    """Colour the background of the frames in mask; centres and width are on the horizontal axis."""
+    for number, centre in enumerate(centres[mask]):
+        name = "_" if number else label
+        axes.axvspan(centre - width / 2, centre + width / 2, color=colour, lw=0, zorder=0, label=name)
+
+
+def shade_failures(axes: Axes, plan: Plan, centres: npt.NDArray[Any], width: float) -> None:
+    """Shade the frames that were not solved, lighter where there is no shape at all."""
+    reached = np.asarray(np.isfinite(plan.shape).all(axis=(1, 2)))
+    shade(axes, centres, width, ~plan.success & reached, FAILED, "failed frame")
+    shade(axes, centres, width, ~reached, UNREACHED, "not reached")
+
+
+def curve(axes: Axes, x: npt.NDArray[Any], y: npt.NDArray[np.float64], **look: Any) -> None:
+    """Plot y over x, with a dot for each known value between two unknown ones, which no line would show."""
+    known = np.isfinite(np.concatenate([[np.nan], y, [np.nan]]))
+    alone = np.flatnonzero(known[1:-1] & ~known[:-2] & ~known[2:])
+    axes.plot(x, y, **look)
+    axes.plot(x[alone], y[alone], color=look["color"], ls="", marker="o", ms=3)
+
+
+def at_least(axes: Axes, span: float) -> None:
+    """Widen the vertical range to a span, so that rounding noise does not fill the picture."""
+    low, high = axes.get_ylim()
+    if high - low < span:
+        middle = (low + high) / 2
+        axes.set_ylim(middle - span / 2, middle + span / 2)

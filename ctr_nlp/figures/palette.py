@@ -1,0 +1,26 @@
+"""Colours and line widths that colour-blind readers and a greyscale print tell apart.
+
+The hues are those of Okabe and Ito, "Color Universal Design" (2008), less the yellow that vanishes on white,
+in an order in which neighbours differ in lightness too. Tubes are also drawn the thinner the further in they are,
+as the tubes themselves: where two lie upon each other, both are seen.
+"""
+
+from __future__ import annotations
+
+BLUE, ORANGE, GREEN, PURPLE = "#0072B2", "#E69F00", "#009E73", "#CC79A7"
+BLACK, SKY, VERMILLION = "#000000", "#56B4E9", "#D55E00"
+
+TUBES = (BLUE, ORANGE, GREEN, PURPLE, BLACK, SKY, VERMILLION)
+TILT = (BLACK, VERMILLION)
+FAILED, UNREACHED = "0.80", "0.93"
+AMBIGUOUS = "#CBE6F6"
+
+
+def tube_colour(i: int) -> str:
+    """Colour of tube i = 0 .. d - 1, outermost first; they repeat after seven."""
+    return TUBES[i % len(TUBES)]
+
+
+def tube_width(i: int, d: int) -> float:
+    """Line width in points of tube i = 0 .. d - 1 of d, outermost first: 3.6 down to 1.4."""
+    return 3.6 - 2.2 * i / max(d - 1, 1)

@@ -1,0 +1,120 @@
+"""What the reference methods share: extensions that cannot break limits, and L-BFGS-B on batches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import minimize
+
+from ctr_nlp.frames import FrameResult, starts
+from ctr_nlp.problem import Problem
+from ctr_nlp.robot import Robot
+from ctr_nlp.target import Frame
+
+Array = npt.NDArray[np.float64]
+Method = Callable[[Frame, Array, Array | None], FrameResult]
+"""(frame, guess q, previous q or None) -> result."""
+
+SEARCH_STARTS = 32
+STEP = 1e-7
+"""Forward difference of a gradient, in units of the variables."""
+
+FLAT = 1e-2
+"""Largest projected gradient at a minimum, as a part of the cost (or of 1 mm^2)."""
+
+
+class ReferenceFrames:
+    """A FrameSolver around a reference method."""
+
+    def __init__(self, problem: Problem, name: str, method: Method, options: dict[str, Any]) -> None:
+        """Wrap a method for the frames of a problem; options go into the plan's meta."""
+        self.problem, self._method = problem, method
+        self.build_seconds = 0.0
+        self.description: dict[str, Any] = {
+            "formulation": name,
+            "model": "dominant",
+            "solver": "scipy",
+            "options": options,
+        }
+
+    def search(self, frame: int) -> list[FrameResult]:
+        """Answers for a frame without a past, best first."""
+        sample = self.problem.samples[frame]
+        guesses = starts(self.problem.robot, sample.length, SEARCH_STARTS)
+        results = [self._method(sample, guess, None) for guess in guesses]
+        return sorted(results, key=lambda r: (not r.success, r.objective))[:1]
+
+    def step(self, frame: int, before: FrameResult) -> FrameResult:
+        """The answer for a frame, from the one before it."""
+        return self._method(self.problem.samples[frame], before.q, before.q)
+
+
+def extensions(robot: Robot, fractions: Array, last: Array | None = None) -> Array:
+    """Beta (.., d) from fractions (.., d) of the room that limits and the next inner tube leave each tube.
+
+    last: beta_d (..,), where it is given; fractions then are (.., d - 1). Box bounds [0, 1] on fractions
+    are all that L-BFGS-B needs to keep eqs. (2) and (3).
+    """
+    lower, upper = (robot.split(limit)[1] for limit in (robot.lower, robot.upper))
+    beta = np.empty((*fractions.shape[:-1], robot.d))
+    room = np.full(fractions.shape[:-1], np.inf)
+    for i in reversed(range(robot.d)):
+        highest = np.minimum(upper[i], room)
+        if i == robot.d - 1 and last is not None:
+            beta[..., i] = last
+        else:
+            beta[..., i] = lower[i] + fractions[..., i] * np.maximum(highest - lower[i], 0)
+        room = beta[..., i]
+    return beta
+
+
+def fractions(robot: Robot, beta: Array) -> Array:
+    """The inverse of extensions for beta (d,), clipped to [0, 1]."""
+    lower, upper = (robot.split(limit)[1] for limit in (robot.lower, robot.upper))
+    room = np.minimum(upper, np.append(beta[1:], np.inf)) - lower
+    return np.clip((beta - lower) / np.where(room > 0, room, 1.0), 0.0, 1.0)
+
+
+def descend(cost: Callable[[Array], Array], start: Array, bounds: Array) -> tuple[Array, float, bool, int, str]:
+    """L-BFGS-B on cost: (B, n) -> (B,), whose gradient is one batch of forward differences.
+
+    Where its line search gives up on them, once more with central differences. bounds (n, 2). Returns x,
+    cost, success (scipy's word, or a projected gradient within FLAT of the cost), evaluations of single
+    points, status.
+    """
+
+    def forward(x: Array) -> tuple[float, Array]:
+        steps = np.where(x + STEP > bounds[:, 1], -STEP, STEP)
+        values = cost(np.vstack([x, x + np.diag(steps)]))
+        return float(values[0]), (values[1:] - values[0]) / steps
+
+    def central(x: Array) -> tuple[float, Array]:
+        ahead, behind = (np.clip(x + sign * 10 * STEP * np.eye(len(x)), *bounds.T) for sign in (1, -1))
+        values = cost(np.vstack([x, ahead, behind]))
+        spans = np.diag(ahead - behind)
+        rises = values[1 : len(x) + 1] - values[len(x) + 1 :]
+        return float(values[0]), np.where(spans > 0, rises / np.where(spans > 0, spans, 1.0), 0.0)
+
+    x = np.clip(start, bounds[:, 0], bounds[:, 1])
+    evaluations = 0
+    for gradient, points in ((forward, len(x) + 1), (central, 2 * len(x) + 1)):
+        result = minimize(gradient, x, jac=True, method="L-BFGS-B", bounds=bounds)
+        x, evaluations = result.x, evaluations + result.nfev * points
+        if result.success:
+            break
+    flat = np.abs(x - np.clip(x - result.jac, bounds[:, 0], bounds[:, 1])).max(initial=0.0)
+    success = bool(result.success or flat <= FLAT * max(1.0, result.fun))
+    return x, float(result.fun), success, evaluations, str(result.message)
+
+
+def shape_error(shape: tuple[Any, Any, Any], target: Array, weights: Array) -> Array:
+    """Weighted mean square distance (B,) in mm^2 between batches of points, x, y, z (B, n), and (n, 3)."""
+    return sum(((shape[i] - target[:, i]) ** 2 for i in range(3)), np.zeros(1)) @ weights
+
+
+def motion(robot: Robot, q: Array, previous: Array | None, weight: float) -> Array | float:
+    """Motion term: weight |W (q - previous)|^2 in mm^2 of a batch q (B, 2d + 2); 0 without a previous q."""
+    return 0.0 if previous is None else weight * (((q - previous) * robot.mm_per_unit) ** 2).sum(axis=-1)

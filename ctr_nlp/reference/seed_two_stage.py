@@ -1,0 +1,80 @@
+"""The seed's method: L-BFGS-B on curvature for extensions, eq. (11), then on points for rotations, eq. (12)."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.frames import FrameResult
+from ctr_nlp.models import dominant
+from ctr_nlp.problem import Problem
+from ctr_nlp.reference.descent import Method, descend, extensions, fractions, motion, shape_error
+from ctr_nlp.robot import Robot
+from ctr_nlp.target import SIGMA, Frame
+from ctr_nlp.terms import lever
+
+Array = npt.NDArray[np.float64]
+
+SAMPLES = 20
+"""Midpoints per segment of the integral (11); they move with the segment, so that the sum has a gradient."""
+
+
+def seed_two_stage(problem: Problem, motion_weight: float) -> Method:
+    """The method for a problem; motion_weight: lambda / dt^2 of both stages."""
+    robot = problem.robot
+
+    def solve(frame: Frame, guess: Array, previous: Array | None) -> FrameResult:
+        beta, ok_first, n_first, first = _extend(robot, frame, guess, previous, motion_weight)
+        q, objective, ok, n, second = _rotate(robot, frame, beta, guess, previous, motion_weight)
+        return FrameResult(q, ok_first and ok, objective, np.nan, n_first + n, f"{first}; {second}")
+
+    return solve
+
+
+def _extend(
+    robot: Robot, frame: Frame, guess: Array, previous: Array | None, weight: float
+) -> tuple[Array, bool, int, str]:
+    """Beta from curvature; the tip belongs to the target's end, so beta_d is the target's length."""
+    d, low, high = robot.d, robot.lower[2 * robot.d - 1], robot.reach
+    last = float(np.clip(frame.length, low, high))
+    middles = (np.arange(SAMPLES) + 0.5) / SAMPLES
+
+    def cost(x: Array) -> Array:
+        beta = extensions(robot, x, np.full(len(x), last))
+        edges = np.concatenate([np.zeros((len(x), 1)), beta], axis=1)
+        widths = np.diff(edges, axis=1)
+        s = (edges[:, :-1, None] + widths[..., None] * middles).reshape(len(x), -1)
+        k = dominant.curvature(robot, [b[:, None] for b in beta.T], s, lambda v: np.heaviside(v, 0.0), np)
+        kappa = np.interp(s / last, SIGMA, frame.curvature)
+        squares = ((k - kappa) ** 2).reshape(len(x), d, SAMPLES).mean(axis=2)
+        change = 0.0 if previous is None else weight * ((beta - robot.split(previous)[1]) ** 2).sum(axis=1)
+        return lever(robot) ** 2 * (squares * widths).sum(axis=1) / last + change
+
+    start = fractions(robot, np.append(robot.split(guess)[1][:-1], last))[: d - 1]
+    if d == 1:
+        return np.array([last]), True, 0, "given"
+    x, _, ok, evaluations, status = descend(cost, start, np.tile([0.0, 1.0], (d - 1, 1)))
+    return extensions(robot, x, np.array(last)), ok, evaluations, status
+
+
+def _rotate(
+    robot: Robot, frame: Frame, beta: Array, guess: Array, previous: Array | None, weight: float
+) -> tuple[Array, float, bool, int, str]:
+    """Alpha and theta from the ends and midpoints of the segments, all weighted alike."""
+    d = robot.d
+    edges = np.concatenate([[0.0], beta])
+    sigma = np.concatenate([(edges[1:] + edges[:-1]) / 2, beta]) / beta[-1]
+    target, even = frame.at(sigma), np.full(2 * d, 1 / (2 * d))
+
+    def configured(x: Array) -> Array:
+        return np.concatenate([x[:, :d], np.broadcast_to(beta, (len(x), d)), x[:, d:]], axis=1)
+
+    def cost(x: Array) -> Array:
+        q = configured(x)
+        points = dominant.backbone(robot, list(q.T[..., None]), sigma, np).points
+        return shape_error(points, target, even) + motion(robot, q, previous, weight)
+
+    angles = np.r_[0:d, 2 * d : 2 * d + 2]
+    bounds = np.column_stack([robot.lower, robot.upper])[angles]
+    x, objective, ok, evaluations, status = descend(cost, guess[angles], bounds)
+    return configured(x[None])[0], objective, ok, evaluations, status

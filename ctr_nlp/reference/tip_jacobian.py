@@ -1,0 +1,53 @@
+"""Tip-only control, Fig. 9 (d): damped least squares on the Jacobian of the tip's position."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.forward import shapes
+from ctr_nlp.frames import FrameResult
+from ctr_nlp.problem import Problem
+from ctr_nlp.reference.descent import STEP, Method
+from ctr_nlp.robot import Robot
+from ctr_nlp.target import Frame
+
+Array = npt.NDArray[np.float64]
+
+DAMPING = 1.0
+"""mu of the damped inverse J^T (J J^T + mu^2 I)^-1, in mm/mm."""
+ITERATIONS = 100
+CLOSE_MM = 1e-2
+"""The tip has arrived when it is this close to the target's end."""
+
+
+def tip_jacobian(problem: Problem, motion_weight: float) -> Method:
+    """The method for a problem; motion_weight has no part in it."""
+    del motion_weight
+    robot = problem.robot
+
+    def solve(frame: Frame, guess: Array, previous: Array | None) -> FrameResult:
+        q = _within_limits(robot, guess)
+        evaluations = 0
+        for _ in range(ITERATIONS):
+            batch = np.vstack([q, q + np.eye(len(q)) * STEP])
+            tips = shapes(robot, batch, np.ones(1))[:, 0]
+            evaluations += len(batch)
+            error = frame.points[-1] - tips[0]
+            if np.linalg.norm(error) < CLOSE_MM:
+                break
+            jacobian = (tips[1:] - tips[0]).T / STEP / robot.mm_per_unit
+            step = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + DAMPING**2 * np.eye(3), error)
+            q = _within_limits(robot, q + step / robot.mm_per_unit)
+        distance = float(np.linalg.norm(error))
+        return FrameResult(q, distance < 1.0, distance**2, np.nan, evaluations, f"tip within {distance:.3g} mm")
+
+    return solve
+
+
+def _within_limits(robot: Robot, q: Array) -> Array:
+    """The nearest configuration entry by entry; an outer tube gives way to the inner one."""
+    q = np.clip(q, robot.lower, robot.upper)
+    beta = robot.split(q)[1]
+    beta[:] = np.maximum(np.minimum.accumulate(beta[::-1])[::-1], robot.split(robot.lower)[1])
+    return q

@@ -1,0 +1,30 @@
+"""Numbers a user may set for a frame formulation."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from ctr_nlp.errors import OptionError
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Options of the frame formulations; raises OptionError where one is out of its range.
+
+    motion_weight: lambda of eq. (9), s^2; with the default and 0.1 s a frame, a step of 1 mm costs as much
+    as a shape error of 0.01 mm. jump_width: of the smoothed jumps of curvature in the two-stage formulation,
+    mm, reached from wider ones by continuation. seed: of the random starts.
+    """
+
+    motion_weight: float = 1e-6
+    jump_width: float = 1.5
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.motion_weight) and self.motion_weight >= 0):
+            raise OptionError(f"motion_weight is {self.motion_weight} s^2; it must be a finite number >= 0")
+        if not (math.isfinite(self.jump_width) and self.jump_width > 0):
+            raise OptionError(f"jump_width is {self.jump_width} mm; it must be a finite number > 0")
+        if not 0 <= self.seed < 2**32:
+            raise OptionError(f"seed is {self.seed}; it must be a whole number in [0, 2^32)")

@@ -1,0 +1,47 @@
+"""What the tests share."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import casadi as ca
+import pytest
+from hypothesis import HealthCheck, settings
+
+from ctr_nlp import Problem, Robot, curve_from_formula, growing, seed_robot
+
+settings.register_profile(
+    "quick", max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow], print_blob=True
+)
+settings.load_profile("quick")
+
+
+@pytest.fixture(scope="session")
+def robot() -> Robot:
+    """The seed's robot."""
+    return seed_robot()
+
+
+@pytest.fixture(scope="session")
+def arc_problem(robot: Robot) -> Problem:
+    """Four frames along a planar arc of radius 100 mm and length 140 mm, towards -x."""
+    path = curve_from_formula(lambda u: (100 * ca.cos(u) - 100, 0, 100 * ca.sin(u)), 0.0, 1.4)
+    return Problem("quick_arc", robot, growing(path, 4))
+
+
+@pytest.fixture(scope="session")
+def cos_problem(robot: Robot) -> Problem:
+    """Six frames along the seed's cosine."""
+    path = curve_from_formula(lambda u: (10 * ca.cos(0.044 * u) - 10, 0, u), 0.0, 45.45 * ca.pi)
+    return Problem("quick_cos", robot, growing(path, 6))
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of shared test data: CTR_NLP_SHARED_DATA, else ../shared/data beside the repository."""
+    default = Path(__file__).resolve().parents[1] / ".." / "shared" / "data"
+    folder = Path(os.environ.get("CTR_NLP_SHARED_DATA", default)).resolve()
+    if not folder.is_dir():
+        pytest.skip(f"no shared data at {folder}; set CTR_NLP_SHARED_DATA to its folder")
+    return folder
