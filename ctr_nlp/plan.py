@@ -6,7 +6,6 @@ import importlib.metadata
 import json
 import os
 import platform
-import tempfile
 import zipfile
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -82,15 +81,13 @@ class Plan:
         arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "meta"}
         present = {name: array for name, array in arrays.items() if array is not None}
         target = Path(path)
-        partial = None
+        partial = target.with_name(f".{target.name}.partial")
         try:
-            with tempfile.NamedTemporaryFile(dir=target.parent, suffix=".npz", delete=False) as file:
-                partial = file.name
+            with open(partial, "wb") as file:
                 np.savez_compressed(file, meta=np.array(json.dumps(self.meta, allow_nan=False)), **present)
             os.replace(partial, target)
         except OSError as error:
-            if partial is not None:
-                Path(partial).unlink(missing_ok=True)
+            partial.unlink(missing_ok=True)
             raise OutputError(f"plan cannot be written to {target}: {error}") from error
 
     @classmethod

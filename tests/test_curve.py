@@ -8,7 +8,7 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.spatial import cKDTree
@@ -374,13 +374,23 @@ def test_no_bytes_raise_anything_but_a_curve_error(tmp_path_factory, content):
         assert np.isfinite(read_csv(path).length)
 
 
-@given(st.lists(st.tuples(*[numbers(-1e6, 1e6)] * 3), min_size=4, max_size=30))
-def test_any_finite_points_make_a_curve_or_a_curve_error(points):
+@given(st.lists(numbers(0.01, 10), min_size=4, max_size=60), seeds)
+def test_any_path_of_reasonable_steps_makes_a_finite_curve(steps, seed):
+    directions = np.random.default_rng(seed).normal(size=(len(steps), 3)) + [0, 0, 1]
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    points = np.cumsum(directions * np.array(steps)[:, None], axis=0)
+    assume(sum(steps[1:]) > 1.001)
+    curve = curve_from_points(points)
+    s = np.linspace(0, curve.length, 50)
+    assert curve.length >= sum(steps[1:]) - 1e-6
+    assert np.isfinite(curve.point(s)).all()
+    assert np.isfinite(curve.curvature(s)).all()
+
+
+def test_points_millionths_of_a_millimetre_apart_raise_nothing_but_a_curve_error():
+    z = np.sort(np.concatenate([np.arange(0, 40, 2.0), 4 + 1e-6 * np.arange(1, 4)]))
     with contextlib.suppress(CurveError):
-        curve = curve_from_points(points)
-        s = np.linspace(0, curve.length, 50)
-        assert np.isfinite(curve.point(s)).all()
-        assert np.isfinite(curve.curvature(s)).all()
+        assert np.isfinite(curve_from_points(np.stack([z**2 / 100, 0 * z, z], axis=1)).length)
 
 
 # Real airways

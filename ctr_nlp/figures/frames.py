@@ -33,7 +33,7 @@ def by_frame(plan: Plan) -> Figure:
         curve(axes, columns["frame"], columns[name], **look)
     axes.set_xlim(0.5, len(plan.time) + 0.5)
     axes.set_ylim(bottom=0.0)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axes.set_xlabel("frame")
     axes.set_ylabel("distance (mm)")
     figure.legend(loc="outside lower center", ncols=4)

@@ -29,9 +29,11 @@ def configuration(plan: Plan) -> Figure:
     columns = 1 if plan.truth is None else 2
     figure = Figure(figsize=(2.2 + 4.2 * columns, 6.2), layout="constrained")
     grid = figure.subplots(3, columns, sharex=True, squeeze=False)
-    _column(grid[:, 0], plan, plan.q, LEAST_SPAN)
     _limits(grid[1, 0], plan)
+    _column(grid[:, 0], plan, plan.q, LEAST_SPAN)
     if plan.truth is not None:
+        for axes in grid[:, 1]:
+            axes.axhline(0.0, color="0.6", lw=0.9)
         _column(grid[:, 1], plan, error_from_truth(plan), LEAST_ERROR_SPAN)
         for axes, name in zip(grid[:, 1], NAMES, strict=True):
             axes.set_ylabel(f"error of {name}")
@@ -51,7 +53,7 @@ def _column(column: npt.NDArray[np.object_], plan: Plan, values: Array, least: t
             curve(axes, plan.time, part[:, i], **_look(name, i, plan.robot.d))
         at_least(axes, span)
         axes.set_ylabel(name)
-        axes.set_xlim(0.0, plan.time[-1])
+        axes.set_xlim(0.0, plan.time[-1] + plan.dt / 2)
     column[-1].set_xlabel("time (s)")
 
 

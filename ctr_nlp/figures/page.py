@@ -26,6 +26,7 @@ STYLE: Any = {
     "grid.linewidth": 0.6,
     "legend.frameon": False,
     "legend.fontsize": 8,
+    "text.usetex": False,
     "xtick.labelsize": 8,
     "ytick.labelsize": 8,
 }
