@@ -108,7 +108,9 @@ def test_a_file_is_followed_through_its_points(tmp_path, kind, decimals, step):
     points = SHAPES[kind][0](ARC_LENGTHS[::step])
     curve = read_csv(write(tmp_path / "path.csv", points, decimals=decimals))
     assert gap(curve, np.round(points, decimals)) < 0.01
-    np.testing.assert_allclose(curve.point(np.array([0, curve.length])), np.round(points[[0, -1]], decimals), atol=1e-6)
+    np.testing.assert_allclose(
+        curve.point(np.array([0, curve.length])), np.round(points[[0, -1]], decimals), atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("kind", SHAPES)
@@ -273,7 +275,7 @@ def test_placing_turns_by_the_smallest_rotation(transform):
 
 @pytest.mark.parametrize("direction", [(0, 0, -1), (1e-14, 0, -1), (1e-9, 0, -1), (0, 0, 1)])
 def test_a_path_along_the_z_axis_is_placed_without_a_reflection(direction):
-    curve, to_robot = placed(curve_from_points(np.outer(np.arange(0, 60, 2.0), direction) + [5, 6, 7]))
+    curve, to_robot = placed(curve_from_points(np.outer(np.arange(0, 60, 2.0), direction) + 7.0))
     assert np.linalg.det(to_robot[:3, :3]) == pytest.approx(1)
     np.testing.assert_allclose(curve.point(np.array([58.0]))[0], [0, 0, 58], atol=1e-6)
 
@@ -376,7 +378,7 @@ def test_no_bytes_raise_anything_but_a_curve_error(tmp_path_factory, content):
 
 @given(st.lists(numbers(0.01, 10), min_size=4, max_size=60), seeds)
 def test_any_path_of_reasonable_steps_makes_a_finite_curve(steps, seed):
-    directions = np.random.default_rng(seed).normal(size=(len(steps), 3)) + [0, 0, 1]
+    directions = np.random.default_rng(seed).normal([0, 0, 1], 1, (len(steps), 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     points = np.cumsum(directions * np.array(steps)[:, None], axis=0)
     assume(sum(steps[1:]) > 1.001)

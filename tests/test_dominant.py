@@ -52,7 +52,11 @@ def integrated(robot, q, sigma):
 
             def rates(s, y, tube=tube, angle=angle, end=end, middle=middle):
                 t, d1, d2 = y[3:6], y[6:9], y[9:12]
-                k = 0.0 if end - middle > tube.curved_length else precurvature(tube, min(end - s, tube.curved_length))
+                k = (
+                    0.0
+                    if end - middle > tube.curved_length
+                    else precurvature(tube, min(end - s, tube.curved_length))
+                )
                 return np.concatenate(
                     [t, k * (math.cos(angle) * d1 + math.sin(angle) * d2), -k * math.cos(angle) * t,
                      -k * math.sin(angle) * t]

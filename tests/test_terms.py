@@ -91,13 +91,17 @@ def test_derivatives_match_finite_differences(stage, robot):
             steps = h * np.eye(len(x))
             found = np.hstack([((value(x + e, p) - value(x - e, p)) / (2 * h)).full() for e in steps])
             exact = jacobian(x, p).full()
-            np.testing.assert_allclose(exact, found, rtol=1e-5, atol=1e-5 * max(1, abs(exact).max()), err_msg=term.name)
+            np.testing.assert_allclose(
+                exact, found, rtol=1e-5, atol=1e-5 * max(1, abs(exact).max()), err_msg=term.name
+            )
 
 
 @pytest.mark.parametrize(("stage", "robot"), STAGES)
 def test_derivatives_are_finite_at_rest_and_where_tubes_are_hidden(stage, robot):
     nlp, d = stage.nlp, robot.d
-    gradient = ca.Function("gradient", [nlp.x, nlp.p], [ca.gradient(nlp.objective, nlp.x), ca.jacobian(nlp.g, nlp.x)])
+    gradient = ca.Function(
+        "gradient", [nlp.x, nlp.p], [ca.gradient(nlp.objective, nlp.x), ca.jacobian(nlp.g, nlp.x)]
+    )
     for beta in (np.full(d, 20.0), np.r_[np.zeros(d - 1), 50.0], robot.upper[d : 2 * d]):
         q = np.concatenate([np.zeros(d), beta, [0, 0]])
         for value in gradient(q[stage.decides], filled(stage, q, q)):
@@ -149,9 +153,7 @@ def test_exact_curvature_term_leaves_out_the_mean_of_the_targets_square(kind):
     robot, length = ROBOTS[kind], 140.0
     cost = exact_cost(robot, wavy(SIGMA), wavy_turning(SIGMA, length), length)
     beta, sigma = BETAS[kind][0], (np.arange(100_000) + 0.5) / 100_000
-    assert float(cost(beta)) + np.mean(wavy(sigma) ** 2) == pytest.approx(
-        brute_force(robot, beta, wavy), abs=2e-9
-    )
+    assert float(cost(beta)) + np.mean(wavy(sigma) ** 2) == pytest.approx(brute_force(robot, beta, wavy), abs=2e-9)
 
 
 @pytest.mark.parametrize("kind", ["seed", "tapered", "pushed out", "seed pushed out"])
@@ -205,9 +207,7 @@ def test_motion_is_lambda_times_the_squared_weighted_step_over_dt_squared(robot)
 def rotation_value(robot, q, target):
     """The rotation stage's shape term (without motion), mm^2, for a Frame."""
     stage = FORMULATIONS["two-stage"](robot, Settings())[1]
-    p = stage.nlp.pack(
-        dict(stage.parameters(target, q)) | {"previous": q[stage.decides], "motion_root": 0.0}
-    )
+    p = stage.nlp.pack(dict(stage.parameters(target, q)) | {"previous": q[stage.decides], "motion_root": 0.0})
     return float(ca.Function("f", [stage.nlp.x, stage.nlp.p], [stage.nlp.objective])(q[stage.decides], p))
 
 
@@ -229,7 +229,9 @@ def test_simpson_is_exact_where_the_distance_grows_linearly(beta):
     straight = Robot(tuple(Tube(150, 150, 0.0, 6 - i, 5.5 - i) for i in range(3)))
     length = 140.0
     direction = np.array([0.6, 0, 0.8])
-    target = Frame(np.outer(SIGMA * length, direction), np.tile(direction, (101, 1)), 0 * SIGMA, 0 * SIGMA, length, None)
+    target = Frame(
+        np.outer(SIGMA * length, direction), np.tile(direction, (101, 1)), 0 * SIGMA, 0 * SIGMA, length, None
+    )
     q = np.array([0, 0, 0, *beta, 0, 0], dtype=float)
     tip = np.linalg.norm(beta[-1] * np.array([0, 0, 1]) - length * direction)
     assert rotation_value(straight, q, target) == pytest.approx(tip**2 / 3, rel=1e-10)

@@ -65,9 +65,9 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]
 
 
 def shown(cell: Any) -> str:
-    """A cell as text: three significant digits or two decimals, nothing for None."""
+    """A cell as text: three decimals, or one above 10; nothing for None."""
     if cell is None:
         return ""
     if isinstance(cell, float):
-        return f"{cell:.3g}" if abs(cell) < 10 else f"{cell:.1f}"
+        return f"{cell:.3f}" if abs(cell) < 10 else f"{cell:.1f}"
     return str(cell)

@@ -17,6 +17,7 @@ from ctr_nlp.metrics import rms_over_sigma
 from ctr_nlp.plan import Plan, plan_from_configurations
 from ctr_nlp.problem import Problem
 from ctr_nlp.settings import Settings
+from ctr_nlp.steer.interrupt import deferred_interrupt
 from ctr_nlp.steer.nlp_frames import DEFAULTS, NlpFrames
 
 Array = npt.NDArray[np.float64]
@@ -71,26 +72,24 @@ def march(
         problem.robot.check(q0, "start")
         if direction == "backward":
             raise OptionError("direction is 'backward' and a start is given; a motion from a start goes forward")
-    passes: list[_Pass] = []
-    search_seconds, interrupted = None, False
     begin = time.perf_counter()
-    try:
+    with deferred_interrupt() as interrupted:
         passes = _first_frames(problem, solver, direction, q0)
         search_seconds = time.perf_counter() - begin
         for number, one in enumerate(passes):
             for done in one.run(solver):
+                if interrupted():
+                    break
                 if progress is not None:
                     note = f"{one.direction}, try {number + 1} of {len(passes)}"
                     progress(number * problem.frames + done, len(passes) * problem.frames, note)
-    except KeyboardInterrupt:
-        interrupted = True
-    best = min(passes, key=lambda one: one.badness(problem), default=_Pass("none", range(0)))
+    best = min(passes, key=lambda one: one.badness(problem))
     options = {
         "direction": best.direction,
         "passes": len(passes),
         "start": None if q0 is None else q0.tolist(),
     }
-    return _plan(problem, solver, best, options, {"search_s": search_seconds, "interrupted": interrupted})
+    return _plan(problem, solver, best, options, {"search_s": search_seconds, "interrupted": interrupted()})
 
 
 @dataclass

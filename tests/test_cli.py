@@ -1,0 +1,245 @@
+"""The programs as a user meets them: files, exit codes, messages, nothing half-written."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ctr_nlp import Plan
+from ctr_nlp.cli.compare_solvers import main as compare_solvers
+from ctr_nlp.cli.output import MARK
+from ctr_nlp.cli.solve_per_frame import main as solve_per_frame
+from ctr_nlp.steer.nlp_frames import NlpFrames
+from problems import FOLDER
+
+ROOT = FOLDER.parent
+FILES = {
+    "plan.npz",
+    "errors.csv",
+    "summary.json",
+    "shapes.png",
+    "errors.png",
+    "by_frame.png",
+    "configuration.png",
+    MARK,
+}
+
+
+def solve(*arguments):
+    return solve_per_frame(FOLDER, [str(argument) for argument in arguments])
+
+
+@pytest.fixture
+def straight(tmp_path):
+    """A centreline file, 140 mm along a gentle curve, with radii."""
+    t = np.linspace(0, 140, 141)
+    table = np.column_stack([t, 5 * (1 - np.cos(t / 50)), 0 * t, np.full(141, 4.0)])
+    path = tmp_path / "straight.csv"
+    np.savetxt(path, table, delimiter=",", header="x_mm,y_mm,z_mm,radius_mm", comments="")
+    return path
+
+
+def test_a_named_problem_becomes_a_folder_of_results(tmp_path, capsys):
+    out = tmp_path / "a" / "b"
+    assert solve("arc", "--frames", 5, "--out", out) == 0
+    assert {path.name for path in out.iterdir()} == FILES
+    summary = json.loads((out / "summary.json").read_text())
+    assert {
+        "e3",
+        "e4",
+        "e_max",
+        "tip_max",
+        "roughness",
+        "max_step",
+        "solve_ms",
+        "build_s",
+        "frames",
+        "failed",
+    } <= set(summary)
+    with open(out / "errors.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0])[:6] == ["frame", "time", "e2", "max", "tip", "nearest"]
+    assert [int(row["frame"]) for row in rows] == [1, 2, 3, 4, 5]
+    rms = np.sqrt(np.mean([float(row["e2"]) ** 2 for row in rows]))
+    assert summary["e3"] == pytest.approx(rms)
+    assert str(out) in capsys.readouterr().out
+
+
+def test_plan_arrays_have_their_documented_shapes(tmp_path, straight):
+    out = tmp_path / "out"
+    assert solve(straight, "--frames", 3, "--out", out) == 0
+    with np.load(out / "plan.npz", allow_pickle=False) as data:
+        shapes = {name: data[name].shape for name in data.files}
+        meta = json.loads(str(data["meta"]))
+    expected = {
+        "time": (3,), "alpha": (3, 3), "beta": (3, 3), "theta": (3, 2), "target": (3, 101, 3), "shape": (3, 101, 3),
+        "solve_time": (3,), "success": (3,), "objective": (3,), "kkt": (3,), "stability": (3,),
+        "stability_between": (3,), "to_robot": (4, 4), "lumen_radius": (3, 101),
+    }  # fmt: skip
+    assert expected.items() <= shapes.items()
+    assert {"problem", "robot", "model", "formulation", "solver", "options", "versions", "format"} <= set(meta)
+
+
+def test_a_folder_of_ours_is_replaced_whole(tmp_path):
+    out = tmp_path / "out"
+    assert solve("arc", "--frames", 2, "--out", out) == 0
+    (out / "stale.txt").write_text("left from before")
+    assert solve("arc", "--frames", 3, "--out", out) == 0
+    assert {path.name for path in out.iterdir()} == FILES
+    assert len(Plan.load(out / "plan.npz").time) == 3
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_folder_with_other_files_is_refused(tmp_path, capsys):
+    (tmp_path / "thesis.tex").write_text("years of work")
+    assert solve("arc", "--frames", 2, "--out", tmp_path) == 2
+    assert "not empty" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.parametrize("place", ["file/out", "file", "/proc/ctr_nlp"])
+def test_a_folder_that_cannot_be_written_is_refused_before_solving(tmp_path, place, capsys, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr(NlpFrames, "search", lambda *_: pytest.fail("solving has started"))
+    assert solve("arc", "--frames", 2, "--out", tmp_path / place) == 2
+    assert "output folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere"], "problem is 'nowhere'; it must be one of arc, bronchus, cos"),
+        (["arc", "--frames", "0"], "frames is 0; it must be a whole number of at least 1"),
+        (["arc", "--duration", "-1"], "duration is -1.0 s"),
+        (["arc", "--duration", "nan"], "duration is nan s"),
+        (["arc", "--motion-weight", "nan"], "motion_weight is nan"),
+        (["arc", "--reverse"], "--reverse goes with a centreline file"),
+        (["arc", "--robot", "missing.toml"], "robot file missing.toml"),
+        (["arc", "--start", "missing.json"], "start missing.json cannot be read"),
+    ],
+)
+def test_bad_input_is_one_line_and_nothing_written(tmp_path, arguments, message, capsys):
+    assert solve(*arguments, "--out", tmp_path / "out") == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert message in lines[0]
+    assert not list(tmp_path.iterdir())
+
+
+def test_unknown_options_list_the_valid_ones(capsys):
+    with pytest.raises(SystemExit) as stop:
+        solve("arc", "--solver", "snopt")
+    assert stop.value.code == 2
+    assert "ipopt" in capsys.readouterr().err
+
+
+def test_a_path_that_is_too_long_needs_trimming(tmp_path, capsys):
+    t = np.linspace(0, 170, 60)
+    long = tmp_path / "long.csv"
+    np.savetxt(long, np.column_stack([t, 0 * t, 0 * t]), delimiter=",", header="x_mm,y_mm,z_mm", comments="")
+    assert solve(long, "--frames", 2, "--out", tmp_path / "out") == 2
+    assert "170.00 mm long and the robot reaches 150.00" in capsys.readouterr().err
+    for end, last in (("start", 170), ("end", 150)):
+        assert solve(long, "--frames", 2, "--trim", end, "--out", tmp_path / "out") == 0
+        plan = Plan.load(tmp_path / "out" / "plan.npz")
+        tip = (plan.target[-1, -1] - plan.to_robot[:3, 3]) @ plan.to_robot[:3, :3]
+        assert tip == pytest.approx([last, 0, 0], abs=1e-3)
+
+
+def test_reverse_follows_the_path_from_its_last_point(tmp_path, straight):
+    assert solve(straight, "--frames", 2, "--reverse", "--out", tmp_path / "out") == 0
+    plan = Plan.load(tmp_path / "out" / "plan.npz")
+    origin = -plan.to_robot[:3, :3].T @ plan.to_robot[:3, 3]
+    assert origin == pytest.approx([140, 5 * (1 - np.cos(2.8)), 0], abs=1e-6)
+
+
+def test_smoothing_is_bounded_and_reported(tmp_path, straight, capsys):
+    assert solve(straight, "--frames", 2, "--smoothing", "0.5", "--out", tmp_path / "out") == 0
+    deviation = json.loads((tmp_path / "out" / "summary.json").read_text())["smoothing_deviation"]
+    assert 0 < deviation <= 0.5
+    assert "smoothing moved the target" in capsys.readouterr().out
+
+
+def test_robot_file_start_and_locked_tilt(tmp_path):
+    start = tmp_path / "q.json"
+    start.write_text(json.dumps({"alpha": [0, 0, 0], "beta": [0, 0, 5], "theta": [0, 0]}))
+    arguments = ["--robot", ROOT / "examples" / "robot.toml", "--start", start, "--lock-tilt", "--frames", 20]
+    assert solve("cos", *arguments, "--out", tmp_path / "out") == 0
+    plan = Plan.load(tmp_path / "out" / "plan.npz")
+    assert np.abs(plan.theta).max() == 0
+    assert abs(plan.beta[0, 2] - 5) <= 90 * plan.dt + 1e-6
+
+
+def test_failed_frames_make_exit_status_1(tmp_path, monkeypatch, capsys):
+    solved = NlpFrames.step
+
+    def step(self, frame, before):
+        result = solved(self, frame, before)
+        return type(result)(before.q, success=False, status="made to fail") if frame == 1 else result
+
+    monkeypatch.setattr(NlpFrames, "step", step)
+    out = tmp_path / "out"
+    assert solve("arc", "--frames", 3, "--direction", "forward", "--out", out) == 1
+    assert json.loads((out / "summary.json").read_text())["failed"] == 1
+    assert "frame 2 not solved: made to fail" in capsys.readouterr().out
+
+
+def test_ctrl_c_writes_what_was_solved_and_exits_with_130(tmp_path):
+    out = tmp_path / "out"
+    command = [sys.executable, ROOT / "scripts" / "solve_per_frame.py", "cos", "--frames", "1500", "--out", out]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    time.sleep(6)
+    process.send_signal(signal.SIGINT)
+    output, errors = process.communicate(timeout=120)
+    assert process.returncode == 130, errors
+    assert "interrupted" in output
+    assert json.loads((out / "summary.json").read_text())["interrupted"]
+    plan = Plan.load(out / "plan.npz")
+    assert 0 < plan.success.sum() < 1500
+
+
+def test_comparison_prints_every_variant_and_writes_three_files(tmp_path, capsys):
+    out = tmp_path / "out"
+    variants = ["joint:ipopt", "seed-two-stage", "tip-jacobian"]
+    arguments = ["arc", "line", "--variants", *variants, "--frames", "3", "--out", str(out)]
+    assert compare_solvers(FOLDER, arguments) == 0
+    printed = capsys.readouterr().out
+    assert all(variant in printed for variant in variants)
+    rows = json.loads((out / "comparison.json").read_text())
+    assert [(row["problem"], row["variant"]) for row in rows] == [
+        (p, v) for p in ("arc", "line") for v in variants
+    ]
+    markdown = (out / "comparison.md").read_text().splitlines()
+    assert len(markdown) == 2 + len(rows)
+    assert len({line.count("|") for line in markdown}) == 1
+    with open(out / "comparison.csv", newline="") as file:
+        assert len(list(csv.DictReader(file))) == len(rows)
+
+
+def test_both_programs_have_help():
+    for script in ("solve_per_frame.py", "compare_solvers.py"):
+        done = subprocess.run(
+            [sys.executable, ROOT / "scripts" / script, "--help"], capture_output=True, text=True, check=True
+        )
+        assert "Exit status" in done.stdout
+
+
+def test_the_readmes_python_example_runs(tmp_path):
+    text = (ROOT / "README.md").read_text()
+    example = text.split("```python\n")[1].split("```")[0]
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", example],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        env=os.environ,
+    )
+    assert done.returncode == 0, done.stderr
+    assert {path.name for path in Path(tmp_path).iterdir()} == {"parabola.png", "plan.npz"}

@@ -1,0 +1,222 @@
+"""Plans of whole problems: accuracy, limits, known configurations, retries and interruption."""
+
+import signal
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ctr_nlp import (
+    Limits,
+    Problem,
+    Robot,
+    Settings,
+    problem_from_file,
+    sequence,
+    shape_curve,
+    solve_per_frame,
+    summary,
+)
+from ctr_nlp.errors import OptionError, RobotError
+from ctr_nlp.frames import FrameResult
+from ctr_nlp.steer import march
+from ctr_nlp.steer.nlp_frames import NlpFrames
+from problems import named
+
+JOINT_E3 = {"cos": 0.35, "arc": 0.36, "line": 1.10, "line_arc": 0.65, "synthesis": 0.02}
+TWO_STAGE_E3 = {"cos": 1.81, "arc": 1.62, "line": 7.46, "line_arc": 2.67, "synthesis": 0.98}
+AIRWAY_E3 = {
+    "chaste_ts002_RLL": 0.60,
+    "chaste_ts002_LLL": 0.95,
+    "chaste_ts002_RML": 0.85,
+    "hra_vhm_left_main": 1.00,
+}
+
+
+def assert_within_limits(plan):
+    robot = plan.robot
+    assert plan.complete
+    assert (plan.q >= robot.lower - 1e-6).all()
+    assert (plan.q <= robot.upper + 1e-6).all()
+    assert (np.diff(plan.beta, axis=1) >= -1e-6).all()
+    assert (np.abs(np.diff(plan.q, axis=0)) <= robot.speed * plan.dt + 1e-6).all()
+
+
+@pytest.mark.parametrize("name", JOINT_E3)
+def test_joint_follows_the_seeds_targets(name):
+    plan = solve_per_frame(named(name), "joint")
+    found = summary(plan)
+    assert found["e3"] <= JOINT_E3[name]
+    assert_within_limits(plan)
+    steps = found["max_step"]
+    assert (steps["alpha"], steps["beta"], steps["theta"]) <= (0.3, 12, 0.1)
+    assert steps["beta"] <= 12
+    assert steps["theta"] <= 0.1
+
+
+@pytest.mark.parametrize("name", TWO_STAGE_E3)
+@pytest.mark.parametrize("formulation", ["two-stage", "two-stage-exact"])
+def test_two_stage_is_no_worse_than_the_seed(name, formulation):
+    plan = solve_per_frame(named(name), formulation, direction="backward")
+    assert summary(plan)["e3"] <= TWO_STAGE_E3[name]
+    assert_within_limits(plan)
+
+
+@pytest.mark.parametrize("name", AIRWAY_E3)
+def test_joint_follows_real_airways(name, shared_data):
+    plan = solve_per_frame(problem_from_file(shared_data / "airways" / f"{name}.csv"), "joint")
+    assert summary(plan)["e3"] <= AIRWAY_E3[name]
+    assert_within_limits(plan)
+    assert plan.lumen_radius is not None
+
+
+def test_sqp_agrees_with_ipopt():
+    plans = [solve_per_frame(named("arc", 20), solver=solver, direction="backward") for solver in ("ipopt", "sqp")]
+    assert plans[0].q == pytest.approx(plans[1].q, abs=1e-3)
+    assert_within_limits(plans[1])
+
+
+@pytest.mark.parametrize("formulation", ["joint", "two-stage"])
+def test_synthesis_recovers_its_extensions_and_the_rotations_it_can_know(formulation):
+    """Away from theta_x = pi / 2, alpha_1 less alpha_2 is unique up to turns; beta always is."""
+    problem = named("synthesis", 50)
+    plan = solve_per_frame(problem, formulation)
+    assert np.abs(plan.beta - problem.truth[:, 3:6]).max() < 0.5
+    between = np.diff(plan.alpha, axis=1) - np.diff(problem.truth[:, :3], axis=1)
+    assert np.abs((between + np.pi) % (2 * np.pi) - np.pi).max() < 0.02
+
+
+def test_a_known_configuration_is_found_by_search(robot):
+    q = np.array([0.4, -1.1, 2.0, 30.0, 75.0, 120.0, 0.2, -0.3])
+    plan = solve_per_frame(Problem("one", robot, sequence([shape_curve(robot, q)])))
+    turns = (plan.q[0] - q)[:3]
+    assert (turns + np.pi) % (2 * np.pi) - np.pi == pytest.approx(np.zeros(3), abs=1e-4)
+    assert plan.q[0, 3:] == pytest.approx(q[3:], abs=1e-3)
+
+
+def test_turning_the_target_about_the_base_axis_leaves_errors_unchanged(cos_problem):
+    angle = 0.7
+    turn = np.eye(4)
+    turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    target = cos_problem.target
+    turned = replace(cos_problem, target=replace(target, curves=tuple(c.moved(turn) for c in target.curves)))
+    errors = [summary(solve_per_frame(p))["e3"] for p in (cos_problem, turned)]
+    assert errors[0] == pytest.approx(errors[1], rel=1e-2)
+
+
+def test_a_locked_tilt_stays_zero(cos_problem):
+    plan = solve_per_frame(replace(cos_problem, robot=cos_problem.robot.with_locked_tilt()))
+    assert np.abs(plan.theta).max() <= 1e-9
+    assert_within_limits(plan)
+
+
+def test_a_motion_leads_from_its_start_at_the_robots_speed(cos_problem):
+    start = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    slow = Robot(cos_problem.robot.tubes, Limits(alpha_speed=0.1, beta_speed=20.0))
+    plan = solve_per_frame(replace(cos_problem, robot=slow), start=start)
+    steps = np.diff(np.vstack([start, plan.q]), axis=0)
+    assert (np.abs(steps) <= slow.speed * plan.dt + 1e-6).all()
+    assert plan.meta["options"]["direction"] == "forward"
+
+
+@pytest.mark.parametrize("formulation", ["joint", "two-stage", "two-stage-exact"])
+def test_a_motion_can_start_fully_retracted(arc_problem, formulation):
+    plan = solve_per_frame(arc_problem, formulation, start=np.zeros(8))
+    assert_within_limits(plan)
+
+
+def test_a_start_outside_the_limits_is_refused(arc_problem):
+    with pytest.raises(RobotError, match=r"beta_1 of start is 60; it must lie in \[0, 50\]"):
+        solve_per_frame(arc_problem, start=[0, 0, 0, 60, 70, 80, 0, 0])
+
+
+def test_a_start_goes_forward(arc_problem):
+    with pytest.raises(OptionError, match="backward"):
+        solve_per_frame(arc_problem, start=np.zeros(8), direction="backward")
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "valid"),
+    [
+        ("formulation", "jiont", "joint, two-stage"),
+        ("solver", "ipot", "ipopt, sqp"),
+        ("model", "rigid", "dominant"),
+        ("direction", "up", "forward, backward, best"),
+    ],
+)
+def test_unknown_names_list_the_valid_ones(arc_problem, option, value, valid):
+    with pytest.raises(OptionError, match=f"{option} is '{value}'.*{valid}"):
+        solve_per_frame(arc_problem, **{option: value})
+
+
+@pytest.mark.parametrize(
+    "settings", [{"motion_weight": -1}, {"motion_weight": np.nan}, {"jump_width": 0}, {"seed": -1}]
+)
+def test_settings_out_of_range_are_refused(settings):
+    with pytest.raises(OptionError, match=next(iter(settings))):
+        Settings(**settings)
+
+
+def test_more_motion_weight_makes_a_smoother_motion(cos_problem):
+    plans = [
+        solve_per_frame(cos_problem, direction="forward", settings=Settings(motion_weight=weight))
+        for weight in (1e-6, 1e-1)
+    ]
+    assert summary(plans[1])["roughness"] < summary(plans[0])["roughness"]
+
+
+class Failing(NlpFrames):
+    """Fails on one frame, whatever the start."""
+
+    def _solve(self, index, guess, previous, warm):
+        if index == 2:
+            return FrameResult(guess, success=False, status="made to fail")
+        return super()._solve(index, guess, previous, warm)
+
+
+def test_a_frame_that_fails_is_marked_and_the_motion_goes_on(cos_problem):
+    plan = march(cos_problem, Failing(cos_problem), "forward")
+    assert plan.success.tolist() == [True, True, False, True, True, True]
+    assert plan.q[2] == pytest.approx(plan.q[1])
+    assert plan.meta["failures"] == {"3": "made to fail"}
+    assert summary(plan)["failed"] == 1
+
+
+class Flaky(NlpFrames):
+    """Fails on frame 2 from the frame before it, but not from other starts."""
+
+    def _solve(self, index, guess, previous, warm):
+        if index == 2 and warm is not None:
+            return FrameResult(guess, success=False, status="made to fail")
+        return super()._solve(index, guess, previous, warm)
+
+
+def test_a_frame_that_fails_is_tried_from_other_starts(cos_problem):
+    plan = march(cos_problem, Flaky(cos_problem), "forward")
+    assert_within_limits(plan)
+
+
+class Interrupted(NlpFrames):
+    """Ctrl-C on frame 3."""
+
+    def step(self, frame, before):
+        if frame == 3:
+            signal.raise_signal(signal.SIGINT)
+        return super().step(frame, before)
+
+
+def test_an_interrupted_plan_keeps_what_was_solved(cos_problem):
+    plan = march(cos_problem, Interrupted(cos_problem), "forward")
+    assert plan.meta["interrupted"]
+    assert plan.success.tolist() == [True, True, True, True, False, False]
+    assert np.isnan(plan.q[4:]).all()
+    assert np.isfinite(summary(plan)["e3"])
+
+
+def test_a_single_frame_and_other_numbers_of_tubes(robot):
+    for tubes in (robot.tubes[:2], robot.tubes):
+        other = Robot(tubes)
+        q = np.concatenate([np.zeros(other.d), np.linspace(30, 90, other.d), [0.1, 0.2]])
+        plan = solve_per_frame(Problem("one", other, sequence([shape_curve(other, q)])))
+        assert summary(plan)["e3"] < 0.01
+        assert summary(plan)["roughness"] == 0
