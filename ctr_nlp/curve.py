@@ -11,7 +11,6 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, PchipInterpolator, make_smoothing_spline
-from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -25,6 +24,8 @@ CELLS = 2000
 """Cells of the table between a curve's parameter and its arc length."""
 SHORTEST_MM = 1.0
 """A path shorter than this was almost surely written in metres."""
+REPEATED_MM = 1e-6
+"""Neighbouring points closer than this are one point given twice."""
 HEADING_MM = 10.0
 """The mean direction over this first length becomes the insertion direction."""
 
@@ -115,18 +116,16 @@ def curve_from_points(points: npt.ArrayLike, radius: npt.ArrayLike | None = None
     if not (np.isfinite(smoothing) and smoothing >= 0):
         raise CurveError(f"smoothing is {smoothing} mm; it must be a finite number >= 0")
     chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(given, axis=0), axis=1))])
-    if smoothing:
-        spline = bending = _smoothed(chord, given, smoothing)
-    else:
-        spline = CubicSpline(chord, given)
-        bending = make_smoothing_spline(chord, given) if len(given) > 4 else spline
+    spline = _smoothed(chord, given, smoothing) if smoothing else CubicSpline(chord, given)
+    bending = spline if smoothing else _bending(chord, given, spline)
     per_span = max(1, CELLS // (len(chord) - 1))
     breaks = np.interp(np.arange(per_span * (len(chord) - 1) + 1) / per_span, np.arange(len(chord)), chord)
     by_chord = _by_arc_length(lambda v, order: spline(v, nu=order), breaks, lambda v, order: bending(v, nu=order))
     curve = replace(by_chord, by_parameter=None)
     if smoothing:
         dense = curve.point(np.linspace(0, curve.length, 20 * CELLS))
-        curve = replace(curve, deviation=float(cKDTree(dense).query(given)[0].max()))
+        distance = cKDTree(dense).query(given)[0]
+        curve = replace(curve, deviation=min(smoothing, float(distance.max())))
     if radii is None:
         return curve
     lengths = np.array([by_chord.length_at(c / chord[-1]) for c in chord])
@@ -147,7 +146,7 @@ def _check_points(points: Array) -> None:
         raise CurveError(
             f"the path is {steps.sum():.3g} long; coordinates must be in millimetres, and these look like metres"
         )
-    repeated = np.flatnonzero(steps < 1e-9 * steps.sum())
+    repeated = np.flatnonzero(steps < REPEATED_MM)
     if repeated.size:
         i = repeated[0]
         raise CurveError(
@@ -156,23 +155,32 @@ def _check_points(points: Array) -> None:
 
 
 def _smoothed(chord: Array, points: Array, allowed: float) -> Any:
-    """The smoothest cubic smoothing spline that stays within allowed mm of every point."""
-
-    def spline(log_penalty: float) -> Any:
-        return make_smoothing_spline(chord, points, lam=10.0**log_penalty)
-
-    def excess(log_penalty: float) -> float:
-        return float(np.linalg.norm(spline(log_penalty)(chord) - points, axis=1).max()) - allowed
-
-    weakest, strongest = -9.0, 9.0
+    """The smoothest cubic smoothing spline that keeps within allowed mm of every point at equal parameter."""
     if len(points) < 5:
         raise CurveError(f"{len(points)} points; smoothing needs at least 5")
-    if excess(weakest) >= 0:
-        return CubicSpline(chord, points)
-    if excess(strongest) <= 0:
-        return spline(strongest)
-    root = brentq(excess, weakest, strongest, xtol=1e-3)
-    return spline(root if excess(root) <= 0 else root - 1e-2)
+    best = CubicSpline(chord, points)
+    weakest, strongest = -9.0, 9.0
+    for _ in range(40):
+        middle = (weakest + strongest) / 2
+        spline = make_smoothing_spline(chord, points, lam=10.0**middle)
+        if np.linalg.norm(spline(chord) - points, axis=1).max() <= allowed:
+            best, weakest = spline, middle
+        else:
+            strongest = middle
+    return best
+
+
+def _bending(chord: Array, points: Array, through: Any) -> Any:
+    """What curvature is taken from: the spline through points, each first moved onto a smoothing spline.
+
+    The smoothing spline itself has no curvature at its ends.
+    """
+    if len(points) < 5:
+        return through
+    try:
+        return CubicSpline(chord, make_smoothing_spline(chord, points)(chord))
+    except (ValueError, np.linalg.LinAlgError):
+        return through
 
 
 def _by_arc_length(derivative: Derivative, breaks: Array, bending: Derivative | None = None) -> Curve:

@@ -91,7 +91,7 @@ class Nlp:
         """
         if values.keys() != self.parameters.keys():
             raise ValueError(f"{self.name} takes parameters {sorted(self.parameters)}, not {sorted(values)}")
-        columns = []
+        columns = [np.zeros(0)]
         for name, symbol in self.parameters.items():
             value = np.asarray(values[name], dtype=float)
             shape = value.shape + (1,) * (2 - value.ndim)

@@ -7,6 +7,7 @@ import json
 import os
 import platform
 import zipfile
+import zlib
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +17,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.errors import OutputError
+from ctr_nlp.errors import OutputError, RobotError
 from ctr_nlp.forward import shapes, tangents
 from ctr_nlp.problem import Problem
 from ctr_nlp.robot import Robot
@@ -95,14 +96,22 @@ class Plan:
         """Read plan.npz without pickle; raises OutputError where it is not a plan."""
         names = {f.name for f in fields(cls)}
         try:
-            with np.load(path, allow_pickle=False) as data:
+            with open(path, "rb") as file, np.load(file, allow_pickle=False) as data:
                 arrays = {name: data[name] for name in data.files if name in names}
             meta = json.loads(str(arrays.pop("meta")))
             if meta["format"] != FORMAT:
                 raise OutputError(f"{path} has format {meta['format']}; this version reads {FORMAT}")
-            return cls(meta=meta, **arrays)
-        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+            plan = cls(meta=meta, **arrays)
+            d, frames = plan.robot.d, len(plan.time)
+        except (OSError, EOFError, ValueError, KeyError, TypeError, AttributeError, RobotError) as error:
             raise OutputError(f"{path} is not a plan: {error}") from error
+        except (zipfile.BadZipFile, zlib.error) as error:
+            raise OutputError(f"{path} is not a plan, or damaged: {error}") from error
+        for name, width in (("alpha", d), ("beta", d), ("theta", 2)):
+            if getattr(plan, name).shape != (frames, width):
+                shape = getattr(plan, name).shape
+                raise OutputError(f"{path} is not a plan: {name} has shape {shape}, not {(frames, width)}")
+        return plan
 
 
 def plan_from_configurations(

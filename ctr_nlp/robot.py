@@ -150,9 +150,7 @@ class Robot:
             for axis, value in zip(self.axes, getattr(self, name), strict=True):
                 if not value > 0:
                     raise RobotError(f"{name} of {axis} is {value:g}; it must be positive")
-        gap = self.limits.carriage_gap
-        if gap is not None and not (math.isfinite(gap) and gap >= 0):
-            raise RobotError(f"carriage_gap is {gap}; it must be a finite number of mm >= 0, or None")
+        gap = self._gap
         low, high = 0.0, math.inf
         for i, tube in enumerate(self.tubes):
             lo, hi = lower[self.d + i], upper[self.d + i]
@@ -162,13 +160,29 @@ class Robot:
                     "the tube's length"
                 )
             if i and gap is not None:
-                high += tube.length - self.tubes[i - 1].length - gap
-            low, high = max(low, lo), min(high, hi) if i and gap is not None else hi
+                room = tube.length - self.tubes[i - 1].length
+                if gap > room:
+                    raise RobotError(
+                        f"carriage_gap is {gap:g} mm and tube {i + 1} only {room:g} mm longer than tube {i}: "
+                        f"with beta_{i} <= beta_{i + 1}, it must be at most that"
+                    )
+                high += room - gap
+            low, high = max(low, lo), min(high if gap is not None else math.inf, hi)
             if low > high:
                 raise RobotError(
                     f"limits of beta_{i + 1} leave no room: it must be at least {low:g} mm (order, lower limits) "
                     f"and at most {high:g} mm (upper limits and carriage gap)"
                 )
+
+    @property
+    def _gap(self) -> float | None:
+        gap = self.limits.carriage_gap
+        if gap is None:
+            return None
+        value = float(_numbers("carriage_gap", gap, 1)[0])
+        if value < 0:
+            raise RobotError(f"carriage_gap is {gap} mm; it must be at least 0, or None")
+        return value
 
     @property
     def d(self) -> int:
@@ -334,7 +348,9 @@ def _pairs(name: str, value: Any, size: int) -> Array:
 def _finite_json(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _finite_json(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
+    if isinstance(value, np.ndarray | np.generic):
+        return _finite_json(value.tolist())
+    if isinstance(value, list | tuple):
         return [_finite_json(item) for item in value]
     return str(float(value)) if isinstance(value, float) and math.isinf(value) else value
 

@@ -72,17 +72,18 @@ def test_joint_follows_real_airways(name, shared_data):
 
 def test_sqp_agrees_with_ipopt():
     plans = [solve_per_frame(named("arc", 20), solver=solver, direction="backward") for solver in ("ipopt", "sqp")]
-    assert plans[0].q == pytest.approx(plans[1].q, abs=1e-3)
+    assert plans[0].shape == pytest.approx(plans[1].shape, abs=1e-2)
+    assert summary(plans[0])["e3"] == pytest.approx(summary(plans[1])["e3"], rel=1e-3)
     assert_within_limits(plans[1])
 
 
 @pytest.mark.parametrize("formulation", ["joint", "two-stage"])
 def test_synthesis_recovers_its_extensions_and_the_rotations_it_can_know(formulation):
-    """Away from theta_x = pi / 2, alpha_1 less alpha_2 is unique up to turns; beta always is."""
+    """beta is unique, and so are differences between tubes' angles up to turns, once tube 3 shows enough."""
     problem = named("synthesis", 50)
-    plan = solve_per_frame(problem, formulation)
-    assert np.abs(plan.beta - problem.truth[:, 3:6]).max() < 0.5
-    between = np.diff(plan.alpha, axis=1) - np.diff(problem.truth[:, :3], axis=1)
+    plan = solve_per_frame(problem, formulation, settings=Settings(motion_weight=1e-10))
+    assert np.abs(plan.beta - problem.truth[:, 3:6]).max() < 0.1
+    between = (np.diff(plan.alpha, axis=1) - np.diff(problem.truth[:, :3], axis=1))[10:]
     assert np.abs((between + np.pi) % (2 * np.pi) - np.pi).max() < 0.02
 
 
@@ -94,14 +95,15 @@ def test_a_known_configuration_is_found_by_search(robot):
     assert plan.q[0, 3:] == pytest.approx(q[3:], abs=1e-3)
 
 
-def test_turning_the_target_about_the_base_axis_leaves_errors_unchanged(cos_problem):
-    angle = 0.7
+@pytest.mark.parametrize("angle", [0.7, 2.9])
+def test_turning_the_target_about_the_base_axis_leaves_the_error_unchanged(angle):
+    problem = named("cos", 1)
     turn = np.eye(4)
     turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    target = cos_problem.target
-    turned = replace(cos_problem, target=replace(target, curves=tuple(c.moved(turn) for c in target.curves)))
-    errors = [summary(solve_per_frame(p))["e3"] for p in (cos_problem, turned)]
-    assert errors[0] == pytest.approx(errors[1], rel=1e-2)
+    target = problem.target
+    turned = replace(problem, target=replace(target, curves=tuple(c.moved(turn) for c in target.curves)))
+    errors = [summary(solve_per_frame(p))["e3"] for p in (problem, turned)]
+    assert errors[0] == pytest.approx(errors[1], rel=1e-4)
 
 
 def test_a_locked_tilt_stays_zero(cos_problem):

@@ -106,6 +106,38 @@ def test_an_infeasible_problem_is_no_success(solver, form):
     assert not solved(nearest_point(form, (beyond_the_bounds,)), solver, (0, 0)).success
 
 
+class Claims:
+    """A solver that returns x and a status whatever it is asked."""
+
+    def __init__(self, x, status):
+        self.x, self.status = ca.DM(x), status
+
+    def __call__(self, **arguments):
+        nothing = ca.DM.zeros(2)
+        return {"x": self.x, "f": 0.0, "g": ca.sumsqr(self.x), "lam_x": nothing, "lam_g": ca.DM(0)}
+
+    def stats(self):
+        return {"return_status": self.status, "iter_count": 1}
+
+
+@pytest.mark.parametrize(
+    ("x", "status", "success"),
+    [
+        ([0.6, 0.8], "Maximum_Iterations_Exceeded", True),
+        ([0.6, 0.8 + 1e-4], "Solve_Succeeded", False),
+        ([0.6, 0.7], "Solve_Succeeded", False),
+        ([np.nan, 0.8], "Solve_Succeeded", False),
+    ],
+    ids=["silent", "infeasible", "not optimal", "not a number"],
+)
+def test_success_is_judged_by_the_point_and_not_by_the_solvers_word(monkeypatch, x, status, success):
+    """The point of the unit disc nearest to (0.6, 0.8), which is optimal without any multiplier."""
+    monkeypatch.setitem(SOLVERS, "claims", lambda nlp: Claims(x, status))
+    solution = solved(nearest_point(constraints=(in_the_unit_disc,)), "claims", (0.6, 0.8))
+    assert solution.success is success
+    assert solution.status == status
+
+
 @EVERY_SOLVER
 @FORMS
 def test_a_parameter_that_is_not_a_number_is_no_success(solver, form):

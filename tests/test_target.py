@@ -90,7 +90,7 @@ def test_a_frame_interpolates_between_its_samples(path):
 
 @given(robots_with_q(varying=False))
 def test_a_frame_interpolates_shapes_whose_curvature_jumps(case):
-    """A cubic misses a jump of curvature in the middle of a cell of h mm by jump h^2 / 64; here two at 2 k each."""
+    """A cubic misses a jump of curvature in the middle of a cell of h mm by jump h^2 / 64; here two of 2 k."""
     robot, q = case
     curve = shape_curve(robot, q)
     frame = sequence([curve]).sample()[0]
