@@ -79,7 +79,8 @@ def test_plan_arrays_have_their_documented_shapes(tmp_path, straight):
         shapes = {name: data[name].shape for name in data.files}
         meta = json.loads(str(data["meta"]))
     expected = {
-        "time": (3,), "alpha": (3, 3), "beta": (3, 3), "theta": (3, 2), "target": (3, 101, 3), "shape": (3, 101, 3),
+        "time": (3,), "alpha": (3, 3), "beta": (3, 3), "theta": (3, 2), "target": (3, 101, 3),
+        "shape": (3, 101, 3),
         "solve_time": (3,), "success": (3,), "objective": (3,), "kkt": (3,), "stability": (3,),
         "stability_between": (3,), "to_robot": (4, 4), "lumen_radius": (3, 101),
     }  # fmt: skip

@@ -77,12 +77,12 @@ def test_sqp_agrees_with_ipopt():
     assert_within_limits(plans[1])
 
 
-@pytest.mark.parametrize("formulation", ["joint", "two-stage"])
-def test_synthesis_recovers_its_extensions_and_the_rotations_it_can_know(formulation):
-    """beta is unique, and so are differences between tubes' angles up to turns, once tube 3 shows enough."""
+@pytest.mark.parametrize(("formulation", "tolerance"), [("joint", 0.01), ("two-stage", 0.2)])
+def test_synthesis_recovers_its_extensions_and_the_rotations_it_can_know(formulation, tolerance):
+    """Beta is unique, and so are differences between tubes' angles up to turns, once tube 3 shows enough."""
     problem = named("synthesis", 50)
     plan = solve_per_frame(problem, formulation, settings=Settings(motion_weight=1e-10))
-    assert np.abs(plan.beta - problem.truth[:, 3:6]).max() < 0.1
+    assert np.abs(plan.beta - problem.truth[:, 3:6]).max() < tolerance
     between = (np.diff(plan.alpha, axis=1) - np.diff(problem.truth[:, :3], axis=1))[10:]
     assert np.abs((between + np.pi) % (2 * np.pi) - np.pi).max() < 0.02
 
