@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.errors import RobotError
+from ctr_nlp.values import described, frozen, numbers, pairs, strict_json
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -46,10 +47,10 @@ class Tube:
         for f in fields(self):
             value = getattr(self, f.name)
             if f.name == "curvature":
-                pair = tuple(_numbers(f.name, value, 2).tolist())
+                pair = tuple(numbers(f.name, value, 2).tolist())
                 object.__setattr__(self, "curvature", pair[0] if pair[0] == pair[1] else pair)
             else:
-                object.__setattr__(self, f.name, float(_numbers(f.name, value, 1)[0]))
+                object.__setattr__(self, f.name, float(numbers(f.name, value, 1)[0]))
         if self.length <= 0:
             raise RobotError(f"tube length is {self.length:g} mm; it must be positive")
         if not 0 <= self.curved_length <= self.length:
@@ -123,6 +124,7 @@ class Robot:
         for i, (outer, inner) in enumerate(zip(self.tubes, self.tubes[1:], strict=False), start=1):
             self._check_pair(i, outer, inner)
         self._check_limits()
+        self._check_extensions()
 
     def _check_pair(self, i: int, outer: Tube, inner: Tube) -> None:
         order = f"tubes {i} and {i + 1} are in the wrong order (outermost and stiffest first)"
@@ -150,39 +152,38 @@ class Robot:
             for axis, value in zip(self.axes, getattr(self, name), strict=True):
                 if not value > 0:
                     raise RobotError(f"{name} of {axis} is {value:g}; it must be positive")
-        gap = self._gap
-        low, high = 0.0, math.inf
+
+    def _check_extensions(self) -> None:
+        """Some beta must keep limits, order and carriage gap; low to high is what those before leave to beta_i."""
+        gap, low, high = self._gap, 0.0, math.inf
         for i, tube in enumerate(self.tubes):
-            lo, hi = lower[self.d + i], upper[self.d + i]
+            name, lo, hi = f"beta_{i + 1}", self.lower[self.d + i], self.upper[self.d + i]
             if lo < 0 or hi > tube.length:
                 raise RobotError(
-                    f"limits of beta_{i + 1} are [{lo:g}, {hi:g}] mm; they must lie in [0, {tube.length:g}], "
+                    f"limits of {name} are [{lo:g}, {hi:g}] mm; they must lie in [0, {tube.length:g}], "
                     "the tube's length"
                 )
-            if i and gap is not None:
-                room = tube.length - self.tubes[i - 1].length
-                if gap > room:
-                    raise RobotError(
-                        f"carriage_gap is {gap:g} mm and tube {i + 1} only {room:g} mm longer than tube {i}: "
-                        f"with beta_{i} <= beta_{i + 1}, it must be at most that"
-                    )
-                high += room - gap
-            low, high = max(low, lo), min(high if gap is not None else math.inf, hi)
+            longer = tube.length - self.tubes[i - 1].length if i and gap is not None else math.inf
+            if gap is not None and gap > longer:
+                raise RobotError(
+                    f"carriage_gap is {gap:g} mm and tube {i + 1} only {longer:g} mm longer than tube {i}: with "
+                    f"beta_{i} <= {name}, it must be at most that"
+                )
+            low, high = max(low, lo), min(high + longer - (gap or 0.0), hi)
             if low > high:
                 raise RobotError(
-                    f"limits of beta_{i + 1} leave no room: it must be at least {low:g} mm (order, lower limits) "
+                    f"limits of {name} leave no room: it must be at least {low:g} mm (order, lower limits) "
                     f"and at most {high:g} mm (upper limits and carriage gap)"
                 )
 
     @property
     def _gap(self) -> float | None:
-        gap = self.limits.carriage_gap
-        if gap is None:
+        if self.limits.carriage_gap is None:
             return None
-        value = float(_numbers("carriage_gap", gap, 1)[0])
-        if value < 0:
-            raise RobotError(f"carriage_gap is {gap} mm; it must be at least 0, or None")
-        return value
+        gap = float(numbers("carriage_gap", self.limits.carriage_gap, 1)[0])
+        if gap < 0:
+            raise RobotError(f"carriage_gap is {gap:g} mm; it must be at least 0, or None")
+        return gap
 
     @property
     def d(self) -> int:
@@ -192,8 +193,8 @@ class Robot:
     @cached_property
     def axes(self) -> tuple[str, ...]:
         """The names of q's entries, in order."""
-        numbers = range(1, self.d + 1)
-        return (*(f"alpha_{i}" for i in numbers), *(f"beta_{i}" for i in numbers), "theta_x", "theta_y")
+        count = range(1, self.d + 1)
+        return (*(f"alpha_{i}" for i in count), *(f"beta_{i}" for i in count), "theta_x", "theta_y")
 
     @cached_property
     def lower(self) -> Array:
@@ -211,11 +212,11 @@ class Robot:
         if beta is None:
             beta = [(0.0, tube.curved_length) for tube in self.tubes]
         rows = [
-            _pairs("alpha", self.limits.alpha, self.d),
-            _pairs("beta", beta, self.d),
-            _pairs("theta", self.limits.theta, 2),
+            pairs("alpha", self.limits.alpha, self.d),
+            pairs("beta", beta, self.d),
+            pairs("theta", self.limits.theta, 2),
         ]
-        return _frozen(np.vstack(rows))
+        return frozen(np.vstack(rows))
 
     @cached_property
     def speed(self) -> Array:
@@ -230,16 +231,16 @@ class Robot:
     def _rates(self, kind: str) -> Array:
         names = (f"alpha_{kind}", f"beta_{kind}", f"theta_{kind}")
         sizes = (self.d, self.d, 2)
-        return _frozen(
+        return frozen(
             np.concatenate(
-                [_numbers(n, getattr(self.limits, n), k, True) for n, k in zip(names, sizes, strict=True)]
+                [numbers(n, getattr(self.limits, n), k, True) for n, k in zip(names, sizes, strict=True)]
             )
         )
 
     @cached_property
     def mm_per_unit(self) -> Array:
         """W, (2d + 2,): what a unit of q counts as in the motion term, mm/rad for angles and 1 for beta."""
-        return _frozen(np.concatenate([np.full(self.d, MM_PER_RAD), np.ones(self.d), np.full(2, MM_PER_RAD)]))
+        return frozen(np.concatenate([np.full(self.d, MM_PER_RAD), np.ones(self.d), np.full(2, MM_PER_RAD)]))
 
     @property
     def reach(self) -> float:
@@ -276,8 +277,8 @@ class Robot:
 
     def to_dict(self) -> dict[str, Any]:
         """Numbers, strings and lists as a robot file holds them, fit for strict JSON (no limit is "inf")."""
-        described = asdict(self)
-        return {"tubes": list(described["tubes"]), "limits": _finite_json(described["limits"])}
+        plain = asdict(self)
+        return {"tubes": list(plain["tubes"]), "limits": strict_json(plain["limits"])}
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Robot:
@@ -288,7 +289,7 @@ class Robot:
         tubes = data.get("tubes")
         if not isinstance(tubes, list) or not all(isinstance(t, dict) for t in tubes):
             raise RobotError("a robot needs a list of tubes, [[tubes]] in TOML")
-        return cls(tuple(_described(Tube, t) for t in tubes), _described(Limits, data.get("limits", {})))
+        return cls(tuple(described(Tube, t) for t in tubes), described(Limits, data.get("limits", {})))
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Robot:
@@ -313,48 +314,3 @@ def seed_robot(literal: bool = False) -> Robot:
             Tube(390.0, curved[2], 1 / 80, outer_diameter=2.1, inner_diameter=1.0),
         )
     )
-
-
-def _described(cls: type, data: Any) -> Any:
-    allowed = [f.name for f in fields(cls)]
-    if not isinstance(data, dict) or set(data) - set(allowed):
-        wrong = sorted(set(data) - set(allowed))[0] if isinstance(data, dict) else data
-        raise RobotError(f"unknown key {wrong!r} in {cls.__name__.lower()}; allowed are {', '.join(allowed)}")
-    try:
-        return cls(**data)
-    except TypeError as error:
-        raise RobotError(f"{cls.__name__.lower()}: {error}; keys are {', '.join(allowed)}") from error
-
-
-def _numbers(name: str, value: Any, size: int, infinite: bool = False) -> Array:
-    try:
-        array = np.broadcast_to(np.asarray(value, dtype=float), (size,))
-    except (TypeError, ValueError) as error:
-        raise RobotError(
-            f"{name} is {value!r}; it must be a number" + (f" or {size} of them" * (size > 1))
-        ) from error
-    if isinstance(value, bool) or np.isnan(array).any() or (not infinite and np.isinf(array).any()):
-        raise RobotError(f"{name} is {value!r}; it must be a {'' if infinite else 'finite '}number")
-    return array
-
-
-def _pairs(name: str, value: Any, size: int) -> Array:
-    try:
-        return np.broadcast_to(np.asarray(value, dtype=float), (size, 2))
-    except (TypeError, ValueError) as error:
-        raise RobotError(f"limits of {name} are {value!r}; give (lower, upper), or {size} of them") from error
-
-
-def _finite_json(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite_json(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return _finite_json(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_finite_json(item) for item in value]
-    return str(float(value)) if isinstance(value, float) and math.isinf(value) else value
-
-
-def _frozen(array: Array) -> Array:
-    array.flags.writeable = False
-    return array

@@ -1,0 +1,64 @@
+"""Values of described things, checked; complaints are RobotErrors that name field, value and what is allowed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.errors import RobotError
+
+Array = npt.NDArray[np.float64]
+
+
+def described(cls: type, data: Any) -> Any:
+    """The dataclass that a table of a file describes."""
+    allowed = [f.name for f in fields(cls)]
+    if not isinstance(data, dict) or set(data) - set(allowed):
+        wrong = sorted(set(data) - set(allowed))[0] if isinstance(data, dict) else data
+        raise RobotError(f"unknown key {wrong!r} in {cls.__name__.lower()}; allowed are {', '.join(allowed)}")
+    try:
+        return cls(**data)
+    except TypeError as error:
+        raise RobotError(f"{cls.__name__.lower()}: {error}; keys are {', '.join(allowed)}") from error
+
+
+def numbers(name: str, value: Any, size: int, infinite: bool = False) -> Array:
+    """A number, or size of them, as (size,)."""
+    try:
+        array = np.broadcast_to(np.asarray(value, dtype=float), (size,))
+    except (TypeError, ValueError) as error:
+        raise RobotError(
+            f"{name} is {value!r}; it must be a number" + (f" or {size} of them" * (size > 1))
+        ) from error
+    if isinstance(value, bool) or np.isnan(array).any() or (not infinite and np.isinf(array).any()):
+        raise RobotError(f"{name} is {value!r}; it must be a {'' if infinite else 'finite '}number")
+    return array
+
+
+def pairs(name: str, value: Any, size: int) -> Array:
+    """A (lower, upper), or size of them, as (size, 2)."""
+    try:
+        return np.broadcast_to(np.asarray(value, dtype=float), (size, 2))
+    except (TypeError, ValueError) as error:
+        raise RobotError(f"limits of {name} are {value!r}; give (lower, upper), or {size} of them") from error
+
+
+def strict_json(value: Any) -> Any:
+    """Lists, strings and numbers for strict JSON; infinity becomes "inf", which pairs and numbers can read."""
+    if isinstance(value, dict):
+        return {key: strict_json(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return strict_json(value.tolist())
+    if isinstance(value, list | tuple):
+        return [strict_json(item) for item in value]
+    return str(float(value)) if isinstance(value, float) and math.isinf(value) else value
+
+
+def frozen(array: Array) -> Array:
+    """The array, made read-only."""
+    array.flags.writeable = False
+    return array
