@@ -24,6 +24,8 @@ CELLS = 2000
 """Cells of the table between a curve's parameter and its arc length."""
 SHORTEST_MM = 1.0
 """A path shorter than this was almost surely written in metres."""
+LONGEST_MM = 1e5
+"""Nor was a longer one written in millimetres."""
 REPEATED_MM = 1e-6
 """Neighbouring points closer than this are one point given twice."""
 HEADING_MM = 10.0
@@ -125,7 +127,7 @@ def curve_from_points(points: npt.ArrayLike, radius: npt.ArrayLike | None = None
     if smoothing:
         dense = curve.point(np.linspace(0, curve.length, 20 * CELLS))
         distance = cKDTree(dense).query(given)[0]
-        curve = replace(curve, deviation=min(smoothing, float(distance.max())))
+        curve = replace(curve, deviation=float(distance.max()))
     if radii is None:
         return curve
     lengths = np.array([by_chord.length_at(c / chord[-1]) for c in chord])
@@ -146,6 +148,8 @@ def _check_points(points: Array) -> None:
         raise CurveError(
             f"the path is {steps.sum():.3g} long; coordinates must be in millimetres, and these look like metres"
         )
+    if steps.sum() > LONGEST_MM:
+        raise CurveError(f"the path is {steps.sum():.3g} mm long; it must be at most {LONGEST_MM:g} mm")
     repeated = np.flatnonzero(steps < REPEATED_MM)
     if repeated.size:
         i = repeated[0]

@@ -42,9 +42,12 @@ def numbers(name: str, value: Any, size: int, infinite: bool = False) -> Array:
 def pairs(name: str, value: Any, size: int) -> Array:
     """A (lower, upper), or size of them, as (size, 2)."""
     try:
-        return np.broadcast_to(np.asarray(value, dtype=float), (size, 2))
-    except (TypeError, ValueError) as error:
-        raise RobotError(f"limits of {name} are {value!r}; give (lower, upper), or {size} of them") from error
+        array = np.asarray(value, dtype=float)
+        if array.shape in ((2,), (size, 2)):
+            return np.broadcast_to(array, (size, 2))
+    except (TypeError, ValueError):
+        pass
+    raise RobotError(f"limits of {name} are {value!r}; give (lower, upper), or {size} such pairs")
 
 
 def strict_json(value: Any) -> Any:

@@ -164,7 +164,7 @@ def test_reverse_follows_the_path_from_its_last_point(tmp_path, straight):
 def test_smoothing_is_bounded_and_reported(tmp_path, straight, capsys):
     assert solve(straight, "--frames", 2, "--smoothing", "0.5", "--out", tmp_path / "out") == 0
     deviation = json.loads((tmp_path / "out" / "summary.json").read_text())["smoothing_deviation"]
-    assert 0 < deviation <= 0.5
+    assert 0 < deviation <= 0.5 + 1e-4
     assert "smoothing moved the target" in capsys.readouterr().out
 
 

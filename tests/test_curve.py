@@ -408,3 +408,9 @@ def test_real_centrelines_are_followed_through_their_points(shared_data, name):
     assert np.isfinite(curve.curvature(s)).all()
     assert curve.radius(s).min() >= table[:, 3].min() - 1e-9
     assert curve.radius(s).max() <= table[:, 3].max() + 1e-9
+
+
+def test_a_path_of_kilometres_is_refused():
+    s = np.arange(0, 150.1)
+    with pytest.raises(CurveError, match="at most 100000 mm"):
+        curve_from_points(1e8 * np.stack([s**2 / 100, np.sin(s), s], 1))

@@ -290,3 +290,11 @@ def test_a_file_without_tubes_is_refused(tmp_path, content):
 def test_a_missing_robot_file_is_named(tmp_path):
     with pytest.raises(RobotError, match=r"nowhere\.toml"):
         Robot.from_toml(tmp_path / "nowhere.toml")
+
+
+@pytest.mark.parametrize(
+    "limits", [{"beta": 5.0}, {"alpha": (1,)}, {"theta": [[0, 1], [0, 1], [0, 1]]}, {"beta": []}]
+)
+def test_limits_that_are_no_pairs_are_refused(limits):
+    with pytest.raises(RobotError, match=r"give \(lower, upper\)"):
+        Robot(seed_robot().tubes, Limits(**limits))
