@@ -47,7 +47,7 @@ def pairs(name: str, value: Any, size: int) -> Array:
             return np.broadcast_to(array, (size, 2))
     except (TypeError, ValueError):
         pass
-    raise RobotError(f"limits of {name} are {value!r}; give (lower, upper), or {size} such pairs")
+    raise RobotError(f"limits of {name} are {value!r}; give (lower, upper), or {size} of them")
 
 
 def strict_json(value: Any) -> Any:
