@@ -91,6 +91,7 @@ def summary(plan: Plan) -> dict[str, Any]:
             "beta": float(beta.max()),
             "theta": float(theta.max()),
         },
+        "acceleration_used": _acceleration_used(plan),
         "solve_ms": {
             "median": _number(1e3 * np.median(seconds) if seconds.size else np.nan),
             "p99": _number(1e3 * np.quantile(seconds, 0.99) if seconds.size else np.nan),
@@ -113,6 +114,12 @@ def summary(plan: Plan) -> dict[str, Any]:
         "direction": plan.meta["options"].get("direction"),
         "smoothing_deviation": plan.meta["problem"]["deviation"],
     }
+
+
+def _acceleration_used(plan: Plan) -> float:
+    """Largest acceleration, from second differences of q, as a part of what the robot's limits allow."""
+    used = np.abs(np.diff(plan.q, n=2, axis=0)) / plan.dt**2 / plan.robot.acceleration
+    return float(used[np.isfinite(used)].max(initial=0.0))
 
 
 def _number(value: Any) -> float | None:

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from strategies import rigid_transforms, seeds
 
-from ctr_nlp import Plan, seed_robot
+from ctr_nlp import Limits, Plan, Robot, seed_robot
 from ctr_nlp.errors import OutputError
 from ctr_nlp.forward import shapes, tangents
 from ctr_nlp.metrics import by_frame, summary, tip_angle
@@ -181,6 +181,17 @@ def test_roughness_of_a_linear_motion_does_not_depend_on_frames():
     ]
     assert found[0]["roughness"] == pytest.approx(found[1]["roughness"])
     assert found[0]["roughness"] == pytest.approx(5 * 100 + 3)
+
+
+def test_acceleration_used_is_a_part_of_the_limits():
+    """beta_3 at 0, 0, 3 mm, 0.1 s apart, is 300 mm/s^2; of 600 that is a half."""
+    q = np.zeros((3, 8))
+    q[2, 5] = 3.0
+    plan = made([LINE] * 3, [LINE] * 3, q)
+    assert summary(plan)["acceleration_used"] == 0.0
+    limited = Robot(plan.robot.tubes, Limits(beta_acceleration=600.0))
+    plan = replace(plan, meta=plan.meta | {"robot": limited.to_dict()})
+    assert summary(plan)["acceleration_used"] == pytest.approx(0.5)
 
 
 def test_a_single_frame_has_no_roughness():

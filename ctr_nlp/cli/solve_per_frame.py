@@ -112,6 +112,10 @@ def _print(plan: Plan, out: Path) -> None:
     )
     if plan.meta["problem"]["deviation"]:
         console().print(f"smoothing moved the target by up to {plan.meta['problem']['deviation']:.3f} mm")
+    if found["acceleration_used"] > 1:
+        console().print(
+            f"the motion needs {found['acceleration_used']:.1f} times the acceleration that limits allow"
+        )
     for frame, why in plan.meta["failures"].items():
         console().print(f"frame {frame} not solved: {why}")
     if plan.meta["interrupted"]:
