@@ -32,6 +32,18 @@ def _stacked(vector: dominant.Vector) -> Array:
     return np.stack(np.broadcast_arrays(*vector), axis=-1)
 
 
+def other_way(robot: Robot, q: Array) -> Array:
+    """The other way to write the shapes of q (.., 2d + 2), up to whole turns of any angle.
+
+    R(theta_x, theta_y) Rz(alpha) = R(pi - theta_x, theta_y + pi) Rz(alpha + pi).
+    """
+    turned = np.array(q, dtype=float)
+    turned[..., : robot.d] += np.pi
+    turned[..., -2] = np.pi - turned[..., -2]
+    turned[..., -1] += np.pi
+    return turned
+
+
 def shape_curve(robot: Robot, q: Array) -> Curve:
     """The dominant model's shape at q (2d + 2,) as a curve with its exact curvature."""
     beta = robot.split(q)[1]

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from scipy.stats import qmc
 
 from ctr_nlp.robot import Robot
+from ctr_nlp.target import Frame
 
 Array = npt.NDArray[np.float64]
 
@@ -46,20 +47,21 @@ class FrameSolver(Protocol):
         """The answer for a frame within the robot's speed limits of the frame before."""
 
 
-def starts(robot: Robot, length: float, count: int, seed: int = 0) -> Array:
-    """Start configurations (count, 2d + 2) for a deployed length in mm: Sobol points within the robot's limits.
+def starts(robot: Robot, target: Frame, count: int, seed: int = 0) -> Array:
+    """Start configurations (count, 2d + 2) for a target without a past: Sobol points within the robot's limits.
 
-    Without limits, angles of tubes span a full turn; tilts stay within 0.5 rad of upright.
+    Without limits, angles of tubes span a full turn; tilts stay within 0.5 rad of the target's own.
     """
     d = robot.d
-    with np.errstate(all="ignore"):
-        unit = qmc.Sobol(2 * d + 2, seed=seed).random_base2(int(np.ceil(np.log2(count))))[:count]
-    widest = np.concatenate([np.full(d, np.pi), np.full(d, length), np.full(2, 0.5)])
-    lower = np.maximum(robot.lower, np.where(np.arange(2 * d + 2) // d == 1, 0.0, -widest))
-    upper = np.maximum(np.minimum(robot.upper, widest), lower)
+    unit = qmc.Sobol(2 * d + 2, seed=seed).random_base2(int(np.ceil(np.log2(count))))[:count]
+    x, y, z = target.tangents[0]
+    tilt = np.array([-np.arcsin(np.clip(y, -1, 1)), np.arctan2(x, z)])
+    middle = np.concatenate([np.zeros(d), np.full(d, target.length / 2), tilt])
+    spread = np.concatenate([np.full(d, np.pi), np.full(d, target.length / 2), np.full(2, 0.5)])
+    lower, upper = (np.clip(middle + side * spread, robot.lower, robot.upper) for side in (-1, 1))
     q = lower + unit * (upper - lower)
     beta = np.maximum.accumulate(q[:, d : 2 * d], axis=1)
-    beta[:, -1] = max(length, robot.lower[2 * d - 1])
+    beta[:, -1] = target.length
     q[:, d : 2 * d] = np.clip(beta, robot.lower[d : 2 * d], robot.upper[d : 2 * d])
     return q
 

@@ -46,7 +46,7 @@ class Problem:
         if longest > reach * OVERLONG:
             raise ProblemError(
                 f"the target of {self.name} is {longest:.2f} mm long and the robot reaches {reach:.2f} mm "
-                f"(0.5 % more is accepted); trim the path at its start or its end"
+                f"(0.5 % more is accepted); say which end to drop, --trim start or --trim end"
             )
 
     @property

@@ -94,7 +94,7 @@ class Limits:
     Units: rad, mm, s. carriage_gap: least (L_{i+1} - beta_{i+1}) - (L_i - beta_i) in mm, None for no such
     limit. Steering frame by frame keeps positions and speeds; how much of the acceleration it uses is in the
     plan's summary (acceleration_used, more than 1 where it is too much). The default speeds are 0.2 rad,
-    9 mm and 0.06 rad a frame for 100 frames in 10 s.
+    9 mm and 0.08 rad a frame for 100 frames in 10 s.
     """
 
     alpha: Any = (-math.inf, math.inf)
@@ -102,7 +102,7 @@ class Limits:
     theta: Any = (-math.pi, math.pi)
     alpha_speed: Any = 2.0
     beta_speed: Any = 90.0
-    theta_speed: Any = 0.6
+    theta_speed: Any = 0.8
     alpha_acceleration: Any = math.inf
     beta_acceleration: Any = math.inf
     theta_acceleration: Any = math.inf

@@ -75,6 +75,22 @@ def test_reachable_targets_are_followed():
     assert_followed(range(10))
 
 
+def test_a_motion_that_would_run_into_the_limits_of_tilt_is_found_the_other_way_round():
+    """Followed from the usual way to write its first shape, this motion needs theta_y beyond pi."""
+    robot = seed_robot()
+    ends = np.array(
+        [
+            [-2.97, -2.21, 2.69, 6.4, 53.4, 90.2, -2.66, -2.3],
+            [0.07, 1.02, -1.41, 18.5, 66.5, 142.3, -2.24, 1.79],
+        ]
+    )
+    t = np.linspace(0.1, 1, FRAMES)[:, None]
+    shapes = [shape_curve(robot, q) for q in (1 - t) * ends[0] + t * ends[1]]
+    plan = solve_per_frame(Problem("tilted", robot, sequence(shapes)))
+    assert plan.complete
+    assert summary(plan)["e3"] < 0.01
+
+
 @pytest.mark.slow
 def test_200_reachable_targets_are_followed():
     assert_followed(range(200))

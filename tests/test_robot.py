@@ -151,8 +151,8 @@ def test_both_readings_of_table_one():
     np.testing.assert_allclose([1 / t.root_curvature for t in agreed.tubes], [130, 60, 80])
 
 
-def test_default_speeds_are_a_fifth_of_a_radian_nine_mm_and_0_06_rad_a_tenth_of_a_second(robot):
-    np.testing.assert_allclose(robot.speed * 0.1, [0.2] * 3 + [9] * 3 + [0.06] * 2)
+def test_default_speeds_are_a_fifth_of_a_radian_nine_mm_and_0_08_rad_a_tenth_of_a_second(robot):
+    np.testing.assert_allclose(robot.speed * 0.1, [0.2] * 3 + [9] * 3 + [0.08] * 2)
 
 
 def test_locking_the_tilt_changes_only_theta(robot):

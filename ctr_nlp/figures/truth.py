@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from ctr_nlp.forward import other_way
 from ctr_nlp.plan import Plan
 
 Array = npt.NDArray[np.float64]
@@ -21,7 +22,7 @@ def error_from_truth(plan: Plan) -> Array:
     q, d = plan.q, plan.robot.d
     angles = np.r_[:d, 2 * d : 2 * d + 2]
     errors = []
-    for truth in (plan.truth, _other_way(plan.truth, d)):
+    for truth in (plan.truth, other_way(plan.robot, plan.truth)):
         error = q - truth
         error[:, angles] = without_whole_turns(error[:, angles])
         errors.append(error)
@@ -42,11 +43,3 @@ def indistinct(plan: Plan) -> npt.NDArray[np.bool_]:
     """Frames (T,) whose known theta_x is within 0.05 rad of +-pi/2, where alpha and theta_y are one rotation."""
     assert plan.truth is not None
     return np.abs(np.cos(plan.truth[:, -2])) < np.sin(0.05)
-
-
-def _other_way(q: Array, d: int) -> Array:
-    other = q.copy()
-    other[:, :d] += np.pi
-    other[:, -2] = np.pi - q[:, -2]
-    other[:, -1] += np.pi
-    return other

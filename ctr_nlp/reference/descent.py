@@ -43,7 +43,7 @@ class ReferenceFrames:
     def search(self, frame: int) -> list[FrameResult]:
         """Answers for a frame without a past, best first."""
         sample = self.problem.samples[frame]
-        guesses = starts(self.problem.robot, sample.length, SEARCH_STARTS)
+        guesses = starts(self.problem.robot, sample, SEARCH_STARTS)
         results = [self._method(sample, guess, None) for guess in guesses]
         return sorted(results, key=lambda r: (not r.success, r.objective))[:1]
 

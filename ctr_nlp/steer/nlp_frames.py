@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from ctr_nlp.errors import OptionError
 from ctr_nlp.formulations import FORMULATIONS
+from ctr_nlp.forward import other_way
 from ctr_nlp.frames import FrameResult, reachable, starts
 from ctr_nlp.models import MODELS
 from ctr_nlp.problem import Problem
@@ -25,6 +26,8 @@ SEARCH_STARTS = 32
 """Starts of a search without a past."""
 RETRY_STARTS = 8
 """Further starts for a frame on which the solver failed."""
+TWIN_ROOM = 0.3
+"""Least distance in rad from the limits of tilt at which the other way to write a shape is tried too."""
 DISTINCT = 1e-3
 """Two answers are distinct where their objectives differ by more than this part."""
 DEFAULTS = Settings()
@@ -61,14 +64,22 @@ class NlpFrames:
 
     def search(self, frame: int) -> list[FrameResult]:
         """Distinct answers for a frame without a past, best first; at least one."""
-        length = self.problem.samples[frame].length
-        guesses = starts(self.problem.robot, length, SEARCH_STARTS, self._seed)
+        guesses = starts(self.problem.robot, self.problem.samples[frame], SEARCH_STARTS, self._seed)
         results = sorted(self._attempts(frame, guesses, None), key=lambda r: r.objective)
         distinct: list[FrameResult] = []
         for result in results:
             if not distinct or result.objective > distinct[-1].objective * (1 + DISTINCT) + 1e-9:
                 distinct.append(result)
+        for twin in self._twin(distinct[0].q) if distinct else ():
+            distinct.insert(1, replace(distinct[0], q=twin, warm=None))
         return distinct or [FrameResult(guesses[0], success=False, status="no start was solved")]
+
+    def _twin(self, q: Array) -> list[Array]:
+        """The other way to write the same shape, where the limits of tilt are not near: it may lead further."""
+        robot, twin = self.problem.robot, other_way(self.problem.robot, q)
+        twin[-2:] -= 2 * np.pi * np.round(twin[-2:] / (2 * np.pi))
+        room = np.minimum(twin - robot.lower, robot.upper - twin)
+        return [twin] if (room[-2:] > TWIN_ROOM).all() and (room > -1e-9).all() else []
 
     def step(self, frame: int, before: FrameResult) -> FrameResult:
         """The answer for a frame within speed limits of the one before; other starts are tried on failure."""
@@ -76,7 +87,7 @@ class NlpFrames:
         if result.success:
             return result
         low, high = reachable(self.problem.robot, before.q, self.problem.dt)
-        guesses = starts(self.problem.robot, self.problem.samples[frame].length, RETRY_STARTS, self._seed)
+        guesses = starts(self.problem.robot, self.problem.samples[frame], RETRY_STARTS, self._seed)
         attempts = self._attempts(frame, [before.q, *np.clip(guesses, low, high)], before.q)
         best = min(attempts, key=lambda r: r.objective, default=None)
         return best or replace(result, q=before.q)
