@@ -24,22 +24,22 @@ from ctr_nlp.cli.output import check_folder, whole_folder
 from ctr_nlp.study import VARIANTS, compare, parse_variant
 
 COLUMNS = {
-    "variant": "variant",
-    "e3": "e3",
-    "e4": "e4",
-    "e_max": "max",
-    "seed_e3": "seed e3",
-    "seed_e4": "seed e4",
-    "step_alpha": "step alpha",
-    "step_beta": "step beta",
-    "step_theta": "step theta",
-    "median_ms": "median ms",
-    "p99_ms": "p99 ms",
-    "seed_t_s": "seed s",
-    "build_s": "build s",
-    "failed": "failed",
+    "variant": ("variant",),
+    "e3 mm": ("e3",),
+    "e4 mm": ("e4",),
+    "max mm": ("e_max",),
+    "seed e3, e4": ("seed_e3", "seed_e4"),
+    "steps rad, mm, rad": ("step_alpha", "step_beta", "step_theta"),
+    "ms 50, 99 %": ("median_ms", "p99_ms"),
+    "seed s": ("seed_t_s",),
+    "build s": ("build_s",),
+    "failed": ("failed",),
 }
-"""Columns of the printed table and of Markdown, by the row's key."""
+"""Columns of the printed table and of Markdown, and the keys of a row that each shows."""
+
+
+def _cells(row: dict[str, Any]) -> list[str]:
+    return [" / ".join(shown(row[key]) for key in keys if row[key] is not None) for keys in COLUMNS.values()]
 
 
 def main(folder: Path, argv: list[str] | None = None) -> int:
@@ -81,8 +81,7 @@ def _run(folder: Path, arguments: argparse.Namespace) -> int:
     with whole_folder(out) as staging:
         _write(rows, staging)
     for name in dict.fromkeys(row["problem"] for row in rows):
-        cells = [[row[key] for key in COLUMNS] for row in rows if row["problem"] == name]
-        print_table(f"{name} (mm, rad)", list(COLUMNS.values()), cells)
+        print_table(name, list(COLUMNS), [_cells(row) for row in rows if row["problem"] == name])
     console().print(f"wrote {out}: comparison.md, comparison.csv, comparison.json")
     if any(row["interrupted"] for row in rows):
         return INTERRUPTED
@@ -96,7 +95,7 @@ def _write(rows: list[dict[str, Any]], folder: Path) -> None:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
-    lines = [["problem", *COLUMNS.values()], ["---"] * (len(COLUMNS) + 1)]
-    lines += [[row["problem"], *(shown(row[key]) for key in COLUMNS)] for row in rows]
+    lines = [["problem", *COLUMNS], ["---"] * (len(COLUMNS) + 1)]
+    lines += [[row["problem"], *_cells(row)] for row in rows]
     markdown = "".join(f"| {' | '.join(line)} |\n" for line in lines)
     (folder / "comparison.md").write_text(markdown, encoding="utf-8")

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
@@ -56,18 +57,18 @@ def progress_bar() -> Iterator[Callable[[str], Callable[[int, int, str], None]]]
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
     """A table with a left-aligned first column; numbers are cut to what is worth reading."""
-    table = Table(title=title, title_justify="left")
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for i, column in enumerate(columns):
-        table.add_column(column, justify="left" if i == 0 else "right")
+        table.add_column(column, justify="left" if i == 0 else "right", no_wrap=i == 0, overflow="fold")
     for row in rows:
         table.add_row(*(shown(cell) for cell in row))
     console().print(table)
 
 
 def shown(cell: Any) -> str:
-    """A cell as text: three decimals, or one above 10; nothing for None."""
+    """A cell as text: three decimals, two above 1, one above 10; nothing for None."""
     if cell is None:
         return ""
     if isinstance(cell, float):
-        return f"{cell:.3f}" if abs(cell) < 10 else f"{cell:.1f}"
+        return f"{cell:.{3 - (abs(cell) >= 1) - (abs(cell) >= 10)}f}"
     return str(cell)
