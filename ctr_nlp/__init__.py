@@ -1,6 +1,7 @@
 """Whole-shape steering of concentric tube robots: problem -> plan -> errors -> figures."""
 
-from ctr_nlp.curve import Curve, curve_from_formula, curve_from_points, read_csv
+from ctr_nlp.centreline import read_csv
+from ctr_nlp.curve import Curve, curve_from_formula, curve_from_points
 from ctr_nlp.errors import CtrError
 from ctr_nlp.forward import shape_curve, shapes
 from ctr_nlp.metrics import by_frame, summary

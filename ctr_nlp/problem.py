@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.curve import placed, read_csv, trimmed
+from ctr_nlp.centreline import placed, read_csv, trimmed
 from ctr_nlp.errors import OptionError, ProblemError
 from ctr_nlp.robot import Robot, seed_robot
 from ctr_nlp.target import Frame, Target, check_frames, growing

@@ -13,7 +13,7 @@ from ctr_nlp.metrics import summary
 from ctr_nlp.models import MODELS
 from ctr_nlp.problem import Problem
 from ctr_nlp.reference import METHODS, reference_frames
-from ctr_nlp.reference.published import TABLE_II
+from ctr_nlp.reference.published import BASELINE, SEED
 from ctr_nlp.settings import Settings
 from ctr_nlp.solvers import SOLVERS
 from ctr_nlp.steer import march
@@ -81,8 +81,7 @@ def compare(
 
 def _row(problem: str, variant: str, found: dict[str, Any], iterations: int) -> dict[str, Any]:
     """Errors in mm, steps in rad and mm, times in ms and s. seed_*: Table II's figures for the same method."""
-    published = TABLE_II.get(problem, {})
-    prefix = "baseline_" if variant == "euclidean" else ""
+    e3, e4, t_c = (BASELINE if variant == "euclidean" else SEED).get(problem, (None, None, None))
     return {
         "problem": problem,
         "variant": variant,
@@ -100,7 +99,7 @@ def _row(problem: str, variant: str, found: dict[str, Any], iterations: int) -> 
         "iterations": iterations,
         "failed": found["failed"],
         "interrupted": found["interrupted"],
-        "seed_e3": published.get(prefix + "e3"),
-        "seed_e4": published.get(prefix + "e4"),
-        "seed_t_s": published.get(prefix + "t_c"),
+        "seed_e3": e3,
+        "seed_e4": e4,
+        "seed_t_s": t_c,
     }

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from strategies import numbers, rigid_transforms, seeds
 
 from ctr_nlp import curve_from_formula, curve_from_points, read_csv
-from ctr_nlp.curve import placed, trimmed
+from ctr_nlp.centreline import placed, trimmed
 from ctr_nlp.errors import CurveError
 
 A, B = 20.0, 15.0
