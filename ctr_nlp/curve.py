@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicHermiteSpline, CubicSpline, PchipInterpolator, make_smoothing_spline
+from scipy.interpolate import BSpline, CubicHermiteSpline, CubicSpline, PchipInterpolator, make_smoothing_spline
 from scipy.spatial import cKDTree
 
 from ctr_nlp.errors import CurveError
@@ -162,12 +162,18 @@ def _smoothed(chord: Array, points: Array, allowed: float) -> Any:
     weakest, strongest = -9.0, 9.0
     for _ in range(40):
         middle = (weakest + strongest) / 2
-        spline = make_smoothing_spline(chord, points, lam=10.0**middle)
+        spline = _smoothing_spline(chord, points, 10.0**middle)
         if np.linalg.norm(spline(chord) - points, axis=1).max() <= allowed:
             best, weakest = spline, middle
         else:
             strongest = middle
     return best
+
+
+def _smoothing_spline(chord: Array, points: Array, penalty: float | None = None) -> BSpline:
+    """Cubic smoothing splines of the coordinates as one; penalty = None asks generalised cross-validation."""
+    each = [make_smoothing_spline(chord, coordinate, lam=penalty) for coordinate in points.T]
+    return BSpline(each[0].t, np.column_stack([spline.c for spline in each]), each[0].k)
 
 
 def _bending(chord: Array, points: Array, through: Any) -> Any:
@@ -178,7 +184,7 @@ def _bending(chord: Array, points: Array, through: Any) -> Any:
     if len(points) < 5:
         return through
     try:
-        return CubicSpline(chord, make_smoothing_spline(chord, points)(chord))
+        return CubicSpline(chord, _smoothing_spline(chord, points)(chord))
     except (ValueError, np.linalg.LinAlgError):
         return through
 
