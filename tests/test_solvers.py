@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -247,3 +250,23 @@ def test_a_problem_without_parameters_can_be_solved(solver):
     x = ca.SX.sym("x", 2)
     nlp = Nlp("plain", x, -np.ones(2), np.ones(2), {}, (Residual("r", x - 3),))
     np.testing.assert_allclose(NlpSolver(nlp, solver)(np.zeros(2), nlp.pack({})).x, 1, atol=1e-6)
+
+
+UNCONSTRAINED = """
+import casadi as ca, numpy as np
+from ctr_nlp.nlp import Cost, Nlp
+from ctr_nlp.solvers import NlpSolver
+x = ca.SX.sym("x", 5)
+cost = Cost("bowl", ca.sumsqr(x - 1)**2 + ca.sumsqr(ca.sin(x)))
+nlp = Nlp("free", x, np.full(5, -5.0), np.full(5, 5.0), {}, costs=(cost,))
+for _ in range(50):
+    solver = NlpSolver(nlp, "sqp")
+    for _ in range(3):
+        assert solver(np.full(5, 0.3), np.zeros(0)).success
+"""
+
+
+def test_sqp_keeps_to_its_memory_without_constraints():
+    """In a process of its own: without a row of constraints, qrqp's heap is corrupt after a few builds."""
+    done = subprocess.run([sys.executable, "-c", UNCONSTRAINED], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.errors import OptionError
-from ctr_nlp.nlp import Nlp, kkt_residual
+from ctr_nlp.nlp import Constraint, Nlp, kkt_residual
 
 Array = npt.NDArray[np.float64]
 
@@ -49,8 +49,8 @@ class NlpSolver:
         """Build; raises OptionError where the solver is unknown or does not suit the problem."""
         if solver not in SOLVERS:
             raise OptionError(f"solver is {solver!r}; it must be one of {', '.join(SOLVERS)}")
-        self.nlp = nlp
-        self._solve = SOLVERS[solver](nlp)
+        self.nlp = _with_a_row(nlp) if solver == "sqp" else nlp
+        self._solve = SOLVERS[solver](self.nlp)
 
     def __call__(
         self,
@@ -147,6 +147,15 @@ def _sqp(nlp: Nlp) -> ca.Function:
     else:
         options["hess_lag"] = _gauss_newton(nlp)
     return ca.nlpsol("sqp", "sqpmethod", _problem(nlp), COMMON | options)
+
+
+def _with_a_row(nlp: Nlp) -> Nlp:
+    """The same problem with at least one constraint, if need be a free one.
+
+    Without any row, qrqp (casadi 3.8.2) reads and writes past its memory.
+    """
+    free = Constraint("free", nlp.x[0], np.array([-np.inf]), np.array([np.inf]))
+    return nlp if nlp.constraints else replace(nlp, constraints=(free,))
 
 
 def _gauss_newton(nlp: Nlp) -> ca.Function:
