@@ -11,7 +11,11 @@ from ctr_nlp import (
     Problem,
     Robot,
     Settings,
+    Tube,
+    curve_from_formula,
+    growing,
     problem_from_file,
+    seed_robot,
     sequence,
     shape_curve,
     solve_per_frame,
@@ -213,6 +217,32 @@ def test_an_interrupted_plan_keeps_what_was_solved(cos_problem):
     assert plan.success.tolist() == [True, True, True, True, False, False]
     assert np.isnan(plan.q[4:]).all()
     assert np.isfinite(summary(plan)["e3"])
+
+
+TUBES = seed_robot().tubes
+ROBOTS = {
+    "one tube": Robot(TUBES[2:]),
+    "two tubes": Robot(TUBES[:2]),
+    "four tubes": Robot((Tube(80, 40, 1 / 150, 7.5, 6.2), *TUBES)),
+    "straight outermost tube": Robot((replace(TUBES[0], curvature=0.0), *TUBES[1:])),
+    "transmissions deployed": Robot(TUBES, Limits(beta=[(0, 80), (0, 150), (0, 300)])),
+    "carriages kept apart": Robot(TUBES, Limits(carriage_gap=60.0)),
+    "never retracted": Robot(TUBES, Limits(beta=[(5, 50), (10, 107), (20, 150)])),
+    "Table I taken literally": seed_robot(literal=True),
+}
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize(("formulation", "solver"), [("joint", "ipopt"), ("joint", "sqp"), ("two-stage", "sqp")])
+def test_any_robot_follows_a_gentle_curve_within_its_limits(name, formulation, solver):
+    path = curve_from_formula(lambda u: (0.002 * u**2, 0.0003 * u**2, u), 0.0, 95.0)
+    plan = solve_per_frame(
+        Problem(name, ROBOTS[name], growing(path, 4)), formulation, solver=solver, direction="backward"
+    )
+    assert_within_limits(plan)
+    assert summary(plan)["e3"] < 4
+    for q in plan.q:
+        plan.robot.check(q)
 
 
 def test_a_single_frame_and_other_numbers_of_tubes(robot):
