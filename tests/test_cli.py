@@ -217,9 +217,12 @@ def test_comparison_prints_every_variant_and_writes_three_files(tmp_path, capsys
     assert [(row["problem"], row["variant"]) for row in rows] == [
         (p, v) for p in ("arc", "line") for v in variants
     ]
-    markdown = (out / "comparison.md").read_text().splitlines()
-    assert len(markdown) == 2 + len(rows)
-    assert len({line.count("|") for line in markdown}) == 1
+    tables = (out / "comparison.md").read_text().split("Everything:")
+    lines = [[line for line in table.splitlines() if "|" in line] for table in tables]
+    assert [len(table) for table in lines] == [2 + 2, 2 + len(rows)]
+    assert all(len({line.count("|") for line in table}) == 1 for table in lines)
+    assert "| line | " in lines[0][-1]
+    assert lines[0][-1].endswith("| 7.46 | 7.58 |")
     with open(out / "comparison.csv", newline="") as file:
         assert len(list(csv.DictReader(file))) == len(rows)
 

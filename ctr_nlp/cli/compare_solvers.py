@@ -21,6 +21,7 @@ from ctr_nlp.cli.console import (
     shown,
 )
 from ctr_nlp.cli.output import check_folder, whole_folder
+from ctr_nlp.reference.published import BASELINE, SEED
 from ctr_nlp.study import VARIANTS, compare, parse_variant
 
 COLUMNS = {
@@ -95,7 +96,23 @@ def _write(rows: list[dict[str, Any]], folder: Path) -> None:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
-    lines = [["problem", *COLUMNS], ["---"] * (len(COLUMNS) + 1)]
-    lines += [[row["problem"], *_cells(row)] for row in rows]
-    markdown = "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    details = [["problem", *COLUMNS], *([row["problem"], *_cells(row)] for row in rows)]
+    markdown = f"e3 in mm:\n\n{_markdown(_overview(rows))}\nEverything:\n\n{_markdown(details)}"
     (folder / "comparison.md").write_text(markdown, encoding="utf-8")
+
+
+def _overview(rows: list[dict[str, Any]]) -> list[list[str]]:
+    """A row a problem, a column a variant: e3 in mm, with a star where frames failed; the seed's figures last."""
+    variants = list(dict.fromkeys(row["variant"] for row in rows))
+    table = [["problem", *(f"`{variant}`" for variant in variants), "seed, published", "its baseline, published"]]
+    for problem in dict.fromkeys(row["problem"] for row in rows):
+        found = {row["variant"]: row for row in rows if row["problem"] == problem}
+        cells = [shown(found[v]["e3"]) + "*" * (found[v]["failed"] > 0) if v in found else "" for v in variants]
+        published = (shown(figures[problem][0]) if problem in figures else "" for figures in (SEED, BASELINE))
+        table.append([problem, *cells, *published])
+    return table
+
+
+def _markdown(table: list[list[str]]) -> str:
+    header, *body = table
+    return "".join(f"| {' | '.join(line)} |\n" for line in (header, ["---"] * len(header), *body))
