@@ -227,6 +227,12 @@ def test_comparison_prints_every_variant_and_writes_three_files(tmp_path, capsys
         assert len(list(csv.DictReader(file))) == len(rows)
 
 
+def test_the_example_files_go_together(tmp_path):
+    files = (ROOT / "examples" / "synthetic_airway.csv", "--robot", ROOT / "examples" / "robot.toml")
+    assert solve(*files, "--frames", 10, "--trim", "start", "--out", tmp_path / "out") == 0
+    assert solve(*files, "--frames", 10, "--out", tmp_path / "other") == 2
+
+
 def test_both_programs_have_help():
     for script in ("solve_per_frame.py", "compare_solvers.py"):
         done = subprocess.run(
