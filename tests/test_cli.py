@@ -196,7 +196,7 @@ def test_ctrl_c_writes_what_was_solved_and_exits_with_130(tmp_path):
     out = tmp_path / "out"
     command = [sys.executable, ROOT / "scripts" / "solve_per_frame.py", "cos", "--frames", "1500", "--out", out]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    time.sleep(6)
+    time.sleep(10)
     process.send_signal(signal.SIGINT)
     output, errors = process.communicate(timeout=120)
     assert process.returncode == 130, errors
