@@ -25,11 +25,6 @@ def e1(plan: Plan) -> Array:
     return np.linalg.norm(plan.shape - plan.target, axis=-1)
 
 
-def e2(plan: Plan) -> Array:
-    """Root mean square of e1 over sigma, (T,) mm."""
-    return rms_over_sigma(e1(plan))
-
-
 def nearest(plan: Plan) -> Array:
     """Distance (T, 101) in mm from each point of the shape to the nearest point of its frame's target."""
     return np.array([_to_polyline(shape, target) for shape, target in zip(plan.shape, plan.target, strict=True)])

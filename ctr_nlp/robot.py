@@ -157,7 +157,7 @@ class Robot:
 
     def _check_extensions(self) -> None:
         """Some beta must keep limits, order and carriage gap; low to high is what those before leave to beta_i."""
-        gap, low, high = self._gap, 0.0, math.inf
+        gap, low, high = self.carriage_gap, 0.0, math.inf
         for i, tube in enumerate(self.tubes):
             name, lo, hi = f"beta_{i + 1}", self.lower[self.d + i], self.upper[self.d + i]
             if lo < 0 or hi > tube.length:
@@ -178,8 +178,9 @@ class Robot:
                     f"and at most {high:g} mm (upper limits and carriage gap)"
                 )
 
-    @property
-    def _gap(self) -> float | None:
+    @cached_property
+    def carriage_gap(self) -> float | None:
+        """Least distance between neighbouring carriages, mm, or None."""
         if self.limits.carriage_gap is None:
             return None
         gap = float(numbers("carriage_gap", self.limits.carriage_gap, 1)[0])
@@ -270,7 +271,7 @@ class Robot:
                 raise RobotError(
                     f"beta_{i} of {name} is {beta[i - 1]:g} mm and exceeds beta_{i + 1}, {beta[i]:g} mm"
                 )
-            gap = self.limits.carriage_gap
+            gap = self.carriage_gap
             clearance = self.tubes[i].length - self.tubes[i - 1].length - growth
             if gap is not None and clearance < gap - tolerance:
                 raise RobotError(

@@ -122,6 +122,6 @@ def order(robot: Robot, beta: Sequence[ca.SX]) -> tuple[Constraint, ...]:
         return ()
     growth = ca.vertcat(*(beta[i + 1] - beta[i] for i in range(robot.d - 1)))
     most = np.full(robot.d - 1, np.inf)
-    if robot.limits.carriage_gap is not None:
-        most = np.diff([tube.length for tube in robot.tubes]) - robot.limits.carriage_gap
+    if robot.carriage_gap is not None:
+        most = np.diff([tube.length for tube in robot.tubes]) - robot.carriage_gap
     return (Constraint("order", growth, np.zeros(robot.d - 1), most),)

@@ -256,3 +256,10 @@ def test_order_bounds_growth_by_the_room_between_carriages():
     np.testing.assert_allclose(growth, [20, 40])
     np.testing.assert_allclose(constraint.lower, 0)
     np.testing.assert_allclose(constraint.upper, [112 - 5, 188 - 5])
+
+
+def test_a_carriage_gap_given_as_text_is_the_same_constraint():
+    """Robot files may write any limit as text, as infinite ones are; tube 2 is 112 mm longer than tube 1."""
+    robot = Robot(seed_robot().tubes, Limits(carriage_gap="5"))
+    (constraint,) = terms.order(robot, ca.vertsplit(ca.SX.sym("beta", 3)))
+    assert constraint.upper.tolist() == [112 - 5, 188 - 5]

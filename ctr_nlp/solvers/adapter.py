@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -27,8 +26,8 @@ class Solution:
     """What a solver found.
 
     x (n,); objective mm^2; kkt: residual computed from the Nlp alone; success: the point is finite, feasible and a
-    KKT point, whatever the solver says; status: the solver's own word; seconds: of the call; lam_x, lam_g:
-    multipliers to warm-start from.
+    KKT point, whatever the solver says; status: the solver's own word; lam_x, lam_g: multipliers to warm-start
+    from.
     """
 
     x: Array
@@ -37,7 +36,6 @@ class Solution:
     success: bool
     status: str
     iterations: int
-    seconds: float
     lam_x: Array
     lam_g: Array
 
@@ -67,9 +65,7 @@ class NlpSolver:
         arguments: dict[str, Any] = {"p": p, "lbx": low, "ubx": high, "lbg": g_low, "ubg": g_high}
         if warm is not None:
             arguments |= {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
-        begin = time.perf_counter()
         result = self._solve(x0=np.clip(x0, low, high), **arguments)
-        seconds = time.perf_counter() - begin
         status, iterations = _outcome(self._solve)
         x, lam_x, lam_g = (result[key].full().ravel() for key in ("x", "lam_x", "lam_g"))
         g = result["g"].full().ravel()
@@ -77,7 +73,7 @@ class NlpSolver:
         x = np.clip(x, low, high)
         kkt = kkt_residual(self.nlp, x, p, low, high, lam_x, lam_g)
         success = bool(violation <= FEASIBLE) and kkt <= OPTIMAL
-        return Solution(x, float(result["f"]), kkt, success, status, iterations, seconds, lam_x, lam_g)
+        return Solution(x, float(result["f"]), kkt, success, status, iterations, lam_x, lam_g)
 
 
 def _outcome(solve: ca.Function) -> tuple[str, int]:

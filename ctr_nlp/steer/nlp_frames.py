@@ -70,9 +70,10 @@ class NlpFrames:
         for result in results:
             if not distinct or result.objective > distinct[-1].objective * (1 + DISTINCT) + 1e-9:
                 distinct.append(result)
-        for twin in self._twin(distinct[0].q) if distinct else ():
-            distinct.insert(1, replace(distinct[0], q=twin, warm=None))
-        return distinct or [FrameResult(guesses[0], success=False, status="no start was solved")]
+        if not distinct:
+            return [FrameResult(guesses[0], success=False, status="no start was solved")]
+        best, *others = distinct
+        return [best, *(replace(best, q=twin, warm=None) for twin in self._twin(best.q)), *others]
 
     def _twin(self, q: Array) -> list[Array]:
         """The other way to write the same shape, where the limits of tilt are not near: it may lead further."""
