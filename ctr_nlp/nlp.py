@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -39,6 +39,18 @@ class Constraint:
     value: ca.SX
     lower: Array
     upper: Array
+
+
+class FrameFunctions(NamedTuple):
+    """What a solver of many frames evaluates, as symbols or compiled.
+
+    value: (x, p) -> (objective, g). slopes: (x, p) -> (objective, its gradient, g, the dense Jacobian of g).
+    expansion: (x, p, lam_f, lam_g) -> slopes and the dense exact Hessian of lam_f objective + lam_g g.
+    """
+
+    value: ca.Function
+    slopes: ca.Function
+    expansion: ca.Function
 
 
 @dataclass(frozen=True)
@@ -84,6 +96,12 @@ class Nlp:
         upper = [constraint.upper for constraint in self.constraints]
         return np.concatenate([np.zeros(0), *lower]), np.concatenate([np.zeros(0), *upper])
 
+    @cached_property
+    def g_depends(self) -> npt.NDArray[np.bool_]:
+        """Which x each entry of g may depend on, (m, n)."""
+        pattern = ca.jacobian_sparsity(self.g, self.x)
+        return np.asarray(ca.DM(pattern, 1).full() > 0)
+
     def pack(self, values: Mapping[str, Any]) -> Array:
         """Parameter values in one column (len(p),); every parameter must be given, in its own shape.
 
@@ -99,6 +117,22 @@ class Nlp:
                 raise ValueError(f"parameter {name} of {self.name} has shape {value.shape}, not {symbol.shape}")
             columns.append(value.ravel(order="F"))
         return np.concatenate(columns)
+
+    @cached_property
+    def functions(self) -> FrameFunctions:
+        """Value and second-order expansion, for solvers that take many of these at once."""
+        lam_f, lam_g = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", self.g.numel())
+        hessian, _ = ca.hessian(lam_f * self.objective + ca.dot(lam_g, self.g), self.x)
+        jacobian = ca.densify(ca.jacobian(self.g, self.x))
+        gradient = ca.densify(ca.gradient(self.objective, self.x))
+        inputs, multipliers = [self.x, self.p], [lam_f, lam_g]
+        value = [self.objective, ca.densify(self.g)]
+        slopes = [self.objective, gradient, ca.densify(self.g), jacobian]
+        return FrameFunctions(
+            ca.Function("value", inputs, value, {"cse": True}),
+            ca.Function("slopes", inputs, slopes, {"cse": True}),
+            ca.Function("expansion", inputs + multipliers, [*slopes, ca.densify(hessian)], {"cse": True}),
+        )
 
     @cached_property
     def kkt_function(self) -> ca.Function:

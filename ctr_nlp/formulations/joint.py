@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import casadi as ca
 import numpy as np
 
@@ -11,32 +14,44 @@ from ctr_nlp.models import dominant
 from ctr_nlp.nlp import Nlp
 from ctr_nlp.robot import Robot
 from ctr_nlp.settings import Settings
-from ctr_nlp.target import SIGMA
+from ctr_nlp.target import SIGMA, Frame
 
 STRIDE = 5
 """Every STRIDE-th of the target's 101 samples enters the NLP, 21 in all."""
 
 
-def joint(robot: Robot, settings: Settings) -> tuple[Stage, ...]:
-    """One stage that decides q itself, so that bounds and step limits are bounds of the NLP."""
-    n = 2 * robot.d + 2
+def alone(robot: Robot) -> Nlp:
+    """One frame without neighbours: q with its bounds and order, and the distance (8) to the target."""
     sigma = SIGMA[::STRIDE]
     weights = np.full(len(sigma), 1 / (len(sigma) - 1))
     weights[[0, -1]] /= 2
-    q, previous, root = ca.SX.sym("q", n), ca.SX.sym("previous", n), ca.SX.sym("motion_root")
-    target = ca.SX.sym("target", len(sigma), 3)
+    q, target = ca.SX.sym("q", 2 * robot.d + 2), ca.SX.sym("target", len(sigma), 3)
     entries = ca.vertsplit(q)
     points = dominant.backbone(robot, entries, ca.DM(sigma), ca).points
-    nlp = Nlp(
-        "joint",
+    return Nlp(
+        "frame",
         q,
         robot.lower,
         robot.upper,
-        {"target": target, "previous": previous, "motion_root": root},
-        residuals=(
-            terms.shape(points, target, ca.DM(weights)),
-            terms.motion(q, previous, robot.mm_per_unit, root),
-        ),
+        {"target": target},
+        residuals=(terms.shape(points, target, ca.DM(weights)),),
         constraints=terms.order(robot, entries[robot.d : 2 * robot.d]),
     )
-    return (Stage(nlp, np.arange(n), lambda frame, q: {"target": frame.points[::STRIDE]}),)
+
+
+def target_of(frame: Frame) -> dict[str, Any]:
+    """The parameters of `alone` for a frame."""
+    return {"target": frame.points[::STRIDE]}
+
+
+def joint(robot: Robot, settings: Settings) -> tuple[Stage, ...]:
+    """One stage that decides q itself, so that bounds and step limits are bounds of the NLP."""
+    frame = alone(robot)
+    previous, root = ca.SX.sym("previous", frame.x.numel()), ca.SX.sym("motion_root")
+    nlp = replace(
+        frame,
+        name="joint",
+        parameters={**frame.parameters, "previous": previous, "motion_root": root},
+        residuals=(*frame.residuals, terms.motion(frame.x, previous, robot.mm_per_unit, root)),
+    )
+    return (Stage(nlp, np.arange(nlp.x.numel()), lambda at, q: target_of(at)),)

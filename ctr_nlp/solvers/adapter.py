@@ -66,7 +66,7 @@ class NlpSolver:
         if warm is not None:
             arguments |= {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
         result = self._solve(x0=np.clip(x0, low, high), **arguments)
-        status, iterations = _outcome(self._solve)
+        status, iterations = outcome(self._solve)
         x, lam_x, lam_g = (result[key].full().ravel() for key in ("x", "lam_x", "lam_g"))
         g = result["g"].full().ravel()
         violation = np.concatenate([low - x, x - high, g_low - g, g - g_high]).max()
@@ -76,7 +76,7 @@ class NlpSolver:
         return Solution(x, float(result["f"]), kkt, success, status, iterations, lam_x, lam_g)
 
 
-def _outcome(solve: ca.Function) -> tuple[str, int]:
+def outcome(solve: ca.Function) -> tuple[str, int]:
     """Status and iterations of the last call; sqpmethod's stats() throws when it never set a status."""
     try:
         stats = solve.stats()

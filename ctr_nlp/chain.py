@@ -1,0 +1,263 @@
+"""All frames of a motion in one nonlinear program: a frame's Nlp once a frame, linked by linear differences."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+
+from ctr_nlp.nlp import FrameFunctions, Nlp
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int_]
+
+
+@dataclass(frozen=True)
+class Link:
+    """Rows over neighbouring frames: lower <= value <= upper, where value = matrix @ x + offset.
+
+    The objective gains sum weight value^2. matrix (m, T n), over x frame by frame; offset, lower, upper,
+    weight (m,). frame, axis (m,): the frame (from 0) whose value a row is, and the entry of its x.
+    """
+
+    name: str
+    matrix: sp.csr_array
+    offset: Array
+    lower: Array
+    upper: Array
+    weight: Array
+    frame: Index
+    axis: Index
+
+
+class Slopes(NamedTuple):
+    """A chain about a point: objective mm^2, its gradient (T n,), the rows' values; jacobian (T, m, n) of the
+    frames' constraints."""
+
+    objective: float
+    gradient: Array
+    value: Array
+    jacobian: Array
+
+
+class Excess(NamedTuple):
+    """By how much a point leaves what is allowed: amount in units of the row, frame from 1."""
+
+    name: str
+    frame: int
+    amount: float
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Minimise the sum of all frames' objectives and of all links' costs, within bounds, constraints and links.
+
+    frame: the Nlp of every frame, with n unknowns and m constraint values. axes: names of the unknowns.
+    parameters (p, T): packed, a column a frame. lower, upper (T, n): equal where an unknown is fixed.
+    functions: the frame's, as symbols or compiled.
+
+    x is (T n,), frame by frame. Rows are, in this order: x itself; the frames' constraints, frame by frame;
+    the links, one after the other.
+    """
+
+    frame: Nlp
+    axes: tuple[str, ...]
+    parameters: Array
+    lower: Array
+    upper: Array
+    links: tuple[Link, ...]
+    functions: FrameFunctions
+
+    @property
+    def frames(self) -> int:
+        """T, the number of frames."""
+        return self.parameters.shape[1]
+
+    @property
+    def unknowns(self) -> int:
+        """n, of one frame."""
+        return len(self.axes)
+
+    @cached_property
+    def difference(self) -> sp.csr_array:
+        """The matrices of all links, (l, T n)."""
+        return sp.csr_array(sp.vstack([link.matrix for link in self.links]))
+
+    def _linked(self, pick: Callable[[Link], Array]) -> Array:
+        return np.concatenate([pick(link) for link in self.links])
+
+    @cached_property
+    def offset(self) -> Array:
+        """Of all links, (l,)."""
+        return self._linked(lambda link: link.offset)
+
+    @cached_property
+    def weight(self) -> Array:
+        """Of all links, (l,), mm^2 per squared unit of a row."""
+        return self._linked(lambda link: link.weight)
+
+    @cached_property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds of all rows."""
+        low, high = (np.tile(bound, self.frames) for bound in self.frame.g_bounds)
+        return (
+            np.concatenate([self.lower.ravel(), low, self._linked(lambda link: link.lower)]),
+            np.concatenate([self.upper.ravel(), high, self._linked(lambda link: link.upper)]),
+        )
+
+    @cached_property
+    def _mapped(self) -> tuple[_Mapped, _Mapped, _Mapped]:
+        value, slopes, expansion = (_Mapped(function, self.frames) for function in self.functions)
+        for mapped in (value, slopes, expansion):
+            mapped.inputs[1][:] = self.parameters.T
+        return value, slopes, expansion
+
+    def evaluate(self, x: Array) -> tuple[float, Array]:
+        """The objective in mm^2 and the rows' values at x."""
+        f, g = self._mapped[0](x)
+        linked = self.difference @ x + self.offset
+        return float(f.sum() + self.weight @ linked**2), np.concatenate([x, g.ravel(), linked])
+
+    def slopes(self, x: Array) -> Slopes:
+        """First derivatives at x."""
+        return self._assembled(x, *self._mapped[1](x))
+
+    def expand(self, x: Array, multipliers: Array) -> tuple[Slopes, Array]:
+        """First derivatives at x, and the Hessians (T, n, n) of the frames' own Lagrangians.
+
+        multipliers: of all rows. What the links add to the Hessian is constant and left out.
+        """
+        of_frames = multipliers[x.size : x.size + self.frames * self.frame.g.numel()]
+        *slopes, hessian = self._mapped[2](x, np.ones(self.frames), of_frames)
+        return self._assembled(x, *slopes), hessian.reshape(self.frames, self.unknowns, self.unknowns).copy()
+
+    def _assembled(self, x: Array, f: Array, gradient: Array, g: Array, jacobian: Array) -> Slopes:
+        linked = self.difference @ x + self.offset
+        return Slopes(
+            float(f.sum() + self.weight @ linked**2),
+            gradient.ravel() + self.difference.T @ (2 * self.weight * linked),
+            np.concatenate([x, g.ravel(), linked]),
+            jacobian.reshape(self.frames, self.unknowns, -1).transpose(0, 2, 1).copy(),
+        )
+
+    def transposed(self, jacobian: Array, rows: Array) -> Array:
+        """The transposed Jacobian of all rows times rows, (T n,)."""
+        frames, m, n = jacobian.shape
+        size = frames * n
+        of_frames = rows[size : size + frames * m].reshape(frames, m)
+        product = np.einsum("kmn,km->kn", jacobian, of_frames).ravel()
+        return rows[:size] + product + self.difference.T @ rows[size + frames * m :]
+
+    def times(self, jacobian: Array, x: Array) -> Array:
+        """The Jacobian of all rows times x, (rows,)."""
+        frames, _, n = jacobian.shape
+        of_frames = np.einsum("kmn,kn->km", jacobian, x.reshape(frames, n)).ravel()
+        return np.concatenate([x, of_frames, self.difference @ x])
+
+    def violation(self, value: Array) -> float:
+        """By how much rows leave their bounds at most."""
+        low, high = self.bounds
+        return float(np.maximum(low - value, value - high).max())
+
+    def excesses(self, value: Array, tolerance: float) -> list[Excess]:
+        """The rows that leave their bounds by more than tolerance, worst first."""
+        low, high = self.bounds
+        amount = np.nan_to_num(np.maximum(low - value, value - high), nan=np.inf)
+        worst = [int(i) for i in np.argsort(-amount) if amount[i] > tolerance]
+        return [Excess(*self._place(row), float(amount[row])) for row in worst]
+
+    def _place(self, row: int) -> tuple[str, int]:
+        """The name of a row and its frame, from 1."""
+        frames, n, m = self.frames, self.unknowns, self.frame.g.numel()
+        if row < frames * n:
+            return f"limits of {self.axes[row % n]}", row // n + 1
+        row -= frames * n
+        if row < frames * m:
+            names = [c.name for c in self.frame.constraints for _ in range(c.value.numel())]
+            return names[row % m], row // m + 1
+        row -= frames * m
+        for link in self.links:
+            if row < len(link.offset):
+                return f"{link.name} of {self.axes[link.axis[row]]}", int(link.frame[row]) + 1
+            row -= len(link.offset)
+        raise IndexError(row)
+
+    def kkt(self, x: Array, multipliers: Array) -> Array:
+        """How far each frame is from a KKT point, (T,), from the problem alone and not from what a solver says.
+
+        The largest of its stationarity (mm^2 per unit of x), infeasibility (units of a row) and complementarity
+        (mm^2). multipliers: of all rows, positive at upper bounds.
+        """
+        at = self.slopes(x)
+        slope = np.where(self.free, at.gradient + self.transposed(at.jacobian, multipliers), 0.0)
+        low, high = self.bounds
+        outside = np.maximum(np.maximum(low - at.value, at.value - high), 0.0)
+        to_bound = np.abs(np.where(multipliers > 0, high, low) - at.value)
+        slack = np.abs(multipliers) * np.where(np.isfinite(to_bound), to_bound, 1.0)
+        found = np.zeros(self.frames)
+        np.maximum.at(found, np.arange(x.size) // self.unknowns, np.abs(slope))
+        np.maximum.at(found, self._row_frames, np.maximum(outside, slack))
+        return found
+
+    @cached_property
+    def free(self) -> npt.NDArray[np.bool_]:
+        """Which entries of x (T n,) are not fixed."""
+        return (self.lower < self.upper).ravel()
+
+    @cached_property
+    def _row_frames(self) -> Index:
+        """The frame of every row, from 0."""
+        own = [np.repeat(np.arange(self.frames), count) for count in (self.unknowns, self.frame.g.numel())]
+        return np.concatenate([*own, *(link.frame for link in self.links)])
+
+
+class _Mapped:
+    """A function of one frame evaluated for all, without copies on the way; a row a frame.
+
+    inputs, outputs: arrays (T, entries) that the function reads and writes. What a call returns is overwritten
+    by the next.
+    """
+
+    def __init__(self, function: ca.Function, frames: int) -> None:
+        self._function = function.map(frames)
+        self._buffer, self._run = self._function.buffer()
+        self.inputs = [np.zeros((frames, function.numel_in(i))) for i in range(function.n_in())]
+        self.outputs = [np.zeros((frames, function.numel_out(i))) for i in range(function.n_out())]
+        for i, array in enumerate(self.inputs):
+            self._buffer.set_arg(i, memoryview(array))
+        for i, array in enumerate(self.outputs):
+            self._buffer.set_res(i, memoryview(array))
+
+    def __call__(self, x: Array, *multipliers: Array) -> list[Array]:
+        for array, values in zip(self.inputs[:1] + self.inputs[2:], (x, *multipliers), strict=True):
+            array.ravel()[:] = values
+        self._run()
+        return self.outputs
+
+
+def differences(
+    frames: int, order: int, before: Sequence[Array], after: Sequence[Array], n: int
+) -> tuple[sp.csr_array, Array, Index, Index]:
+    """Differences of a given order along x, with known x before the first and after the last frame.
+
+    Returns matrix and offset, and frame and axis of every row; rows in which nothing is unknown are left out.
+    """
+    known = [*before, *after]
+    length = frames + len(known)
+    stencil = sp.identity(length, format="csr")
+    for _ in range(order):
+        stencil = stencil[1:] - stencil[:-1]
+    inner = slice(len(before), len(before) + frames)
+    some = np.flatnonzero(abs(stencil[:, inner]).sum(axis=1) > 0)
+    stencil = stencil[some]
+    outer: Any = sp.hstack([stencil[:, : len(before)], stencil[:, len(before) + frames :]])
+    offset = (outer @ np.array(known).reshape(len(known), n)).ravel()
+    matrix = sp.csr_array(sp.kron(stencil[:, inner], sp.identity(n)))
+    frame = np.clip(some + order - len(before), 0, frames - 1)
+    return matrix, offset, np.repeat(frame, n), np.tile(np.arange(n), len(some))

@@ -1,0 +1,243 @@
+"""A primal-dual interior-point method for chains, whose Newton systems are banded.
+
+Slacks turn every row into an equation, and the log barrier keeps slacks within their bounds. Without slacks and
+multipliers, the Newton system has the frames' Hessians and what the rows add to them: a symmetric matrix with a
+band as wide as the links reach, factorised by Cholesky in time linear in the number of frames. Hessians are
+exact; where the whole is not positive definite, each frame's own is made so. After Nocedal and Wright, Numerical
+Optimization (2006), chapter 19, and Waechter and Biegler, Math. Program. 106 (2006).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+from scipy.linalg import LinAlgError, solveh_banded
+
+from ctr_nlp.chain import Chain, Slopes
+from ctr_nlp.errors import OptionError
+from ctr_nlp.solvers.adapter import Solution
+from ctr_nlp.solvers.chains import judged
+from ctr_nlp.solvers.watch import Iterate, Watch
+
+Array = npt.NDArray[np.float64]
+
+TOLERANCE = 1e-6
+"""Largest stationarity (mm^2 per unit of x) and complementarity (mm^2) at a solution."""
+FIRST_BARRIER, LAST_BARRIER = 1e-2, 1e-7
+"""mm^2. Much less at first, and the start decides on active limits before the objective does."""
+MOST_ITERATIONS = 500
+PUSH = 1e-3
+"""How far slacks start within their bounds, rad or mm."""
+RELAX = 1e-9
+"""How far bounds are moved outwards, so that bounds that meet still have an interior, rad or mm."""
+DAMPING = 1e-6
+"""Least curvature given to a frame's Hessian, mm^2 per squared unit of x."""
+MOST_HALVINGS = 25
+INFINITE = 1e20
+"""A bound this far away has no weight, and needs no case of its own."""
+
+
+class Band:
+    """Symmetric matrices over x as LAPACK's lower bands, (width + 1, T n)."""
+
+    def __init__(self, chain: Chain) -> None:
+        n, size = chain.unknowns, chain.lower.size
+        reach = np.abs(_pairs(chain.difference)[1] - _pairs(chain.difference)[2])
+        self.shape = (max(n - 1, int(reach.max(initial=0))) + 1, size)
+        self._links = self._map(chain.difference)
+        self._constant = self._links @ (2 * chain.weight)
+        row, column = np.tril_indices(n)
+        self._lower = row, column
+        self._place = ((row - column) * size + np.arange(0, size, n)[:, None] + column).ravel()
+        free = chain.free
+        self._both = np.array([np.append(free[k:], np.zeros(k)) * free for k in range(self.shape[0])])
+        self._fixed = ~free
+
+    def _map(self, matrix: sp.csr_array) -> sp.csr_array:
+        """What turns weights w into the band of matrix.T diag(w) matrix: it is linear in w."""
+        row, first, second, product = _pairs(matrix)
+        size = self.shape[1]
+        below = first >= second
+        place = ((first - second) * size + second)[below]
+        return sp.csr_array(
+            (product[below], (place, row[below])), shape=(self.shape[0] * size, matrix.shape[0])
+        )
+
+    def assemble(self, blocks: Array, diagonal: Array, links: Array) -> Array:
+        """Blocks (T, n, n) + diag(diagonal) + links' weights and constant part; the identity where x is fixed."""
+        band = self._constant + self._links @ links
+        band[self._place] += blocks[:, *self._lower].ravel()
+        band = band.reshape(self.shape)
+        band[0] += diagonal
+        band *= self._both
+        band[0] += self._fixed
+        return band
+
+
+def _pairs(matrix: sp.csr_array) -> tuple[Any, Any, Any, Array]:
+    """Row, both columns and product of every pair of entries in the same row."""
+    starts, counts = matrix.indptr[:-1], np.diff(matrix.indptr)
+    rows, firsts, seconds = [], [], []
+    for count in np.unique(counts):
+        same = np.flatnonzero(counts == count)
+        a, b = (part.ravel() for part in np.meshgrid(np.arange(count), np.arange(count)))
+        rows.append(np.repeat(same, len(a)))
+        firsts.append((starts[same][:, None] + a).ravel())
+        seconds.append((starts[same][:, None] + b).ravel())
+    first, second = np.concatenate(firsts), np.concatenate(seconds)
+    product = matrix.data[first] * matrix.data[second]
+    return np.concatenate(rows), matrix.indices[first], matrix.indices[second], product
+
+
+@dataclass(frozen=True)
+class _Point:
+    """x (T n,); slack, at_lower and at_upper (rows,): the slacks and the multipliers of their bounds."""
+
+    x: Array
+    slack: Array
+    at_lower: Array
+    at_upper: Array
+
+    @property
+    def multipliers(self) -> Array:
+        return self.at_upper - self.at_lower
+
+    def moved(self, step: _Point, primal: float, dual: float) -> _Point:
+        return _Point(
+            self.x + primal * step.x,
+            self.slack + primal * step.slack,
+            self.at_lower + dual * step.at_lower,
+            self.at_upper + dual * step.at_upper,
+        )
+
+
+class BandedSolver:
+    """Solves chains whose frames have inequality constraints only; from any start, feasible or not."""
+
+    def __init__(self, chain: Chain) -> None:
+        """Prepare for a chain; raises OptionError where a frame has equations."""
+        low, high = chain.frame.g_bounds
+        if (low == high).any():
+            raise OptionError(f"solver is 'banded' and {chain.frame.name} has equations; it takes inequalities only")
+        self.chain = chain
+        self._band = Band(chain)
+        self._free = chain.free
+        low, high = chain.bounds
+        still = ~self._reached()
+        self._low = np.where(still | np.isinf(low), -INFINITE, low - RELAX)
+        self._high = np.where(still | np.isinf(high), INFINITE, high + RELAX)
+
+    def _reached(self) -> npt.NDArray[np.bool_]:
+        """The rows that some free unknown changes."""
+        free = self._free.reshape(self.chain.frames, -1)
+        of_frames = (free @ self.chain.frame.g_depends.T).ravel()
+        of_links = abs(self.chain.difference) @ self._free
+        return np.concatenate([self._free, of_frames, of_links]) > 0
+
+    def __call__(self, x0: Array, watch: Watch) -> Solution:
+        """Solve from x0 (T n,)."""
+        barrier, penalty, status = FIRST_BARRIER, 1.0, "Maximum_Iterations_Exceeded"
+        point = self._start(np.clip(x0, self.chain.lower.ravel(), self.chain.upper.ravel()), barrier)
+        for number in range(MOST_ITERATIONS + 1):
+            at, hessian = self.chain.expand(point.x, point.multipliers)
+            error = self._error(at, point, 0.0)
+            if watch(Iterate(number, at.objective, self.chain.violation(at.value), error, point.x)):
+                status = "Interrupted"
+                break
+            if error <= TOLERANCE:
+                status = "Solve_Succeeded"
+                break
+            while barrier > LAST_BARRIER and self._error(at, point, barrier) < 10 * barrier:
+                barrier = max(LAST_BARRIER, min(0.2 * barrier, barrier**1.5))
+            step = self._newton(at, hessian, point, barrier)
+            penalty = max(penalty, 1.1 * float(np.abs(point.multipliers + step.multipliers).max()))
+            moved = self._search(at, point, step, barrier, penalty)
+            if moved is None:
+                status = "Search_Direction_Becomes_Too_Small"
+                break
+            point = moved
+        x = np.clip(point.x, self.chain.lower.ravel(), self.chain.upper.ravel())
+        return judged(self.chain, x, point.multipliers, status, number)
+
+    def _start(self, x: Array, barrier: float) -> _Point:
+        _, value = self.chain.evaluate(x)
+        push = np.minimum(PUSH, 0.1 * (self._high - self._low))
+        slack = np.clip(value, self._low + push, self._high - push)
+        return _Point(x, slack, barrier / (slack - self._low), barrier / (self._high - slack))
+
+    def _error(self, at: Slopes, point: _Point, barrier: float) -> float:
+        """KKT residual of the barrier problem; with barrier = 0, of the problem itself."""
+        slope = at.gradient + self.chain.transposed(at.jacobian, point.multipliers)
+        lower = point.at_lower * (point.slack - self._low) - barrier
+        upper = point.at_upper * (self._high - point.slack) - barrier
+        parts = slope[self._free], lower, upper, at.value - point.slack
+        return max(float(np.abs(part).max(initial=0.0)) for part in parts)
+
+    def _newton(self, at: Slopes, hessian: Array, point: _Point, barrier: float) -> _Point:
+        """The step to a zero of the barrier problem's KKT conditions, linearised at a point."""
+        to_lower, to_upper = point.slack - self._low, self._high - point.slack
+        sigma = point.at_lower / to_lower + point.at_upper / to_upper
+        push = barrier / to_upper - barrier / to_lower
+        residual = at.value - point.slack
+        right = at.gradient + self.chain.transposed(at.jacobian, push + sigma * residual)
+        x = self._solve(at.jacobian, hessian, sigma, np.where(self._free, -right, 0.0))
+        slack = self.chain.times(at.jacobian, x) + residual
+        return _Point(
+            x,
+            slack,
+            barrier / to_lower - point.at_lower - point.at_lower * slack / to_lower,
+            barrier / to_upper - point.at_upper + point.at_upper * slack / to_upper,
+        )
+
+    def _solve(self, jacobian: Array, hessian: Array, sigma: Array, right: Array) -> Array:
+        size, (frames, m, _) = right.size, jacobian.shape
+        of_frames = sigma[size : size + frames * m].reshape(frames, 1, m)
+        added = (jacobian.transpose(0, 2, 1) * of_frames) @ jacobian
+        diagonal, links = sigma[:size] + DAMPING, sigma[size + frames * m :]
+        try:
+            band = self._band.assemble(hessian + added, diagonal, links)
+            return np.asarray(solveh_banded(band, right, lower=True, check_finite=False))
+        except LinAlgError:
+            band = self._band.assemble(convex(hessian) + added, diagonal, links)
+            return np.asarray(solveh_banded(band, right, lower=True, check_finite=False))
+
+    def _search(
+        self, at: Slopes, point: _Point, step: _Point, barrier: float, penalty: float
+    ) -> _Point | None:
+        """As far along a step as the l1 merit function falls enough; None where it does not fall at all."""
+        to_lower, to_upper = point.slack - self._low, self._high - point.slack
+        primal = min(_to_boundary(to_lower, step.slack), _to_boundary(to_upper, -step.slack))
+        dual = min(_to_boundary(point.at_lower, step.at_lower), _to_boundary(point.at_upper, step.at_upper))
+        residual = float(np.abs(at.value - point.slack).sum())
+        slope = (
+            at.gradient @ step.x + (barrier / to_upper - barrier / to_lower) @ step.slack - penalty * residual
+        )
+        merit = self._merit(at.objective, at.value, point.slack, barrier, penalty)
+        for _ in range(MOST_HALVINGS):
+            moved = point.moved(step, primal, dual)
+            objective, value = self.chain.evaluate(moved.x)
+            found = self._merit(objective, value, moved.slack, barrier, penalty)
+            if found <= merit + 1e-4 * primal * slope + 1e-12 * abs(merit):
+                return moved
+            primal /= 2
+        return None
+
+    def _merit(self, objective: float, value: Array, slack: Array, barrier: float, penalty: float) -> float:
+        logs = np.log(slack - self._low).sum() + np.log(self._high - slack).sum()
+        return float(objective - barrier * logs + penalty * np.abs(value - slack).sum())
+
+
+def _to_boundary(distance: Array, change: Array) -> float:
+    """The part of a change, at most 1, that leaves a hundredth of every distance."""
+    shrinking = change < 0
+    return float(np.min(-0.99 * distance[shrinking] / change[shrinking], initial=1.0))
+
+
+def convex(hessian: Array) -> Array:
+    """The nearest (T, n, n) that are positive semidefinite, with a little more."""
+    values, vectors = np.linalg.eigh(hessian)
+    return np.asarray((vectors * np.maximum(values, DAMPING)[:, None]) @ vectors.transpose(0, 2, 1))

@@ -1,0 +1,139 @@
+"""Chains by IPOPT, with the same exact derivatives as every other solver of chains."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+
+from ctr_nlp.chain import Chain
+from ctr_nlp.solvers.adapter import COMMON, Solution, outcome
+from ctr_nlp.solvers.chains import judged
+from ctr_nlp.solvers.watch import Iterate, Watch
+
+Array = npt.NDArray[np.float64]
+
+OPTIONS: dict[str, Any] = {
+    "sb": "yes",
+    "print_level": 0,
+    "max_iter": 500,
+    "tol": 1e-6,
+    "bound_relax_factor": 1e-10,
+    "mu_init": 1e-2,
+}
+
+
+class IpoptSolver:
+    """Solves any chain, from any start, feasible or not."""
+
+    def __init__(self, chain: Chain) -> None:
+        self.chain = chain
+        self._callback = _Callback(chain)
+        options = COMMON | _derivatives(chain) | {"ipopt": OPTIONS, "iteration_callback": self._callback, "no_nlp_grad": True}
+        self._solve = ca.nlpsol("ipopt", "ipopt", _problem(chain), options)
+
+    def __call__(self, x0: Array, watch: Watch) -> Solution:
+        """Solve from x0 (T n,)."""
+        chain, size = self.chain, x0.size
+        low, high = chain.bounds
+        self._callback.watch, self._callback.number = watch, 0
+        x0 = np.clip(x0, low[:size], high[:size])
+        result = self._solve(x0=x0, lbx=low[:size], ubx=high[:size], lbg=low[size:], ubg=high[size:])
+        x, lam_x, lam_g = (result[key].full().ravel() for key in ("x", "lam_x", "lam_g"))
+        x = np.clip(x, low[:size], high[:size])
+        return judged(chain, x, np.concatenate([lam_x, lam_g]), *outcome(self._solve))
+
+
+class _Callback(ca.Callback):  # type: ignore[misc]
+    """Hands every iterate of IPOPT to a Watch. CasADi holds no reference: the solver must."""
+
+    def __init__(self, chain: Chain) -> None:
+        super().__init__()
+        self._chain = chain
+        self._sizes = dict(zip(ca.nlpsol_out(), (chain.lower.size, 1, chain.bounds[0].size - chain.lower.size)))
+        self.watch = Watch()
+        self.number = 0
+        self.construct("iteration", {})
+
+    def get_n_in(self) -> int:
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        rows = self._chain.lower.size
+        g = self._chain.bounds[0].size - rows
+        return ca.Sparsity.dense({"x": rows, "lam_x": rows, "f": 1, "g": g, "lam_g": g}.get(ca.nlpsol_out(i), 0))
+
+    def eval(self, values: list[ca.DM]) -> list[float]:
+        found = dict(zip(ca.nlpsol_out(), values, strict=True))
+        x, g, lam_x, lam_g = (found[key].full().ravel() for key in ("x", "g", "lam_x", "lam_g"))
+        violation = self._chain.violation(np.concatenate([x, g]))
+        error = float(self._chain.kkt(x, np.concatenate([lam_x, lam_g])).max())
+        stop = self.watch(Iterate(self.number, float(found["f"]), violation, error, x))
+        self.number += 1
+        return [float(stop)]
+
+
+def _problem(chain: Chain) -> dict[str, ca.MX]:
+    x = ca.MX.sym("x", chain.lower.size)
+    f, g = _values(chain, x)
+    return {"x": x, "f": f, "g": g}
+
+
+def _columns(chain: Chain, x: ca.MX) -> ca.MX:
+    return ca.reshape(x, chain.unknowns, chain.frames)
+
+
+def _values(chain: Chain, x: ca.MX) -> tuple[ca.MX, ca.MX]:
+    f, g = chain.functions.value.map(chain.frames)(_columns(chain, x), chain.parameters)
+    linked = _linked(chain, x)
+    return ca.sum2(f) + ca.dot(ca.DM(chain.weight), linked**2), ca.vertcat(ca.vec(g), linked)
+
+
+def _linked(chain: Chain, x: ca.MX) -> ca.MX:
+    return _dm(chain.difference) @ x + ca.DM(chain.offset)
+
+
+def _derivatives(chain: Chain) -> dict[str, ca.Function]:
+    """Gradient, Jacobian and Hessian as nlpsol asks for them."""
+    x, p, lam_f = ca.MX.sym("x", chain.lower.size), ca.MX.sym("p", 0, 0), ca.MX.sym("lam_f")
+    lam_g = ca.MX.sym("lam_g", chain.bounds[0].size - chain.lower.size)
+    frames, n, m = chain.frames, chain.unknowns, chain.frame.g.numel()
+    matrix, weight = _dm(chain.difference), ca.DM(chain.weight)
+    of_frames = ca.repmat(lam_f, 1, frames), ca.reshape(lam_g[: frames * m], m, frames)
+    f, g = _values(chain, x)
+    at = _columns(chain, x), chain.parameters
+    _, gradient, _, jacobian = chain.functions.slopes.map(frames)(*at)
+    *_, hessian = chain.functions.expansion.map(frames)(*at, *of_frames)
+    gradient = ca.vec(gradient) + 2 * matrix.T @ (weight * _linked(chain, x))
+    jacobian = ca.vertcat(_diagonal(jacobian, m, n, frames), matrix)
+    links = _dm(chain.difference.T @ sp.diags_array(2 * chain.weight) @ chain.difference)
+    hessian = ca.triu(_diagonal(hessian, n, n, frames) + lam_f * links)
+    return {
+        "grad_f": ca.Function("nlp_grad_f", [x, p], [f, gradient], ["x", "p"], ["f", "grad_f_x"]),
+        "jac_g": ca.Function("nlp_jac_g", [x, p], [g, jacobian], ["x", "p"], ["g", "jac_g_x"]),
+        "hess_lag": ca.Function(
+            "nlp_hess_l",
+            [x, p, lam_f, lam_g],
+            [hessian],
+            ["x", "p", "lam_f", "lam_g"],
+            ["triu_hess_gamma_x_x"],
+        ),
+    }
+
+
+def _dm(matrix: Any) -> ca.DM:
+    columns = sp.csc_matrix(matrix)
+    columns.sort_indices()
+    return ca.DM(columns)
+
+
+def _diagonal(blocks: ca.MX, rows: int, columns: int, frames: int) -> ca.MX:
+    """Dense blocks side by side (rows, columns * frames), on a diagonal instead."""
+    pattern = ca.diagcat(*[ca.Sparsity.dense(rows, columns)] * frames)
+    return ca.MX(pattern, ca.vec(blocks))

@@ -1,0 +1,20 @@
+"""What solvers of chains have in common."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.chain import Chain
+from ctr_nlp.solvers.adapter import FEASIBLE, OPTIMAL, Solution
+
+Array = npt.NDArray[np.float64]
+
+
+def judged(chain: Chain, x: Array, multipliers: Array, status: str, iterations: int) -> Solution:
+    """A point as a Solution: success is what the chain itself says of it, whatever the solver does."""
+    objective, value = chain.evaluate(x)
+    kkt = float(chain.kkt(x, multipliers).max())
+    success = chain.violation(value) <= FEASIBLE and kkt <= OPTIMAL
+    of_x, of_g = np.split(multipliers, [x.size])
+    return Solution(x, objective, kkt, success, status, iterations, of_x, of_g)

@@ -1,0 +1,44 @@
+"""Following a solver at work: its progress, its best feasible point so far, and whether it is to stop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.solvers.adapter import FEASIBLE
+
+Array = npt.NDArray[np.float64]
+
+
+class Iterate(NamedTuple):
+    """One iteration. objective: mm^2; violation: units of x; error: KKT residual; x (n,)."""
+
+    number: int
+    objective: float
+    violation: float
+    error: float
+    x: Array
+
+
+class Watch:
+    """Called with every iterate; answers whether to stop.
+
+    best: the feasible iterate of least objective, or None. first_error: the KKT residual of the first iterate.
+    """
+
+    def __init__(
+        self, report: Callable[[Iterate], None] | None = None, stop: Callable[[], bool] = lambda: False
+    ) -> None:
+        self._report = report
+        self._stop = stop
+        self.best: Iterate | None = None
+
+    def __call__(self, iterate: Iterate) -> bool:
+        if iterate.violation <= FEASIBLE and (self.best is None or iterate.objective < self.best.objective):
+            self.best = iterate
+        if self._report is not None:
+            self._report(iterate)
+        return self._stop()
