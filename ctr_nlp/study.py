@@ -18,7 +18,7 @@ from ctr_nlp.settings import Settings
 from ctr_nlp.solvers import SOLVERS
 from ctr_nlp.steer import march
 from ctr_nlp.steer.nlp_frames import NlpFrames
-from ctr_nlp.steer.per_frame import Direction, Progress
+from ctr_nlp.steer.passes import Direction, Progress
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,8 @@
 Slacks turn every row into an equation, and the log barrier keeps slacks within their bounds. Without slacks and
 multipliers, the Newton system has the frames' Hessians and what the rows add to them: a symmetric matrix with a
 band as wide as the links reach, factorised by Cholesky in time linear in the number of frames. Hessians are
-exact; where the whole is not positive definite, each frame's own is made so. After Nocedal and Wright, Numerical
+exact; where the whole is not positive definite, the eigenvalues of each frame's own lose their signs (Dauphin et
+al., Identifying and attacking the saddle point problem, 2014). After Nocedal and Wright, Numerical
 Optimization (2006), chapter 19, and Waechter and Biegler, Math. Program. 106 (2006).
 """
 
@@ -35,7 +36,7 @@ PUSH = 1e-3
 RELAX = 1e-9
 """How far bounds are moved outwards, so that bounds that meet still have an interior, rad or mm."""
 DAMPING = 1e-6
-"""Least curvature given to a frame's Hessian, mm^2 per squared unit of x."""
+"""Added to the diagonal of the Newton matrix, mm^2 per squared unit of x."""
 MOST_HALVINGS = 25
 INFINITE = 1e20
 """A bound this far away has no weight, and needs no case of its own."""
@@ -238,6 +239,6 @@ def _to_boundary(distance: Array, change: Array) -> float:
 
 
 def convex(hessian: Array) -> Array:
-    """The nearest (T, n, n) that are positive semidefinite, with a little more."""
+    """Hessians (T, n, n) with the absolute values of their eigenvalues: steps lead away from saddle points."""
     values, vectors = np.linalg.eigh(hessian)
-    return np.asarray((vectors * np.maximum(values, DAMPING)[:, None]) @ vectors.transpose(0, 2, 1))
+    return np.asarray((vectors * np.abs(values)[:, None]) @ vectors.transpose(0, 2, 1))

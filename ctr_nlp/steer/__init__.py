@@ -1,5 +1,6 @@
 """Problems to plans."""
 
-from ctr_nlp.steer.per_frame import DIRECTIONS, march, solve_per_frame
+from ctr_nlp.steer.passes import DIRECTIONS
+from ctr_nlp.steer.per_frame import march, solve_per_frame
 
 __all__ = ["DIRECTIONS", "march", "solve_per_frame"]

@@ -1,4 +1,4 @@
-"""Ctrl-C between frames: CasADi may lose an interrupt that reaches it in the middle of a call."""
+"""Ctrl-C when a program is ready for it: CasADi may lose an interrupt that reaches it in the middle of a call."""
 
 from __future__ import annotations
 
@@ -9,24 +9,34 @@ from contextlib import contextmanager
 from typing import Any
 
 
+class _Remember:
+    """A signal handler that remembers the first Ctrl-C; a second one interrupts at once."""
+
+    def __init__(self) -> None:
+        self.pressed = threading.Event()
+
+    def __call__(self, number: int, frame: Any) -> None:
+        if self.pressed.is_set():
+            raise KeyboardInterrupt
+        self.pressed.set()
+
+
 @contextmanager
 def deferred_interrupt() -> Iterator[Callable[[], bool]]:
     """Hold Ctrl-C back within the block; what is yielded tells whether it was pressed.
 
-    A second Ctrl-C interrupts at once. Only the main thread can do this; in others nothing is held back.
+    Blocks within blocks share one answer. Only the main thread can do this; in others nothing is held back.
     """
-    pressed = threading.Event()
     if threading.current_thread() is not threading.main_thread():
-        yield pressed.is_set
+        yield lambda: False
         return
-
-    def remember(number: int, frame: Any) -> None:
-        if pressed.is_set():
-            raise KeyboardInterrupt
-        pressed.set()
-
-    before = signal.signal(signal.SIGINT, remember)
+    before = signal.getsignal(signal.SIGINT)
+    if isinstance(before, _Remember):
+        yield before.pressed.is_set
+        return
+    handler = _Remember()
+    signal.signal(signal.SIGINT, handler)
     try:
-        yield pressed.is_set
+        yield handler.pressed.is_set
     finally:
         signal.signal(signal.SIGINT, before)

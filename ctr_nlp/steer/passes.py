@@ -1,0 +1,125 @@
+"""Runs through all frames of a problem, each frame from the one before it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.errors import OptionError
+from ctr_nlp.forward import shapes
+from ctr_nlp.frames import FrameResult, FrameSolver
+from ctr_nlp.metrics import rms_over_sigma
+from ctr_nlp.problem import Problem
+from ctr_nlp.steer.interrupt import deferred_interrupt
+
+Array = npt.NDArray[np.float64]
+Direction = Literal["forward", "backward", "best"]
+Progress = Callable[[int, int, str], None]
+"""Called with (steps done, steps in all, what is being done)."""
+
+DIRECTIONS = ("forward", "backward", "best")
+CANDIDATES = 4
+"""Distinct answers of the first frame from which a whole motion is tried, in each direction."""
+
+
+@dataclass
+class Pass:
+    """One run through all frames; results and seconds by frame number."""
+
+    direction: str
+    order: Sequence[int]
+    before: FrameResult | None = None
+    results: dict[int, FrameResult] = field(default_factory=dict)
+    seconds: dict[int, float] = field(default_factory=dict)
+
+    def run(self, solver: FrameSolver) -> Iterator[int]:
+        """Solve the frames that have no result yet, in order; yields how many have one."""
+        before = self.before
+        for frame in self.order:
+            if frame not in self.results:
+                assert before is not None
+                begin = time.perf_counter()
+                self.results[frame] = solver.step(frame, before)
+                self.seconds[frame] = time.perf_counter() - begin
+            before = self.results[frame]
+            yield len(self.results)
+
+    def motion(self, problem: Problem) -> Array:
+        """Configurations (T, 2d + 2); NaN where a frame was not reached."""
+        missing = np.full(2 * problem.robot.d + 2, np.nan)
+        return np.array([self.results[j].q if j in self.results else missing for j in range(problem.frames)])
+
+    def badness(self, problem: Problem) -> tuple[int, float]:
+        """Frames not solved, then the mean square error of the others in mm^2."""
+        solved = [j for j, result in self.results.items() if result.success]
+        if not solved:
+            return problem.frames, np.inf
+        found = shapes(problem.robot, np.array([self.results[j].q for j in solved]))
+        wanted = np.array([problem.samples[j].points for j in solved])
+        squares = rms_over_sigma(np.linalg.norm(found - wanted, axis=-1)) ** 2
+        return problem.frames - len(solved), float(squares.mean())
+
+
+def run_passes(
+    problem: Problem,
+    solver: FrameSolver,
+    direction: Direction = "best",
+    start: npt.ArrayLike | None = None,
+    end: npt.ArrayLike | None = None,
+    progress: Progress | None = None,
+) -> tuple[list[Pass], float]:
+    """Runs through all frames from every promising first one, and the seconds that their search took.
+
+    start: q at time 0; end: q of the last frame. A motion leads from the first forward, from the second
+    backward. Ctrl-C, held back by the caller, ends each run after its next frame.
+    """
+    if direction not in DIRECTIONS:
+        raise OptionError(f"direction is {direction!r}; it must be one of {', '.join(DIRECTIONS)}")
+    q0, q1 = (None if q is None else np.asarray(q, dtype=float) for q in (start, end))
+    for name, q in (("start", q0), ("end", q1)):
+        if q is not None:
+            problem.robot.check(q, name)
+    if q0 is not None and direction == "backward":
+        raise OptionError("direction is 'backward' and a start is given; a motion from a start goes forward")
+    begin = time.perf_counter()
+    with deferred_interrupt() as interrupted:
+        passes = _first_frames(problem, solver, direction, q0, q1)
+        seconds = time.perf_counter() - begin
+        for number, one in enumerate(passes):
+            for done in one.run(solver):
+                if interrupted():
+                    break
+                if progress is not None:
+                    note = f"{one.direction}, try {number + 1} of {len(passes)}"
+                    progress(number * problem.frames + done, len(passes) * problem.frames, note)
+    return passes, seconds
+
+
+def _first_frames(
+    problem: Problem, solver: FrameSolver, direction: Direction, q0: Array | None, q1: Array | None
+) -> list[Pass]:
+    forward = range(problem.frames)
+    given = []
+    if q0 is not None:
+        given.append(Pass("forward", forward, FrameResult(q0)))
+    if q1 is not None:
+        given.append(Pass("backward", forward[::-1], None, {forward[-1]: FrameResult(q1)}))
+    if given:
+        return given
+    orders: dict[str, range] = {"forward": forward, "backward": forward[::-1]}
+    wanted = orders if direction == "best" and problem.frames > 1 else {direction: orders.get(direction, forward)}
+    passes = []
+    for name, order in wanted.items():
+        for first in solver.search(order[0])[:CANDIDATES]:
+            begin = time.perf_counter()
+            again = solver.step(order[0], first) if first.success else first
+            seconds = time.perf_counter() - begin
+            passes.append(
+                Pass(name, order, None, {order[0]: again if again.success else first}, {order[0]: seconds})
+            )
+    return passes
