@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -38,7 +38,8 @@ class Link:
 
 class Slopes(NamedTuple):
     """A chain about a point: objective mm^2, its gradient (T n,), the rows' values; jacobian (T, m, n) of the
-    frames' constraints."""
+    frames' constraints.
+    """
 
     objective: float
     gradient: Array
@@ -84,6 +85,10 @@ class Chain:
         """n, of one frame."""
         return len(self.axes)
 
+    def with_cost(self, factor: float) -> Chain:
+        """The same chain with the links' costs times a factor."""
+        return replace(self, links=tuple(replace(link, weight=link.weight * factor) for link in self.links))
+
     @cached_property
     def difference(self) -> sp.csr_array:
         """The matrices of all links, (l, T n)."""
@@ -123,6 +128,14 @@ class Chain:
         f, g = self._mapped[0](x)
         linked = self.difference @ x + self.offset
         return float(f.sum() + self.weight @ linked**2), np.concatenate([x, g.ravel(), linked])
+
+    def by_frame(self, x: Array) -> tuple[Array, Array]:
+        """What each frame adds to the objective, (T,) mm^2: by itself, and by the links that end at it."""
+        f, _ = self._mapped[0](x)
+        linked = np.zeros(self.frames)
+        frame = np.concatenate([link.frame for link in self.links])
+        np.add.at(linked, frame, self.weight * (self.difference @ x + self.offset) ** 2)
+        return f.ravel().copy(), linked
 
     def slopes(self, x: Array) -> Slopes:
         """First derivatives at x."""
@@ -170,10 +183,10 @@ class Chain:
         low, high = self.bounds
         amount = np.nan_to_num(np.maximum(low - value, value - high), nan=np.inf)
         worst = [int(i) for i in np.argsort(-amount) if amount[i] > tolerance]
-        return [Excess(*self._place(row), float(amount[row])) for row in worst]
+        return [Excess(*self.place(row), float(amount[row])) for row in worst]
 
-    def _place(self, row: int) -> tuple[str, int]:
-        """The name of a row and its frame, from 1."""
+    def place(self, row: int) -> tuple[str, int]:
+        """What a row limits and in which frame, from 1."""
         frames, n, m = self.frames, self.unknowns, self.frame.g.numel()
         if row < frames * n:
             return f"limits of {self.axes[row % n]}", row // n + 1
@@ -230,9 +243,9 @@ class _Mapped:
         self.inputs = [np.zeros((frames, function.numel_in(i))) for i in range(function.n_in())]
         self.outputs = [np.zeros((frames, function.numel_out(i))) for i in range(function.n_out())]
         for i, array in enumerate(self.inputs):
-            self._buffer.set_arg(i, memoryview(array))
+            self._buffer.set_arg(i, array.data)  # type: ignore[call-arg]
         for i, array in enumerate(self.outputs):
-            self._buffer.set_res(i, memoryview(array))
+            self._buffer.set_res(i, array.data)  # type: ignore[call-arg]
 
     def __call__(self, x: Array, *multipliers: Array) -> list[Array]:
         for array, values in zip(self.inputs[:1] + self.inputs[2:], (x, *multipliers), strict=True):

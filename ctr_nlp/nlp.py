@@ -102,6 +102,11 @@ class Nlp:
         pattern = ca.jacobian_sparsity(self.g, self.x)
         return np.asarray(ca.DM(pattern, 1).full() > 0)
 
+    @cached_property
+    def g_nonlinear(self) -> npt.NDArray[np.bool_]:
+        """Which entries of g are not linear in x, (m,)."""
+        return np.array(ca.which_depends(self.g, self.x, 2, True), dtype=bool)
+
     def pack(self, values: Mapping[str, Any]) -> Array:
         """Parameter values in one column (len(p),); every parameter must be given, in its own shape.
 

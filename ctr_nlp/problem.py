@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -58,6 +58,12 @@ class Problem:
     def dt(self) -> float:
         """Time from frame to frame, s."""
         return self.duration / self.frames
+
+    def retraction(self) -> Problem:
+        """The same frames in the opposite order: the robot's way back, named so."""
+        target = Target(self.target.curves[::-1], self.target.lengths[::-1])
+        truth = None if self.truth is None else self.truth[::-1]
+        return replace(self, name=f"{self.name}-retraction", target=target, truth=truth)
 
     @cached_property
     def samples(self) -> tuple[Frame, ...]:

@@ -1,5 +1,17 @@
-"""NLP solvers behind one call: Nlp -> NlpSolver -> Solution."""
+"""NLP solvers behind one call each: Nlp -> NlpSolver -> Solution, and Chain -> a chain solver -> Solution."""
 
-from ctr_nlp.solvers.adapter import SOLVERS, NlpSolver, Solution
+from collections.abc import Callable
 
-__all__ = ["SOLVERS", "NlpSolver", "Solution"]
+from ctr_nlp.chain import Chain
+from ctr_nlp.solvers.adapter import FEASIBLE, SOLVERS, NlpSolver, Solution
+from ctr_nlp.solvers.banded import BandedSolver
+from ctr_nlp.solvers.chain_ipopt import IpoptSolver
+from ctr_nlp.solvers.watch import Iterate, Watch
+
+CHAIN_SOLVERS: dict[str, Callable[[Chain], BandedSolver | IpoptSolver]] = {
+    "banded": BandedSolver,
+    "ipopt": IpoptSolver,
+}
+"""Every solver of chains by the name that options use; each is called with (x0, watch)."""
+
+__all__ = ["CHAIN_SOLVERS", "FEASIBLE", "SOLVERS", "Iterate", "NlpSolver", "Solution", "Watch"]

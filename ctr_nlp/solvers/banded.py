@@ -64,9 +64,7 @@ class Band:
         size = self.shape[1]
         below = first >= second
         place = ((first - second) * size + second)[below]
-        return sp.csr_array(
-            (product[below], (place, row[below])), shape=(self.shape[0] * size, matrix.shape[0])
-        )
+        return sp.csr_array((product[below], (place, row[below])), shape=(self.shape[0] * size, matrix.shape[0]))
 
     def assemble(self, blocks: Array, diagonal: Array, links: Array) -> Array:
         """Blocks (T, n, n) + diag(diagonal) + links' weights and constant part; the identity where x is fixed."""
@@ -123,7 +121,9 @@ class BandedSolver:
         """Prepare for a chain; raises OptionError where a frame has equations."""
         low, high = chain.frame.g_bounds
         if (low == high).any():
-            raise OptionError(f"solver is 'banded' and {chain.frame.name} has equations; it takes inequalities only")
+            raise OptionError(
+                f"solver is 'banded' and {chain.frame.name} has equations; it takes inequalities only"
+            )
         self.chain = chain
         self._band = Band(chain)
         self._free = chain.free
@@ -206,17 +206,13 @@ class BandedSolver:
             band = self._band.assemble(convex(hessian) + added, diagonal, links)
             return np.asarray(solveh_banded(band, right, lower=True, check_finite=False))
 
-    def _search(
-        self, at: Slopes, point: _Point, step: _Point, barrier: float, penalty: float
-    ) -> _Point | None:
+    def _search(self, at: Slopes, point: _Point, step: _Point, barrier: float, penalty: float) -> _Point | None:
         """As far along a step as the l1 merit function falls enough; None where it does not fall at all."""
         to_lower, to_upper = point.slack - self._low, self._high - point.slack
         primal = min(_to_boundary(to_lower, step.slack), _to_boundary(to_upper, -step.slack))
         dual = min(_to_boundary(point.at_lower, step.at_lower), _to_boundary(point.at_upper, step.at_upper))
         residual = float(np.abs(at.value - point.slack).sum())
-        slope = (
-            at.gradient @ step.x + (barrier / to_upper - barrier / to_lower) @ step.slack - penalty * residual
-        )
+        slope = at.gradient @ step.x + (barrier / to_upper - barrier / to_lower) @ step.slack - penalty * residual
         merit = self._merit(at.objective, at.value, point.slack, barrier, penalty)
         for _ in range(MOST_HALVINGS):
             moved = point.moved(step, primal, dual)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
@@ -32,7 +33,11 @@ class IpoptSolver:
     def __init__(self, chain: Chain) -> None:
         self.chain = chain
         self._callback = _Callback(chain)
-        options = COMMON | _derivatives(chain) | {"ipopt": OPTIONS, "iteration_callback": self._callback, "no_nlp_grad": True}
+        options = (
+            COMMON
+            | _derivatives(chain)
+            | {"ipopt": OPTIONS, "iteration_callback": self._callback, "no_nlp_grad": True}
+        )
         self._solve = ca.nlpsol("ipopt", "ipopt", _problem(chain), options)
 
     def __call__(self, x0: Array, watch: Watch) -> Solution:
@@ -47,13 +52,12 @@ class IpoptSolver:
         return judged(chain, x, np.concatenate([lam_x, lam_g]), *outcome(self._solve))
 
 
-class _Callback(ca.Callback):  # type: ignore[misc]
+class _Callback(ca.Callback):
     """Hands every iterate of IPOPT to a Watch. CasADi holds no reference: the solver must."""
 
     def __init__(self, chain: Chain) -> None:
         super().__init__()
         self._chain = chain
-        self._sizes = dict(zip(ca.nlpsol_out(), (chain.lower.size, 1, chain.bounds[0].size - chain.lower.size)))
         self.watch = Watch()
         self.number = 0
         self.construct("iteration", {})
@@ -69,7 +73,7 @@ class _Callback(ca.Callback):  # type: ignore[misc]
         g = self._chain.bounds[0].size - rows
         return ca.Sparsity.dense({"x": rows, "lam_x": rows, "f": 1, "g": g, "lam_g": g}.get(ca.nlpsol_out(i), 0))
 
-    def eval(self, values: list[ca.DM]) -> list[float]:
+    def eval(self, values: Sequence[ca.DM]) -> list[float]:
         found = dict(zip(ca.nlpsol_out(), values, strict=True))
         x, g, lam_x, lam_g = (found[key].full().ravel() for key in ("x", "g", "lam_x", "lam_g"))
         violation = self._chain.violation(np.concatenate([x, g]))

@@ -26,19 +26,28 @@ class Iterate(NamedTuple):
 class Watch:
     """Called with every iterate; answers whether to stop.
 
-    best: the feasible iterate of least objective, or None. first_error: the KKT residual of the first iterate.
+    best: the feasible iterate of least objective, first among them, or None. The last bits of a bound may be
+    exceeded by up to FEASIBLE.
     """
 
     def __init__(
-        self, report: Callable[[Iterate], None] | None = None, stop: Callable[[], bool] = lambda: False
+        self,
+        report: Callable[[Iterate], None] | None = None,
+        stop: Callable[[], bool] = lambda: False,
+        first: Iterate | None = None,
     ) -> None:
         self._report = report
         self._stop = stop
         self.best: Iterate | None = None
+        if first is not None:
+            self._keep(first)
 
-    def __call__(self, iterate: Iterate) -> bool:
+    def _keep(self, iterate: Iterate) -> None:
         if iterate.violation <= FEASIBLE and (self.best is None or iterate.objective < self.best.objective):
             self.best = iterate
+
+    def __call__(self, iterate: Iterate) -> bool:
+        self._keep(iterate)
         if self._report is not None:
             self._report(iterate)
         return self._stop()

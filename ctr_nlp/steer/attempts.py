@@ -1,0 +1,120 @@
+"""Solving one chain from several motions, one after the other or side by side in processes."""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.chain import Chain
+from ctr_nlp.formulations.horizon import Ends, horizon
+from ctr_nlp.robot import Robot
+from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, Iterate, Solution, Watch
+from ctr_nlp.target import Frame
+
+Array = npt.NDArray[np.float64]
+Report = Callable[[Iterate], None]
+
+TIE = 1e-9
+"""Objectives that differ by this part are the same."""
+POLL = 0.2
+"""Seconds between two looks at whether Ctrl-C was pressed."""
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """What came of one motion.
+
+    x (T n,): the solution, else the best feasible iterate, else the last. objective, start_objective: mm^2, the
+    latter inf where the motion was infeasible. solution: the solver's own. solved: x is a solution, and no worse
+    than where it started.
+    """
+
+    x: Array
+    objective: float
+    feasible: bool
+    start_objective: float
+    solution: Solution
+    solved: bool
+    seconds: float
+
+
+def attempt(
+    chain: Chain,
+    solve: Callable[[Array, Watch], Solution],
+    x0: Array,
+    report: Report | None,
+    stop: Callable[[], bool],
+) -> Attempt:
+    """Solve a chain from x0 (T n,); Ctrl-C and failures leave the best feasible iterate."""
+    begin = time.perf_counter()
+    low, high = chain.lower.ravel(), chain.upper.ravel()
+    x0 = np.clip(x0, low, high)
+    objective, value = chain.evaluate(x0)
+    start = objective if chain.violation(value) <= FEASIBLE else np.inf
+    watch = Watch(report, stop, Iterate(0, objective, chain.violation(value), np.inf, x0))
+    solution = solve(x0, watch)
+    no_worse = solution.objective <= start + TIE * (1 + abs(solution.objective))
+    x = solution.x if watch.best is None or (solution.success and no_worse) else np.clip(watch.best.x, low, high)
+    objective, value = chain.evaluate(x)
+    return Attempt(
+        x,
+        objective,
+        chain.violation(value) <= FEASIBLE,
+        start,
+        solution,
+        solution.success and no_worse,
+        time.perf_counter() - begin,
+    )
+
+
+@dataclass(frozen=True)
+class Task:
+    """A chain and its solver, described so that another process can build them."""
+
+    robot: Robot
+    frames: tuple[Frame, ...]
+    dt: float
+    motion_weight: float
+    ends: Ends
+    solver: str
+
+    def solve(self, x0: Array) -> Attempt:
+        """Solve from x0 (T n,), in a process that attempt_in_processes has prepared."""
+        chain = horizon(self.robot, self.frames, self.dt, self.motion_weight, self.ends)
+        return attempt(chain, CHAIN_SOLVERS[self.solver](chain), x0, None, _stopping.is_set)
+
+
+_stopping: Any = None
+"""In a process of attempt_in_processes: set when the work is to end."""
+
+
+def _prepare(stopping: Any) -> None:
+    global _stopping
+    _stopping = stopping
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def attempt_in_processes(
+    task: Task, motions: Sequence[Array], jobs: int, done: Callable[[int], None], stop: Callable[[], bool]
+) -> list[Attempt]:
+    """Solve from every motion (T n,), in up to so many processes at once; done is told how many are finished."""
+    context = multiprocessing.get_context("spawn")
+    stopping = context.Event()
+    with ProcessPoolExecutor(min(jobs, len(motions)), context, _prepare, (stopping,)) as pool:
+        futures = [pool.submit(task.solve, motion) for motion in motions]
+        waiting = set(futures)
+        while waiting:
+            finished, waiting = wait(waiting, timeout=POLL, return_when=FIRST_COMPLETED)
+            if finished:
+                done(len(futures) - len(waiting))
+            if stop():
+                stopping.set()
+        return [future.result() for future in futures]

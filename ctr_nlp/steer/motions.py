@@ -1,0 +1,66 @@
+"""Motions that a horizon starts from: frame by frame, and changed at random."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.formulations.horizon import Ends
+from ctr_nlp.problem import Problem
+from ctr_nlp.robot import Robot
+from ctr_nlp.settings import Settings
+from ctr_nlp.steer.nlp_frames import NlpFrames
+from ctr_nlp.steer.passes import Progress, run_passes
+from ctr_nlp.target import Target
+
+Array = npt.NDArray[np.float64]
+
+MOST_FRAMES = 200
+"""Frames solved one by one for a start; of more, every second, third, ... is solved and the rest interpolated."""
+WAVES = 5
+"""Half waves over the duration that a random change is made of."""
+SPREAD = 1.0, 25.0, 0.2
+"""Size of a random change: alpha in rad, beta in mm, theta in rad."""
+
+
+def per_frame_motions(
+    problem: Problem, ends: Ends, settings: Settings, progress: Progress | None = None
+) -> list[Array]:
+    """Motions (T, 2d + 2) of the joint formulation, run forwards and backwards, best first.
+
+    Where Ctrl-C, held back by the caller, ended the work early, frames that were not reached hold NaN.
+    """
+    stride = -(-problem.frames // MOST_FRAMES)
+    picked = np.arange(problem.frames)[::-1][::stride][::-1]
+    curves, lengths = problem.target.curves, problem.target.lengths
+    coarse = replace(
+        problem,
+        target=Target(tuple(curves[i] for i in picked), tuple(lengths[i] for i in picked)),
+        duration=problem.dt * stride * len(picked),
+        truth=None,
+    )
+    solver = NlpFrames(coarse, "joint", "ipopt", settings=settings)
+    passes, _ = run_passes(coarse, solver, "best", ends.start, ends.end, progress)
+    passes.sort(key=lambda one: one.badness(coarse))
+    return [_filled(one.motion(coarse), picked, problem.frames) for one in passes]
+
+
+def _filled(motion: Array, picked: npt.NDArray[np.int_], frames: int) -> Array:
+    columns = [np.interp(np.arange(frames), picked, column) for column in motion.T]
+    return np.column_stack(columns)
+
+
+def wandered(robot: Robot, motion: Array, seed: int) -> Iterator[Array]:
+    """Smooth random changes of a motion (T, 2d + 2), within limits and order; speeds are not looked at."""
+    rng = np.random.default_rng(seed)
+    frames, d = len(motion), robot.d
+    t = np.linspace(0.0, 1.0, frames)[:, None]
+    spread = np.concatenate([np.full(d, SPREAD[0]), np.full(d, SPREAD[1]), np.full(2, SPREAD[2])])
+    while True:
+        waves = (rng.normal(size=motion.shape[1]) * np.cos(np.pi * k * t) / (1 + k) for k in range(WAVES))
+        q = np.clip(motion + spread * sum(waves), robot.lower, robot.upper)
+        q[:, d : 2 * d] = np.maximum.accumulate(q[:, d : 2 * d], axis=1)
+        yield np.clip(q, robot.lower, robot.upper)
