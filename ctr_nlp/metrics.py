@@ -90,8 +90,9 @@ def summary(plan: Plan) -> dict[str, Any]:
         "solve_ms": {
             "median": _number(1e3 * np.median(seconds) if seconds.size else np.nan),
             "p99": _number(1e3 * np.quantile(seconds, 0.99) if seconds.size else np.nan),
-            "total": _number(1e3 * seconds.sum()),
+            "total": _number(1e3 * plan.meta.get("solve_s", seconds.sum())),
         },
+        "objective": _number(plan.objective.mean()),
         "search_s": plan.meta.get("search_s"),
         "build_s": plan.meta.get("build_s"),
         "frames": len(plan.time),

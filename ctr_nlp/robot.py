@@ -254,9 +254,13 @@ class Robot:
         """Alpha (.., d), beta (.., d) and theta (.., 2) of q (.., 2d + 2)."""
         return q[..., : self.d], q[..., self.d : 2 * self.d], q[..., 2 * self.d :]
 
+    def with_limits(self, **limits: Any) -> Robot:
+        """The same robot with some of its Limits replaced; raises RobotError."""
+        return replace(self, limits=replace(self.limits, **limits))
+
     def with_locked_tilt(self) -> Robot:
         """The same robot without an arm: theta stays 0."""
-        return replace(self, limits=replace(self.limits, theta=(0.0, 0.0)))
+        return self.with_limits(theta=(0.0, 0.0))
 
     def check(self, q: Array, name: str = "q", tolerance: float = 1e-6) -> None:
         """Raise RobotError unless q (2d + 2,) is finite and keeps limits and order to tolerance (rad, mm)."""

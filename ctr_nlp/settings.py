@@ -22,9 +22,15 @@ class Settings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.motion_weight) and self.motion_weight >= 0):
-            raise OptionError(f"motion_weight is {self.motion_weight} s^2; it must be a finite number >= 0")
+        check_motion_weight(self.motion_weight)
         if not (math.isfinite(self.jump_width) and self.jump_width > 0):
             raise OptionError(f"jump_width is {self.jump_width} mm; it must be a finite number > 0")
         if not 0 <= self.seed < 2**32:
             raise OptionError(f"seed is {self.seed}; it must be a whole number in [0, 2^32)")
+
+
+def check_motion_weight(weight: float) -> float:
+    """Lambda of eq. (9) in s^2, or OptionError."""
+    if not (math.isfinite(weight) and weight >= 0):
+        raise OptionError(f"motion_weight is {weight} s^2; it must be a finite number >= 0")
+    return weight

@@ -4,57 +4,103 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.chain import Chain
 from ctr_nlp.errors import OptionError
 from ctr_nlp.formulations import FORMULATIONS
-from ctr_nlp.frames import FrameSolver
+from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.metrics import summary
 from ctr_nlp.models import MODELS
+from ctr_nlp.plan import Plan
 from ctr_nlp.problem import Problem
 from ctr_nlp.reference import METHODS, reference_frames
 from ctr_nlp.reference.published import BASELINE, SEED
 from ctr_nlp.settings import Settings
-from ctr_nlp.solvers import SOLVERS
-from ctr_nlp.steer import march
+from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS
+from ctr_nlp.steer import Horizon, march
+from ctr_nlp.steer.interrupt import deferred_interrupt
+from ctr_nlp.steer.motions import per_frame_motions
 from ctr_nlp.steer.nlp_frames import NlpFrames
-from ctr_nlp.steer.passes import Direction, Progress
+from ctr_nlp.steer.passes import Progress
+
+Array = npt.NDArray[np.float64]
+
+SAME = 1e-4, 1e-6
+"""Two objectives are the same where they differ by this part, or by so many mm^2."""
+TOUCHED, MISSED = 1e-5, 1e-2
+"""A limit is touched within the first and missed by more than the second, rad or mm."""
 
 
 @dataclass(frozen=True)
 class Variant:
-    """A way to solve frames: formulation:solver[:model], or the name of a reference method."""
+    """A way to solve a problem: formulation:solver[:model], or the name of a reference method.
+
+    plan: (problem, settings, initial, progress) -> Plan, with motions that a horizon starts from.
+    """
 
     name: str
-    build: Callable[[Problem, Settings], FrameSolver]
-    direction: Direction
+    formulation: str
+    plan: Callable[[Problem, Settings, Sequence[Array], Progress | None], Plan]
 
 
-VARIANTS = (*(f"{formulation}:{solver}" for formulation in FORMULATIONS for solver in SOLVERS), *METHODS)
+VARIANTS = (
+    *(f"horizon:{solver}" for solver in CHAIN_SOLVERS),
+    *(f"{formulation}:{solver}" for formulation in FORMULATIONS for solver in SOLVERS),
+    *METHODS,
+)
 """Every variant on the default model."""
 
 
 def parse_variant(name: str) -> Variant:
     """The variant of a name; raises OptionError with the valid ones.
 
-    Reference methods go forward, as published; formulations in the better direction.
+    Reference methods go forward, as published; frame formulations in the better direction.
     """
     if name in METHODS:
-        return Variant(name, lambda problem, settings: reference_frames(problem, name, settings), "forward")
+        return Variant(
+            name,
+            name,
+            lambda problem, settings, initial, progress: march(
+                problem, reference_frames(problem, name, settings), "forward", progress=progress
+            ),
+        )
     parts = name.split(":")
     if len(parts) not in (2, 3):
         raise OptionError(f"variant is {name!r}; it must be one of {', '.join(VARIANTS)}")
     formulation, solver, model = (*parts, "dominant")[:3]
     for kind, value, allowed in (
-        ("formulation", formulation, FORMULATIONS),
-        ("solver", solver, SOLVERS),
+        ("formulation", formulation, ("horizon", *FORMULATIONS)),
+        ("solver", solver, CHAIN_SOLVERS if formulation == "horizon" else SOLVERS),
         ("model", model, MODELS),
     ):
         if value not in allowed:
             raise OptionError(f"{kind} of variant {name!r} is {value!r}; it must be one of {', '.join(allowed)}")
+    if formulation == "horizon":
+        return Variant(
+            name,
+            formulation,
+            lambda problem, settings, initial, progress: Horizon(problem, model, solver).solve(
+                initial, settings=settings, progress=progress
+            ),
+        )
     return Variant(
-        name, lambda problem, settings: NlpFrames(problem, formulation, solver, model, settings), "best"
+        name,
+        formulation,
+        lambda problem, settings, initial, progress: march(
+            problem, NlpFrames(problem, formulation, solver, model, settings), progress=progress
+        ),
     )
+
+
+class Comparison(NamedTuple):
+    """rows: one a problem and variant. agreements: one a problem on which several solvers solved the horizon."""
+
+    rows: list[dict[str, Any]]
+    agreements: list[dict[str, Any]]
 
 
 def compare(
@@ -62,21 +108,61 @@ def compare(
     variants: Sequence[Variant],
     settings: Settings | None = None,
     progress: Callable[[str, str], Progress] | None = None,
-) -> list[dict[str, Any]]:
-    """One row per problem and variant, with the seed's published figures beside; one solve at a time.
+) -> Comparison:
+    """Every variant on every problem, with the seed's published figures beside; one solve at a time.
 
-    progress: (problem, variant) -> what is told how many frames are done.
+    All horizons of a problem start from the same motions. progress: (problem, variant) -> what is told how many
+    frames are done. Ctrl-C leaves the rows that were begun.
     """
-    rows = []
-    for problem in problems:
-        for variant in variants:
-            report = None if progress is None else progress(problem.name, variant.name)
-            solver = variant.build(problem, settings or Settings())
-            plan = march(problem, solver, variant.direction, progress=report)
-            rows.append(_row(problem.name, variant.name, summary(plan), plan.meta["iterations"]))
-            if rows[-1]["interrupted"]:
-                return rows
-    return rows
+    chosen, rows = settings or Settings(), []
+    agreements: list[dict[str, Any]] = []
+    with deferred_interrupt() as interrupted:
+        for problem in problems:
+            initial: Sequence[Array] = ()
+            horizons: list[Plan] = []
+            for variant in variants:
+                report = None if progress is None else progress(problem.name, variant.name)
+                if variant.formulation == "horizon" and not initial:
+                    initial = per_frame_motions(problem, Ends(), chosen, report)
+                plan = variant.plan(problem, chosen, initial, report)
+                rows.append(_row(problem.name, variant.name, summary(plan), plan.meta["iterations"]))
+                if variant.formulation == "horizon":
+                    horizons.append(plan)
+                if interrupted():
+                    return Comparison(rows, agreements)
+            agreements += [agreement(problem, horizons[0], other) for other in horizons[1:]]
+    return Comparison(rows, agreements)
+
+
+def agreement(problem: Problem, first: Plan, second: Plan) -> dict[str, Any]:
+    """Whether two horizons of a problem are one solution: objectives within SAME, the same active limits."""
+    robot = problem.robot
+    chain = horizon(robot, problem.samples, problem.dt, first.meta["options"]["motion_weight"], Ends())
+    objectives = [float(plan.objective.mean()) for plan in (first, second)]
+    difference = abs(objectives[0] - objectives[1])
+    distances = [_to_limits(chain, plan) for plan in (first, second)]
+    touched, missed = ([part < TOUCHED for part in distances], [part > MISSED for part in distances])
+    differing = int(((touched[0] & missed[1]) | (touched[1] & missed[0])).sum())
+    same = difference <= max(SAME[0] * min(objectives), SAME[1]) and differing == 0
+    return {
+        "problem": problem.name,
+        "first": first.meta["solver"],
+        "second": second.meta["solver"],
+        "first_objective": objectives[0],
+        "second_objective": objectives[1],
+        "difference": difference,
+        "differing_limits": differing,
+        "agree": same,
+        "first_s": first.meta["solve_s"],
+        "second_s": second.meta["solve_s"],
+    }
+
+
+def _to_limits(chain: Chain, plan: Plan) -> Array:
+    """Distance of every row from its nearer bound, rad or mm."""
+    low, high = chain.bounds
+    value = chain.evaluate(plan.q.ravel())[1]
+    return np.minimum(value - low, high - value)
 
 
 def _row(problem: str, variant: str, found: dict[str, Any], iterations: int) -> dict[str, Any]:
@@ -92,8 +178,11 @@ def _row(problem: str, variant: str, found: dict[str, Any], iterations: int) -> 
         "step_alpha": found["max_step"]["alpha"],
         "step_beta": found["max_step"]["beta"],
         "step_theta": found["max_step"]["theta"],
+        "roughness": found["roughness"],
+        "objective": found["objective"],
         "median_ms": found["solve_ms"]["median"],
         "p99_ms": found["solve_ms"]["p99"],
+        "total_s": found["solve_ms"]["total"] / 1e3,
         "build_s": found["build_s"],
         "search_s": found["search_s"],
         "iterations": iterations,

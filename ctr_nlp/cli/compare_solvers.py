@@ -22,7 +22,7 @@ from ctr_nlp.cli.console import (
 )
 from ctr_nlp.cli.output import check_folder, whole_folder
 from ctr_nlp.reference.published import BASELINE, SEED
-from ctr_nlp.study import VARIANTS, compare, parse_variant
+from ctr_nlp.study import VARIANTS, Comparison, compare, parse_variant
 
 COLUMNS = {
     "variant": ("variant",),
@@ -31,12 +31,18 @@ COLUMNS = {
     "max mm": ("e_max",),
     "seed e3, e4": ("seed_e3", "seed_e4"),
     "steps rad, mm, rad": ("step_alpha", "step_beta", "step_theta"),
+    "roughness mm²/s": ("roughness",),
     "ms 50, 99 %": ("median_ms", "p99_ms"),
+    "total s": ("total_s",),
     "seed s": ("seed_t_s",),
     "build s": ("build_s",),
     "failed": ("failed",),
 }
 """Columns of the printed table and of Markdown, and the keys of a row that each shows."""
+
+
+AGREEMENT = ("problem", "objective mm²", "difference mm²", "limits that differ", "agree", "s")
+"""Columns of the table of agreements."""
 
 
 def _cells(row: dict[str, Any]) -> list[str]:
@@ -78,19 +84,39 @@ def _run(folder: Path, arguments: argparse.Namespace) -> int:
     chosen = [problems.load(name, folder, arguments) for name in arguments.problems or problems.names(folder)]
     check_folder(out)
     with progress_bar() as labelled:
-        rows = compare(chosen, variants, settings, lambda problem, variant: labelled(f"{problem}, {variant}"))
+        found = compare(chosen, variants, settings, lambda problem, variant: labelled(f"{problem}, {variant}"))
     with whole_folder(out) as staging:
-        _write(rows, staging)
+        _write(found, staging)
+    rows = found.rows
     for name in dict.fromkeys(row["problem"] for row in rows):
         print_table(name, list(COLUMNS), [_cells(row) for row in rows if row["problem"] == name])
+    if found.agreements:
+        print_table("do solvers of the horizon agree?", list(AGREEMENT), _agreements(found))
     console().print(f"wrote {out}: comparison.md, comparison.csv, comparison.json")
     if any(row["interrupted"] for row in rows):
         return INTERRUPTED
     return SOME_FAILED if any(row["failed"] for row in rows if ":" in row["variant"]) else SOLVED
 
 
-def _write(rows: list[dict[str, Any]], folder: Path) -> None:
-    text = json.dumps(rows, indent=1, allow_nan=False)
+def _agreements(found: Comparison) -> list[list[str]]:
+    return [
+        [
+            row["problem"],
+            f"{row['first']} {row['first_objective']:.6f}, {row['second']} {row['second_objective']:.6f}",
+            f"{row['difference']:.1e}",
+            str(row["differing_limits"]),
+            "yes"
+            if row["agree"]
+            else f"no: {row['first' if row['first_objective'] < row['second_objective'] else 'second']} is better",
+            f"{row['first_s']:.2f} / {row['second_s']:.2f}",
+        ]
+        for row in found.agreements
+    ]
+
+
+def _write(found: Comparison, folder: Path) -> None:
+    rows = found.rows
+    text = json.dumps(found._asdict(), indent=1, allow_nan=False)
     (folder / "comparison.json").write_text(text + "\n", encoding="utf-8")
     with open(folder / "comparison.csv", "w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(rows[0]))
@@ -98,6 +124,10 @@ def _write(rows: list[dict[str, Any]], folder: Path) -> None:
         writer.writerows(rows)
     details = [["problem", *COLUMNS], *([row["problem"], *_cells(row)] for row in rows)]
     markdown = f"e3 in mm:\n\n{_markdown(_overview(rows))}\nEverything:\n\n{_markdown(details)}"
+    if found.agreements:
+        markdown += (
+            f"\nWhether solvers of the horizon agree:\n\n{_markdown([list(AGREEMENT), *_agreements(found)])}"
+        )
     (folder / "comparison.md").write_text(markdown, encoding="utf-8")
 
 

@@ -1,9 +1,10 @@
 """Plans to pictures: what the seed shows in its Figs. 4, 5, 6 and 8, for any plan."""
 
-from ctr_nlp.figures.files import save_all
+from ctr_nlp.figures.files import save_all, save_front
 from ctr_nlp.figures.frames import by_frame
 from ctr_nlp.figures.motion import configuration
 from ctr_nlp.figures.overlay import shapes
+from ctr_nlp.figures.pareto import pareto
 from ctr_nlp.figures.violins import errors
 
-__all__ = ["by_frame", "configuration", "errors", "save_all", "shapes"]
+__all__ = ["by_frame", "configuration", "errors", "pareto", "save_all", "save_front", "shapes"]

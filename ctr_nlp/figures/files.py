@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+
+from matplotlib.figure import Figure
 
 from ctr_nlp.errors import OutputError
 from ctr_nlp.figures.frames import by_frame
 from ctr_nlp.figures.motion import configuration
 from ctr_nlp.figures.overlay import shapes
+from ctr_nlp.figures.pareto import pareto
 from ctr_nlp.figures.violins import errors
 from ctr_nlp.plan import Plan
+from ctr_nlp.trade_off import Point
 
 PICTURES = {"shapes": shapes, "errors": errors, "by_frame": by_frame, "configuration": configuration}
 DPI = 150
@@ -20,12 +25,17 @@ def save_all(plan: Plan, folder: str | Path) -> list[Path]:
 
     Returns where they lie. Raises OutputError where they cannot be written.
     """
-    paths = []
-    for name, picture in PICTURES.items():
-        path = Path(folder) / f"{name}.png"
-        try:
-            picture(plan).savefig(path, dpi=DPI)
-        except OSError as error:
-            raise OutputError(f"{path} cannot be written: {error}") from error
-        paths.append(path)
-    return paths
+    return [_save(picture(plan), Path(folder) / f"{name}.png") for name, picture in PICTURES.items()]
+
+
+def save_front(points: Sequence[Point], folder: str | Path) -> Path:
+    """Write pareto.png into a folder that exists; raises OutputError where it cannot be written."""
+    return _save(pareto(points), Path(folder) / "pareto.png")
+
+
+def _save(figure: Figure, path: Path) -> Path:
+    try:
+        figure.savefig(path, dpi=DPI)
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error}") from error
+    return path

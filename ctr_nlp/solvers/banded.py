@@ -52,7 +52,7 @@ class Band:
         self._links = self._map(chain.difference)
         self._constant = self._links @ (2 * chain.weight)
         row, column = np.tril_indices(n)
-        self._lower = row, column
+        self._rows, self._columns = row, column
         self._place = ((row - column) * size + np.arange(0, size, n)[:, None] + column).ravel()
         free = chain.free
         self._both = np.array([np.append(free[k:], np.zeros(k)) * free for k in range(self.shape[0])])
@@ -69,7 +69,7 @@ class Band:
     def assemble(self, blocks: Array, diagonal: Array, links: Array) -> Array:
         """Blocks (T, n, n) + diag(diagonal) + links' weights and constant part; the identity where x is fixed."""
         band = self._constant + self._links @ links
-        band[self._place] += blocks[:, *self._lower].ravel()
+        band[self._place] += blocks[:, self._rows, self._columns].ravel()
         band = band.reshape(self.shape)
         band[0] += diagonal
         band *= self._both

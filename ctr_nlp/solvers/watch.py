@@ -47,6 +47,7 @@ class Watch:
             self.best = iterate
 
     def __call__(self, iterate: Iterate) -> bool:
+        """Take note of an iterate; True ends the work."""
         self._keep(iterate)
         if self._report is not None:
             self._report(iterate)

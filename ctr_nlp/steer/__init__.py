@@ -1,7 +1,7 @@
 """Problems to plans."""
 
-from ctr_nlp.steer.horizon import solve_horizon
+from ctr_nlp.steer.horizon import Horizon, solve_horizon
 from ctr_nlp.steer.passes import DIRECTIONS
 from ctr_nlp.steer.per_frame import march, solve_per_frame
 
-__all__ = ["DIRECTIONS", "march", "solve_horizon", "solve_per_frame"]
+__all__ = ["DIRECTIONS", "Horizon", "march", "solve_horizon", "solve_per_frame"]

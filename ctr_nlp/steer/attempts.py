@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import signal
 import time
@@ -17,6 +18,7 @@ from ctr_nlp.chain import Chain
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.robot import Robot
 from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, Iterate, Solution, Watch
+from ctr_nlp.steer.passes import Progress
 from ctr_nlp.target import Frame
 
 Array = npt.NDArray[np.float64]
@@ -45,6 +47,44 @@ class Attempt:
     solved: bool
     seconds: float
 
+    def described(self, frames: int) -> dict[str, Any]:
+        """For a plan's meta; objectives as means over frames, mm^2."""
+        start = None if math.isinf(self.start_objective) else self.start_objective / frames
+        return {
+            "start_objective": start,
+            "objective": self.objective / frames,
+            "solved": self.solved,
+            "status": self.solution.status,
+            "iterations": self.solution.iterations,
+            "seconds": self.seconds,
+        }
+
+
+def best_of(attempts: Sequence[Attempt]) -> Attempt:
+    """The solution of least objective, unless some start was better: then the best feasible point."""
+    least = min(one.start_objective for one in attempts)
+
+    def badness(one: Attempt) -> tuple[bool, bool, float]:
+        return not (one.solved and no_worse(one.objective, least)), not one.feasible, one.objective
+
+    return min(attempts, key=badness)
+
+
+def failures(chain: Chain, one: Attempt) -> dict[str, str]:
+    """Why an attempt is no solution, by frame where limits are exceeded, else for all; empty where it is one."""
+    if one.solved:
+        return {}
+    found: dict[str, str] = {}
+    for name, frame, amount in chain.excesses(chain.evaluate(one.x)[1], FEASIBLE):
+        unit = "mm" if "beta" in name or name == "order" else "rad"
+        found.setdefault(str(frame), f"{name} exceeded by {amount:.3g} {unit}; relax it, or give more time")
+    return found or {"all": f"{one.solution.status}, KKT residual {one.solution.kkt:.1e}"}
+
+
+def no_worse(objective: float, than: float) -> bool:
+    """Whether an objective is at most another, rounding apart."""
+    return objective <= than + TIE * (1 + abs(objective))
+
 
 def attempt(
     chain: Chain,
@@ -61,8 +101,8 @@ def attempt(
     start = objective if chain.violation(value) <= FEASIBLE else np.inf
     watch = Watch(report, stop, Iterate(0, objective, chain.violation(value), np.inf, x0))
     solution = solve(x0, watch)
-    no_worse = solution.objective <= start + TIE * (1 + abs(solution.objective))
-    x = solution.x if watch.best is None or (solution.success and no_worse) else np.clip(watch.best.x, low, high)
+    solved = solution.success and no_worse(solution.objective, start)
+    x = solution.x if solved or watch.best is None else np.clip(watch.best.x, low, high)
     objective, value = chain.evaluate(x)
     return Attempt(
         x,
@@ -70,7 +110,7 @@ def attempt(
         chain.violation(value) <= FEASIBLE,
         start,
         solution,
-        solution.success and no_worse,
+        solved,
         time.perf_counter() - begin,
     )
 
@@ -103,9 +143,9 @@ def _prepare(stopping: Any) -> None:
 
 
 def attempt_in_processes(
-    task: Task, motions: Sequence[Array], jobs: int, done: Callable[[int], None], stop: Callable[[], bool]
+    task: Task, motions: Sequence[Array], jobs: int, progress: Progress | None, stop: Callable[[], bool]
 ) -> list[Attempt]:
-    """Solve from every motion (T n,), in up to so many processes at once; done is told how many are finished."""
+    """Solve from every motion (T n,), in up to so many processes at once."""
     context = multiprocessing.get_context("spawn")
     stopping = context.Event()
     with ProcessPoolExecutor(min(jobs, len(motions)), context, _prepare, (stopping,)) as pool:
@@ -113,8 +153,8 @@ def attempt_in_processes(
         waiting = set(futures)
         while waiting:
             finished, waiting = wait(waiting, timeout=POLL, return_when=FIRST_COMPLETED)
-            if finished:
-                done(len(futures) - len(waiting))
+            if finished and progress is not None:
+                progress(len(futures) - len(waiting), len(futures), f"starts, in {jobs} processes")
             if stop():
                 stopping.set()
         return [future.result() for future in futures]

@@ -1,0 +1,119 @@
+"""A plan as files and as a table on the terminal."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, console, print_table, shown
+from ctr_nlp.figures import save_all, save_front
+from ctr_nlp.metrics import by_frame, summary
+from ctr_nlp.plan import Plan
+from ctr_nlp.trade_off import Point
+
+
+def write(plan: Plan, folder: Path) -> None:
+    """plan.npz, errors.csv, summary.json and the pictures."""
+    plan.save(folder / "plan.npz")
+    _write_table(folder / "errors.csv", {name: column.tolist() for name, column in by_frame(plan).items()})
+    text = json.dumps(summary(plan), indent=2, allow_nan=False)
+    (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+    save_all(plan, folder)
+
+
+def _write_table(path: Path, columns: Mapping[str, Sequence[Any]]) -> None:
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))
+
+
+def print_report(plan: Plan, out: Path) -> None:
+    """The numbers of a plan, what is wrong with it, and where it was written."""
+    found = summary(plan)
+    how = [found["formulation"], "on", found["solver"]] + [found["direction"]] * (found["direction"] is not None)
+    print_table(
+        f"{found['problem']}, {' '.join(how)}",
+        ("", "value", "unit"),
+        [
+            ("e3, RMS over frames of e2", found["e3"], "mm"),
+            ("e4, median over frames of e2", found["e4"], "mm"),
+            ("largest error, at equal arc length", found["e_max"], "mm"),
+            ("largest distance to the target", found["nearest_max"], "mm"),
+            ("largest tip error", found["tip_max"], "mm"),
+            (
+                "largest step of alpha, beta, theta",
+                " / ".join(map(shown, found["max_step"].values())),
+                "rad / mm / rad",
+            ),
+            *_effort(found),
+            ("frames, and of these not solved", f"{found['frames']} / {found['failed']}", ""),
+        ],
+    )
+    if plan.meta["problem"]["deviation"]:
+        console().print(f"smoothing moved the target by up to {plan.meta['problem']['deviation']:.3f} mm")
+    if found["acceleration_used"] > 1:
+        console().print(
+            f"the motion needs {found['acceleration_used']:.1f} times the acceleration that limits allow"
+        )
+    for frame, why in plan.meta["failures"].items():
+        console().print(f"{'' if frame == 'all' else 'frame '}{frame} not solved: {why}")
+    if plan.meta["interrupted"]:
+        console().print("interrupted: the plan holds what was solved until then")
+    console().print(
+        f"wrote {out}: {', '.join(sorted(path.name for path in out.iterdir() if path.name[0] != '.'))}"
+    )
+
+
+def _effort(found: dict[str, Any]) -> list[tuple[str, Any, str]]:
+    """What the plan took: a time a frame, or the times of a start and a horizon."""
+    times = found["solve_ms"]
+    if times["median"] is not None:
+        return [("time a frame, median and 99 %", f"{shown(times['median'])} / {shown(times['p99'])}", "ms")]
+    return [
+        (
+            "roughness, and its weight in the objective",
+            f"{found['roughness']:.0f} / {found['weights']['motion_s2']:.2g}",
+            "mm²/s / s²",
+        ),
+        (
+            "time for the start, and for the horizon",
+            f"{shown(found['search_s'])} / {shown(times['total'] / 1e3)}",
+            "s",
+        ),
+    ]
+
+
+def exit_status(plan: Plan) -> int:
+    """0 every frame solved, 1 some not, 130 interrupted."""
+    if plan.meta["interrupted"]:
+        return INTERRUPTED
+    return SOLVED if plan.complete else SOME_FAILED
+
+
+def write_front(points: Sequence[Point], folder: Path) -> None:
+    """pareto.csv and its picture."""
+    names = [field.name for field in fields(Point)]
+    _write_table(folder / "pareto.csv", {name: [getattr(point, name) for point in points] for name in names})
+    save_front(points, folder)
+
+
+def print_front(points: Sequence[Point]) -> None:
+    """A line a weight, then a line a method."""
+    print_table(
+        "error against roughness (a star: not solved everywhere)",
+        ("", "weight s²", "e3 mm", "roughness mm²/s"),
+        [
+            (
+                point.method + ("" if point.solved else " *"),
+                f"{point.motion_weight:.2g}",
+                point.e3,
+                f"{point.roughness:.0f}",
+            )
+            for point in points
+        ],
+    )

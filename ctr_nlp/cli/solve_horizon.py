@@ -1,0 +1,134 @@
+"""The program behind scripts/solve_horizon.py."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+from ctr_nlp.cli import problems
+from ctr_nlp.cli.arguments import add_file_options, add_problem_options, read_start, whole
+from ctr_nlp.cli.console import guarded, progress_bar
+from ctr_nlp.cli.output import check_folder, whole_folder
+from ctr_nlp.cli.report import exit_status, print_front, print_report, write, write_front
+from ctr_nlp.models import MODELS
+from ctr_nlp.plan import Plan
+from ctr_nlp.problem import Problem
+from ctr_nlp.settings import Settings
+from ctr_nlp.solvers import CHAIN_SOLVERS
+from ctr_nlp.steer import Horizon
+from ctr_nlp.steer.interrupt import deferred_interrupt
+from ctr_nlp.trade_off import WEIGHTS, trade_off
+
+
+def main(folder: Path, argv: list[str] | None = None) -> int:
+    """Solve a whole motion at once and write the plan; folder holds the named problems."""
+    return guarded(lambda: _run(folder, _parser(folder).parse_args(argv)))
+
+
+def _parser(folder: Path) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="solve_horizon.py",
+        description="Follow a target with the whole shape of the robot, all frames in one program; write "
+        "plan.npz, errors.csv, summary.json and pictures.",
+        epilog="Exit status: 0 solved, 1 not, 2 bad input, 130 interrupted (the best motion so far is written).",
+    )
+    parser.add_argument(
+        "problem", metavar="PROBLEM", help=f"{', '.join(problems.names(folder))}, or a centreline file"
+    )
+    add_problem_options(parser)
+    parser.add_argument("--model", choices=MODELS, default="dominant", help="(default dominant)")
+    parser.add_argument("--solver", choices=CHAIN_SOLVERS, default="banded", help="(default banded)")
+    parser.add_argument("--out", metavar="DIR", help="(default runs/PROBLEM-horizon-MODEL)")
+    _add_motion(parser)
+    _add_search(parser)
+    add_file_options(parser)
+    return parser
+
+
+def _add_motion(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("the motion")
+    group.add_argument("--start", metavar="Q.json", help="configuration at time 0, where the robot stands now")
+    group.add_argument("--end", metavar="Q.json", help="configuration of the last frame")
+    group.add_argument("--retract", action="store_true", help="plan the way back: the frames in opposite order")
+    group.add_argument("--lock-tilt", action="store_true", help="no arm: the tilt stays 0")
+    for kind, units in (("speed", "rad/s, mm/s, rad/s"), ("acceleration", "rad/s^2, mm/s^2, rad/s^2")):
+        group.add_argument(
+            f"--{kind}",
+            metavar=("ALPHA", "BETA", "THETA"),
+            nargs=3,
+            type=float,
+            help=f"largest {kind}s in {units} (default: the robot's)",
+        )
+
+
+def _add_search(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("weight and starts")
+    group.add_argument(
+        "--motion-weight",
+        metavar="S2",
+        type=float,
+        help="lambda of the motion term in s^2 (default: motion costs a tenth of the start's shape errors)",
+    )
+    group.add_argument(
+        "--sweep-motion-weight",
+        metavar="S2",
+        nargs="*",
+        type=float,
+        help="also solve for these weights and draw error against roughness beside other methods "
+        f"(default {WEIGHTS[0]:g} to {WEIGHTS[-1]:g})",
+    )
+    group.add_argument(
+        "--initial",
+        metavar="PLAN.npz",
+        nargs="+",
+        default=[],
+        help="plans to start from, instead of frame by frame",
+    )
+    group.add_argument("--starts", metavar="N", type=whole, default=1, help="motions to start from (default 1)")
+    group.add_argument("--jobs", metavar="N", type=whole, default=1, help="processes for them (default 1)")
+    group.add_argument("--seed", metavar="N", type=whole, default=0, help="of the random starts (default 0)")
+
+
+def _run(folder: Path, arguments: argparse.Namespace) -> int:
+    settings = Settings(seed=arguments.seed)
+    problem = _problem(folder, arguments)
+    start, end = (None if path is None else read_start(path) for path in (arguments.start, arguments.end))
+    out = Path(arguments.out or f"runs/{problem.name}-horizon-{arguments.model}")
+    check_folder(out)
+    with deferred_interrupt() as interrupted:
+        horizon = Horizon(problem, arguments.model, arguments.solver, start, end)
+        initial = [Plan.load(path).q for path in arguments.initial]
+        with progress_bar() as labelled:
+            plan = horizon.solve(
+                initial,
+                arguments.motion_weight,
+                arguments.starts,
+                arguments.jobs,
+                settings,
+                labelled(problem.name),
+            )
+            front = None
+            if arguments.sweep_motion_weight is not None and not interrupted():
+                weights = arguments.sweep_motion_weight or WEIGHTS
+                front = trade_off(horizon, plan, weights, settings, labelled)
+        with whole_folder(out) as staging:
+            write(plan, staging)
+            if front is not None:
+                write_front(front, staging)
+    print_report(plan, out)
+    if front is not None:
+        print_front(front)
+    return exit_status(plan)
+
+
+def _problem(folder: Path, arguments: argparse.Namespace) -> Problem:
+    """The problem with the robot and in the direction that arguments ask for."""
+    problem = problems.load(arguments.problem, folder, arguments)
+    robot = problem.robot.with_locked_tilt() if arguments.lock_tilt else problem.robot
+    for kind in ("speed", "acceleration"):
+        if getattr(arguments, kind) is not None:
+            names = (f"alpha_{kind}", f"beta_{kind}", f"theta_{kind}")
+            robot = robot.with_limits(**dict(zip(names, getattr(arguments, kind), strict=True)))
+    problem = replace(problem, robot=robot)
+    return problem.retraction() if arguments.retract else problem
