@@ -94,6 +94,10 @@ class Chain:
         """The matrices of all links, (l, T n)."""
         return sp.csr_array(sp.vstack([link.matrix for link in self.links]))
 
+    @cached_property
+    def _transposed(self) -> sp.csr_array:
+        return sp.csr_array(self.difference.T)
+
     def _linked(self, pick: Callable[[Link], Array]) -> Array:
         return np.concatenate([pick(link) for link in self.links])
 
@@ -154,7 +158,7 @@ class Chain:
         linked = self.difference @ x + self.offset
         return Slopes(
             float(f.sum() + self.weight @ linked**2),
-            gradient.ravel() + self.difference.T @ (2 * self.weight * linked),
+            gradient.ravel() + self._transposed @ (2 * self.weight * linked),
             np.concatenate([x, g.ravel(), linked]),
             jacobian.reshape(self.frames, self.unknowns, -1).transpose(0, 2, 1).copy(),
         )
@@ -164,13 +168,13 @@ class Chain:
         frames, m, n = jacobian.shape
         size = frames * n
         of_frames = rows[size : size + frames * m].reshape(frames, m)
-        product = np.einsum("kmn,km->kn", jacobian, of_frames).ravel()
-        return rows[:size] + product + self.difference.T @ rows[size + frames * m :]
+        product = (of_frames[:, None, :] @ jacobian).ravel()
+        return rows[:size] + product + self._transposed @ rows[size + frames * m :]
 
     def times(self, jacobian: Array, x: Array) -> Array:
         """The Jacobian of all rows times x, (rows,)."""
         frames, _, n = jacobian.shape
-        of_frames = np.einsum("kmn,kn->km", jacobian, x.reshape(frames, n)).ravel()
+        of_frames = (jacobian @ x.reshape(frames, n, 1)).ravel()
         return np.concatenate([x, of_frames, self.difference @ x])
 
     def violation(self, value: Array) -> float:

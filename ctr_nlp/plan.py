@@ -8,7 +8,7 @@ import os
 import platform
 import zipfile
 import zlib
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -76,6 +76,14 @@ class Plan:
     def complete(self) -> bool:
         """Whether every frame was solved."""
         return bool(self.success.all())
+
+    def reversed(self) -> Plan:
+        """The same motion played backwards, at the same pace."""
+        timeless = {
+            f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("time", "to_robot", "meta")
+        }
+        turned = {name: None if array is None else array[::-1] for name, array in timeless.items()}
+        return replace(self, meta=self.meta | {"reversed": not self.meta.get("reversed", False)}, **turned)
 
     def save(self, path: str | Path) -> None:
         """Write plan.npz, whole or not at all; raises OutputError."""

@@ -13,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from ctr_nlp.errors import CtrError
+from ctr_nlp.steer.interrupt import deferred_interrupt
 
 SOLVED, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 """Exit codes of every program."""
@@ -28,9 +29,13 @@ def console(stderr: bool = False) -> Console:
 
 
 def guarded(program: Callable[[], int]) -> int:
-    """Run a program; bad input becomes one line and exit code 2, Ctrl-C exit code 130."""
+    """Run a program; bad input becomes one line and exit code 2, Ctrl-C exit code 130.
+
+    The first Ctrl-C is left to the program, which ends early and writes what it has; a second ends it at once.
+    """
     try:
-        return program()
+        with deferred_interrupt():
+            return program()
     except CtrError as error:
         sys.stderr.write(f"error: {error}\n")
         return BAD_INPUT

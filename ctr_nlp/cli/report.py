@@ -95,11 +95,11 @@ def exit_status(plan: Plan) -> int:
     return SOLVED if plan.complete else SOME_FAILED
 
 
-def write_front(points: Sequence[Point], folder: Path) -> None:
+def write_front(points: Sequence[Point], problem: str, folder: Path) -> None:
     """pareto.csv and its picture."""
     names = [field.name for field in fields(Point)]
     _write_table(folder / "pareto.csv", {name: [getattr(point, name) for point in points] for name in names})
-    save_front(points, folder)
+    save_front(points, problem, folder)
 
 
 def print_front(points: Sequence[Point]) -> None:

@@ -17,8 +17,7 @@ from ctr_nlp.problem import Problem
 from ctr_nlp.settings import Settings
 from ctr_nlp.solvers import CHAIN_SOLVERS
 from ctr_nlp.steer import Horizon
-from ctr_nlp.steer.interrupt import deferred_interrupt
-from ctr_nlp.trade_off import WEIGHTS, trade_off
+from ctr_nlp.trade_off import WEIGHTS, Point, trade_off
 
 
 def main(folder: Path, argv: list[str] | None = None) -> int:
@@ -96,29 +95,27 @@ def _run(folder: Path, arguments: argparse.Namespace) -> int:
     start, end = (None if path is None else read_start(path) for path in (arguments.start, arguments.end))
     out = Path(arguments.out or f"runs/{problem.name}-horizon-{arguments.model}")
     check_folder(out)
-    with deferred_interrupt() as interrupted:
-        horizon = Horizon(problem, arguments.model, arguments.solver, start, end)
-        initial = [Plan.load(path).q for path in arguments.initial]
-        with progress_bar() as labelled:
-            plan = horizon.solve(
-                initial,
-                arguments.motion_weight,
-                arguments.starts,
-                arguments.jobs,
-                settings,
-                labelled(problem.name),
-            )
-            front = None
-            if arguments.sweep_motion_weight is not None and not interrupted():
-                weights = arguments.sweep_motion_weight or WEIGHTS
-                front = trade_off(horizon, plan, weights, settings, labelled)
-        with whole_folder(out) as staging:
-            write(plan, staging)
-            if front is not None:
-                write_front(front, staging)
+    horizon = Horizon(problem, arguments.model, arguments.solver, start, end)
+    initial = [Plan.load(path).q for path in arguments.initial]
+    with progress_bar() as labelled:
+        plan = horizon.solve(
+            initial,
+            arguments.motion_weight,
+            arguments.starts,
+            arguments.jobs,
+            settings,
+            labelled(problem.name),
+        )
+        points: list[Point] = []
+        if arguments.sweep_motion_weight is not None:
+            points = trade_off(horizon, plan, arguments.sweep_motion_weight or WEIGHTS, settings, labelled)
+    with whole_folder(out) as staging:
+        write(plan, staging)
+        if points:
+            write_front(points, problem.name, staging)
     print_report(plan, out)
-    if front is not None:
-        print_front(front)
+    if points:
+        print_front(points)
     return exit_status(plan)
 
 

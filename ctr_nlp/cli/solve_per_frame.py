@@ -15,7 +15,6 @@ from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.models import MODELS
 from ctr_nlp.solvers import SOLVERS
 from ctr_nlp.steer import DIRECTIONS, march
-from ctr_nlp.steer.interrupt import deferred_interrupt
 from ctr_nlp.steer.nlp_frames import NlpFrames
 
 
@@ -57,11 +56,10 @@ def _run(folder: Path, arguments: argparse.Namespace) -> int:
     start = None if arguments.start is None else read_start(arguments.start)
     out = Path(arguments.out or f"runs/{problem.name}-{arguments.formulation}-{arguments.model}")
     check_folder(out)
-    with deferred_interrupt():
-        solver = NlpFrames(problem, arguments.formulation, arguments.solver, arguments.model, settings)
-        with progress_bar() as labelled:
-            plan = march(problem, solver, arguments.direction, start, labelled(problem.name))
-        with whole_folder(out) as staging:
-            write(plan, staging)
+    solver = NlpFrames(problem, arguments.formulation, arguments.solver, arguments.model, settings)
+    with progress_bar() as labelled:
+        plan = march(problem, solver, arguments.direction, start, labelled(problem.name))
+    with whole_folder(out) as staging:
+        write(plan, staging)
     print_report(plan, out)
     return exit_status(plan)

@@ -28,9 +28,9 @@ def save_all(plan: Plan, folder: str | Path) -> list[Path]:
     return [_save(picture(plan), Path(folder) / f"{name}.png") for name, picture in PICTURES.items()]
 
 
-def save_front(points: Sequence[Point], folder: str | Path) -> Path:
+def save_front(points: Sequence[Point], problem: str, folder: str | Path) -> Path:
     """Write pareto.png into a folder that exists; raises OutputError where it cannot be written."""
-    return _save(pareto(points), Path(folder) / "pareto.png")
+    return _save(pareto(points, problem), Path(folder) / "pareto.png")
 
 
 def _save(figure: Figure, path: Path) -> Path:

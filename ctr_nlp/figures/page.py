@@ -39,11 +39,11 @@ def head(figure: Figure, plan: Plan, title: str) -> None:
     e3 = "no frame reached" if numbers["e3"] is None else f"e3 = {numbers['e3']:.3g} mm"
     failed = f", {numbers['failed']} of {numbers['frames']} frames failed" if numbers["failed"] else ""
     how = f"{numbers['formulation']}, {numbers['model']} model, {numbers['solver']}"
-    text = _printable(f"{title}: {numbers['problem']}") + f"\n{how}; {e3}{failed}"
+    text = printable(f"{title}: {numbers['problem']}") + f"\n{how}; {e3}{failed}"
     figure.suptitle(text, fontsize=10, parse_math=False)
 
 
-def _printable(text: str) -> str:
+def printable(text: str) -> str:
     """The text with "?" for what the font lacks: a file, and so a problem, may have any name."""
     font = get_font(findfont(FontProperties()))
     return "".join(c if font.get_char_index(ord(c)) else "?" for c in text)

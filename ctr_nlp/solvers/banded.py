@@ -10,6 +10,7 @@ Optimization (2006), chapter 19, and Waechter and Biegler, Math. Program. 106 (2
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,6 +39,9 @@ RELAX = 1e-9
 DAMPING = 1e-6
 """Added to the diagonal of the Newton matrix, mm^2 per squared unit of x."""
 MOST_HALVINGS = 25
+STALL, STALLED = 6, 1e-8
+"""Where samples cross from tube to tube second derivatives jump, and near such a point Newton steps go to and fro:
+a barrier problem is left when so many iterations lower the merit by less than this part."""
 INFINITE = 1e20
 """A bound this far away has no weight, and needs no case of its own."""
 
@@ -141,28 +145,33 @@ class BandedSolver:
 
     def __call__(self, x0: Array, watch: Watch) -> Solution:
         """Solve from x0 (T n,)."""
+        low, high = self.chain.lower.ravel(), self.chain.upper.ravel()
         barrier, penalty, status = FIRST_BARRIER, 1.0, "Maximum_Iterations_Exceeded"
-        point = self._start(np.clip(x0, self.chain.lower.ravel(), self.chain.upper.ravel()), barrier)
+        point, merits = self._start(np.clip(x0, low, high), barrier), [np.inf]
         for number in range(MOST_ITERATIONS + 1):
             at, hessian = self.chain.expand(point.x, point.multipliers)
-            error = self._error(at, point, 0.0)
-            if watch(Iterate(number, at.objective, self.chain.violation(at.value), error, point.x)):
+            errors = self._errors(at, point)
+            if watch(Iterate(number, at.objective, self.chain.violation(at.value), errors(0.0), point.x)):
                 status = "Interrupted"
                 break
-            if error <= TOLERANCE:
+            if errors(0.0) <= TOLERANCE:
                 status = "Solve_Succeeded"
                 break
-            while barrier > LAST_BARRIER and self._error(at, point, barrier) < 10 * barrier:
-                barrier = max(LAST_BARRIER, min(0.2 * barrier, barrier**1.5))
+            stalled = len(merits) > STALL and merits[-STALL] - merits[-1] < STALLED * (1 + abs(merits[-1]))
+            if stalled and barrier == LAST_BARRIER:
+                status = "Solved_To_Acceptable_Level"
+                break
+            while barrier > LAST_BARRIER and (stalled or errors(barrier) < 10 * barrier):
+                barrier, merits, stalled = max(LAST_BARRIER, min(0.2 * barrier, barrier**1.5)), [np.inf], False
             step = self._newton(at, hessian, point, barrier)
             penalty = max(penalty, 1.1 * float(np.abs(point.multipliers + step.multipliers).max()))
-            moved = self._search(at, point, step, barrier, penalty)
+            moved, merit = self._search(at, point, step, barrier, penalty)
             if moved is None:
                 status = "Search_Direction_Becomes_Too_Small"
                 break
             point = moved
-        x = np.clip(point.x, self.chain.lower.ravel(), self.chain.upper.ravel())
-        return judged(self.chain, x, point.multipliers, status, number)
+            merits.append(merit)
+        return judged(self.chain, np.clip(point.x, low, high), point.multipliers, status, number)
 
     def _start(self, x: Array, barrier: float) -> _Point:
         _, value = self.chain.evaluate(x)
@@ -170,13 +179,14 @@ class BandedSolver:
         slack = np.clip(value, self._low + push, self._high - push)
         return _Point(x, slack, barrier / (slack - self._low), barrier / (self._high - slack))
 
-    def _error(self, at: Slopes, point: _Point, barrier: float) -> float:
-        """KKT residual of the barrier problem; with barrier = 0, of the problem itself."""
+    def _errors(self, at: Slopes, point: _Point) -> Callable[[float], float]:
+        """Barrier -> KKT residual of its problem; with barrier = 0, of the problem itself."""
         slope = at.gradient + self.chain.transposed(at.jacobian, point.multipliers)
-        lower = point.at_lower * (point.slack - self._low) - barrier
-        upper = point.at_upper * (self._high - point.slack) - barrier
-        parts = slope[self._free], lower, upper, at.value - point.slack
-        return max(float(np.abs(part).max(initial=0.0)) for part in parts)
+        lower = point.at_lower * (point.slack - self._low)
+        upper = point.at_upper * (self._high - point.slack)
+        products = lower.min(), upper.min(), lower.max(), upper.max()
+        rest = max(np.abs(slope[self._free]).max(initial=0.0), np.abs(at.value - point.slack).max())
+        return lambda barrier: float(max(rest, *(abs(product - barrier) for product in products)))
 
     def _newton(self, at: Slopes, hessian: Array, point: _Point, barrier: float) -> _Point:
         """The step to a zero of the barrier problem's KKT conditions, linearised at a point."""
@@ -206,8 +216,10 @@ class BandedSolver:
             band = self._band.assemble(convex(hessian) + added, diagonal, links)
             return np.asarray(solveh_banded(band, right, lower=True, check_finite=False))
 
-    def _search(self, at: Slopes, point: _Point, step: _Point, barrier: float, penalty: float) -> _Point | None:
-        """As far along a step as the l1 merit function falls enough; None where it does not fall at all."""
+    def _search(
+        self, at: Slopes, point: _Point, step: _Point, barrier: float, penalty: float
+    ) -> tuple[_Point | None, float]:
+        """As far along a step as the l1 merit function falls enough, and its value; None where it never does."""
         to_lower, to_upper = point.slack - self._low, self._high - point.slack
         primal = min(_to_boundary(to_lower, step.slack), _to_boundary(to_upper, -step.slack))
         dual = min(_to_boundary(point.at_lower, step.at_lower), _to_boundary(point.at_upper, step.at_upper))
@@ -219,9 +231,9 @@ class BandedSolver:
             objective, value = self.chain.evaluate(moved.x)
             found = self._merit(objective, value, moved.slack, barrier, penalty)
             if found <= merit + 1e-4 * primal * slope + 1e-12 * abs(merit):
-                return moved
+                return moved, found
             primal /= 2
-        return None
+        return None, merit
 
     def _merit(self, objective: float, value: Array, slack: Array, barrier: float, penalty: float) -> float:
         logs = np.log(slack - self._low).sum() + np.log(self._high - slack).sum()
@@ -230,8 +242,7 @@ class BandedSolver:
 
 def _to_boundary(distance: Array, change: Array) -> float:
     """The part of a change, at most 1, that leaves a hundredth of every distance."""
-    shrinking = change < 0
-    return float(np.min(-0.99 * distance[shrinking] / change[shrinking], initial=1.0))
+    return float(0.99 / max(0.99, -(change / distance).min()))
 
 
 def convex(hessian: Array) -> Array:

@@ -166,24 +166,22 @@ class Horizon:
         """The best attempt as a plan; without any, the first motion, not solved."""
         frames, chain = self.problem.frames, self._chain.with_cost(weight)
         unknown = np.full(frames, np.nan)
-        q, solved, objective, kkt = motions[0], False, unknown, unknown
+        x, solved, kkt = motions[0].ravel(), False, unknown
         why = {"all": "interrupted before the horizon was begun"}
         if attempts:
             best = best_of(attempts)
-            q, solved = best.x.reshape(frames, -1), best.solved
-            objective = np.add(*chain.by_frame(best.x))
-            why = failures(chain, best)
+            x, solved, why = best.x, best.solved, failures(chain, best)
             if solved:
                 kkt = chain.kkt(best.x, np.concatenate([best.solution.lam_x, best.solution.lam_g]))
         meta["starts"] = [one.described(frames) for one in attempts]
         meta["iterations"] = sum(one.solution.iterations for one in attempts)
         return plan_from_configurations(
             self.problem,
-            q,
+            x.reshape(frames, -1),
             meta | {"failures": why},
             success=np.full(frames, solved),
             solve_time=unknown,
-            objective=objective,
+            objective=np.add(*chain.by_frame(x)),
             kkt=kkt,
         )
 

@@ -25,7 +25,8 @@ class _Remember:
 def deferred_interrupt() -> Iterator[Callable[[], bool]]:
     """Hold Ctrl-C back within the block; what is yielded tells whether it was pressed.
 
-    Blocks within blocks share one answer. Only the main thread can do this; in others nothing is held back.
+    Blocks within blocks share one answer; a Ctrl-C that a program blocked while it was loading counts too. Only
+    the main thread can do this; in others nothing is held back.
     """
     if threading.current_thread() is not threading.main_thread():
         yield lambda: False
@@ -36,6 +37,8 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
         return
     handler = _Remember()
     signal.signal(signal.SIGINT, handler)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     try:
         yield handler.pressed.is_set
     finally:

@@ -31,7 +31,7 @@ def per_frame_motions(
 ) -> list[Array]:
     """Motions (T, 2d + 2) of the joint formulation, run forwards and backwards, best first.
 
-    Where Ctrl-C, held back by the caller, ended the work early, frames that were not reached hold NaN.
+    Where Ctrl-C, held back by the caller, ended the work early, the robot stands still in frames not reached.
     """
     stride = -(-problem.frames // MOST_FRAMES)
     picked = np.arange(problem.frames)[::-1][::stride][::-1]
@@ -49,8 +49,8 @@ def per_frame_motions(
 
 
 def _filled(motion: Array, picked: npt.NDArray[np.int_], frames: int) -> Array:
-    columns = [np.interp(np.arange(frames), picked, column) for column in motion.T]
-    return np.column_stack(columns)
+    known = np.isfinite(motion).all(axis=1)
+    return np.column_stack([np.interp(np.arange(frames), picked[known], column) for column in motion[known].T])
 
 
 def wandered(robot: Robot, motion: Array, seed: int) -> Iterator[Array]:
