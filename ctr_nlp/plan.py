@@ -79,10 +79,9 @@ class Plan:
 
     def reversed(self) -> Plan:
         """The same motion played backwards, at the same pace."""
-        timeless = {
-            f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("time", "to_robot", "meta")
-        }
-        turned = {name: None if array is None else array[::-1] for name, array in timeless.items()}
+        kept = ("time", "to_robot", "meta")
+        arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in kept}
+        turned: dict[str, Any] = {name: None if array is None else array[::-1] for name, array in arrays.items()}
         return replace(self, meta=self.meta | {"reversed": not self.meta.get("reversed", False)}, **turned)
 
     def save(self, path: str | Path) -> None:

