@@ -8,7 +8,7 @@ from typing import Any
 
 from ctr_nlp.metrics import summary
 from ctr_nlp.plan import Plan
-from ctr_nlp.settings import Settings, check_motion_weight
+from ctr_nlp.settings import Settings
 from ctr_nlp.steer import Horizon
 from ctr_nlp.steer.interrupt import deferred_interrupt
 from ctr_nlp.steer.passes import Progress
@@ -62,7 +62,7 @@ def sweep(
     horizon: Horizon, plan: Plan, weights: Sequence[float], labelled: Callable[[str], Progress]
 ) -> list[Plan]:
     """A plan for every weight, in ascending order: the better of one started from below and one from above."""
-    ascending = sorted(check_motion_weight(weight) for weight in set(weights))
+    ascending = sorted(set(weights))
     best: dict[float, Plan] = {}
     with deferred_interrupt() as interrupted:
         for order in (ascending, ascending[::-1]):

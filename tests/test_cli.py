@@ -233,8 +233,8 @@ def test_the_example_files_go_together(tmp_path):
     assert solve(*files, "--frames", 10, "--out", tmp_path / "other") == 2
 
 
-def test_both_programs_have_help():
-    for script in ("solve_per_frame.py", "compare_solvers.py"):
+def test_every_program_has_help():
+    for script in ("solve_per_frame.py", "solve_horizon.py", "compare_solvers.py"):
         done = subprocess.run(
             [sys.executable, ROOT / "scripts" / script, "--help"], capture_output=True, text=True, check=True
         )

@@ -13,9 +13,10 @@ from matplotlib.image import imread
 from ctr_nlp import Plan, Problem, Robot, Tube, curve_from_formula, growing, seed_robot, solve_per_frame
 from ctr_nlp import shapes as robot_shapes
 from ctr_nlp.errors import OptionError, OutputError
-from ctr_nlp.figures import by_frame, configuration, errors, save_all, shapes
+from ctr_nlp.figures import by_frame, configuration, errors, pareto, save_all, save_front, shapes
 from ctr_nlp.figures.palette import TUBES
 from ctr_nlp.figures.truth import error_from_truth, without_whole_turns
+from ctr_nlp.trade_off import Point
 
 FRAMES = 6
 
@@ -253,3 +254,40 @@ def test_a_plan_that_was_saved_is_drawn_alike(plan, tmp_path):
     plan.save(tmp_path / "plan.npz")
     again = Plan.load(tmp_path / "plan.npz")
     assert legends(configuration(again)) == legends(configuration(plan))
+
+
+FRONT = [
+    Point("horizon", 1e-8, 0.26, 9000.0, True),
+    Point("horizon", 1e-2, 0.53, 3500.0, True),
+    Point("horizon", 1e-5, 9.99, 6000.0, False),
+    Point("joint:ipopt", 1e-6, 0.29, 10800.0, True),
+    Point("seed-two-stage", 1e-6, 4.6, 24500.0, False),
+]
+
+
+def test_the_front_is_drawn_through_its_solved_points_from_smooth_to_rough():
+    (axes,) = pareto(FRONT, "cos").axes
+    line = axes.get_lines()[0]
+    np.testing.assert_allclose(line.get_xydata(), [[3500.0, 0.53], [9000.0, 0.26]])
+    assert [text.get_text() for text in axes.texts] == ["λ = 0.01 s²", "λ = 1e-08 s²"]
+    assert axes.get_xlabel() == "roughness (mm²/s)"
+    assert axes.get_ylabel() == "e3 (mm)"
+
+
+def test_other_methods_stand_beside_the_front_and_failures_are_named():
+    figure = pareto(FRONT, "a name with 漢字")
+    (axes,) = figure.axes
+    labels = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert labels == ["horizon, by weight λ", "joint:ipopt", "seed-two-stage, not all solved"]
+    assert [tuple(line.get_xydata()[0]) for line in axes.get_lines()[1:]] == [(10800.0, 0.29), (24500.0, 4.6)]
+    assert "漢" not in figure.get_suptitle()
+
+
+def test_a_front_of_one_point_or_none_is_drawn(tmp_path):
+    for points in (FRONT[:1], FRONT[3:]):
+        assert imread(save_front(points, "cos", tmp_path)).std() > 0
+
+
+def test_a_front_that_cannot_be_saved_says_so(tmp_path):
+    with pytest.raises(OutputError, match="cannot be written"):
+        save_front(FRONT, "cos", tmp_path / "missing")

@@ -116,8 +116,10 @@ def _agreements(found: Comparison) -> list[list[str]]:
 
 def _write(found: Comparison, folder: Path) -> None:
     rows = found.rows
-    text = json.dumps(found._asdict(), indent=1, allow_nan=False)
-    (folder / "comparison.json").write_text(text + "\n", encoding="utf-8")
+    for name, entries in (("comparison", rows), ("agreement", found.agreements)):
+        if entries:
+            text = json.dumps(entries, indent=1, allow_nan=False)
+            (folder / f"{name}.json").write_text(text + "\n", encoding="utf-8")
     with open(folder / "comparison.csv", "w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()

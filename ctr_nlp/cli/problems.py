@@ -16,6 +16,14 @@ def names(folder: Path) -> list[str]:
     return sorted(path.stem for path in folder.glob("*.py"))
 
 
+def named(
+    name: str, folder: Path, frames: int = 100, duration: float = 10.0, robot: Robot | None = None
+) -> Problem:
+    """The problem of that name in folder."""
+    problem: Problem = runpy.run_path(str(folder / f"{name}.py"))["problem"](frames, duration, robot)
+    return problem
+
+
 def load(name: str, folder: Path, arguments: argparse.Namespace) -> Problem:
     """The problem that a name in folder, or a centreline file, stands for; raises a CtrError."""
     robot = None if arguments.robot is None else Robot.from_toml(arguments.robot)
@@ -23,9 +31,7 @@ def load(name: str, folder: Path, arguments: argparse.Namespace) -> Problem:
         for option in ("reverse", "trim", "smoothing"):
             if getattr(arguments, option, None):
                 raise OptionError(f"--{option} goes with a centreline file; {name} is a named problem")
-        build = runpy.run_path(str(folder / f"{name}.py"))["problem"]
-        problem: Problem = build(arguments.frames, arguments.duration, robot)
-        return problem
+        return named(name, folder, arguments.frames, arguments.duration, robot)
     if not Path(name).is_file():
         raise OptionError(
             f"problem is {name!r}; it must be one of {', '.join(names(folder))} or an existing centreline file"

@@ -14,7 +14,7 @@ from ctr_nlp.cli.report import exit_status, print_front, print_report, write, wr
 from ctr_nlp.models import MODELS
 from ctr_nlp.plan import Plan
 from ctr_nlp.problem import Problem
-from ctr_nlp.settings import Settings
+from ctr_nlp.settings import Settings, check_motion_weight
 from ctr_nlp.solvers import CHAIN_SOLVERS
 from ctr_nlp.steer import Horizon
 from ctr_nlp.trade_off import WEIGHTS, Point, trade_off
@@ -91,6 +91,8 @@ def _add_search(parser: argparse.ArgumentParser) -> None:
 
 def _run(folder: Path, arguments: argparse.Namespace) -> int:
     settings = Settings(seed=arguments.seed)
+    for weight in arguments.sweep_motion_weight or ():
+        check_motion_weight(weight)
     problem = _problem(folder, arguments)
     start, end = (None if path is None else read_start(path) for path in (arguments.start, arguments.end))
     out = Path(arguments.out or f"runs/{problem.name}-horizon-{arguments.model}")

@@ -1,0 +1,149 @@
+"""The program behind scripts/benchmark.py: speed as ratios, all measured in one run."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import resource
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.chain import Chain
+from ctr_nlp.cli import problems
+from ctr_nlp.cli.console import console, guarded, print_table
+from ctr_nlp.formulations.horizon import Ends, horizon
+from ctr_nlp.problem import Problem
+from ctr_nlp.settings import Settings
+from ctr_nlp.solvers import Solution, Watch
+from ctr_nlp.solvers.banded import BandedSolver
+from ctr_nlp.solvers.chain_ipopt import IpoptSolver
+from ctr_nlp.solvers.compiled import compiled
+from ctr_nlp.steer import Horizon
+from ctr_nlp.steer.motions import per_frame_motions
+
+Array = npt.NDArray[np.float64]
+
+REPEATS = 3
+SIZES = (100, 1000, 5000)
+"""Frames over which the time and memory of an iteration are followed."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """One figure: what it is, and whether more or less of it is better."""
+
+    name: str
+    value: float
+    unit: str
+    better: str
+
+
+def main(folder: Path, argv: list[str] | None = None) -> int:
+    """Measure and print; folder holds the named problems."""
+    return guarded(lambda: _run(folder, _parser().parse_args(argv)))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="benchmark.py",
+        description="Times of the horizon's solvers, alternating in one run, interpreted and compiled, and how they "
+        "grow with the number of frames. Needs a C compiler.",
+        epilog="Exit status: 0 measured, 2 bad input.",
+    )
+    parser.add_argument("--json", metavar="FILE", help="also write the records to a file")
+    return parser
+
+
+def _run(folder: Path, arguments: argparse.Namespace) -> int:
+    records = [*_solvers(folder), *_scaling(folder)]
+    rows = [(r.name, f"{r.value:.4g}", r.unit, r.better) for r in records]
+    print_table("benchmark", ("", "value", "unit", "better"), rows)
+    if arguments.json:
+        text = json.dumps([asdict(record) for record in records], indent=1)
+        Path(arguments.json).write_text(text + "\n", encoding="utf-8")
+        console().print(f"wrote {arguments.json}")
+    return 0
+
+
+def _solvers(folder: Path) -> Iterator[Record]:
+    """Both solvers on every named problem, from the same start."""
+    ratios: dict[str, list[float]] = {"interpreted": [], "compiled": []}
+    for name in problems.names(folder):
+        chain, start = _chain(problems.named(name, folder))
+        with tempfile.TemporaryDirectory() as place:
+            library = compiled(chain.functions, Path(place))
+            for kind, made in (("interpreted", chain), ("compiled", replace(chain, functions=library))):
+                solvers = {"banded": BandedSolver(made), "ipopt": IpoptSolver(made, follow=False)}
+                times, solutions = _alternating(solvers, start)
+                for solver, solution in solutions.items():
+                    yield Record(f"{name}, {solver}, {kind}: time", times[solver], "s", "less")
+                    yield Record(f"{name}, {solver}, {kind}: iterations", solution.iterations, "", "less")
+                    yield Record(
+                        f"{name}, {solver}, {kind}: objective", solution.objective / chain.frames, "mm²", "less"
+                    )
+                ratios[kind].append(times["ipopt"] / times["banded"])
+                yield Record(f"{name}, {kind}: ipopt / banded", ratios[kind][-1], "", "more")
+    for kind, values in ratios.items():
+        yield Record(f"all, {kind}: ipopt / banded, geometric mean", statistics.geometric_mean(values), "", "more")
+
+
+def _chain(problem: Problem) -> tuple[Chain, Array]:
+    """A horizon with its default weight, and the start that solve_horizon takes."""
+    motions = per_frame_motions(problem, Ends(), Settings())
+    weight = Horizon(problem).balanced_weight(motions[0])
+    return horizon(problem.robot, problem.samples, problem.dt, weight, Ends()), motions[0].ravel()
+
+
+def _alternating(
+    solvers: dict[str, Callable[[Array, Watch], Solution]], start: Array
+) -> tuple[dict[str, float], dict[str, Solution]]:
+    """Median times in s over REPEATS rounds in which every solver has its turn, and the solutions."""
+    times: dict[str, list[float]] = {name: [] for name in solvers}
+    solutions: dict[str, Solution] = {}
+    for _ in range(REPEATS):
+        for name, solve in solvers.items():
+            begin = time.perf_counter()
+            solutions[name] = solve(start, Watch())
+            times[name].append(time.perf_counter() - begin)
+    return {name: statistics.median(values) for name, values in times.items()}, solutions
+
+
+def _scaling(folder: Path) -> Iterator[Record]:
+    """The banded solver on cos with more and more frames, each in a process of its own."""
+    context = multiprocessing.get_context("spawn")
+    first: dict[str, float] = {}
+    for frames in SIZES:
+        with context.Pool(1) as pool:
+            found: dict[str, Any] = pool.apply(_one_size, (str(folder), frames))
+        for key, unit in (("iteration", "s"), ("memory", "MB")):
+            each = found[key] / frames
+            yield Record(f"cos, {frames} frames: {key}", found[key], unit, "less")
+            yield Record(
+                f"cos, {frames} frames: {key} a frame / at {SIZES[0]}",
+                each / first.setdefault(key, each),
+                "",
+                "less",
+            )
+        yield Record(f"cos, {frames} frames: iterations", found["iterations"], "", "less")
+        yield Record(f"cos, {frames} frames: time", found["time"], "s", "less")
+
+
+def _one_size(folder: str, frames: int) -> dict[str, float]:
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    chain, start = _chain(problems.named("cos", Path(folder), frames))
+    solver = BandedSolver(chain)
+    begin = time.perf_counter()
+    solution = solver(start, Watch())
+    seconds = time.perf_counter() - begin
+    used = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
+    iterations = solution.iterations + 1
+    return {"iteration": seconds / iterations, "memory": used, "iterations": iterations, "time": seconds}
