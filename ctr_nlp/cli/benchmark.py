@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
-import resource
 import statistics
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+import tracemalloc
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +21,7 @@ from ctr_nlp.cli.console import console, guarded, print_table
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.problem import Problem
 from ctr_nlp.settings import Settings
-from ctr_nlp.solvers import Solution, Watch
+from ctr_nlp.solvers import Iterate, Solution, Watch
 from ctr_nlp.solvers.banded import BandedSolver
 from ctr_nlp.solvers.chain_ipopt import IpoptSolver
 from ctr_nlp.solvers.compiled import compiled
@@ -31,7 +29,6 @@ from ctr_nlp.steer import Horizon
 from ctr_nlp.steer.motions import per_frame_motions
 
 Array = npt.NDArray[np.float64]
-
 REPEATS = 3
 SIZES = (100, 1000, 5000)
 """Frames over which the time and memory of an iteration are followed."""
@@ -55,8 +52,8 @@ def main(folder: Path, argv: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="benchmark.py",
-        description="Times of the horizon's solvers, alternating in one run, interpreted and compiled, and how they "
-        "grow with the number of frames. Needs a C compiler.",
+        description="Times of the horizon's solvers, alternating in one run, interpreted and compiled, and how "
+        "they grow with the number of frames. Needs a C compiler.",
         epilog="Exit status: 0 measured, 2 bad input.",
     )
     parser.add_argument("--json", metavar="FILE", help="also write the records to a file")
@@ -77,19 +74,18 @@ def _run(folder: Path, arguments: argparse.Namespace) -> int:
 def _solvers(folder: Path) -> Iterator[Record]:
     """Both solvers on every named problem, from the same start."""
     ratios: dict[str, list[float]] = {"interpreted": [], "compiled": []}
-    for name in problems.names(folder):
-        chain, start = _chain(problems.named(name, folder))
-        with tempfile.TemporaryDirectory() as place:
+    with tempfile.TemporaryDirectory() as place:
+        for name in problems.names(folder):
+            chain, start = _chain(problems.named(name, folder))
             library = compiled(chain.functions, Path(place))
-            for kind, made in (("interpreted", chain), ("compiled", replace(chain, functions=library))):
-                solvers = {"banded": BandedSolver(made), "ipopt": IpoptSolver(made, follow=False)}
-                times, solutions = _alternating(solvers, start)
-                for solver, solution in solutions.items():
-                    yield Record(f"{name}, {solver}, {kind}: time", times[solver], "s", "less")
-                    yield Record(f"{name}, {solver}, {kind}: iterations", solution.iterations, "", "less")
-                    yield Record(
-                        f"{name}, {solver}, {kind}: objective", solution.objective / chain.frames, "mm²", "less"
-                    )
+            for kind, functions in (("interpreted", chain.functions), ("compiled", library)):
+                times, solutions = _alternating(replace(chain, functions=functions), start)
+                for solver, found in solutions.items():
+                    which = f"{name}, {solver}, {kind}"
+                    yield Record(f"{which}: time", times[solver], "s", "less")
+                    yield Record(f"{which}: iterations", found.iterations, "", "less")
+                    yield Record(f"{which}: objective", found.objective / chain.frames, "mm²", "less")
+                    yield Record(f"{which}: solved", float(found.success), "", "more")
                 ratios[kind].append(times["ipopt"] / times["banded"])
                 yield Record(f"{name}, {kind}: ipopt / banded", ratios[kind][-1], "", "more")
     for kind, values in ratios.items():
@@ -103,10 +99,12 @@ def _chain(problem: Problem) -> tuple[Chain, Array]:
     return horizon(problem.robot, problem.samples, problem.dt, weight, Ends()), motions[0].ravel()
 
 
-def _alternating(
-    solvers: dict[str, Callable[[Array, Watch], Solution]], start: Array
-) -> tuple[dict[str, float], dict[str, Solution]]:
+def _alternating(chain: Chain, start: Array) -> tuple[dict[str, float], dict[str, Solution]]:
     """Median times in s over REPEATS rounds in which every solver has its turn, and the solutions."""
+    solvers: dict[str, BandedSolver | IpoptSolver] = {
+        "banded": BandedSolver(chain),
+        "ipopt": IpoptSolver(chain, follow=False),
+    }
     times: dict[str, list[float]] = {name: [] for name in solvers}
     solutions: dict[str, Solution] = {}
     for _ in range(REPEATS):
@@ -118,32 +116,36 @@ def _alternating(
 
 
 def _scaling(folder: Path) -> Iterator[Record]:
-    """The banded solver on cos with more and more frames, each in a process of its own."""
-    context = multiprocessing.get_context("spawn")
+    """The banded solver on cos with more and more frames."""
     first: dict[str, float] = {}
     for frames in SIZES:
-        with context.Pool(1) as pool:
-            found: dict[str, Any] = pool.apply(_one_size, (str(folder), frames))
-        for key, unit in (("iteration", "s"), ("memory", "MB")):
-            each = found[key] / frames
-            yield Record(f"cos, {frames} frames: {key}", found[key], unit, "less")
+        chain, start = _chain(problems.named("cos", folder, frames))
+        solver = BandedSolver(chain)
+        begin = time.perf_counter()
+        found = solver(start, Watch())
+        seconds = time.perf_counter() - begin
+        which = f"cos, {frames} frames"
+        yield Record(f"{which}: iterations", found.iterations, "", "less")
+        yield Record(f"{which}: time", seconds, "s", "less")
+        for key, unit, value in (
+            ("an iteration", "s", seconds / (found.iterations + 1)),
+            ("memory", "MB", _memory(chain, start)),
+        ):
+            share = value / frames
+            yield Record(f"{which}: {key}", value, unit, "less")
             yield Record(
-                f"cos, {frames} frames: {key} a frame / at {SIZES[0]}",
-                each / first.setdefault(key, each),
+                f"{which}: {key}, a frame, over {SIZES[0]} frames'",
+                share / first.setdefault(key, share),
                 "",
                 "less",
             )
-        yield Record(f"cos, {frames} frames: iterations", found["iterations"], "", "less")
-        yield Record(f"cos, {frames} frames: time", found["time"], "s", "less")
 
 
-def _one_size(folder: str, frames: int) -> dict[str, float]:
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    chain, start = _chain(problems.named("cos", Path(folder), frames))
-    solver = BandedSolver(chain)
-    begin = time.perf_counter()
-    solution = solver(start, Watch())
-    seconds = time.perf_counter() - begin
-    used = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
-    iterations = solution.iterations + 1
-    return {"iteration": seconds / iterations, "memory": used, "iterations": iterations, "time": seconds}
+def _memory(chain: Chain, start: Array) -> float:
+    """The most memory that Python and numpy hold while a solver is built and makes three iterations, MB."""
+    tracemalloc.start()
+    seen: list[Iterate] = []
+    BandedSolver(replace(chain))(start, Watch(seen.append, lambda: len(seen) > 3))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    return peak / 2**20
