@@ -52,10 +52,15 @@ def progress_bar() -> Iterator[Callable[[str], Callable[[int, int, str], None]]]
         task = bar.add_task("", total=None)
 
         def labelled(label: str) -> Callable[[int, int, str], None]:
-            bar.update(task, description=label, completed=0, total=None)
-            return lambda done, total, note: bar.update(
-                task, description=f"{label} ({note})", completed=done, total=total
-            )
+            bar.reset(task, description=label, total=None)
+
+            def report(done: int, total: int, note: str) -> None:
+                if done < bar.tasks[0].completed:
+                    bar.reset(task)
+                bar.tasks[0].total = total  # update(total=...) would forget how fast it went
+                bar.update(task, description=f"{label} ({note})", completed=done)
+
+            return report
 
         yield labelled
 

@@ -15,6 +15,9 @@ from ctr_nlp.metrics import by_frame, summary
 from ctr_nlp.plan import Plan
 from ctr_nlp.trade_off import Point
 
+MOST_REASONS = 10
+"""Failures that are printed one by one; the plan holds them all."""
+
 
 def write(plan: Plan, folder: Path) -> None:
     """plan.npz, errors.csv, summary.json and the pictures."""
@@ -60,8 +63,11 @@ def print_report(plan: Plan, out: Path) -> None:
         console().print(
             f"the motion needs {found['acceleration_used']:.1f} times the acceleration that limits allow"
         )
-    for frame, why in plan.meta["failures"].items():
+    reasons = list(plan.meta["failures"].items())
+    for frame, why in reasons[:MOST_REASONS]:
         console().print(f"{'' if frame == 'all' else 'frame '}{frame} not solved: {why}")
+    if len(reasons) > MOST_REASONS:
+        console().print(f"and {len(reasons) - MOST_REASONS} more")
     if plan.meta["interrupted"]:
         console().print("interrupted: the plan holds what was solved until then")
     console().print(

@@ -29,7 +29,6 @@ class Forecast:
         fall = (recent[0] - recent[-1]) / max(len(recent) - 1, 1)
         left = (recent[-1] - math.log(TOLERANCE)) / fall if fall > 0 else WINDOW
         total = iterate.number + max(1, min(math.ceil(left), MOST_ITERATIONS - iterate.number))
-        note = (
-            f"{self._which}objective {iterate.objective / self._frames:.4g} mm², violation {iterate.violation:.0e}"
-        )
+        objective, violation = iterate.objective / self._frames, max(iterate.violation, 0.0)
+        note = f"{self._which}objective {objective:.4g} mm², violation {violation:.0e}"
         self._progress(iterate.number, total, note)
