@@ -8,10 +8,12 @@ from ctr_nlp.solvers.banded import BandedSolver
 from ctr_nlp.solvers.chain_ipopt import IpoptSolver
 from ctr_nlp.solvers.watch import Iterate, Watch
 
-CHAIN_SOLVERS: dict[str, Callable[[Chain], BandedSolver | IpoptSolver]] = {
+ChainSolver = BandedSolver | IpoptSolver
+
+CHAIN_SOLVERS: dict[str, Callable[[Chain], ChainSolver]] = {
     "banded": BandedSolver,
     "ipopt": IpoptSolver,
 }
-"""Every solver of chains by the name that options use; each is called with (x0, watch)."""
+"""Every solver of chains by the name that options use; each is called with (x0, watch[, first barrier])."""
 
-__all__ = ["CHAIN_SOLVERS", "FEASIBLE", "SOLVERS", "Iterate", "NlpSolver", "Solution", "Watch"]
+__all__ = ["CHAIN_SOLVERS", "FEASIBLE", "SOLVERS", "ChainSolver", "Iterate", "NlpSolver", "Solution", "Watch"]

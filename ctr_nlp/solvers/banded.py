@@ -22,15 +22,15 @@ from scipy.linalg import LinAlgError, solveh_banded
 from ctr_nlp.chain import Chain, Slopes
 from ctr_nlp.errors import OptionError
 from ctr_nlp.solvers.adapter import Solution
-from ctr_nlp.solvers.chains import judged
+from ctr_nlp.solvers.chains import WIDE, judged
 from ctr_nlp.solvers.watch import Iterate, Watch
 
 Array = npt.NDArray[np.float64]
 
 TOLERANCE = 1e-6
 """Largest stationarity (mm^2 per unit of x) and complementarity (mm^2) at a solution."""
-FIRST_BARRIER, LAST_BARRIER = 1e-2, 1e-7
-"""mm^2. Much less at first, and the start decides on active limits before the objective does."""
+LAST_BARRIER = 1e-7
+"""mm^2."""
 MOST_ITERATIONS = 500
 PUSH = 1e-3
 """How far slacks start within their bounds, rad or mm."""
@@ -143,10 +143,10 @@ class BandedSolver:
         of_links = abs(self.chain.difference) @ self._free
         return np.concatenate([self._free, of_frames, of_links]) > 0
 
-    def __call__(self, x0: Array, watch: Watch) -> Solution:
+    def __call__(self, x0: Array, watch: Watch, barrier: float = WIDE) -> Solution:
         """Solve from x0 (T n,)."""
         low, high = self.chain.lower.ravel(), self.chain.upper.ravel()
-        barrier, penalty, status = FIRST_BARRIER, 1.0, "Maximum_Iterations_Exceeded"
+        penalty, status = 1.0, "Maximum_Iterations_Exceeded"
         point, merits = self._start(np.clip(x0, low, high), barrier), [np.inf]
         for number in range(MOST_ITERATIONS + 1):
             at, hessian = self.chain.expand(point.x, point.multipliers)

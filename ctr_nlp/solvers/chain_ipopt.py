@@ -12,7 +12,7 @@ import scipy.sparse as sp
 
 from ctr_nlp.chain import Chain
 from ctr_nlp.solvers.adapter import COMMON, Solution, outcome
-from ctr_nlp.solvers.chains import judged
+from ctr_nlp.solvers.chains import WIDE, judged
 from ctr_nlp.solvers.watch import Iterate, Watch
 
 Array = npt.NDArray[np.float64]
@@ -23,7 +23,6 @@ OPTIONS: dict[str, Any] = {
     "max_iter": 500,
     "tol": 1e-6,
     "bound_relax_factor": 1e-10,
-    "mu_init": 1e-2,
 }
 
 
@@ -34,21 +33,28 @@ class IpoptSolver:
         """Build; follow=False saves the time that following every iterate takes: the Watch is not called."""
         self.chain = chain
         self._callback = _Callback(chain)
-        options = COMMON | _derivatives(chain) | {"ipopt": OPTIONS, "no_nlp_grad": True}
+        self._options = COMMON | _derivatives(chain) | {"no_nlp_grad": True}
         if follow:
-            options["iteration_callback"] = self._callback
-        self._solve = ca.nlpsol("ipopt", "ipopt", _problem(chain), options)
+            self._options["iteration_callback"] = self._callback
+        self._built: dict[float, ca.Function] = {}
 
-    def __call__(self, x0: Array, watch: Watch) -> Solution:
+    def _solver(self, barrier: float) -> ca.Function:
+        if barrier not in self._built:
+            options = self._options | {"ipopt": OPTIONS | {"mu_init": barrier}}
+            self._built[barrier] = ca.nlpsol("ipopt", "ipopt", _problem(self.chain), options)
+        return self._built[barrier]
+
+    def __call__(self, x0: Array, watch: Watch, barrier: float = WIDE) -> Solution:
         """Solve from x0 (T n,)."""
         chain, size = self.chain, x0.size
         low, high = chain.bounds
         self._callback.watch, self._callback.number = watch, 0
         x0 = np.clip(x0, low[:size], high[:size])
-        result = self._solve(x0=x0, lbx=low[:size], ubx=high[:size], lbg=low[size:], ubg=high[size:])
+        solve = self._solver(barrier)
+        result = solve(x0=x0, lbx=low[:size], ubx=high[:size], lbg=low[size:], ubg=high[size:])
         x, lam_x, lam_g = (result[key].full().ravel() for key in ("x", "lam_x", "lam_g"))
         x = np.clip(x, low[:size], high[:size])
-        return judged(chain, x, np.concatenate([lam_x, lam_g]), *outcome(self._solve))
+        return judged(chain, x, np.concatenate([lam_x, lam_g]), *outcome(solve))
 
 
 class _Callback(ca.Callback):

@@ -10,6 +10,10 @@ from ctr_nlp.solvers.adapter import FEASIBLE, OPTIMAL, Solution
 
 Array = npt.NDArray[np.float64]
 
+WIDE, NEAR = 1e-2, 1e-6
+"""First barriers, mm^2: one that lets the objective decide which limits become active, and one that stays in the
+basin of the start."""
+
 
 def judged(chain: Chain, x: Array, multipliers: Array, status: str, iterations: int) -> Solution:
     """A point as a Solution: success is what the chain itself says of it, whatever the solver does."""

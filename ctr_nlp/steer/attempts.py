@@ -8,7 +8,7 @@ import signal
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,8 @@ import numpy.typing as npt
 from ctr_nlp.chain import Chain
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.robot import Robot
-from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, Iterate, Solution, Watch
+from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, ChainSolver, Iterate, Solution, Watch
+from ctr_nlp.solvers.chains import NEAR, judged
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.target import Frame
 
@@ -32,19 +33,14 @@ POLL = 0.2
 
 @dataclass(frozen=True)
 class Attempt:
-    """What came of one motion.
+    """What came of one motion: a solution or, where success is False, the best feasible iterate, else the last.
 
-    x (T n,): the solution, else the best feasible iterate, else the last. objective, start_objective: mm^2, the
-    latter inf where the motion was infeasible. solution: the solver's own. solved: x is a solution, and no worse
-    than where it started.
+    start_objective: mm^2, inf where the motion was infeasible. feasible: the point is.
     """
 
-    x: Array
-    objective: float
+    solution: Solution
     feasible: bool
     start_objective: float
-    solution: Solution
-    solved: bool
     seconds: float
 
     def described(self, frames: int) -> dict[str, Any]:
@@ -52,8 +48,8 @@ class Attempt:
         start = None if math.isinf(self.start_objective) else self.start_objective / frames
         return {
             "start_objective": start,
-            "objective": self.objective / frames,
-            "solved": self.solved,
+            "objective": self.solution.objective / frames,
+            "solved": self.solution.success,
             "status": self.solution.status,
             "iterations": self.solution.iterations,
             "seconds": self.seconds,
@@ -65,17 +61,18 @@ def best_of(attempts: Sequence[Attempt]) -> Attempt:
     least = min(one.start_objective for one in attempts)
 
     def badness(one: Attempt) -> tuple[bool, bool, float]:
-        return not (one.solved and no_worse(one.objective, least)), not one.feasible, one.objective
+        found = one.solution
+        return not (found.success and no_worse(found.objective, least)), not one.feasible, found.objective
 
     return min(attempts, key=badness)
 
 
 def failures(chain: Chain, one: Attempt) -> dict[str, str]:
     """Why an attempt is no solution, by frame where limits are exceeded, else for all; empty where it is one."""
-    if one.solved:
+    if one.solution.success:
         return {}
     found: dict[str, str] = {}
-    for name, frame, amount in chain.excesses(chain.evaluate(one.x)[1], FEASIBLE):
+    for name, frame, amount in chain.excesses(chain.evaluate(one.solution.x)[1], FEASIBLE):
         unit = "mm" if "beta" in name or name == "order" else "rad"
         found.setdefault(str(frame), f"{name} exceeded by {amount:.3g} {unit}; relax it, or give more time")
     return found or {"all": f"{one.solution.status}, KKT residual {one.solution.kkt:.1e}"}
@@ -87,32 +84,33 @@ def no_worse(objective: float, than: float) -> bool:
 
 
 def attempt(
-    chain: Chain,
-    solve: Callable[[Array, Watch], Solution],
-    x0: Array,
-    report: Report | None,
-    stop: Callable[[], bool],
+    chain: Chain, solve: ChainSolver, x0: Array, report: Report | None, stop: Callable[[], bool]
 ) -> Attempt:
-    """Solve a chain from x0 (T n,); Ctrl-C and failures leave the best feasible iterate."""
+    """Solve a chain from x0 (T n,); never worse than that, and where it would be, once more from near it."""
     begin = time.perf_counter()
     low, high = chain.lower.ravel(), chain.upper.ravel()
     x0 = np.clip(x0, low, high)
     objective, value = chain.evaluate(x0)
     start = objective if chain.violation(value) <= FEASIBLE else np.inf
     watch = Watch(report, stop, Iterate(0, objective, chain.violation(value), np.inf, x0))
-    solution = solve(x0, watch)
-    solved = solution.success and no_worse(solution.objective, start)
-    x = solution.x if solved or watch.best is None else np.clip(watch.best.x, low, high)
-    objective, value = chain.evaluate(x)
-    return Attempt(
-        x,
-        objective,
-        chain.violation(value) <= FEASIBLE,
-        start,
-        solution,
-        solved,
-        time.perf_counter() - begin,
-    )
+    solution = _kept(chain, solve(x0, watch), watch, start)
+    if not (solution.success or watch.best is None or stop()):
+        again = _kept(chain, solve(watch.best.x, watch, NEAR), watch, start)
+        solution = replace(again, iterations=solution.iterations + again.iterations)
+    feasible = chain.violation(chain.evaluate(solution.x)[1]) <= FEASIBLE
+    return Attempt(solution, feasible, start, time.perf_counter() - begin)
+
+
+def _kept(chain: Chain, solution: Solution, watch: Watch, start: float) -> Solution:
+    """A solution that is no worse than its start; else the best point that was seen.
+
+    A start that was optimal already is met again only to the solver's tolerance: then it is a solution itself.
+    """
+    if watch.best is None or (solution.success and no_worse(solution.objective, start)):
+        return solution
+    x = np.clip(watch.best.x, chain.lower.ravel(), chain.upper.ravel())
+    multipliers = np.concatenate([solution.lam_x, solution.lam_g])
+    return judged(chain, x, multipliers, solution.status, solution.iterations)
 
 
 @dataclass(frozen=True)

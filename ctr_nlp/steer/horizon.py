@@ -170,9 +170,9 @@ class Horizon:
         why = {"all": "interrupted before the horizon was begun"}
         if attempts:
             best = best_of(attempts)
-            x, solved, why = best.x, best.solved, failures(chain, best)
+            x, solved, why = best.solution.x, best.solution.success, failures(chain, best)
             if solved:
-                kkt = chain.kkt(best.x, np.concatenate([best.solution.lam_x, best.solution.lam_g]))
+                kkt = chain.kkt(x, np.concatenate([best.solution.lam_x, best.solution.lam_g]))
         meta["starts"] = [one.described(frames) for one in attempts]
         meta["iterations"] = sum(one.solution.iterations for one in attempts)
         return plan_from_configurations(
