@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 
-from ctr_nlp.nlp import FrameFunctions, Nlp
+from ctr_nlp.nlp import FrameFunctions, Nlp, Residual
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int_]
@@ -59,7 +59,8 @@ class Excess(NamedTuple):
 class Chain:
     """Minimise the sum of all frames' objectives and of all links' costs, within bounds, constraints and links.
 
-    frame: the Nlp of every frame, with n unknowns and m constraint values. axes: names of the unknowns.
+    frame: the Nlp of every frame, with n unknowns and m constraint values. axes: names of the unknowns; scale
+    (n,): what a unit of each counts as, mm.
     parameters (p, T): packed, a column a frame. lower, upper (T, n): equal where an unknown is fixed.
     functions: the frame's, as symbols or compiled.
 
@@ -69,6 +70,7 @@ class Chain:
 
     frame: Nlp
     axes: tuple[str, ...]
+    scale: Array
     parameters: Array
     lower: Array
     upper: Array
@@ -88,6 +90,21 @@ class Chain:
     def with_cost(self, factor: float) -> Chain:
         """The same chain with the links' costs times a factor."""
         return replace(self, links=tuple(replace(link, weight=link.weight * factor) for link in self.links))
+
+    def nearest(self, x: Array) -> Chain:
+        """The chain that finds the point nearest to x (T n,), in mm, among those within all bounds."""
+        own, to = self.frame, ca.SX.sym("to", self.unknowns)
+        frame = Nlp(
+            "nearest",
+            own.x,
+            own.lower,
+            own.upper,
+            {**own.parameters, "to": to},
+            (Residual("nearest", ca.DM(self.scale) * (own.x - to)),),
+            constraints=own.constraints,
+        )
+        parameters = np.vstack([self.parameters, x.reshape(self.frames, self.unknowns).T])
+        return replace(self.with_cost(0.0), frame=frame, parameters=parameters, functions=frame.functions)
 
     @cached_property
     def difference(self) -> sp.csr_array:

@@ -45,9 +45,10 @@ def test_the_methods_beside_the_front_lie_above_it():
 @pytest.mark.parametrize(
     "name", [*NAMES, "chaste_ts002_RLL", "chaste_ts002_LLL", "chaste_ts002_RML", "hra_vhm_left_main"]
 )
-def test_no_method_lies_below_the_front(shared_data, name):
+def test_neither_per_frame_methods_nor_the_seeds_lie_below_the_front(shared_data, name):
     problem = named(name) if name in NAMES else problem_from_file(shared_data / "airways" / f"{name}.csv")
     horizon = Horizon(problem)
     points = trade_off(horizon, horizon.solve(), WEIGHTS, Settings(), quiet)
     for point in points[-len(BESIDE) :]:
-        assert on_the_front(points, point.roughness) <= point.e3 + 1e-4, point
+        if point.method != "euclidean":  # which knows no limits of speed, and may gain by that
+            assert on_the_front(points, point.roughness) <= point.e3 + 1e-6, point

@@ -39,7 +39,16 @@ def horizon(robot: Robot, frames: Sequence[Frame], dt: float, motion_weight: flo
     if ends.end is not None:
         lower[-1] = upper[-1] = ends.end
     links = _links(robot, len(frames), dt, motion_weight, ends)
-    return Chain(frame, robot.axes, np.column_stack(columns), lower, upper, links, frame.functions)
+    return Chain(
+        frame,
+        robot.axes,
+        robot.mm_per_unit,
+        np.column_stack(columns),
+        lower,
+        upper,
+        links,
+        frame.functions,
+    )
 
 
 def _links(robot: Robot, frames: int, dt: float, motion_weight: float, ends: Ends) -> tuple[Link, ...]:

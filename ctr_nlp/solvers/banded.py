@@ -21,7 +21,7 @@ from scipy.linalg import LinAlgError, solveh_banded
 
 from ctr_nlp.chain import Chain, Slopes
 from ctr_nlp.errors import OptionError
-from ctr_nlp.solvers.adapter import Solution
+from ctr_nlp.solvers.adapter import FEASIBLE, Solution
 from ctr_nlp.solvers.chains import WIDE, judged
 from ctr_nlp.solvers.watch import Iterate, Watch
 
@@ -157,14 +157,19 @@ class BandedSolver:
             if errors(0.0) <= TOLERANCE:
                 status = "Solve_Succeeded"
                 break
-            stalled = len(merits) > STALL and merits[-STALL] - merits[-1] < STALLED * (1 + abs(merits[-1]))
+            kept = np.abs(at.value - point.slack).max() <= FEASIBLE
+            stalled = (
+                kept and len(merits) > STALL and merits[-STALL] - merits[-1] < STALLED * (1 + abs(merits[-1]))
+            )
             if stalled and barrier == LAST_BARRIER:
                 status = "Solved_To_Acceptable_Level"
                 break
             while barrier > LAST_BARRIER and (stalled or errors(barrier) < 10 * barrier):
                 barrier, merits, stalled = max(LAST_BARRIER, min(0.2 * barrier, barrier**1.5)), [np.inf], False
             step = self._newton(at, hessian, point, barrier)
-            penalty = max(penalty, 1.1 * float(np.abs(point.multipliers + step.multipliers).max()))
+            needed = 1.1 * float(np.abs(point.multipliers + step.multipliers).max())
+            if needed > penalty:
+                penalty, merits = needed, [np.inf]
             moved, merit = self._search(at, point, step, barrier, penalty)
             if moved is None:
                 status = "Search_Direction_Becomes_Too_Small"

@@ -18,6 +18,7 @@ from ctr_nlp.chain import Chain
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.robot import Robot
 from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, ChainSolver, Iterate, Solution, Watch
+from ctr_nlp.solvers.banded import BandedSolver
 from ctr_nlp.solvers.chains import NEAR, judged
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.target import Frame
@@ -86,12 +87,18 @@ def no_worse(objective: float, than: float) -> bool:
 def attempt(
     chain: Chain, solve: ChainSolver, x0: Array, report: Report | None, stop: Callable[[], bool]
 ) -> Attempt:
-    """Solve a chain from x0 (T n,); never worse than that, and where it would be, once more from near it."""
+    """Solve a chain from x0 (T n,), or from the feasible point nearest to it.
+
+    The result is never worse than that; where it would be, the chain is solved once more, from near it.
+    """
     begin = time.perf_counter()
     low, high = chain.lower.ravel(), chain.upper.ravel()
     x0 = np.clip(x0, low, high)
     objective, value = chain.evaluate(x0)
     start = objective if chain.violation(value) <= FEASIBLE else np.inf
+    if start == np.inf:
+        x0 = BandedSolver(chain.nearest(x0))(x0, Watch()).x
+        objective, value = chain.evaluate(x0)
     watch = Watch(report, stop, Iterate(0, objective, chain.violation(value), np.inf, x0))
     solution = _kept(chain, solve(x0, watch), watch, start)
     if not (solution.success or watch.best is None or stop()):
