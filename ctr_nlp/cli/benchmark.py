@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import statistics
 import tempfile
@@ -120,15 +121,12 @@ def _scaling(folder: Path) -> Iterator[Record]:
     first: dict[str, float] = {}
     for frames in SIZES:
         chain, start = _chain(problems.named("cos", folder, frames))
-        solver = BandedSolver(chain)
-        begin = time.perf_counter()
-        found = solver(start, Watch())
-        seconds = time.perf_counter() - begin
+        found, iteration, seconds = _followed(BandedSolver(chain), start)
         which = f"cos, {frames} frames"
         yield Record(f"{which}: iterations", found.iterations, "", "less")
         yield Record(f"{which}: time", seconds, "s", "less")
         for key, unit, value in (
-            ("an iteration", "s", seconds / (found.iterations + 1)),
+            ("an iteration, median", "s", iteration),
             ("memory", "MB", _memory(chain, start)),
         ):
             share = value / frames
@@ -139,6 +137,14 @@ def _scaling(folder: Path) -> Iterator[Record]:
                 "",
                 "less",
             )
+
+
+def _followed(solver: BandedSolver, start: Array) -> tuple[Solution, float, float]:
+    """A solution, the median time of an iteration and the whole time, s."""
+    moments = [time.perf_counter()]
+    found = solver(start, Watch(lambda _: moments.append(time.perf_counter())))
+    steps = [after - before for before, after in itertools.pairwise(moments)]
+    return found, statistics.median(steps), moments[-1] - moments[0]
 
 
 def _memory(chain: Chain, start: Array) -> float:
