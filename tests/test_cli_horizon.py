@@ -143,7 +143,7 @@ def test_ends_too_far_apart_are_refused_with_what_to_relax(tmp_path, configurati
 
 
 def test_an_unsolved_horizon_is_exit_status_1_and_says_why(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("ctr_nlp.solvers.banded.MOST_ITERATIONS", 2)
+    monkeypatch.setattr("ctr_nlp.solvers.banded.MOST_ITERATIONS", 0)
     assert solve("cos", "--frames", 6, "--motion-weight", "1e-7", "--out", tmp_path / "out") == 1
     assert "all not solved: Maximum_Iterations_Exceeded" in capsys.readouterr().out
     assert not Plan.load(tmp_path / "out" / "plan.npz").success.any()

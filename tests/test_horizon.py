@@ -12,9 +12,11 @@ from hypothesis import strategies as st
 
 from ctr_nlp import problem_from_file, solve_horizon, solve_per_frame, summary
 from ctr_nlp.errors import OptionError, ProblemError, RobotError
+from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.solvers import CHAIN_SOLVERS
 from ctr_nlp.solvers.chains import judged
 from ctr_nlp.steer import Horizon
+from ctr_nlp.steer.attempts import Attempt, failures
 from ctr_nlp.steer.interrupt import deferred_interrupt
 from problems import NAMES, named
 
@@ -249,15 +251,29 @@ def test_ctrl_c_stops_other_processes(problem):
     assert "Interrupted" in {one["status"] for one in found.meta["starts"]}
 
 
-def test_a_failed_horizon_says_what_is_exceeded_and_is_no_solution(problem, monkeypatch):
+def test_a_failed_solve_leaves_its_feasible_start_and_is_no_solution(problem, plan, monkeypatch):
     def gives_up(chain):
-        return lambda x0, watch: judged(chain, x0, np.zeros(chain.bounds[0].size), "Gave_Up", 0)
+        return lambda x0, watch, barrier=0: judged(chain, x0 + 1, np.zeros(chain.bounds[0].size), "Gave_Up", 0)
 
     monkeypatch.setitem(CHAIN_SOLVERS, "banded", gives_up)
-    start = np.concatenate([np.full(3, 3.0), [1.0, 5.0, 12.0], np.zeros(2)])
-    found = Horizon(problem, start=start).solve([np.tile(start - np.repeat([2.0, 0.0], [1, 7]), (12, 1))], 1e-6)
+    found = solve_horizon(problem, initial=[plan.q])
     assert not found.success.any()
-    assert "speed of alpha_1 exceeded by 0.333 rad" in found.meta["failures"]["1"]
+    assert np.isnan(found.kkt).all()
+    np.testing.assert_array_equal(found.q, plan.q)
+    assert found.meta["failures"]["all"].startswith("Gave_Up, KKT residual")
+
+
+def test_what_a_point_exceeds_is_said_by_limit_frame_and_amount(problem):
+    start = np.concatenate([np.full(3, 3.0), [1.0, 5.0, 12.0], np.zeros(2)])
+    chain = horizon(problem.robot, problem.samples, problem.dt, 1e-6, Ends(start))
+    x = np.tile(start - np.repeat([2.0, 0.0], [1, 7]), 12)
+    x[5 * 8 + 3] = -0.25
+    solution = judged(chain, x, np.zeros(chain.bounds[0].size), "Gave_Up", 0)
+    found = failures(chain, Attempt(solution, False, np.inf, 0.0))
+    assert not solution.success
+    assert found["1"].startswith("speed of alpha_1 exceeded by 0.333 rad; relax it")
+    assert found["6"].startswith("limits of beta_1 exceeded by 0.25 mm")
+    assert set(found) == {"1", "6"}
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ Optimization (2006), chapter 19, and Waechter and Biegler, Math. Program. 106 (2
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,8 @@ RELAX = 1e-9
 DAMPING = 1e-6
 """Added to the diagonal of the Newton matrix, mm^2 per squared unit of x."""
 MOST_HALVINGS = 25
+DIVERGED = 1e12
+"""Multipliers grow beyond this (mm^2 per unit of a row) where no point is feasible."""
 STALL, STALLED = 6, 1e-8
 """Where samples cross from tube to tube second derivatives jump, and near such a point Newton steps go to and fro:
 a barrier problem is left when so many iterations lower the merit by less than this part."""
@@ -135,6 +137,7 @@ class BandedSolver:
         still = ~self._reached()
         self._low = np.where(still | np.isinf(low), -INFINITE, low - RELAX)
         self._high = np.where(still | np.isinf(high), INFINITE, high + RELAX)
+        self._least = 1e-14 * (1 + np.minimum(np.abs(self._low), np.abs(self._high)))
 
     def _reached(self) -> npt.NDArray[np.bool_]:
         """The rows that some free unknown changes."""
@@ -168,6 +171,9 @@ class BandedSolver:
                 barrier, merits, stalled = max(LAST_BARRIER, min(0.2 * barrier, barrier**1.5)), [np.inf], False
             step = self._newton(at, hessian, point, barrier)
             needed = 1.1 * float(np.abs(point.multipliers + step.multipliers).max())
+            if needed > DIVERGED:
+                status = "Infeasible_Problem_Detected"
+                break
             if needed > penalty:
                 penalty, merits = needed, [np.inf]
             moved, merit = self._search(at, point, step, barrier, penalty)
@@ -233,6 +239,7 @@ class BandedSolver:
         merit = self._merit(at.objective, at.value, point.slack, barrier, penalty)
         for _ in range(MOST_HALVINGS):
             moved = point.moved(step, primal, dual)
+            moved = replace(moved, slack=np.clip(moved.slack, self._low + self._least, self._high - self._least))
             objective, value = self.chain.evaluate(moved.x)
             found = self._merit(objective, value, moved.slack, barrier, penalty)
             if found <= merit + 1e-4 * primal * slope + 1e-12 * abs(merit):

@@ -43,7 +43,8 @@ class Watch:
             self._keep(first)
 
     def _keep(self, iterate: Iterate) -> None:
-        if iterate.violation <= FEASIBLE and (self.best is None or iterate.objective < self.best.objective):
+        least = np.inf if self.best is None else self.best.objective
+        if iterate.violation <= FEASIBLE and iterate.objective < least:
             self.best = iterate
 
     def __call__(self, iterate: Iterate) -> bool:

@@ -36,7 +36,7 @@ POLL = 0.2
 class Attempt:
     """What came of one motion: a solution or, where success is False, the best feasible iterate, else the last.
 
-    start_objective: mm^2, inf where the motion was infeasible. feasible: the point is.
+    start_objective: mm^2, of the motion brought within limits; inf where there is none. feasible: the point is.
     """
 
     solution: Solution
@@ -84,21 +84,25 @@ def no_worse(objective: float, than: float) -> bool:
     return objective <= than + TIE * (1 + abs(objective))
 
 
+def within_limits(chain: Chain, x: Array) -> Array:
+    """The motion x (T n,) itself, or the one nearest to it that keeps all limits, where there is one."""
+    x = np.clip(x, chain.lower.ravel(), chain.upper.ravel())
+    if chain.violation(chain.evaluate(x)[1]) <= FEASIBLE:
+        return x
+    return BandedSolver(chain.nearest(x))(x, Watch()).x
+
+
 def attempt(
     chain: Chain, solve: ChainSolver, x0: Array, report: Report | None, stop: Callable[[], bool]
 ) -> Attempt:
-    """Solve a chain from x0 (T n,), or from the feasible point nearest to it.
+    """Solve a chain from x0 (T n,), or from the feasible motion nearest to it.
 
     The result is never worse than that; where it would be, the chain is solved once more, from near it.
     """
     begin = time.perf_counter()
-    low, high = chain.lower.ravel(), chain.upper.ravel()
-    x0 = np.clip(x0, low, high)
+    x0 = within_limits(chain, x0)
     objective, value = chain.evaluate(x0)
     start = objective if chain.violation(value) <= FEASIBLE else np.inf
-    if start == np.inf:
-        x0 = BandedSolver(chain.nearest(x0))(x0, Watch()).x
-        objective, value = chain.evaluate(x0)
     watch = Watch(report, stop, Iterate(0, objective, chain.violation(value), np.inf, x0))
     solution = _kept(chain, solve(x0, watch), watch, start)
     if not (solution.success or watch.best is None or stop()):

@@ -17,8 +17,8 @@ from ctr_nlp.models import MODELS
 from ctr_nlp.plan import Plan, plan_from_configurations
 from ctr_nlp.problem import Problem
 from ctr_nlp.settings import Settings, check_motion_weight
-from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE
-from ctr_nlp.steer.attempts import Attempt, Task, attempt, attempt_in_processes, best_of, failures
+from ctr_nlp.solvers import CHAIN_SOLVERS
+from ctr_nlp.steer.attempts import Attempt, Task, attempt, attempt_in_processes, best_of, failures, within_limits
 from ctr_nlp.steer.forecast import Forecast
 from ctr_nlp.steer.interrupt import deferred_interrupt
 from ctr_nlp.steer.limits import check_ends, check_growth
@@ -132,13 +132,11 @@ class Horizon:
         """The best of motions in the horizon's own objective, then random changes of the very best, (T n,)."""
         chain = self._chain.with_cost(weight)
 
-        def badness(motion: Array) -> tuple[bool, float]:
-            objective, value = chain.evaluate(motion.ravel())
-            return chain.violation(value) > FEASIBLE, objective
-
-        ranked = sorted(motions, key=badness)
-        endless = itertools.chain(ranked, wandered(self.problem.robot, ranked[0], seed))
-        return [motion.ravel() for motion in itertools.islice(endless, count)]
+        kept = [within_limits(chain, motion.ravel()) for motion in motions]
+        ranked = sorted(kept, key=lambda x: chain.evaluate(x)[0])
+        changes = wandered(self.problem.robot, ranked[0].reshape(motions[0].shape), seed)
+        endless = itertools.chain(ranked, (motion.ravel() for motion in changes))
+        return list(itertools.islice(endless, count))
 
     def _attempts(
         self,
