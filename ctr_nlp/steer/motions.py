@@ -54,7 +54,10 @@ def _filled(motion: Array, picked: npt.NDArray[np.int_], frames: int) -> Array:
 
 
 def wandered(robot: Robot, motion: Array, seed: int) -> Iterator[Array]:
-    """Smooth random changes of a motion (T, 2d + 2), within limits and order; speeds are not looked at."""
+    """Smooth random changes of a motion (T, 2d + 2), in order and then within limits of position.
+
+    Speeds, carriage gaps, and outer tubes that reach further than inner ones are left to within_limits.
+    """
     rng = np.random.default_rng(seed)
     frames, d = len(motion), robot.d
     t = np.linspace(0.0, 1.0, frames)[:, None]
