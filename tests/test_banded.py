@@ -13,12 +13,14 @@ from scipy.optimize import isotonic_regression, nnls
 from strategies import seeds
 
 from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_formula, growing, seed_robot
-from ctr_nlp.chain import Chain, Link, differences
+from ctr_nlp.chain import Chain
 from ctr_nlp.errors import OptionError
 from ctr_nlp.formulations.horizon import Ends, horizon
+from ctr_nlp.links import Link, differences
 from ctr_nlp.nlp import Constraint, Nlp, Residual
 from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, Iterate, Solution, Watch
-from ctr_nlp.solvers.banded import TOLERANCE, Band, BandedSolver
+from ctr_nlp.solvers.band import Band
+from ctr_nlp.solvers.banded import TOLERANCE, BandedSolver
 
 INF = np.inf
 EVERY_SOLVER = pytest.mark.parametrize("solver", CHAIN_SOLVERS)

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from strategies import seeds
 
 from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_formula, growing, seed_robot, shapes
-from ctr_nlp.chain import Chain, Excess, Link, differences
+from ctr_nlp.chain import Chain, Excess
 from ctr_nlp.formulations.horizon import Ends, horizon
+from ctr_nlp.links import Link, differences
 from ctr_nlp.nlp import Constraint, Nlp, Residual
 from ctr_nlp.target import SIGMA
 

@@ -144,11 +144,11 @@ def test_a_way_at_constant_speed_needs_its_length_over_the_time():
 
 
 def test_the_slowest_axis_decides():
-    """Of 1.5 rad and 100 mm in 2 s at 0.05 rad/s and 4 mm/s, angles need 15 and carriages 12.5 times the speed."""
+    """Of 1.5 rad and 100 mm in 2 s at 0.06 rad/s and 3.333 mm/s, angles need 12.5 times and carriages 15."""
     start, end = [0.5, 20, 0, 0], [-1.0, 120, 0, 0]
-    factor, name = needed(*moved(ONE, start, end, 4, 2.0, alpha_speed=0.05, beta_speed=4.0))
+    factor, name = needed(*moved(ONE, start, end, 4, 2.0, alpha_speed=0.06, beta_speed=10 / 3))
     assert factor == pytest.approx(15, abs=0.005)
-    assert name == "speed of alpha_1"
+    assert name == "speed of beta_1"
 
 
 def furthest(frames, step, gain=INF):

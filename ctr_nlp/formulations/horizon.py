@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.chain import Chain, Link, differences
+from ctr_nlp.chain import Chain
 from ctr_nlp.formulations.joint import alone, target_of
+from ctr_nlp.links import Link, differences
 from ctr_nlp.robot import Robot
 from ctr_nlp.target import Frame
 

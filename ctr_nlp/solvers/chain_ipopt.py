@@ -51,7 +51,8 @@ class IpoptSolver:
         self._callback.watch, self._callback.number = watch, 0
         x0 = np.clip(x0, low[:size], high[:size])
         solve = self._solver(barrier)
-        result = solve(x0=x0, lbx=low[:size], ubx=high[:size], lbg=low[size:], ubg=high[size:])
+        lbg, ubg = np.where(chain.reached, low, -np.inf)[size:], np.where(chain.reached, high, np.inf)[size:]
+        result = solve(x0=x0, lbx=low[:size], ubx=high[:size], lbg=lbg, ubg=ubg)
         x, lam_x, lam_g = (result[key].full().ravel() for key in ("x", "lam_x", "lam_g"))
         x = np.clip(x, low[:size], high[:size])
         return judged(chain, x, np.concatenate([lam_x, lam_g]), *outcome(solve))

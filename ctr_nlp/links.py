@@ -1,0 +1,54 @@
+"""Linear links between the frames of a chain: differences of first or higher order, with bounds and costs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int_]
+
+
+@dataclass(frozen=True)
+class Link:
+    """Rows over neighbouring frames: lower <= value <= upper, where value = matrix @ x + offset.
+
+    The objective gains sum weight value^2. matrix (m, T n), over x frame by frame; offset, lower, upper,
+    weight (m,). frame, axis (m,): the frame (from 0) whose value a row is, and the entry of its x.
+    """
+
+    name: str
+    matrix: sp.csr_array
+    offset: Array
+    lower: Array
+    upper: Array
+    weight: Array
+    frame: Index
+    axis: Index
+
+
+def differences(
+    frames: int, order: int, before: Sequence[Array], after: Sequence[Array], n: int
+) -> tuple[sp.csr_array, Array, Index, Index]:
+    """Differences of a given order along x, with known x before the first and after the last frame.
+
+    Returns matrix and offset, and frame and axis of every row; rows in which nothing is unknown are left out.
+    """
+    known = [*before, *after]
+    length = frames + len(known)
+    stencil = sp.identity(length, format="csr")
+    for _ in range(order):
+        stencil = stencil[1:] - stencil[:-1]
+    inner = slice(len(before), len(before) + frames)
+    some = np.flatnonzero(abs(stencil[:, inner]).sum(axis=1) > 0)
+    stencil = stencil[some]
+    outer: Any = sp.hstack([stencil[:, : len(before)], stencil[:, len(before) + frames :]])
+    offset = (outer @ np.array(known).reshape(len(known), n)).ravel()
+    matrix = sp.csr_array(sp.kron(stencil[:, inner], sp.identity(n)))
+    frame = np.clip(some + order - len(before), 0, frames - 1)
+    return matrix, offset, np.repeat(frame, n), np.tile(np.arange(n), len(some))
