@@ -15,6 +15,8 @@ from ctr_nlp import Plan
 from ctr_nlp.cli.compare_solvers import main as compare_solvers
 from ctr_nlp.cli.output import MARK
 from ctr_nlp.cli.solve_horizon import main as solve_horizon
+from ctr_nlp.solvers import CHAIN_SOLVERS
+from ctr_nlp.solvers.chains import judged
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from problems import FOLDER
 
@@ -143,9 +145,12 @@ def test_ends_too_far_apart_are_refused_with_what_to_relax(tmp_path, configurati
 
 
 def test_an_unsolved_horizon_is_exit_status_1_and_says_why(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("ctr_nlp.solvers.banded.MOST_ITERATIONS", 0)
-    assert solve("cos", "--frames", 6, "--motion-weight", "1e-7", "--out", tmp_path / "out") == 1
-    assert "all not solved: Maximum_Iterations_Exceeded" in capsys.readouterr().out
+    def gives_up(chain):
+        return lambda x0, watch, barrier=0: judged(chain, x0, np.zeros(chain.bounds[0].size), "Gave_Up", 0)
+
+    monkeypatch.setitem(CHAIN_SOLVERS, "banded", gives_up)
+    assert solve("cos", "--frames", 6, "--motion-weight", "1e-3", "--out", tmp_path / "out") == 1
+    assert "all not solved: Gave_Up, KKT residual" in capsys.readouterr().out
     assert not Plan.load(tmp_path / "out" / "plan.npz").success.any()
 
 
