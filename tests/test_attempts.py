@@ -258,7 +258,7 @@ def solved_parts(numbers):
 
 
 def test_random_tasks_become_feasible_and_most_are_solved():
-    assert solved_parts(range(6)) >= 5 / 6
+    assert solved_parts(range(4)) >= 3 / 4
 
 
 @pytest.mark.slow

@@ -444,7 +444,9 @@ def test_a_solver_can_be_used_again(solver):
     found = along_an_arc("start", solver)
     solve = CHAIN_SOLVERS[solver](found.chain)
     solve(found.start + 0.1, Watch(stop=lambda: True))
-    again = solve(found.start, Watch())
+    seen = []
+    again = solve(found.start, Watch(seen.append))
+    assert seen[0].number == 0
     assert again.iterations == found.solution.iterations
     np.testing.assert_array_equal(again.x, found.solution.x)
 
@@ -486,3 +488,10 @@ def test_a_watch_reports_before_it_asks_whether_to_stop():
     watch = Watch(lambda at: order.append(at.number), lambda: order.append("stop?") or True)
     assert watch(iterate(1, 1.0)) is True
     assert order == [1, "stop?"]
+
+
+def test_links_that_hold_differences_still_are_solved():
+    """Lower and upper bounds that meet leave slacks no room but what bounds are relaxed by."""
+    to = np.random.default_rng(2).normal(size=(5, 2))
+    solution = solved(linked(drawn(), to, [link(5, 2, low=0.0, high=0.0)]))
+    np.testing.assert_allclose(np.diff(solution.x.reshape(5, 2), axis=0), 0.0, atol=1e-6)

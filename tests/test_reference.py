@@ -61,7 +61,7 @@ def test_tip_control_moves_the_tip_and_not_the_shape():
 def test_every_variant_keeps_position_limits():
     problem = named("arc", 4)
     for row_variant in VARIANTS:
-        plan = march(problem, parse_variant(row_variant).build(problem, Settings()), "forward")
+        plan = parse_variant(row_variant).plan(problem, Settings(), (), None)
         robot = plan.robot
         assert (plan.q >= robot.lower - 1e-6).all()
         assert (plan.q <= robot.upper + 1e-6).all()
@@ -69,7 +69,7 @@ def test_every_variant_keeps_position_limits():
 
 
 def test_comparison_puts_published_figures_beside():
-    rows = compare([named("arc", 3)], [parse_variant("joint:ipopt"), parse_variant("euclidean")])
+    rows = compare([named("arc", 3)], [parse_variant("joint:ipopt"), parse_variant("euclidean")]).rows
     assert [row["seed_e3"] for row in rows] == [1.62, 1.81]
     assert all(row["failed"] == 0 and row["e3"] < 3 for row in rows)
 

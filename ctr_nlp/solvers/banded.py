@@ -36,7 +36,8 @@ PUSH = 1e-3
 RELAX = 1e-9
 """How far bounds are moved outwards, so that bounds that meet still have an interior, rad or mm."""
 DAMPING = 1e-6
-"""Added to the diagonal of the Newton matrix, mm^2 per squared unit of x."""
+"""Added to the diagonal of the Newton matrix, mm^2 per squared unit of x; more where rounding calls for it."""
+MOST_DAMPING = 1e6
 MOST_HALVINGS = 25
 DIVERGED = 1e12
 """Multipliers grow beyond this (mm^2 per unit of a row) where no point is feasible."""
@@ -70,7 +71,7 @@ class _Point:
 
 
 class BandedSolver:
-    """Solves chains whose frames have inequality constraints only; from any start, feasible or not."""
+    """Solves chains whose frames have inequality constraints only; surest from a feasible start."""
 
     def __init__(self, chain: Chain) -> None:
         """Prepare for a chain; raises OptionError where a frame has equations."""
@@ -161,13 +162,18 @@ class BandedSolver:
         size, (frames, m, _) = right.size, jacobian.shape
         of_frames = sigma[size : size + frames * m].reshape(frames, 1, m)
         added = (jacobian.transpose(0, 2, 1) * of_frames) @ jacobian
-        diagonal, links = sigma[:size] + DAMPING, sigma[size + frames * m :]
-        try:
-            band = self._band.assemble(hessian + added, diagonal, links)
-            return np.asarray(solveh_banded(band, right, lower=True, check_finite=False))
-        except LinAlgError:
-            band = self._band.assemble(convex(hessian) + added, diagonal, links)
-            return np.asarray(solveh_banded(band, right, lower=True, check_finite=False))
+        blocks, damping = hessian, DAMPING
+        while True:
+            band = self._band.assemble(blocks + added, sigma[:size] + damping, sigma[size + frames * m :])
+            try:
+                return np.asarray(solveh_banded(band, right, lower=True, check_finite=False))
+            except LinAlgError:
+                if damping > MOST_DAMPING:
+                    raise
+                if blocks is hessian:
+                    blocks = convex(hessian)
+                else:
+                    damping *= 1e3
 
     def _search(
         self, at: Slopes, point: _Point, step: _Point, barrier: float, penalty: float
