@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from ctr_nlp.errors import OptionError
@@ -34,3 +35,9 @@ def check_motion_weight(weight: float) -> float:
     if not (math.isfinite(weight) and weight >= 0):
         raise OptionError(f"motion_weight is {weight} s^2; it must be a finite number >= 0")
     return weight
+
+
+def check_choice(name: str, value: str, allowed: Iterable[str]) -> None:
+    """Raise OptionError, with the valid ones, unless a value is one of those allowed."""
+    if value not in allowed:
+        raise OptionError(f"{name} is {value!r}; it must be one of {', '.join(allowed)}")

@@ -19,7 +19,7 @@ from ctr_nlp.plan import Plan
 from ctr_nlp.problem import Problem
 from ctr_nlp.reference import METHODS, reference_frames
 from ctr_nlp.reference.published import BASELINE, SEED
-from ctr_nlp.settings import Settings
+from ctr_nlp.settings import Settings, check_choice
 from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS
 from ctr_nlp.steer import Horizon, march
 from ctr_nlp.steer.interrupt import deferred_interrupt
@@ -77,8 +77,7 @@ def parse_variant(name: str) -> Variant:
         ("solver", solver, CHAIN_SOLVERS if formulation == "horizon" else SOLVERS),
         ("model", model, MODELS),
     ):
-        if value not in allowed:
-            raise OptionError(f"{kind} of variant {name!r} is {value!r}; it must be one of {', '.join(allowed)}")
+        check_choice(f"{kind} of variant {name!r}", value, allowed)
     if formulation == "horizon":
         return Variant(
             name,

@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.errors import OptionError
 from ctr_nlp.nlp import Constraint, Nlp, kkt_residual
+from ctr_nlp.settings import check_choice
 
 Array = npt.NDArray[np.float64]
 
@@ -45,8 +45,7 @@ class NlpSolver:
 
     def __init__(self, nlp: Nlp, solver: str) -> None:
         """Build; raises OptionError where the solver is unknown or does not suit the problem."""
-        if solver not in SOLVERS:
-            raise OptionError(f"solver is {solver!r}; it must be one of {', '.join(SOLVERS)}")
+        check_choice("solver", solver, SOLVERS)
         self.nlp = _with_a_row(nlp) if solver == "sqp" else nlp
         self._solve = SOLVERS[solver](self.nlp)
 

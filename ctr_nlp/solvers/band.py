@@ -18,7 +18,8 @@ class Band:
 
     def __init__(self, chain: Chain) -> None:
         n, size = chain.unknowns, chain.lower.size
-        reach = np.abs(_pairs(chain.difference)[1] - _pairs(chain.difference)[2])
+        _, first, second, _ = _pairs(chain.difference)
+        reach = np.abs(first - second)
         self.shape = (max(n - 1, int(reach.max(initial=0))) + 1, size)
         self._links = self._map(chain.difference)
         self._constant = self._links @ (2 * chain.weight)

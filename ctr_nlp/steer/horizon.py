@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ctr_nlp.chain import Chain
 from ctr_nlp.errors import OptionError
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.models import MODELS
 from ctr_nlp.plan import Plan, plan_from_configurations
 from ctr_nlp.problem import Problem
-from ctr_nlp.settings import Settings, check_motion_weight
+from ctr_nlp.settings import Settings, check_choice, check_motion_weight
 from ctr_nlp.solvers import CHAIN_SOLVERS
 from ctr_nlp.steer.attempts import Attempt, Task, attempt, attempt_in_processes, best_of, failures, within_limits
 from ctr_nlp.steer.forecast import Forecast
@@ -74,9 +75,8 @@ class Horizon:
         end: npt.ArrayLike | None = None,
     ) -> None:
         """Build; raises OptionError, RobotError, and ProblemError where no motion can keep the limits."""
-        for name, value, allowed in (("model", model, MODELS), ("solver", solver, CHAIN_SOLVERS)):
-            if value not in allowed:
-                raise OptionError(f"{name} of a horizon is {value!r}; it must be one of {', '.join(allowed)}")
+        check_choice("model of a horizon", model, MODELS)
+        check_choice("solver of a horizon", solver, CHAIN_SOLVERS)
         if problem.frames < 2:
             raise OptionError("frames is 1; a motion over a horizon needs at least 2")
         check_growth(problem)
@@ -110,17 +110,18 @@ class Horizon:
             motions = given or per_frame_motions(self.problem, self.ends, settings, progress)
             between = time.perf_counter()
             weight = self.balanced_weight(motions[0]) if motion_weight is None else motion_weight
+            chain = self._chain.with_cost(weight)
             attempts: list[Attempt] = []
             if not interrupted():
-                picked = self._picked(weight, motions, starts, settings.seed)
-                attempts = self._attempts(weight, picked, jobs, progress, interrupted)
+                picked = self._picked(chain, motions, starts, settings.seed)
+                attempts = self._attempts(chain, weight, picked, jobs, progress, interrupted)
             work = {"search_s": between - begin, "solve_s": time.perf_counter() - between}
             stopped = interrupted()
         options = asdict(settings) | {"motion_weight": weight, "starts": starts}
         for name, q in (("start", self.ends.start), ("end", self.ends.end)):
             options[name] = None if q is None else q.tolist()
         meta = {**self._names, **work, "options": options, "build_s": self.build_seconds, "interrupted": stopped}
-        return self._plan(weight, motions, attempts, meta)
+        return self._plan(chain, motions, attempts, meta)
 
     def balanced_weight(self, motion: Array) -> float:
         """The lambda in s^2 at which a motion costs MOTION_SHARE of its shape errors."""
@@ -128,10 +129,8 @@ class Horizon:
         weight = MOTION_SHARE * shape / moved if moved > 0 else 0.0
         return weight if weight > LEAST_MOTION_WEIGHT else LEAST_MOTION_WEIGHT
 
-    def _picked(self, weight: float, motions: Sequence[Array], count: int, seed: int) -> list[Array]:
+    def _picked(self, chain: Chain, motions: Sequence[Array], count: int, seed: int) -> list[Array]:
         """The best of motions in the horizon's own objective, then random changes of the very best, (T n,)."""
-        chain = self._chain.with_cost(weight)
-
         kept = [within_limits(chain, motion.ravel()) for motion in motions]
         ranked = sorted(kept, key=lambda x: chain.evaluate(x)[0])
         changes = wandered(self.problem.robot, ranked[0].reshape(motions[0].shape), seed)
@@ -140,6 +139,7 @@ class Horizon:
 
     def _attempts(
         self,
+        chain: Chain,
         weight: float,
         motions: Sequence[Array],
         jobs: int,
@@ -150,7 +150,6 @@ class Horizon:
         if jobs > 1 and count > 1:
             task = Task(problem.robot, problem.samples, problem.dt, weight, self.ends, self._names["solver"])
             return attempt_in_processes(task, motions, jobs, progress, interrupted)
-        chain = self._chain.with_cost(weight)
         solve = CHAIN_SOLVERS[self._names["solver"]](chain)
         attempts = []
         for number, motion in enumerate(motions, start=1):
@@ -159,10 +158,10 @@ class Horizon:
         return attempts
 
     def _plan(
-        self, weight: float, motions: Sequence[Array], attempts: Sequence[Attempt], meta: dict[str, Any]
+        self, chain: Chain, motions: Sequence[Array], attempts: Sequence[Attempt], meta: dict[str, Any]
     ) -> Plan:
         """The best attempt as a plan; without any, the first motion, not solved."""
-        frames, chain = self.problem.frames, self._chain.with_cost(weight)
+        frames = self.problem.frames
         unknown = np.full(frames, np.nan)
         x, solved, kkt = motions[0].ravel(), False, unknown
         why = {"all": "interrupted before the horizon was begun"}

@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.errors import OptionError
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.forward import other_way
 from ctr_nlp.frames import FrameResult, reachable, starts
 from ctr_nlp.models import MODELS
 from ctr_nlp.problem import Problem
-from ctr_nlp.settings import Settings
+from ctr_nlp.settings import Settings, check_choice
 from ctr_nlp.solvers import NlpSolver, Solution
 
 Array = npt.NDArray[np.float64]
@@ -45,9 +44,8 @@ class NlpFrames:
         settings: Settings = DEFAULTS,
     ) -> None:
         """Build the NLPs; raises OptionError for names that do not exist."""
-        for name, value, allowed in (("formulation", formulation, FORMULATIONS), ("model", model, MODELS)):
-            if value not in allowed:
-                raise OptionError(f"{name} is {value!r}; it must be one of {', '.join(allowed)}")
+        check_choice("formulation", formulation, FORMULATIONS)
+        check_choice("model", model, MODELS)
         self.problem = problem
         self._seed = settings.seed
         self._root = math.sqrt(settings.motion_weight) / problem.dt
