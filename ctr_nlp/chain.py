@@ -122,20 +122,34 @@ class Chain:
 
     @cached_property
     def _mapped(self) -> tuple[_Mapped, _Mapped, _Mapped]:
-        value, slopes, expansion = (_Mapped(function, self.frames) for function in self.functions)
+        *functions, lanes = self.functions
+        value, slopes, expansion = (_Mapped(function, self.frames, lanes) for function in functions)
         for mapped in (value, slopes, expansion):
             mapped.inputs[1][:] = self.parameters.T
         return value, slopes, expansion
 
+    def frame_values(self, x: Array) -> list[Array]:
+        """Objectives (T, 1) and constraints (T, m) of the frames at x; the next call overwrites them."""
+        return self._mapped[0](x)
+
+    def frame_expansion(self, x: Array, multipliers: Array) -> list[Array]:
+        """Second-order expansions of the frames' own Lagrangians at x; the next call overwrites them.
+
+        multipliers: of all rows. Objectives (T, 1), gradients (T, n), constraints (T, m), their Jacobians (T, n m)
+        by columns, and Hessians (T, n n). What the links add to a Hessian is constant and left out.
+        """
+        of_frames = multipliers[x.size : x.size + self.frames * self.frame.g.numel()]
+        return self._mapped[2](x, np.ones(self.frames), of_frames)
+
     def evaluate(self, x: Array) -> tuple[float, Array]:
         """The objective in mm^2 and the rows' values at x."""
-        f, g = self._mapped[0](x)
+        f, g = self.frame_values(x)
         linked = self.difference @ x + self.offset
         return float(f.sum() + self.weight @ linked**2), np.concatenate([x, g.ravel(), linked])
 
     def by_frame(self, x: Array) -> tuple[Array, Array]:
         """What each frame adds to the objective, (T,) mm^2: by itself, and by the links that end at it."""
-        f, _ = self._mapped[0](x)
+        f, _ = self.frame_values(x)
         linked = np.zeros(self.frames)
         frame = np.concatenate([link.frame for link in self.links])
         np.add.at(linked, frame, self.weight * (self.difference @ x + self.offset) ** 2)
@@ -143,18 +157,7 @@ class Chain:
 
     def slopes(self, x: Array) -> Slopes:
         """First derivatives at x."""
-        return self._assembled(x, *self._mapped[1](x))
-
-    def expand(self, x: Array, multipliers: Array) -> tuple[Slopes, Array]:
-        """First derivatives at x, and the Hessians (T, n, n) of the frames' own Lagrangians.
-
-        multipliers: of all rows. What the links add to the Hessian is constant and left out.
-        """
-        of_frames = multipliers[x.size : x.size + self.frames * self.frame.g.numel()]
-        *slopes, hessian = self._mapped[2](x, np.ones(self.frames), of_frames)
-        return self._assembled(x, *slopes), hessian.reshape(self.frames, self.unknowns, self.unknowns).copy()
-
-    def _assembled(self, x: Array, f: Array, gradient: Array, g: Array, jacobian: Array) -> Slopes:
+        f, gradient, g, jacobian = self._mapped[1](x)
         linked = self.difference @ x + self.offset
         return Slopes(
             float(f.sum() + self.weight @ linked**2),
@@ -217,8 +220,7 @@ class Chain:
         outside = np.maximum(np.maximum(low - at.value, at.value - high), 0.0)
         to_bound = np.abs(np.where(multipliers > 0, high, low) - at.value)
         slack = np.abs(multipliers) * np.where(np.isfinite(to_bound), to_bound, 1.0)
-        found = np.zeros(self.frames)
-        np.maximum.at(found, np.arange(x.size) // self.unknowns, np.abs(slope))
+        found = np.abs(slope).reshape(self.frames, -1).max(axis=1)
         np.maximum.at(found, self._row_frames, np.maximum(outside, slack))
         return found
 
@@ -241,24 +243,28 @@ class Chain:
 
 
 class _Mapped:
-    """A function of one frame evaluated for all, without copies on the way; a row a frame.
+    """A function of `lanes` frames at once evaluated for all, without copies on the way; a row a frame.
 
     inputs, outputs: arrays (T, entries) that the function reads and writes. What a call returns is overwritten
     by the next.
     """
 
-    def __init__(self, function: ca.Function, frames: int) -> None:
-        self._function = function.map(frames)
+    def __init__(self, function: ca.Function, frames: int, lanes: int) -> None:
+        calls = -(-frames // lanes)
+        self._function = function.map(calls)
         self._buffer, self._run = self._function.buffer()
-        self.inputs = [np.zeros((frames, function.numel_in(i))) for i in range(function.n_in())]
-        self.outputs = [np.zeros((frames, function.numel_out(i))) for i in range(function.n_out())]
-        for i, array in enumerate(self.inputs):
+        sizes_in, sizes_out = self._function.numel_in, self._function.numel_out
+        whole_in = [np.zeros((calls * lanes, sizes_in(i) // (calls * lanes))) for i in range(function.n_in())]
+        whole_out = [np.zeros((calls * lanes, sizes_out(i) // (calls * lanes))) for i in range(function.n_out())]
+        for i, array in enumerate(whole_in):
             self._buffer.set_arg(i, array.data)  # type: ignore[call-arg]
-        for i, array in enumerate(self.outputs):
+        for i, array in enumerate(whole_out):
             self._buffer.set_res(i, array.data)  # type: ignore[call-arg]
+        self.inputs = [array[:frames] for array in whole_in]
+        self._outputs = [array[:frames] for array in whole_out]
 
     def __call__(self, x: Array, *multipliers: Array) -> list[Array]:
         for array, values in zip(self.inputs[:1] + self.inputs[2:], (x, *multipliers), strict=True):
             array.ravel()[:] = values
         self._run()
-        return self.outputs
+        return self._outputs

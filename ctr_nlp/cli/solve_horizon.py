@@ -37,7 +37,7 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
     )
     add_problem_options(parser)
     parser.add_argument("--model", choices=MODELS, default="dominant", help="(default dominant)")
-    parser.add_argument("--solver", choices=CHAIN_SOLVERS, default="banded", help="(default banded)")
+    parser.add_argument("--solver", choices=CHAIN_SOLVERS, help="(default banded where there is a C compiler)")
     parser.add_argument("--out", metavar="DIR", help="(default runs/PROBLEM-horizon-MODEL)")
     _add_motion(parser)
     _add_search(parser)

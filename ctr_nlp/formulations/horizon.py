@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy.typing as npt
 from ctr_nlp.chain import Chain
 from ctr_nlp.formulations.joint import alone, target_of
 from ctr_nlp.links import Link, differences
+from ctr_nlp.nlp import FrameFunctions, Nlp
 from ctr_nlp.robot import Robot
 from ctr_nlp.target import Frame
 
@@ -28,8 +29,15 @@ class Ends:
     end: Array | None = None
 
 
-def horizon(robot: Robot, frames: Sequence[Frame], dt: float, motion_weight: float, ends: Ends) -> Chain:
-    """The motion through frames, dt s apart, as a chain.
+def horizon(
+    robot: Robot,
+    frames: Sequence[Frame],
+    dt: float,
+    motion_weight: float,
+    ends: Ends,
+    functions: Callable[[Nlp], FrameFunctions] = lambda nlp: nlp.functions,
+) -> Chain:
+    """The motion through frames, dt s apart, as a chain; functions: how a frame is evaluated.
 
     The objective is J / dt = sum_j shape_j + lambda sum_j |W (q_{j+1} - q_j)|^2 / dt^2 in mm^2, with shape_j the
     distance (8) of frame j and lambda = motion_weight in s^2.
@@ -48,7 +56,7 @@ def horizon(robot: Robot, frames: Sequence[Frame], dt: float, motion_weight: flo
         lower,
         upper,
         links,
-        frame.functions,
+        functions(frame),
     )
 
 

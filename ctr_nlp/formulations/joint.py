@@ -11,7 +11,7 @@ import numpy as np
 from ctr_nlp import terms
 from ctr_nlp.formulations.stage import Stage
 from ctr_nlp.models import dominant
-from ctr_nlp.nlp import Nlp
+from ctr_nlp.nlp import Inner, Nlp
 from ctr_nlp.robot import Robot
 from ctr_nlp.settings import Settings
 from ctr_nlp.target import SIGMA, Frame
@@ -27,7 +27,13 @@ def alone(robot: Robot) -> Nlp:
     weights[[0, -1]] /= 2
     q, target = ca.SX.sym("q", 2 * robot.d + 2), ca.SX.sym("target", len(sigma), 3)
     entries = ca.vertsplit(q)
-    points = dominant.backbone(robot, entries, ca.DM(sigma), ca).points
+    beta = entries[robot.d : 2 * robot.d]
+    travelled = [ca.horzcat(side, along) for side, along, _ in dominant.arms(robot, beta, ca.DM(sigma), ca)]
+    planes = [ca.horzcat(ca.vertcat(*bend), ca.vertcat(*t)) for bend, t in dominant.directions(robot, entries, ca)]
+    inner = Inner.of(travelled + planes)
+    arms = (ca.horzsplit(symbol) for symbol in inner.symbols[: robot.d])
+    bends = ([ca.vertsplit(vector) for vector in ca.horzsplit(symbol)] for symbol in inner.symbols[robot.d :])
+    points = dominant.points(list(arms), list(bends))
     return Nlp(
         "frame",
         q,
@@ -35,7 +41,8 @@ def alone(robot: Robot) -> Nlp:
         robot.upper,
         {"target": target},
         residuals=(terms.shape(points, target, ca.DM(weights)),),
-        constraints=terms.order(robot, entries[robot.d : 2 * robot.d]),
+        constraints=terms.order(robot, beta),
+        inner=inner,
     )
 
 

@@ -15,7 +15,7 @@ from ctr_nlp.robot import Robot, Tube
 
 Vector = tuple[Any, Any, Any]
 
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 
 
 class Backbone(NamedTuple):
@@ -25,30 +25,61 @@ class Backbone(NamedTuple):
     tangents: Vector
 
 
-def backbone(robot: Robot, q: Sequence[Any], sigma: Any, xp: Any) -> Backbone:
-    """The shape C(s | q) at s = sigma beta_d, eqs. (1) and (4).
+class Arm(NamedTuple):
+    """Travel on one tube in its own plane, mm, and the angle turned, rad."""
 
-    q: the 2d + 2 entries. A sample is clamped into every tube's segment in turn, so that the expression has
-    the same structure whichever tube the sample lies on; positions are C1 in beta.
+    side: Any
+    along: Any
+    angle: Any
+
+
+def backbone(robot: Robot, q: Sequence[Any], sigma: Any, xp: Any) -> Backbone:
+    """The shape C(s | q) at s = sigma beta_d, eqs. (1) and (4); q: the 2d + 2 entries."""
+    travelled = arms(robot, q[robot.d : 2 * robot.d], sigma, xp)
+    planes = directions(robot, q, xp)
+    tangent = planes[0][1]
+    for (_, _, angle), (bend, t) in zip(travelled, planes, strict=True):
+        tangent = _plus(tangent, xp.sin(angle), bend, xp.cos(angle) - 1, t)
+    return Backbone(points(travelled, planes), tangent)
+
+
+def points(travelled: Sequence[Any], planes: Sequence[Any]) -> Vector:
+    """The shape: what is travelled on every tube, sideways and along, times where these directions point."""
+    point: Vector = (0.0, 0.0, 0.0)
+    for (side, along, *_), (bend, t) in zip(travelled, planes, strict=True):
+        point = _plus(point, side, bend, along, t)
+    return point
+
+
+def arms(robot: Robot, beta: Sequence[Any], sigma: Any, xp: Any) -> list[Arm]:
+    """What is travelled on every tube to s = sigma beta_d.
+
+    A sample is clamped into every tube's segment in turn, so that the expression has the same structure whichever
+    tube the sample lies on; positions are C1 in beta.
     """
+    s, start, travelled = sigma * beta[-1], 0 * beta[0], []
+    for i in range(robot.d):
+        reached = xp.fmin(xp.fmax(s, start), beta[i])
+        travelled.append(_planar(robot, i, beta[i] - start, beta[i] - reached, xp))
+        start = beta[i]
+    return travelled
+
+
+def directions(robot: Robot, q: Sequence[Any], xp: Any) -> list[tuple[Vector, Vector]]:
+    """Where every tube bends to, and the tangent, at the beginning of its segment."""
     alpha, beta, (theta_x, theta_y) = q[: robot.d], q[robot.d : 2 * robot.d], q[2 * robot.d :]
     d1, d2, t = _base_frame(theta_x, theta_y, xp)
-    point, tangent = (0.0, 0.0, 0.0), t
-    s, start = sigma * beta[-1], 0 * beta[0]
-    for i, tube in enumerate(robot.tubes):
+    start, planes = 0 * beta[0], []
+    for i in range(robot.d):
         cos, sin = xp.cos(alpha[i]), xp.sin(alpha[i])
         bend, normal = _sum(cos, d1, sin, d2), _sum(-sin, d1, cos, d2)
-        straight = _shows_transmission(robot, i)
-        reached = xp.fmin(xp.fmax(s, start), beta[i])
-        side, along, angle = _planar(tube, beta[i] - start, beta[i] - reached, straight, xp)
-        point = _plus(point, side, bend, along, t)
-        tangent = _plus(tangent, xp.sin(angle), bend, xp.cos(angle) - 1, t)
-        *_, angle = _planar(tube, beta[i] - start, 0 * start, straight, xp)
+        planes.append((bend, t))
+        angle = _planar(robot, i, beta[i] - start, 0 * start, xp).angle
         c, z = xp.cos(angle), xp.sin(angle)
         turned, t = _sum(c, bend, -z, t), _sum(z, bend, c, t)
         d1, d2 = _sum(cos, turned, -sin, normal), _sum(sin, turned, cos, normal)
         start = beta[i]
-    return Backbone(point, tangent)
+    return planes
 
 
 def _shows_transmission(robot: Robot, i: int) -> bool:
@@ -56,28 +87,26 @@ def _shows_transmission(robot: Robot, i: int) -> bool:
     return bool(robot.upper[robot.d + i] > robot.tubes[i].curved_length)
 
 
-def _planar(tube: Tube, x_from: Any, x_to: Any, straight: bool, xp: Any) -> tuple[Any, Any, Any]:
-    """Travel on one tube between distances from its tip: (sideways mm, along mm, angle rad).
-
-    straight: whether the transmission behind the curved part can be on the way.
-    """
-    lead = 0.0
-    if straight:
+def _planar(robot: Robot, i: int, x_from: Any, x_to: Any, xp: Any) -> Arm:
+    """Travel on tube i between distances from its tip."""
+    tube, lead = robot.tubes[i], 0.0
+    if _shows_transmission(robot, i):
         end = tube.curved_length
         lead = xp.fmax(x_from, end) - xp.fmax(x_to, end)
         x_from, x_to = xp.fmin(x_from, end), xp.fmin(x_to, end)
     length = x_from - x_to
     if tube.root_curvature == tube.tip_curvature == 0:
-        return 0 * length, lead + length, 0 * length
+        return Arm(0 * length, lead + length, 0 * length)
     if tube.root_curvature == tube.tip_curvature:
         k = tube.tip_curvature
-        return 2 * xp.sin(k * length / 2) ** 2 / k, lead + xp.sin(k * length) / k, k * length
+        sin, cos = xp.sin(k / 2 * length), xp.cos(k / 2 * length)
+        return Arm(2 / k * sin * sin, lead + 2 / k * sin * cos, k * length)
     angle_from = _turning(tube, x_from)
     side = along = 0.0
     for node, weight in zip((_NODES + 1) / 2, _WEIGHTS / 2, strict=True):
         angle = angle_from - _turning(tube, x_from - node * length)
         side, along = side + weight * xp.sin(angle), along + weight * xp.cos(angle)
-    return side * length, lead + along * length, angle_from - _turning(tube, x_to)
+    return Arm(side * length, lead + along * length, angle_from - _turning(tube, x_to))
 
 
 def _turning(tube: Tube, x: Any) -> Any:

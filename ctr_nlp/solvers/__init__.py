@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 from ctr_nlp.chain import Chain
+from ctr_nlp.solvers import cache
 from ctr_nlp.solvers.adapter import FEASIBLE, SOLVERS, NlpSolver, Solution
 from ctr_nlp.solvers.banded import BandedSolver
 from ctr_nlp.solvers.chain_ipopt import IpoptSolver
@@ -16,4 +17,20 @@ CHAIN_SOLVERS: dict[str, Callable[[Chain], ChainSolver]] = {
 }
 """Every solver of chains by the name that options use; each is called with (x0, watch[, first barrier])."""
 
-__all__ = ["CHAIN_SOLVERS", "FEASIBLE", "SOLVERS", "ChainSolver", "Iterate", "NlpSolver", "Solution", "Watch"]
+
+def default_chain_solver() -> str:
+    """The faster one that works here: banded is compiled."""
+    return "ipopt" if cache.missing() else "banded"
+
+
+__all__ = [
+    "CHAIN_SOLVERS",
+    "FEASIBLE",
+    "SOLVERS",
+    "ChainSolver",
+    "Iterate",
+    "NlpSolver",
+    "Solution",
+    "Watch",
+    "default_chain_solver",
+]

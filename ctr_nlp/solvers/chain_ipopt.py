@@ -95,12 +95,22 @@ def _problem(chain: Chain) -> dict[str, ca.MX]:
     return {"x": x, "f": f, "g": g}
 
 
+def _mapped(chain: Chain, function: ca.Function, *columns: ca.MX) -> list[ca.MX]:
+    """A function of the frame over all frames; what has a column a frame is filled up to whole calls."""
+    lanes = chain.functions.lanes
+    calls = -(-chain.frames // lanes)
+    more = calls * lanes - chain.frames
+    filled = (ca.horzcat(each, ca.repmat(each[:, -1], 1, more)) for each in columns)
+    found = function.map(calls)(*filled)
+    return [each[:, : each.shape[1] // (calls * lanes) * chain.frames] for each in found]
+
+
 def _columns(chain: Chain, x: ca.MX) -> ca.MX:
     return ca.reshape(x, chain.unknowns, chain.frames)
 
 
 def _values(chain: Chain, x: ca.MX) -> tuple[ca.MX, ca.MX]:
-    f, g = chain.functions.value.map(chain.frames)(_columns(chain, x), chain.parameters)
+    f, g = _mapped(chain, chain.functions.value, _columns(chain, x), ca.MX(chain.parameters))
     linked = _linked(chain, x)
     return ca.sum2(f) + ca.dot(ca.DM(chain.weight), linked**2), ca.vertcat(ca.vec(g), linked)
 
@@ -117,9 +127,9 @@ def _derivatives(chain: Chain) -> dict[str, ca.Function]:
     matrix, weight = _dm(chain.difference), ca.DM(chain.weight)
     of_frames = ca.repmat(lam_f, 1, frames), ca.reshape(lam_g[: frames * m], m, frames)
     f, g = _values(chain, x)
-    at = _columns(chain, x), chain.parameters
-    _, gradient, _, jacobian = chain.functions.slopes.map(frames)(*at)
-    *_, hessian = chain.functions.expansion.map(frames)(*at, *of_frames)
+    at = _columns(chain, x), ca.MX(chain.parameters)
+    _, gradient, _, jacobian = _mapped(chain, chain.functions.slopes, *at)
+    *_, hessian = _mapped(chain, chain.functions.expansion, *at, *of_frames)
     gradient = ca.vec(gradient) + 2 * matrix.T @ (weight * _linked(chain, x))
     jacobian = ca.vertcat(_diagonal(jacobian, m, n, frames), matrix)
     links = _dm(chain.difference.T @ sp.diags_array(2 * chain.weight) @ chain.difference)

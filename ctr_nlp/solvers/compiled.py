@@ -2,35 +2,39 @@
 
 from __future__ import annotations
 
-import hashlib
-import shutil
-import subprocess
-from pathlib import Path
+import functools
+import inspect
 
 import casadi as ca
 
-from ctr_nlp.errors import OptionError
-from ctr_nlp.nlp import FrameFunctions
-
-FLAGS = ("-O1", "-fPIC", "-shared")
-"""Higher levels take three times as long to compile and gain a tenth."""
+from ctr_nlp import nlp as problems
+from ctr_nlp.nlp import FrameFunctions, Nlp
+from ctr_nlp.solvers import cache, vector
 
 
-def compiled(functions: FrameFunctions, folder: Path) -> FrameFunctions:
-    """The same functions from a library in folder, which must outlive them; raises OptionError.
+def compiled(nlp: Nlp) -> FrameFunctions:
+    """An Nlp's functions from a library; raises OptionError where nothing can be compiled."""
+    path = str(cache.library(_key(nlp), lambda: _code(nlp)))
+    value, slopes, expansion = (ca.external(name, path) for name in FrameFunctions._fields[:3])
+    return FrameFunctions(value, slopes, expansion, vector.LANES)
 
-    A library that is there already for the same code is taken.
-    """
-    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-    if compiler is None:
-        raise OptionError("no C compiler was found; install gcc or clang")
-    generator = ca.CodeGenerator("frame.c")
-    for function in functions:
-        generator.add(function)
-    code = generator.dump()
-    source = folder / f"frame-{hashlib.sha256(code.encode()).hexdigest()[:16]}.c"
-    library = source.with_suffix(".so")
-    if not library.exists():
-        source.write_text(code, encoding="utf-8")
-        subprocess.run([compiler, *FLAGS, "-o", library, source, "-lm"], check=True)
-    return FrameFunctions(*(ca.external(function.name(), str(library)) for function in functions))
+
+def fastest(nlp: Nlp) -> FrameFunctions:
+    """An Nlp's functions, compiled where that is possible."""
+    return nlp.functions if cache.missing() else compiled(nlp)
+
+
+def _key(nlp: Nlp) -> str:
+    """What the code depends on: the problem itself, and what derives it and writes it."""
+    problem = ca.Function("problem", [nlp.x, nlp.p], [nlp.objective, nlp.g]).serialize()
+    return "\n".join([ca.CasadiMeta.version(), _makers(), problem])
+
+
+@functools.cache
+def _makers() -> str:
+    return inspect.getsource(problems) + inspect.getsource(vector)
+
+
+def _code(nlp: Nlp) -> str:
+    value, slopes, expansion, _ = nlp.functions
+    return vector.vector_code((value, slopes, expansion))

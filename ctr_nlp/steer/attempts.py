@@ -17,9 +17,9 @@ import numpy.typing as npt
 from ctr_nlp.chain import Chain
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.robot import Robot
-from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, ChainSolver, Iterate, Solution, Watch
-from ctr_nlp.solvers.banded import BandedSolver
+from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, ChainSolver, Iterate, Solution, Watch, default_chain_solver
 from ctr_nlp.solvers.chains import NEAR, judged
+from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.target import Frame
 
@@ -89,7 +89,7 @@ def within_limits(chain: Chain, x: Array) -> Array:
     x = np.clip(x, chain.lower.ravel(), chain.upper.ravel())
     if chain.violation(chain.evaluate(x)[1]) <= FEASIBLE:
         return x
-    return BandedSolver(chain.nearest(x))(x, Watch()).x
+    return CHAIN_SOLVERS[default_chain_solver()](chain.nearest(x))(x, Watch()).x
 
 
 def attempt(
@@ -137,7 +137,7 @@ class Task:
 
     def solve(self, x0: Array) -> Attempt:
         """Solve from x0 (T n,), in a process that attempt_in_processes has prepared."""
-        chain = horizon(self.robot, self.frames, self.dt, self.motion_weight, self.ends)
+        chain = horizon(self.robot, self.frames, self.dt, self.motion_weight, self.ends, fastest)
         return attempt(chain, CHAIN_SOLVERS[self.solver](chain), x0, None, _stopping.is_set)
 
 

@@ -18,7 +18,8 @@ from ctr_nlp.models import MODELS
 from ctr_nlp.plan import Plan, plan_from_configurations
 from ctr_nlp.problem import Problem
 from ctr_nlp.settings import Settings, check_choice, check_motion_weight
-from ctr_nlp.solvers import CHAIN_SOLVERS
+from ctr_nlp.solvers import CHAIN_SOLVERS, default_chain_solver
+from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.steer.attempts import Attempt, Task, attempt, attempt_in_processes, best_of, failures, within_limits
 from ctr_nlp.steer.forecast import Forecast
 from ctr_nlp.steer.interrupt import deferred_interrupt
@@ -39,7 +40,7 @@ def solve_horizon(
     problem: Problem,
     *,
     model: str = "dominant",
-    solver: str = "banded",
+    solver: str | None = None,
     start: npt.ArrayLike | None = None,
     end: npt.ArrayLike | None = None,
     motion_weight: float | None = None,
@@ -51,13 +52,13 @@ def solve_horizon(
 ) -> Plan:
     """The plan that follows a problem's target over all frames at once, eq. (9) over a horizon.
 
-    solver: banded, or ipopt. start: q (2d + 2,) at time 0; end: q of the last frame; free where None.
-    motion_weight: lambda in s^2; None takes the one at which the motion of the start costs a tenth of its shape
-    errors. initial: motions (T, 2d + 2) to start from; without any, those of per_frame_motions. starts: how many
-    are tried: the best of those, then smooth random changes of the best (settings.seed), in so many processes as
-    jobs says. settings: of the frames run one by one. The plan is never worse than the best motion it started
-    from, and marked where it is no solution. Ctrl-C ends the work; the plan is then the best feasible one so far,
-    marked as interrupted. Raises OptionError, ProblemError, RobotError.
+    solver: banded, or ipopt; None takes banded where there is a C compiler. start: q (2d + 2,) at time 0; end: q
+    of the last frame; free where None. motion_weight: lambda in s^2; None takes the one at which the motion of
+    the start costs a tenth of its shape errors. initial: motions (T, 2d + 2) to start from; without any, those of
+    per_frame_motions. starts: how many are tried: the best of those, then smooth random changes of the best
+    (settings.seed), in so many processes as jobs says. settings: of the frames run one by one. The plan is never
+    worse than the best motion it started from, and marked where it is no solution. Ctrl-C ends the work; the plan
+    is then the best feasible one so far, marked as interrupted. Raises OptionError, ProblemError, RobotError.
     """
     whole = Horizon(problem, model, solver, start, end)
     return whole.solve(initial, motion_weight, starts, jobs, settings, progress)
@@ -70,12 +71,13 @@ class Horizon:
         self,
         problem: Problem,
         model: str = "dominant",
-        solver: str = "banded",
+        solver: str | None = None,
         start: npt.ArrayLike | None = None,
         end: npt.ArrayLike | None = None,
     ) -> None:
         """Build; raises OptionError, RobotError, and ProblemError where no motion can keep the limits."""
         check_choice("model of a horizon", model, MODELS)
+        solver = default_chain_solver() if solver is None else solver
         check_choice("solver of a horizon", solver, CHAIN_SOLVERS)
         if problem.frames < 2:
             raise OptionError("frames is 1; a motion over a horizon needs at least 2")
@@ -84,7 +86,7 @@ class Horizon:
         self.problem = problem
         self.ends = Ends(self._checked_end(start, "start"), self._checked_end(end, "end"))
         self._names = {"formulation": "horizon", "model": model, "solver": solver}
-        self._chain = horizon(problem.robot, problem.samples, problem.dt, 1.0, self.ends)
+        self._chain = horizon(problem.robot, problem.samples, problem.dt, 1.0, self.ends, fastest)
         if self.ends.start is not None and self.ends.end is not None:
             check_ends(problem, self._chain)
         self.build_seconds = time.perf_counter() - begin

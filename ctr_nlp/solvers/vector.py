@@ -1,0 +1,199 @@
+"""CasADi functions as C that evaluates several frames at once, a frame in each lane of the processor's vectors.
+
+CasADi's own C takes one frame after the other, in one body that compilers need minutes for. Here every number is
+a vector, and the body comes in parts, so that compilers' time grows in proportion.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+LANES = 8
+"""Frames in a vector: what AVX-512 holds; compilers take two or four vectors where they are shorter."""
+PART = 300
+"""Instructions in one part of the body."""
+
+HEAD = f"""\
+#include <math.h>
+#ifdef LIBMVEC
+#define SIMD _Pragma("omp simd simdlen({LANES})")
+__attribute__((simd("notinbranch"))) double sin(double);
+__attribute__((simd("notinbranch"))) double cos(double);
+#else
+#define SIMD
+#endif
+#define EACH for (int l = 0; l < {LANES}; ++l)
+typedef double V __attribute__((vector_size({8 * LANES})));
+typedef long long M __attribute__((vector_size({8 * LANES})));
+static inline V gathered(const double *a, long step) {{ V r; EACH r[l] = a[l * step]; return r; }}
+static inline void scattered(V a, double *to, long step) {{ EACH to[l * step] = a[l]; }}
+static inline V all(double a) {{ V r; EACH r[l] = a; return r; }}
+static inline V masked(M m, V a) {{ return (V)(m & (M)a); }}
+static inline V one_where(M m) {{ return masked(m, all(1.0)); }}
+static inline V choose(M m, V a, V b) {{ return (V)((m & (M)a) | (~m & (M)b)); }}
+"""
+
+_OPERATIONS = {
+    ca.OP_ASSIGN: "{0}",
+    ca.OP_ADD: "{0} + {1}",
+    ca.OP_SUB: "{0} - {1}",
+    ca.OP_MUL: "{0} * {1}",
+    ca.OP_DIV: "{0} / {1}",
+    ca.OP_NEG: "-{0}",
+    ca.OP_SQ: "{0} * {0}",
+    ca.OP_TWICE: "{0} + {0}",
+    ca.OP_INV: "1.0 / {0}",
+    ca.OP_LT: "one_where({0} < {1})",
+    ca.OP_LE: "one_where({0} <= {1})",
+    ca.OP_EQ: "one_where({0} == {1})",
+    ca.OP_NE: "one_where({0} != {1})",
+    ca.OP_NOT: "one_where({0} == 0.0)",
+    ca.OP_AND: "one_where(({0} != 0.0) & ({1} != 0.0))",
+    ca.OP_OR: "one_where(({0} != 0.0) | ({1} != 0.0))",
+    ca.OP_IF_ELSE_ZERO: "masked({0} != 0.0, {1})",
+    ca.OP_FMIN: "choose({0} < {1}, {0}, {1})",
+    ca.OP_FMAX: "choose({0} > {1}, {0}, {1})",
+    ca.OP_FABS: "choose({0} < 0.0, -{0}, {0})",
+    ca.OP_SIGN: "one_where({0} > 0.0) - one_where({0} < 0.0)",
+}
+"""What the language has for vectors."""
+_BY_LANE = {
+    ca.OP_SQRT: "sqrt",
+    ca.OP_SIN: "sin",
+    ca.OP_COS: "cos",
+    ca.OP_TAN: "tan",
+    ca.OP_ASIN: "asin",
+    ca.OP_ACOS: "acos",
+    ca.OP_ATAN: "atan",
+    ca.OP_SINH: "sinh",
+    ca.OP_COSH: "cosh",
+    ca.OP_TANH: "tanh",
+    ca.OP_EXP: "exp",
+    ca.OP_LOG: "log",
+    ca.OP_FLOOR: "floor",
+    ca.OP_CEIL: "ceil",
+    ca.OP_ATAN2: "atan2",
+    ca.OP_POW: "pow",
+    ca.OP_CONSTPOW: "pow",
+    ca.OP_COPYSIGN: "copysign",
+}
+"""What the C library has for numbers."""
+
+
+def vector_code(functions: tuple[ca.Function, ...]) -> str:
+    """A file of C for functions with dense inputs and outputs.
+
+    casadi.external loads them under their names; inputs and outputs have LANES times the columns, as those of
+    `function.map(LANES)`. Raises NotImplementedError for operations without C here.
+    """
+    used = {function.instruction_id(k) for function in functions for k in range(function.n_instructions())}
+    helpers = {_by_lane(_BY_LANE[operation]) for operation in used & _BY_LANE.keys()}
+    return "".join([HEAD, *sorted(helpers), *map(_function, functions)])
+
+
+def _by_lane(called: str) -> str:
+    """A function of the C library for vectors; all lanes in one call where a library offers that."""
+    names = "ab" if called in ("atan2", "pow", "copysign") else "a"
+    pointers = ", ".join(f"const double *restrict {name}" for name in names)
+    return f"""\
+static __attribute__((noinline)) void lanes_{called}({pointers}, double *restrict found) {{
+    SIMD EACH found[l] = {called}({", ".join(f"{name}[l]" for name in names)});
+}}
+static inline V by_lane_{called}({", ".join(f"V {name}" for name in names)}) {{
+    V found;
+    lanes_{called}({", ".join(f"(const double *)&{name}" for name in names)}, (double *)&found);
+    return found;
+}}
+"""
+
+
+def _function(function: ca.Function) -> str:
+    name, parts = function.name(), _parts(function)
+    bodies = "".join(
+        f"static __attribute__((noinline)) void {name}_{k}"
+        f"(const double *const *arg, double *const *res, V *w) {{\n{''.join(part)}}}\n"
+        for k, part in enumerate(parts)
+    )
+    calls = "".join(f"    {name}_{k}(arg, res, v);\n" for k in range(len(parts)))
+    return bodies + _interface(function, calls)
+
+
+def _parts(function: ca.Function) -> list[list[str]]:
+    """The body, part by part: numbers have names of their own, and go on to later parts in the work vector w."""
+    needed = _needed_later(function)
+    parts: list[list[str]] = []
+    here: dict[int, str] = {}
+    for k in range(function.n_instructions()):
+        if k % PART == 0:
+            parts.append([])
+            here.clear()
+        operation, to, of = _instruction(function, k)
+        if operation == ca.OP_OUTPUT:
+            value, entries = _name(of[0], here), function.numel_out(to[0])
+            line = f"if (res[{to[0]}]) scattered({value}, res[{to[0]}] + {to[1]}, {entries});\n"
+        else:
+            kept = f" w[{to[0]}] = t{k};" if k in needed else ""
+            line = f"V t{k} = {_value(function, k, here)};{kept}\n"
+            here[to[0]] = f"t{k}"
+        parts[-1].append(line)
+    return parts
+
+
+def _instruction(function: ca.Function, k: int) -> tuple[int, list[int], list[int]]:
+    """Operation, where its result goes and what it takes: slots of the work vector, or which input or output."""
+    return function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
+
+
+def _needed_later(function: ca.Function) -> set[int]:
+    """Instructions whose results are used in a later part than their own."""
+    made: dict[int, int] = {}
+    needed = set()
+    for k in range(function.n_instructions()):
+        operation, to, of = _instruction(function, k)
+        if operation not in (ca.OP_INPUT, ca.OP_CONST):
+            needed |= {made[slot] for slot in of if made[slot] // PART < k // PART}
+        if operation != ca.OP_OUTPUT:
+            made[to[0]] = k
+    return needed
+
+
+def _name(slot: int, here: dict[int, str]) -> str:
+    return here.get(slot, f"w[{slot}]")
+
+
+def _value(function: ca.Function, k: int, here: dict[int, str]) -> str:
+    operation, _, of = _instruction(function, k)
+    if operation == ca.OP_CONST:
+        number = repr(function.instruction_constant(k))
+        return f"all({ {'inf': 'INFINITY', '-inf': '-INFINITY', 'nan': 'NAN'}.get(number, number) })"
+    if operation == ca.OP_INPUT:
+        return f"gathered(arg[{of[0]}] + {of[1]}, {function.numel_in(of[0])})"
+    names = [_name(slot, here) for slot in of]
+    if operation in _OPERATIONS:
+        return _OPERATIONS[operation].format(*names)
+    if operation in _BY_LANE:
+        return f"by_lane_{_BY_LANE[operation]}({', '.join(names)})"
+    raise NotImplementedError(f"{function.name()} has an operation (number {operation}) without C")
+
+
+def _interface(function: ca.Function, calls: str) -> str:
+    """The functions that casadi.external looks for, around the calls."""
+    name = function.name()
+    sizes_in = [function.size_in(i) for i in range(function.n_in())]
+    sizes_out = [function.size_out(i) for i in range(function.n_out())]
+    return f"""\
+int {name}(const double **arg, double **res, long long *iw, double *w, int mem) {{
+    V v[{function.sz_w()}];
+{calls}    return 0;
+}}
+long long {name}_n_in(void) {{ return {len(sizes_in)}; }}
+long long {name}_n_out(void) {{ return {len(sizes_out)}; }}
+{_sparsities(f"{name}_sparsity_in", sizes_in)}{_sparsities(f"{name}_sparsity_out", sizes_out)}"""
+
+
+def _sparsities(name: str, sizes: list[tuple[int, int]]) -> str:
+    rows = ", ".join(f"{{{rows}, {LANES * columns}, 1}}" for rows, columns in sizes)
+    return (
+        f"const long long *{name}(long long i) {{\n    static const long long dense[][3] = {{{rows}}};\n"
+        f"    return dense[i];\n}}\n"
+    )
