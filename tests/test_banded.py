@@ -6,7 +6,6 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 import pytest
-import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import isotonic_regression, nnls
@@ -19,7 +18,6 @@ from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.links import Link, differences
 from ctr_nlp.nlp import Constraint, Nlp, Residual
 from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, Iterate, Solution, Watch
-from ctr_nlp.solvers.band import Band
 from ctr_nlp.solvers.banded import TOLERANCE, BandedSolver
 
 INF = np.inf
@@ -66,33 +64,6 @@ def assert_solved(chain, solution, start=None):
     assert solution.kkt <= 1e-4
     if start is not None:
         assert objective < chain.evaluate(start)[0]
-
-
-# The band
-
-
-@given(st.sampled_from([(1,), (2,), (1, 2)]), st.integers(1, 3), seeds)
-def test_the_band_is_the_dense_sum_and_the_identity_where_x_is_fixed(orders, n, seed):
-    rng, frames = np.random.default_rng(seed), 5
-    links = [link(frames, n, order, weight=rng.uniform(0, 2)) for order in orders]
-    chain = linked(drawn(n), rng.normal(size=(frames, n)), links)
-    free = rng.random((frames, n)) < 0.7
-    chain.upper[~free] = chain.lower[~free]
-    blocks, diagonal = rng.normal(size=(frames, n, n)), rng.uniform(0, 5, frames * n)
-    blocks, of_links = blocks + blocks.transpose(0, 2, 1), rng.uniform(0, 5, len(chain.offset))
-    band = Band(chain).assemble(blocks, diagonal, of_links)
-    found = sum(np.diag(entries[: entries.size - k], -k) for k, entries in enumerate(band))
-    matrix = chain.difference.toarray()
-    dense = scipy.linalg.block_diag(*blocks) + np.diag(diagonal)
-    dense = dense + matrix.T @ np.diag(of_links + 2 * chain.weight) @ matrix
-    dense = np.where(np.outer(free, free), dense, np.diag(~free.ravel()))
-    np.testing.assert_allclose(found, np.tril(dense), rtol=0, atol=1e-12)
-
-
-def test_the_band_is_as_wide_as_the_links_reach():
-    for order in (1, 2):
-        chain = linked(drawn(3), np.zeros((6, 3)), [link(6, 3, order)])
-        assert Band(chain).shape == (3 * order + 1, 18)
 
 
 # Convex chains, whose solutions are known
@@ -229,7 +200,7 @@ def test_a_start_where_the_hessian_is_indefinite_leads_down():
     nlp = Nlp("wells", x, np.full(1, -3.0), np.full(1, 3.0), {"none": none}, (Residual("wells", x**2 - 1),))
     chain = linked(nlp, np.zeros((6, 1)), [link(6, 1, weight=0.1)])
     start = np.full(6, 0.05)
-    assert (chain.expand(start, np.zeros(len(chain.bounds[0])))[1] < 0).all()
+    assert (chain.frame_expansion(start, np.zeros(len(chain.bounds[0])))[4] < 0).all()
     solution = solved(chain, x0=start)
     assert_solved(chain, solution, start)
     np.testing.assert_allclose(solution.x, 1, atol=1e-4)

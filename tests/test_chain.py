@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from strategies import seeds
 
 from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_formula, growing, seed_robot, shapes
-from ctr_nlp.chain import Chain, Excess
+from ctr_nlp.chain import Chain, Excess, Slopes
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.links import Link, differences
-from ctr_nlp.nlp import Constraint, Nlp, Residual
+from ctr_nlp.nlp import Constraint, Cost, Inner, Nlp, Residual
 from ctr_nlp.target import SIGMA
 
 FRAMES, WEIGHT, DURATION = 4, 3e-3, 5.0
@@ -193,7 +193,7 @@ def test_what_was_returned_stays_when_the_chain_is_evaluated_again():
         lambda at: chain.evaluate(at)[1:],
         lambda at: chain.by_frame(at),
         lambda at: chain.slopes(at)[1:],
-        lambda at: [*chain.expand(at, multipliers)[0][1:], chain.expand(at, multipliers)[1]],
+        lambda at: [chain.kkt(at, multipliers)],
     )
     for call in calls:
         found = call(x)
@@ -204,6 +204,20 @@ def test_what_was_returned_stays_when_the_chain_is_evaluated_again():
 
 
 # Derivatives
+
+
+def expanded(chain, x, multipliers):
+    """What expansions of the frames say of the chain: its slopes, and the frames' Hessians (T, n, n)."""
+    f, gradient, g, jacobian, blocks = (array.copy() for array in chain.frame_expansion(x, multipliers))
+    n, matrix = chain.unknowns, chain.difference.toarray()
+    of_links = matrix @ x + chain.offset
+    slopes = Slopes(
+        f.sum() + chain.weight @ of_links**2,
+        gradient.ravel() + 2 * matrix.T @ (chain.weight * of_links),
+        np.concatenate([x, g.ravel(), of_links]),
+        jacobian.reshape(chain.frames, n, -1).transpose(0, 2, 1),
+    )
+    return slopes, blocks.reshape(-1, n, n)
 
 
 def central(function, x, h=1e-5):
@@ -226,7 +240,7 @@ def test_the_jacobian_of_all_rows_matches_finite_differences(case, multiplied):
     x = case.motion(8)
     jacobian = case.chain.slopes(x).jacobian
     if multiplied:
-        jacobian = case.chain.expand(x, case.multipliers(8))[0].jacobian
+        jacobian = expanded(case.chain, x, case.multipliers(8))[0].jacobian
     exact = np.stack([case.chain.times(jacobian, e) for e in np.eye(x.size)], axis=-1)
     assert_matches_differences(exact, central(lambda at: case.chain.evaluate(at)[1], x))
 
@@ -241,7 +255,7 @@ def lagrangian_gradient(chain, multipliers):
 
 def hessian(chain, x, multipliers):
     """Blocks of the frames, and the constant part of the links."""
-    blocks = chain.expand(x, multipliers)[1]
+    blocks = expanded(chain, x, multipliers)[1]
     matrix = chain.difference.toarray()
     return scipy.linalg.block_diag(*blocks) + matrix.T @ np.diag(2 * chain.weight) @ matrix
 
@@ -262,13 +276,21 @@ def test_multipliers_of_constraints_that_are_not_linear_enter_the_hessian():
 
 def test_multipliers_of_rows_that_are_linear_do_not_change_the_hessian(slow):
     x = slow.motion(10)
-    none, some = (slow.chain.expand(x, factor * slow.multipliers(10))[1] for factor in (0, 1))
+    none, some = (expanded(slow.chain, x, factor * slow.multipliers(10))[1] for factor in (0, 1))
     np.testing.assert_array_equal(none, some)
 
 
 def test_expanding_gives_the_slopes(case):
     x = case.motion(11)
-    for one, other in zip(case.chain.slopes(x), case.chain.expand(x, case.multipliers(11))[0], strict=True):
+    for one, other in zip(case.chain.slopes(x), expanded(case.chain, x, case.multipliers(11))[0], strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-9)
+
+
+def test_frames_are_evaluated_as_they_are_expanded(case):
+    x = case.motion(16)
+    f, _, g, _, _ = (array.copy() for array in case.chain.frame_expansion(x, case.multipliers(16)))
+    for one, other in zip(case.chain.frame_values(x), (f, g), strict=True):
+        assert one.shape == other.shape
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-9)
 
 
@@ -280,6 +302,73 @@ def test_times_and_transposed_are_adjoint(slow, seed):
     jacobian = rng.normal(size=(FRAMES, chain.frame.g.numel(), chain.unknowns))
     product = chain.times(jacobian, x) @ rows
     assert product == pytest.approx(x @ chain.transposed(jacobian, rows), rel=1e-9, abs=1e-9)
+
+
+# Inner quantities
+
+
+def through_inner():
+    """One Nlp twice: with residuals in symbols of inner quantities and x, and with all of them in x alone."""
+    x, to = ca.SX.sym("x", 3), ca.SX.sym("to", 2)
+    directions = ca.horzcat(ca.vertcat(ca.sin(x[0]), x[1] * x[2]), ca.vertcat(ca.cos(x[1]), ca.exp(x[0] / 2)))
+    lengths = ca.vertcat(ca.SX(1, 1), x[0] * to[1], x[2] ** 2)
+    inner = Inner.of((directions, lengths))
+    u, v = inner.symbols
+    near = Residual("near", u @ ca.vertcat(v[1], x[2]) - to)
+    curved = Residual("curved", ca.vertcat(u[0, 1] * v[2] * x[0], ca.sin(x[1]) + v[0], u[1, 0] ** 3))
+    costs = (Cost("bowl", to[0] * x[0] * x[1] ** 2 + x[2] ** 4), Cost("wave", ca.cos(x[0] * x[2])))
+    ball = Constraint("ball", ca.vertcat(ca.sumsqr(x), x[0] * x[1] * x[2]), np.zeros(2), np.ones(2))
+    rising = Constraint("rising", to[1] * ca.exp(x[1]) - x[0], np.zeros(1), np.ones(1))
+    residuals = {True: (near, curved)}
+    values = ca.substitute([near.value, curved.value], list(inner.symbols), list(inner.values))
+    residuals[False] = tuple(
+        Residual(term.name, value) for term, value in zip((near, curved), values, strict=True)
+    )
+    return tuple(
+        Nlp(
+            "twice",
+            x,
+            np.full(3, -2.0),
+            np.full(3, 2.0),
+            {"to": to},
+            residuals[inward],
+            costs,
+            (ball, rising),
+            inner if inward else Inner(),
+        )
+        for inward in (True, False)
+    )
+
+
+@given(seeds)
+def test_derivatives_through_inner_quantities_are_those_in_x(seed):
+    """The plain Nlp's by CasADi from its Lagrangian as a whole, with any factor of the objective."""
+    rng, (inward, plain) = np.random.default_rng(seed), through_inner()
+    x, p, lam_f, lam_g = rng.normal(size=3), rng.normal(size=2), rng.uniform(-3, 3), rng.normal(size=3)
+    factors = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", 3)
+    whole = factors[0] * plain.objective + ca.dot(factors[1], plain.g)
+    gradient, jacobian = ca.gradient(plain.objective, plain.x), ca.jacobian(plain.g, plain.x)
+    out = [plain.objective, gradient, plain.g, jacobian, ca.hessian(whole, plain.x)[0]]
+    expected = ca.Function("whole", [plain.x, plain.p, *factors], out)(x, p, lam_f, lam_g)
+    for nlp in (inward, plain):
+        value, slopes, expansion, _ = nlp.functions
+        for found in (value(x, p), slopes(x, p), expansion(x, p, lam_f, lam_g)):
+            wanted = [expected[0], expected[2]] if len(found) == 2 else expected
+            for one, other in zip(found, wanted, strict=False):
+                np.testing.assert_allclose(one.full(), other.full(), rtol=1e-10, atol=1e-10)
+
+
+def test_residual_and_objective_are_functions_of_x_and_parameters_alone():
+    inward, plain = through_inner()
+    x, p = np.array([0.3, -0.7, 1.1]), np.array([0.4, -1.3])
+    found, expected = (
+        ca.Function("terms", [nlp.x, nlp.p], [nlp.residual, nlp.objective])(x, p) for nlp in (inward, plain)
+    )
+    own = {ca.SX.element_hash(entry) for symbol in (inward.x, inward.p) for entry in ca.symvar(symbol)}
+    for term in (inward.residual, inward.objective):
+        assert {ca.SX.element_hash(entry) for entry in ca.symvar(term)} == own
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one.full(), other.full(), rtol=1e-12)
 
 
 # Differences

@@ -6,7 +6,6 @@ import argparse
 import itertools
 import json
 import statistics
-import tempfile
 import time
 import tracemalloc
 from collections.abc import Iterator
@@ -30,7 +29,7 @@ from ctr_nlp.steer import Horizon
 from ctr_nlp.steer.motions import per_frame_motions
 
 Array = npt.NDArray[np.float64]
-REPEATS = 3
+REPEATS = 5
 SIZES = (100, 1000, 5000)
 """Frames over which the time and memory of an iteration are followed."""
 
@@ -75,20 +74,18 @@ def _run(folder: Path, arguments: argparse.Namespace) -> int:
 def _solvers(folder: Path) -> Iterator[Record]:
     """Both solvers on every named problem, from the same start."""
     ratios: dict[str, list[float]] = {"interpreted": [], "compiled": []}
-    with tempfile.TemporaryDirectory() as place:
-        for name in problems.names(folder):
-            chain, start = _chain(problems.named(name, folder))
-            library = compiled(chain.functions, Path(place))
-            for kind, functions in (("interpreted", chain.functions), ("compiled", library)):
-                times, solutions = _alternating(replace(chain, functions=functions), start)
-                for solver, found in solutions.items():
-                    which = f"{name}, {solver}, {kind}"
-                    yield Record(f"{which}: time", times[solver], "s", "less")
-                    yield Record(f"{which}: iterations", found.iterations, "", "less")
-                    yield Record(f"{which}: objective", found.objective / chain.frames, "mm²", "less")
-                    yield Record(f"{which}: solved", float(found.success), "", "more")
-                ratios[kind].append(times["ipopt"] / times["banded"])
-                yield Record(f"{name}, {kind}: ipopt / banded", ratios[kind][-1], "", "more")
+    for name in problems.names(folder):
+        chain, start = _chain(problems.named(name, folder))
+        for kind, functions in (("interpreted", chain.frame.functions), ("compiled", chain.functions)):
+            times, solutions = _alternating(replace(chain, functions=functions), start)
+            for solver, found in solutions.items():
+                which = f"{name}, {solver}, {kind}"
+                yield Record(f"{which}: time", times[solver], "s", "less")
+                yield Record(f"{which}: iterations", found.iterations, "", "less")
+                yield Record(f"{which}: objective", found.objective / chain.frames, "mm²", "less")
+                yield Record(f"{which}: solved", float(found.success), "", "more")
+            ratios[kind].append(times["ipopt"] / times["banded"])
+            yield Record(f"{name}, {kind}: ipopt / banded", ratios[kind][-1], "", "more")
     for kind, values in ratios.items():
         yield Record(f"all, {kind}: ipopt / banded, geometric mean", statistics.geometric_mean(values), "", "more")
 
@@ -97,7 +94,7 @@ def _chain(problem: Problem) -> tuple[Chain, Array]:
     """A horizon with its default weight, and the start that solve_horizon takes."""
     motions = per_frame_motions(problem, Ends(), Settings())
     weight = Horizon(problem).balanced_weight(motions[0])
-    return horizon(problem.robot, problem.samples, problem.dt, weight, Ends()), motions[0].ravel()
+    return horizon(problem.robot, problem.samples, problem.dt, weight, Ends(), compiled), motions[0].ravel()
 
 
 def _alternating(chain: Chain, start: Array) -> tuple[dict[str, float], dict[str, Solution]]:

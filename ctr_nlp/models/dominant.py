@@ -54,14 +54,14 @@ def points(travelled: Sequence[Any], planes: Sequence[Any]) -> Vector:
 def arms(robot: Robot, beta: Sequence[Any], sigma: Any, xp: Any) -> list[Arm]:
     """What is travelled on every tube to s = sigma beta_d.
 
-    A sample is clamped into every tube's segment in turn, so that the expression has the same structure whichever
-    tube the sample lies on; positions are C1 in beta.
+    The expression has the same structure whichever tube a sample lies on; positions are C1 in beta, also where
+    rounding has put a tube's end before that of the tube around it.
     """
-    s, start, travelled = sigma * beta[-1], 0 * beta[0], []
+    s, start, before, travelled = sigma * beta[-1], 0 * beta[0], 0 * beta[0], []
     for i in range(robot.d):
-        reached = xp.fmin(xp.fmax(s, start), beta[i])
-        travelled.append(_planar(robot, i, beta[i] - start, beta[i] - reached, xp))
-        start = beta[i]
+        here = xp.fmin(s, beta[i])
+        travelled.append(_planar(robot, i, beta[i] - start, beta[i] - start - (here - before), xp))
+        start, before = beta[i], here
     return travelled
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+from pathlib import Path
 
 import casadi as ca
 
@@ -12,11 +13,16 @@ from ctr_nlp.nlp import FrameFunctions, Nlp
 from ctr_nlp.solvers import cache, vector
 
 
-def compiled(nlp: Nlp) -> FrameFunctions:
-    """An Nlp's functions from a library; raises OptionError where nothing can be compiled."""
-    path = str(cache.library(_key(nlp), lambda: _code(nlp)))
+def compiled(nlp: Nlp, lanes: int = vector.LANES) -> FrameFunctions:
+    """An Nlp's functions for so many frames at once; raises OptionError where nothing can be compiled."""
+    path = str(library(nlp, lanes))
     value, slopes, expansion = (ca.external(name, path) for name in FrameFunctions._fields[:3])
-    return FrameFunctions(value, slopes, expansion, vector.LANES)
+    return FrameFunctions(value, slopes, expansion, lanes)
+
+
+def library(nlp: Nlp, lanes: int) -> Path:
+    """The shared library of an Nlp's functions; raises OptionError."""
+    return cache.library(f"{lanes} lanes\n{_key(nlp)}", lambda: vector.vector_code(tuple(nlp.functions[:3]), lanes))
 
 
 def fastest(nlp: Nlp) -> FrameFunctions:
@@ -34,7 +40,3 @@ def _key(nlp: Nlp) -> str:
 def _makers() -> str:
     return inspect.getsource(problems) + inspect.getsource(vector)
 
-
-def _code(nlp: Nlp) -> str:
-    value, slopes, expansion, _ = nlp.functions
-    return vector.vector_code((value, slopes, expansion))

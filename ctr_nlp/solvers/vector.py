@@ -13,24 +13,35 @@ LANES = 8
 PART = 300
 """Instructions in one part of the body."""
 
-HEAD = f"""\
+_SCALAR = """\
+#include <math.h>
+typedef double V;
+typedef int M;
+static inline V gathered(const double *a, long step) { return a[0]; }
+static inline void scattered(V a, double *to, long step) { to[0] = a; }
+static inline V all(double a) { return a; }
+static inline V masked(M m, V a) { return m ? a : 0.0; }
+static inline V choose(M m, V a, V b) { return m ? a : b; }
+static inline V one_where(M m) { return m; }
+"""
+_VECTOR = """\
 #include <math.h>
 #ifdef LIBMVEC
-#define SIMD _Pragma("omp simd simdlen({LANES})")
+#define SIMD _Pragma("omp simd simdlen(LANES)")
 __attribute__((simd("notinbranch"))) double sin(double);
 __attribute__((simd("notinbranch"))) double cos(double);
 #else
 #define SIMD
 #endif
-#define EACH for (int l = 0; l < {LANES}; ++l)
-typedef double V __attribute__((vector_size({8 * LANES})));
-typedef long long M __attribute__((vector_size({8 * LANES})));
-static inline V gathered(const double *a, long step) {{ V r; EACH r[l] = a[l * step]; return r; }}
-static inline void scattered(V a, double *to, long step) {{ EACH to[l * step] = a[l]; }}
-static inline V all(double a) {{ V r; EACH r[l] = a; return r; }}
-static inline V masked(M m, V a) {{ return (V)(m & (M)a); }}
-static inline V one_where(M m) {{ return masked(m, all(1.0)); }}
-static inline V choose(M m, V a, V b) {{ return (V)((m & (M)a) | (~m & (M)b)); }}
+#define EACH for (int l = 0; l < LANES; ++l)
+typedef double V __attribute__((vector_size(8 * LANES)));
+typedef long long M __attribute__((vector_size(8 * LANES)));
+static inline V gathered(const double *a, long step) { V r; EACH r[l] = a[l * step]; return r; }
+static inline void scattered(V a, double *to, long step) { EACH to[l * step] = a[l]; }
+static inline V all(double a) { V r; EACH r[l] = a; return r; }
+static inline V masked(M m, V a) { return (V)(m & (M)a); }
+static inline V choose(M m, V a, V b) { return (V)((m & (M)a) | (~m & (M)b)); }
+static inline V one_where(M m) { return masked(m, all(1.0)); }
 """
 
 _OPERATIONS = {
@@ -80,26 +91,30 @@ _BY_LANE = {
 """What the C library has for numbers."""
 
 
-def vector_code(functions: tuple[ca.Function, ...]) -> str:
+def vector_code(functions: tuple[ca.Function, ...], lanes: int = LANES) -> str:
     """A file of C for functions with dense inputs and outputs.
 
-    casadi.external loads them under their names; inputs and outputs have LANES times the columns, as those of
-    `function.map(LANES)`. Raises NotImplementedError for operations without C here.
+    casadi.external loads them under their names; inputs and outputs have `lanes` times the columns, as those of
+    `function.map(lanes)`. With one lane numbers are numbers. Raises NotImplementedError for operations without C.
     """
     used = {function.instruction_id(k) for function in functions for k in range(function.n_instructions())}
-    helpers = {_by_lane(_BY_LANE[operation]) for operation in used & _BY_LANE.keys()}
-    return "".join([HEAD, *sorted(helpers), *map(_function, functions)])
+    helpers = {_by_lane(_BY_LANE[operation], lanes) for operation in used & _BY_LANE.keys()}
+    head = _SCALAR if lanes == 1 else f"#define LANES {lanes}\n{_VECTOR}"
+    return "".join([head, *sorted(helpers), *(_function(function, lanes) for function in functions)])
 
 
-def _by_lane(called: str) -> str:
+def _by_lane(called: str, lanes: int) -> str:
     """A function of the C library for vectors; all lanes in one call where a library offers that."""
     names = "ab" if called in ("atan2", "pow", "copysign") else "a"
+    parameters = ", ".join(f"V {name}" for name in names)
+    if lanes == 1:
+        return f"static inline V by_lane_{called}({parameters}) {{ return {called}({', '.join(names)}); }}\n"
     pointers = ", ".join(f"const double *restrict {name}" for name in names)
     return f"""\
 static __attribute__((noinline)) void lanes_{called}({pointers}, double *restrict found) {{
     SIMD EACH found[l] = {called}({", ".join(f"{name}[l]" for name in names)});
 }}
-static inline V by_lane_{called}({", ".join(f"V {name}" for name in names)}) {{
+static inline V by_lane_{called}({parameters}) {{
     V found;
     lanes_{called}({", ".join(f"(const double *)&{name}" for name in names)}, (double *)&found);
     return found;
@@ -107,7 +122,7 @@ static inline V by_lane_{called}({", ".join(f"V {name}" for name in names)}) {{
 """
 
 
-def _function(function: ca.Function) -> str:
+def _function(function: ca.Function, lanes: int) -> str:
     name, parts = function.name(), _parts(function)
     bodies = "".join(
         f"static __attribute__((noinline)) void {name}_{k}"
@@ -115,7 +130,7 @@ def _function(function: ca.Function) -> str:
         for k, part in enumerate(parts)
     )
     calls = "".join(f"    {name}_{k}(arg, res, v);\n" for k in range(len(parts)))
-    return bodies + _interface(function, calls)
+    return bodies + _interface(function, calls, lanes)
 
 
 def _parts(function: ca.Function) -> list[list[str]]:
@@ -176,7 +191,7 @@ def _value(function: ca.Function, k: int, here: dict[int, str]) -> str:
     raise NotImplementedError(f"{function.name()} has an operation (number {operation}) without C")
 
 
-def _interface(function: ca.Function, calls: str) -> str:
+def _interface(function: ca.Function, calls: str, lanes: int) -> str:
     """The functions that casadi.external looks for, around the calls."""
     name = function.name()
     sizes_in = [function.size_in(i) for i in range(function.n_in())]
@@ -188,11 +203,11 @@ int {name}(const double **arg, double **res, long long *iw, double *w, int mem) 
 }}
 long long {name}_n_in(void) {{ return {len(sizes_in)}; }}
 long long {name}_n_out(void) {{ return {len(sizes_out)}; }}
-{_sparsities(f"{name}_sparsity_in", sizes_in)}{_sparsities(f"{name}_sparsity_out", sizes_out)}"""
+{_sparsities(f"{name}_sparsity_in", sizes_in, lanes)}{_sparsities(f"{name}_sparsity_out", sizes_out, lanes)}"""
 
 
-def _sparsities(name: str, sizes: list[tuple[int, int]]) -> str:
-    rows = ", ".join(f"{{{rows}, {LANES * columns}, 1}}" for rows, columns in sizes)
+def _sparsities(name: str, sizes: list[tuple[int, int]], lanes: int) -> str:
+    rows = ", ".join(f"{{{rows}, {lanes * columns}, 1}}" for rows, columns in sizes)
     return (
         f"const long long *{name}(long long i) {{\n    static const long long dense[][3] = {{{rows}}};\n"
         f"    return dense[i];\n}}\n"
