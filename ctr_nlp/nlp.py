@@ -62,7 +62,7 @@ class Inner:
     def columns(self) -> tuple[ca.SX, ca.SX]:
         """All symbols, and all values, in one column."""
         symbols, values = ([ca.vec(each) for each in part] for part in (self.symbols, self.values))
-        return ca.vertcat(*symbols), ca.vertcat(*values)
+        return ca.vertcat(ca.SX(0, 1), *symbols), ca.vertcat(ca.SX(0, 1), *values)
 
 
 class FrameFunctions(NamedTuple):
@@ -109,7 +109,7 @@ class Nlp:
     @property
     def _outer(self) -> ca.SX:
         """The residuals as they are written."""
-        return ca.vertcat(*(term.value for term in self.residuals))
+        return ca.vertcat(ca.SX(0, 1), *(term.value for term in self.residuals))
 
     @cached_property
     def objective(self) -> ca.SX:

@@ -36,7 +36,7 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
     add_problem_options(parser)
     parser.add_argument("--formulation", choices=FORMULATIONS, default="joint", help="(default joint)")
     parser.add_argument("--model", choices=MODELS, default="dominant", help="(default dominant)")
-    parser.add_argument("--solver", choices=SOLVERS, default="ipopt", help="(default ipopt)")
+    parser.add_argument("--solver", choices=SOLVERS, help="(default sqp where there is a C compiler)")
     parser.add_argument(
         "--direction", choices=DIRECTIONS, default="best", help="order in which frames are solved (default best)"
     )

@@ -3,11 +3,16 @@
 from collections.abc import Callable
 
 from ctr_nlp.chain import Chain
+from ctr_nlp.nlp import Nlp
 from ctr_nlp.solvers import cache
-from ctr_nlp.solvers.adapter import FEASIBLE, SOLVERS, NlpSolver, Solution
+from ctr_nlp.solvers.adapter import FEASIBLE, Ipopt, NlpSolver, Solution
 from ctr_nlp.solvers.banded import BandedSolver
 from ctr_nlp.solvers.chain_ipopt import IpoptSolver
+from ctr_nlp.solvers.sqp import Sqp
 from ctr_nlp.solvers.watch import Iterate, Watch
+
+SOLVERS: dict[str, Callable[[Nlp], NlpSolver]] = {"ipopt": Ipopt, "sqp": Sqp}
+"""Every solver of a frame by the name that options use."""
 
 ChainSolver = BandedSolver | IpoptSolver
 
@@ -16,6 +21,11 @@ CHAIN_SOLVERS: dict[str, Callable[[Chain], ChainSolver]] = {
     "ipopt": IpoptSolver,
 }
 """Every solver of chains by the name that options use; each is called with (x0, watch[, first barrier])."""
+
+
+def default_solver() -> str:
+    """The faster one that works here: sqp is compiled."""
+    return "ipopt" if cache.missing() else "sqp"
 
 
 def default_chain_solver() -> str:
@@ -33,4 +43,5 @@ __all__ = [
     "Solution",
     "Watch",
     "default_chain_solver",
+    "default_solver",
 ]

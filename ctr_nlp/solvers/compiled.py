@@ -22,7 +22,9 @@ def compiled(nlp: Nlp, lanes: int = vector.LANES) -> FrameFunctions:
 
 def library(nlp: Nlp, lanes: int) -> Path:
     """The shared library of an Nlp's functions; raises OptionError."""
-    return cache.library(f"{lanes} lanes\n{_key(nlp)}", lambda: vector.vector_code(tuple(nlp.functions[:3]), lanes))
+    return cache.library(
+        f"{lanes} lanes\n{_key(nlp)}", lambda: vector.vector_code(tuple(nlp.functions[:3]), lanes)
+    )
 
 
 def fastest(nlp: Nlp) -> FrameFunctions:
@@ -39,4 +41,3 @@ def _key(nlp: Nlp) -> str:
 @functools.cache
 def _makers() -> str:
     return inspect.getsource(problems) + inspect.getsource(vector)
-

@@ -23,9 +23,9 @@ typedef struct {
     const double *p, *lower, *upper; /* bounds of all rows */
     double tolerance;
     double *x, *multipliers;         /* where to start, and what was found */
-    double objective, kkt;
+    double objective, kkt, violation;
     long iterations, expansions, evaluations, status;
-} Problem;
+} Program;
 
 enum { SOLVED, STOPPED, STUCK, NO_STEP };
 
@@ -95,21 +95,21 @@ static void make_convex(long n, double *h) {
 }
 
 /* The product of a row of the Jacobian, x's own rows included, with d. */
-static double along(const Problem *o, const double *jacobian, long row, const double *d) {
+static double along(const Program *o, const double *jacobian, long row, const double *d) {
     if (row < o->n) return d[row];
     double sum = 0;
     for (long j = 0; j < o->n; ++j) sum += jacobian[j * o->m + row - o->n] * d[j];
     return sum;
 }
 
-static double entry(const Problem *o, const double *jacobian, long row, long j) {
+static double entry(const Program *o, const double *jacobian, long row, long j) {
     return row < o->n ? row == j : jacobian[j * o->m + row - o->n];
 }
 
 /* Goldfarb and Idnani's dual method: minimise d'Hd/2 + gradient'd with all rows within their bounds.
 
    h: positive definite, lost. multipliers: of all rows. 0 where no d is feasible. */
-static int quadratic(const Problem *o, double *h, const double *gradient, const double *jacobian,
+static int quadratic(const Program *o, double *h, const double *gradient, const double *jacobian,
                      const double *value, double *d, double *multipliers) {
     long n = o->n, rows = n + o->m, held = 0, active[n];
     double side[n], u[n + 1], normals[n * n], pulled[n * n], inverse[n * n]; /* pulled: inverse times normals */
@@ -193,7 +193,7 @@ static int quadratic(const Problem *o, double *h, const double *gradient, const 
     return 0;
 }
 
-static double violation(const Problem *o, const double *value) {
+static double violation(const Program *o, const double *value) {
     double sum = 0;
     for (long i = 0; i < o->n + o->m; ++i) {
         sum += most(o->lower[i] - value[i], 0);
@@ -202,23 +202,23 @@ static double violation(const Problem *o, const double *value) {
     return sum;
 }
 
-/* Of the problem itself: stationarity, infeasibility and complementarity. */
-static double residual(const Problem *o, const double *gradient, const double *jacobian, const double *value) {
-    double found = 0;
+/* Stationarity, infeasibility and complementarity, of the problem itself. */
+static void judge(Program *o, double objective, const double *gradient, const double *jacobian, const double *value) {
+    o->objective = objective, o->kkt = o->violation = 0;
     for (long j = 0; j < o->n; ++j) {
         double slope = gradient[j] + o->multipliers[j];
         for (long i = 0; i < o->m; ++i) slope += jacobian[j * o->m + i] * o->multipliers[o->n + i];
-        found = most(fabs(slope), found);
+        o->kkt = most(fabs(slope), o->kkt);
     }
     for (long i = 0; i < o->n + o->m; ++i) {
         double multiplier = o->multipliers[i], slack = fabs((multiplier > 0 ? o->upper : o->lower)[i] - value[i]);
-        found = most(most(o->lower[i] - value[i], value[i] - o->upper[i]), found);
-        found = most(fabs(multiplier) * (slack < INFINITY ? slack : 1), found);
+        o->violation = most(most(o->lower[i] - value[i], value[i] - o->upper[i]), o->violation);
+        o->kkt = most(fabs(multiplier) * (slack < INFINITY ? slack : 1), o->kkt);
     }
-    return found;
+    o->kkt = most(o->violation, o->kkt);
 }
 
-static void at(Problem *o, Function function, const double *x, double *f, double *gradient, double *value,
+static void at(Program *o, Function function, const double *x, double *f, double *gradient, double *value,
                double *jacobian, double *hessian) {
     double one = 1;
     const double *arg[] = {x, o->p, &one, o->multipliers + o->n};
@@ -228,7 +228,7 @@ static void at(Problem *o, Function function, const double *x, double *f, double
 }
 
 /* The Hessian as a matrix that a quadratic problem can have: exact where rows with multipliers stay active. */
-static void prepare(const Problem *o, const double *jacobian, const double *value, double *h) {
+static void prepare(const Program *o, const double *jacobian, const double *value, double *h) {
     long n = o->n;
     double kept[n * n], largest = 0;
     for (long i = 0; i < n; ++i) h[i * n + i] += DAMPING, largest = most(fabs(h[i * n + i]), largest);
@@ -247,7 +247,7 @@ static void prepare(const Problem *o, const double *jacobian, const double *valu
     for (long i = 0; i < n; ++i) h[i * n + i] += DAMPING * most(largest, 1);
 }
 
-void sqp(Problem *o) {
+void sqp(Program *o) {
     long n = o->n, rows = n + o->m, calm = 0;
     double f, gradient[n], value[rows], jacobian[n * o->m + 1], hessian[n * n];
     double d[n], next[rows], to[n], penalty = 0, small = INFINITY;
@@ -255,11 +255,11 @@ void sqp(Problem *o) {
     for (o->iterations = 0;; ++o->iterations) {
         if (small < NEAR) {
             at(o, o->slopes, o->x, &f, gradient, value, jacobian, 0), ++o->evaluations;
-            o->kkt = residual(o, gradient, jacobian, value), o->objective = f;
+            judge(o, f, gradient, jacobian, value);
             if (o->kkt <= o->tolerance) { o->status = SOLVED; return; }
         }
         at(o, o->expansion, o->x, &f, gradient, value, jacobian, hessian), ++o->expansions;
-        o->kkt = residual(o, gradient, jacobian, value), o->objective = f;
+        judge(o, f, gradient, jacobian, value);
         if (o->kkt <= o->tolerance) { o->status = SOLVED; return; }
         if (o->iterations == MOST_ITERATIONS) return;
         if (calm >= STALL) { o->status = STUCK; return; }

@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import ctypes
 import functools
+from dataclasses import replace
 from importlib.resources import files
 
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.nlp import Nlp
+from ctr_nlp.nlp import FrameFunctions, Nlp
 from ctr_nlp.solvers import cache, compiled
+from ctr_nlp.solvers.adapter import FEASIBLE, OPTIMAL, Ipopt, Solution
 
 Array = npt.NDArray[np.float64]
 
@@ -25,13 +27,20 @@ TOLERANCE = 1e-6
 STATUS = "Solve_Succeeded", "Maximum_Iterations_Exceeded", "Search_Direction_Becomes_Too_Small", "Infeasible_Step"
 
 
-class _Problem(ctypes.Structure):
+class _Program(ctypes.Structure):
+    objective: float
+    kkt: float
+    violation: float
+    iterations: int
+    expansions: int
+    evaluations: int
+    status: int
     _fields_ = [
         *((name, ctypes.c_long) for name in ("n", "m")),
         *((name, ctypes.c_void_p) for name in ("value", "slopes", "expansion", "p", "lower", "upper")),
         ("tolerance", ctypes.c_double),
         *((name, ctypes.c_void_p) for name in ("x", "multipliers")),
-        *((name, ctypes.c_double) for name in ("objective", "kkt")),
+        *((name, ctypes.c_double) for name in ("objective", "kkt", "violation")),
         *((name, ctypes.c_long) for name in ("iterations", "expansions", "evaluations", "status")),
     ]
 
@@ -43,7 +52,46 @@ def _sqp() -> ctypes.CDLL:
 
 
 class Sqp:
-    """One Nlp in C; its arrays are filled, and read again after a run. Not for two threads at once.
+    """Solves one Nlp; what it cannot solve is left to IPOPT, and the status says so."""
+
+    def __init__(self, nlp: Nlp) -> None:
+        """Build; raises OptionError where nothing can be compiled."""
+        self.nlp = nlp
+        self.program = Program(nlp)
+        self._own = self.program.lower.copy(), self.program.upper.copy()
+        self._ipopt: Ipopt | None = None
+
+    def __call__(
+        self,
+        x0: Array,
+        p: Array,
+        lower: Array | None = None,
+        upper: Array | None = None,
+        warm: Solution | None = None,
+    ) -> Solution:
+        """As NlpSolver."""
+        at, n = self.program, len(x0)
+        at.lower[:n] = self._own[0][:n] if lower is None else lower
+        at.upper[:n] = self._own[1][:n] if upper is None else upper
+        at.p[:] = p
+        at.x[:] = np.clip(x0, at.lower[:n], at.upper[:n])
+        at.multipliers[:] = 0.0 if warm is None else np.concatenate([warm.lam_x, warm.lam_g])
+        found = at.run()
+        x = np.clip(at.x, at.lower[:n], at.upper[:n])
+        success = found.violation <= FEASIBLE and found.kkt <= OPTIMAL
+        lam_x, lam_g = np.split(at.multipliers.copy(), [n])
+        status, iterations = STATUS[found.status], found.iterations
+        if success:
+            return Solution(x, found.objective, found.kkt, True, status, iterations, lam_x, lam_g)
+        self._ipopt = self._ipopt or Ipopt(self.nlp)
+        other = self._ipopt(x0, p, lower, upper, warm)
+        return replace(
+            other, status=f"{other.status} by IPOPT after {status}", iterations=other.iterations + iterations
+        )
+
+
+class Program:
+    """An Nlp in C. Its arrays are filled, and read again after a run; not from two threads at once.
 
     x (n,): the start, then the solution. p: packed parameters. lower, upper (n + m,): bounds of x and of the
     constraints. multipliers (n + m,): of these, positive at upper bounds.
@@ -52,20 +100,18 @@ class Sqp:
     def __init__(self, nlp: Nlp) -> None:
         """Build; raises OptionError where nothing can be compiled."""
         n, m = nlp.x.numel(), nlp.g.numel()
-        self._functions = ctypes.CDLL(str(compiled.library(nlp, 1)))
-        self.x, self.p, self.multipliers = np.zeros(n), np.zeros(nlp.p.numel()), np.zeros(n + m)
         low, high = nlp.g_bounds
         self.lower, self.upper = np.concatenate([nlp.lower, low]), np.concatenate([nlp.upper, high])
-        value, slopes, expansion = (
-            ctypes.cast(getattr(self._functions, name), ctypes.c_void_p) for name in ("value", "slopes", "expansion")
-        )
-        p, lower, upper, x, multipliers = (
-            array.ctypes.data for array in (self.p, self.lower, self.upper, self.x, self.multipliers)
-        )
-        self.found = _Problem(n, m, value, slopes, expansion, p, lower, upper, TOLERANCE, x, multipliers)
-        self._run = _sqp().sqp
-        self._reference = ctypes.byref(self.found)
+        self.p, self.x, self.multipliers = np.zeros(nlp.p.numel()), np.zeros(n), np.zeros(n + m)
+        self._functions = ctypes.CDLL(str(compiled.library(nlp, 1)))
+        names = FrameFunctions._fields[:3]
+        functions = (ctypes.cast(getattr(self._functions, name), ctypes.c_void_p) for name in names)
+        given = (array.ctypes.data for array in (self.p, self.lower, self.upper))
+        found = (array.ctypes.data for array in (self.x, self.multipliers))
+        self._program = _Program(n, m, *functions, *given, TOLERANCE, *found)
+        self._run, self._reference = _sqp().sqp, ctypes.byref(self._program)
 
-    def run(self) -> None:
-        """Solve; objective, KKT residual, iterations and status are then in `found`."""
+    def run(self) -> _Program:
+        """Solve; what was found beside x and multipliers is overwritten by the next run."""
         self._run(self._reference)
+        return self._program

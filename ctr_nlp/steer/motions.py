@@ -42,7 +42,7 @@ def per_frame_motions(
         duration=problem.dt * stride * len(picked),
         truth=None,
     )
-    solver = NlpFrames(coarse, "joint", "ipopt", settings=settings)
+    solver = NlpFrames(coarse, settings=settings)
     passes, _ = run_passes(coarse, solver, "best", ends.start, ends.end, progress)
     passes.sort(key=lambda one: one.badness(coarse))
     return [_filled(one.motion(coarse), picked, problem.frames) for one in passes]

@@ -17,7 +17,7 @@ from ctr_nlp.frames import FrameResult, reachable, starts
 from ctr_nlp.models import MODELS
 from ctr_nlp.problem import Problem
 from ctr_nlp.settings import Settings, check_choice
-from ctr_nlp.solvers import NlpSolver, Solution
+from ctr_nlp.solvers import SOLVERS, Solution, default_solver
 
 Array = npt.NDArray[np.float64]
 
@@ -39,19 +39,21 @@ class NlpFrames:
         self,
         problem: Problem,
         formulation: str = "joint",
-        solver: str = "ipopt",
+        solver: str | None = None,
         model: str = "dominant",
         settings: Settings = DEFAULTS,
     ) -> None:
         """Build the NLPs; raises OptionError for names that do not exist."""
         check_choice("formulation", formulation, FORMULATIONS)
         check_choice("model", model, MODELS)
+        solver = default_solver() if solver is None else solver
+        check_choice("solver", solver, SOLVERS)
         self.problem = problem
         self._seed = settings.seed
         self._root = math.sqrt(settings.motion_weight) / problem.dt
         begin = time.perf_counter()
         self._stages = FORMULATIONS[formulation](problem.robot, settings)
-        self._solvers = tuple(NlpSolver(stage.nlp, solver) for stage in self._stages)
+        self._solvers = tuple(SOLVERS[solver](stage.nlp) for stage in self._stages)
         self.build_seconds = time.perf_counter() - begin
         self.description: dict[str, Any] = {
             "formulation": formulation,

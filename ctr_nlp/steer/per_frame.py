@@ -21,7 +21,7 @@ def solve_per_frame(
     formulation: str = "joint",
     *,
     model: str = "dominant",
-    solver: str = "ipopt",
+    solver: str | None = None,
     direction: Direction = "best",
     start: npt.ArrayLike | None = None,
     settings: Settings = DEFAULTS,
@@ -29,10 +29,11 @@ def solve_per_frame(
 ) -> Plan:
     """The plan that follows a problem's target frame by frame.
 
-    formulation: joint, two-stage or two-stage-exact. solver: ipopt or sqp. direction: in which order frames
-    are solved; best tries both. start: q (2d + 2,) at time 0, from which the motion then leads forward.
-    settings: weights, widths and seeds. Frames that could not be solved are marked in the plan. Ctrl-C ends
-    the work; the plan then has what was solved and is marked as interrupted. Raises OptionError, RobotError.
+    formulation: joint, two-stage or two-stage-exact. solver: sqp or ipopt; None takes sqp where there is a C
+    compiler. direction: in which order frames are solved; best tries both. start: q (2d + 2,) at time 0, from
+    which the motion then leads forward. settings: weights, widths and seeds. Frames that could not be solved are
+    marked in the plan. Ctrl-C ends the work; the plan then has what was solved and is marked as interrupted.
+    Raises OptionError, RobotError.
     """
     return march(
         problem,
