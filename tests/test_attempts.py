@@ -15,6 +15,7 @@ from ctr_nlp.errors import RobotError
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, Iterate, Solution
 from ctr_nlp.solvers.chains import judged
+from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.steer.attempts import Attempt, Task, attempt, attempt_in_processes, best_of, failures, no_worse
 from ctr_nlp.steer.motions import wandered
 
@@ -29,7 +30,7 @@ def task(arc_problem):
 
 @pytest.fixture(scope="module")
 def chain(task):
-    return horizon(task.robot, task.frames, task.dt, task.motion_weight, task.ends)
+    return horizon(task.robot, task.frames, task.dt, task.motion_weight, task.ends, fastest)
 
 
 @pytest.fixture(scope="module")

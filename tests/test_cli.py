@@ -194,7 +194,8 @@ def test_failed_frames_make_exit_status_1(tmp_path, monkeypatch, capsys):
 
 def test_ctrl_c_writes_what_was_solved_and_exits_with_130(tmp_path):
     out = tmp_path / "out"
-    command = [sys.executable, ROOT / "scripts" / "solve_per_frame.py", "cos", "--frames", "1500", "--out", out]
+    command = [sys.executable, ROOT / "scripts" / "solve_per_frame.py", "cos", "--frames", "1500"]
+    command += ["--solver", "ipopt", "--out", out]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     time.sleep(10)
     process.send_signal(signal.SIGINT)

@@ -65,8 +65,9 @@ def chain_of(rng, orders=(1, 2), frames=5, n=2, constrained=True, started=True, 
 @st.composite
 def chains(draw):
     rng = np.random.default_rng(draw(seeds))
-    frames, n = draw(st.integers(3, 9)), draw(st.integers(1, 3))
-    return chain_of(rng, draw(ORDERS), frames, n, draw(st.booleans()), draw(st.booleans()))
+    orders, frames, n = draw(ORDERS), draw(st.integers(1, 9)), draw(st.integers(1, 3))
+    started = draw(st.booleans()) or frames <= max(orders)
+    return chain_of(rng, orders, frames, n, draw(st.booleans()), started)
 
 
 class Point(NamedTuple):
@@ -228,6 +229,11 @@ def test_the_band_is_as_wide_as_the_links_reach():
     for orders, width in (((1,), 3), ((2,), 6), ((1, 2), 6)):
         chain = chain_of(np.random.default_rng(0), orders, frames=6, n=3)
         assert Rows(chain)._band.shape == (18, width + 1)
+
+
+def test_the_band_has_room_for_a_frame_that_is_linked_to_known_ones_only():
+    chain = chain_of(np.random.default_rng(0), (1,), frames=1, n=3)
+    assert Rows(chain)._band.shape == (3, 3)
 
 
 @given(chains(), seeds, st.sampled_from([1e-6, 1e-2, 1.0]))

@@ -84,7 +84,7 @@ def _add_search(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="plans to start from, instead of frame by frame",
     )
-    group.add_argument("--starts", metavar="N", type=whole, default=1, help="motions to start from (default 1)")
+    group.add_argument("--starts", metavar="N", type=whole, help="motions to start from (default: all there are)")
     group.add_argument("--jobs", metavar="N", type=whole, default=1, help="processes for them (default 1)")
     group.add_argument("--seed", metavar="N", type=whole, default=0, help="of the random starts (default 0)")
 

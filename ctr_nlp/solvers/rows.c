@@ -118,7 +118,7 @@ void assemble(const Chain *c, const double *hessian, double barrier, double damp
         push[i] = barrier * (per_upper[i] - per_lower[i]) + sigma[i] * (value[i] - slack[i]);
     }
     for (long i = 0; i < of_x; ++i) right[i] = c->slope[i];
-    add_transposed(c, c->rows, right);
+    add_transposed(c, push, right);
     for (long i = 0; i < of_x * high; ++i) band[i] = 0;
     for (long k = 0; k < of_x; ++k) {
         long frame = k / n, j = k % n;
@@ -245,7 +245,7 @@ typedef double V __attribute__((vector_size(8 * LANES)));
 typedef long long M __attribute__((vector_size(8 * LANES)));
 
 static V root(V a) {
-    V r;
+    V r = a;
     EACH r[l] = sqrt(a[l]);
     return r;
 }

@@ -58,7 +58,8 @@ class Measures(NamedTuple):
 
     def error(self, barrier: float) -> float:
         """KKT residual of the barrier problem; with barrier 0, of the problem itself."""
-        return max(self.stationarity, self.gap, abs(self.least - barrier), abs(self.most - barrier))
+        parts = self.stationarity, self.gap, abs(self.least - barrier), abs(self.most - barrier)
+        return float(np.max(parts))
 
 
 class Step(NamedTuple):
@@ -96,7 +97,7 @@ class Rows:
         links = chain.difference
         links.sort_indices()
         reach = links.indices[links.indptr[1:] - 1] - links.indices[links.indptr[:-1]]
-        self._band = np.zeros((size, max(chain.unknowns - 1, int(reach.max())) + 1))
+        self._band = np.zeros((size, max(chain.unknowns - 1, int(reach.max(initial=0))) + 1))
         self._right = np.zeros(size)
         self._at, self._step, self._trial = ([np.zeros(size), *np.zeros((3, rows))] for _ in range(3))
         _, gradient, _, jacobian, _ = chain.frame_expansion(self.x, self.multipliers)
@@ -140,8 +141,8 @@ class Rows:
         return Measures(*self._found), hessian.reshape(-1, n, n)
 
     def newton(self, hessian: Array, barrier: float, damping: float) -> Step | None:
-        """The step to a zero of the barrier problem's KKT conditions, linearised at the point; None where the
-        Hessian, with damping on its diagonal, is not positive definite there.
+        """The step to a zero of the barrier problem's KKT conditions, linearised at the point, just expanded; None
+        where the Hessian, with damping on its diagonal, is not positive definite there.
         """
         barrier_in_c = ctypes.c_double(barrier)
         self._loops.assemble(self._chain_in_c, hessian.ctypes, barrier_in_c, ctypes.c_double(damping))

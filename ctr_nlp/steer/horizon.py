@@ -45,7 +45,7 @@ def solve_horizon(
     end: npt.ArrayLike | None = None,
     motion_weight: float | None = None,
     initial: Sequence[npt.ArrayLike] = (),
-    starts: int = 1,
+    starts: int | None = None,
     jobs: int = 1,
     settings: Settings = DEFAULTS,
     progress: Progress | None = None,
@@ -56,9 +56,10 @@ def solve_horizon(
     of the last frame; free where None. motion_weight: lambda in s^2; None takes the one at which the motion of
     the start costs a tenth of its shape errors. initial: motions (T, 2d + 2) to start from; without any, those of
     per_frame_motions. starts: how many are tried: the best of those, then smooth random changes of the best
-    (settings.seed), in so many processes as jobs says. settings: of the frames run one by one. The plan is never
-    worse than the best motion it started from, and marked where it is no solution. Ctrl-C ends the work; the plan
-    is then the best feasible one so far, marked as interrupted. Raises OptionError, ProblemError, RobotError.
+    (settings.seed); None tries those alone. jobs: in how many processes. settings: of the frames run one by one.
+    The plan is never worse than the best motion it started from, and marked where it is no solution. Ctrl-C ends
+    the work; the plan is then the best feasible one so far, marked as interrupted. Raises OptionError,
+    ProblemError, RobotError.
     """
     whole = Horizon(problem, model, solver, start, end)
     return whole.solve(initial, motion_weight, starts, jobs, settings, progress)
@@ -95,14 +96,14 @@ class Horizon:
         self,
         initial: Sequence[npt.ArrayLike] = (),
         motion_weight: float | None = None,
-        starts: int = 1,
+        starts: int | None = None,
         jobs: int = 1,
         settings: Settings = DEFAULTS,
         progress: Progress | None = None,
     ) -> Plan:
         """The plan; as solve_horizon."""
         for name, count in (("starts", starts), ("jobs", jobs)):
-            if count < 1:
+            if count is not None and count < 1:
                 raise OptionError(f"{name} is {count}; it must be at least 1")
         if motion_weight is not None:
             check_motion_weight(motion_weight)
@@ -115,7 +116,7 @@ class Horizon:
             chain = self._chain.with_cost(weight)
             attempts: list[Attempt] = []
             if not interrupted():
-                picked = self._picked(chain, motions, starts, settings.seed)
+                picked = self._picked(chain, motions, starts or len(motions), settings.seed)
                 attempts = self._attempts(chain, weight, picked, jobs, progress, interrupted)
             work = {"search_s": between - begin, "solve_s": time.perf_counter() - between}
             stopped = interrupted()
@@ -157,6 +158,8 @@ class Horizon:
         for number, motion in enumerate(motions, start=1):
             report = None if progress is None else Forecast(progress, problem.frames, number, count)
             attempts.append(attempt(chain, solve, motion, report, interrupted))
+            if interrupted():
+                break
         return attempts
 
     def _plan(
