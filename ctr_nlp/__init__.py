@@ -9,7 +9,7 @@ from ctr_nlp.plan import Plan
 from ctr_nlp.problem import Problem, problem_from_file
 from ctr_nlp.robot import Limits, Robot, Tube, seed_robot
 from ctr_nlp.settings import Settings
-from ctr_nlp.steer import solve_horizon, solve_per_frame
+from ctr_nlp.steer import Steerer, solve_horizon, solve_per_frame
 from ctr_nlp.target import Target, growing, sequence
 
 __all__ = [
@@ -20,6 +20,7 @@ __all__ = [
     "Problem",
     "Robot",
     "Settings",
+    "Steerer",
     "Target",
     "Tube",
     "by_frame",

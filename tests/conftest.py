@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from pathlib import Path
 
 import casadi as ca
@@ -15,6 +16,13 @@ settings.register_profile(
     "quick", max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow], print_blob=True
 )
 settings.load_profile("quick")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep compiled code in a folder of this session's own, which every process that tests start inherits."""
+    folder = tempfile.TemporaryDirectory(prefix="ctr_nlp-tests-", ignore_cleanup_errors=True)
+    config.add_cleanup(folder.cleanup)
+    os.environ["CTR_NLP_CACHE"] = folder.name
 
 
 @pytest.fixture(scope="session")

@@ -3,152 +3,123 @@
 from __future__ import annotations
 
 import argparse
-import itertools
 import json
 import statistics
-import time
-import tracemalloc
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from pathlib import Path
 
-import numpy as np
-import numpy.typing as npt
-
-from ctr_nlp.chain import Chain
+from ctr_nlp.benchmarks import Record, regressions
+from ctr_nlp.benchmarks.frames import frames
+from ctr_nlp.benchmarks.horizons import growth, horizons
+from ctr_nlp.benchmarks.records import RATIO
+from ctr_nlp.benchmarks.sizes import sizes
+from ctr_nlp.benchmarks.start_up import start_up
 from ctr_nlp.cli import problems
-from ctr_nlp.cli.console import console, guarded, print_table
-from ctr_nlp.formulations.horizon import Ends, horizon
+from ctr_nlp.cli.console import SOLVED, SOME_FAILED, console, guarded, print_table
+from ctr_nlp.errors import OptionError
 from ctr_nlp.problem import Problem
-from ctr_nlp.settings import Settings
-from ctr_nlp.solvers import Iterate, Solution, Watch
-from ctr_nlp.solvers.banded import BandedSolver
-from ctr_nlp.solvers.chain_ipopt import IpoptSolver
-from ctr_nlp.solvers.compiled import compiled
-from ctr_nlp.steer import Horizon
-from ctr_nlp.steer.motions import per_frame_motions
+from ctr_nlp.solvers import cache
 
-Array = npt.NDArray[np.float64]
-REPEATS = 5
+SHAPES = ("cos", "arc", "line", "line_arc", "synthesis")
+"""The five problems of the seed whose targets are known."""
 SIZES = (100, 1000, 5000)
 """Frames over which the time and memory of an iteration are followed."""
-
-
-@dataclass(frozen=True)
-class Record:
-    """One figure: what it is, and whether more or less of it is better."""
-
-    name: str
-    value: float
-    unit: str
-    better: str
+BASELINE = "benchmark_baseline.json"
+"""Beside the script."""
 
 
 def main(folder: Path, argv: list[str] | None = None) -> int:
-    """Measure and print; folder holds the named problems."""
-    return guarded(lambda: _run(folder, _parser().parse_args(argv)))
+    """Measure, print and compare; folder holds the named problems."""
+    return guarded(lambda: _run(folder, _parser(folder).parse_args(argv)))
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(folder: Path) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="benchmark.py",
-        description="Times of the horizon's solvers, alternating in one run, interpreted and compiled, and how "
-        "they grow with the number of frames. Needs a C compiler.",
-        epilog="Exit status: 0 measured, 2 bad input.",
+        description="Times of single frames and of whole motions by all methods, alternating in one run; how they "
+        "grow; what start-up takes. Needs a C compiler.",
+        epilog="Exit status: 0 measured, 1 worse than the baseline, 2 bad input.",
+    )
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="(default all)")
+    parser.add_argument(
+        "--problems",
+        nargs="+",
+        metavar="NAME",
+        choices=problems.names(folder),
+        help="(default all that suit a part)",
     )
     parser.add_argument("--json", metavar="FILE", help="also write the records to a file")
+    parser.add_argument("--check", action="store_true", help=f"compare the ratios with {BASELINE}")
     return parser
 
 
 def _run(folder: Path, arguments: argparse.Namespace) -> int:
-    records = [*_solvers(folder), *_scaling(folder)]
+    if why := cache.missing():
+        raise OptionError(f"nothing to compare: {why}")
+    chosen = arguments.problems or problems.names(folder)
+    records = []
+    for part in arguments.parts:
+        for record in PARTS[part](lambda name, count=100: problems.named(name, folder, count), chosen):
+            records.append(record)
+            console(stderr=True).print(f"{record.name}: {record.value:.4g} {record.unit}", style="dim")
     rows = [(r.name, f"{r.value:.4g}", r.unit, r.better) for r in records]
     print_table("benchmark", ("", "value", "unit", "better"), rows)
     if arguments.json:
         text = json.dumps([asdict(record) for record in records], indent=1)
         Path(arguments.json).write_text(text + "\n", encoding="utf-8")
         console().print(f"wrote {arguments.json}")
-    return 0
+    return _checked(records, folder.parent / "scripts" / BASELINE) if arguments.check else SOLVED
 
 
-def _solvers(folder: Path) -> Iterator[Record]:
-    """Both solvers on every named problem, from the same start."""
-    ratios: dict[str, list[float]] = {"interpreted": [], "compiled": []}
-    for name in problems.names(folder):
-        chain, start = _chain(problems.named(name, folder))
-        for kind, functions in (("interpreted", chain.frame.functions), ("compiled", chain.functions)):
-            times, solutions = _alternating(replace(chain, functions=functions), start)
-            for solver, found in solutions.items():
-                which = f"{name}, {solver}, {kind}"
-                yield Record(f"{which}: time", times[solver], "s", "less")
-                yield Record(f"{which}: iterations", found.iterations, "", "less")
-                yield Record(f"{which}: objective", found.objective / chain.frames, "mm²", "less")
-                yield Record(f"{which}: solved", float(found.success), "", "more")
-            ratios[kind].append(times["ipopt"] / times["banded"])
-            yield Record(f"{name}, {kind}: ipopt / banded", ratios[kind][-1], "", "more")
-    for kind, values in ratios.items():
-        yield Record(f"all, {kind}: ipopt / banded, geometric mean", statistics.geometric_mean(values), "", "more")
+def _checked(records: list[Record], baseline: Path) -> int:
+    try:
+        known = {entry["name"]: entry["value"] for entry in json.loads(baseline.read_text(encoding="utf-8"))}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise OptionError(f"baseline {baseline} cannot be read ({error}); --json writes one") from error
+    found = regressions(records, known)
+    for line in found:
+        console().print(f"worse: {line}")
+    compared = sum(record.tolerance is not None and record.name in known for record in records)
+    console().print(f"{compared} figures compared with {baseline.name}, {len(found)} worse")
+    return SOME_FAILED if found else SOLVED
 
 
-def _chain(problem: Problem) -> tuple[Chain, Array]:
-    """A horizon with its default weight, and the start that solve_horizon takes."""
-    motions = per_frame_motions(problem, Ends(), Settings())
-    weight = Horizon(problem).balanced_weight(motions[0])
-    return horizon(problem.robot, problem.samples, problem.dt, weight, Ends(), compiled), motions[0].ravel()
+Named = Callable[..., Problem]
 
 
-def _alternating(chain: Chain, start: Array) -> tuple[dict[str, float], dict[str, Solution]]:
-    """Median times in s over REPEATS rounds in which every solver has its turn, and the solutions."""
-    solvers: dict[str, BandedSolver | IpoptSolver] = {
-        "banded": BandedSolver(chain),
-        "ipopt": IpoptSolver(chain, follow=False),
-    }
-    times: dict[str, list[float]] = {name: [] for name in solvers}
-    solutions: dict[str, Solution] = {}
-    for _ in range(REPEATS):
-        for name, solve in solvers.items():
-            begin = time.perf_counter()
-            solutions[name] = solve(start, Watch())
-            times[name].append(time.perf_counter() - begin)
-    return {name: statistics.median(values) for name, values in times.items()}, solutions
+def _frames(named: Named, chosen: list[str]) -> Iterator[Record]:
+    found: list[Record] = []
+    for name in (name for name in SHAPES if name in chosen):
+        for record in frames(named(name)):
+            found.append(record)
+            yield record
+    yield from _means(found, "a frame: ")
 
 
-def _scaling(folder: Path) -> Iterator[Record]:
-    """The banded solver on cos with more and more frames."""
-    first: dict[str, float] = {}
-    for frames in SIZES:
-        chain, start = _chain(problems.named("cos", folder, frames))
-        found, iteration, seconds = _followed(BandedSolver(chain), start)
-        which = f"cos, {frames} frames"
-        yield Record(f"{which}: iterations", found.iterations, "", "less")
-        yield Record(f"{which}: time", seconds, "s", "less")
-        for key, unit, value in (
-            ("an iteration, median", "s", iteration),
-            ("memory", "MB", _memory(chain, start)),
-        ):
-            share = value / frames
-            yield Record(f"{which}: {key}", value, unit, "less")
-            yield Record(
-                f"{which}: {key}, a frame, over {SIZES[0]} frames'",
-                share / first.setdefault(key, share),
-                "",
-                "less",
-            )
+def _horizons(named: Named, chosen: list[str]) -> Iterator[Record]:
+    found: list[Record] = []
+    for name in chosen:
+        for record in horizons(named(name)):
+            found.append(record)
+            yield record
+    yield from _means(found, "horizon: ")
 
 
-def _followed(solver: BandedSolver, start: Array) -> tuple[Solution, float, float]:
-    """A solution, the median time of an iteration and the whole time, s."""
-    moments = [time.perf_counter()]
-    found = solver(start, Watch(lambda _: moments.append(time.perf_counter())))
-    steps = [after - before for before, after in itertools.pairwise(moments)]
-    return found, statistics.median(steps), moments[-1] - moments[0]
+def _means(records: list[Record], kind: str) -> Iterator[Record]:
+    """Geometric means of ratios of the same kind over problems."""
+    ratios: dict[str, list[float]] = {}
+    for record in records:
+        if record.tolerance == RATIO and kind in record.name and " / " in record.name:
+            ratios.setdefault(record.name.split(", ", 1)[1], []).append(record.value)
+    for name, values in ratios.items():
+        yield Record(f"all problems, {name}, geometric mean", statistics.geometric_mean(values), "", "more", RATIO)
 
 
-def _memory(chain: Chain, start: Array) -> float:
-    """The most memory that Python and numpy hold while a solver is built and makes three iterations, MB."""
-    tracemalloc.start()
-    seen: list[Iterate] = []
-    BandedSolver(replace(chain))(start, Watch(seen.append, lambda: len(seen) > 3))
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    return peak / 2**20
+PARTS: dict[str, Callable[[Named, list[str]], Iterator[Record]]] = {
+    "start-up": lambda named, chosen: start_up(),
+    "frames": _frames,
+    "horizons": _horizons,
+    "growth": lambda named, chosen: growth([named("cos", count) for count in SIZES]),
+    "sizes": lambda named, chosen: sizes(),
+}

@@ -20,9 +20,12 @@ STRIDE = 5
 """Every STRIDE-th of the target's 101 samples enters the NLP, 21 in all."""
 
 
-def alone(robot: Robot) -> Nlp:
-    """One frame without neighbours: q with its bounds and order, and the distance (8) to the target."""
-    sigma = SIGMA[::STRIDE]
+def alone(robot: Robot, stride: int = STRIDE) -> Nlp:
+    """One frame without neighbours: q with its bounds and order, and the distance (8) to the target.
+
+    stride: every so many-th of the target's samples is used.
+    """
+    sigma = SIGMA[::stride]
     weights = np.full(len(sigma), 1 / (len(sigma) - 1))
     weights[[0, -1]] /= 2
     q, target = ca.SX.sym("q", 2 * robot.d + 2), ca.SX.sym("target", len(sigma), 3)

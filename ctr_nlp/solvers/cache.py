@@ -7,6 +7,7 @@ import functools
 import hashlib
 import logging
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -43,15 +44,17 @@ class Compiler(NamedTuple):
 def compiler() -> Compiler | None:
     """The C compiler named by CC, or cc, gcc or clang; None where there is none that works."""
     for name in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
-        path = shutil.which(name)
-        for target in (("-march=native",), ()) if path else ():
-            command = (str(path), *target, *FLAGS)
-            said = subprocess.run(
-                [*command, "-E", "-v", "-x", "c", os.devnull], capture_output=True, text=True, check=False
-            )
-            if said.returncode == 0:
-                return Compiler(command, said.stderr)
+        for target in (["-march=native"], []):
+            command = (*shlex.split(name), *target, *FLAGS)
+            with contextlib.suppress(OSError):
+                said = _run([*command, "-E", "-v", "-x", "c", os.devnull])
+                if said.returncode == 0:
+                    return Compiler(command, said.stderr)
     return None
+
+
+def _run(command: list[str], folder: Path | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace", check=False)
 
 
 def missing() -> str | None:
@@ -83,86 +86,80 @@ def folder() -> Path:
 def library(key: str, code: Callable[[], str]) -> Path:
     """The shared library made from code() once a key, compiler and machine; raises OptionError.
 
-    key: text that changes whenever code() does. A library is kept with its digest in a folder of its own, which
-    takes its name in one step: whatever is there is whole, and a library that does not match its digest or
-    belongs to another user is made anew. Where nothing can be kept, it is made for this process alone.
+    key: text that changes whenever code() does. In the cache, a library and the digest of both have a folder of
+    their own, which takes its name in one step: whatever is there is whole, and what does not match its digest or
+    belongs to another user is made anew. A library that this process made itself it loads from a place of its own.
     """
     if os.environ.get(SWITCH) == "0":
         raise OptionError(f"nothing is compiled: {SWITCH} is 0")
     chosen = compiler()
     if chosen is None:
         raise OptionError("no C compiler was found; install gcc or clang")
-    name = hashlib.sha256("\0".join([key, *chosen.command, chosen.identity]).encode()).hexdigest()[:32]
-    place = folder()
-    found = place / name / "library.so"
-    if _whole(found):
-        return found
-    with contextlib.suppress(OSError):
-        place.mkdir(mode=0o700, parents=True, exist_ok=True)
-        _sweep(place)
+    parts = [key, *chosen.command, *map(" ".join, LIBRARIES), chosen.identity]
+    name = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
+    kept = folder() / name
+    if _whole(kept):
+        return kept / "library.so"
+    if name not in _made:
+        _made[name] = _build(code(), chosen)
+    _keep(_made[name], kept)
+    return _made[name]
+
+
+_made: dict[str, Path] = {}
+"""Libraries that this process has made, by name."""
+
+
+@functools.cache
+def _own() -> tempfile.TemporaryDirectory[str]:
+    """A folder that lives as long as this process."""
+    return tempfile.TemporaryDirectory(prefix="ctr_nlp-")
+
+
+def _build(code: str, chosen: Compiler) -> Path:
     try:
-        made = Path(tempfile.mkdtemp(prefix="building-", dir=place))
+        made = Path(tempfile.mkdtemp(dir=_own().name))
+        (made / "code.c").write_text(code, encoding="utf-8")
+        for linked in LIBRARIES:
+            run = _run([*chosen.command, "-o", "library.so", "code.c", *linked], made)
+            if run.returncode == 0:
+                return made / "library.so"
+    except OSError as error:
+        raise OptionError(f"compiled code cannot be made: {error}") from error
+    raise OptionError(f"{chosen.command[0]} cannot compile: {run.stderr.strip()[:500]}")
+
+
+def _keep(made: Path, kept: Path) -> None:
+    """Put a library into the cache, unless another process was first, or nothing can be written there."""
+    place = kept.parent
+    try:
+        place.mkdir(mode=0o700, parents=True, exist_ok=True)
+        for left in place.glob("building-*"):
+            if time.time() - left.stat().st_mtime > ABANDONED:
+                shutil.rmtree(left, ignore_errors=True)
+        new = Path(tempfile.mkdtemp(prefix="building-", dir=place))
+        shutil.copy(made, new / "library.so")
+        shutil.copy(made.with_name("code.c"), new)
+        (new / "sha256").write_text(_digest(new / "library.so", kept.name), encoding="ascii")
+        with contextlib.suppress(OSError):
+            kept.rename(new.with_name(f"{new.name}-bad"))
+        with contextlib.suppress(OSError):
+            new.rename(kept)
+        for left in (new, new.with_name(f"{new.name}-bad")):
+            shutil.rmtree(left, ignore_errors=True)
     except OSError as error:
         _say(f"compiled code cannot be kept in {place}: {error.strerror}")
-        return _build(_private(), code(), chosen)
-    _build(made, code(), chosen)
-    return _settle(made, found)
 
 
-def _build(made: Path, code: str, chosen: Compiler) -> Path:
-    """A library and its digest in a folder."""
-    (made / "code.c").write_text(code, encoding="utf-8")
-    for linked in LIBRARIES:
-        command = [*chosen.command, "-o", "library.so", "code.c", *linked]
-        run = subprocess.run(command, cwd=made, capture_output=True, text=True, check=False)
-        if run.returncode == 0:
-            break
-    else:
-        shutil.rmtree(made, ignore_errors=True)
-        raise OptionError(f"{chosen.command[0]} cannot compile: {run.stderr.strip()[:500]}")
-    found = made / "library.so"
-    (made / "sha256").write_text(_digest(found), encoding="ascii")
-    return found
-
-
-def _settle(made: Path, found: Path) -> Path:
-    """Give a new build its name; where another process was first, theirs serves as well."""
-    for _ in range(3):
-        with contextlib.suppress(OSError):
-            made.rename(found.parent)
-        if _whole(found):
-            shutil.rmtree(made, ignore_errors=True)
-            return found
-        with contextlib.suppress(OSError):
-            found.parent.rename(found.parent.with_name(f"building-bad-{os.getpid()}-{time.monotonic_ns()}"))
-    return made / "library.so"
-
-
-def _whole(found: Path) -> bool:
-    """Whether a library is ours and what was built."""
+def _whole(kept: Path) -> bool:
+    """Whether a library is ours and what was built under its name."""
+    found = kept / "library.so"
     try:
         ours = not hasattr(os, "getuid") or found.stat().st_uid == os.getuid()
-        return ours and found.with_name("sha256").read_text(encoding="ascii") == _digest(found)
+        return ours and (kept / "sha256").read_text(encoding="ascii") == _digest(found, kept.name)
     except (OSError, UnicodeDecodeError):
         return False
 
 
-def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def _sweep(place: Path) -> None:
-    """Remove builds that were killed."""
-    for left in place.glob("building-*"):
-        if time.time() - left.stat().st_mtime > ABANDONED:
-            shutil.rmtree(left, ignore_errors=True)
-
-
-@functools.cache
-def _holder() -> tempfile.TemporaryDirectory[str]:
-    return tempfile.TemporaryDirectory(prefix="ctr_nlp-")
-
-
-def _private() -> Path:
-    """A new folder that lives as long as this process."""
-    return Path(tempfile.mkdtemp(dir=_holder().name))
+def _digest(path: Path, name: str) -> str:
+    return hashlib.sha256(name.encode() + path.read_bytes()).hexdigest()

@@ -94,7 +94,7 @@ class Program:
     """An Nlp in C. Its arrays are filled, and read again after a run; not from two threads at once.
 
     x (n,): the start, then the solution. p: packed parameters. lower, upper (n + m,): bounds of x and of the
-    constraints. multipliers (n + m,): of these, positive at upper bounds.
+    constraints. multipliers (n + m,): of these, positive at upper bounds. functions: their addresses, by name.
     """
 
     def __init__(self, nlp: Nlp) -> None:
@@ -103,12 +103,12 @@ class Program:
         low, high = nlp.g_bounds
         self.lower, self.upper = np.concatenate([nlp.lower, low]), np.concatenate([nlp.upper, high])
         self.p, self.x, self.multipliers = np.zeros(nlp.p.numel()), np.zeros(n), np.zeros(n + m)
-        self._functions = ctypes.CDLL(str(compiled.library(nlp, 1)))
+        self._library = ctypes.CDLL(str(compiled.library(nlp, 1)))
         names = FrameFunctions._fields[:3]
-        functions = (ctypes.cast(getattr(self._functions, name), ctypes.c_void_p) for name in names)
+        self.functions = {name: ctypes.cast(self._library[name], ctypes.c_void_p).value or 0 for name in names}
         given = (array.ctypes.data for array in (self.p, self.lower, self.upper))
         found = (array.ctypes.data for array in (self.x, self.multipliers))
-        self._program = _Program(n, m, *functions, *given, TOLERANCE, *found)
+        self._program = _Program(n, m, *self.functions.values(), *given, TOLERANCE, *found)
         self._run, self._reference = _sqp().sqp, ctypes.byref(self._program)
 
     def run(self) -> _Program:

@@ -45,7 +45,6 @@ static inline V one_where(M m) { return masked(m, all(1.0)); }
 """
 
 _OPERATIONS = {
-    ca.OP_ASSIGN: "{0}",
     ca.OP_ADD: "{0} + {1}",
     ca.OP_SUB: "{0} - {1}",
     ca.OP_MUL: "{0} * {1}",
@@ -62,13 +61,13 @@ _OPERATIONS = {
     ca.OP_AND: "one_where(({0} != 0.0) & ({1} != 0.0))",
     ca.OP_OR: "one_where(({0} != 0.0) | ({1} != 0.0))",
     ca.OP_IF_ELSE_ZERO: "masked({0} != 0.0, {1})",
-    ca.OP_FMIN: "choose({0} < {1}, {0}, {1})",
-    ca.OP_FMAX: "choose({0} > {1}, {0}, {1})",
-    ca.OP_FABS: "choose({0} < 0.0, -{0}, {0})",
-    ca.OP_SIGN: "one_where({0} > 0.0) - one_where({0} < 0.0)",
+    ca.OP_FMIN: "choose(({0} < {1}) | ({1} != {1}), {0}, {1})",
+    ca.OP_FMAX: "choose(({0} > {1}) | ({1} != {1}), {0}, {1})",
+    ca.OP_SIGN: "choose({0} != {0}, {0}, one_where({0} > 0.0) - one_where({0} < 0.0))",
 }
 """What the language has for vectors."""
 _BY_LANE = {
+    ca.OP_FABS: "fabs",
     ca.OP_SQRT: "sqrt",
     ca.OP_SIN: "sin",
     ca.OP_COS: "cos",
@@ -98,6 +97,9 @@ def vector_code(functions: tuple[ca.Function, ...], lanes: int = LANES) -> str:
     `function.map(lanes)`. With one lane numbers are numbers. Raises NotImplementedError for operations without C.
     """
     used = {function.instruction_id(k) for function in functions for k in range(function.n_instructions())}
+    if unknown := used - _OPERATIONS.keys() - _BY_LANE.keys() - {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT}:
+        names = ", ".join(function.name() for function in functions)
+        raise NotImplementedError(f"{names}: operations (numbers {sorted(unknown)}) without C")
     helpers = {_by_lane(_BY_LANE[operation], lanes) for operation in used & _BY_LANE.keys()}
     head = _SCALAR if lanes == 1 else f"#define LANES {lanes}\n{_VECTOR}"
     return "".join([head, *sorted(helpers), *(_function(function, lanes) for function in functions)])
@@ -186,9 +188,7 @@ def _value(function: ca.Function, k: int, here: dict[int, str]) -> str:
     names = [_name(slot, here) for slot in of]
     if operation in _OPERATIONS:
         return _OPERATIONS[operation].format(*names)
-    if operation in _BY_LANE:
-        return f"by_lane_{_BY_LANE[operation]}({', '.join(names)})"
-    raise NotImplementedError(f"{function.name()} has an operation (number {operation}) without C")
+    return f"by_lane_{_BY_LANE[operation]}({', '.join(names)})"
 
 
 def _interface(function: ca.Function, calls: str, lanes: int) -> str:

@@ -1,0 +1,73 @@
+"""Steering while the target moves: one configuration for one target, as they come."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.errors import OptionError
+from ctr_nlp.formulations.joint import STRIDE, joint
+from ctr_nlp.robot import Robot
+from ctr_nlp.settings import Settings
+from ctr_nlp.solvers.adapter import FEASIBLE, OPTIMAL
+from ctr_nlp.solvers.sqp import Program
+from ctr_nlp.steer.nlp_frames import DEFAULTS
+from ctr_nlp.target import SIGMA
+
+Array = npt.NDArray[np.float64]
+
+
+class Steerer:
+    """The joint formulation in a loop at run time: everything is built once, and a step solves one frame.
+
+    A step is a few tens of microseconds of compiled code, and at most sqp.c's MOST_ITERATIONS of some ten
+    microseconds each. It never leaves limits of position and speed: where no better configuration is found, the
+    robot stays where it is. Not for two threads at once: one for each.
+
+    q (2d + 2,): where the robot stands. solved: whether the last step ended at a KKT point; objective: mm^2;
+    kkt: residual; iterations.
+    """
+
+    def __init__(self, robot: Robot, q: npt.ArrayLike, dt: float, settings: Settings = DEFAULTS) -> None:
+        """Build for a robot that stands at q and moves every dt s; raises OptionError, RobotError.
+
+        OptionError also where nothing can be compiled.
+        """
+        if not (math.isfinite(dt) and dt > 0):
+            raise OptionError(f"dt is {dt} s; it must be a finite number > 0")
+        self.q = np.array(q, dtype=float)
+        robot.check(self.q, "q")
+        (stage,) = joint(robot, settings)
+        self._program = Program(stage.nlp)
+        self._limits = robot.lower, robot.upper, robot.speed * dt
+        ends = np.cumsum([symbol.numel() for symbol in stage.nlp.parameters.values()])
+        places = dict(zip(stage.nlp.parameters, np.split(self._program.p, ends[:-1]), strict=True))
+        self._target = places["target"].reshape(3, -1)
+        self._previous = places["previous"]
+        places["motion_root"][:] = math.sqrt(settings.motion_weight) / dt
+        n = len(self.q)
+        self._low, self._high = self._program.lower[:n], self._program.upper[:n]
+        self.solved, self.objective, self.kkt, self.iterations = False, math.nan, math.nan, 0
+
+    def step(self, target: Array) -> Array:
+        """The configuration (2d + 2,) dt s later, for a target (101, 3) in mm at uniform sigma.
+
+        Raises OptionError where the target has another shape or numbers that are not finite.
+        """
+        if target.shape != (len(SIGMA), 3) or not np.isfinite(target).all():
+            raise OptionError(f"target has shape {target.shape}; it must be {(len(SIGMA), 3)}, all finite")
+        at, (lower, upper, most) = self._program, self._limits
+        self._target[:] = target[::STRIDE].T
+        self._previous[:] = at.x[:] = self.q
+        np.maximum(lower, self.q - most, out=self._low)
+        np.minimum(upper, self.q + most, out=self._high)
+        found = at.run()
+        self.solved = found.kkt <= OPTIMAL and found.violation <= FEASIBLE
+        self.objective, self.kkt, self.iterations = found.objective, found.kkt, found.iterations
+        if found.violation <= FEASIBLE:
+            self.q = np.clip(at.x, self._low, self._high)
+        else:
+            at.multipliers[:] = 0.0
+        return self.q.copy()
