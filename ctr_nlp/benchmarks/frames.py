@@ -1,4 +1,4 @@
-"""Single frames: every method on the same frames from the same past, one after the other."""
+"""Single frames: every method on the same frames from the same past."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from ctr_nlp.benchmarks.records import RATIO, Record
 from ctr_nlp.formulations.joint import joint
+from ctr_nlp.formulations.stage import Stage
 from ctr_nlp.frames import FrameResult, reachable
 from ctr_nlp.metrics import summary
 from ctr_nlp.problem import Problem
@@ -32,6 +33,8 @@ Found = TypeVar("Found", Solution, FrameResult)
 EVERY = 5
 """The methods that take a second a frame are asked for every EVERY-th frame only."""
 REFERENCES = ("seed-two-stage", "euclidean")
+ROUNDS = 3
+"""Times that solvers have their turn on all frames."""
 EVALUATIONS = 2000
 """Evaluations that the time of one is the mean of."""
 
@@ -76,26 +79,37 @@ def frames(problem: Problem) -> Iterator[Record]:
 
 
 def race(problem: Problem) -> dict[str, Times]:
-    """Every method on the frames of a problem; all go on from where compiled SQP arrived."""
+    """Every method in turn on the same frames of a problem, each from where compiled SQP stood before it."""
     settings = Settings()
     (stage,) = joint(problem.robot, settings)
     solvers: dict[str, NlpSolver] = {name: SOLVERS[name](stage.nlp) for name in ("sqp", "ipopt")}
-    references = {name: reference_frames(problem, name, settings) for name in REFERENCES}
-    times = {name: Times() for name in (*solvers, *references)}
-    warm: dict[str, Solution] = {}
-    q = NlpFrames(problem, settings=settings).search(0)[0].q
-    for number in range(1, problem.frames):
-        frame = problem.samples[number]
-        given = {"previous": q, "motion_root": math.sqrt(settings.motion_weight) / problem.dt}
-        p = stage.nlp.pack({**stage.parameters(frame, q), **given})
-        bounds = reachable(problem.robot, q, problem.dt)
+    path = _path(problem, stage, solvers["sqp"])
+    times = {name: Times() for name in (*solvers, *REFERENCES)}
+    for _ in range(ROUNDS):
         for name, solve in solvers.items():
-            warm[name] = times[name].take(solve, q, p, *bounds, warm.get(name))
-        if number % EVERY == 0:
-            for name, method in references.items():
-                times[name].take(method.step, number, FrameResult(q))
-        q = warm["sqp"].x
+            warm: Solution | None = None
+            for given in path:
+                warm = times[name].take(solve, *given, warm)
+    for name in REFERENCES:
+        method = reference_frames(problem, name, settings)
+        for number in range(EVERY, problem.frames, EVERY):
+            times[name].take(method.step, number, FrameResult(path[number - 1][0]))
     return times
+
+
+def _path(problem: Problem, stage: Stage, solve: NlpSolver) -> list[tuple[Array, Array, Array, Array]]:
+    """Start, parameters and bounds of the frames' NLPs after the first, each from the solution before it."""
+    settings, warm = Settings(), None
+    path: list[tuple[Array, Array, Array, Array]] = []
+    q = NlpFrames(problem, settings=settings).search(0)[0].q
+    for frame in problem.samples[1:]:
+        given = {"previous": q, "motion_root": math.sqrt(settings.motion_weight) / problem.dt}
+        path.append(
+            (q, stage.nlp.pack({**stage.parameters(frame, q), **given}), *reachable(problem.robot, q, problem.dt))
+        )
+        warm = solve(*path[-1], warm)
+        q = warm.x
+    return path
 
 
 def _floor(problem: Problem, taken: Times, median: float) -> Iterator[Record]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy.typing as npt
 
 from ctr_nlp.errors import OptionError
 from ctr_nlp.settings import Settings
+from ctr_nlp.solvers.cache import SWITCH
 
 Array = npt.NDArray[np.float64]
 
@@ -22,6 +24,18 @@ def add_problem_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frames", metavar="T", type=whole, default=100, help="number of frames (default 100)")
     parser.add_argument(
         "--duration", metavar="S", type=float, default=10.0, help="of the motion, in seconds (default 10)"
+    )
+
+
+def add_compile_option(parser: argparse.ArgumentParser) -> None:
+    """--no-compile, which holds for this process and those that it starts."""
+
+    class Switch(argparse.Action):
+        def __call__(self, *_: Any) -> None:
+            os.environ[SWITCH] = "0"
+
+    parser.add_argument(
+        "--no-compile", action=Switch, nargs=0, help=f"solve without compiled code, as {SWITCH}=0 does everywhere"
     )
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ctr_nlp.cli import problems
-from ctr_nlp.cli.arguments import add_file_options, add_problem_options, read_start, whole
+from ctr_nlp.cli.arguments import add_compile_option, add_file_options, add_problem_options, read_start, whole
 from ctr_nlp.cli.console import guarded, progress_bar
 from ctr_nlp.cli.output import check_folder, whole_folder
 from ctr_nlp.cli.report import exit_status, print_front, print_report, write, write_front
@@ -38,6 +38,7 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
     add_problem_options(parser)
     parser.add_argument("--model", choices=MODELS, default="dominant", help="(default dominant)")
     parser.add_argument("--solver", choices=CHAIN_SOLVERS, help="(default banded where there is a C compiler)")
+    add_compile_option(parser)
     parser.add_argument("--out", metavar="DIR", help="(default runs/PROBLEM-horizon-MODEL)")
     _add_motion(parser)
     _add_search(parser)

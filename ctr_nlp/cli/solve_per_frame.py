@@ -7,7 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from ctr_nlp.cli import problems
-from ctr_nlp.cli.arguments import add_file_options, add_problem_options, add_settings, read_start, settings_from
+from ctr_nlp.cli.arguments import (
+    add_compile_option,
+    add_file_options,
+    add_problem_options,
+    add_settings,
+    read_start,
+    settings_from,
+)
 from ctr_nlp.cli.console import guarded, progress_bar
 from ctr_nlp.cli.output import check_folder, whole_folder
 from ctr_nlp.cli.report import exit_status, print_report, write
@@ -42,6 +49,7 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
     )
     parser.add_argument("--start", metavar="Q.json", help="configuration at time 0, from which the motion leads")
     parser.add_argument("--lock-tilt", action="store_true", help="no arm: the tilt stays 0")
+    add_compile_option(parser)
     parser.add_argument("--out", metavar="DIR", help="(default runs/PROBLEM-FORMULATION-MODEL)")
     add_file_options(parser)
     add_settings(parser)
