@@ -242,9 +242,11 @@ def test_every_program_has_help():
         assert "Exit status" in done.stdout
 
 
-def test_the_readmes_python_example_runs(tmp_path):
+def test_the_readmes_python_examples_run(tmp_path):
     text = (ROOT / "README.md").read_text()
-    example = text.split("```python\n")[1].split("```")[0]
+    examples = [block.split("```")[0] for block in text.split("```python\n")[1:]]
+    assert len(examples) == 2
+    example = "".join(examples) + "robot.check(q)\n"
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", example],
         cwd=tmp_path,

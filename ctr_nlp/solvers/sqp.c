@@ -106,13 +106,107 @@ static double entry(const Program *o, const double *jacobian, long row, long j) 
     return row < o->n ? row == j : jacobian[j * o->m + row - o->n];
 }
 
-/* Goldfarb and Idnani's dual method: minimise d'Hd/2 + gradient'd with all rows within their bounds.
+/* Rows that a quadratic problem holds at their bounds. side: 1 at a lower bound, -1 at an upper one. pressure: of the
+   rows, then of one that is to be held. normals, pulled: side times a row, and the inverse Hessian times that. */
+typedef struct {
+    long count, *rows;
+    double *side, *pressure, *normals, *pulled;
+} Held;
 
-   h: positive definite, lost. multipliers: of all rows. 0 where no d is feasible. */
+/* The row, not held, that d violates most; -1 where none is violated. */
+static long most_violated(const Program *o, const Held *held, const double *jacobian, const double *value,
+                          const double *d, double *side, double *excess) {
+    long found = -1;
+    *side = 0, *excess = ACTIVE;
+    for (long row = 0; row < o->n + o->m; ++row) {
+        int skip = 0;
+        for (long k = 0; k < held->count; ++k) skip |= held->rows[k] == row;
+        if (skip) continue;
+        double at = value[row] + along(o, jacobian, row, d);
+        if (o->lower[row] - at > *excess) found = row, *side = 1, *excess = o->lower[row] - at;
+        if (at - o->upper[row] > *excess) found = row, *side = -1, *excess = at - o->upper[row];
+    }
+    return found;
+}
+
+/* What of a direction leaves held rows where they are, and how their pressures fall along it; 0 where held rows
+   depend on each other. */
+static int project(long n, const Held *held, double *direction, double *fall) {
+    long count = held->count;
+    double gram[n * n];
+    for (long k = 0; k < count; ++k) {
+        fall[k] = 0;
+        for (long i = 0; i < n; ++i) fall[k] += held->normals[k * n + i] * direction[i];
+        for (long l = 0; l <= k; ++l) {
+            double sum = 0;
+            for (long i = 0; i < n; ++i) sum += held->normals[k * n + i] * held->pulled[l * n + i];
+            gram[l * count + k] = gram[k * count + l] = sum;
+        }
+    }
+    if (count && !factor(count, gram)) return 0;
+    solve(count, gram, fall);
+    for (long k = 0; k < count; ++k)
+        for (long i = 0; i < n; ++i) direction[i] -= held->pulled[k * n + i] * fall[k];
+    return 1;
+}
+
+static void let_go(long n, Held *held, long k) {
+    --held->count;
+    for (; k < held->count; ++k) {
+        held->rows[k] = held->rows[k + 1], held->side[k] = held->side[k + 1];
+        held->pressure[k] = held->pressure[k + 1];
+        memcpy(held->normals + k * n, held->normals + (k + 1) * n, n * sizeof(double));
+        memcpy(held->pulled + k * n, held->pulled + (k + 1) * n, n * sizeof(double));
+    }
+    held->pressure[k] = held->pressure[k + 1];
+}
+
+/* Move d until a row is at its bound, which then is held; rows whose pressure vanishes on the way are let go. */
+static int hold(const Program *o, Held *held, const double *inverse, const double *jacobian, long row, double side,
+                double excess, double *d) {
+    long n = o->n;
+    double *normal = held->normals + n * n, pulled[n], direction[n], fall[n];
+    for (long j = 0; j < n; ++j) normal[j] = side * entry(o, jacobian, row, j);
+    for (long i = 0; i < n; ++i) {
+        pulled[i] = 0;
+        for (long j = 0; j < n; ++j) pulled[i] += inverse[j * n + i] * normal[j];
+    }
+    held->pressure[held->count] = 0;
+    for (;;) {
+        double length = 0, part = INFINITY;
+        long leaves = -1;
+        memcpy(direction, pulled, sizeof pulled);
+        if (!project(n, held, direction, fall)) return 0;
+        for (long i = 0; i < n; ++i) length += direction[i] * normal[i];
+        double whole = held->count < n && length > 1e-14 ? excess / length : INFINITY;
+        for (long k = 0; k < held->count; ++k)
+            if (fall[k] > 0 && o->lower[held->rows[k]] < o->upper[held->rows[k]] && held->pressure[k] / fall[k] < part)
+                part = held->pressure[k] / fall[k], leaves = k;
+        double step = part < whole ? part : whole;
+        if (!(step < INFINITY)) return 0;
+        for (long k = 0; k < held->count; ++k) held->pressure[k] -= step * fall[k];
+        held->pressure[held->count] += step;
+        if (whole < INFINITY) {
+            for (long i = 0; i < n; ++i) d[i] += step * direction[i];
+            excess -= step * length;
+        }
+        if (step == whole) break;
+        let_go(n, held, leaves);
+    }
+    memcpy(held->normals + held->count * n, normal, n * sizeof(double));
+    memcpy(held->pulled + held->count * n, pulled, sizeof pulled);
+    held->rows[held->count] = row, held->side[held->count++] = side;
+    return 1;
+}
+
+/* Goldfarb and Idnani's dual method: minimise d'hd/2 + gradient'd with all rows within their bounds.
+
+   h: positive definite, lost. multipliers: of all rows. 0 where no d was found. */
 static int quadratic(const Program *o, double *h, const double *gradient, const double *jacobian,
                      const double *value, double *d, double *multipliers) {
-    long n = o->n, rows = n + o->m, held = 0, active[n];
-    double side[n], u[n + 1], normals[n * n], pulled[n * n], inverse[n * n]; /* pulled: inverse times normals */
+    long n = o->n, rows = n + o->m, kept[n], row;
+    double sides[n], pressures[n + 1], normals[(n + 1) * n], pulled[n * n], inverse[n * n], side, excess;
+    Held held = {0, kept, sides, pressures, normals, pulled};
     if (!factor(n, h)) return 0;
     for (long j = 0; j < n; ++j) {
         for (long i = 0; i < n; ++i) inverse[j * n + i] = i == j;
@@ -120,77 +214,11 @@ static int quadratic(const Program *o, double *h, const double *gradient, const 
         d[j] = -gradient[j];
     }
     solve(n, h, d);
-    for (long guard = 0; guard < 20 * rows + 20; ++guard) {
-        long worst = -1;
-        double sign = 0, excess = ACTIVE;
-        for (long row = 0; row < rows; ++row) {
-            int skip = 0;
-            for (long k = 0; k < held; ++k) skip |= active[k] == row;
-            double at = value[row] + along(o, jacobian, row, d);
-            if (!skip && o->lower[row] - at > excess) worst = row, sign = 1, excess = o->lower[row] - at;
-            if (!skip && at - o->upper[row] > excess) worst = row, sign = -1, excess = at - o->upper[row];
-        }
-        if (worst < 0) {
-            for (long row = 0; row < rows; ++row) multipliers[row] = 0;
-            for (long k = 0; k < held; ++k) multipliers[active[k]] = -side[k] * u[k];
-            return 1;
-        }
-        double normal[n];
-        for (long j = 0; j < n; ++j) normal[j] = sign * entry(o, jacobian, worst, j);
-        u[held] = 0;
-        for (;;) {
-            double z[n], straight[n], r[n], gram[n * n], length = 0;
-            for (long i = 0; i < n; ++i) {
-                straight[i] = 0;
-                for (long j = 0; j < n; ++j) straight[i] += inverse[j * n + i] * normal[j];
-            }
-            memcpy(z, straight, sizeof z);
-            for (long k = 0; k < held; ++k) {
-                r[k] = 0;
-                for (long i = 0; i < n; ++i) r[k] += normals[k * n + i] * z[i];
-                for (long l = 0; l <= k; ++l) {
-                    double sum = 0;
-                    for (long i = 0; i < n; ++i) sum += normals[k * n + i] * pulled[l * n + i];
-                    gram[l * held + k] = gram[k * held + l] = sum;
-                }
-            }
-            if (held) {
-                if (!factor(held, gram)) return 0;
-                solve(held, gram, r);
-            }
-            for (long k = 0; k < held; ++k)
-                for (long i = 0; i < n; ++i) z[i] -= pulled[k * n + i] * r[k];
-            for (long i = 0; i < n; ++i) length += z[i] * normal[i];
-            double full = held < n && length > 1e-14 ? excess / length : INFINITY, part = INFINITY;
-            long leaves = -1;
-            for (long k = 0; k < held; ++k)
-                if (r[k] > 0 && o->lower[active[k]] < o->upper[active[k]] && u[k] / r[k] < part)
-                    part = u[k] / r[k], leaves = k;
-            double step = part < full ? part : full;
-            if (!(step < INFINITY)) return 0;
-            for (long k = 0; k < held; ++k) u[k] -= step * r[k];
-            u[held] += step;
-            if (full < INFINITY) {
-                for (long i = 0; i < n; ++i) d[i] += step * z[i];
-                excess -= step * length;
-            }
-            if (step == full) {
-                active[held] = worst, side[held] = sign;
-                memcpy(normals + held * n, normal, sizeof normal);
-                memcpy(pulled + held * n, straight, sizeof straight);
-                ++held;
-                break;
-            }
-            --held;
-            for (long k = leaves; k < held; ++k) {
-                active[k] = active[k + 1], side[k] = side[k + 1], u[k] = u[k + 1];
-                memcpy(normals + k * n, normals + (k + 1) * n, sizeof normal);
-                memcpy(pulled + k * n, pulled + (k + 1) * n, sizeof normal);
-            }
-            u[held] = u[held + 1];
-        }
-    }
-    return 0;
+    for (long left = 20 * (rows + 1); (row = most_violated(o, &held, jacobian, value, d, &side, &excess)) >= 0;)
+        if (!left-- || !hold(o, &held, inverse, jacobian, row, side, excess, d)) return 0;
+    for (row = 0; row < rows; ++row) multipliers[row] = 0;
+    for (long k = 0; k < held.count; ++k) multipliers[kept[k]] = -sides[k] * pressures[k];
+    return 1;
 }
 
 static double violation(const Program *o, const double *value) {
@@ -247,40 +275,51 @@ static void prepare(const Program *o, const double *jacobian, const double *valu
     for (long i = 0; i < n; ++i) h[i * n + i] += DAMPING * most(largest, 1);
 }
 
+/* Go along d as far as the l1 merit function falls enough; returns by how much it fell, -1 where it never does. */
+static double search(Program *o, const double *d, double merit, double slope, double penalty, double *step) {
+    long n = o->n;
+    double to[n], value[n + o->m], found;
+    *step = 1;
+    for (int halvings = 0; halvings < MOST_HALVINGS; ++halvings, *step /= 2) {
+        for (long j = 0; j < n; ++j) to[j] = o->x[j] + *step * d[j];
+        at(o, o->value, to, &found, 0, value, 0, 0), ++o->evaluations;
+        found += penalty * violation(o, value);
+        if (!(found <= merit + 1e-4 * *step * slope + 1e-12 * fabs(merit))) continue;
+        memcpy(o->x, to, sizeof to);
+        return most(merit - found, 0);
+    }
+    return -1;
+}
+
 void sqp(Program *o) {
     long n = o->n, rows = n + o->m, calm = 0;
     double f, gradient[n], value[rows], jacobian[n * o->m + 1], hessian[n * n];
-    double d[n], next[rows], to[n], penalty = 0, small = INFINITY;
-    o->status = STOPPED, o->expansions = o->evaluations = 0;
+    double d[n], next[rows], penalty = 0, small = INFINITY;
+    o->expansions = o->evaluations = 0;
     for (o->iterations = 0;; ++o->iterations) {
+        o->status = SOLVED;
         if (small < NEAR) {
             at(o, o->slopes, o->x, &f, gradient, value, jacobian, 0), ++o->evaluations;
             judge(o, f, gradient, jacobian, value);
-            if (o->kkt <= o->tolerance) { o->status = SOLVED; return; }
+            if (o->kkt <= o->tolerance) return;
         }
         at(o, o->expansion, o->x, &f, gradient, value, jacobian, hessian), ++o->expansions;
         judge(o, f, gradient, jacobian, value);
-        if (o->kkt <= o->tolerance) { o->status = SOLVED; return; }
-        if (o->iterations == MOST_ITERATIONS) return;
-        if (calm >= STALL) { o->status = STUCK; return; }
+        if (o->kkt <= o->tolerance) return;
+        o->status = calm >= STALL ? STUCK : STOPPED;
+        if (calm >= STALL || o->iterations == MOST_ITERATIONS) return;
         prepare(o, jacobian, value, hessian);
-        if (!quadratic(o, hessian, gradient, jacobian, value, d, next)) { o->status = NO_STEP; return; }
-        double slope = 0, outside = violation(o, value);
+        o->status = NO_STEP;
+        if (!quadratic(o, hessian, gradient, jacobian, value, d, next)) return;
+        double slope = 0, outside = violation(o, value), step;
         for (long j = 0; j < n; ++j) slope += gradient[j] * d[j];
         for (long i = 0; i < rows; ++i) penalty = most(1.1 * fabs(next[i]), penalty);
-        double merit = f + penalty * outside, step = 1, found = INFINITY, tried[rows];
-        slope -= penalty * outside;
-        int halvings = 0;
-        for (; halvings < MOST_HALVINGS; ++halvings, step /= 2) {
-            for (long j = 0; j < n; ++j) to[j] = o->x[j] + step * d[j];
-            at(o, o->value, to, &found, 0, tried, 0, 0), ++o->evaluations;
-            found += penalty * violation(o, tried);
-            if (found <= merit + 1e-4 * step * slope + 1e-12 * fabs(merit)) break;
-        }
-        if (halvings == MOST_HALVINGS) { memcpy(o->multipliers, next, sizeof next); calm = STALL; small = INFINITY; continue; }
-        calm = merit - found < STALLED * (1e-6 + fabs(merit)) ? calm + 1 : 0;
-        small = 0;
-        for (long j = 0; j < n; ++j) small = most(fabs(to[j] - o->x[j]), small), o->x[j] = to[j];
+        double merit = f + penalty * outside;
+        double fell = search(o, d, merit, slope - penalty * outside, penalty, &step);
+        calm = fell < 0 ? STALL : fell < STALLED * (1e-6 + fabs(merit)) ? calm + 1 : 0;
+        if (fell < 0) step = 1, small = INFINITY;
+        else small = 0;
+        for (long j = 0; j < n && fell >= 0; ++j) small = most(fabs(step * d[j]), small);
         for (long i = 0; i < rows; ++i) o->multipliers[i] += step * (next[i] - o->multipliers[i]);
     }
 }
