@@ -20,7 +20,7 @@ from ctr_nlp.problem import Problem
 from ctr_nlp.reference import METHODS, reference_frames
 from ctr_nlp.reference.published import BASELINE, SEED
 from ctr_nlp.settings import Settings, check_choice
-from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS
+from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS, cache
 from ctr_nlp.steer import Horizon, march
 from ctr_nlp.steer.interrupt import deferred_interrupt
 from ctr_nlp.steer.motions import per_frame_motions
@@ -53,6 +53,12 @@ VARIANTS = (
     *METHODS,
 )
 """Every variant on the default model."""
+
+
+def variants_here() -> list[str]:
+    """Those that work here: without a C compiler, IPOPT's and the reference methods."""
+    compiled = {"banded", "sqp"} if cache.missing() else set()
+    return [name for name in VARIANTS if name.split(":")[-1] not in compiled]
 
 
 def parse_variant(name: str) -> Variant:

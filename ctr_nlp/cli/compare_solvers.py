@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ctr_nlp.cli import problems
-from ctr_nlp.cli.arguments import add_problem_options, add_settings, settings_from
+from ctr_nlp.cli.arguments import add_compile_option, add_problem_options, add_settings, settings_from
 from ctr_nlp.cli.console import (
     INTERRUPTED,
     SOLVED,
@@ -22,7 +22,7 @@ from ctr_nlp.cli.console import (
 )
 from ctr_nlp.cli.output import check_folder, whole_folder
 from ctr_nlp.reference.published import BASELINE, SEED
-from ctr_nlp.study import VARIANTS, Comparison, compare, parse_variant
+from ctr_nlp.study import VARIANTS, Comparison, compare, parse_variant, variants_here
 
 COLUMNS = {
     "variant": ("variant",),
@@ -69,18 +69,18 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
         "--variants",
         metavar="NAME",
         nargs="+",
-        default=list(VARIANTS),
-        help=f"(default all: {', '.join(VARIANTS)})",
+        help=f"(default all that work here, of {', '.join(VARIANTS)})",
     )
     parser.add_argument("--out", metavar="DIR", default="runs/comparison", help="(default runs/comparison)")
     add_problem_options(parser)
+    add_compile_option(parser)
     add_settings(parser)
     return parser
 
 
 def _run(folder: Path, arguments: argparse.Namespace) -> int:
     settings, out = settings_from(arguments), Path(arguments.out)
-    variants = [parse_variant(name) for name in arguments.variants]
+    variants = [parse_variant(name) for name in arguments.variants or variants_here()]
     chosen = [problems.load(name, folder, arguments) for name in arguments.problems or problems.names(folder)]
     check_folder(out)
     with progress_bar() as labelled:
