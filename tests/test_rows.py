@@ -64,10 +64,10 @@ def chain_of(rng, orders=(1, 2), frames=5, n=2, constrained=True, started=True, 
 
 @st.composite
 def chains(draw):
+    """Some of them too short for links of their order to have rows."""
     rng = np.random.default_rng(draw(seeds))
     orders, frames, n = draw(ORDERS), draw(st.integers(1, 9)), draw(st.integers(1, 3))
-    started = draw(st.booleans()) or frames <= max(orders)
-    return chain_of(rng, orders, frames, n, draw(st.booleans()), started)
+    return chain_of(rng, orders, frames, n, draw(st.booleans()), draw(st.booleans()))
 
 
 class Point(NamedTuple):
@@ -236,6 +236,24 @@ def test_the_band_has_room_for_a_frame_that_is_linked_to_known_ones_only():
     assert Rows(chain)._band.shape == (3, 3)
 
 
+@pytest.mark.parametrize("orders", [(1,), (2,), (1, 2)])
+@pytest.mark.parametrize("constrained", [True, False])
+def test_links_without_rows_add_nothing(orders, constrained):
+    """A frame that is linked to nothing has a Newton step all the same, and its own block for a band."""
+    chain = chain_of(np.random.default_rng(0), orders, 1, 3, constrained, started=False, fixed=0.0)
+    assert len(chain.offset) == 0
+    rows, point = placed(chain, np.random.default_rng(0))
+    assert rows._band.shape == (3, 3)
+    found, blocks = rows.expand()
+    assert np.isfinite(found).all()
+    assert found.objective == pytest.approx(float(chain.by_frame(point.x)[0].sum()), rel=1e-12)
+    least = least_eigenvalue(chain, reduced(chain, rows, point, blocks))
+    step = rows.newton(blocks.copy(), 0.3, max(0.0, -least) + 1.0)
+    assert np.isfinite(step).all()
+    rows.advance(step.primal, step.dual, 0.3, 1.0)
+    rows.accept()
+
+
 @given(chains(), seeds, st.sampled_from([1e-6, 1e-2, 1.0]))
 def test_a_newton_step_is_found_exactly_where_the_reduced_matrix_is_positive_definite(chain, seed, margin):
     """Damping moves its least eigenvalue to either side of zero."""
@@ -341,7 +359,7 @@ def test_a_constraint_that_is_not_a_number_is_no_small_violation(k):
     for mapped in chain._mapped:
         mapped.inputs[1][:, -1] = shifts
     after, _ = rows.expand()
-    assert np.isnan([after.violation, after.gap]).all()
+    assert np.isnan([after.violation, after.gap, after.error(0.0), after.error(0.3)]).all()
     assert (after.objective, after.stationarity) == (before.objective, before.stationarity)
     assert (after.least, after.most) == (before.least, before.most)
     assert np.isnan(rows.merit(0.3, 1.0))

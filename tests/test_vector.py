@@ -13,13 +13,11 @@ from ctr_nlp.formulations.joint import alone
 from ctr_nlp.nlp import Nlp, Residual
 from ctr_nlp.solvers import CHAIN_SOLVERS, Watch, cache, compiled, vector
 from ctr_nlp.solvers.vector import LANES, vector_code
-from problems import named
 
 INF, NAN = np.inf, np.nan
 X, Y = ca.SX.sym("x"), ca.SX.sym("y")
 
 EXACT = {
-    "assign": (ca.OP_ASSIGN, ca.SX.unary(ca.OP_ASSIGN, X)),
     "add": (ca.OP_ADD, X + Y),
     "sub": (ca.OP_SUB, X - Y),
     "mul": (ca.OP_MUL, X * Y),
@@ -123,26 +121,28 @@ def test_every_operation_that_is_written_is_tested():
     assert {operation for operation, _ in OPERATIONS.values()} == written
 
 
-@pytest.mark.parametrize("name", [name for name in OPERATIONS if name != "assign"])
+@pytest.mark.parametrize("name", OPERATIONS)
 def test_the_function_of_an_operation_has_it(name):
-    """Else CasADi would have simplified it away, and nothing were tested. It never keeps assignments."""
+    """Else CasADi would have simplified it away, and nothing were tested."""
     function, _ = operations(LANES)[name]
     ids = {function.instruction_id(k) for k in range(function.n_instructions())}
     assert OPERATIONS[name][0] in ids
 
 
 @pytest.mark.parametrize("name", OPERATIONS)
-@pytest.mark.parametrize("size", [1.0, 30.0, 1e5])
 @EVERY_WIDTH
-def test_an_operation_is_that_of_casadi_at_random_numbers(name, size, lanes):
-    """Some of them equal to others."""
+def test_an_operation_is_that_of_casadi_at_random_numbers(name, lanes):
+    """Of three sizes, and some of them equal to others."""
+    sizes = np.repeat([1.0, 30.0, 1e5], 400)
 
     def draw(rng, shape):
-        return np.where(rng.random(shape) < 0.2, rng.integers(-2, 3, shape), rng.uniform(-size, size, shape)) + 0.0
+        return (
+            np.where(rng.random(shape) < 0.2, rng.integers(-2, 3, shape), sizes * rng.uniform(-1, 1, shape)) + 0.0
+        )
 
     rng = np.random.default_rng(7)
     function, library = operations(lanes)[name]
-    inputs = random_inputs(function, rng, draw, 400)
+    inputs = random_inputs(function, rng, draw, sizes.size)
     assert_the_same(function, library, inputs, 4 if name in ROUNDED else 0)
 
 
@@ -154,22 +154,12 @@ def test_an_operation_is_that_of_casadi_at_special_numbers(name, lanes):
     assert_the_same(function, library, pairs[:, None], 4 if name in ROUNDED else 0)
 
 
-PROPAGATE = [name for name in OPERATIONS if name not in ("fmin", "fmax", "sign")]
-OTHERS = [
-    pytest.param(
-        name, marks=pytest.mark.xfail(strict=True, raises=AssertionError, reason="NaN is treated otherwise")
-    )
-    for name in ("fmin", "fmax", "sign")
-]
-
-
-@pytest.mark.parametrize("name", PROPAGATE + OTHERS)
+@pytest.mark.parametrize("name", OPERATIONS)
 @EVERY_WIDTH
 def test_an_operation_is_that_of_casadi_where_something_is_not_a_number(name, lanes):
     function, library = operations(lanes)[name]
-    for x, y in ((NAN, NAN), (NAN, 1.0), (1.0, NAN), (-2.0, NAN)):
-        inputs = np.full((1, lanes), x), np.full((1, lanes), y)
-        assert_the_same(function, library, inputs, 4 if name in ROUNDED else 0)
+    x, y = np.repeat([[NAN, NAN, 1.0, -2.0], [NAN, 1.0, NAN, NAN]], lanes, axis=1)
+    assert_the_same(function, library, (x[None], y[None]), 4 if name in ROUNDED else 0)
 
 
 @pytest.mark.parametrize(
@@ -179,11 +169,7 @@ def test_an_operation_is_that_of_casadi_where_something_is_not_a_number(name, la
         pytest.param(ca.atan2(Y, -X), id="neg"),
         pytest.param(ca.atan2(Y, ca.copysign(Y, X)), id="copysign"),
         pytest.param(ca.atan2(Y, ca.fmin(X, 1)), id="fmin"),
-        pytest.param(
-            ca.atan2(Y, ca.fabs(X)),
-            marks=pytest.mark.xfail(strict=True, raises=AssertionError, reason="|-0| keeps its sign"),
-            id="fabs",
-        ),
+        pytest.param(ca.atan2(Y, ca.fabs(X)), id="fabs"),
     ],
 )
 def test_signs_of_zeros_are_those_of_casadi(value):
@@ -204,11 +190,16 @@ def test_without_sines_of_whole_vectors_functions_are_the_same(tmp_path, monkeyp
 
 def test_an_operation_without_c_is_named_with_its_function():
     function = ca.Function("with_erf", [X], [ca.erf(X)])
-    with pytest.raises(NotImplementedError, match="with_erf"):
+    with pytest.raises(NotImplementedError, match=rf"with_erf: .*\b{ca.OP_ERF}\b"):
         vector_code((function,))
 
 
-@pytest.mark.xfail(strict=True, raises=KeyError, reason="a call has several results")
+def test_assignments_need_no_c_as_casadi_keeps_none():
+    function = ca.Function("assigned", [X], [ca.SX.unary(ca.OP_ASSIGN, X)])
+    inputs = np.random.default_rng(4).normal(size=(1, LANES))
+    assert_the_same(function, loaded(function)["assigned"], (inputs,))
+
+
 def test_a_call_of_another_function_is_without_c():
     inner = ca.Function("inner", [X], [X * X, X + 1], {"never_inline": True})
     function = ca.Function("with_call", [X], [sum(inner(X))])
@@ -256,17 +247,17 @@ def tangled(seed, count):
     ("part", "count", "lanes"),
     [
         (1, 40, LANES),
-        (2, 80, 1),
-        (7, 200, LANES),
-        (64, 400, 4),
-        (vector.PART, 1000, LANES),
-        (vector.PART, 1000, 1),
+        (2, 40, 1),
+        (7, 80, LANES),
+        (64, 120, 4),
+        (vector.PART, 420, LANES),
+        (100, 200, 1),
     ],
 )
 def test_values_go_on_to_later_parts(part, count, lanes, monkeypatch):
     monkeypatch.setattr(vector, "PART", part)
-    made = [tangled(seed, count) for seed in range(3)]
-    assert all(function.n_instructions() > 5 * part for function in made)
+    made = [tangled(seed, count) for seed in range(2)]
+    assert all(function.n_instructions() > 3 * part for function in made)
     rng, libraries = np.random.default_rng(9), loaded(*made, lanes=lanes)
     for function in made:
         for _ in range(20):
@@ -343,28 +334,26 @@ def test_lanes_do_not_mix():
 # Frames
 
 
-def robot_of(kind):
-    return {"seed": seed_robot, "euler": lambda: named("euler", 2).robot}[kind]()
+def robot():
+    """Two tubes that are arcs and one whose curvature grows: every kind of code in one library."""
+    *arcs, last = seed_robot().tubes
+    return Robot((*arcs, replace(last, curvature=(1 / 120, 1 / 60))))
 
 
-EVERY_ROBOT = pytest.mark.parametrize("kind", ["seed", "euler"])
-
-
-def inside(robot, seed):
+def inside(seed):
     """A q (2d + 2,) strictly within limits and order."""
-    rng, d = np.random.default_rng(seed), robot.d
+    rng, d = np.random.default_rng(seed), robot().d
     part = np.sort(rng.uniform(0.05, 0.95, d))
-    beta = np.maximum.accumulate(part * robot.upper[d : 2 * d]) + 0.3 * np.arange(d)
+    beta = np.maximum.accumulate(part * robot().upper[d : 2 * d]) + 0.3 * np.arange(d)
     return np.concatenate([rng.uniform(-2, 2, d), beta, rng.uniform(-1, 1, 2)])
 
 
-def chains(kind, frames):
+def chains(frames):
     """A horizon along an arc, interpreted and compiled."""
-    robot = robot_of(kind)
     path = curve_from_formula(lambda u: (100 * ca.cos(u) - 100, 0, 100 * ca.sin(u)), 0.0, 0.95)
     samples = growing(path, 20).sample()[:frames]
-    ends = Ends(inside(robot, 901))
-    return [horizon(robot, samples, 0.1, 3e-3, ends, *how) for how in ((), (compiled.compiled,))]
+    ends = Ends(inside(901))
+    return [horizon(robot(), samples, 0.1, 3e-3, ends, *how) for how in ((), (compiled.compiled,))]
 
 
 def assert_close(found, expected):
@@ -374,14 +363,12 @@ def assert_close(found, expected):
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max(initial=0.0))
 
 
-@EVERY_ROBOT
 @pytest.mark.parametrize("frames", [1, LANES - 1, LANES, LANES + 1, 20])
-def test_a_compiled_chain_is_the_interpreted_one(kind, frames):
-    interpreted, made = chains(kind, frames)
+def test_a_compiled_chain_is_the_interpreted_one(frames):
+    interpreted, made = chains(frames)
     assert (interpreted.functions.lanes, made.functions.lanes) == (1, LANES)
-    robot = robot_of(kind)
     for seed in range(6):
-        x = np.concatenate([inside(robot, 100 * seed + k) for k in range(frames)])
+        x = np.concatenate([inside(100 * seed + k) for k in range(frames)])
         multipliers = np.random.default_rng(seed).normal(size=len(made.bounds[0]))
         pairs = [
             *zip(made.evaluate(x), interpreted.evaluate(x), strict=True),
@@ -396,7 +383,7 @@ def test_a_compiled_chain_is_the_interpreted_one(kind, frames):
 @pytest.mark.parametrize("solver", CHAIN_SOLVERS)
 def test_a_solver_finds_on_the_compiled_chain_what_it_finds_on_the_interpreted_one(solver):
     start = np.tile([0.1, 0.2, 0.3, 20, 60, 90, 0, 0], LANES + 1)
-    interpreted, made = (CHAIN_SOLVERS[solver](chain)(start, Watch()) for chain in chains("seed", LANES + 1))
+    interpreted, made = (CHAIN_SOLVERS[solver](chain)(start, Watch()) for chain in chains(LANES + 1))
     assert interpreted.success
     assert made.success
     assert made.objective == pytest.approx(interpreted.objective, rel=1e-7)
@@ -412,9 +399,9 @@ def toy(factor):
 
 
 def test_frames_of_equal_robots_share_a_library(monkeypatch):
-    first = compiled.library(alone(seed_robot()), LANES)
+    first = compiled.library(alone(robot()), LANES)
     monkeypatch.setattr(vector, "vector_code", lambda *arguments: pytest.fail("written again"))
-    assert compiled.library(alone(seed_robot()), LANES) == first
+    assert compiled.library(alone(robot()), LANES).read_bytes() == first.read_bytes()
 
 
 def test_another_number_of_lanes_is_another_library():

@@ -45,8 +45,8 @@ def compiler() -> Compiler | None:
     """The C compiler named by CC, or cc, gcc or clang; None where there is none that works."""
     for name in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
         for target in (["-march=native"], []):
-            command = (*shlex.split(name), *target, *FLAGS)
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError, ValueError):
+                command = (*shlex.split(name), *target, *FLAGS)
                 said = _run([*command, "-E", "-v", "-x", "c", os.devnull])
                 if said.returncode == 0:
                     return Compiler(command, said.stderr)
@@ -98,11 +98,12 @@ def library(key: str, code: Callable[[], str]) -> Path:
     parts = [key, *chosen.command, *map(" ".join, LIBRARIES), chosen.identity]
     name = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
     kept = folder() / name
-    if _whole(kept):
-        return kept / "library.so"
     if name not in _made:
+        if _whole(kept):
+            return kept / "library.so"
         _made[name] = _build(code(), chosen)
-    _keep(_made[name], kept)
+    if not _whole(kept):
+        _keep(_made[name], kept)
     return _made[name]
 
 
@@ -130,25 +131,31 @@ def _build(code: str, chosen: Compiler) -> Path:
 
 
 def _keep(made: Path, kept: Path) -> None:
-    """Put a library into the cache, unless another process was first, or nothing can be written there."""
+    """Put a library into the cache in place of what is not whole, if anything can be written there."""
     place = kept.parent
     try:
         place.mkdir(mode=0o700, parents=True, exist_ok=True)
-        for left in place.glob("building-*"):
-            if time.time() - left.stat().st_mtime > ABANDONED:
-                shutil.rmtree(left, ignore_errors=True)
-        new = Path(tempfile.mkdtemp(prefix="building-", dir=place))
-        shutil.copy(made, new / "library.so")
-        shutil.copy(made.with_name("code.c"), new)
-        (new / "sha256").write_text(_digest(new / "library.so", kept.name), encoding="ascii")
-        with contextlib.suppress(OSError):
-            kept.rename(new.with_name(f"{new.name}-bad"))
-        with contextlib.suppress(OSError):
-            new.rename(kept)
-        for left in (new, new.with_name(f"{new.name}-bad")):
-            shutil.rmtree(left, ignore_errors=True)
+        _sweep(place)
+        with tempfile.TemporaryDirectory(prefix="building-", dir=place, ignore_cleanup_errors=True) as new:
+            good = Path(new) / "good"
+            good.mkdir(mode=0o700)
+            shutil.copy(made, good)
+            shutil.copy(made.with_name("code.c"), good)
+            (good / "sha256").write_text(_digest(good / made.name, kept.name), encoding="ascii")
+            with contextlib.suppress(OSError):
+                kept.rename(Path(new) / "bad")
+            with contextlib.suppress(OSError):
+                good.rename(kept)
     except OSError as error:
         _say(f"compiled code cannot be kept in {place}: {error.strerror}")
+
+
+def _sweep(place: Path) -> None:
+    """Remove what killed processes left."""
+    for left in place.glob("building-*"):
+        with contextlib.suppress(OSError):
+            if time.time() - left.lstat().st_mtime > ABANDONED:
+                shutil.rmtree(left)
 
 
 def _whole(kept: Path) -> bool:
