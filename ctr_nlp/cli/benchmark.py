@@ -57,6 +57,9 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
 def _run(folder: Path, arguments: argparse.Namespace) -> int:
     if why := cache.missing():
         raise OptionError(f"nothing to compare: {why}")
+    target = None if arguments.json is None else Path(arguments.json)
+    if target is not None and (target.is_dir() or not target.parent.is_dir()):
+        raise OptionError(f"--json is {target}; it must be a file in a folder that exists")
     chosen = arguments.problems or problems.names(folder)
     records = []
     for part in arguments.parts:
@@ -65,16 +68,17 @@ def _run(folder: Path, arguments: argparse.Namespace) -> int:
             console(stderr=True).print(f"{record.name}: {record.value:.4g} {record.unit}", style="dim")
     rows = [(r.name, f"{r.value:.4g}", r.unit, r.better) for r in records]
     print_table("benchmark", ("", "value", "unit", "better"), rows)
-    if arguments.json:
-        text = json.dumps([asdict(record) for record in records], indent=1)
-        Path(arguments.json).write_text(text + "\n", encoding="utf-8")
-        console().print(f"wrote {arguments.json}")
+    if target is not None:
+        target.write_text(json.dumps([asdict(record) for record in records], indent=1) + "\n", encoding="utf-8")
+        console().print(f"wrote {target}")
     return _checked(records, folder.parent / "scripts" / BASELINE) if arguments.check else SOLVED
 
 
 def _checked(records: list[Record], baseline: Path) -> int:
     try:
         known = {entry["name"]: entry["value"] for entry in json.loads(baseline.read_text(encoding="utf-8"))}
+        if wrong := [name for name, value in known.items() if not isinstance(value, int | float)]:
+            raise ValueError(f"{wrong[0]} has no number")
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise OptionError(f"baseline {baseline} cannot be read ({error}); --json writes one") from error
     found = regressions(records, known)

@@ -56,8 +56,10 @@ class Steerer:
 
         Raises OptionError where the target has another shape or numbers that are not finite.
         """
-        if target.shape != (len(SIGMA), 3) or not np.isfinite(target).all():
-            raise OptionError(f"target has shape {target.shape}; it must be {(len(SIGMA), 3)}, all finite")
+        if target.shape != (len(SIGMA), 3):
+            raise OptionError(f"target has shape {target.shape}; it must be {(len(SIGMA), 3)}")
+        if not np.isfinite(target).all():
+            raise OptionError(f"target has {target[~np.isfinite(target)][0]} mm; all of it must be finite")
         at, (lower, upper, most) = self._program, self._limits
         self._target[:] = target[::STRIDE].T
         self._previous[:] = at.x[:] = self.q
