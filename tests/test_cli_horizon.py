@@ -154,9 +154,12 @@ def test_an_unsolved_horizon_is_exit_status_1_and_says_why(tmp_path, capsys, mon
     assert not Plan.load(tmp_path / "out" / "plan.npz").success.any()
 
 
+def command(out):
+    return [sys.executable, ROOT / "scripts" / "solve_horizon.py", "cos", "--frames", "600", "--out", out]
+
+
 def interrupted_after(seconds, out):
-    command = [sys.executable, ROOT / "scripts" / "solve_horizon.py", "cos", "--frames", "100", "--out", out]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(command(out), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     time.sleep(seconds)
     process.send_signal(signal.SIGINT)
     output, errors = process.communicate(timeout=300)
@@ -178,9 +181,10 @@ def test_ctrl_c_while_the_program_loads_still_leaves_a_plan(tmp_path):
 @pytest.mark.slow
 def test_ctrl_c_at_20_random_moments_always_leaves_a_plan_within_limits(tmp_path):
     moments = random.Random(0)
-    begin = time.perf_counter()
-    assert solve("cos", "--out", tmp_path / "whole") == 0
-    whole = time.perf_counter() - begin
+    for _ in range(2):  # the first may have to compile
+        begin = time.perf_counter()
+        subprocess.run(command(tmp_path / "whole"), check=True, capture_output=True)
+        whole = time.perf_counter() - begin
     plans = [interrupted_after(moments.uniform(0.1, whole), tmp_path / str(i))[0] for i in range(20)]
     assert any(plan.meta["interrupted"] for plan in plans)
 

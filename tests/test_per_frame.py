@@ -23,6 +23,7 @@ from ctr_nlp import (
 )
 from ctr_nlp.errors import OptionError, RobotError
 from ctr_nlp.frames import FrameResult
+from ctr_nlp.solvers import sqp
 from ctr_nlp.steer import march
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from problems import named
@@ -252,3 +253,14 @@ def test_a_single_frame_and_other_numbers_of_tubes(robot):
         plan = solve_per_frame(Problem("one", other, sequence([shape_curve(other, q)])))
         assert summary(plan)["e3"] < 0.01
         assert summary(plan)["roughness"] == 0
+
+
+def test_frames_that_were_left_to_ipopt_are_in_the_plan(arc_problem, monkeypatch):
+    """Compiled programs that end at once have solved nothing, unless they began at a solution."""
+    plain = solve_per_frame(arc_problem, solver="sqp", direction="forward")
+    monkeypatch.setattr(sqp, "TOLERANCE", np.inf)
+    left = solve_per_frame(arc_problem, solver="sqp", direction="forward")
+    assert plain.meta["fallbacks"] == {}
+    assert left.complete
+    assert set(left.meta["fallbacks"]) >= {str(j + 1) for j in range(1, arc_problem.frames)}
+    assert summary(left)["e3"] == pytest.approx(summary(plain)["e3"], rel=1e-2)

@@ -9,7 +9,7 @@
 #define MOST_HALVINGS 25
 #define STALL 6          /* iterations that lower the merit by less than STALLED of it end the work */
 #define STALLED 1e-13
-#define NEAR 1e-3        /* a step as small as this may be the last: derivatives of first order tell */
+#define NEAR 1e-2        /* a step as small as this may be the last: derivatives of first order tell */
 #define ACTIVE 1e-9      /* how near to its bound a row is held */
 #define DAMPING 1e-9
 #define HELD 1e3         /* curvature across active rows, in parts of the largest there is */

@@ -24,6 +24,8 @@ Array = npt.NDArray[np.float64]
 
 TOLERANCE = 1e-6
 """Largest KKT residual at a solution, mm^2 per unit of x."""
+FALLBACK = "by IPOPT after"
+"""In the status of what was left to IPOPT."""
 STATUS = "Solve_Succeeded", "Maximum_Iterations_Exceeded", "Search_Direction_Becomes_Too_Small", "Infeasible_Step"
 
 
@@ -86,7 +88,7 @@ class Sqp:
         self._ipopt = self._ipopt or Ipopt(self.nlp)
         other = self._ipopt(x0, p, lower, upper, warm)
         return replace(
-            other, status=f"{other.status} by IPOPT after {status}", iterations=other.iterations + iterations
+            other, status=f"{other.status} {FALLBACK} {status}", iterations=other.iterations + iterations
         )
 
 

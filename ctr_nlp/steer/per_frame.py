@@ -11,6 +11,7 @@ from ctr_nlp.frames import FrameResult, FrameSolver
 from ctr_nlp.plan import Plan, plan_from_configurations
 from ctr_nlp.problem import Problem
 from ctr_nlp.settings import Settings
+from ctr_nlp.solvers.sqp import FALLBACK
 from ctr_nlp.steer.interrupt import deferred_interrupt
 from ctr_nlp.steer.nlp_frames import DEFAULTS, NlpFrames
 from ctr_nlp.steer.passes import Direction, Pass, Progress, run_passes
@@ -76,6 +77,7 @@ def _plan(
         "build_s": solver.build_seconds,
         "iterations": sum(result.iterations for result in results),
         "failures": {str(j + 1): r.status for j, r in enumerate(results) if not r.success},
+        "fallbacks": {str(j + 1): r.status for j, r in enumerate(results) if FALLBACK in r.status},
     }
     return plan_from_configurations(
         problem,
