@@ -174,12 +174,6 @@ class Chain:
         product = (of_frames[:, None, :] @ jacobian).ravel()
         return rows[:size] + product + self._transposed @ rows[size + frames * m :]
 
-    def times(self, jacobian: Array, x: Array) -> Array:
-        """The Jacobian of all rows times x, (rows,)."""
-        frames, _, n = jacobian.shape
-        of_frames = (jacobian @ x.reshape(frames, n, 1)).ravel()
-        return np.concatenate([x, of_frames, self.difference @ x])
-
     def violation(self, value: Array) -> float:
         """By how much rows leave their bounds at most."""
         low, high = self.bounds

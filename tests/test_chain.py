@@ -8,6 +8,7 @@ import pytest
 import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
+from rows import times
 from strategies import seeds
 
 from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_formula, growing, seed_robot, shapes
@@ -241,7 +242,7 @@ def test_the_jacobian_of_all_rows_matches_finite_differences(case, multiplied):
     jacobian = case.chain.slopes(x).jacobian
     if multiplied:
         jacobian = expanded(case.chain, x, case.multipliers(8))[0].jacobian
-    exact = np.stack([case.chain.times(jacobian, e) for e in np.eye(x.size)], axis=-1)
+    exact = np.stack([times(case.chain, jacobian, e) for e in np.eye(x.size)], axis=-1)
     assert_matches_differences(exact, central(lambda at: case.chain.evaluate(at)[1], x))
 
 
@@ -300,7 +301,7 @@ def test_times_and_transposed_are_adjoint(slow, seed):
     rng, chain = np.random.default_rng(seed), slow.chain
     x, rows = rng.normal(size=chain.lower.size), rng.normal(size=len(chain.bounds[0]))
     jacobian = rng.normal(size=(FRAMES, chain.frame.g.numel(), chain.unknowns))
-    product = chain.times(jacobian, x) @ rows
+    product = times(chain, jacobian, x) @ rows
     assert product == pytest.approx(x @ chain.transposed(jacobian, rows), rel=1e-9, abs=1e-9)
 
 
@@ -432,7 +433,7 @@ def test_every_row_is_named_after_what_it_limits_and_the_last_frame_it_reaches(c
     """The names' kinds in order of rows; frame and axis from the unknowns that the row's Jacobian touches."""
     chain, robot = case.chain, case.problem.robot
     jacobian = chain.slopes(case.motion(12)).jacobian
-    touches = np.stack([chain.times(jacobian, e) for e in np.eye(chain.lower.size)], axis=-1) != 0
+    touches = np.stack([times(chain, jacobian, e) for e in np.eye(chain.lower.size)], axis=-1) != 0
     n, limited = len(robot.axes), ["speed"] + ["acceleration"] * bool(np.isfinite(robot.acceleration).any())
     kinds = ["limits"] * FRAMES * n + ["order"] * FRAMES * (robot.d - 1)
     for order, kind in enumerate(limited, start=1):

@@ -11,6 +11,7 @@ import pytest
 import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
+from rows import times
 from strategies import seeds
 
 from ctr_nlp.chain import Chain
@@ -113,7 +114,7 @@ def copied(arrays):
 def whole_jacobian(chain, x):
     """Of all rows, (rows, T n)."""
     jacobian = chain.slopes(x).jacobian
-    return np.stack([chain.times(jacobian, e) for e in np.eye(x.size)], axis=-1)
+    return np.stack([times(chain, jacobian, e) for e in np.eye(x.size)], axis=-1)
 
 
 def whole_hessian(chain, blocks, damping=0.0):

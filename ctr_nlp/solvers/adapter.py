@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -38,8 +39,12 @@ class Solution:
     lam_g: Array
 
 
-class NlpSolver(Protocol):
+class NlpSolver(ABC):
     """A solver built for one Nlp, called for any start, parameters and bounds; not from two threads at once."""
+
+    def __init__(self, nlp: Nlp) -> None:
+        """Build."""
+        self.nlp = nlp
 
     def __call__(
         self,
@@ -53,9 +58,15 @@ class NlpSolver(Protocol):
 
         warm: the solution of a neighbouring problem, whose multipliers to start from.
         """
+        low = self.nlp.lower if lower is None else lower
+        return self.solve(x0, p, low, self.nlp.upper if upper is None else upper, warm)
+
+    @abstractmethod
+    def solve(self, x0: Array, p: Array, low: Array, high: Array, warm: Solution | None) -> Solution:
+        """As __call__; x0 may lie outside the bounds."""
 
 
-class Ipopt:
+class Ipopt(NlpSolver):
     """IPOPT with exact Hessians, warm-started in primal and dual.
 
     mu_init 1e-4 with mu_min 1e-9: smaller values end in maximum iterations on bounds where samples cross
@@ -64,21 +75,12 @@ class Ipopt:
 
     def __init__(self, nlp: Nlp) -> None:
         """Build."""
-        self.nlp = nlp
+        super().__init__(nlp)
         problem = {"x": nlp.x, "p": nlp.p, "f": nlp.objective, "g": nlp.g}
         self._solve = ca.nlpsol("ipopt", "ipopt", problem, COMMON | {"ipopt": OPTIONS})
 
-    def __call__(
-        self,
-        x0: Array,
-        p: Array,
-        lower: Array | None = None,
-        upper: Array | None = None,
-        warm: Solution | None = None,
-    ) -> Solution:
+    def solve(self, x0: Array, p: Array, low: Array, high: Array, warm: Solution | None) -> Solution:
         """As NlpSolver."""
-        low = self.nlp.lower if lower is None else lower
-        high = self.nlp.upper if upper is None else upper
         g_low, g_high = self.nlp.g_bounds
         arguments: dict[str, Any] = {"p": p, "lbx": low, "ubx": high, "lbg": g_low, "ubg": g_high}
         if warm is not None:

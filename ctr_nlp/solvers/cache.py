@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import functools
 import hashlib
 import logging
@@ -14,6 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
 
@@ -105,6 +107,13 @@ def library(key: str, code: Callable[[], str]) -> Path:
     if not _whole(kept):
         _keep(_made[name], kept)
     return _made[name]
+
+
+@functools.cache
+def loaded(name: str) -> ctypes.CDLL:
+    """A file of C beside this one, compiled; raises OptionError where nothing can be compiled."""
+    code = files(__package__).joinpath(name).read_text(encoding="utf-8")
+    return ctypes.CDLL(str(library(code, lambda: code)))
 
 
 _made: dict[str, Path] = {}

@@ -4,7 +4,6 @@
 
 #include <math.h>
 
-#define INFINITE 1e20
 #define LEFT 0.01 /* the part of every distance to a bound that a step leaves */
 
 typedef struct {
@@ -14,7 +13,7 @@ typedef struct {
 typedef struct {
     long frames, unknowns, constraints, links, width;
     const double *lower, *upper;   /* of rows, as given */
-    const double *low, *high;      /* of slacks; +-INFINITE where there is none */
+    const double *low, *high;      /* of slacks; far away where there is none */
     const double *free;            /* (T n): 1, or 0 where x is fixed */
     const int *starts, *columns;   /* of the links' matrix */
     const double *entries, *offset, *weight;
@@ -78,8 +77,8 @@ static double evaluate(const Chain *c, const double *x, const double *f, const d
 }
 
 /* Measures of the point, whose frames have been expanded. */
-void assess(const Chain *c, const double *f, const double *g, double *objective, double *violation, double *gap, double *stationarity, double *smallest,
-            double *largest) {
+void assess(const Chain *c, const double *f, const double *g, double *objective, double *violation, double *gap,
+            double *stationarity, double *smallest, double *largest) {
     long of_x = size(c), to_links = before_links(c), rows = all_rows(c);
     const Point *at = &c->at;
     *objective = evaluate(c, at->x, f, g);

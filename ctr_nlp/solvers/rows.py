@@ -8,8 +8,6 @@ band as wide as the links reach.
 from __future__ import annotations
 
 import ctypes
-import functools
-from importlib.resources import files
 from typing import NamedTuple
 
 import numpy as np
@@ -74,21 +72,14 @@ class Step(NamedTuple):
     gap: float
 
 
-@functools.cache
-def _loops() -> ctypes.CDLL:
-    code = files(__package__).joinpath("rows.c").read_text(encoding="utf-8")
-    loops = ctypes.CDLL(str(cache.library(code, lambda: code)))
-    loops.merit.restype = ctypes.c_double
-    return loops
-
-
 class Rows:
     """A point of a chain's barrier problem, a step from it, and a trial along that step."""
 
     def __init__(self, chain: Chain) -> None:
         """Prepare; raises OptionError where nothing can be compiled."""
         self._chain = chain
-        self._loops = _loops()
+        self._loops = cache.loaded("rows.c")
+        self._loops.merit.restype = ctypes.c_double
         size, rows = chain.lower.size, chain.bounds[0].size
         lower, upper = chain.bounds
         still = ~chain.reached

@@ -9,16 +9,14 @@ falls (Nocedal and Wright, Numerical Optimization, 2006, chapter 18).
 from __future__ import annotations
 
 import ctypes
-import functools
 from dataclasses import replace
-from importlib.resources import files
 
 import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.nlp import FrameFunctions, Nlp
 from ctr_nlp.solvers import cache, compiled
-from ctr_nlp.solvers.adapter import FEASIBLE, OPTIMAL, Ipopt, Solution
+from ctr_nlp.solvers.adapter import FEASIBLE, OPTIMAL, Ipopt, NlpSolver, Solution
 
 Array = npt.NDArray[np.float64]
 
@@ -47,46 +45,30 @@ class _Program(ctypes.Structure):
     ]
 
 
-@functools.cache
-def _sqp() -> ctypes.CDLL:
-    code = files(__package__).joinpath("sqp.c").read_text(encoding="utf-8")
-    return ctypes.CDLL(str(cache.library(code, lambda: code)))
-
-
-class Sqp:
+class Sqp(NlpSolver):
     """Solves one Nlp; what it cannot solve is left to IPOPT, and the status says so."""
 
     def __init__(self, nlp: Nlp) -> None:
         """Build; raises OptionError where nothing can be compiled."""
-        self.nlp = nlp
+        super().__init__(nlp)
         self.program = Program(nlp)
-        self._own = self.program.lower.copy(), self.program.upper.copy()
         self._ipopt: Ipopt | None = None
 
-    def __call__(
-        self,
-        x0: Array,
-        p: Array,
-        lower: Array | None = None,
-        upper: Array | None = None,
-        warm: Solution | None = None,
-    ) -> Solution:
+    def solve(self, x0: Array, p: Array, low: Array, high: Array, warm: Solution | None) -> Solution:
         """As NlpSolver."""
         at, n = self.program, len(x0)
-        at.lower[:n] = self._own[0][:n] if lower is None else lower
-        at.upper[:n] = self._own[1][:n] if upper is None else upper
-        at.p[:] = p
-        at.x[:] = np.clip(x0, at.lower[:n], at.upper[:n])
+        at.lower[:n], at.upper[:n], at.p[:] = low, high, p
+        at.x[:] = np.clip(x0, low, high)
         at.multipliers[:] = 0.0 if warm is None else np.concatenate([warm.lam_x, warm.lam_g])
         found = at.run()
-        x = np.clip(at.x, at.lower[:n], at.upper[:n])
+        x = np.clip(at.x, low, high)
         success = found.violation <= FEASIBLE and found.kkt <= OPTIMAL
         lam_x, lam_g = np.split(at.multipliers.copy(), [n])
         status, iterations = STATUS[found.status], found.iterations
         if success:
             return Solution(x, found.objective, found.kkt, True, status, iterations, lam_x, lam_g)
         self._ipopt = self._ipopt or Ipopt(self.nlp)
-        other = self._ipopt(x0, p, lower, upper, warm)
+        other = self._ipopt(x0, p, low, high, warm)
         return replace(
             other, status=f"{other.status} {FALLBACK} {status}", iterations=other.iterations + iterations
         )
@@ -111,7 +93,7 @@ class Program:
         given = (array.ctypes.data for array in (self.p, self.lower, self.upper))
         found = (array.ctypes.data for array in (self.x, self.multipliers))
         self._program = _Program(n, m, *self.functions.values(), *given, TOLERANCE, *found)
-        self._run, self._reference = _sqp().sqp, ctypes.byref(self._program)
+        self._run, self._reference = cache.loaded("sqp.c").sqp, ctypes.byref(self._program)
 
     def run(self) -> _Program:
         """Solve; what was found beside x and multipliers is overwritten by the next run."""
