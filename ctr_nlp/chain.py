@@ -42,8 +42,8 @@ class Excess(NamedTuple):
 class Chain:
     """Minimise the sum of all frames' objectives and of all links' costs, within bounds, constraints and links.
 
-    frame: the Nlp of every frame, with n unknowns and m constraint values. axes: names of the unknowns; scale
-    (n,): what a unit of each counts as, mm.
+    frame: the Nlp of every frame, with n unknowns x and m constraint values g, from which it picks a configuration
+    q of k entries. axes: names of these; scale (k,): what a unit of each counts as, mm.
     parameters (p, T): packed, a column a frame. lower, upper (T, n): equal where an unknown is fixed.
     functions: the frame's, as symbols or compiled.
 
@@ -68,38 +68,75 @@ class Chain:
     @property
     def unknowns(self) -> int:
         """n, of one frame."""
-        return len(self.axes)
+        return self.frame.x.numel()
 
     def with_cost(self, factor: float) -> Chain:
         """The same chain with the links' costs times a factor."""
         return replace(self, links=tuple(replace(link, weight=link.weight * factor) for link in self.links))
 
     def nearest(self, x: Array) -> Chain:
-        """The chain that finds the point nearest to x (T n,), in mm, among those within all bounds."""
+        """The chain that finds the point nearest to x (T n,), in mm, among those within all bounds.
+
+        An unknown counts as the axis of the same number, of which there must be as many.
+        """
         own, to = self.frame, ca.SX.sym("to", self.unknowns)
+        in_x = (ca.substitute(constraint.value, *own.inner.columns) for constraint in own.constraints)
         frame = Nlp(
             "nearest",
             own.x,
             own.lower,
             own.upper,
             {**own.parameters, "to": to},
-            (Residual("nearest", ca.DM(self.scale) * (own.x - to)),),
-            constraints=own.constraints,
+            (Residual("nearest", ca.DM(self.scale[: self.unknowns]) * (own.x - to)),),
+            constraints=tuple(replace(c, value=value) for c, value in zip(own.constraints, in_x, strict=True)),
+            picks=own.picks,
         )
         parameters = np.vstack([self.parameters, x.reshape(self.frames, self.unknowns).T])
         return replace(self.with_cost(0.0), frame=frame, parameters=parameters, functions=frame.functions)
 
     @cached_property
     def difference(self) -> sp.csr_array:
-        """The matrices of all links, (l, T n)."""
+        """The matrices of all links over q, (l, T k)."""
         return sp.csr_array(sp.vstack([link.matrix for link in self.links]))
 
     @cached_property
+    def linking(self) -> sp.csr_array:
+        """The matrices of all links over the frames' rows, (l, T (n + m)): all x, and then all g."""
+        over_q, rows = self.difference, self.frames * (self.unknowns + self.frame.g.numel())
+        entries = over_q.data, self._picked[over_q.indices], over_q.indptr
+        found = sp.csr_array(entries, shape=(len(self.offset), rows), copy=True)
+        found.sum_duplicates()
+        return found
+
+    @cached_property
+    def _picked(self) -> Index:
+        """The rows that q's entries are, (T k,)."""
+        picks, n, m = self.frame.configuration, self.unknowns, self.frame.g.numel()
+        frame = np.arange(self.frames)[:, None]
+        return np.where(picks < n, frame * n + picks, self.lower.size + frame * m + picks - n).ravel()
+
+    @cached_property
+    def bent(self) -> bool:
+        """Whether links pass through constraints, so that they need not be linear in x."""
+        return bool(self.linking.indices.max(initial=0) >= self.lower.size)
+
+    @cached_property
+    def curved(self) -> bool:
+        """Whether constraints of frames are not linear."""
+        return bool(self.frame.g_nonlinear.any())
+
+    @cached_property
     def _transposed(self) -> sp.csr_array:
-        return sp.csr_array(self.difference.T)
+        return sp.csr_array(self.linking.T)
 
     def _linked(self, pick: Callable[[Link], Array]) -> Array:
         return np.concatenate([pick(link) for link in self.links])
+
+    def _rows(self, x: Array, g: Array) -> tuple[Array, Array]:
+        """Values of all rows where the frames' constraints are g (T, m), and of the links alone."""
+        own = np.concatenate([x, g.ravel()])
+        linked = self.linking @ own + self.offset
+        return np.concatenate([own, linked]), linked
 
     @cached_property
     def offset(self) -> Array:
@@ -133,46 +170,53 @@ class Chain:
         return self._mapped[0](x)
 
     def frame_expansion(self, x: Array, multipliers: Array) -> list[Array]:
-        """Second-order expansions of the frames' own Lagrangians at x; the next call overwrites them.
+        """Second-order expansions of the frames at x; the next call overwrites them.
 
         multipliers: of all rows. Objectives (T, 1), gradients (T, n), constraints (T, m), their Jacobians (T, n m)
-        by columns, and Hessians (T, n n). What the links add to a Hessian is constant and left out.
+        by columns, and Hessians (T, n n) of the Lagrangian. B' diag(2 weight) B is left out, with B the links'
+        Jacobian: it has entries between frames.
         """
-        of_frames = multipliers[x.size : x.size + self.frames * self.frame.g.numel()]
+        end = x.size + self.frames * self.frame.g.numel()
+        of_frames = multipliers[x.size : end]
+        if self.bent:
+            _, linked = self._rows(x, self.frame_values(x)[1])
+            of_frames = of_frames + (self._transposed @ (multipliers[end:] + 2 * self.weight * linked))[x.size :]
         return self._mapped[2](x, np.ones(self.frames), of_frames)
 
     def evaluate(self, x: Array) -> tuple[float, Array]:
         """The objective in mm^2 and the rows' values at x."""
         f, g = self.frame_values(x)
-        linked = self.difference @ x + self.offset
-        return float(f.sum() + self.weight @ linked**2), np.concatenate([x, g.ravel(), linked])
+        value, linked = self._rows(x, g)
+        return float(f.sum() + self.weight @ linked**2), value
+
+    def configurations(self, value: Array) -> Array:
+        """The frames' q, (T, k), from values of all rows."""
+        return value[self._picked].reshape(self.frames, -1)
 
     def by_frame(self, x: Array) -> tuple[Array, Array]:
         """What each frame adds to the objective, (T,) mm^2: by itself, and by the links that end at it."""
-        f, _ = self.frame_values(x)
-        linked = np.zeros(self.frames)
+        f, g = self.frame_values(x)
+        cost = np.zeros(self.frames)
         frame = np.concatenate([link.frame for link in self.links])
-        np.add.at(linked, frame, self.weight * (self.difference @ x + self.offset) ** 2)
-        return f.ravel().copy(), linked
+        np.add.at(cost, frame, self.weight * self._rows(x, g)[1] ** 2)
+        return f.ravel().copy(), cost
 
     def slopes(self, x: Array) -> Slopes:
         """First derivatives at x."""
-        f, gradient, g, jacobian = self._mapped[1](x)
-        linked = self.difference @ x + self.offset
-        return Slopes(
-            float(f.sum() + self.weight @ linked**2),
-            gradient.ravel() + self._transposed @ (2 * self.weight * linked),
-            np.concatenate([x, g.ravel(), linked]),
-            jacobian.reshape(self.frames, self.unknowns, -1).transpose(0, 2, 1).copy(),
-        )
+        f, gradient, g, columns = self._mapped[1](x)
+        value, linked = self._rows(x, g)
+        jacobian = columns.reshape(self.frames, self.unknowns, -1).transpose(0, 2, 1).copy()
+        pulls = np.concatenate([np.zeros(x.size + g.size), 2 * self.weight * linked])
+        gradient = gradient.ravel() + self.transposed(jacobian, pulls)
+        return Slopes(float(f.sum() + self.weight @ linked**2), gradient, value, jacobian)
 
     def transposed(self, jacobian: Array, rows: Array) -> Array:
         """The transposed Jacobian of all rows times rows, (T n,)."""
         frames, m, n = jacobian.shape
-        size = frames * n
-        of_frames = rows[size : size + frames * m].reshape(frames, m)
-        product = (of_frames[:, None, :] @ jacobian).ravel()
-        return rows[:size] + product + self._transposed @ rows[size + frames * m :]
+        of_x, of_g, of_links = np.split(rows, [frames * n, frames * (n + m)])
+        through_x, through_g = np.split(self._transposed @ of_links, [frames * n])
+        product = ((of_g + through_g).reshape(frames, 1, m) @ jacobian).ravel()
+        return of_x + product + through_x
 
     def violation(self, value: Array) -> float:
         """By how much rows leave their bounds at most."""
@@ -188,19 +232,25 @@ class Chain:
 
     def place(self, row: int) -> tuple[str, int]:
         """What a row limits and in which frame, from 1."""
-        frames, n, m = self.frames, self.unknowns, self.frame.g.numel()
-        if row < frames * n:
-            return f"limits of {self.axes[row % n]}", row // n + 1
-        row -= frames * n
-        if row < frames * m:
-            names = [c.name for c in self.frame.constraints for _ in range(c.value.numel())]
-            return names[row % m], row // m + 1
-        row -= frames * m
+        own = self._own_names
+        for names in (own[: self.unknowns], own[self.unknowns :]):
+            if row < self.frames * len(names):
+                return names[row % len(names)], row // len(names) + 1
+            row -= self.frames * len(names)
         for link in self.links:
             if row < len(link.offset):
                 return f"{link.name} of {self.axes[link.axis[row]]}", int(link.frame[row]) + 1
             row -= len(link.offset)
         raise IndexError(row)
+
+    @cached_property
+    def _own_names(self) -> list[str]:
+        """What the rows of a frame limit, of x and then of g; axes where these are picked."""
+        names = [f"limits of {self.frame.x[i]}" for i in range(self.unknowns)]
+        names += [c.name for c in self.frame.constraints for _ in range(c.value.numel())]
+        for axis, pick in zip(self.axes, self.frame.configuration, strict=True):
+            names[pick] = f"limits of {axis}"
+        return names
 
     def kkt(self, x: Array, multipliers: Array) -> Array:
         """How far each frame is from a KKT point, (T,), from the problem alone and not from what a solver says.
@@ -227,7 +277,8 @@ class Chain:
     def reached(self) -> npt.NDArray[np.bool_]:
         """Which rows some free unknown changes; solvers leave the others alone."""
         of_frames = (self.free.reshape(self.frames, -1) @ self.frame.g_depends.T).ravel()
-        return np.concatenate([self.free, of_frames, abs(self.difference) @ self.free]) > 0
+        own = np.concatenate([self.free, of_frames])
+        return np.concatenate([own, abs(self.linking) @ own]) > 0
 
     @cached_property
     def _row_frames(self) -> Index:

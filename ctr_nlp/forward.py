@@ -1,10 +1,13 @@
-"""Numeric shapes of a robot, and a shape as a curve to follow."""
+"""Numeric shapes of a robot on any model, and a shape as a curve to follow."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from ctr_nlp import tracking
 from ctr_nlp.curve import Curve
 from ctr_nlp.models import dominant
 from ctr_nlp.robot import Robot
@@ -21,6 +24,38 @@ def shapes(robot: Robot, q: Array, sigma: Array = SIGMA) -> Array:
 def tangents(robot: Robot, q: Array, sigma: Array = SIGMA) -> Array:
     """Unit tangents (T, n, 3) of the dominant model at q (T, 2d + 2) and sigma (n,)."""
     return _stacked(_backbone(robot, q, sigma).tangents)
+
+
+class Simulation(NamedTuple):
+    """A robot moved through configurations q (T, 2d + 2), as it would really be.
+
+    shape (T, 101, 3) mm at uniform sigma; tip_direction (T, 3); stability, stability_between (T,): margins, NaN
+    where nothing can be unstable; x (T, 2d + 2): the unknowns of its equilibria; snaps: where it leaves one for
+    another.
+    """
+
+    shape: Array
+    tip_direction: Array
+    stability: Array
+    stability_between: Array
+    x: Array
+    snaps: tuple[tracking.Snap, ...]
+
+
+def simulated(robot: Robot, q: Array, model: str) -> Simulation:
+    """The robot moved through q, frame by frame, on a model."""
+    if model == "dominant":
+        unknown = np.full(len(q), np.nan)
+        return Simulation(shapes(robot, q), tangents(robot, q, np.ones(1))[:, 0], unknown, unknown, q, ())
+    found = tracking.follow(robot, q)
+    return Simulation(
+        tracking.shapes(robot, found.x, SIGMA),
+        tracking.tangents(robot, found.x, np.ones(1))[:, 0],
+        found.stability,
+        found.stability_between,
+        found.x,
+        found.snaps,
+    )
 
 
 def _backbone(robot: Robot, q: Array, sigma: Array) -> dominant.Backbone:

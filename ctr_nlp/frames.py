@@ -22,6 +22,7 @@ class FrameResult:
     q (2d + 2,), and where success is False the one to fall back to, never a solution. objective: mm^2.
     kkt: NaN for methods without multipliers. iterations: of the solver, or evaluations of the shape.
     status: the solver's own word. warm: what the next frame may start from, known to the solver only.
+    x: the unknowns of a model whose q does not determine them.
     """
 
     q: Array
@@ -31,6 +32,7 @@ class FrameResult:
     iterations: int = 0
     status: str = ""
     warm: Any = field(default=None, repr=False)
+    x: Array | None = None
 
 
 class FrameSolver(Protocol):

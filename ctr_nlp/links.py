@@ -16,10 +16,10 @@ Index = npt.NDArray[np.int_]
 
 @dataclass(frozen=True)
 class Link:
-    """Rows over neighbouring frames: lower <= value <= upper, where value = matrix @ x + offset.
+    """Rows over neighbouring frames: lower <= value <= upper, where value = matrix @ q + offset.
 
-    The objective gains sum weight value^2. matrix (m, T n), over x frame by frame; offset, lower, upper,
-    weight (m,). frame, axis (m,): the frame (from 0) whose value a row is, and the entry of its x.
+    The objective gains sum weight value^2. matrix (m, T k), over the k entries of q frame by frame; offset, lower,
+    upper, weight (m,). frame, axis (m,): the frame (from 0) whose value a row is, and the entry of its q.
     """
 
     name: str
@@ -35,7 +35,7 @@ class Link:
 def differences(
     frames: int, order: int, before: Sequence[Array], after: Sequence[Array], n: int
 ) -> tuple[sp.csr_array, Array, Index, Index]:
-    """Differences of a given order along x, with known x before the first and after the last frame.
+    """Differences of a given order along q, with known q before the first and after the last frame.
 
     Returns matrix and offset, and frame and axis of every row; rows in which nothing is unknown are left out.
     """

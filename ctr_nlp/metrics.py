@@ -15,6 +15,10 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 
 
+BINDS = 0.005
+"""A frame whose margin exceeds the one asked for by less is held back by it."""
+
+
 def rms_over_sigma(distance: Array) -> Array:
     """Root mean square over sigma of (.., 101) distances in mm, with trapezoidal weights."""
     return np.sqrt(distance**2 @ QUADRATURE)
@@ -56,8 +60,25 @@ def by_frame(plan: Plan) -> dict[str, Array]:
         "nearest": rms_over_sigma(near),
         "nearest_max": near.max(axis=1),
         "tip_angle": tip_angle(plan),
+        **_stability(plan),
         "success": plan.success.astype(int),
     }
+
+
+def _stability(plan: Plan) -> dict[str, Array]:
+    """Margins (T,), where the model has any."""
+    found = {"stability": plan.stability, "stability_between": plan.stability_between}
+    return found if np.isfinite(plan.stability).any() else {}
+
+
+def bound_by_stability(plan: Plan) -> list[tuple[int, int]]:
+    """First and last frame, from 1, of the parts of a motion that the margin asked for holds back."""
+    margin = plan.meta["options"].get("stability_margin")
+    if margin is None or not np.isfinite(plan.stability).any():
+        return []
+    bound = np.fmin(plan.stability, plan.stability_between) < margin + BINDS
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], bound, [False]]).astype(int)))
+    return [(int(first) + 1, int(last)) for first, last in edges.reshape(-1, 2)]
 
 
 def summary(plan: Plan) -> dict[str, Any]:
@@ -87,6 +108,10 @@ def summary(plan: Plan) -> dict[str, Any]:
             "theta": float(theta.max()),
         },
         "acceleration_used": _acceleration_used(plan),
+        "stability_min": _least(plan.stability),
+        "stability_between_min": _least(plan.stability_between),
+        "stability_binds": bound_by_stability(plan),
+        "snaps": plan.meta["snaps"],
         "solve_ms": {
             "median": _number(1e3 * np.median(seconds) if seconds.size else np.nan),
             "p99": _number(1e3 * np.quantile(seconds, 0.99) if seconds.size else np.nan),
@@ -106,6 +131,7 @@ def summary(plan: Plan) -> dict[str, Any]:
         "problem": plan.meta["problem"]["name"],
         "formulation": plan.meta["formulation"],
         "model": plan.meta["model"],
+        "evaluated": plan.meta.get("evaluated", plan.meta["model"]),
         "solver": plan.meta["solver"],
         "direction": plan.meta["options"].get("direction"),
         "smoothing_deviation": plan.meta["problem"]["deviation"],
@@ -116,6 +142,11 @@ def _acceleration_used(plan: Plan) -> float:
     """Largest acceleration, from second differences of q, as a part of what the robot's limits allow."""
     used = np.abs(np.diff(plan.q, n=2, axis=0)) / plan.dt**2 / plan.robot.acceleration
     return float(used[np.isfinite(used)].max(initial=0.0))
+
+
+def _least(values: Array) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(known.min()) if known.size else None
 
 
 def _number(value: Any) -> float | None:

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int_]
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Constraint:
 
 @dataclass(frozen=True)
 class Inner:
-    """Quantities between x and the residuals, which are written in their symbols.
+    """Quantities between x and the terms of an Nlp, which may be written in their symbols.
 
     Where residuals are simple in a few quantities and these depend on few x each, as points that are sums of
     lengths times directions, derivatives taken in two steps need a third fewer operations.
@@ -83,7 +84,9 @@ class FrameFunctions(NamedTuple):
 class Nlp:
     """Minimise sum |residual|^2 + sum cost over x, subject to constraints and bounds.
 
-    x (n, 1); lower, upper (n,), which a caller may tighten from solve to solve; parameters by name.
+    x (n, 1); lower, upper (n,), which a caller may tighten from solve to solve for what the configuration is;
+    parameters by name. picks: which
+    of x's entries and then g's are the configuration; None where x itself is.
     """
 
     name: str
@@ -95,6 +98,7 @@ class Nlp:
     costs: tuple[Cost, ...] = ()
     constraints: tuple[Constraint, ...] = ()
     inner: Inner = Inner()
+    picks: tuple[int, ...] | None = None
 
     @cached_property
     def p(self) -> ca.SX:
@@ -104,22 +108,26 @@ class Nlp:
     @cached_property
     def residual(self) -> ca.SX:
         """All residuals in one column."""
-        return ca.substitute(self._outer, *self.inner.columns)
+        return ca.substitute(self._written[0], *self.inner.columns)
 
     @property
-    def _outer(self) -> ca.SX:
-        """The residuals as they are written."""
-        return ca.vertcat(ca.SX(0, 1), *(term.value for term in self.residuals))
+    def _written(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Residuals, the sum of costs, and constraint values as they are written, in inner symbols."""
+        residuals, constraints = (
+            ca.vertcat(ca.SX(0, 1), *(term.value for term in terms))
+            for terms in (self.residuals, self.constraints)
+        )
+        return residuals, sum((term.value for term in self.costs), ca.SX(0)), constraints
 
     @cached_property
     def objective(self) -> ca.SX:
         """The objective, mm^2."""
-        return ca.sumsqr(self.residual) + sum((term.value for term in self.costs), ca.SX(0))
+        return ca.sumsqr(self.residual) + ca.substitute(self._written[1], *self.inner.columns)
 
     @cached_property
     def g(self) -> ca.SX:
         """All constraint values in one column."""
-        return ca.vertcat(*(constraint.value for constraint in self.constraints))
+        return ca.substitute(self._written[2], *self.inner.columns)
 
     @cached_property
     def g_bounds(self) -> tuple[Array, Array]:
@@ -127,6 +135,31 @@ class Nlp:
         lower = [constraint.lower for constraint in self.constraints]
         upper = [constraint.upper for constraint in self.constraints]
         return np.concatenate([np.zeros(0), *lower]), np.concatenate([np.zeros(0), *upper])
+
+    @property
+    def configuration(self) -> Index:
+        """Where the configuration's entries stand among x's entries and then g's."""
+        return np.arange(self.x.numel()) if self.picks is None else np.array(self.picks)
+
+    @property
+    def q(self) -> ca.SX:
+        """The configuration, as it is written."""
+        return ca.vertcat(self.x, self._written[2])[self.configuration.tolist()]
+
+    def row_bounds(self, lower: Array, upper: Array) -> tuple[Array, Array]:
+        """Lower and upper bounds of x and then g, (n + m,), where those of the configuration are given."""
+        found = []
+        for own, of_g, given in zip((self.lower, self.upper), self.g_bounds, (lower, upper), strict=True):
+            rows = np.concatenate([own, of_g])
+            rows[self.configuration] = given
+            found.append(rows)
+        return found[0], found[1]
+
+    @cached_property
+    def limits(self) -> tuple[Array, Array]:
+        """Lower and upper bounds of the configuration."""
+        low, high = (np.concatenate(pair) for pair in zip((self.lower, self.upper), self.g_bounds, strict=True))
+        return low[self.configuration], high[self.configuration]
 
     @cached_property
     def g_depends(self) -> npt.NDArray[np.bool_]:
@@ -159,35 +192,35 @@ class Nlp:
     def functions(self) -> FrameFunctions:
         """Value and second-order expansion, for solvers that take many of these at once."""
         lam_f, lam_g = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", self.g.numel())
-        jacobian = ca.densify(ca.jacobian(self.g, self.x))
-        gradient, hessian = self._derivatives(lam_f, lam_g)
+        gradient, jacobian, hessian = (ca.densify(part) for part in self._derivatives(lam_f, lam_g))
         inputs, multipliers = [self.x, self.p], [lam_f, lam_g]
         value = [self.objective, ca.densify(self.g)]
-        slopes = [self.objective, ca.densify(gradient), ca.densify(self.g), jacobian]
+        slopes = [value[0], gradient, value[1], jacobian]
         return FrameFunctions(
             ca.Function("value", inputs, value, {"cse": True}),
             ca.Function("slopes", inputs, slopes, {"cse": True}),
-            ca.Function("expansion", inputs + multipliers, [*slopes, ca.densify(hessian)], {"cse": True}),
+            ca.Function("expansion", inputs + multipliers, [*slopes, hessian], {"cse": True}),
         )
 
-    def _derivatives(self, lam_f: ca.SX, lam_g: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """The objective's gradient, and the Hessian of lam_f objective + lam_g g.
+    def _derivatives(self, lam_f: ca.SX, lam_g: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """The objective's gradient, the Jacobian of g, and the Hessian of lam_f objective + lam_g g.
 
-        With residuals r(u) of u(x): 2 J'J + u_x' (sum 2 r r_uu) u_x + sum (2 r_u' r) u_xx, where J = r_u u_x.
+        With L(u) = lam_f (|r(u)|^2 + cost(u)) + lam_g g(u) of u(x), the Hessian is u_x' L_uu u_x + sum L_u u_xx,
+        where of L_uu the part 2 r_u' r_u becomes 2 J'J with J = r_u u_x.
         """
         symbols, values = self.inner.columns
         u, at = ca.vertcat(symbols, self.x), ca.vertcat(values, self.x)
-        r, u_x = self._outer, ca.jacobian(at, self.x)
-        r_u = ca.jacobian(r, u)
-        slope, pull = r_u @ u_x, ca.densify(2 * r_u.T @ r)
+        r, cost, g = self._written
+        u_x, r_u, g_u = ca.jacobian(at, self.x), ca.jacobian(r, u), ca.jacobian(g, u)
+        slope, pull = r_u @ u_x, ca.densify(2 * r_u.T @ r + ca.gradient(cost, u))
         pushes, pulls = ca.SX.sym("pushes", r.numel()), ca.SX.sym("pulls", u.numel())
-        r_uu, u_xx = ca.hessian(ca.dot(pushes, r), u)[0], ca.hessian(ca.dot(pulls, at), self.x)[0]
-        half = ca.triu(2 * slope.T @ slope + u_x.T @ r_uu @ u_x + u_xx)
-        (half,) = ca.substitute([half], [pushes, pulls], [ca.densify(2 * r), pull])
-        half, pull = ca.substitute([half, pull], [symbols], [values])
-        cost = sum((term.value for term in self.costs), ca.SX(0))
-        rest = ca.hessian(lam_f * cost + ca.dot(lam_g, self.g), self.x)[0]
-        return u_x.T @ pull + ca.gradient(cost, self.x), lam_f * ca.triu2symm(half) + rest
+        straight = ca.dot(pushes, r) + lam_f * cost + ca.dot(lam_g, g)
+        bent = ca.hessian(ca.dot(pulls, at), self.x)[0]
+        half = ca.triu(2 * lam_f * slope.T @ slope + u_x.T @ ca.hessian(straight, u)[0] @ u_x + bent)
+        given = [ca.densify(2 * lam_f * r), ca.densify(lam_f * pull + g_u.T @ lam_g)]
+        (half,) = ca.substitute([half], [pushes, pulls], given)
+        half, gradient, jacobian = ca.substitute([half, u_x.T @ pull, g_u @ u_x], [symbols], [values])
+        return gradient, jacobian, ca.triu2symm(half)
 
     @cached_property
     def kkt_function(self) -> ca.Function:
@@ -200,13 +233,13 @@ class Nlp:
 def kkt_residual(nlp: Nlp, x: Array, p: Array, lower: Array, upper: Array, lam_x: Array, lam_g: Array) -> float:
     """How far x is from a KKT point, computed from the problem alone and not from what a solver says.
 
+    lower, upper: of the configuration, which is x itself unless the problem says otherwise.
     The largest of: stationarity (mm^2 per unit of x), infeasibility (units of x and g) and complementarity
     (mm^2). CasADi's sign: positive multipliers belong to upper bounds.
     """
     gradient, g = (value.full().ravel() for value in nlp.kkt_function(x, p, lam_x, lam_g))
     values, multipliers = np.concatenate([x, g]), np.concatenate([lam_x, lam_g])
-    lows = np.concatenate([lower, nlp.g_bounds[0]])
-    highs = np.concatenate([upper, nlp.g_bounds[1]])
+    lows, highs = nlp.row_bounds(lower, upper)
     infeasible = np.maximum(np.maximum(lows - values, values - highs), 0.0)
     to_bound = np.where(multipliers > 0, highs, lows) - values
     slack = np.where(np.isfinite(to_bound), np.abs(to_bound), 1.0)

@@ -18,13 +18,15 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.errors import OutputError, RobotError
-from ctr_nlp.forward import shapes, tangents
+from ctr_nlp.forward import Simulation, simulated
 from ctr_nlp.problem import Problem
 from ctr_nlp.robot import Robot
 
 Array = npt.NDArray[np.float64]
 
 FORMAT = 1
+ELSEWHERE = 0.05
+"""rad: a robot whose tubes are turned by more from what was planned is in another equilibrium."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,18 @@ class Plan:
         turned: dict[str, Any] = {name: None if array is None else array[::-1] for name, array in arrays.items()}
         return replace(self, meta=self.meta | {"reversed": not self.meta.get("reversed", False)}, **turned)
 
+    def on(self, model: str) -> Plan:
+        """The same motion on another model: shapes, tip directions and stability of the robot moved through it."""
+        moved = simulated(self.robot, self.q, model)
+        return replace(
+            self,
+            shape=moved.shape,
+            tip_direction=moved.tip_direction,
+            stability=moved.stability,
+            stability_between=moved.stability_between,
+            meta=self.meta | _told(moved) | {"evaluated": model},
+        )
+
     def save(self, path: str | Path) -> None:
         """Write plan.npz, whole or not at all; raises OutputError."""
         arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "meta"}
@@ -130,11 +144,22 @@ def plan_from_configurations(
     solve_time: Array,
     objective: Array,
     kkt: Array,
+    planned: Array | None = None,
 ) -> Plan:
-    """The plan that moves a problem's robot through q (T, 2d + 2); meta tells how q was found."""
+    """The plan that moves a problem's robot through q (T, 2d + 2); meta tells how q was found.
+
+    planned: the unknowns (T, n) meant, where q does not determine them: frames in which the robot, moved through
+    q, is elsewhere are marked as not solved.
+    """
     robot, frames = problem.robot, problem.samples
+    moved = simulated(robot, q, meta["model"])
+    if planned is not None:
+        lost = success & ~(np.abs(moved.x - planned).max(axis=1) < ELSEWHERE)
+        success = success & ~lost
+        meta = meta | {
+            "failures": meta["failures"] | {str(j + 1): _lost(j, moved) for j in map(int, np.flatnonzero(lost))}
+        }
     alpha, beta, theta = robot.split(q)
-    unknown = np.full(problem.frames, np.nan)
     radii = [frame.radius for frame in frames]
     return Plan(
         time=np.arange(1.0, problem.frames + 1) * problem.dt,
@@ -142,17 +167,18 @@ def plan_from_configurations(
         beta=beta,
         theta=theta,
         target=np.array([frame.points for frame in frames]),
-        shape=shapes(robot, q),
+        shape=moved.shape,
         target_direction=np.array([frame.tangents[-1] for frame in frames]),
-        tip_direction=tangents(robot, q, np.ones(1))[:, 0],
+        tip_direction=moved.tip_direction,
         solve_time=solve_time,
         success=success,
         objective=objective,
         kkt=kkt,
-        stability=unknown,
-        stability_between=unknown,
+        stability=moved.stability,
+        stability_between=moved.stability_between,
         to_robot=np.eye(4) if problem.to_robot is None else problem.to_robot,
         meta=meta
+        | _told(moved)
         | {
             "problem": {
                 "name": problem.name,
@@ -172,3 +198,15 @@ def plan_from_configurations(
         lumen_radius=None if any(radius is None for radius in radii) else np.array(radii),
         truth=problem.truth,
     )
+
+
+def _told(moved: Simulation) -> dict[str, Any]:
+    """For a plan's meta: where the robot snaps."""
+    return {"snaps": [snap._asdict() for snap in moved.snaps]}
+
+
+def _lost(frame: int, moved: Simulation) -> str:
+    """Why a robot is not where it was planned to be."""
+    before = [snap.frame for snap in moved.snaps if snap.frame <= frame + 1]
+    why = f"it snaps in frame {before[-1]}" if before else "another equilibrium is reached first"
+    return f"the robot would be elsewhere: {why}"

@@ -15,12 +15,14 @@ class Settings:
 
     motion_weight: lambda of eq. (9), s^2; with the default and 0.1 s a frame, a step of 1 mm costs as much
     as a shape error of 0.01 mm. jump_width: of the smoothed jumps of curvature in the two-stage formulation,
-    mm, reached from wider ones by continuation. seed: of the random starts.
+    mm, reached from wider ones by continuation. seed: of the random starts. stability_margin: the least that a
+    configuration of the elastic model may have, from 1 (no tube acts on another) down to 0 (snap); None for any.
     """
 
     motion_weight: float = 1e-6
     jump_width: float = 1.5
     seed: int = 0
+    stability_margin: float | None = 0.1
 
     def __post_init__(self) -> None:
         check_motion_weight(self.motion_weight)
@@ -28,6 +30,8 @@ class Settings:
             raise OptionError(f"jump_width is {self.jump_width} mm; it must be a finite number > 0")
         if not 0 <= self.seed < 2**32:
             raise OptionError(f"seed is {self.seed}; it must be a whole number in [0, 2^32)")
+        if self.stability_margin is not None and not 0 <= self.stability_margin < 1:
+            raise OptionError(f"stability_margin is {self.stability_margin}; it must lie in [0, 1), or be None")
 
 
 def check_motion_weight(weight: float) -> float:

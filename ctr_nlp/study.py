@@ -20,7 +20,7 @@ from ctr_nlp.problem import Problem
 from ctr_nlp.reference import METHODS, reference_frames
 from ctr_nlp.reference.published import BASELINE, SEED
 from ctr_nlp.settings import Settings, check_choice
-from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS, cache
+from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS, cache, default_chain_solver, default_solver
 from ctr_nlp.steer import Horizon, march
 from ctr_nlp.steer.interrupt import deferred_interrupt
 from ctr_nlp.steer.motions import per_frame_motions
@@ -44,6 +44,7 @@ class Variant:
 
     name: str
     formulation: str
+    model: str
     plan: Callable[[Problem, Settings, Sequence[Array], Progress | None], Plan]
 
 
@@ -56,9 +57,10 @@ VARIANTS = (
 
 
 def variants_here() -> list[str]:
-    """Those that work here: without a C compiler, IPOPT's and the reference methods."""
+    """Those that work here: without a C compiler, IPOPT's and the reference methods; also on the elastic model."""
     compiled = {"banded", "sqp"} if cache.missing() else set()
-    return [name for name in VARIANTS if name.split(":")[-1] not in compiled]
+    elastic = f"horizon:{default_chain_solver()}:elastic", f"joint:{default_solver()}:elastic"
+    return [*elastic, *(name for name in VARIANTS if name.split(":")[-1] not in compiled)]
 
 
 def parse_variant(name: str) -> Variant:
@@ -70,6 +72,7 @@ def parse_variant(name: str) -> Variant:
         return Variant(
             name,
             name,
+            "dominant",
             lambda problem, settings, initial, progress: march(
                 problem, reference_frames(problem, name, settings), "forward", progress=progress
             ),
@@ -88,6 +91,7 @@ def parse_variant(name: str) -> Variant:
         return Variant(
             name,
             formulation,
+            model,
             lambda problem, settings, initial, progress: Horizon(problem, model, solver).solve(
                 initial, settings=settings, progress=progress
             ),
@@ -95,6 +99,7 @@ def parse_variant(name: str) -> Variant:
     return Variant(
         name,
         formulation,
+        model,
         lambda problem, settings, initial, progress: march(
             problem, NlpFrames(problem, formulation, solver, model, settings), progress=progress
         ),
@@ -127,11 +132,11 @@ def compare(
             horizons: list[Plan] = []
             for variant in variants:
                 report = None if progress is None else progress(problem.name, variant.name)
-                if variant.formulation == "horizon" and not initial:
+                if variant.formulation == "horizon" and variant.model == "dominant" and not initial:
                     initial = per_frame_motions(problem, Ends(), chosen, report)
                 plan = variant.plan(problem, chosen, initial, report)
-                rows.append(_row(problem.name, variant.name, summary(plan), plan.meta["iterations"]))
-                if variant.formulation == "horizon":
+                rows.append(_row(problem.name, variant.name, plan))
+                if variant.formulation == "horizon" and variant.model == "dominant":
                     horizons.append(plan)
                 if interrupted():
                     return Comparison(rows, agreements)
@@ -170,8 +175,13 @@ def _to_limits(chain: Chain, plan: Plan) -> Array:
     return np.minimum(value - low, high - value)
 
 
-def _row(problem: str, variant: str, found: dict[str, Any], iterations: int) -> dict[str, Any]:
-    """Errors in mm, steps in rad and mm, times in ms and s. seed_*: Table II's figures for the same method."""
+def _row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
+    """Errors in mm, steps in rad and mm, times in ms and s. seed_*: Table II's figures for the same method.
+
+    e3 and others are of the model planned on; dominant_*, elastic_* of the same motion on both.
+    """
+    found = summary(plan)
+    on = {model: found if model == plan.meta["model"] else summary(plan.on(model)) for model in MODELS}
     e3, e4, t_c = (BASELINE if variant == "euclidean" else SEED).get(problem, (None, None, None))
     return {
         "problem": problem,
@@ -190,10 +200,13 @@ def _row(problem: str, variant: str, found: dict[str, Any], iterations: int) -> 
         "total_s": found["solve_ms"]["total"] / 1e3,
         "build_s": found["build_s"],
         "search_s": found["search_s"],
-        "iterations": iterations,
+        "iterations": plan.meta["iterations"],
         "failed": found["failed"],
         "interrupted": found["interrupted"],
         "seed_e3": e3,
         "seed_e4": e4,
         "seed_t_s": t_c,
+        **{f"{model}_{key}": on[model][key] for model in MODELS for key in ("e3", "e4")},
+        "stability_between": on["elastic"]["stability_between_min"],
+        "snaps": len(on["elastic"]["snaps"]),
     }

@@ -16,21 +16,36 @@ from ctr_nlp.robot import Robot
 Array = npt.NDArray[np.float64]
 
 
-def shape(points: dominant.Vector, target: ca.SX, quadrature: Any) -> Residual:
+def shape(points: dominant.Vector, target: dominant.Vector, quadrature: Any) -> Residual:
     """Distance from the robot to its target at equal sigma, eq. (8).
 
-    points: x, y, z, each (n, 1) mm. target: (n, 3) mm. quadrature: (n,), non-negative, sums to 1.
+    points, target: x, y, z, each (n, 1) mm. quadrature: (n,), non-negative, sums to 1.
     """
     root = ca.sqrt(quadrature)
-    return Residual("shape", ca.vertcat(*(root * (points[i] - target[:, i]) for i in range(3))))
+    return Residual("shape", ca.vertcat(*(root * (points[i] - target[i]) for i in range(3))))
 
 
-def motion(x: ca.SX, previous: ca.SX, mm_per_unit: Array, root: ca.SX) -> Residual:
+def motion(q: ca.SX, previous: ca.SX, mm_per_unit: Array, root: ca.SX) -> Residual:
     """Change of configuration over one frame, eq. (9).
 
     root: sqrt(lambda) / dt, with lambda in s^2 and dt in s; 0 where there is no frame before.
     """
-    return Residual("motion", root * ca.DM(mm_per_unit) * (x - previous))
+    return Residual("motion", root * ca.DM(mm_per_unit) * (q - previous))
+
+
+def motors(robot: Robot, alpha: ca.SX) -> Constraint:
+    """The motors' angles within their limits, where they are not unknowns themselves."""
+    return Constraint("alpha", alpha, robot.lower[: robot.d], robot.upper[: robot.d])
+
+
+CLEAR = 0.05
+"""What determinants before the last keep from 0: where two vanish together, an unstable shape looks stable."""
+
+
+def stability(determinants: ca.SX) -> Constraint:
+    """Those of stability.responses, which are positive as long as the margin is held; 1 where nothing twists."""
+    count = determinants.numel()
+    return Constraint("stability", determinants, np.append(np.full(count - 1, CLEAR), 0.0), np.full(count, np.inf))
 
 
 def length(beta_d: ca.SX, target_length: ca.SX, weight: float) -> Residual:

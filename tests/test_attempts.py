@@ -278,7 +278,9 @@ def test_an_objective_is_no_worse_than_one_that_is_equal_but_for_rounding():
 
 
 def made(objective, success, start, allowed=True):
-    found = Solution(np.zeros(1), objective, 0.0 if success else 1.0, success, "Fake", 1, np.zeros(1), np.zeros(0))
+    found = Solution(
+        np.zeros(1), objective, 0.0 if success else 1.0, success, "Fake", 1, np.zeros(1), np.zeros(0), np.zeros(1)
+    )
     return Attempt(found, allowed, start, 0.0)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rows import bent, central, whole_jacobian
 from scipy.optimize import isotonic_regression, nnls
 from strategies import seeds
 
@@ -17,7 +18,7 @@ from ctr_nlp.errors import OptionError
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.links import Link, differences
 from ctr_nlp.nlp import Constraint, Nlp, Residual
-from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, Iterate, Solution, Watch
+from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, Iterate, Solution, Watch, banded, chain_ipopt
 from ctr_nlp.solvers.banded import TOLERANCE, BandedSolver
 
 INF = np.inf
@@ -212,6 +213,80 @@ def test_equations_are_refused_by_the_solver_that_cannot_take_them():
     with pytest.raises(OptionError, match=r"solver is 'banded' and drawn has equations"):
         BandedSolver(chain)
     np.testing.assert_allclose(solved(chain, "ipopt").x, 0.5, atol=1e-6)
+
+
+# Links through constraints
+
+
+@given(seeds, st.booleans())
+def test_ipopt_s_derivatives_through_constraints_match_finite_differences(seed, ends):
+    """Of every function it is given; the Hessian with any factor of the objective."""
+    chain, rng = twisted(ends), np.random.default_rng(seed)
+    x = rng.uniform([-2, 1, -0.5], [2, 14, 0.5], chain.lower.shape).ravel()
+    lam_f, lam_g = rng.uniform(-2, 2), rng.normal(size=len(chain.bounds[0]) - x.size)
+    functions = ipopt_functions(ends)
+
+    def first(at):
+        (_, gradient), (_, jacobian) = functions["grad_f"](at, []), functions["jac_g"](at, [])
+        return lam_f * gradient.full().ravel() + jacobian.full().T @ lam_g
+
+    at, multipliers = chain.slopes(x), np.concatenate([np.zeros(x.size), lam_g])
+    jacobian = whole_jacobian(chain, at.jacobian)
+    for name, value, slope in (
+        ("grad_f", at.objective, at.gradient),
+        ("jac_g", at.value[x.size :], jacobian[x.size :]),
+    ):
+        found = [part.full().squeeze() for part in functions[name](x, [])]
+        np.testing.assert_allclose(found[0], value, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(found[1], slope, rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(first(x), lam_f * at.gradient + jacobian.T @ multipliers, rtol=1e-9, atol=1e-9)
+    upper = functions["hess_lag"](x, [], lam_f, lam_g).full()
+    expected = central(first, x)
+    np.testing.assert_allclose(upper, np.triu(expected), rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+
+
+@functools.cache
+def twisted(ends):
+    return bent(ends)
+
+
+@functools.cache
+def ipopt_functions(ends):
+    return chain_ipopt._derivatives(twisted(ends))
+
+
+@pytest.fixture
+def to_the_last_digit(monkeypatch):
+    """Solvers that go on as far as they can."""
+    monkeypatch.setattr(banded, "TOLERANCE", 1e-9)
+    monkeypatch.setattr(banded, "LAST_BARRIER", 1e-11)
+    monkeypatch.setitem(chain_ipopt.OPTIONS, "tol", 1e-10)
+
+
+@pytest.mark.parametrize("ends", [True, False])
+def test_through_constraints_every_solver_finds_what_it_finds_with_the_configuration_as_unknowns(
+    to_the_last_digit, ends
+):
+    """With equations, which only IPOPT takes."""
+    chain, other = bent(ends), bent(ends, as_unknown=True)
+    start = np.tile([0.4, 3.0, 0.1], 6)
+    found = {solver: solved(chain, solver, start) for solver in CHAIN_SOLVERS}
+    equations = solved(other, "ipopt", np.tile([0.4, 3.0, 0.1, 0.4], 6))
+    expected = equations.x.reshape(6, 4)[:, :3].ravel()
+    assert equations.success
+    for solution in found.values():
+        assert_solved(chain, solution, None)
+        assert solution.objective == pytest.approx(equations.objective, rel=1e-8)
+        np.testing.assert_allclose(solution.x, expected, atol=1e-7)
+    limits = felt(chain, found["banded"])
+    assert {"bowl", "order 1 of alpha", "order 2 of alpha" if ends else "limits of alpha"} <= limits
+    assert felt(chain, found["ipopt"]) == limits
+
+
+def felt(chain, solution):
+    """Names of rows that hold against the objective, where something can move."""
+    multipliers = np.concatenate([solution.lam_x, solution.lam_g])
+    return {chain.place(int(row))[0] for row in np.flatnonzero(chain.reached & (np.abs(multipliers) > 1e-3))}
 
 
 # Horizons

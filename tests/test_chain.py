@@ -8,7 +8,7 @@ import pytest
 import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
-from rows import times
+from rows import END, START, alpha, bent, central, configuration, links_hessian, times, whole_jacobian
 from strategies import seeds
 
 from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_formula, growing, seed_robot, shapes
@@ -210,20 +210,17 @@ def test_what_was_returned_stays_when_the_chain_is_evaluated_again():
 def expanded(chain, x, multipliers):
     """What expansions of the frames say of the chain: its slopes, and the frames' Hessians (T, n, n)."""
     f, gradient, g, jacobian, blocks = (array.copy() for array in chain.frame_expansion(x, multipliers))
-    n, matrix = chain.unknowns, chain.difference.toarray()
-    of_links = matrix @ x + chain.offset
+    n, own = chain.unknowns, np.concatenate([x, g.ravel()])
+    jacobian = jacobian.reshape(chain.frames, n, -1).transpose(0, 2, 1)
+    of_links = chain.linking @ own + chain.offset
+    to_links = whole_jacobian(chain, jacobian)[own.size :]
     slopes = Slopes(
         f.sum() + chain.weight @ of_links**2,
-        gradient.ravel() + 2 * matrix.T @ (chain.weight * of_links),
-        np.concatenate([x, g.ravel(), of_links]),
-        jacobian.reshape(chain.frames, n, -1).transpose(0, 2, 1),
+        gradient.ravel() + 2 * to_links.T @ (chain.weight * of_links),
+        np.concatenate([own, of_links]),
+        jacobian,
     )
     return slopes, blocks.reshape(-1, n, n)
-
-
-def central(function, x, h=1e-5):
-    """The Jacobian (.., x.size) of function by central differences."""
-    return np.stack([(function(x + e) - function(x - e)) / (2 * h) for e in h * np.eye(x.size)], axis=-1)
 
 
 def assert_matches_differences(exact, found):
@@ -242,7 +239,7 @@ def test_the_jacobian_of_all_rows_matches_finite_differences(case, multiplied):
     jacobian = case.chain.slopes(x).jacobian
     if multiplied:
         jacobian = expanded(case.chain, x, case.multipliers(8))[0].jacobian
-    exact = np.stack([times(case.chain, jacobian, e) for e in np.eye(x.size)], axis=-1)
+    exact = whole_jacobian(case.chain, jacobian)
     assert_matches_differences(exact, central(lambda at: case.chain.evaluate(at)[1], x))
 
 
@@ -255,10 +252,9 @@ def lagrangian_gradient(chain, multipliers):
 
 
 def hessian(chain, x, multipliers):
-    """Blocks of the frames, and the constant part of the links."""
-    blocks = expanded(chain, x, multipliers)[1]
-    matrix = chain.difference.toarray()
-    return scipy.linalg.block_diag(*blocks) + matrix.T @ np.diag(2 * chain.weight) @ matrix
+    """Blocks of the frames, and the links' part."""
+    slopes, blocks = expanded(chain, x, multipliers)
+    return scipy.linalg.block_diag(*blocks) + links_hessian(chain, whole_jacobian(chain, slopes.jacobian))
 
 
 def test_blocks_and_links_are_the_hessian_of_the_lagrangian(case):
@@ -372,6 +368,118 @@ def test_residual_and_objective_are_functions_of_x_and_parameters_alone():
         np.testing.assert_allclose(one.full(), other.full(), rtol=1e-12)
 
 
+# Configurations that constraints give
+
+
+@pytest.fixture(scope="module", params=[True, False], ids=["given", "free"])
+def twisted(request):
+    """A chain of bent links, and whether its ends are given."""
+    return bent(request.param), request.param
+
+
+def wound(chain, seed):
+    """Unknowns (T n,) at random, within their bounds, and multipliers of all rows."""
+    rng = np.random.default_rng(seed)
+    x = np.clip(rng.uniform([-2, 1, -0.5], [2, 14, 0.5], chain.lower.shape), chain.lower, chain.upper)
+    return x.ravel(), rng.normal(size=len(chain.bounds[0]))
+
+
+def test_rows_of_links_are_differences_of_the_configuration(twisted):
+    chain, given_ = twisted
+    x, _ = wound(chain, 1)
+    frames = x.reshape(-1, 3)
+    before, after = ([configuration(end)] * given_ for end in (START, END))
+    q = configuration(frames)
+    steps, turns = np.diff([*before, *q], axis=0), np.diff([*before * 2, *q, *after], 2, axis=0)
+    own = np.column_stack([q[:, 0], frames[:, 0] ** 2 + frames[:, 1] * frames[:, 2] / 5])
+    expected = np.concatenate([x, own.ravel(), steps.ravel(), turns.ravel()])
+    costs = (steps**2 @ [2, 0.05, 1]).sum() + (turns**2 @ [2, 0.05, 1]).sum() / 4
+    objective, value = chain.evaluate(x)
+    np.testing.assert_allclose(value, expected, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(chain.slopes(x).value, value)
+    own_costs, linked_costs = chain.by_frame(x)
+    assert linked_costs.sum() == pytest.approx(costs, rel=1e-12)
+    assert own_costs.sum() + costs == pytest.approx(objective, rel=1e-12)
+    assert len(chain.bounds[0]) == len(chain.bounds[1]) == value.size
+    np.testing.assert_allclose(chain.configurations(value), q, rtol=0, atol=1e-14)
+
+
+@given(seeds)
+def test_first_derivatives_through_constraints_match_finite_differences(twisted, seed):
+    chain, _ = twisted
+    x, multipliers = wound(chain, seed)
+    slopes, (other, _) = chain.slopes(x), expanded(chain, x, multipliers)
+    for one, same in zip(slopes, other, strict=True):
+        np.testing.assert_allclose(one, same, rtol=1e-12, atol=1e-9)
+    assert_matches_differences(slopes.gradient, central(lambda at: chain.evaluate(at)[0], x))
+    exact = whole_jacobian(chain, slopes.jacobian)
+    assert_matches_differences(exact, central(lambda at: chain.evaluate(at)[1], x))
+    np.testing.assert_allclose(exact.T @ multipliers, chain.transposed(slopes.jacobian, multipliers), atol=1e-9)
+
+
+@given(seeds)
+def test_blocks_and_links_are_the_hessian_through_constraints(twisted, seed):
+    chain, _ = twisted
+    x, multipliers = wound(chain, seed)
+    exact = hessian(chain, x, multipliers)
+    assert_matches_differences(exact, central(lagrangian_gradient(chain, multipliers), x))
+
+
+def test_a_row_is_reached_through_constraints():
+    """Ends are given: the last frame's own rows are fixed, and all that links it to others is not."""
+    chain, still = bent(frames=4), np.zeros(4, bool)
+    still[-1] = True
+    own = np.concatenate([np.repeat(~still, 3), np.repeat(~still, 2)])
+    np.testing.assert_array_equal(chain.reached[: own.size], own)
+    jacobian = whole_jacobian(chain, chain.slopes(wound(chain, 2)[0]).jacobian)
+    np.testing.assert_array_equal(chain.reached, (jacobian[:, chain.free] != 0).any(axis=1))
+
+
+def test_rows_are_named_after_axes_where_the_configuration_is_and_after_symbols_elsewhere():
+    chain = bent(frames=2, ends=False)
+    places = [chain.place(row) for row in range(len(chain.bounds[0]))]
+    limits = ["limits of x_0", "limits of beta", "limits of theta"] * 2 + ["limits of alpha", "bowl"] * 2
+    assert [name for name, _ in places[:10]] == limits
+    assert [frame for _, frame in places[:10]] == [1, 1, 1, 2, 2, 2, 1, 1, 2, 2]
+    assert places[10:] == [(f"order 1 of {axis}", 2) for axis in ("alpha", "beta", "theta")]
+
+
+def test_the_nearest_point_keeps_the_configuration(twisted):
+    chain, _ = twisted
+    (x, _), (y, _) = wound(chain, 3), wound(chain, 4)
+    nearest = chain.nearest(x)
+    objective, value = nearest.evaluate(y)
+    assert objective == pytest.approx(((y - x).reshape(-1, 3) ** 2 @ [4, 1, 25]).sum(), rel=1e-12)
+    np.testing.assert_allclose(value, chain.evaluate(y)[1], rtol=0, atol=1e-12)
+
+
+def test_the_configuration_as_unknowns_has_the_same_rows_of_links():
+    """Picked from x alone, whose entries are more than the axes."""
+    chain, other = bent(), bent(as_unknown=True)
+    x, _ = wound(chain, 5)
+    frames = x.reshape(-1, 3)
+    y = np.column_stack([frames, alpha(frames[:, 0], frames[:, 1])]).ravel()
+    assert (chain.bent, other.bent) == (True, False)
+    (objective, value), (same, rows) = chain.evaluate(x), other.evaluate(y)
+    assert objective == pytest.approx(same, rel=1e-12)
+    links = len(chain.offset)
+    np.testing.assert_allclose(value[-links:], rows[-links:], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(rows[y.size : -links : 2], 0, atol=1e-12)
+    assert {other.place(row)[0] for row in range(4)} == {
+        f"limits of {a}" for a in ("alpha", "beta", "theta", "x_0")
+    }
+
+
+def test_evaluating_in_between_changes_no_expansion(twisted):
+    """Expanding through constraints takes their values first, in buffers of their own."""
+    chain, _ = twisted
+    (x, multipliers), (y, _) = wound(chain, 6), wound(chain, 7)
+    expected = [array.copy() for array in chain.frame_expansion(x, multipliers)]
+    chain.evaluate(y)
+    for one, other in zip(chain.frame_expansion(x, multipliers), expected, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 # Differences
 
 
@@ -433,7 +541,7 @@ def test_every_row_is_named_after_what_it_limits_and_the_last_frame_it_reaches(c
     """The names' kinds in order of rows; frame and axis from the unknowns that the row's Jacobian touches."""
     chain, robot = case.chain, case.problem.robot
     jacobian = chain.slopes(case.motion(12)).jacobian
-    touches = np.stack([times(chain, jacobian, e) for e in np.eye(chain.lower.size)], axis=-1) != 0
+    touches = whole_jacobian(chain, jacobian) != 0
     n, limited = len(robot.axes), ["speed"] + ["acceleration"] * bool(np.isfinite(robot.acceleration).any())
     kinds = ["limits"] * FRAMES * n + ["order"] * FRAMES * (robot.d - 1)
     for order, kind in enumerate(limited, start=1):

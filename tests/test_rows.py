@@ -9,9 +9,10 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy.linalg
+import scipy.sparse as sp
 from hypothesis import given
 from hypothesis import strategies as st
-from rows import times
+from rows import central, links_hessian, whole_jacobian
 from strategies import seeds
 
 from ctr_nlp.chain import Chain
@@ -25,9 +26,9 @@ ORDERS = st.sampled_from([(1,), (2,), (1, 2)])
 
 
 @functools.cache
-def frame(n, constrained):
+def frame(n, constrained, picks=None):
     """A frame drawn to a target (n,) along curves, without or with two constraints that are not linear and one
-    that is; `shift` moves a value of the first, and no derivative.
+    that is; `shift` moves a value of the first, and no derivative. picks: where its configuration stands.
     """
     x, to, shift = ca.SX.sym("x", n), ca.SX.sym("to", n), ca.SX.sym("shift")
     residual = Residual("pull", ca.vertcat(x - to, ca.sin(x[0]) * x[-1]))
@@ -38,37 +39,49 @@ def frame(n, constrained):
     )
     parameters = {"to": to, "shift": shift}
     low = np.full(n, -3.0)
-    return Nlp("frame", x, low, -low, parameters, (residual,), constraints=constraints if constrained else ())
+    constraints = constraints if constrained else ()
+    return Nlp("frame", x, low, -low, parameters, (residual,), constraints=constraints, picks=picks)
 
 
-def link(rng, frames, n, order, before):
-    """Differences of an order with weights and bounds at random, a third of which is infinite."""
+def link(rng, frames, n, order, before, mixed):
+    """Differences of an order with weights and bounds at random, a third of which is infinite; mixed: of sums of
+    neighbouring entries.
+    """
     matrix, offset, last, axis = differences(frames, order, before, [], n)
+    if mixed:
+        matrix = sp.csr_array(matrix @ sp.kron(sp.identity(frames), np.eye(n) + np.eye(n, k=1)))
     low, high = -rng.uniform(0.5, 3, len(offset)), rng.uniform(0.5, 3, len(offset))
     low[rng.random(len(low)) < 0.3], high[rng.random(len(high)) < 0.3] = -INF, INF
     return Link(f"order {order}", matrix, offset, low, high, rng.uniform(0, 2, len(offset)), last, axis)
 
 
-def chain_of(rng, orders=(1, 2), frames=5, n=2, constrained=True, started=True, fixed=0.25):
+def chain_of(
+    rng, orders=(1, 2), frames=5, n=2, constrained=True, started=True, fixed=0.25, picks=None, mixed=False
+):
     """A chain with a part of its x fixed, and some x without bounds."""
-    nlp, before = frame(n, constrained), [rng.normal(size=n)] if started else []
-    links = tuple(link(rng, frames, n, order, before * order) for order in orders)
+    nlp = frame(n, constrained, picks)
+    count = len(nlp.configuration)
+    before = [rng.normal(size=count)] if started else []
+    links = tuple(link(rng, frames, count, order, before * order, mixed) for order in orders)
     lower, upper = np.tile(nlp.lower, (frames, 1)), np.tile(nlp.upper, (frames, 1))
     lower[rng.random(lower.shape) < 0.2], upper[rng.random(upper.shape) < 0.2] = -INF, INF
     still = rng.random(lower.shape) < fixed
     still[0, 0] = False
     lower[still] = upper[still] = rng.normal(size=still.sum())
     parameters = np.vstack([rng.normal(size=(n, frames)), np.zeros(frames)])
-    axes = tuple(f"x{i}" for i in range(n))
-    return Chain(nlp, axes, np.ones(n), parameters, lower, upper, links, nlp.functions)
+    axes = tuple(f"q{i}" for i in range(count))
+    return Chain(nlp, axes, np.ones(count), parameters, lower, upper, links, nlp.functions)
 
 
 @st.composite
 def chains(draw):
-    """Some of them too short for links of their order to have rows."""
+    """Some of them too short for links of their order to have rows; some with any configuration and links."""
     rng = np.random.default_rng(draw(seeds))
     orders, frames, n = draw(ORDERS), draw(st.integers(1, 9)), draw(st.integers(1, 3))
-    return chain_of(rng, orders, frames, n, draw(st.booleans()), draw(st.booleans()))
+    constrained = draw(st.booleans())
+    rows = st.lists(st.integers(0, n - 1 + 3 * constrained), min_size=1, max_size=4, unique=True)
+    picks, mixed = draw(st.tuples(st.none() | rows.map(tuple), st.booleans()))
+    return chain_of(rng, orders, frames, n, constrained, draw(st.booleans()), picks=picks, mixed=mixed)
 
 
 class Point(NamedTuple):
@@ -111,16 +124,9 @@ def copied(arrays):
     return Point(*(array.copy() for array in arrays))
 
 
-def whole_jacobian(chain, x):
-    """Of all rows, (rows, T n)."""
-    jacobian = chain.slopes(x).jacobian
-    return np.stack([times(chain, jacobian, e) for e in np.eye(x.size)], axis=-1)
-
-
-def whole_hessian(chain, blocks, damping=0.0):
-    """The frames' and the links' Hessians, and damping."""
-    matrix = chain.difference.toarray()
-    whole = scipy.linalg.block_diag(*blocks) + matrix.T @ np.diag(2 * chain.weight) @ matrix
+def whole_hessian(chain, jacobian, blocks, damping=0.0):
+    """The frames' and the links' Hessians, and damping; jacobian: of all rows."""
+    whole = scipy.linalg.block_diag(*blocks) + links_hessian(chain, jacobian)
     return whole + damping * np.eye(len(whole))
 
 
@@ -129,8 +135,8 @@ def reduced(chain, rows, point, blocks, damping=0.0):
     below, above = finite(rows)
     sigma = np.where(below, point.at_lower / (point.slack - rows.low), 0.0)
     sigma += np.where(above, point.at_upper / (rows.high - point.slack), 0.0)
-    jacobian = whole_jacobian(chain, point.x)
-    matrix = whole_hessian(chain, blocks, damping) + jacobian.T @ (sigma[:, None] * jacobian)
+    jacobian = whole_jacobian(chain, chain.slopes(point.x).jacobian)
+    matrix = whole_hessian(chain, jacobian, blocks, damping) + jacobian.T @ (sigma[:, None] * jacobian)
     return np.where(np.outer(chain.free, chain.free), matrix, np.diag(~chain.free))
 
 
@@ -145,7 +151,8 @@ def newton_step(chain, rows, point, blocks, barrier, damping):
     where every row equals its slack. A row's multiplier is that of its upper less that of its lower bound.
     """
     below, above = finite(rows)
-    slopes, jacobian = chain.slopes(point.x), whole_jacobian(chain, point.x)
+    slopes = chain.slopes(point.x)
+    jacobian = whole_jacobian(chain, slopes.jacobian)
     size, count, lows, highs = point.x.size, len(below), below.sum(), above.sum()
     to_lower, to_upper = np.eye(count)[below], np.eye(count)[above]
     at_lower, at_upper = point.at_lower[below], point.at_upper[above]
@@ -154,7 +161,7 @@ def newton_step(chain, rows, point, blocks, barrier, damping):
     matrix = np.block(
         [
             [
-                whole_hessian(chain, blocks, damping),
+                whole_hessian(chain, jacobian, blocks, damping),
                 zero((size, count)),
                 -jacobian.T @ to_lower.T,
                 jacobian.T @ to_upper.T,
@@ -221,14 +228,48 @@ def test_the_band_is_factored_as_the_dense_sum_and_the_identity_where_x_is_fixed
     root = rng.normal(size=(chain.frames, n, n))
     blocks = root @ root.transpose(0, 2, 1)
     assert rows.newton(blocks, 0.3, 0.05) is not None
+    assert_close(factored(rows), reduced(chain, rows, point, blocks, 0.05), 1e-12)
+
+
+def factored(rows):
+    """The matrix whose factors stand in the band."""
     band = rows._band.T
     factor = sum(np.diag(entries[: entries.size - k], -k) for k, entries in enumerate(band) if k < entries.size)
-    assert_close(factor @ factor.T, reduced(chain, rows, point, blocks, 0.05), 1e-12)
+    return factor @ factor.T
+
+
+@pytest.mark.parametrize("picks", [None, (3, 0), (2, 3), (4, 1, 2, 0)])
+@pytest.mark.parametrize("mixed", [True, False])
+@given(seeds, ORDERS)
+def test_the_band_has_all_of_the_lagrangian_s_second_derivatives(picks, mixed, seed, orders):
+    """By central differences of its gradient; with the rows' weights, and as much damping as it takes."""
+    rng = np.random.default_rng(seed)
+    chain = chain_of(rng, orders, picks=picks, mixed=mixed)
+    rows, point = placed(chain, rng)
+    _, blocks = rows.expand()
+    damping = 1 + max(0.0, -least_eigenvalue(chain, reduced(chain, rows, point, blocks)))
+    assert rows.newton(blocks, 0.3, damping) is not None
+
+    def gradient(x):
+        at = chain.slopes(x)
+        return at.gradient + chain.transposed(at.jacobian, point.at_upper - point.at_lower)
+
+    jacobian = central(lambda x: chain.evaluate(x)[1], point.x)
+    sigma = point.at_lower / (point.slack - rows.low) + point.at_upper / (rows.high - point.slack)
+    matrix = central(gradient, point.x) + jacobian.T @ (sigma[:, None] * jacobian) + damping * np.eye(point.x.size)
+    assert_close(factored(rows), np.where(np.outer(chain.free, chain.free), matrix, np.diag(~chain.free)), 1e-6)
 
 
 def test_the_band_is_as_wide_as_the_links_reach():
     for orders, width in (((1,), 3), ((2,), 6), ((1, 2), 6)):
         chain = chain_of(np.random.default_rng(0), orders, frames=6, n=3)
+        assert Rows(chain)._band.shape == (18, width + 1)
+
+
+@pytest.mark.parametrize("picks", [(3, 0), (2, 5, 4)])
+def test_the_band_is_as_wide_as_whole_frames_that_links_reach_through_constraints(picks):
+    for orders, width in (((1,), 5), ((2,), 8), ((1, 2), 8)):
+        chain = chain_of(np.random.default_rng(0), orders, frames=6, n=3, picks=picks)
         assert Rows(chain)._band.shape == (18, width + 1)
 
 
@@ -329,7 +370,7 @@ def test_the_measures_of_a_point_are_those_of_the_chain_in_numpy(chain, seed):
     rows, point = placed(chain, np.random.default_rng(seed))
     found, blocks = rows.expand()
     slopes, multipliers = chain.slopes(point.x), point.at_upper - point.at_lower
-    lagrangian = slopes.gradient + whole_jacobian(chain, point.x).T @ multipliers
+    lagrangian = slopes.gradient + whole_jacobian(chain, slopes.jacobian).T @ multipliers
     products = point.at_lower * (point.slack - rows.low), point.at_upper * (rows.high - point.slack)
     expected = (
         slopes.objective,

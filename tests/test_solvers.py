@@ -438,7 +438,9 @@ def test_between_linear_rows_no_solution_is_worse_than_a_feasible_start(seed, wr
     values = np.array([at(x, p)[1].full().ravel() for x in starts])
     inside = starts[((values >= low) & (values <= high)).all(axis=1)]
     assume(len(inside))
-    warm = Solution(inside[0], 0, 0, True, "", 0, wrong * rng.normal(size=4), wrong * rng.normal(size=2))
+    warm = Solution(
+        inside[0], 0, 0, True, "", 0, wrong * rng.normal(size=4), wrong * rng.normal(size=2), inside[0]
+    )
     solution = solve(inside[0], p, warm=warm)
     assert_kkt_point(nlp, solution, p)
     assert "IPOPT" not in solution.status
@@ -499,7 +501,9 @@ def test_what_the_fallback_finds_is_handed_on_as_it_is(monkeypatch, success):
     def fallback(nlp):
         def solve(*arguments):
             asked.append(arguments)
-            return Solution(np.full(2, 7.0), 5.0, 0.25, success, "Claimed", 40, np.ones(2), np.ones(1))
+            return Solution(
+                np.full(2, 7.0), 5.0, 0.25, success, "Claimed", 40, np.ones(2), np.ones(1), np.full(2, 7.0)
+            )
 
         return solve
 

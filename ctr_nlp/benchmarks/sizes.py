@@ -27,7 +27,7 @@ def sizes() -> Iterator[Record]:
 
 
 def _measured(robot: Robot, stride: int, which: str) -> Iterator[Record]:
-    nlp = alone(robot, stride)
+    nlp = alone(robot, stride=stride)
     begin = time.perf_counter()
     program = Program(nlp)
     built = time.perf_counter() - begin

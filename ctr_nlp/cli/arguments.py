@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.errors import OptionError
+from ctr_nlp.models import MODELS
 from ctr_nlp.settings import Settings
 from ctr_nlp.solvers.cache import SWITCH
 
@@ -25,6 +26,36 @@ def add_problem_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--duration", metavar="S", type=float, default=10.0, help="of the motion, in seconds (default 10)"
     )
+
+
+def add_model_options(parser: argparse.ArgumentParser) -> None:
+    """The model to plan on, and the one that errors are taken on."""
+    parser.add_argument("--model", choices=MODELS, default="dominant", help="(default dominant)")
+    parser.add_argument(
+        "--evaluate",
+        choices=MODELS,
+        help="model on which the plan's shapes are found (default: the one planned on)",
+    )
+
+
+def add_stability_option(parser: argparse.ArgumentParser) -> None:
+    """How stable configurations of the elastic model must be."""
+    margin = Settings().stability_margin
+    parser.add_argument(
+        "--stability-margin",
+        metavar="MU",
+        type=_margin,
+        default=margin,
+        help="least margin of every configuration on the elastic model, from 0 (snap) to 1 (no tube acts on "
+        f"another); none: any (default {margin:g})",
+    )
+
+
+def _margin(text: str) -> float | None:
+    try:
+        return None if text == "none" else float(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a number nor none") from error
 
 
 def add_compile_option(parser: argparse.ArgumentParser) -> None:
@@ -58,6 +89,7 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
 def add_settings(parser: argparse.ArgumentParser) -> None:
     """The numbers of Settings."""
     defaults = Settings()
+    add_stability_option(parser)
     group = parser.add_argument_group("weights and widths")
     group.add_argument(
         "--motion-weight",
@@ -80,7 +112,7 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
 
 def settings_from(arguments: argparse.Namespace) -> Settings:
     """The Settings that add_settings' arguments stand for; raises OptionError."""
-    return Settings(arguments.motion_weight, arguments.jump_width, arguments.seed)
+    return Settings(arguments.motion_weight, arguments.jump_width, arguments.seed, arguments.stability_margin)
 
 
 def whole(text: str) -> int:

@@ -21,7 +21,8 @@ from ctr_nlp.cli.console import (
     shown,
 )
 from ctr_nlp.cli.output import check_folder, whole_folder
-from ctr_nlp.reference.published import BASELINE, SEED
+from ctr_nlp.models import MODELS
+from ctr_nlp.reference.published import BASELINE, BASELINE_ELASTIC, SEED, SEED_ELASTIC
 from ctr_nlp.study import VARIANTS, Comparison, compare, parse_variant, variants_here
 
 COLUMNS = {
@@ -37,6 +38,10 @@ COLUMNS = {
     "seed s": ("seed_t_s",),
     "build s": ("build_s",),
     "failed": ("failed",),
+    "on dominant e3, e4": ("dominant_e3", "dominant_e4"),
+    "on elastic e3, e4": ("elastic_e3", "elastic_e4"),
+    "stability": ("stability_between",),
+    "snaps": ("snaps",),
 }
 """Columns of the printed table and of Markdown, and the keys of a row that each shows."""
 
@@ -125,7 +130,10 @@ def _write(found: Comparison, folder: Path) -> None:
         writer.writeheader()
         writer.writerows(rows)
     details = [["problem", *COLUMNS], *([row["problem"], *_cells(row)] for row in rows)]
-    markdown = f"e3 in mm:\n\n{_markdown(_overview(rows))}\nEverything:\n\n{_markdown(details)}"
+    halves = "".join(
+        f"e3 in mm on the {model} model:\n\n{_markdown(_overview(rows, model))}\n" for model in MODELS
+    )
+    markdown = f"{halves}Everything:\n\n{_markdown(details)}"
     if found.agreements:
         markdown += (
             f"\nWhether solvers of the horizon agree:\n\n{_markdown([list(AGREEMENT), *_agreements(found)])}"
@@ -133,16 +141,24 @@ def _write(found: Comparison, folder: Path) -> None:
     (folder / "comparison.md").write_text(markdown, encoding="utf-8")
 
 
-def _overview(rows: list[dict[str, Any]]) -> list[list[str]]:
-    """A row a problem, a column a variant: e3 in mm, with a star where frames failed; the seed's figures last."""
+def _overview(rows: list[dict[str, Any]], model: str) -> list[list[str]]:
+    """A row a problem, a column a variant: e3 in mm on a model; the seed's figures last.
+
+    A star: frames failed; an exclamation mark: the robot snaps.
+    """
+    figures = (SEED, BASELINE) if model == "dominant" else (SEED_ELASTIC, BASELINE_ELASTIC)
     variants = list(dict.fromkeys(row["variant"] for row in rows))
     table = [["problem", *(f"`{variant}`" for variant in variants), "seed, published", "its baseline, published"]]
     for problem in dict.fromkeys(row["problem"] for row in rows):
         found = {row["variant"]: row for row in rows if row["problem"] == problem}
-        cells = [shown(found[v]["e3"]) + "*" * (found[v]["failed"] > 0) if v in found else "" for v in variants]
-        published = (shown(figures[problem][0]) if problem in figures else "" for figures in (SEED, BASELINE))
+        cells = [_cell(found[v], model) if v in found else "" for v in variants]
+        published = (shown(each[problem][0]) if problem in each else "" for each in figures)
         table.append([problem, *cells, *published])
     return table
+
+
+def _cell(row: dict[str, Any], model: str) -> str:
+    return shown(row[f"{model}_e3"]) + "*" * (row["failed"] > 0) + "!" * (model == "elastic" and row["snaps"] > 0)
 
 
 def _markdown(table: list[list[str]]) -> str:

@@ -38,7 +38,11 @@ def _write_table(path: Path, columns: Mapping[str, Sequence[Any]]) -> None:
 def print_report(plan: Plan, out: Path) -> None:
     """The numbers of a plan, what is wrong with it, and where it was written."""
     found = summary(plan)
-    how = [found["formulation"], "on", found["solver"]] + [found["direction"]] * (found["direction"] is not None)
+    on = [] if found["evaluated"] == "dominant" == found["model"] else [found["model"]]
+    seen = [] if found["evaluated"] == found["model"] else [f"evaluated on {found['evaluated']}"]
+    how = [found["formulation"], *on, "by", found["solver"], *seen] + [found["direction"]] * (
+        found["direction"] is not None
+    )
     print_table(
         f"{found['problem']}, {' '.join(how)}",
         ("", "value", "unit"),
@@ -53,6 +57,7 @@ def print_report(plan: Plan, out: Path) -> None:
                 " / ".join(map(shown, found["max_step"].values())),
                 "rad / mm / rad",
             ),
+            *_stability(found),
             *_effort(found),
             ("frames, and of these not solved", f"{found['frames']} / {found['failed']}", ""),
         ],
@@ -62,6 +67,14 @@ def print_report(plan: Plan, out: Path) -> None:
     if found["acceleration_used"] > 1:
         console().print(
             f"the motion needs {found['acceleration_used']:.1f} times the acceleration that limits allow"
+        )
+    if found["stability_binds"]:
+        parts = ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in found["stability_binds"])
+        console().print(f"stability (margin {plan.meta['options']['stability_margin']:g}) limits frames {parts}")
+    for snap in found["snaps"]:
+        tubes = ", ".join(map(str, snap["tubes"]))
+        console().print(
+            f"snap on the way to frame {snap['frame']}: tips of tubes {tubes} turn by {snap['jump']:.2f} rad"
         )
     reasons = list(plan.meta["failures"].items())
     for frame, why in reasons[:MOST_REASONS]:
@@ -73,6 +86,14 @@ def print_report(plan: Plan, out: Path) -> None:
     console().print(
         f"wrote {out}: {', '.join(sorted(path.name for path in out.iterdir() if path.name[0] != '.'))}"
     )
+
+
+def _stability(found: dict[str, Any]) -> list[tuple[str, Any, str]]:
+    """The least margins, where the model has any."""
+    if found["stability_min"] is None:
+        return []
+    margins = f"{found['stability_min']:.3f} / {found['stability_between_min']:.3f}"
+    return [("least stability margin, at and between frames", margins, "")]
 
 
 def _effort(found: dict[str, Any]) -> list[tuple[str, Any, str]]:

@@ -7,11 +7,18 @@ from dataclasses import replace
 from pathlib import Path
 
 from ctr_nlp.cli import problems
-from ctr_nlp.cli.arguments import add_compile_option, add_file_options, add_problem_options, read_start, whole
+from ctr_nlp.cli.arguments import (
+    add_compile_option,
+    add_file_options,
+    add_model_options,
+    add_problem_options,
+    add_stability_option,
+    read_start,
+    whole,
+)
 from ctr_nlp.cli.console import guarded, progress_bar
 from ctr_nlp.cli.output import check_folder, whole_folder
 from ctr_nlp.cli.report import exit_status, print_front, print_report, write, write_front
-from ctr_nlp.models import MODELS
 from ctr_nlp.plan import Plan
 from ctr_nlp.problem import Problem
 from ctr_nlp.settings import Settings, check_motion_weight
@@ -36,7 +43,8 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
         "problem", metavar="PROBLEM", help=f"{', '.join(problems.names(folder))}, or a centreline file"
     )
     add_problem_options(parser)
-    parser.add_argument("--model", choices=MODELS, default="dominant", help="(default dominant)")
+    add_model_options(parser)
+    add_stability_option(parser)
     parser.add_argument("--solver", choices=CHAIN_SOLVERS, help="(default banded where there is a C compiler)")
     add_compile_option(parser)
     parser.add_argument("--out", metavar="DIR", help="(default runs/PROBLEM-horizon-MODEL)")
@@ -91,14 +99,14 @@ def _add_search(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(folder: Path, arguments: argparse.Namespace) -> int:
-    settings = Settings(seed=arguments.seed)
+    settings = Settings(seed=arguments.seed, stability_margin=arguments.stability_margin)
     for weight in arguments.sweep_motion_weight or ():
         check_motion_weight(weight)
     problem = _problem(folder, arguments)
     start, end = (None if path is None else read_start(path) for path in (arguments.start, arguments.end))
     out = Path(arguments.out or f"runs/{problem.name}-horizon-{arguments.model}")
     check_folder(out)
-    horizon = Horizon(problem, arguments.model, arguments.solver, start, end)
+    horizon = Horizon(problem, arguments.model, arguments.solver, start, end, settings.stability_margin)
     initial = [Plan.load(path).q for path in arguments.initial]
     with progress_bar() as labelled:
         plan = horizon.solve(
@@ -112,6 +120,8 @@ def _run(folder: Path, arguments: argparse.Namespace) -> int:
         points: list[Point] = []
         if arguments.sweep_motion_weight is not None:
             points = trade_off(horizon, plan, arguments.sweep_motion_weight or WEIGHTS, settings, labelled)
+    if arguments.evaluate is not None:
+        plan = plan.on(arguments.evaluate)
     with whole_folder(out) as staging:
         write(plan, staging)
         if points:

@@ -10,6 +10,7 @@ from ctr_nlp.cli import problems
 from ctr_nlp.cli.arguments import (
     add_compile_option,
     add_file_options,
+    add_model_options,
     add_problem_options,
     add_settings,
     read_start,
@@ -19,7 +20,6 @@ from ctr_nlp.cli.console import guarded, progress_bar
 from ctr_nlp.cli.output import check_folder, whole_folder
 from ctr_nlp.cli.report import exit_status, print_report, write
 from ctr_nlp.formulations import FORMULATIONS
-from ctr_nlp.models import MODELS
 from ctr_nlp.solvers import SOLVERS
 from ctr_nlp.steer import DIRECTIONS, march
 from ctr_nlp.steer.nlp_frames import NlpFrames
@@ -42,7 +42,7 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
     )
     add_problem_options(parser)
     parser.add_argument("--formulation", choices=FORMULATIONS, default="joint", help="(default joint)")
-    parser.add_argument("--model", choices=MODELS, default="dominant", help="(default dominant)")
+    add_model_options(parser)
     parser.add_argument("--solver", choices=SOLVERS, help="(default sqp where there is a C compiler)")
     parser.add_argument(
         "--direction", choices=DIRECTIONS, default="best", help="order in which frames are solved (default best)"
@@ -67,6 +67,8 @@ def _run(folder: Path, arguments: argparse.Namespace) -> int:
     solver = NlpFrames(problem, arguments.formulation, arguments.solver, arguments.model, settings)
     with progress_bar() as labelled:
         plan = march(problem, solver, arguments.direction, start, labelled(problem.name))
+    if arguments.evaluate is not None:
+        plan = plan.on(arguments.evaluate)
     with whole_folder(out) as staging:
         write(plan, staging)
     print_report(plan, out)

@@ -8,7 +8,7 @@ from ctr_nlp.formulations.two_stage import two_stage, two_stage_exact
 from ctr_nlp.robot import Robot
 from ctr_nlp.settings import Settings
 
-FORMULATIONS: dict[str, Callable[[Robot, Settings], tuple[Stage, ...]]] = {
+FORMULATIONS: dict[str, Callable[[Robot, Settings, str], tuple[Stage, ...]]] = {
     "joint": joint,
     "two-stage": two_stage,
     "two-stage-exact": two_stage_exact,

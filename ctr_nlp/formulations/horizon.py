@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.chain import Chain
-from ctr_nlp.formulations.joint import alone, target_of
+from ctr_nlp.formulations.joint import alone, target_of, tip_steps
 from ctr_nlp.links import Link, differences
 from ctr_nlp.nlp import FrameFunctions, Nlp
 from ctr_nlp.robot import Robot
 from ctr_nlp.target import Frame
+from ctr_nlp.tracking import settled
 
 Array = npt.NDArray[np.float64]
 
@@ -36,44 +37,70 @@ def horizon(
     motion_weight: float,
     ends: Ends,
     functions: Callable[[Nlp], FrameFunctions] = lambda nlp: nlp.functions,
+    model: str = "dominant",
+    margin: float | None = None,
 ) -> Chain:
     """The motion through frames, dt s apart, as a chain; functions: how a frame is evaluated.
 
     The objective is J / dt = sum_j shape_j + lambda sum_j |W (q_{j+1} - q_j)|^2 / dt^2 in mm^2, with shape_j the
-    distance (8) of frame j and lambda = motion_weight in s^2.
+    distance (8) of frame j and lambda = motion_weight in s^2. margin: least stability margin on the elastic model.
     """
-    frame = alone(robot)
-    columns = [frame.pack(target_of(at)) for at in frames]
-    lower, upper = (np.tile(bound, (len(frames), 1)) for bound in (robot.lower, robot.upper))
+    margin = margin if model == "elastic" else None
+    frame = alone(robot, model, margin is not None)
+    columns = [frame.pack(target_of(at, margin)) for at in frames]
+    lower, upper = (np.tile(bound, (len(frames), 1)) for bound in (frame.lower, frame.upper))
+    tips = tip_steps(robot, dt) if model == "elastic" else np.zeros(0)
+    rest = [None if q is None or not len(tips) else settled(robot, q) for q in (ends.start, ends.end)]
     if ends.end is not None:
-        lower[-1] = upper[-1] = ends.end
-    links = _links(robot, len(frames), dt, motion_weight, ends)
+        lower[-1] = upper[-1] = ends.end if rest[1] is None else rest[1]
+    before, after = (
+        [] if q is None else [q if x is None else np.append(q, x[: robot.d])]
+        for q, x in zip((ends.start, ends.end), rest, strict=True)
+    )
     return Chain(
         frame,
-        robot.axes,
-        robot.mm_per_unit,
+        (*robot.axes, *(f"phi_{i + 1}" for i in range(len(tips)))),
+        np.append(robot.mm_per_unit, robot.mm_per_unit[: len(tips)]),
         np.column_stack(columns),
         lower,
         upper,
-        links,
+        _links(robot, len(frames), dt, motion_weight, before, after, tips),
         functions(frame),
     )
 
 
-def _links(robot: Robot, frames: int, dt: float, motion_weight: float, ends: Ends) -> tuple[Link, ...]:
-    """The steps from frame to frame, with their cost (9) and limits; the steps' steps, where those are limited."""
-    before = [] if ends.start is None else [ends.start]
-    after = [] if ends.end is None else [ends.end]
-    cost = motion_weight * robot.mm_per_unit**2 / dt**2
-    links = [_link("speed", frames, 1, (before, []), robot.speed * dt, cost)]
+def with_margins(chain: Chain, margins: Array) -> Chain:
+    """The same chain with a least stability margin (T,) for every frame."""
+    names = [name for name, symbol in chain.frame.parameters.items() for _ in range(symbol.numel())]
+    parameters = chain.parameters.copy()
+    parameters[names.index("margin")] = margins
+    return replace(chain, parameters=parameters)
+
+
+def _links(
+    robot: Robot,
+    frames: int,
+    dt: float,
+    motion_weight: float,
+    before: list[Array],
+    after: list[Array],
+    tips: Array,
+) -> tuple[Link, ...]:
+    """The steps from frame to frame, with their cost (9) and limits; the steps' steps, where those are limited.
+
+    before, after: where the robot stands at given ends, with its tips where these have limits of their own, tips.
+    """
+    cost = np.append(motion_weight * robot.mm_per_unit**2 / dt**2, 0 * tips)
+    links = [_link("speed", frames, 1, (before, []), np.append(robot.speed * dt, tips), cost)]
     if np.isfinite(robot.acceleration).any():
-        links.append(_link("acceleration", frames, 2, (before * 2, after), robot.acceleration * dt**2, 0 * cost))
+        most = np.append(robot.acceleration * dt**2, np.full(len(tips), np.inf))
+        links.append(_link("acceleration", frames, 2, (before * 2, after), most, 0 * cost))
     return tuple(links)
 
 
 def _link(
     name: str, frames: int, order: int, known: tuple[list[Array], list[Array]], most: Array, cost: Array
 ) -> Link:
-    """Differences of q within +-most (2d + 2,), at a cost (2d + 2,) per squared unit."""
+    """Differences of the configuration (k,) within +-most (k,), at a cost (k,) per squared unit."""
     matrix, offset, frame, axis = differences(frames, order, *known, len(most))
     return Link(name, matrix, offset, -most[axis], most[axis], cost[axis], frame, axis)

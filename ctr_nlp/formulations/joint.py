@@ -2,66 +2,81 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from ctr_nlp import terms
 from ctr_nlp.formulations.stage import Stage
-from ctr_nlp.models import dominant
-from ctr_nlp.nlp import Inner, Nlp
+from ctr_nlp.models import MODELS
+from ctr_nlp.nlp import Nlp
 from ctr_nlp.robot import Robot
 from ctr_nlp.settings import Settings
 from ctr_nlp.target import SIGMA, Frame
+from ctr_nlp.tracking import settled, untwisted
+
+Array = npt.NDArray[np.float64]
 
 STRIDE = 5
 """Every STRIDE-th of the target's 101 samples enters the NLP, 21 in all."""
+TIP_STEP, TIP_SPEED = 0.5, 2.0
+"""On the elastic model tips may turn by the first, rad, from frame to frame, or by this times what motors may."""
 
 
-def alone(robot: Robot, stride: int = STRIDE) -> Nlp:
-    """One frame without neighbours: q with its bounds and order, and the distance (8) to the target.
+def alone(robot: Robot, model: str = "dominant", stable: bool = False, stride: int = STRIDE) -> Nlp:
+    """One frame without neighbours: its unknowns with all limits, and the distance (8) to the target.
 
-    stride: every so many-th of the target's samples is used.
+    stable: with the least stability margin on the elastic model as a parameter, margin. stride: every so many-th
+    of the target's samples is used.
     """
     sigma = SIGMA[::stride]
     weights = np.full(len(sigma), 1 / (len(sigma) - 1))
     weights[[0, -1]] /= 2
-    q, target = ca.SX.sym("q", 2 * robot.d + 2), ca.SX.sym("target", len(sigma), 3)
-    entries = ca.vertsplit(q)
-    beta = entries[robot.d : 2 * robot.d]
-    travelled = [ca.horzcat(side, along) for side, along, _ in dominant.arms(robot, beta, ca.DM(sigma), ca)]
-    planes = [ca.horzcat(ca.vertcat(*bend), ca.vertcat(*t)) for bend, t in dominant.directions(robot, entries, ca)]
-    inner = Inner.of(travelled + planes)
-    arms = (ca.horzsplit(symbol) for symbol in inner.symbols[: robot.d])
-    bends = ([ca.vertsplit(vector) for vector in ca.horzsplit(symbol)] for symbol in inner.symbols[robot.d :])
-    points = dominant.points(list(arms), list(bends))
+    parameters = {"target": ca.SX.sym("target", len(sigma), 3)}
+    if stable:
+        parameters["margin"] = ca.SX.sym("margin")
+    shape = MODELS[model](robot, sigma, parameters.get("margin"))
+    motors = () if shape.picks is None else (terms.motors(robot, shape.alpha),)
     return Nlp(
         "frame",
-        q,
-        robot.lower,
-        robot.upper,
-        {"target": target},
-        residuals=(terms.shape(points, target, ca.DM(weights)),),
-        constraints=terms.order(robot, beta),
-        inner=inner,
+        shape.x,
+        shape.lower,
+        shape.upper,
+        parameters,
+        residuals=(terms.shape(shape.points, shape.seen(parameters["target"]), ca.DM(weights)),),
+        constraints=(*motors, *map(terms.stability, shape.stability), *terms.order(robot, shape.beta)),
+        inner=shape.inner,
+        picks=shape.picks,
     )
 
 
-def target_of(frame: Frame) -> dict[str, Any]:
-    """The parameters of `alone` for a frame."""
-    return {"target": frame.points[::STRIDE]}
+def tip_steps(robot: Robot, dt: float) -> Array:
+    """What tips (d,) may turn by in a frame of dt s, rad: more than motors, and less than where a robot snaps."""
+    return np.maximum(TIP_STEP, TIP_SPEED * robot.speed[: robot.d] * dt)
 
 
-def joint(robot: Robot, settings: Settings) -> tuple[Stage, ...]:
-    """One stage that decides q itself, so that bounds and step limits are bounds of the NLP."""
-    frame = alone(robot)
-    previous, root = ca.SX.sym("previous", frame.x.numel()), ca.SX.sym("motion_root")
+def target_of(frame: Frame, margin: float | None = None) -> dict[str, Any]:
+    """The parameters of `alone` for a frame; margin where it is stable."""
+    return {"target": frame.points[::STRIDE]} | ({} if margin is None else {"margin": margin})
+
+
+def joint(robot: Robot, settings: Settings, model: str = "dominant") -> tuple[Stage, ...]:
+    """One stage that decides all of q, so that bounds and step limits are bounds of the NLP."""
+    margin = settings.stability_margin if model == "elastic" else None
+    frame = alone(robot, model, margin is not None)
+    previous, root = ca.SX.sym("previous", len(robot.axes)), ca.SX.sym("motion_root")
     nlp = replace(
         frame,
         name="joint",
         parameters={**frame.parameters, "previous": previous, "motion_root": root},
-        residuals=(*frame.residuals, terms.motion(frame.x, previous, robot.mm_per_unit, root)),
+        residuals=(*frame.residuals, terms.motion(frame.q[: len(robot.axes)], previous, robot.mm_per_unit, root)),
     )
-    return (Stage(nlp, np.arange(nlp.x.numel()), lambda at, q: target_of(at)),)
+    stage = Stage(nlp, np.arange(len(robot.axes)), lambda at, q: target_of(at, margin))
+    if model == "elastic":
+        rest, guess = (functools.partial(start, robot) for start in (settled, untwisted))
+        stage = replace(stage, rest=rest, guess=guess)
+    return (stage,)

@@ -22,9 +22,13 @@ class Stage:
     decides: indices into q, in the order of the Nlp's x. parameters: (frame, q) -> values by name, except
     `previous` (the decided entries one frame before) and `motion_root` (sqrt(lambda) / dt), which every stage
     has. schedule: values of further parameters, solved for one after the other, each from the last solution.
+    rest: the Nlp's x of a robot that stands where the decided entries say; guess: roughly that, where rest takes
+    time.
     """
 
     nlp: Nlp
     decides: npt.NDArray[np.int_]
     parameters: Callable[[Frame, Array], Mapping[str, Any]]
     schedule: tuple[Mapping[str, float], ...] = ({},)
+    rest: Callable[[Array], Array] = np.copy
+    guess: Callable[[Array], Array] | None = None

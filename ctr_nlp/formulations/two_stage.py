@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp import terms
+from ctr_nlp.errors import OptionError
 from ctr_nlp.formulations.stage import Stage
 from ctr_nlp.models import dominant
 from ctr_nlp.nlp import Nlp
@@ -25,14 +26,23 @@ LENGTH_WEIGHT = 100.0
 """Weight of (beta_d - length)^2 in stage one: eq. (11) does not see how far the robot is out."""
 
 
-def two_stage(robot: Robot, settings: Settings) -> tuple[Stage, ...]:
+def two_stage(robot: Robot, settings: Settings, model: str = "dominant") -> tuple[Stage, ...]:
     """Extension with smoothed jumps of curvature, tightened to settings.jump_width; then rotation."""
+    _check_model(model)
     return _extension(robot, tuple(factor * settings.jump_width for factor in TIGHTENING)), _rotation(robot)
 
 
-def two_stage_exact(robot: Robot, settings: Settings) -> tuple[Stage, ...]:
+def two_stage_exact(robot: Robot, settings: Settings, model: str = "dominant") -> tuple[Stage, ...]:
     """Extension with the integral (11) itself, through the target's cumulative integrals; then rotation."""
+    _check_model(model)
     return _extension(robot, None), _rotation(robot)
+
+
+def _check_model(model: str) -> None:
+    if model != "dominant":
+        raise OptionError(
+            f"model is {model!r}; two-stage formulations need 'dominant', where alpha does not change curvatures"
+        )
 
 
 def _extension(robot: Robot, widths: tuple[float, ...] | None) -> Stage:
@@ -84,6 +94,7 @@ def _rotation(robot: Robot) -> Stage:
     entries = ca.vertsplit(ca.vertcat(x[:d], beta, x[d:]))
     sigma, quadrature = _samples(ca.vertsplit(beta), ca)
     points = dominant.backbone(robot, entries, ca.vertcat(*sigma), ca).points
+    x_target, y_target, z_target = ca.horzsplit(target)
     nlp = Nlp(
         "rotation",
         x,
@@ -91,7 +102,7 @@ def _rotation(robot: Robot) -> Stage:
         robot.upper[decides],
         {"beta": beta, "target": target, "previous": previous, "motion_root": root},
         residuals=(
-            terms.shape(points, target, ca.vertcat(*quadrature)),
+            terms.shape(points, (x_target, y_target, z_target), ca.vertcat(*quadrature)),
             terms.motion(x, previous, robot.mm_per_unit[decides], root),
         ),
     )

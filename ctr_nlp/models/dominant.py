@@ -60,7 +60,7 @@ def arms(robot: Robot, beta: Sequence[Any], sigma: Any, xp: Any) -> list[Arm]:
     s, start, before, travelled = sigma * beta[-1], 0 * beta[0], 0 * beta[0], []
     for i in range(robot.d):
         here = xp.fmin(s, beta[i])
-        travelled.append(_planar(robot, i, beta[i] - start, beta[i] - start - (here - before), xp))
+        travelled.append(_travel(robot, i, beta[i] - start, beta[i] - start - (here - before), xp))
         start, before = beta[i], here
     return travelled
 
@@ -68,64 +68,71 @@ def arms(robot: Robot, beta: Sequence[Any], sigma: Any, xp: Any) -> list[Arm]:
 def directions(robot: Robot, q: Sequence[Any], xp: Any) -> list[tuple[Vector, Vector]]:
     """Where every tube bends to, and the tangent, at the beginning of its segment."""
     alpha, beta, (theta_x, theta_y) = q[: robot.d], q[robot.d : 2 * robot.d], q[2 * robot.d :]
-    d1, d2, t = _base_frame(theta_x, theta_y, xp)
+    d1, d2, t = base_frame(theta_x, theta_y, xp)
     start, planes = 0 * beta[0], []
     for i in range(robot.d):
         cos, sin = xp.cos(alpha[i]), xp.sin(alpha[i])
-        bend, normal = _sum(cos, d1, sin, d2), _sum(-sin, d1, cos, d2)
+        bend, normal = combined(cos, d1, sin, d2), combined(-sin, d1, cos, d2)
         planes.append((bend, t))
-        angle = _planar(robot, i, beta[i] - start, 0 * start, xp).angle
+        angle = _travel(robot, i, beta[i] - start, 0 * start, xp).angle
         c, z = xp.cos(angle), xp.sin(angle)
-        turned, t = _sum(c, bend, -z, t), _sum(z, bend, c, t)
-        d1, d2 = _sum(cos, turned, -sin, normal), _sum(sin, turned, cos, normal)
+        turned, t = combined(c, bend, -z, t), combined(z, bend, c, t)
+        d1, d2 = combined(cos, turned, -sin, normal), combined(sin, turned, cos, normal)
         start = beta[i]
     return planes
 
 
-def _shows_transmission(robot: Robot, i: int) -> bool:
+def shows_transmission(robot: Robot, i: int) -> bool:
     """Whether tube i can be pushed out so far that its straight part shows."""
     return bool(robot.upper[robot.d + i] > robot.tubes[i].curved_length)
 
 
-def _planar(robot: Robot, i: int, x_from: Any, x_to: Any, xp: Any) -> Arm:
+def _travel(robot: Robot, i: int, x_from: Any, x_to: Any, xp: Any) -> Arm:
     """Travel on tube i between distances from its tip."""
-    tube, lead = robot.tubes[i], 0.0
-    if _shows_transmission(robot, i):
-        end = tube.curved_length
-        lead = xp.fmax(x_from, end) - xp.fmax(x_to, end)
-        x_from, x_to = xp.fmin(x_from, end), xp.fmin(x_to, end)
+    tube = robot.tubes[i]
+    if not shows_transmission(robot, i):
+        return planar(tube, x_from, x_to, xp)
+    end = tube.curved_length
+    lead = xp.fmax(x_from, end) - xp.fmax(x_to, end)
+    side, along, angle = planar(tube, xp.fmin(x_from, end), xp.fmin(x_to, end), xp)
+    return Arm(side, lead + along, angle)
+
+
+def planar(tube: Tube, x_from: Any, x_to: Any, xp: Any) -> Arm:
+    """Travel on the curved part of a tube between distances from its tip."""
     length = x_from - x_to
     if tube.root_curvature == tube.tip_curvature == 0:
-        return Arm(0 * length, lead + length, 0 * length)
+        return Arm(0 * length, length, 0 * length)
     if tube.root_curvature == tube.tip_curvature:
         k = tube.tip_curvature
         sin, cos = xp.sin(k / 2 * length), xp.cos(k / 2 * length)
-        return Arm(2 / k * sin * sin, lead + 2 / k * sin * cos, k * length)
+        return Arm(2 / k * sin * sin, 2 / k * sin * cos, k * length)
     angle_from = _turning(tube, x_from)
     side = along = 0.0
     for node, weight in zip((_NODES + 1) / 2, _WEIGHTS / 2, strict=True):
         angle = angle_from - _turning(tube, x_from - node * length)
         side, along = side + weight * xp.sin(angle), along + weight * xp.cos(angle)
-    return Arm(side * length, lead + along * length, angle_from - _turning(tube, x_to))
+    return Arm(side * length, along * length, angle_from - _turning(tube, x_to))
 
 
 def _turning(tube: Tube, x: Any) -> Any:
     """Integral of the curvature over the last x mm of a tube's curved part, rad."""
-    return tube.tip_curvature * x + _slope(tube) * x**2 / 2
+    return tube.tip_curvature * x + slope(tube) * x**2 / 2
 
 
-def _base_frame(theta_x: Any, theta_y: Any, xp: Any) -> tuple[Vector, Vector, Vector]:
+def base_frame(theta_x: Any, theta_y: Any, xp: Any) -> tuple[Vector, Vector, Vector]:
     """The columns of R = Ry(theta_y) Rx(theta_x), eq. (4)."""
     cx, sx, cy, sy = xp.cos(theta_x), xp.sin(theta_x), xp.cos(theta_y), xp.sin(theta_y)
     return (cy, 0.0, -sy), (sy * sx, cx, cy * sx), (sy * cx, -sx, cy * cx)
 
 
-def _sum(a: Any, u: Vector, b: Any, v: Vector) -> Vector:
+def combined(a: Any, u: Vector, b: Any, v: Vector) -> Vector:
+    """A u + b v."""
     return a * u[0] + b * v[0], a * u[1] + b * v[1], a * u[2] + b * v[2]
 
 
 def _plus(start: Vector, a: Any, u: Vector, b: Any, v: Vector) -> Vector:
-    change = _sum(a, u, b, v)
+    change = combined(a, u, b, v)
     return start[0] + change[0], start[1] + change[1], start[2] + change[2]
 
 
@@ -141,17 +148,17 @@ def curvature(robot: Robot, beta: Sequence[Any], s: Any, step: Any, xp: Any) -> 
 def _profile(robot: Robot, i: int, x: Any, step: Any, xp: Any) -> Any:
     """Pre-curvature of tube i at x mm from its tip, 1/mm."""
     tube = robot.tubes[i]
-    value = tube.tip_curvature + _slope(tube) * xp.fmin(xp.fmax(x, 0.0), tube.curved_length)
-    return value * step(tube.curved_length - x) if _shows_transmission(robot, i) else value
+    value = tube.tip_curvature + slope(tube) * xp.fmin(xp.fmax(x, 0.0), tube.curved_length)
+    return value * step(tube.curved_length - x) if shows_transmission(robot, i) else value
 
 
 def curved_part(robot: Robot, i: int, start: Any, end: Any, xp: Any) -> tuple[Any, Any, Any]:
     """Where between start and end (mm) tube i begins to curve, k there (1/mm) and dk/ds (1/mm^2)."""
     tube = robot.tubes[i]
-    low = xp.fmax(start, end - tube.curved_length) if _shows_transmission(robot, i) else start
-    return low, tube.tip_curvature + _slope(tube) * (end - low), -_slope(tube)
+    low = xp.fmax(start, end - tube.curved_length) if shows_transmission(robot, i) else start
+    return low, tube.tip_curvature + slope(tube) * (end - low), -slope(tube)
 
 
-def _slope(tube: Tube) -> float:
+def slope(tube: Tube) -> float:
     """Growth of the pre-curvature from the tip to the root, 1/mm^2."""
     return (tube.root_curvature - tube.tip_curvature) / tube.curved_length if tube.curved_length else 0.0

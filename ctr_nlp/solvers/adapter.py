@@ -26,7 +26,7 @@ class Solution:
 
     x (n,); objective mm^2; kkt: residual computed from the Nlp alone; success: the point is finite, feasible and a
     KKT point, whatever the solver says; status: the solver's own word; lam_x, lam_g: multipliers to warm-start
-    from.
+    from; q: the configuration at x.
     """
 
     x: Array
@@ -37,6 +37,7 @@ class Solution:
     iterations: int
     lam_x: Array
     lam_g: Array
+    q: Array
 
 
 class NlpSolver(ABC):
@@ -58,8 +59,8 @@ class NlpSolver(ABC):
 
         warm: the solution of a neighbouring problem, whose multipliers to start from.
         """
-        low = self.nlp.lower if lower is None else lower
-        return self.solve(x0, p, low, self.nlp.upper if upper is None else upper, warm)
+        low, high = self.nlp.limits
+        return self.solve(x0, p, low if lower is None else lower, high if upper is None else upper, warm)
 
     @abstractmethod
     def solve(self, x0: Array, p: Array, low: Array, high: Array, warm: Solution | None) -> Solution:
@@ -81,19 +82,27 @@ class Ipopt(NlpSolver):
 
     def solve(self, x0: Array, p: Array, low: Array, high: Array, warm: Solution | None) -> Solution:
         """As NlpSolver."""
-        g_low, g_high = self.nlp.g_bounds
-        arguments: dict[str, Any] = {"p": p, "lbx": low, "ubx": high, "lbg": g_low, "ubg": g_high}
+        n, (lower, upper) = len(x0), self.nlp.row_bounds(low, high)
+        arguments: dict[str, Any] = {
+            "p": p,
+            "lbx": lower[:n],
+            "ubx": upper[:n],
+            "lbg": lower[n:],
+            "ubg": upper[n:],
+        }
         if warm is not None:
             arguments |= {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
-        result = self._solve(x0=np.clip(x0, low, high), **arguments)
+        result = self._solve(x0=np.clip(x0, lower[:n], upper[:n]), **arguments)
         status, iterations = outcome(self._solve)
         x, lam_x, lam_g = (result[key].full().ravel() for key in ("x", "lam_x", "lam_g"))
         g = result["g"].full().ravel()
-        violation = np.concatenate([low - x, x - high, g_low - g, g - g_high]).max()
-        x = np.clip(x, low, high)
+        rows = np.concatenate([x, g])
+        violation = np.maximum(lower - rows, rows - upper).max()
+        x = np.clip(x, lower[:n], upper[:n])
         kkt = kkt_residual(self.nlp, x, p, low, high, lam_x, lam_g)
         success = bool(violation <= FEASIBLE) and kkt <= OPTIMAL
-        return Solution(x, float(result["f"]), kkt, success, status, iterations, lam_x, lam_g)
+        q = np.concatenate([x, g])[self.nlp.configuration]
+        return Solution(x, float(result["f"]), kkt, success, status, iterations, lam_x, lam_g, q)
 
 
 def outcome(solve: ca.Function) -> tuple[str, int]:

@@ -3,7 +3,7 @@
 Time and memory are linear in the number of frames. Hessians are exact; where the whole is not positive definite,
 the eigenvalues of each frame's own lose their signs (Dauphin et al., Identifying and attacking the saddle point
 problem, 2014). After Nocedal and Wright, Numerical Optimization (2006), chapter 19, and Waechter and Biegler,
-Math. Program. 106 (2006).
+Math. Program. 106 (2006); where constraints are curved, slacks follow their values along a step.
 """
 
 from __future__ import annotations

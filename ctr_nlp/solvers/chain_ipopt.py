@@ -111,12 +111,9 @@ def _columns(chain: Chain, x: ca.MX) -> ca.MX:
 
 def _values(chain: Chain, x: ca.MX) -> tuple[ca.MX, ca.MX]:
     f, g = _mapped(chain, chain.functions.value, _columns(chain, x), ca.MX(chain.parameters))
-    linked = _linked(chain, x)
+    own = ca.vertcat(x, ca.vec(g))
+    linked = _dm(chain.linking) @ own + ca.DM(chain.offset)
     return ca.sum2(f) + ca.dot(ca.DM(chain.weight), linked**2), ca.vertcat(ca.vec(g), linked)
-
-
-def _linked(chain: Chain, x: ca.MX) -> ca.MX:
-    return _dm(chain.difference) @ x + ca.DM(chain.offset)
 
 
 def _derivatives(chain: Chain) -> dict[str, ca.Function]:
@@ -124,16 +121,19 @@ def _derivatives(chain: Chain) -> dict[str, ca.Function]:
     x, p, lam_f = ca.MX.sym("x", chain.lower.size), ca.MX.sym("p", 0, 0), ca.MX.sym("lam_f")
     lam_g = ca.MX.sym("lam_g", chain.bounds[0].size - chain.lower.size)
     frames, n, m = chain.frames, chain.unknowns, chain.frame.g.numel()
-    matrix, weight = _dm(chain.difference), ca.DM(chain.weight)
-    of_frames = ca.repmat(lam_f, 1, frames), ca.reshape(lam_g[: frames * m], m, frames)
+    weight, end = 2 * ca.DM(chain.weight), frames * m
     f, g = _values(chain, x)
     at = _columns(chain, x), ca.MX(chain.parameters)
     _, gradient, _, jacobian = _mapped(chain, chain.functions.slopes, *at)
-    *_, hessian = _mapped(chain, chain.functions.expansion, *at, *of_frames)
-    gradient = ca.vec(gradient) + 2 * matrix.T @ (weight * _linked(chain, x))
-    jacobian = ca.vertcat(_diagonal(jacobian, m, n, frames), matrix)
-    links = _dm(chain.difference.T @ sp.diags_array(2 * chain.weight) @ chain.difference)
-    hessian = ca.triu(_diagonal(hessian, n, n, frames) + lam_f * links)
+    jacobian = _diagonal(jacobian, m, n, frames)
+    on_x, on_g = ca.horzsplit(_dm(chain.linking), [0, chain.lower.size, chain.linking.shape[1]])
+    links = on_x + on_g @ jacobian if chain.bent else on_x
+    gradient = ca.vec(gradient) + links.T @ (weight * g[end:])
+    pulled = lam_g[:end] + on_g.T @ (lam_g[end:] + lam_f * weight * g[end:])
+    lam = ca.repmat(lam_f, 1, frames), ca.reshape(pulled, m, frames)
+    *_, hessian = _mapped(chain, chain.functions.expansion, *at, *lam)
+    hessian = ca.triu(_diagonal(hessian, n, n, frames) + lam_f * (links.T @ ca.diag(weight) @ links))
+    jacobian = ca.vertcat(jacobian, links)
     return {
         "grad_f": ca.Function("nlp_grad_f", [x, p], [f, gradient], ["x", "p"], ["f", "grad_f_x"]),
         "jac_g": ca.Function("nlp_jac_g", [x, p], [g, jacobian], ["x", "p"], ["g", "jac_g_x"]),

@@ -21,4 +21,6 @@ def judged(chain: Chain, x: Array, multipliers: Array, status: str, iterations: 
     kkt = float(chain.kkt(x, multipliers).max())
     success = chain.violation(value) <= FEASIBLE and kkt <= OPTIMAL
     of_x, of_g = np.split(multipliers, [x.size])
-    return Solution(x, objective, kkt, success, status, iterations, of_x, of_g)
+    return Solution(
+        x, objective, kkt, success, status, iterations, of_x, of_g, chain.configurations(value).ravel()
+    )

@@ -1,6 +1,7 @@
 /* The loops of rows.py over the rows of a chain. Rows: x itself, the frames' constraints, the links.
 
-   Frames' blocks are as CasADi leaves them, column by column; matrices of links are stored by rows. */
+   Frames' blocks are as CasADi leaves them, column by column. The links' matrix is stored by rows; its columns, in
+   order, are the rows before the links, so that links may pass through constraints. */
 
 #include <math.h>
 
@@ -12,13 +13,14 @@ typedef struct {
 
 typedef struct {
     long frames, unknowns, constraints, links, width;
+    long bent, curved;             /* whether links pass through constraints; whether these are not linear */
     const double *lower, *upper;   /* of rows, as given */
     const double *low, *high;      /* of slacks; far away where there is none */
     const double *free;            /* (T n): 1, or 0 where x is fixed */
     const int *starts, *columns;   /* of the links' matrix */
     const double *entries, *offset, *weight;
     const double *gradient, *jacobian; /* of the frames at the point */
-    double *slope, *value;         /* of the whole objective (T n), and of the rows */
+    double *slope, *value;         /* of the whole objective, with room for constraints behind, and of the rows */
     double *band, *right;          /* the Newton system, its lower band column by column, and then its solution */
     double *rows;                  /* room for one number a row */
     double *per_lower, *per_upper; /* of rows: one over the distance of their slack to its bound */
@@ -44,20 +46,28 @@ static void times(const Chain *c, const double *x, double *result) {
         }
     for (long i = 0; i < c->links; ++i, ++row) {
         double sum = 0;
-        for (int e = c->starts[i]; e < c->starts[i + 1]; ++e) sum += c->entries[e] * x[c->columns[e]];
+        for (int e = c->starts[i]; e < c->starts[i + 1]; ++e) sum += c->entries[e] * result[c->columns[e]];
         result[row] = sum;
     }
 }
 
-/* result += the transposed Jacobian of all rows times rows */
-static void add_transposed(const Chain *c, const double *rows, double *result) {
-    long n = c->unknowns, m = c->constraints, of_x = size(c);
-    for (long i = 0; i < of_x; ++i) result[i] += rows[i];
+/* result += the frames' transposed Jacobian times constraints */
+static void add_pulls(const Chain *c, const double *constraints, double *result) {
+    long n = c->unknowns, m = c->constraints;
     for (long k = 0; k < c->frames * n; ++k)
-        for (long i = 0; i < m; ++i) result[k] += c->jacobian[k * m + i] * rows[of_x + k / n * m + i];
-    rows += before_links(c);
+        for (long i = 0; i < m; ++i) result[k] += c->jacobian[k * m + i] * constraints[k / n * m + i];
+}
+
+/* result (T n) += the transposed Jacobian of all rows times rows; it has room for constraints behind */
+static void add_transposed(const Chain *c, const double *rows, double *result) {
+    long of_x = size(c), to_links = before_links(c);
+    for (long i = 0; i < of_x; ++i) result[i] += rows[i];
+    for (long i = of_x; i < to_links; ++i) result[i] = 0;
+    add_pulls(c, rows + of_x, result);
     for (long i = 0; i < c->links; ++i)
-        for (int e = c->starts[i]; e < c->starts[i + 1]; ++e) result[c->columns[e]] += c->entries[e] * rows[i];
+        for (int e = c->starts[i]; e < c->starts[i + 1]; ++e)
+            result[c->columns[e]] += c->entries[e] * rows[to_links + i];
+    if (c->bent) add_pulls(c, result + of_x, result);
 }
 
 /* Values of all rows at x; returns the objective. f, g: of the frames there. */
@@ -69,7 +79,7 @@ static double evaluate(const Chain *c, const double *x, const double *f, const d
     for (long i = of_x; i < to_links; ++i) c->value[i] = g[i - of_x];
     for (long i = 0; i < c->links; ++i) {
         double linked = c->offset[i];
-        for (int e = c->starts[i]; e < c->starts[i + 1]; ++e) linked += c->entries[e] * x[c->columns[e]];
+        for (int e = c->starts[i]; e < c->starts[i + 1]; ++e) linked += c->entries[e] * c->value[c->columns[e]];
         c->value[to_links + i] = linked;
         objective += c->weight[i] * linked * linked;
     }
@@ -84,9 +94,11 @@ void assess(const Chain *c, const double *f, const double *g, double *objective,
     *objective = evaluate(c, at->x, f, g);
     *violation = -INFINITY, *gap = *stationarity = *largest = 0, *smallest = INFINITY;
     for (long i = 0; i < of_x; ++i) c->slope[i] = c->gradient[i];
+    for (long i = of_x; i < to_links; ++i) c->slope[i] = 0;
     for (long i = 0; i < c->links; ++i)
         for (int e = c->starts[i]; e < c->starts[i + 1]; ++e)
             c->slope[c->columns[e]] += c->entries[e] * 2 * c->weight[i] * c->value[to_links + i];
+    if (c->bent) add_pulls(c, c->slope + of_x, c->slope);
     for (long i = 0; i < rows; ++i) {
         double value = c->value[i], slack = at->slack[i];
         double lower = at->at_lower[i] * (slack - c->low[i]), upper = at->at_upper[i] * (c->high[i] - slack);
@@ -100,6 +112,48 @@ void assess(const Chain *c, const double *f, const double *g, double *objective,
     for (long i = 0; i < of_x; ++i) slope[i] = c->slope[i];
     add_transposed(c, c->rows, slope);
     for (long i = 0; i < of_x; ++i) *stationarity = worst(c->free[i] * fabs(slope[i]), *stationarity);
+}
+
+/* The Jacobian of a link that passes through constraints, from the first unknown on that it may reach; returns how
+   many entries it has, at most width + 1. */
+static long through_constraints(const Chain *c, long link, double *row, long *first) {
+    long n = c->unknowns, m = c->constraints, of_x = size(c), end = 0;
+    *first = of_x;
+    for (int e = c->starts[link]; e < c->starts[link + 1]; ++e) {
+        long column = c->columns[e], constraint = column - of_x;
+        long start = constraint < 0 ? column : constraint / m * n, count = constraint < 0 ? 1 : n;
+        if (start < *first) *first = start;
+        if (start + count > end) end = start + count;
+    }
+    for (long i = 0; i < end - *first; ++i) row[i] = 0;
+    for (int e = c->starts[link]; e < c->starts[link + 1]; ++e) {
+        long constraint = c->columns[e] - of_x, start = constraint / m * n;
+        if (constraint < 0)
+            row[c->columns[e] - *first] += c->entries[e];
+        else
+            for (long j = start; j < start + n; ++j)
+                row[j - *first] += c->entries[e] * c->jacobian[j * m + constraint % m];
+    }
+    return end - *first;
+}
+
+/* band += weight times the square of a link's Jacobian */
+static void add_square(const Chain *c, long link, double weight, double *band) {
+    long high = c->width + 1, first, count = c->starts[link + 1] - c->starts[link];
+    const int *columns = c->columns + c->starts[link];
+    const double *entries = c->entries + c->starts[link];
+    if (count == 0 || columns[count - 1] < size(c)) {
+        for (long a = 0; a < count; ++a)
+            for (long b = 0; b <= a; ++b)
+                band[columns[b] * high + columns[a] - columns[b]] += weight * entries[a] * entries[b];
+        return;
+    }
+    double row[high];
+    count = through_constraints(c, link, row, &first);
+    for (long b = 0; b < count; ++b) {
+        double *column = band + (first + b) * high;
+        for (long a = b; a < count; ++a) column[a - b] += weight * row[a] * row[b];
+    }
 }
 
 /* The Newton system of a barrier problem about a point, without slacks and multipliers; hessian is the frames'. */
@@ -129,14 +183,7 @@ void assemble(const Chain *c, const double *hessian, double barrier, double damp
             band[k * high + i - j] += sum;
         }
     }
-    for (long i = 0; i < c->links; ++i) {
-        double weight = 2 * c->weight[i] + sigma[to_links + i];
-        for (int a = c->starts[i]; a < c->starts[i + 1]; ++a)
-            for (int b = c->starts[i]; b < c->starts[i + 1]; ++b)
-                if (c->columns[a] >= c->columns[b])
-                    band[c->columns[b] * high + c->columns[a] - c->columns[b]] +=
-                        weight * c->entries[a] * c->entries[b];
-    }
+    for (long i = 0; i < c->links; ++i) add_square(c, i, 2 * c->weight[i] + sigma[to_links + i], band);
     for (long k = 0; k < of_x; ++k) {
         right[k] = -right[k];
         if (c->free[k]) continue;
@@ -222,11 +269,20 @@ void advance(const Chain *c, double primal, double dual) {
     }
 }
 
+/* The trial's slacks become the values that rows have, where these keep as far from bounds as a step must. */
+static void settle(const Chain *c) {
+    for (long i = 0; i < all_rows(c); ++i) {
+        double value = c->value[i], slack = c->at.slack[i], low = c->low[i], high = c->high[i];
+        if (value - low >= LEFT * (slack - low) && high - value >= LEFT * (high - slack)) c->trial.slack[i] = value;
+    }
+}
+
 /* The l1 merit function of a barrier problem at the point or the trial; f, g: of the frames there. */
 double merit(const Chain *c, int of_trial, const double *f, const double *g, double barrier, double penalty) {
     long rows = all_rows(c);
     const Point *at = of_trial ? &c->trial : &c->at;
     double objective = evaluate(c, at->x, f, g), logs = 0, product = 1, gap = 0;
+    if (of_trial && c->curved) settle(c);
     for (long i = 0; i < rows; ++i) {
         product *= (at->slack[i] - c->low[i]) * (c->high[i] - at->slack[i]);
         if (i % 4 == 3 || i == rows - 1) logs += log(product), product = 1;

@@ -31,6 +31,7 @@ class _Point(ctypes.Structure):
 class _Chain(ctypes.Structure):
     _fields_ = [
         *((name, ctypes.c_long) for name in ("frames", "unknowns", "constraints", "links", "width")),
+        *((name, ctypes.c_long) for name in ("bent", "curved")),
         *((name, ctypes.c_void_p) for name in ("lower", "upper", "low", "high", "free")),
         *((name, ctypes.c_void_p) for name in ("starts", "columns", "entries", "offset", "weight")),
         *((name, ctypes.c_void_p) for name in ("gradient", "jacobian")),
@@ -85,19 +86,18 @@ class Rows:
         still = ~chain.reached
         self.low = np.where(still | np.isinf(lower), -INFINITE, lower - RELAX)
         self.high = np.where(still | np.isinf(upper), INFINITE, upper + RELAX)
-        links = chain.difference
-        links.sort_indices()
-        reach = links.indices[links.indptr[1:] - 1] - links.indices[links.indptr[:-1]]
-        self._band = np.zeros((size, max(chain.unknowns - 1, int(reach.max(initial=0))) + 1))
-        self._right = np.zeros(size)
+        links, width = chain.linking, _width(chain)
+        own = links.shape[1]
+        self._band = np.zeros((size, width + 1))
         self._at, self._step, self._trial = ([np.zeros(size), *np.zeros((3, rows))] for _ in range(3))
         _, gradient, _, jacobian, _ = chain.frame_expansion(self.x, self.multipliers)
         self._arrays = [
             *(lower, upper, self.low, self.high, chain.free.astype(float)),
             *(links.indptr.astype(np.intc), links.indices.astype(np.intc), links.data, chain.offset, chain.weight),
-            *(gradient, jacobian, np.zeros(size), np.zeros(rows), self._band, self._right, *np.zeros((3, rows))),
+            *(gradient, jacobian, np.zeros(own), np.zeros(rows), self._band, np.zeros(own), *np.zeros((3, rows))),
         ]
-        sizes = chain.frames, chain.unknowns, chain.frame.g.numel(), len(chain.offset), self._band.shape[1] - 1
+        m = chain.frame.g.numel()
+        sizes = chain.frames, chain.unknowns, m, len(chain.offset), width, chain.bent, chain.curved
         points = (_Point(*map(_address, point)) for point in (self._at, self._step, self._trial))
         self._chain_in_c = ctypes.byref(_Chain(*sizes, *map(_address, self._arrays), *points))
         self._found = (ctypes.c_double * 6)()
@@ -124,7 +124,7 @@ class Rows:
             array[:] = values
 
     def expand(self) -> tuple[Measures, Array]:
-        """Derivatives at the point: its measures, and the Hessians (T, n, n) of the frames' own Lagrangians."""
+        """Derivatives at the point: its measures, and the frames' Hessians (T, n, n) of the Lagrangian."""
         f, _, g, _, hessian = self._chain.frame_expansion(self.x, self.multipliers)
         self._f, self._g = f, g
         self._loops.assess(self._chain_in_c, f.ctypes, g.ctypes, *self._out)
@@ -167,6 +167,17 @@ class Rows:
         """The trial becomes the point."""
         self._loops.accept(self._chain_in_c)
         self._at, self._trial = self._trial, self._at
+
+
+def _width(chain: Chain) -> int:
+    """How far apart unknowns are that meet in a frame or a link, where constraints may depend on a whole frame."""
+    links, n, size = chain.linking, chain.unknowns, chain.lower.size
+    if not len(chain.offset):
+        return n - 1
+    constraint, rows = links.indices >= size, links.indptr[:-1]
+    first = np.where(constraint, (links.indices - size) // max(1, chain.frame.g.numel()) * n, links.indices)
+    last = np.where(constraint, first + n - 1, first)
+    return max(n - 1, int((np.maximum.reduceat(last, rows) - np.minimum.reduceat(first, rows)).max()))
 
 
 def _address(array: Array) -> int:

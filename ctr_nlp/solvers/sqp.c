@@ -23,6 +23,7 @@ typedef struct {
     const double *p, *lower, *upper; /* bounds of all rows */
     double tolerance;
     double *x, *multipliers;         /* where to start, and what was found */
+    double *rows;                    /* their values there */
     double objective, kkt, violation;
     long iterations, expansions, evaluations, status;
 } Program;
@@ -293,7 +294,7 @@ static double search(Program *o, const double *d, double merit, double slope, do
 
 void sqp(Program *o) {
     long n = o->n, rows = n + o->m, calm = 0;
-    double f, gradient[n], value[rows], jacobian[n * o->m + 1], hessian[n * n];
+    double f, gradient[n], *value = o->rows, jacobian[n * o->m + 1], hessian[n * n];
     double d[n], next[rows], penalty = 0, small = INFINITY;
     o->expansions = o->evaluations = 0;
     for (o->iterations = 0;; ++o->iterations) {

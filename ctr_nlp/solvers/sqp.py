@@ -39,7 +39,7 @@ class _Program(ctypes.Structure):
         *((name, ctypes.c_long) for name in ("n", "m")),
         *((name, ctypes.c_void_p) for name in ("value", "slopes", "expansion", "p", "lower", "upper")),
         ("tolerance", ctypes.c_double),
-        *((name, ctypes.c_void_p) for name in ("x", "multipliers")),
+        *((name, ctypes.c_void_p) for name in ("x", "multipliers", "rows")),
         *((name, ctypes.c_double) for name in ("objective", "kkt", "violation")),
         *((name, ctypes.c_long) for name in ("iterations", "expansions", "evaluations", "status")),
     ]
@@ -57,16 +57,17 @@ class Sqp(NlpSolver):
     def solve(self, x0: Array, p: Array, low: Array, high: Array, warm: Solution | None) -> Solution:
         """As NlpSolver."""
         at, n = self.program, len(x0)
-        at.lower[:n], at.upper[:n], at.p[:] = low, high, p
-        at.x[:] = np.clip(x0, low, high)
+        (at.lower[:], at.upper[:]), at.p[:] = self.nlp.row_bounds(low, high), p
+        at.x[:] = np.clip(x0, at.lower[:n], at.upper[:n])
         at.multipliers[:] = 0.0 if warm is None else np.concatenate([warm.lam_x, warm.lam_g])
         found = at.run()
-        x = np.clip(at.x, low, high)
+        x = np.clip(at.x, at.lower[:n], at.upper[:n])
         success = found.violation <= FEASIBLE and found.kkt <= OPTIMAL
         lam_x, lam_g = np.split(at.multipliers.copy(), [n])
         status, iterations = STATUS[found.status], found.iterations
+        q = np.concatenate([x, at.rows[n:]])[self.nlp.configuration]
         if success:
-            return Solution(x, found.objective, found.kkt, True, status, iterations, lam_x, lam_g)
+            return Solution(x, found.objective, found.kkt, True, status, iterations, lam_x, lam_g, q)
         self._ipopt = self._ipopt or Ipopt(self.nlp)
         other = self._ipopt(x0, p, low, high, warm)
         return replace(
@@ -78,7 +79,8 @@ class Program:
     """An Nlp in C. Its arrays are filled, and read again after a run; not from two threads at once.
 
     x (n,): the start, then the solution. p: packed parameters. lower, upper (n + m,): bounds of x and of the
-    constraints. multipliers (n + m,): of these, positive at upper bounds. functions: their addresses, by name.
+    constraints. multipliers (n + m,): of these, positive at upper bounds; rows (n + m,): their values at the
+    solution. functions: their addresses, by name.
     """
 
     def __init__(self, nlp: Nlp) -> None:
@@ -87,11 +89,12 @@ class Program:
         low, high = nlp.g_bounds
         self.lower, self.upper = np.concatenate([nlp.lower, low]), np.concatenate([nlp.upper, high])
         self.p, self.x, self.multipliers = np.zeros(nlp.p.numel()), np.zeros(n), np.zeros(n + m)
+        self.rows = np.zeros(n + m)
         self._library = ctypes.CDLL(str(compiled.library(nlp, 1)))
         names = FrameFunctions._fields[:3]
         self.functions = {name: ctypes.cast(self._library[name], ctypes.c_void_p).value or 0 for name in names}
         given = (array.ctypes.data for array in (self.p, self.lower, self.upper))
-        found = (array.ctypes.data for array in (self.x, self.multipliers))
+        found = (array.ctypes.data for array in (self.x, self.multipliers, self.rows))
         self._program = _Program(n, m, *self.functions.values(), *given, TOLERANCE, *found)
         self._run, self._reference = cache.loaded("sqp.c").sqp, ctypes.byref(self._program)
 

@@ -85,9 +85,12 @@ def no_worse(objective: float, than: float) -> bool:
 
 
 def within_limits(chain: Chain, x: Array) -> Array:
-    """The motion x (T n,) itself, or the one nearest to it that keeps all limits, where there is one."""
+    """The motion x (T n,) itself, or the one nearest to it that keeps all limits, where there is one.
+
+    Where limits are curved, the nearest motion is as hard to find as the best: it is left to the solver.
+    """
     x = np.clip(x, chain.lower.ravel(), chain.upper.ravel())
-    if chain.violation(chain.evaluate(x)[1]) <= FEASIBLE:
+    if chain.curved or chain.violation(chain.evaluate(x)[1]) <= FEASIBLE:
         return x
     return CHAIN_SOLVERS[default_chain_solver()](chain.nearest(x))(x, Watch()).x
 
@@ -134,10 +137,13 @@ class Task:
     motion_weight: float
     ends: Ends
     solver: str
+    model: str = "dominant"
+    stability_margin: float | None = None
 
     def solve(self, x0: Array) -> Attempt:
         """Solve from x0 (T n,), in a process that attempt_in_processes has prepared."""
-        chain = horizon(self.robot, self.frames, self.dt, self.motion_weight, self.ends, fastest)
+        model, margin = self.model, self.stability_margin
+        chain = horizon(self.robot, self.frames, self.dt, self.motion_weight, self.ends, fastest, model, margin)
         return attempt(chain, CHAIN_SOLVERS[self.solver](chain), x0, None, _stopping.is_set)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ctr_nlp import tracking
 from ctr_nlp.chain import Chain
 from ctr_nlp.errors import OptionError
 from ctr_nlp.formulations.horizon import Ends, horizon
@@ -27,6 +28,7 @@ from ctr_nlp.steer.limits import check_ends, check_growth
 from ctr_nlp.steer.motions import per_frame_motions, wandered
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
+from ctr_nlp.steer.realised import realised
 
 Array = npt.NDArray[np.float64]
 
@@ -61,7 +63,7 @@ def solve_horizon(
     the work; the plan is then the best feasible one so far, marked as interrupted. Raises OptionError,
     ProblemError, RobotError.
     """
-    whole = Horizon(problem, model, solver, start, end)
+    whole = Horizon(problem, model, solver, start, end, settings.stability_margin)
     return whole.solve(initial, motion_weight, starts, jobs, settings, progress)
 
 
@@ -75,6 +77,7 @@ class Horizon:
         solver: str | None = None,
         start: npt.ArrayLike | None = None,
         end: npt.ArrayLike | None = None,
+        stability_margin: float | None = DEFAULTS.stability_margin,
     ) -> None:
         """Build; raises OptionError, RobotError, and ProblemError where no motion can keep the limits."""
         check_choice("model of a horizon", model, MODELS)
@@ -87,8 +90,11 @@ class Horizon:
         self.problem = problem
         self.ends = Ends(self._checked_end(start, "start"), self._checked_end(end, "end"))
         self._names = {"formulation": "horizon", "model": model, "solver": solver}
-        self._chain = horizon(problem.robot, problem.samples, problem.dt, 1.0, self.ends, fastest)
-        if self.ends.start is not None and self.ends.end is not None:
+        self._margin = stability_margin
+        self._chain = horizon(
+            problem.robot, problem.samples, problem.dt, 1.0, self.ends, fastest, model, stability_margin
+        )
+        if self.ends.start is not None and self.ends.end is not None and not self._chain.bent:
             check_ends(problem, self._chain)
         self.build_seconds = time.perf_counter() - begin
 
@@ -107,24 +113,27 @@ class Horizon:
                 raise OptionError(f"{name} is {count}; it must be at least 1")
         if motion_weight is not None:
             check_motion_weight(motion_weight)
-        given = [self._checked_motion(motion) for motion in initial]
+        given = [x for motion in initial for x in self._unknowns(self._checked_motion(motion))]
         with deferred_interrupt() as interrupted:
             begin = time.perf_counter()
-            motions = given or per_frame_motions(self.problem, self.ends, settings, progress)
+            found = given or per_frame_motions(self.problem, self.ends, settings, progress, self._names["model"])
             between = time.perf_counter()
-            weight = self.balanced_weight(motions[0]) if motion_weight is None else motion_weight
+            weight = self.balanced_weight(found[0]) if motion_weight is None else motion_weight
             chain = self._chain.with_cost(weight)
             attempts: list[Attempt] = []
             if not interrupted():
-                picked = self._picked(chain, motions, starts or len(motions), settings.seed)
+                picked = self._picked(chain, found, starts or len(found), settings.seed)
                 attempts = self._attempts(chain, weight, picked, jobs, progress, interrupted)
+            if self._names["model"] == "elastic" and not interrupted():
+                solve = CHAIN_SOLVERS[self._names["solver"]]
+                chain, attempts = realised(self.problem.robot, chain, solve, attempts, self._margin, interrupted)
             work = {"search_s": between - begin, "solve_s": time.perf_counter() - between}
             stopped = interrupted()
         options = asdict(settings) | {"motion_weight": weight, "starts": starts}
         for name, q in (("start", self.ends.start), ("end", self.ends.end)):
             options[name] = None if q is None else q.tolist()
         meta = {**self._names, **work, "options": options, "build_s": self.build_seconds, "interrupted": stopped}
-        return self._plan(chain, motions, attempts, meta)
+        return self._plan(chain, found[0], attempts, meta)
 
     def balanced_weight(self, motion: Array) -> float:
         """The lambda in s^2 at which a motion costs MOTION_SHARE of its shape errors."""
@@ -151,7 +160,8 @@ class Horizon:
     ) -> list[Attempt]:
         problem, count = self.problem, len(motions)
         if jobs > 1 and count > 1:
-            task = Task(problem.robot, problem.samples, problem.dt, weight, self.ends, self._names["solver"])
+            names = self._names["solver"], self._names["model"], self._margin
+            task = Task(problem.robot, problem.samples, problem.dt, weight, self.ends, *names)
             return attempt_in_processes(task, motions, jobs, progress, interrupted)
         solve = CHAIN_SOLVERS[self._names["solver"]](chain)
         attempts = []
@@ -162,13 +172,11 @@ class Horizon:
                 break
         return attempts
 
-    def _plan(
-        self, chain: Chain, motions: Sequence[Array], attempts: Sequence[Attempt], meta: dict[str, Any]
-    ) -> Plan:
-        """The best attempt as a plan; without any, the first motion, not solved."""
+    def _plan(self, chain: Chain, motion: Array, attempts: Sequence[Attempt], meta: dict[str, Any]) -> Plan:
+        """The best attempt as a plan; without any, the motion (T, n) to start from, not solved."""
         frames = self.problem.frames
         unknown = np.full(frames, np.nan)
-        x, solved, kkt = motions[0].ravel(), False, unknown
+        x, solved, kkt = motion.ravel(), False, unknown
         why = {"all": "interrupted before the horizon was begun"}
         if attempts:
             best = best_of(attempts)
@@ -179,13 +187,21 @@ class Horizon:
         meta["iterations"] = sum(one.solution.iterations for one in attempts)
         return plan_from_configurations(
             self.problem,
-            x.reshape(frames, -1),
+            chain.configurations(chain.evaluate(x)[1])[:, : len(self.problem.robot.axes)],
             meta | {"failures": why},
             success=np.full(frames, solved),
             solve_time=unknown,
             objective=np.add(*chain.by_frame(x)),
             kkt=kkt,
+            planned=None if chain.frame.picks is None else x.reshape(frames, -1),
         )
+
+    def _unknowns(self, motion: Array) -> list[Array]:
+        """What to start from where a motion (T, 2d + 2) is given."""
+        if self._chain.frame.picks is None:
+            return [motion]
+        robot = self.problem.robot
+        return [tracking.follow(robot, motion).x, np.array([tracking.untwisted(robot, q) for q in motion])]
 
     def _checked_end(self, q: npt.ArrayLike | None, name: str) -> Array | None:
         if q is None:

@@ -27,9 +27,9 @@ SPREAD = 1.0, 25.0, 0.2
 
 
 def per_frame_motions(
-    problem: Problem, ends: Ends, settings: Settings, progress: Progress | None = None
+    problem: Problem, ends: Ends, settings: Settings, progress: Progress | None = None, model: str = "dominant"
 ) -> list[Array]:
-    """Motions (T, 2d + 2) of the joint formulation, run forwards and backwards, best first.
+    """Unknowns (T, 2d + 2) of the joint formulation, run forwards and backwards, best first.
 
     Where Ctrl-C, held back by the caller, ended the work early, the robot stands still in frames not reached.
     """
@@ -42,10 +42,10 @@ def per_frame_motions(
         duration=problem.dt * stride * len(picked),
         truth=None,
     )
-    solver = NlpFrames(coarse, settings=settings)
+    solver = NlpFrames(coarse, model=model, settings=settings)
     passes, _ = run_passes(coarse, solver, "best", ends.start, ends.end, progress)
-    passes.sort(key=lambda one: one.badness(coarse))
-    return [_filled(one.motion(coarse), picked, problem.frames) for one in passes]
+    passes.sort(key=lambda one: one.badness(coarse, model))
+    return [_filled(one.unknowns(coarse), picked, problem.frames) for one in passes]
 
 
 def _filled(motion: Array, picked: npt.NDArray[np.int_], frames: int) -> Array:

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.formulations import FORMULATIONS
+from ctr_nlp.formulations.joint import tip_steps
 from ctr_nlp.forward import other_way
 from ctr_nlp.frames import FrameResult, reachable, starts
 from ctr_nlp.models import MODELS
@@ -52,7 +53,7 @@ class NlpFrames:
         self._seed = settings.seed
         self._root = math.sqrt(settings.motion_weight) / problem.dt
         begin = time.perf_counter()
-        self._stages = FORMULATIONS[formulation](problem.robot, settings)
+        self._stages = FORMULATIONS[formulation](problem.robot, settings, model)
         self._solvers = tuple(SOLVERS[solver](stage.nlp) for stage in self._stages)
         self.build_seconds = time.perf_counter() - begin
         self.description: dict[str, Any] = {
@@ -65,7 +66,8 @@ class NlpFrames:
     def search(self, frame: int) -> list[FrameResult]:
         """Distinct answers for a frame without a past, best first; at least one."""
         guesses = starts(self.problem.robot, self.problem.samples[frame], SEARCH_STARTS, self._seed)
-        results = sorted(self._attempts(frame, guesses, None), key=lambda r: r.objective)
+        tried = [FrameResult(guess, x=self._unknowns(guess)) for guess in guesses]
+        results = sorted(self._attempts(frame, tried, None), key=lambda r: r.objective)
         distinct: list[FrameResult] = []
         for result in results:
             if not distinct or result.objective > distinct[-1].objective * (1 + DISTINCT) + 1e-9:
@@ -84,42 +86,65 @@ class NlpFrames:
 
     def step(self, frame: int, before: FrameResult) -> FrameResult:
         """The answer for a frame within speed limits of the one before; other starts are tried on failure."""
-        result = self._solve(frame, before.q, before.q, before.warm)
+        if before.x is None and self._stages[0].guess is not None:
+            before = replace(before, x=self._stages[0].rest(before.q))
+        result = self._solve(frame, before, before)
         if result.success:
             return result
         low, high = reachable(self.problem.robot, before.q, self.problem.dt)
         guesses = starts(self.problem.robot, self.problem.samples[frame], RETRY_STARTS, self._seed)
-        attempts = self._attempts(frame, [before.q, *np.clip(guesses, low, high)], before.q)
+        tried = [FrameResult(q, x=self._unknowns(q)) for q in np.clip(guesses, low, high)]
+        attempts = self._attempts(frame, [replace(before, warm=None), *tried], before)
         best = min(attempts, key=lambda r: r.objective, default=None)
         return best or replace(result, q=before.q)
 
-    def _attempts(self, frame: int, guesses: Iterable[Array], previous: Array | None) -> list[FrameResult]:
-        results = (self._solve(frame, guess, previous, None) for guess in guesses)
+    def _unknowns(self, q: Array) -> Array | None:
+        """Roughly those of a model whose q does not determine them."""
+        return None if self._stages[0].guess is None else self._stages[0].guess(q)
+
+    def _attempts(
+        self, frame: int, guesses: Iterable[FrameResult], before: FrameResult | None
+    ) -> list[FrameResult]:
+        results = (self._solve(frame, guess, before) for guess in guesses)
         return [result for result in results if result.success]
 
-    def _solve(
-        self, index: int, guess: Array, previous: Array | None, warm: tuple[Solution, ...] | None
-    ) -> FrameResult:
-        frame, q = self.problem.samples[index], guess.copy()
-        low, high = reachable(self.problem.robot, previous, self.problem.dt)
+    def _limits(self, before: FrameResult | None) -> tuple[Array, Array]:
+        """Of q, and where q does not determine the unknowns also of the tips' angles."""
+        robot, dt = self.problem.robot, self.problem.dt
+        low, high = reachable(robot, None if before is None else before.q, dt)
+        if self._stages[0].guess is None:
+            return low, high
+        tips, step = np.zeros(robot.d), np.full(robot.d, np.inf)
+        if before is not None and before.x is not None:
+            tips, step = before.x[: robot.d], tip_steps(robot, dt)
+        return np.append(low, tips - step), np.append(high, tips + step)
+
+    def _solve(self, index: int, guess: FrameResult, before: FrameResult | None) -> FrameResult:
+        frame, q = self.problem.samples[index], guess.q.copy()
+        previous = None if before is None else before.q
+        low, high = self._limits(before)
         solutions: list[Solution] = []
         iterations = 0
         for k, (stage, solver) in enumerate(zip(self._stages, self._solvers, strict=True)):
             decides = stage.decides
+            limited = np.append(decides, np.arange(len(q), len(low)))
             values = dict(stage.parameters(frame, q))
             values["previous"] = (q if previous is None else previous)[decides]
             values["motion_root"] = 0.0 if previous is None else self._root
-            solution = warm[k] if warm else None
+            solution: Solution | None = guess.warm[k] if guess.warm else None
+            x = stage.rest(q[decides]) if guess.x is None else guess.x
+            x = x if solution is None else solution.x
             for step in stage.schedule:
                 packed = stage.nlp.pack({**values, **step})
-                solution = solver(q[decides], packed, low[decides], high[decides], solution)
-                q[decides] = solution.x
+                solution = solver(x, packed, low[limited], high[limited], solution)
+                x, q[decides] = solution.x, solution.q[: len(decides)]
                 iterations += solution.iterations
             assert solution is not None
             if not solution.success:
                 failure = f"{stage.nlp.name}: {solution.status}, KKT residual {solution.kkt:.1e}"
-                return FrameResult(guess, False, iterations=iterations, status=failure)
+                return FrameResult(guess.q, False, iterations=iterations, status=failure)
             solutions.append(solution)
         kkt = max(solution.kkt for solution in solutions)
         status = ", ".join(solution.status for solution in solutions)
-        return FrameResult(q, True, solutions[-1].objective, kkt, iterations, status, tuple(solutions))
+        unknowns = None if stage.nlp.picks is None else x
+        return FrameResult(q, True, solutions[-1].objective, kkt, iterations, status, tuple(solutions), unknowns)

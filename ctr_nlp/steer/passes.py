@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.errors import OptionError
-from ctr_nlp.forward import shapes
+from ctr_nlp.forward import simulated
 from ctr_nlp.frames import FrameResult, FrameSolver
 from ctr_nlp.metrics import rms_over_sigma
 from ctr_nlp.problem import Problem
@@ -54,13 +54,20 @@ class Pass:
         missing = np.full(2 * problem.robot.d + 2, np.nan)
         return np.array([self.results[j].q if j in self.results else missing for j in range(problem.frames)])
 
-    def badness(self, problem: Problem) -> tuple[int, float]:
+    def unknowns(self, problem: Problem) -> Array:
+        """The model's unknowns (T, n), which are q itself unless results say otherwise; NaN as in motion."""
+        found = self.motion(problem)
+        for j, result in self.results.items():
+            found[j] = found[j] if result.x is None else result.x
+        return found
+
+    def badness(self, problem: Problem, model: str) -> tuple[int, float]:
         """Frames not solved, then the mean square error of the others in mm^2."""
         solved = [j for j, result in self.results.items() if result.success]
         if not solved:
             return problem.frames, np.inf
-        found = shapes(problem.robot, np.array([self.results[j].q for j in solved]))
-        wanted = np.array([problem.samples[j].points for j in solved])
+        found = simulated(problem.robot, np.array([self.results[j].q for j in sorted(solved)]), model).shape
+        wanted = np.array([problem.samples[j].points for j in sorted(solved)])
         squares = rms_over_sigma(np.linalg.norm(found - wanted, axis=-1)) ** 2
         return problem.frames - len(solved), float(squares.mean())
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ from ctr_nlp.solvers.sqp import FALLBACK
 from ctr_nlp.steer.interrupt import deferred_interrupt
 from ctr_nlp.steer.nlp_frames import DEFAULTS, NlpFrames
 from ctr_nlp.steer.passes import Direction, Pass, Progress, run_passes
+
+Array = npt.NDArray[np.float64]
 
 
 def solve_per_frame(
@@ -56,13 +59,21 @@ def march(
     with deferred_interrupt() as interrupted:
         passes, search_seconds = run_passes(problem, solver, direction, start, progress=progress)
         stopped = interrupted()
-    best = min(passes, key=lambda one: one.badness(problem))
+    best = min(passes, key=lambda one: one.badness(problem, solver.description["model"]))
     options = {
         "direction": best.direction,
         "passes": len(passes),
         "start": None if start is None else np.asarray(start, dtype=float).tolist(),
     }
     return _plan(problem, solver, best, options, {"search_s": search_seconds, "interrupted": stopped})
+
+
+def _unknowns(results: Sequence[FrameResult]) -> Array | None:
+    """The unknowns (T, n) of a model whose q does not determine them; NaN where a frame was not reached."""
+    known = [result.x for result in results if result.x is not None]
+    if not known:
+        return None
+    return np.array([np.full_like(known[0], np.nan) if result.x is None else result.x for result in results])
 
 
 def _plan(
@@ -87,4 +98,5 @@ def _plan(
         solve_time=np.array([best.seconds.get(j, np.nan) for j in range(problem.frames)]),
         objective=np.array([result.objective for result in results]),
         kkt=np.array([result.kkt for result in results]),
+        planned=_unknowns(results),
     )

@@ -1,0 +1,174 @@
+"""How tubes twist each other: the torsionally compliant model (Dupont 2010, Rucker 2010), unloaded, frictionless.
+
+Its unknowns are x = (phi, beta, theta): phi_d is the angle psi_d of the innermost tube at its tip, and phi_i that
+of tube i at its own, less phi_d. From the tips, which are untwisted, the balance of moments,
+
+    GJ_i psi_i'' = EI_i k_i u x e(psi_i),   u = sum_i EI_i k_i e(psi_i) / sum_i EI_i,   psi_i'(beta_i) = 0,
+
+is integrated to the base, and on through the straight transmissions to the motors: alpha is an explicit, smooth
+function of x, every x is an equilibrium, and there is no equation to solve. alpha alone does not determine x:
+where d alpha / d phi is singular, the robot snaps.
+
+Angles within are relative to phi_d, since turning all tubes turns the whole robot. One source for symbols and
+numbers, as in dominant.py: `xp` is casadi or numpy.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from ctr_nlp.models.dominant import shows_transmission, slope
+from ctr_nlp.robot import Robot, Tube
+
+STEPS = 3
+"""Steps of integration a section. Errors fall with their fourth power, those of shapes only up to about 6."""
+
+
+class Section(NamedTuple):
+    """Part of the robot along which the same tubes are present and curved; start and length in mm.
+
+    shares: of every tube in the bending stiffness of those present. curved: 0 or 1 for every tube. active: the
+    tubes that may be curved. plane: whether these are at most one, with a known share: it bends in a plane.
+    """
+
+    start: Any
+    length: Any
+    shares: tuple[Any, ...]
+    curved: tuple[Any, ...]
+    active: tuple[int, ...]
+    plane: bool
+
+
+class Node(NamedTuple):
+    """A place along the robot: the tubes' angles, rad, and their curvatures, 1/mm (0.0 where not active)."""
+
+    angles: list[Any]
+    curvatures: list[Any]
+
+
+class Twist(NamedTuple):
+    """nodes: of every section from base to tip; one, at the base, of plane ones, else 2 steps + 1, evenly spaced.
+
+    angles, rates: at the base, rad and rad/mm.
+    """
+
+    nodes: list[list[Node]]
+    angles: list[Any]
+    rates: list[Any]
+
+
+def sections(robot: Robot, beta: Sequence[Any], xp: Any) -> list[Section]:
+    """Between neighbouring ends of tubes, and of straight parts where these can be pushed out."""
+    d, edges = robot.d, [0 * beta[0], *beta]
+    starts = [
+        xp.fmax(beta[i] - tube.curved_length, 0.0) if shows_transmission(robot, i) else None
+        for i, tube in enumerate(robot.tubes)
+    ]
+    if all(start is None for start in starts):
+        there = [(0.0,) * i + (1.0,) * (d - i) for i in range(d)]
+        pairs = zip(itertools.pairwise(edges), there, strict=True)
+        return [_section(robot, *pair, here, here, True) for pair, here in pairs]
+    for start in starts:
+        if start is not None:
+            edges = _inserted(edges, start, xp)
+    found = []
+    for a, b in itertools.pairwise(edges):
+        middle = (a + b) / 2
+        present = [*(1.0 * (middle < end) for end in beta[:-1]), 1.0]
+        curved = [
+            here if start is None else here * (middle > start) for here, start in zip(present, starts, strict=True)
+        ]
+        found.append(_section(robot, a, b, present, curved, d == 1))
+    return found
+
+
+def _section(robot: Robot, a: Any, b: Any, present: Sequence[Any], curved: Sequence[Any], known: bool) -> Section:
+    """The section from a to b; known: whether which tubes are present does not depend on beta."""
+    stiffness = [here * tube.bending_stiffness for here, tube in zip(present, robot.tubes, strict=True)]
+    shares = tuple(EI / sum(stiffness) for EI in stiffness)
+    active = tuple(i for i, tube in enumerate(robot.tubes) if _bent(tube) and not (known and present[i] == 0))
+    return Section(a, b - a, shares, tuple(curved), active, len(active) <= known)
+
+
+def _bent(tube: Tube) -> bool:
+    return max(tube.root_curvature, tube.tip_curvature) > 0
+
+
+def _inserted(edges: Sequence[Any], edge: Any, xp: Any) -> list[Any]:
+    found = []
+    for other in edges:
+        found.append(xp.fmin(other, edge))
+        edge = xp.fmax(other, edge)
+    return [*found, edge]
+
+
+def twist(robot: Robot, x: Sequence[Any], parts: Sequence[Section], xp: Any, steps: int = STEPS) -> Twist:
+    """The tubes' angles, integrated from their tips to the base by Nystroem's method of order 4."""
+    d = robot.d
+    angles, rates, nodes = [*x[: d - 1], 0.0], [0.0] * d, []
+    for part in reversed(parts):
+        if part.plane:
+            angles = moved(angles, (-part.length, rates))
+            nodes.append([Node(angles, curvatures_at(robot, x, part, part.start))])
+            continue
+        h, found = -part.length / steps, list[Node]()
+        places = (part.start + part.length * (k / (2 * steps)) for k in range(2 * steps + 1))
+        curvatures = [curvatures_at(robot, x, part, s) for s in places]
+        for k in range(2 * steps, 0, -2):
+            a = _moments(robot, part, Node(angles, curvatures[k]), xp)
+            b = _moments(robot, part, Node(moved(angles, (h / 2, rates), (h**2 / 8, a)), curvatures[k - 1]), xp)
+            c = _moments(robot, part, Node(moved(angles, (h, rates), (h**2 / 2, b)), curvatures[k - 2]), xp)
+            middle = moved(angles, (h / 2, rates), (h**2 * 7 / 96, a), (h**2 / 16, b), (-(h**2) / 96, c))
+            found += [Node(angles, curvatures[k]), Node(middle, curvatures[k - 1])]
+            angles, rates = stepped(angles, rates, h, a, b, c)
+        nodes.append([*found, Node(angles, curvatures[0])][::-1])
+    return Twist(nodes[::-1], angles, rates)
+
+
+def motors(robot: Robot, x: Sequence[Any], twisted: Twist) -> list[Any]:
+    """alpha_i = psi_i(0) - psi_i'(0) (L_i - beta_i), rad."""
+    d = robot.d
+    ends = zip(twisted.angles, twisted.rates, robot.tubes, x[d : 2 * d], strict=True)
+    return [x[d - 1] + angle - rate * (tube.length - beta) for angle, rate, tube, beta in ends]
+
+
+def bending(part: Section, node: Node, xp: Any) -> tuple[Any, Any]:
+    """The bending vector u, 1/mm."""
+    here = [(part.shares[i] * node.curvatures[i], node.angles[i]) for i in part.active]
+    return sum(k * xp.cos(psi) for k, psi in here), sum(k * xp.sin(psi) for k, psi in here)
+
+
+def curvatures_at(robot: Robot, x: Sequence[Any], part: Section, s: Any) -> list[Any]:
+    """Pre-curvature of every tube at s of a section, 1/mm; 0.0 where not active."""
+    found: list[Any] = [0.0] * robot.d
+    for i in part.active:
+        tube = robot.tubes[i]
+        found[i] = part.curved[i] * (tube.tip_curvature + slope(tube) * (x[robot.d + i] - s))
+    return found
+
+
+def _moments(robot: Robot, part: Section, node: Node, xp: Any) -> list[Any]:
+    """The psi'' of every tube, rad/mm^2."""
+    (x, y), found = bending(part, node, xp), [0.0] * robot.d
+    for i in part.active:
+        psi, k = node.angles[i], (1 + robot.tubes[i].poisson_ratio) * node.curvatures[i]
+        found[i] = k * (x * xp.sin(psi) - y * xp.cos(psi))
+    return found
+
+
+def moved(values: Sequence[Any], *changes: tuple[Any, Sequence[Any]]) -> list[Any]:
+    """Values plus factors times changes."""
+    return [value + sum(factor * change[i] for factor, change in changes) for i, value in enumerate(values)]
+
+
+def stepped(
+    values: Sequence[Any], rates: Sequence[Any], h: Any, *ks: Sequence[Any]
+) -> tuple[list[Any], list[Any]]:
+    """Values and rates after a step h of Nystroem's method, from the second derivatives at its three stages."""
+    a, b, c = ks
+    return (
+        moved(values, (h, rates), (h**2 / 6, a), (h**2 / 3, b)),
+        moved(rates, (h / 6, a), (h * 2 / 3, b), (h / 6, c)),
+    )
