@@ -320,15 +320,19 @@ def test_a_hessian_that_is_not_a_number_has_no_step():
 
 @given(chains(), seeds)
 def test_the_slope_is_that_of_the_merit_along_the_step(chain, seed):
-    """By central differences; gaps shrink in proportion, and so do not cross zero near the point."""
+    """By central differences; gaps shrink in proportion, and so do not cross zero near the point. Slacks go along
+    the step here; where they settle, gaps vanish at once.
+    """
     rng, barrier, penalty, h = np.random.default_rng(seed), 0.3, 0.7, 1e-6
     rows, point = placed(chain, rng, barrier)
     _, blocks = rows.expand()
     blocks = blocks.copy()
     least = least_eigenvalue(chain, reduced(chain, rows, point, blocks))
     step = rows.newton(blocks, barrier, max(0.0, -least) + 1.0)
-    scale = h / (1 + np.abs(rows._step[0]).max() + np.abs(rows._step[1]).max())
-    ahead, behind = (rows.advance(part, 0.0, barrier, penalty) for part in (scale, -scale))
+    x, slack = (array.copy() for array in rows._step[:2])
+    scale = h / (1 + np.abs(x).max() + np.abs(slack).max())
+    along = (point._replace(x=point.x + part * x, slack=point.slack + part * slack) for part in (scale, -scale))
+    ahead, behind = (merit(chain, rows, at, barrier, penalty) for at in along)
     expected = step.slope - penalty * step.gap
     assert (ahead - behind) / (2 * scale) == pytest.approx(expected, rel=1e-4, abs=1e-3 * (1 + step.gap))
 
@@ -337,7 +341,9 @@ def test_the_slope_is_that_of_the_merit_along_the_step(chain, seed):
 
 
 def test_parts_of_steps_keep_slacks_and_multipliers_positive_and_leave_a_hundredth():
-    """Whole steps where that is enough, else such that the nearest distance is a hundredth of what it was."""
+    """Whole steps where that is enough, else such that the nearest distance is a hundredth of what it was, before
+    slacks settle; these leave a hundredth too.
+    """
     seen = set()
     for seed in range(40):
         rng = np.random.default_rng(seed)
@@ -350,14 +356,17 @@ def test_parts_of_steps_keep_slacks_and_multipliers_positive_and_leave_a_hundred
         rows.expand()
         step = rows.newton(np.tile(np.eye(chain.unknowns), (chain.frames, 1, 1)), barrier, 10.0)
         rows.advance(step.primal, step.dual, barrier, 1.0)
-        after = copied(rows._trial)
-        distances = [np.concatenate([at.slack - rows.low, rows.high - at.slack]) for at in (before, after)]
+        after, stepped = copied(rows._trial), before.slack + step.primal * rows._step[1]
+        was, left, settled = (
+            np.concatenate([slack - rows.low, rows.high - slack]) for slack in (before.slack, stepped, after.slack)
+        )
         multipliers = [np.concatenate([at.at_lower, at.at_upper]) for at in (before, after)]
-        for part, (was, left) in ((step.primal, distances), (step.dual, multipliers)):
-            least = (left / was).min()
+        for part, (was_, left_) in ((step.primal, (was, left)), (step.dual, multipliers)):
+            least = (left_ / was_).min()
             assert 0 < part <= 1
             assert least >= 0.01 * (1 - 1e-6)
             assert part == 1 or least == pytest.approx(0.01, rel=1e-6)
+        assert (settled / was).min() >= 0.01 * (1 - 1e-6)
         seen |= {("primal", step.primal == 1), ("dual", step.dual == 1)}
     assert len(seen) == 4, "some kind of step was not seen"
 
@@ -474,8 +483,20 @@ def merit(chain, rows, point, barrier, penalty):
     return objective - barrier * np.log(distances).sum() + penalty * np.abs(value - point.slack).sum()
 
 
+def settled(chain, rows, point, x, slack):
+    """Slacks on the way to x: where constraints are curved the rows' values, if these leave a hundredth of the
+    point's distances to both bounds.
+    """
+    value = chain.evaluate(x)[1]
+    far = (value - rows.low >= 0.01 * (point.slack - rows.low)) & (
+        rows.high - value >= 0.01 * (rows.high - point.slack)
+    )
+    return np.where(chain.curved & far, value, slack)
+
+
 @given(chains(), seeds, st.sampled_from([0.01, 1.0, 3.0, 1e3]))
 def test_a_trial_is_the_point_and_parts_of_a_step_and_its_slacks_stay_within_bounds(chain, seed, size):
+    """Or are the rows' values, where constraints are curved."""
     rng, barrier, penalty = np.random.default_rng(seed), 0.2, 1.7
     rows, point = placed(chain, rng, barrier)
     rows.expand()
@@ -489,8 +510,9 @@ def test_a_trial_is_the_point_and_parts_of_a_step_and_its_slacks_stay_within_bou
     np.testing.assert_allclose(trial.x, point.x + primal * step.x, rtol=1e-14, atol=1e-14)
     for one, at, change in zip(trial[2:], point[2:], step[2:], strict=True):
         np.testing.assert_allclose(one, at + dual * change, rtol=1e-14, atol=1e-14)
-    slack = point.slack + primal * step.slack
-    np.testing.assert_allclose(trial.slack, np.clip(slack, rows.low, rows.high), rtol=0, atol=1e-12 * (1 + size))
+    slack = np.clip(point.slack + primal * step.slack, rows.low, rows.high)
+    expected = settled(chain, rows, point, trial.x, slack)
+    np.testing.assert_allclose(trial.slack, expected, rtol=1e-14, atol=1e-12 * (1 + size))
     assert (trial.slack > rows.low).all()
     assert (trial.slack < rows.high).all()
     assert found == pytest.approx(merit(chain, rows, trial, barrier, penalty), rel=1e-10, abs=1e-8)

@@ -121,11 +121,11 @@ def _floor(problem: Problem, taken: Times, median: float) -> Iterator[Record]:
     yield Record(f"{problem.name}, a frame, sqp: median over these", median / needed, "", "less", RATIO)
 
 
-def evaluation(program: Program) -> float:
-    """Seconds that one evaluation of objective, constraints and their first derivatives takes."""
-    run = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 4, ctypes.c_int)(program.functions["slopes"])
+def evaluation(program: Program, function: str = "slopes") -> float:
+    """Seconds that one evaluation of objective and constraints takes: their values, or first derivatives too."""
+    run = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 4, ctypes.c_int)(program.functions[function])
     n, m = len(program.x), len(program.lower) - len(program.x)
-    results = [np.zeros(max(count, 1)) for count in (1, n, m, m * n)]
+    results = [np.zeros(max(count, 1)) for count in ((1, m) if function == "value" else (1, n, m, m * n))]
     pointers = ctypes.c_void_p * 4
     arg = pointers(program.x.ctypes.data, program.p.ctypes.data)
     res = pointers(*(result.ctypes.data for result in results))

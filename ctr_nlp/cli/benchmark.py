@@ -10,6 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from ctr_nlp.benchmarks import Record, regressions
+from ctr_nlp.benchmarks.elastic import forward, planned
 from ctr_nlp.benchmarks.frames import frames
 from ctr_nlp.benchmarks.horizons import growth, horizons
 from ctr_nlp.benchmarks.records import RATIO
@@ -110,6 +111,16 @@ def _horizons(named: Named, chosen: list[str]) -> Iterator[Record]:
     yield from _means(found, "horizon: ")
 
 
+def _elastic(named: Named, chosen: list[str]) -> Iterator[Record]:
+    found: list[Record] = []
+    for name in (name for name in SHAPES if name in chosen):
+        for record in planned(named(name)):
+            found.append(record)
+            yield record
+    yield from _means(found, "an elastic frame: ")
+    yield from forward(named("cos"))
+
+
 def _means(records: list[Record], kind: str) -> Iterator[Record]:
     """Geometric means of ratios of the same kind over problems."""
     ratios: dict[str, list[float]] = {}
@@ -124,6 +135,7 @@ PARTS: dict[str, Callable[[Named, list[str]], Iterator[Record]]] = {
     "start-up": lambda named, chosen: start_up(),
     "frames": _frames,
     "horizons": _horizons,
+    "elastic": _elastic,
     "growth": lambda named, chosen: growth([named("cos", count) for count in SIZES]),
     "sizes": lambda named, chosen: sizes(),
 }

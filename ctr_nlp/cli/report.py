@@ -39,12 +39,12 @@ def print_report(plan: Plan, out: Path) -> None:
     """The numbers of a plan, what is wrong with it, and where it was written."""
     found = summary(plan)
     on = [] if found["evaluated"] == "dominant" == found["model"] else [found["model"]]
-    seen = [] if found["evaluated"] == found["model"] else [f"evaluated on {found['evaluated']}"]
-    how = [found["formulation"], *on, "by", found["solver"], *seen] + [found["direction"]] * (
+    how = [found["formulation"], *on, "by", found["solver"]] + [found["direction"]] * (
         found["direction"] is not None
     )
+    seen = "" if found["evaluated"] == found["model"] else f", on the {found['evaluated']} model"
     print_table(
-        f"{found['problem']}, {' '.join(how)}",
+        f"{found['problem']}, {' '.join(how)}{seen}",
         ("", "value", "unit"),
         [
             ("e3, RMS over frames of e2", found["e3"], "mm"),

@@ -5,6 +5,7 @@ from ctr_nlp.figures.frames import by_frame
 from ctr_nlp.figures.motion import configuration
 from ctr_nlp.figures.overlay import shapes
 from ctr_nlp.figures.pareto import pareto
+from ctr_nlp.figures.stability import stability
 from ctr_nlp.figures.violins import errors
 
-__all__ = ["by_frame", "configuration", "errors", "pareto", "save_all", "save_front", "shapes"]
+__all__ = ["by_frame", "configuration", "errors", "pareto", "save_all", "save_front", "shapes", "stability"]

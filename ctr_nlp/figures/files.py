@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from ctr_nlp.errors import OutputError
@@ -12,20 +13,23 @@ from ctr_nlp.figures.frames import by_frame
 from ctr_nlp.figures.motion import configuration
 from ctr_nlp.figures.overlay import shapes
 from ctr_nlp.figures.pareto import pareto
+from ctr_nlp.figures.stability import stability
 from ctr_nlp.figures.violins import errors
 from ctr_nlp.plan import Plan
 from ctr_nlp.trade_off import Point
 
 PICTURES = {"shapes": shapes, "errors": errors, "by_frame": by_frame, "configuration": configuration}
+"""Of every plan, by the names of their files."""
 DPI = 150
 
 
 def save_all(plan: Plan, folder: str | Path) -> list[Path]:
-    """Write shapes.png, errors.png, by_frame.png and configuration.png into a folder that exists.
+    """Write shapes.png, errors.png, by_frame.png, configuration.png and, where margins are known, stability.png.
 
-    Returns where they lie. Raises OutputError where they cannot be written.
+    Into a folder that exists; returns where they lie. Raises OutputError where they cannot be written.
     """
-    return [_save(picture(plan), Path(folder) / f"{name}.png") for name, picture in PICTURES.items()]
+    pictures = PICTURES | ({"stability": stability} if np.isfinite(plan.stability).any() else {})
+    return [_save(picture(plan), Path(folder) / f"{name}.png") for name, picture in pictures.items()]
 
 
 def save_front(points: Sequence[Point], problem: str, folder: str | Path) -> Path:

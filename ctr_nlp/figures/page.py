@@ -38,7 +38,12 @@ def head(figure: Figure, plan: Plan, title: str) -> None:
     numbers = summary(plan)
     e3 = "no frame reached" if numbers["e3"] is None else f"e3 = {numbers['e3']:.3g} mm"
     failed = f", {numbers['failed']} of {numbers['frames']} frames failed" if numbers["failed"] else ""
-    how = f"{numbers['formulation']}, {numbers['model']} model, {numbers['solver']}"
+    on = (
+        numbers["model"]
+        if numbers["evaluated"] == numbers["model"]
+        else f"{numbers['evaluated']} instead of {numbers['model']}"
+    )
+    how = f"{numbers['formulation']}, {on} model, {numbers['solver']}"
     text = printable(f"{title}: {numbers['problem']}") + f"\n{how}; {e3}{failed}"
     figure.suptitle(text, fontsize=10, parse_math=False)
 

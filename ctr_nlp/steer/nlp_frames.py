@@ -51,6 +51,10 @@ class NlpFrames:
         check_choice("solver", solver, SOLVERS)
         self.problem = problem
         self._seed = settings.seed
+        self.margins = np.full(problem.frames, np.nan)
+        """Least stability margins (T,) on the elastic model."""
+        if settings.stability_margin is not None:
+            self.margins[:] = settings.stability_margin
         self._root = math.sqrt(settings.motion_weight) / problem.dt
         begin = time.perf_counter()
         self._stages = FORMULATIONS[formulation](problem.robot, settings, model)
@@ -129,6 +133,7 @@ class NlpFrames:
             decides = stage.decides
             limited = np.append(decides, np.arange(len(q), len(low)))
             values = dict(stage.parameters(frame, q))
+            values |= {"margin": self.margins[index]} if "margin" in values else {}
             values["previous"] = (q if previous is None else previous)[decides]
             values["motion_root"] = 0.0 if previous is None else self._root
             solution: Solution | None = guess.warm[k] if guess.warm else None

@@ -16,6 +16,7 @@ from ctr_nlp.solvers.sqp import FALLBACK
 from ctr_nlp.steer.interrupt import deferred_interrupt
 from ctr_nlp.steer.nlp_frames import DEFAULTS, NlpFrames
 from ctr_nlp.steer.passes import Direction, Pass, Progress, run_passes
+from ctr_nlp.steer.realised import held
 
 Array = npt.NDArray[np.float64]
 
@@ -58,8 +59,10 @@ def march(
     """The plan that any FrameSolver makes; arguments as for solve_per_frame."""
     with deferred_interrupt() as interrupted:
         passes, search_seconds = run_passes(problem, solver, direction, start, progress=progress)
+        best = min(passes, key=lambda one: one.badness(problem, solver.description["model"]))
+        if isinstance(solver, NlpFrames) and solver.description["model"] == "elastic" and not interrupted():
+            best = held(problem, solver, best)
         stopped = interrupted()
-    best = min(passes, key=lambda one: one.badness(problem, solver.description["model"]))
     options = {
         "direction": best.direction,
         "passes": len(passes),

@@ -11,9 +11,12 @@ from ctr_nlp import tracking
 from ctr_nlp.chain import Chain
 from ctr_nlp.formulations.horizon import with_margins
 from ctr_nlp.plan import ELSEWHERE
+from ctr_nlp.problem import Problem
 from ctr_nlp.robot import Robot
 from ctr_nlp.solvers import ChainSolver
 from ctr_nlp.steer.attempts import Attempt, attempt
+from ctr_nlp.steer.nlp_frames import NlpFrames
+from ctr_nlp.steer.passes import Pass
 
 Array = npt.NDArray[np.float64]
 
@@ -57,23 +60,44 @@ def _held(
 ) -> tuple[Chain, Attempt] | None:
     """An attempt changed until its motion is made, with the margin also between frames; None where it never is."""
     margins = np.full(chain.frames, np.nan if margin is None else margin)
-    for _ in range(ROUNDS):
-        missing, lost = _missing(robot, chain, found, margin)
-        if margin is None or not (lost or missing.max() > SHORT) or stop():
+    for _ in range(ROUNDS + 1):
+        q = found.solution.q.reshape(chain.frames, -1)[:, : len(robot.axes)]
+        more, lost = _needed(robot, q, found.solution.x.reshape(chain.frames, -1), margin)
+        if margin is None or not (lost or more.any()) or stop():
             return None if lost else (chain, found)
-        margins += np.maximum(missing, np.append(missing[1:], 0.0))
-        chain = with_margins(chain, np.minimum(margins, MOST))
+        margins = np.minimum(margins + more, MOST)
+        chain = with_margins(chain, margins)
         found = attempt(chain, solver(chain), found.solution.x, None, stop)
         if not found.solution.success:
-            return None
-    return None if _missing(robot, chain, found, margin)[1] else (chain, found)
+            break
+    return None
 
 
-def _missing(robot: Robot, chain: Chain, found: Attempt, margin: float | None) -> tuple[Array, bool]:
-    """What the margin is short of on the way to every frame (T,), and whether the robot ends elsewhere."""
-    x = found.solution.x.reshape(chain.frames, -1)
-    moved = tracking.follow(robot, found.solution.q.reshape(chain.frames, -1)[:, : len(robot.axes)])
+def held(problem: Problem, frames: NlpFrames, one: Pass) -> Pass:
+    """A run through all frames on the elastic model, repeated until the margin is held between frames too."""
+    robot, margin = problem.robot, frames.margins[0]
+    for _ in range(ROUNDS):
+        if any(j not in one.results or not one.results[j].success for j in one.order):
+            break
+        more, lost = _needed(robot, one.motion(problem), one.unknowns(problem), margin)
+        if lost or not more.any():
+            break
+        frames.margins = np.minimum(frames.margins + more, MOST)
+        first = one.order[0]
+        again = Pass(one.direction, one.order, one.before, {} if one.before else {first: one.results[first]})
+        for _ in again.run(frames):
+            pass
+        one = again
+    return one
+
+
+def _needed(robot: Robot, q: Array, x: Array, margin: float | None) -> tuple[Array, bool]:
+    """By how much margins of frames (T,) have to grow for what is missing between them; whether the robot moved
+    through q is not where x says.
+    """
+    moved = tracking.follow(robot, q)
     away = np.abs(moved.x - x).max(axis=1) > ELSEWHERE
     missing = np.maximum((margin or 0.0) - moved.stability_between, 0.0)
+    missing[missing <= SHORT] = 0.0
     missing[away.argmax()] += GIVEN * away.any()
-    return missing, bool(away.any())
+    return np.maximum(missing, np.append(missing[1:], 0.0)), bool(away.any())

@@ -8,9 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.errors import OptionError
-from ctr_nlp.formulations.joint import STRIDE, joint
+from ctr_nlp.formulations.joint import STRIDE, joint, tip_steps
+from ctr_nlp.models import MODELS
 from ctr_nlp.robot import Robot
-from ctr_nlp.settings import Settings
+from ctr_nlp.settings import Settings, check_choice
 from ctr_nlp.solvers.adapter import FEASIBLE, OPTIMAL
 from ctr_nlp.solvers.sqp import Program
 from ctr_nlp.steer.nlp_frames import DEFAULTS
@@ -30,25 +31,32 @@ class Steerer:
     kkt: residual; iterations.
     """
 
-    def __init__(self, robot: Robot, q: npt.ArrayLike, dt: float, settings: Settings = DEFAULTS) -> None:
+    def __init__(
+        self, robot: Robot, q: npt.ArrayLike, dt: float, settings: Settings = DEFAULTS, model: str = "dominant"
+    ) -> None:
         """Build for a robot that stands at q and moves every dt s; raises OptionError, RobotError.
 
-        OptionError also where nothing can be compiled.
+        OptionError also where nothing can be compiled. On the elastic model the robot is taken to have been turned
+        to q from where all its tubes were aligned.
         """
         if not (math.isfinite(dt) and dt > 0):
             raise OptionError(f"dt is {dt} s; it must be a finite number > 0")
+        check_choice("model", model, MODELS)
         self.q = np.array(q, dtype=float)
         robot.check(self.q, "q")
-        (stage,) = joint(robot, settings)
+        (stage,) = joint(robot, settings, model)
         self._program = Program(stage.nlp)
-        self._limits = robot.lower, robot.upper, robot.speed * dt
+        self._picks, self._x = stage.nlp.configuration, stage.rest(self.q)
+        self._tips = len(self._picks) - len(self.q)
+        most = np.append(robot.speed * dt, tip_steps(robot, dt)[: self._tips])
+        self._limits = *stage.nlp.limits, most
         ends = np.cumsum([symbol.numel() for symbol in stage.nlp.parameters.values()])
         places = dict(zip(stage.nlp.parameters, np.split(self._program.p, ends[:-1]), strict=True))
         self._target = places["target"].reshape(3, -1)
         self._previous = places["previous"]
         places["motion_root"][:] = math.sqrt(settings.motion_weight) / dt
-        n = len(self.q)
-        self._low, self._high = self._program.lower[:n], self._program.upper[:n]
+        if "margin" in places:
+            places["margin"][:] = settings.stability_margin
         self.solved, self.objective, self.kkt, self.iterations = False, math.nan, math.nan, 0
 
     def step(self, target: Array) -> Array:
@@ -60,16 +68,19 @@ class Steerer:
             raise OptionError(f"target has shape {target.shape}; it must be {(len(SIGMA), 3)}")
         if not np.isfinite(target).all():
             raise OptionError(f"target has {target[~np.isfinite(target)][0]} mm; all of it must be finite")
-        at, (lower, upper, most) = self._program, self._limits
+        at, (lower, upper, most), n = self._program, self._limits, len(self._x)
         self._target[:] = target[::STRIDE].T
-        self._previous[:] = at.x[:] = self.q
-        np.maximum(lower, self.q - most, out=self._low)
-        np.minimum(upper, self.q + most, out=self._high)
+        self._previous[:], at.x[:] = self.q, self._x
+        here = np.append(self.q, self._x[: self._tips])
+        low, high = np.maximum(lower, here - most), np.minimum(upper, here + most)
+        at.lower[self._picks], at.upper[self._picks] = low, high
         found = at.run()
         self.solved = found.kkt <= OPTIMAL and found.violation <= FEASIBLE
         self.objective, self.kkt, self.iterations = found.objective, found.kkt, found.iterations
         if found.violation <= FEASIBLE:
-            self.q = np.clip(at.x, self._low, self._high)
+            self._x = np.clip(at.x, at.lower[:n], at.upper[:n])
+            values = np.append(self._x, at.rows[n:])[self._picks]
+            self.q = np.clip(values, low, high)[: len(self.q)]
         else:
             at.multipliers[:] = 0.0
         return self.q.copy()
