@@ -81,6 +81,15 @@ def bound_by_stability(plan: Plan) -> list[tuple[int, int]]:
     return [(int(first) + 1, int(last)) for first, last in edges.reshape(-1, 2)]
 
 
+def missed_margin(plan: Plan) -> tuple[int, float] | None:
+    """On the way to which frame, from 1, the margin is missed by most, and the one found there; None where held."""
+    margin, found = plan.meta["options"].get("stability_margin"), plan.stability_between
+    if margin is None or not np.isfinite(found).any() or np.nanmin(found) >= margin - 2 * BINDS:
+        return None
+    frame = int(np.nanargmin(found))
+    return frame + 1, float(found[frame])
+
+
 def summary(plan: Plan) -> dict[str, Any]:
     """What summary.json holds: errors in mm over frames whose shape is known, motion, times, failures.
 
@@ -111,6 +120,7 @@ def summary(plan: Plan) -> dict[str, Any]:
         "stability_min": _least(plan.stability),
         "stability_between_min": _least(plan.stability_between),
         "stability_binds": bound_by_stability(plan),
+        "stability_missed": missed_margin(plan),
         "snaps": plan.meta["snaps"],
         "solve_ms": {
             "median": _number(1e3 * np.median(seconds) if seconds.size else np.nan),

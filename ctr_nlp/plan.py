@@ -8,6 +8,7 @@ import os
 import platform
 import zipfile
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -21,6 +22,7 @@ from ctr_nlp.errors import OutputError, RobotError
 from ctr_nlp.forward import Simulation, simulated
 from ctr_nlp.problem import Problem
 from ctr_nlp.robot import Robot
+from ctr_nlp.tracking import Snap
 
 Array = npt.NDArray[np.float64]
 
@@ -154,7 +156,7 @@ def plan_from_configurations(
     robot, frames = problem.robot, problem.samples
     moved = simulated(robot, q, meta["model"])
     if planned is not None:
-        lost = success & ~(np.abs(moved.x - planned).max(axis=1) < ELSEWHERE)
+        lost = success & elsewhere(moved.x, planned, moved.snaps)
         success = success & ~lost
         meta = meta | {
             "failures": meta["failures"] | {str(j + 1): _lost(j, moved) for j in map(int, np.flatnonzero(lost))}
@@ -198,6 +200,13 @@ def plan_from_configurations(
         lumen_radius=None if any(radius is None for radius in radii) else np.array(radii),
         truth=problem.truth,
     )
+
+
+def elsewhere(x: Array, planned: Array, snaps: Sequence[Snap]) -> npt.NDArray[np.bool_]:
+    """In which frames (T,) a robot with unknowns x (T, n) is not where it was planned to be, or just snapped."""
+    away = ~(np.abs(x - planned).max(axis=1) < ELSEWHERE)
+    away[[snap.frame - 1 for snap in snaps]] = True
+    return away
 
 
 def _told(moved: Simulation) -> dict[str, Any]:

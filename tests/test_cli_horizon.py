@@ -55,7 +55,7 @@ def test_a_named_problem_becomes_a_folder_of_results(tmp_path, capsys):
     assert np.isnan(plan.solve_time).all()
     assert plan.success.all()
     printed = capsys.readouterr().out
-    assert "arc, horizon on banded" in printed
+    assert "arc, horizon by banded" in printed
     assert "roughness" in printed
 
 

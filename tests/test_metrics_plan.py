@@ -30,6 +30,7 @@ def meta(robot):
         "model": "dominant",
         "solver": "ipopt",
         "options": {},
+        "snaps": [],
         "format": 1,
     }
 

@@ -175,10 +175,10 @@ def test_more_motion_weight_makes_a_smoother_motion(cos_problem):
 class Failing(NlpFrames):
     """Fails on one frame, whatever the start."""
 
-    def _solve(self, index, guess, previous, warm):
+    def _solve(self, index, guess, before):
         if index == 2:
-            return FrameResult(guess, success=False, status="made to fail")
-        return super()._solve(index, guess, previous, warm)
+            return FrameResult(guess.q, success=False, status="made to fail")
+        return super()._solve(index, guess, before)
 
 
 def test_a_frame_that_fails_is_marked_and_the_motion_goes_on(cos_problem):
@@ -192,10 +192,10 @@ def test_a_frame_that_fails_is_marked_and_the_motion_goes_on(cos_problem):
 class Flaky(NlpFrames):
     """Fails on frame 2 from the frame before it, but not from other starts."""
 
-    def _solve(self, index, guess, previous, warm):
-        if index == 2 and warm is not None:
-            return FrameResult(guess, success=False, status="made to fail")
-        return super()._solve(index, guess, previous, warm)
+    def _solve(self, index, guess, before):
+        if index == 2 and guess.warm is not None:
+            return FrameResult(guess.q, success=False, status="made to fail")
+        return super()._solve(index, guess, before)
 
 
 def test_a_frame_that_fails_is_tried_from_other_starts(cos_problem):

@@ -71,6 +71,9 @@ def print_report(plan: Plan, out: Path) -> None:
     if found["stability_binds"]:
         parts = ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in found["stability_binds"])
         console().print(f"stability (margin {plan.meta['options']['stability_margin']:g}) limits frames {parts}")
+    if found["stability_missed"]:
+        frame, least = found["stability_missed"]
+        console().print(f"the margin is missed between frames: {least:.3f} on the way to frame {frame}")
     for snap in found["snaps"]:
         tubes = ", ".join(map(str, snap["tubes"]))
         console().print(

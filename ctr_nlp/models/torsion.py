@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 from ctr_nlp.models.dominant import shows_transmission, slope
 from ctr_nlp.robot import Robot, Tube
 
-STEPS = 3
+STEPS = 4
 """Steps of integration a section. Errors fall with their fourth power, those of shapes only up to about 6."""
 
 

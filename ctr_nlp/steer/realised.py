@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -10,10 +13,10 @@ import numpy.typing as npt
 from ctr_nlp import tracking
 from ctr_nlp.chain import Chain
 from ctr_nlp.formulations.horizon import with_margins
-from ctr_nlp.plan import ELSEWHERE
+from ctr_nlp.plan import elsewhere
 from ctr_nlp.problem import Problem
 from ctr_nlp.robot import Robot
-from ctr_nlp.solvers import ChainSolver
+from ctr_nlp.solvers import FEASIBLE, ChainSolver
 from ctr_nlp.steer.attempts import Attempt, attempt
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.passes import Pass
@@ -21,13 +24,25 @@ from ctr_nlp.steer.passes import Pass
 Array = npt.NDArray[np.float64]
 
 TRIED = 3
-"""Best attempts that are looked at."""
+"""Best attempts that are looked at; more where none of them is made."""
+SAME = 1e-6
+"""Attempts whose objectives differ by less than this part are one."""
 ROUNDS = 6
 """Times that margins of frames are raised for what is missing between them."""
 SHORT = 0.005
 """By how much the margin may be missed between frames."""
 GIVEN, MOST = 0.1, 0.9
-"""What is added to margins where the robot loses its way; the largest that a frame is given."""
+"""What is added to margins where the robot loses its way; frames are given no more than that."""
+TURNS = 2
+"""Whole turns of a tube that are tried to find the robot where its motion begins."""
+
+
+class Made(NamedTuple):
+    """An attempt whose motion the robot makes, the chain it solves, and what the margin is missed by at most."""
+
+    chain: Chain
+    attempt: Attempt
+    missing: float
 
 
 def realised(
@@ -38,66 +53,125 @@ def realised(
     margin: float | None,
     stop: Callable[[], bool],
 ) -> tuple[Chain, list[Attempt]]:
-    """The chain and attempt of least objective among the best whose motion the robot makes, as the first of all.
+    """The chain and attempt of least objective among the best whose motion the robot makes; else all, as they are.
 
     Where the margin is missed between frames, those beside must hold more: then the chain is another.
     """
-    solved = sorted((one for one in attempts if one.solution.success), key=lambda one: one.solution.objective)
-    held = [found for one in solved[:TRIED] if (found := _held(robot, chain, solver, one, margin, stop))]
-    if not held:
+    made: list[Made] = []
+    tried: list[float] = []
+    for one in sorted(attempts, key=lambda one: one.solution.objective):
+        objective = one.solution.objective
+        if not one.solution.success or (tried and objective - tried[-1] <= SAME * (1 + abs(objective))):
+            continue
+        if stop() or (made and len(tried) >= TRIED):
+            break
+        tried.append(objective)
+        found = _made(robot, chain, solver, one, margin, stop)
+        made += [] if found is None else [found]
+    if not made:
         return chain, list(attempts)
-    chain, best = min(held, key=lambda found: found[1].solution.objective)
-    return chain, [best]
+    best = min(made, key=lambda one: (max(one.missing, SHORT), one.attempt.solution.objective))
+    return best.chain, [best.attempt]
 
 
-def _held(
+def _made(
     robot: Robot,
     chain: Chain,
     solver: Callable[[Chain], ChainSolver],
-    found: Attempt,
+    one: Attempt,
     margin: float | None,
     stop: Callable[[], bool],
-) -> tuple[Chain, Attempt] | None:
-    """An attempt changed until its motion is made, with the margin also between frames; None where it never is."""
-    margins = np.full(chain.frames, np.nan if margin is None else margin)
+) -> Made | None:
+    """An attempt changed until its motion is made and the margin held between frames, or as nearly as it goes."""
+    margins, best = np.full(chain.frames, np.nan if margin is None else margin), None
+    one = _found(robot, chain, one)
     for _ in range(ROUNDS + 1):
-        q = found.solution.q.reshape(chain.frames, -1)[:, : len(robot.axes)]
-        more, lost = _needed(robot, q, found.solution.x.reshape(chain.frames, -1), margin)
-        if margin is None or not (lost or more.any()) or stop():
-            return None if lost else (chain, found)
-        margins = np.minimum(margins + more, MOST)
-        chain = with_margins(chain, margins)
-        found = attempt(chain, solver(chain), found.solution.x, None, stop)
-        if not found.solution.success:
+        q = one.solution.q.reshape(chain.frames, -1)[:, : len(robot.axes)]
+        missing, lost = _missing(robot, q, one.solution.x.reshape(chain.frames, -1), margin)
+        if not lost and (best is None or missing.max() < best.missing):
+            best = Made(chain, one, float(missing.max()))
+        if margin is None or stop() or not (lost or missing.max() > SHORT):
             break
-    return None
+        margins = _raised(margins, missing)
+        chain = with_margins(chain, margins)
+        one = attempt(chain, solver(chain), one.solution.x, None, stop)
+        if not one.solution.success:
+            break
+    return best
+
+
+def _found(robot: Robot, chain: Chain, one: Attempt) -> Attempt:
+    """The same motion with tubes turned by whole turns, so that the robot is found where it begins."""
+    x = one.solution.x.reshape(chain.frames, -1).copy()
+    q = one.solution.q.reshape(chain.frames, -1)[0, : len(robot.axes)]
+    x[:, : robot.d - 1] += _turns(robot, q, x[0])
+    value = chain.evaluate(x.ravel())[1]
+    if chain.violation(value) > FEASIBLE:
+        return one
+    solution = replace(one.solution, x=x.ravel(), q=chain.configurations(value).ravel())
+    return replace(one, solution=solution)
 
 
 def held(problem: Problem, frames: NlpFrames, one: Pass) -> Pass:
     """A run through all frames on the elastic model, repeated until the margin is held between frames too."""
     robot, margin = problem.robot, frames.margins[0]
-    for _ in range(ROUNDS):
+    best, least = one, np.inf
+    for _ in range(ROUNDS + 1):
         if any(j not in one.results or not one.results[j].success for j in one.order):
             break
-        more, lost = _needed(robot, one.motion(problem), one.unknowns(problem), margin)
-        if lost or not more.any():
+        one = _found_pass(problem, one)
+        q, x = one.motion(problem), one.unknowns(problem)
+        missing, lost = _missing(robot, q, x, margin)
+        if not lost and missing.max() < least:
+            best, least = one, float(missing.max())
+        if not (lost or missing.max() > SHORT):
             break
-        frames.margins = np.minimum(frames.margins + more, MOST)
+        frames.margins = _raised(frames.margins, missing)
         first = one.order[0]
-        again = Pass(one.direction, one.order, one.before, {} if one.before else {first: one.results[first]})
-        for _ in again.run(frames):
+        one = Pass(one.direction, one.order, one.before, {} if one.before else {first: one.results[first]})
+        for _ in one.run(frames):
             pass
-        one = again
-    return one
+    return best
 
 
-def _needed(robot: Robot, q: Array, x: Array, margin: float | None) -> tuple[Array, bool]:
-    """By how much margins of frames (T,) have to grow for what is missing between them; whether the robot moved
-    through q is not where x says.
-    """
+def _found_pass(problem: Problem, one: Pass) -> Pass:
+    """As _found, for a run without a given start."""
+    turns = _turns(problem.robot, one.results[0].q, one.unknowns(problem)[0])
+    if one.before is not None or not turns.any():
+        return one
+    turned = {}
+    for j, result in one.results.items():
+        assert result.x is not None
+        q, x = (np.append(values[: len(turns)] + turns, values[len(turns) :]) for values in (result.q, result.x))
+        turned[j] = replace(result, q=q, x=x, warm=None)
+    return replace(one, results=turned)
+
+
+def _raised(margins: Array, missing: Array) -> Array:
+    """Margins of frames (T,), raised by what is missing on the way to them and from them."""
+    more = np.maximum(missing, np.append(missing[1:], 0.0))
+    return np.where(more > SHORT, np.maximum(margins, np.minimum(margins + more, MOST)), margins)
+
+
+def _missing(robot: Robot, q: Array, x: Array, margin: float | None) -> tuple[Array, bool]:
+    """What the margin is missed by on the way to every frame (T,); whether the robot, moved by q, is elsewhere."""
     moved = tracking.follow(robot, q)
-    away = np.abs(moved.x - x).max(axis=1) > ELSEWHERE
+    away = elsewhere(moved.x, x, moved.snaps)
     missing = np.maximum((margin or 0.0) - moved.stability_between, 0.0)
-    missing[missing <= SHORT] = 0.0
     missing[away.argmax()] += GIVEN * away.any()
-    return np.maximum(missing, np.append(missing[1:], 0.0)), bool(away.any())
+    return missing, bool(away.any())
+
+
+def _turns(robot: Robot, q: Array, x: Array) -> Array:
+    """Whole turns (d - 1,) of outer tubes, rad, with which the robot settled at q has the unknowns x; or none."""
+    d = robot.d
+    outer = slice(d - 1)
+    turns = np.array(list(itertools.product(range(-TURNS, TURNS + 1), repeat=d - 1)))
+    for turn in 2 * np.pi * turns[np.argsort(np.abs(turns).sum(axis=1), kind="stable")]:
+        there, to = q.copy(), x.copy()
+        there[outer] += turn
+        to[outer] += turn
+        allowed = (robot.lower[outer] <= there[outer]).all() and (there[outer] <= robot.upper[outer]).all()
+        if allowed and not elsewhere(tracking.settled(robot, there)[None], to[None], ()).any():
+            return turn
+    return np.zeros(d - 1)
