@@ -13,6 +13,7 @@ import numpy.typing as npt
 import scipy.sparse as sp
 
 from ctr_nlp.links import Link
+from ctr_nlp.mapped import Mapped
 from ctr_nlp.nlp import FrameFunctions, Nlp, Residual
 
 Array = npt.NDArray[np.float64]
@@ -158,9 +159,9 @@ class Chain:
         )
 
     @cached_property
-    def _mapped(self) -> tuple[_Mapped, _Mapped, _Mapped]:
+    def _mapped(self) -> tuple[Mapped, Mapped, Mapped]:
         *functions, lanes = self.functions
-        value, slopes, expansion = (_Mapped(function, self.frames, lanes) for function in functions)
+        value, slopes, expansion = (Mapped(function, self.frames, lanes) for function in functions)
         for mapped in (value, slopes, expansion):
             mapped.inputs[1][:] = self.parameters.T
         return value, slopes, expansion
@@ -285,31 +286,3 @@ class Chain:
         """The frame of every row, from 0."""
         own = [np.repeat(np.arange(self.frames), count) for count in (self.unknowns, self.frame.g.numel())]
         return np.concatenate([*own, *(link.frame for link in self.links)])
-
-
-class _Mapped:
-    """A function of `lanes` frames at once evaluated for all, without copies on the way; a row a frame.
-
-    inputs, outputs: arrays (T, entries) that the function reads and writes. What a call returns is overwritten
-    by the next.
-    """
-
-    def __init__(self, function: ca.Function, frames: int, lanes: int) -> None:
-        calls = -(-frames // lanes)
-        self._function = function.map(calls)
-        self._buffer, self._run = self._function.buffer()
-        sizes_in, sizes_out = self._function.numel_in, self._function.numel_out
-        whole_in = [np.zeros((calls * lanes, sizes_in(i) // (calls * lanes))) for i in range(function.n_in())]
-        whole_out = [np.zeros((calls * lanes, sizes_out(i) // (calls * lanes))) for i in range(function.n_out())]
-        for i, array in enumerate(whole_in):
-            self._buffer.set_arg(i, array.data)  # type: ignore[call-arg]
-        for i, array in enumerate(whole_out):
-            self._buffer.set_res(i, array.data)  # type: ignore[call-arg]
-        self.inputs = [array[:frames] for array in whole_in]
-        self._outputs = [array[:frames] for array in whole_out]
-
-    def __call__(self, x: Array, *multipliers: Array) -> list[Array]:
-        for array, values in zip(self.inputs[:1] + self.inputs[2:], (x, *multipliers), strict=True):
-            array.ravel()[:] = values
-        self._run()
-        return self._outputs

@@ -82,7 +82,7 @@ def bound_by_stability(plan: Plan) -> list[tuple[int, int]]:
 
 
 def missed_margin(plan: Plan) -> tuple[int, float] | None:
-    """On the way to which frame, from 1, the margin is missed by most, and the one found there; None where held."""
+    """On the way to which frame, from 1, the margin is missed by most, and the one found; None where held."""
     margin, found = plan.meta["options"].get("stability_margin"), plan.stability_between
     if margin is None or not np.isfinite(found).any() or np.nanmin(found) >= margin - 2 * BINDS:
         return None
