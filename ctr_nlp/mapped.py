@@ -31,6 +31,7 @@ class Mapped:
         self._outputs = [array[:frames] for array in whole_out]
 
     def __call__(self, x: Array, *multipliers: Array) -> list[Array]:
+        """Results (T, entries) at x (T n,), for a row of parameters each, and multipliers where it takes any."""
         for array, values in zip(self.inputs[:1] + self.inputs[2:], (x, *multipliers), strict=True):
             array.ravel()[:] = values
         self._run()

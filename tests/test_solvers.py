@@ -566,7 +566,7 @@ static double drawn(void) {
 int main(void) {
     int count[4] = {0}, lost = 0;
     for (int k = 0; k < 3000; ++k) {
-        double p[3], lower[5], upper[5], x[3], multipliers[5] = {0};
+        double p[3], lower[5], upper[5], x[3], multipliers[5] = {0}, found[5];
         for (int i = 0; i < 5; ++i) lower[i] = -INFINITY, upper[i] = INFINITY;
         for (int i = 0; i < 3; ++i) p[i] = 3 * drawn(), x[i] = 2 * drawn();
         for (int i = 0; i < 5; ++i) {
@@ -577,11 +577,13 @@ int main(void) {
         }
         if (k % 50 == 49) *(double *[]){p, x, lower, multipliers}[k / 50 % 4] = NAN;
         rows = k % 3 ? 2 : 0;
-        Program o = {3, rows, value, slopes, expansion, p, lower, upper, 1e-6, x, multipliers, 0, 0, 0,
-                     0, 0, 0, 0};
+        Program o = {3, rows, value, slopes, expansion, p, lower, upper, 1e-6, x, multipliers, found,
+                     0, 0, 0, 0, 0, 0, 0};
         sqp(&o);
         ++count[o.status];
         if (o.iterations > MOST_ITERATIONS || (o.status == SOLVED && !(o.kkt <= 1e-6))) ++lost;
+        double sum = rows ? x[0] + x[1] + x[2] - found[4] : 0;
+        if (o.status == SOLVED && (memcmp(found, x, sizeof x) || fabs(sum) > 1e-12)) ++lost;
     }
     printf("%d %d %d %d %d\\n", count[SOLVED], count[STOPPED], count[STUCK], count[NO_STEP], lost);
     return 0;
