@@ -121,7 +121,7 @@ def summary(plan: Plan) -> dict[str, Any]:
         "stability_between_min": _least(plan.stability_between),
         "stability_binds": bound_by_stability(plan),
         "stability_missed": missed_margin(plan),
-        "snaps": plan.meta["snaps"],
+        "snaps": plan.meta.get("snaps", []),
         "solve_ms": {
             "median": _number(1e3 * np.median(seconds) if seconds.size else np.nan),
             "p99": _number(1e3 * np.quantile(seconds, 0.99) if seconds.size else np.nan),

@@ -237,9 +237,9 @@ def test_every_part_is_measured_by_default_and_in_the_order_asked_for(folder, mo
     for part in benchmark.PARTS:
         monkeypatch.setitem(benchmark.PARTS, part, lambda named, chosen, part=part: asked.append(part) or iter(()))
     assert main(folder, []) == 0
-    assert asked == ["start-up", "frames", "horizons", "growth", "sizes"]
+    assert asked == ["start-up", "frames", "horizons", "elastic", "growth", "sizes"]
     assert main(folder, ["--parts", "sizes", "frames"]) == 0
-    assert asked[5:] == ["sizes", "frames"]
+    assert asked[6:] == ["sizes", "frames"]
 
 
 def test_geometric_means_are_taken_of_the_same_ratio_over_problems(monkeypatch):

@@ -24,7 +24,7 @@ def stability(plan: Plan) -> Figure:
     asked = plan.meta["options"].get("stability_margin")
     if asked is not None:
         axes.axhline(asked, color="0.3", lw=0.9, ls=":", label=f"asked for, {asked:g}")
-    for k, snap in enumerate(plan.meta["snaps"]):
+    for k, snap in enumerate(plan.meta.get("snaps", [])):
         axes.axvline(snap["frame"], color=VERMILLION, lw=1.2, label=None if k else "snap")
     axes.axhline(0.0, color="0.3", lw=0.6)
     axes.set_xlim(0.5, len(frames) + 0.5)

@@ -60,48 +60,39 @@ class Twist(NamedTuple):
 
 
 def sections(robot: Robot, beta: Sequence[Any], xp: Any) -> list[Section]:
-    """Between neighbouring ends of tubes, and of straight parts where these can be pushed out."""
-    d, edges = robot.d, [0 * beta[0], *beta]
+    """Between neighbouring ends of tubes, and within these of straight parts that can be pushed out.
+
+    The last tube, where it is alone, bends in a plane, its straight part included: it needs no division.
+    """
+    d, found = robot.d, list[Section]()
     starts = [
         xp.fmax(beta[i] - tube.curved_length, 0.0) if shows_transmission(robot, i) else None
         for i, tube in enumerate(robot.tubes)
     ]
-    if all(start is None for start in starts):
-        there = [(0.0,) * i + (1.0,) * (d - i) for i in range(d)]
-        pairs = zip(itertools.pairwise(edges), there, strict=True)
-        return [_section(robot, *pair, here, here, True) for pair, here in pairs]
-    for start in starts:
-        if start is not None:
-            edges = _inserted(edges, start, xp)
-    found = []
-    for a, b in itertools.pairwise(edges):
-        middle = (a + b) / 2
-        present = [*(1.0 * (middle < end) for end in beta[:-1]), 1.0]
-        curved = [
-            here if start is None else here * (middle > start) for here, start in zip(present, starts, strict=True)
-        ]
-        found.append(_section(robot, a, b, present, curved, d == 1))
+    for i, (low, high) in enumerate(itertools.pairwise([0 * beta[0], *beta])):
+        present, edges = (0.0,) * i + (1.0,) * (d - i), [low, high]
+        for start in starts[i:] if i < d - 1 else ():
+            if start is not None:
+                inside = (xp.fmax(a, xp.fmin(b, start)) for a, b in itertools.pairwise(edges))
+                edges = [low, *inside, high]
+        for a, b in itertools.pairwise(edges):
+            curved = [
+                here if start is None or i == d - 1 else here * ((a + b) / 2 >= start)
+                for here, start in zip(present, starts, strict=True)
+            ]
+            found.append(_section(robot, a, b, present, curved))
     return found
 
 
-def _section(robot: Robot, a: Any, b: Any, present: Sequence[Any], curved: Sequence[Any], known: bool) -> Section:
-    """The section from a to b; known: whether which tubes are present does not depend on beta."""
+def _section(robot: Robot, a: Any, b: Any, present: Sequence[float], curved: Sequence[Any]) -> Section:
     stiffness = [here * tube.bending_stiffness for here, tube in zip(present, robot.tubes, strict=True)]
     shares = tuple(EI / sum(stiffness) for EI in stiffness)
-    active = tuple(i for i, tube in enumerate(robot.tubes) if _bent(tube) and not (known and present[i] == 0))
-    return Section(a, b - a, shares, tuple(curved), active, len(active) <= known)
+    active = tuple(i for i, tube in enumerate(robot.tubes) if _bent(tube) and present[i])
+    return Section(a, b - a, shares, tuple(curved), active, len(active) <= 1)
 
 
 def _bent(tube: Tube) -> bool:
     return max(tube.root_curvature, tube.tip_curvature) > 0
-
-
-def _inserted(edges: Sequence[Any], edge: Any, xp: Any) -> list[Any]:
-    found = []
-    for other in edges:
-        found.append(xp.fmin(other, edge))
-        edge = xp.fmax(other, edge)
-    return [*found, edge]
 
 
 def twist(robot: Robot, x: Sequence[Any], parts: Sequence[Section], xp: Any, steps: int = STEPS) -> Twist:

@@ -104,17 +104,18 @@ def _found(robot: Robot, chain: Chain, one: Attempt) -> Attempt:
     """The same motion with tubes turned by whole turns, so that the robot is found where it begins."""
     x = one.solution.x.reshape(chain.frames, -1).copy()
     q = one.solution.q.reshape(chain.frames, -1)[0, : len(robot.axes)]
-    x[:, : robot.d - 1] += _turns(robot, q, x[0])
+    turns = _turns(robot, q, x[0])
+    x[:, : robot.d - 1] += turns
     value = chain.evaluate(x.ravel())[1]
-    if chain.violation(value) > FEASIBLE:
+    if not turns.any() or chain.violation(value) > FEASIBLE:
         return one
     solution = replace(one.solution, x=x.ravel(), q=chain.configurations(value).ravel())
     return replace(one, solution=solution)
 
 
-def held(problem: Problem, frames: NlpFrames, one: Pass) -> Pass:
+def held(problem: Problem, frames: NlpFrames, one: Pass, stop: Callable[[], bool]) -> Pass:
     """A run through all frames on the elastic model, repeated until the margin is held between frames too."""
-    robot, margin = problem.robot, frames.margins[0]
+    robot, margin = problem.robot, None if np.isnan(frames.margins[0]) else float(frames.margins[0])
     best, least = one, np.inf
     for _ in range(ROUNDS + 1):
         if any(j not in one.results or not one.results[j].success for j in one.order):
@@ -124,11 +125,12 @@ def held(problem: Problem, frames: NlpFrames, one: Pass) -> Pass:
         missing, lost = _missing(robot, q, x, margin)
         if not lost and missing.max() < least:
             best, least = one, float(missing.max())
-        if not (lost or missing.max() > SHORT):
+        if margin is None or stop() or not (lost or missing.max() > SHORT):
             break
         frames.margins = _raised(frames.margins, missing)
         first = one.order[0]
-        one = Pass(one.direction, one.order, one.before, {} if one.before else {first: one.results[first]})
+        known = {} if one.before else {first: one.results[first]}
+        one = Pass(one.direction, one.order, one.before, known, {first: one.seconds[first]})
         for _ in one.run(frames):
             pass
     return best
