@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
 
+from ctr_nlp.mapped import Mapped
 from ctr_nlp.models import stability, torsion
 from ctr_nlp.models.dominant import shows_transmission
 from ctr_nlp.models.stability import Energy
@@ -64,7 +65,7 @@ class Branches:
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
         shown = tuple(shows_transmission(robot, i) for i in range(robot.d))
-        self._motors = _Motors(_equilibrium(robot.tubes, shown), robot.d)
+        self._motors = Mapped(_equilibrium(robot.tubes, shown), 1, 1)
 
     def settled(self, q: Array) -> State | None:
         """The equilibrium at q that all tubes are turned to from alpha_d."""
@@ -129,8 +130,9 @@ class Branches:
         d = self.robot.d
         x = np.concatenate([x[:d], q[d:]])
         for _ in range(ITERATIONS):
-            alpha, slopes = self._motors(x)
-            factors, pivots, turn, singular = lapack.dgesv(slopes[:, :d], q[:d] - alpha)
+            alpha, columns = self._motors(x)
+            slopes = columns.reshape(-1, d).T
+            factors, pivots, turn, singular = lapack.dgesv(slopes[:, :d], q[:d] - alpha[0])
             size = abs(turn).max()
             if singular or not size < 1:
                 return None
@@ -197,24 +199,6 @@ def _decay(rates: Array, time: float) -> Array:
     small = abs(exponents) < 1e-9
     found: Array = np.where(small, time, -np.expm1(-exponents) / np.where(small, 1.0, rates))
     return found
-
-
-class _Motors:
-    """alpha (d,) and its slopes (d, 2d + 2) at x (2d + 2,), evaluated in place: the next call overwrites them."""
-
-    def __init__(self, function: ca.Function, d: int) -> None:
-        self._function, self._x = function, np.zeros(2 * d + 2)
-        self._alpha, columns = np.zeros(d), np.zeros((2 * d + 2, d))
-        self._slopes = columns.T
-        self._buffer, self._run = function.buffer()
-        self._buffer.set_arg(0, self._x.data)  # type: ignore[call-arg]
-        for i, found in enumerate((self._alpha, columns)):
-            self._buffer.set_res(i, found.data)  # type: ignore[call-arg]
-
-    def __call__(self, x: Array) -> tuple[Array, Array]:
-        self._x[:] = x
-        self._run()
-        return self._alpha, self._slopes
 
 
 @functools.lru_cache

@@ -59,8 +59,7 @@ def simulated(robot: Robot, q: Array, model: str) -> Simulation:
 
 
 def _backbone(robot: Robot, q: Array, sigma: Array) -> dominant.Backbone:
-    columns = [column[:, None] for column in np.asarray(q, dtype=float).T]
-    return dominant.backbone(robot, columns, sigma, np)
+    return dominant.backbone(robot, dominant.columns_of(q), sigma, np)
 
 
 def _stacked(vector: dominant.Vector) -> Array:

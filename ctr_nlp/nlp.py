@@ -85,8 +85,7 @@ class Nlp:
     """Minimise sum |residual|^2 + sum cost over x, subject to constraints and bounds.
 
     x (n, 1); lower, upper (n,), which a caller may tighten from solve to solve for what the configuration is;
-    parameters by name. picks: which
-    of x's entries and then g's are the configuration; None where x itself is.
+    parameters by name. picks: which of x's entries and then g's are the configuration; None where x itself is.
     """
 
     name: str
@@ -136,7 +135,7 @@ class Nlp:
         upper = [constraint.upper for constraint in self.constraints]
         return np.concatenate([np.zeros(0), *lower]), np.concatenate([np.zeros(0), *upper])
 
-    @property
+    @cached_property
     def configuration(self) -> Index:
         """Where the configuration's entries stand among x's entries and then g's."""
         return np.arange(self.x.numel()) if self.picks is None else np.array(self.picks)

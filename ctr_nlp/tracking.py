@@ -49,14 +49,14 @@ def untwisted(robot: Robot, q: Array) -> Array:
 
 def configuration(robot: Robot, x: Array) -> Array:
     """The configurations q (T, 2d + 2) of equilibria x (T, 2d + 2)."""
-    columns, d = _columns(x), robot.d
+    columns, d = dominant.columns_of(x), robot.d
     twisted = torsion.twist(robot, columns, torsion.sections(robot, columns[d : 2 * d], np), np)
     return np.hstack([*torsion.motors(robot, columns, twisted), *columns[d:]])
 
 
 def shapes(robot: Robot, x: Array, sigma: Array = SIGMA) -> Array:
     """Points (T, n, 3) in mm of the elastic model at x (T, 2d + 2) and sigma (n,)."""
-    columns, d = _columns(x), robot.d
+    columns, d = dominant.columns_of(x), robot.d
     parts = torsion.sections(robot, columns[d : 2 * d], np)
     lengths, _ = elastic.arms(robot, columns[d : 2 * d], parts, sigma, np)
     vectors = elastic.curves(robot, columns, parts, torsion.twist(robot, columns, parts, np), np)
@@ -70,11 +70,7 @@ def shapes(robot: Robot, x: Array, sigma: Array = SIGMA) -> Array:
 
 def tangents(robot: Robot, x: Array, sigma: Array = SIGMA) -> Array:
     """Unit tangents (T, n, 3) of the elastic model at x (T, 2d + 2) and sigma (n,)."""
-    return _stacked(elastic.backbone(robot, _columns(x), sigma, np).tangents, len(x), len(sigma))
-
-
-def _columns(x: Array) -> list[Array]:
-    return [column[:, None] for column in np.asarray(x, dtype=float).T]
+    return _stacked(elastic.backbone(robot, dominant.columns_of(x), sigma, np).tangents, len(x), len(sigma))
 
 
 def _stacked(vector: dominant.Vector, *shape: int) -> Array:

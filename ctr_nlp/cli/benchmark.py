@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import statistics
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 
@@ -93,31 +93,28 @@ def _checked(records: list[Record], baseline: Path) -> int:
 Named = Callable[..., Problem]
 
 
-def _frames(named: Named, chosen: list[str]) -> Iterator[Record]:
+def _each(
+    measured: Callable[[Problem], Iterator[Record]], chosen: Iterable[Problem], kind: str
+) -> Iterator[Record]:
+    """What is measured of every problem, then the means of ratios of a kind."""
     found: list[Record] = []
-    for name in (name for name in SHAPES if name in chosen):
-        for record in frames(named(name)):
+    for problem in chosen:
+        for record in measured(problem):
             found.append(record)
             yield record
-    yield from _means(found, "a frame: ")
+    yield from _means(found, kind)
+
+
+def _frames(named: Named, chosen: list[str]) -> Iterator[Record]:
+    yield from _each(frames, (named(name) for name in SHAPES if name in chosen), "a frame: ")
 
 
 def _horizons(named: Named, chosen: list[str]) -> Iterator[Record]:
-    found: list[Record] = []
-    for name in chosen:
-        for record in horizons(named(name)):
-            found.append(record)
-            yield record
-    yield from _means(found, "horizon: ")
+    yield from _each(horizons, map(named, chosen), "horizon: ")
 
 
 def _elastic(named: Named, chosen: list[str]) -> Iterator[Record]:
-    found: list[Record] = []
-    for name in (name for name in SHAPES if name in chosen):
-        for record in planned(named(name)):
-            found.append(record)
-            yield record
-    yield from _means(found, "an elastic frame: ")
+    yield from _each(planned, (named(name) for name in SHAPES if name in chosen), "an elastic frame: ")
     yield from forward(named("cos"))
 
 

@@ -6,10 +6,9 @@ from typing import Any
 
 import matplotlib
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from ctr_nlp import metrics
-from ctr_nlp.figures.page import STYLE, curve, head, shade_failures
+from ctr_nlp.figures.page import STYLE, curve, frame_axis, head, shade_failures
 from ctr_nlp.figures.palette import BLUE, GREEN, PURPLE, VERMILLION
 from ctr_nlp.plan import Plan
 
@@ -31,10 +30,8 @@ def by_frame(plan: Plan) -> Figure:
     shade_failures(axes, plan, columns["frame"], 1.0)
     for name, look in CURVES.items():
         curve(axes, columns["frame"], columns[name], **look)
-    axes.set_xlim(0.5, len(plan.time) + 0.5)
     axes.set_ylim(bottom=0.0)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
-    axes.set_xlabel("frame")
+    frame_axis(axes, len(plan.time))
     axes.set_ylabel("distance (mm)")
     figure.legend(loc="outside lower center", ncols=4)
     head(figure, plan, "Error by frame")

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
+from matplotlib.ticker import MaxNLocator
 
 from ctr_nlp.figures.palette import FAILED, UNREACHED
 from ctr_nlp.metrics import summary
@@ -76,6 +77,13 @@ def curve(axes: Axes, x: npt.NDArray[Any], y: npt.NDArray[np.float64], **look: A
     alone = np.flatnonzero(known[1:-1] & ~known[:-2] & ~known[2:])
     axes.plot(x, y, **look)
     axes.plot(x[alone], y[alone], color=look["color"], ls="", marker="o", ms=3)
+
+
+def frame_axis(axes: Axes, frames: int) -> None:
+    """Frames, from 1, along the horizontal axis."""
+    axes.set_xlim(0.5, frames + 0.5)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    axes.set_xlabel("frame")
 
 
 def at_least(axes: Axes, span: float) -> None:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
-from ctr_nlp.figures.page import STYLE, curve, head, shade_failures
+from ctr_nlp.figures.page import STYLE, curve, frame_axis, head, shade_failures
 from ctr_nlp.figures.palette import BLUE, ORANGE, VERMILLION
 from ctr_nlp.plan import Plan
 
@@ -27,11 +26,9 @@ def stability(plan: Plan) -> Figure:
     for k, snap in enumerate(plan.meta.get("snaps", [])):
         axes.axvline(snap["frame"], color=VERMILLION, lw=1.2, label=None if k else "snap")
     axes.axhline(0.0, color="0.3", lw=0.6)
-    axes.set_xlim(0.5, len(frames) + 0.5)
     low = float(np.nanmin(np.append(plan.stability_between[np.isfinite(plan.stability_between)], 0.0)))
     axes.set_ylim(min(1.15 * low, -0.02), 1.05)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
-    axes.set_xlabel("frame")
+    frame_axis(axes, len(frames))
     axes.set_ylabel("stability margin")
     figure.legend(loc="outside lower center", ncols=4)
     head(figure, plan, "Stability")

@@ -33,6 +33,11 @@ class Arm(NamedTuple):
     angle: Any
 
 
+def columns_of(q: Any) -> list[Any]:
+    """The entries (T, 1) of configurations or unknowns (T, n), as numpy takes them here."""
+    return [column[:, None] for column in np.asarray(q, dtype=float).T]
+
+
 def backbone(robot: Robot, q: Sequence[Any], sigma: Any, xp: Any) -> Backbone:
     """The shape C(s | q) at s = sigma beta_d, eqs. (1) and (4); q: the 2d + 2 entries."""
     travelled = arms(robot, q[robot.d : 2 * robot.d], sigma, xp)

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import Legendre
 
+from ctr_nlp.models.dominant import columns_of
 from ctr_nlp.models.torsion import STEPS, Node, Section, Twist, curvatures_at, moved, sections, stepped, twist
 from ctr_nlp.robot import Robot
 
@@ -122,7 +123,7 @@ def margins(robot: Robot, x: Array) -> Array:
 
 def differences(robot: Robot, x: Array) -> Array:
     """The angles (T, rows) of Energy at every x (T, 2d + 2)."""
-    columns = _columns(x)
+    columns = columns_of(x)
     parts = sections(robot, columns[robot.d : 2 * robot.d], np)
     nodes = twist(robot, columns, parts, np).nodes
     found = [node.angles[i] - node.angles[j] for k, i, j in _couples(parts) for node in nodes[k]]
@@ -131,7 +132,7 @@ def differences(robot: Robot, x: Array) -> Array:
 
 def energies(robot: Robot, x: Array) -> Iterator[Energy]:
     """The Energy at the beta of every x (T, 2d + 2)."""
-    columns = _columns(x)
+    columns = columns_of(x)
     parts = sections(robot, columns[robot.d : 2 * robot.d], np)
     twists = _twists(robot, columns, parts)
     couples = _couples(parts)
@@ -197,7 +198,3 @@ def _strength(robot: Robot, columns: Sequence[Array], part: Section, i: int, j: 
     k = curvatures_at(robot, columns, part, part.start + part.length * NODES)
     found: Array = part.shares[i] * robot.tubes[j].bending_stiffness * k[i] * k[j] * part.length * weights
     return found
-
-
-def _columns(x: Array) -> list[Array]:
-    return [column[:, None] for column in np.asarray(x, dtype=float).T]

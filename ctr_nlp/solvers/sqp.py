@@ -51,13 +51,13 @@ class Sqp(NlpSolver):
     def __init__(self, nlp: Nlp) -> None:
         """Build; raises OptionError where nothing can be compiled."""
         super().__init__(nlp)
-        self.program = Program(nlp)
+        self.program, self._picks = Program(nlp), nlp.configuration
         self._ipopt: Ipopt | None = None
 
     def solve(self, x0: Array, p: Array, low: Array, high: Array, warm: Solution | None) -> Solution:
         """As NlpSolver."""
         at, n = self.program, len(x0)
-        (at.lower[:], at.upper[:]), at.p[:] = self.nlp.row_bounds(low, high), p
+        at.lower[self._picks], at.upper[self._picks], at.p[:] = low, high, p
         at.x[:] = np.clip(x0, at.lower[:n], at.upper[:n])
         at.multipliers[:] = 0.0 if warm is None else np.concatenate([warm.lam_x, warm.lam_g])
         found = at.run()
@@ -65,7 +65,7 @@ class Sqp(NlpSolver):
         success = found.violation <= FEASIBLE and found.kkt <= OPTIMAL
         lam_x, lam_g = np.split(at.multipliers.copy(), [n])
         status, iterations = STATUS[found.status], found.iterations
-        q = np.concatenate([x, at.rows[n:]])[self.nlp.configuration]
+        q = np.concatenate([x, at.rows[n:]])[self._picks]
         if success:
             return Solution(x, found.objective, found.kkt, True, status, iterations, lam_x, lam_g, q)
         self._ipopt = self._ipopt or Ipopt(self.nlp)
