@@ -23,3 +23,19 @@ class OptionError(CtrError):
 
 class OutputError(CtrError):
     """A place that cannot be written, or a plan that cannot be read."""
+
+
+class ProgramError(CtrError):
+    """A plan that this hardware cannot or must not play; the message names frame and axis."""
+
+
+class HardwareError(CtrError):
+    """A hardware file that cannot be read, or describes what no rig can be."""
+
+
+class DeviceFault(CtrError):
+    """A device that does not do what it should: the message says what was seen."""
+
+
+class JournalError(CtrError):
+    """A journal that cannot be written, or cannot be read back."""

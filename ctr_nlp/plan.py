@@ -77,6 +77,11 @@ class Plan:
         return float(self.time[0])
 
     @property
+    def elastic(self) -> bool:
+        """Whether its shapes and margins are those of the elastic model."""
+        return bool(self.meta.get("evaluated", self.meta["model"]) == "elastic")
+
+    @property
     def complete(self) -> bool:
         """Whether every frame was solved."""
         return bool(self.success.all())

@@ -22,13 +22,14 @@ MOST_REASONS = 10
 def write(plan: Plan, folder: Path) -> None:
     """plan.npz, errors.csv, summary.json and the pictures."""
     plan.save(folder / "plan.npz")
-    _write_table(folder / "errors.csv", {name: column.tolist() for name, column in by_frame(plan).items()})
+    write_table(folder / "errors.csv", {name: column.tolist() for name, column in by_frame(plan).items()})
     text = json.dumps(summary(plan), indent=2, allow_nan=False)
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
     save_all(plan, folder)
 
 
-def _write_table(path: Path, columns: Mapping[str, Sequence[Any]]) -> None:
+def write_table(path: Path, columns: Mapping[str, Sequence[Any]]) -> None:
+    """Named columns as CSV."""
     with open(path, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(columns)
@@ -128,7 +129,7 @@ def exit_status(plan: Plan) -> int:
 def write_front(points: Sequence[Point], problem: str, folder: Path) -> None:
     """pareto.csv and its picture."""
     names = [field.name for field in fields(Point)]
-    _write_table(folder / "pareto.csv", {name: [getattr(point, name) for point in points] for name in names})
+    write_table(folder / "pareto.csv", {name: [getattr(point, name) for point in points] for name in names})
     save_front(points, problem, folder)
 
 

@@ -1,11 +1,23 @@
 """Plans to pictures: what the seed shows in its Figs. 4, 5, 6 and 8, for any plan."""
 
-from ctr_nlp.figures.files import save_all, save_front
+from ctr_nlp.figures.files import save, save_all, save_front
 from ctr_nlp.figures.frames import by_frame
 from ctr_nlp.figures.motion import configuration
 from ctr_nlp.figures.overlay import shapes
 from ctr_nlp.figures.pareto import pareto
 from ctr_nlp.figures.stability import stability
+from ctr_nlp.figures.tracking import tracking
 from ctr_nlp.figures.violins import errors
 
-__all__ = ["by_frame", "configuration", "errors", "pareto", "save_all", "save_front", "shapes", "stability"]
+__all__ = [
+    "by_frame",
+    "configuration",
+    "errors",
+    "pareto",
+    "save",
+    "save_all",
+    "save_front",
+    "shapes",
+    "stability",
+    "tracking",
+]

@@ -29,15 +29,16 @@ def save_all(plan: Plan, folder: str | Path) -> list[Path]:
     Into a folder that exists; returns where they lie. Raises OutputError where they cannot be written.
     """
     pictures = PICTURES | ({"stability": stability} if np.isfinite(plan.stability).any() else {})
-    return [_save(picture(plan), Path(folder) / f"{name}.png") for name, picture in pictures.items()]
+    return [save(picture(plan), Path(folder) / f"{name}.png") for name, picture in pictures.items()]
 
 
 def save_front(points: Sequence[Point], problem: str, folder: str | Path) -> Path:
     """Write pareto.png into a folder that exists; raises OutputError where it cannot be written."""
-    return _save(pareto(points, problem), Path(folder) / "pareto.png")
+    return save(pareto(points, problem), Path(folder) / "pareto.png")
 
 
-def _save(figure: Figure, path: Path) -> Path:
+def save(figure: Figure, path: Path) -> Path:
+    """Write a picture; raises OutputError where it cannot be written."""
     try:
         figure.savefig(path, dpi=DPI)
     except OSError as error:

@@ -1,0 +1,1 @@
+"""Plans to timed commands to devices: knows plans, not NLPs."""

@@ -1,0 +1,290 @@
+"""Steppers behind a Grbl controller: lines ahead of the motion, counted, watched and stopped."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.errors import DeviceFault
+from ctr_nlp.executor.clock import Clock
+from ctr_nlp.executor.devices import Progress, Standing
+from ctr_nlp.executor.devices.grbl_replies import Reply, Report, report_of
+from ctr_nlp.executor.devices.grbl_talk import (
+    GREETING,
+    HOLD,
+    RESET,
+    RESUME,
+    STATUS,
+    Identity,
+    Talk,
+)
+from ctr_nlp.executor.gcode import MODES, lines
+from ctr_nlp.executor.hardware import Hardware
+from ctr_nlp.executor.link import Link
+from ctr_nlp.executor.program import Commands
+from ctr_nlp.executor.way import Place, Way
+
+POLL = 0.05
+"""s between status questions while it moves."""
+
+STOPPING = 0.02
+"""s between them while it stops."""
+
+AGAIN = 0.3
+"""s after which a status question counts as lost and is asked again."""
+
+SILENCE = 2.0
+"""s without a report after which the controller counts as gone."""
+
+STALLED = 1.0
+"""s in which nothing moves, nothing is acknowledged, and yet something should."""
+
+HOLD_LIMIT = 2.0
+"""s in which a hold must have come to rest before the controller is reset all the same."""
+
+HOMING = 180.0
+"""s for a homing cycle."""
+
+SPARE = 128
+"""Bytes of the controller's buffer that are left free, lest a doubled ok makes it run over."""
+
+STILL = ("Idle", "Alarm", "Check", "Sleep")
+
+
+class Grbl:
+    """A grblHAL controller at the end of a link that opened makes.
+
+    Streams by counting characters against the size of the controller's buffer, or line by line (connection.flow).
+    ok means planned: what has been played is told by the line number and position of status reports.
+    """
+
+    def __init__(self, hardware: Hardware, opened: Callable[[], Link], clock: Clock) -> None:
+        self._hardware, self._opened, self._clock = hardware, opened, clock
+        self._identity: Identity | None = None
+        self._lines: list[bytes] = []
+        self._waiting: deque[int] = deque()
+        self._holding = self._held = False
+        self._lost = ""
+        self.underruns = 0
+
+    # connecting
+
+    def connect(self) -> None:
+        """Open the link and make sure of who answers; one that moves is asked for no more than its status."""
+        self._talk = Talk(self._opened(), self._clock)
+        if self._talk.report(GREETING).state in STILL:
+            self._identify()
+
+    def _identify(self) -> None:
+        self._talk.quiet()
+        self._identity = identity = self._talk.identify()
+        missing = [axis.letter for axis in self._hardware.axes if axis.letter not in identity.letters]
+        if missing:
+            raise DeviceFault(f"the controller has axes {identity.letters}; the hardware wants {missing[0]}")
+        self._columns = [identity.letters.index(axis.letter) for axis in self._hardware.axes]
+        if identity.setting(13):
+            raise DeviceFault("the controller reports in inches: set $13=0")
+        for axis, column in zip(self._hardware.axes, self._columns, strict=True):
+            for base, name, wanted in ((110, "speed", 60 * axis.speed), (120, "acceleration", axis.acceleration)):
+                there = identity.setting(base + column)
+                if there < wanted * (1 - 1e-9):
+                    raise DeviceFault(
+                        f"the controller's ${base + column}={there:g} is less than the {name} of {axis.letter} in "
+                        f"the hardware file ({wanted:g} here): it would be late; raise the one or lower the other"
+                    )
+        if self._hardware.connection.homing == "cycle" and not (identity.setting(22) % 2 and identity.setting(20)):
+            raise DeviceFault("homing is a cycle: the controller must have $22=1 (homing) and $20=1 (soft limits)")
+
+    @property
+    def resolution(self) -> npt.NDArray[np.float64]:
+        """What the axes (m,) can tell apart: a step, and the last digit of reports."""
+        assert self._identity is not None
+        steps = [self._identity.setting(100 + column) for column in self._columns]
+        return 1.0 / np.array(steps) + 1e-3
+
+    def standing(self) -> Standing:
+        """Where it stands, which must be at rest and in order."""
+        report = self._talk.report()
+        if report.state != "Idle":
+            raise DeviceFault(f"the controller is {report.state}; it must be Idle before anything is played")
+        if self._identity is None:
+            self._identify()
+        offsets = self._talk.offsets()
+        for name in ("G54", "G92", "TLO"):
+            if any(offsets.get(name, ())):
+                raise DeviceFault(
+                    f"the controller's {name} is {offsets[name]}; G-code must mean machine positions"
+                )
+        homed = self._hardware.connection.homing == "manual" or self._all_homed(offsets)
+        return Standing(report.position[self._columns], homed)
+
+    def _all_homed(self, offsets: dict[str, tuple[float, ...]]) -> bool:
+        """Whether all slides have been homed; turning axes have no end to find."""
+        *_, mask = offsets.get("HOME", (0.0,))
+        pairs = zip(self._hardware.axes, self._columns, strict=True)
+        return all(int(mask) >> column & 1 for axis, column in pairs if axis.unit == "mm")
+
+    def home(self) -> None:
+        """Run the controller's homing cycle."""
+        if self._hardware.connection.homing != "cycle":
+            raise DeviceFault("this hardware homes by hand: connection.homing is not cycle")
+        self._talk.ask("$H", HOMING)
+        self._talk.quiet()
+
+    # playing
+
+    def start(self, commands: Commands) -> None:
+        """Begin to play commands from where it stands."""
+        self._seen = Report("Idle", False, self._talk.report().position, 0, None)
+        self._way = Way(self._seen.position[self._columns], commands, self._hardware.tolerance)
+        self._place = Place(0.0, 0, 0.0)
+        texts = lines(self._hardware.letters, commands.positions, commands.time)
+        self._lines = [text.encode("ascii") + b"\n" for text in texts]
+        self._sent = self._planned = self.underruns = 0
+        self._waiting.clear()
+        self._holding = self._held = False
+        self._talk.ask(MODES)
+        now = self._clock.now()
+        self._stamp = self._asked = self._moved = now
+        self._answered = True
+
+    def update(self) -> Progress:
+        """Take what has come, ask for the next report, and send what there is room for."""
+        for reply in self._talk.replies():
+            self._take(reply)
+        now = self._clock.now()
+        done = self._planned == len(self._lines) and self._seen.state == "Idle" and self._stamp > self._moved
+        if not (done or self._held):
+            self._ask(now)
+            self._send()
+            self._watch(now)
+        state = "done" if done else "held" if self._held else "holding" if self._holding else "running"
+        time, line, away = self._place
+        if done:
+            time, line = float(self._way.ends[-1]), len(self._lines)
+        return Progress(state, time, line, self._seen.position[self._columns], self._stamp, away)
+
+    def _take(self, reply: Reply) -> None:
+        if reply.kind == "ok":
+            if not self._waiting:
+                raise DeviceFault("the controller acknowledges more lines than it was sent")
+            self._waiting.popleft()
+            self._planned, self._moved = self._planned + 1, self._clock.now()
+        elif reply.kind == "report":
+            report = report_of(reply.text, self._talk.axes)
+            if report is None:
+                raise DeviceFault(f"the controller's report cannot be read: {reply.text!r}")
+            self._follow(report)
+        elif reply.kind != "message":
+            if reply.kind in ("alarm", "banner"):
+                self._lost = reply.text
+            line = f" (line {self._planned + 1} of {len(self._lines)})" if reply.kind == "error" else ""
+            raise DeviceFault(f"the controller says {reply.text!r}{line}")
+
+    def _follow(self, report: Report) -> None:
+        """Find where on its way a report shows it."""
+        self._answered, self._stamp = True, self._clock.now()
+        if report.state not in ("Idle", "Run", "Hold"):
+            raise DeviceFault(f"the controller is in state {report.state} while it should play")
+        position = report.position[self._columns]
+        if (position != self._seen.position[self._columns]).any():
+            self._moved = self._stamp
+        empty = report.free is not None and self._identity is not None and report.free >= self._identity.blocks
+        if empty and self._sent < len(self._lines) and self._planned and not self._holding:
+            self.underruns += 1
+        self._seen, self._held = report, self._holding and report.stopped
+        if self._sent:
+            ahead = min(report.line + 1, self._sent) if report.line else self._sent
+            place = self._way.nearest(position, max(self._place.line - 1, 0), ahead)
+            self._place = max(self._place, place, key=lambda known: known.time)._replace(away=place.away)
+
+    def _ask(self, now: float) -> None:
+        wait = (STOPPING if self._holding else POLL) if self._answered else AGAIN
+        if now - self._asked >= wait:
+            self._talk.link.write(STATUS)
+            self._asked, self._answered = now, False
+
+    def _send(self) -> None:
+        if self._holding or self._identity is None:
+            return
+        room = self._identity.receive - SPARE if self._hardware.connection.flow == "count" else 1
+        while self._sent < len(self._lines):
+            line = self._lines[self._sent]
+            if self._waiting and sum(self._waiting) + len(line) > room:
+                return
+            self._talk.link.write(line)
+            self._waiting.append(len(line))
+            self._sent, self._moved = self._sent + 1, self._clock.now()
+
+    def _watch(self, now: float) -> None:
+        if now - self._stamp > SILENCE:
+            raise DeviceFault(f"the controller has not reported its status for {SILENCE:g} s")
+        if self._seen.state == "Idle" and now - self._moved > STALLED and not self._holding:
+            raise DeviceFault(
+                f"the controller is idle, with {self._planned} of {self._sent} lines acknowledged: replies or "
+                "lines were lost"
+            )
+
+    # stopping
+
+    def hold(self) -> None:
+        """Ask for a feed hold; no line is sent until it is resumed, and nothing at all once it is at rest."""
+        self._talk.link.write(HOLD)
+        self._holding, self._held = True, False
+
+    def resume(self) -> None:
+        """Go on after a hold."""
+        self._talk.link.write(RESUME)
+        self._holding = self._held = False
+        self._stamp = self._asked = self._moved = self._clock.now()
+        self._answered = True
+
+    def abort(self) -> Standing:
+        """Hold, wait for rest, then reset, which keeps the position; raises DeviceFault where it is lost."""
+        self._lines = []
+        if self._lost:
+            raise DeviceFault(
+                f"the controller stopped by itself, with {self._lost!r}: its position is not to be trusted"
+            )
+        rested = self._rested()
+        self._talk.link.write(RESET)
+        restarted = any(reply.kind == "banner" for reply in self._until("banner", HOLD_LIMIT))
+        if not (rested and restarted):
+            raise DeviceFault(
+                "the controller "
+                + ("was reset in motion" if restarted else "does not answer a reset")
+                + ": its position is not to be trusted"
+            )
+        return self.standing()
+
+    def _rested(self) -> bool:
+        """Whether a feed hold has come to rest."""
+        end = self._clock.now() + HOLD_LIMIT
+        self._talk.link.write(HOLD)
+        while self._clock.now() < end:
+            self._talk.link.write(STATUS)
+            for reply in self._until("report", STOPPING):
+                if reply.kind in ("alarm", "banner"):
+                    raise DeviceFault(f"the controller says {reply.text!r}: its position is not to be trusted")
+                report = report_of(reply.text, self._talk.axes) if reply.kind == "report" else None
+                if report is not None and report.state == "Alarm":
+                    raise DeviceFault("the controller is in alarm: its position is not to be trusted")
+                if report is not None and (report.stopped or report.state == "Idle"):
+                    return True
+        return False
+
+    def _until(self, kind: str, seconds: float) -> list[Reply]:
+        """Replies up to one of a kind, or of so many s."""
+        found: list[Reply] = []
+        for reply in self._talk.waited(seconds):
+            found.append(reply)
+            if reply.kind == kind:
+                break
+        return found
+
+    def close(self) -> None:
+        """Let go of the link; nothing is sent."""
+        self._talk.link.close()

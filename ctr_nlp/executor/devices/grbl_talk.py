@@ -1,0 +1,123 @@
+"""Questions and answers with a Grbl controller: who it is, how it is set, where it stands."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from ctr_nlp.errors import DeviceFault
+from ctr_nlp.executor.clock import Clock
+from ctr_nlp.executor.devices.grbl_replies import Reply, Report, reply_of, report_of
+from ctr_nlp.executor.link import Link
+
+STATUS, HOLD, RESUME, RESET = b"?", b"!", b"~", b"\x18"
+
+GREETING = 6.0
+"""s for a controller that restarts when its port is opened."""
+
+ANSWER = 3.0
+"""s within which a line is answered while nothing moves."""
+
+QUIET = 0.15
+"""s without a byte: nothing else is on its way."""
+
+TICK = 0.005
+"""s between two looks at the link while waiting."""
+
+
+@dataclass(frozen=True)
+class Identity:
+    """letters of its axes; receive: bytes that it can keep; blocks: of its planner; settings: by number."""
+
+    letters: str
+    receive: int
+    blocks: int
+    settings: dict[int, str]
+
+    def setting(self, number: int) -> float:
+        """A setting as a number; raises DeviceFault."""
+        try:
+            return float(self.settings[number])
+        except (KeyError, ValueError) as error:
+            raise DeviceFault(f"the controller does not tell its setting ${number}") from error
+
+
+class Talk:
+    """Replies as they come, and answers that are waited for."""
+
+    def __init__(self, link: Link, clock: Clock) -> None:
+        self.link, self._clock, self._rest = link, clock, b""
+        self.axes = 6
+
+    def replies(self) -> Iterator[Reply]:
+        """Every whole line that has come."""
+        self._rest += self.link.read()
+        *lines, self._rest = self._rest.split(b"\n")
+        for line in lines:
+            yield reply_of(line.rstrip(b"\r").decode("latin-1"))
+
+    def waited(self, seconds: float) -> Iterator[Reply]:
+        """Replies of so many s."""
+        end = self._clock.now() + seconds
+        while self._clock.now() < end:
+            yield from self.replies()
+            self._clock.sleep(TICK)
+
+    def ask(self, line: str, seconds: float = ANSWER) -> list[str]:
+        """Send a line and wait for its ok; what was said before it. Raises DeviceFault."""
+        self.link.write(line.encode("ascii") + b"\n")
+        said: list[str] = []
+        for reply in self.waited(seconds):
+            if reply.kind == "ok":
+                return said
+            if reply.kind in ("error", "alarm", "banner"):
+                raise DeviceFault(f"the controller answers {reply.text!r} to {line!r}")
+            said.append(reply.text)
+        raise DeviceFault(f"the controller does not answer {line!r} within {seconds:g} s, but for {said}")
+
+    def report(self, seconds: float = ANSWER) -> Report:
+        """Ask for a status report until one comes; raises DeviceFault."""
+        end = self._clock.now() + seconds
+        while self._clock.now() < end:
+            self.link.write(STATUS)
+            for reply in self.waited(0.25):
+                found = report_of(reply.text, self.axes) if reply.kind == "report" else None
+                if found is not None:
+                    return found
+        raise DeviceFault(f"the controller sends no status within {seconds:g} s")
+
+    def offsets(self) -> dict[str, tuple[float, ...]]:
+        """Offsets between G-code and machine, and what has been homed, by name ($#); raises DeviceFault."""
+        pairs = [text.strip("[]").partition(":") for text in self.ask("$#") if text.startswith("[")]
+        try:
+            return {name: tuple(float(x) for x in re.split("[,:]", values)) for name, _, values in pairs}
+        except ValueError as error:
+            raise DeviceFault(f"the controller's offsets cannot be read: {pairs}") from error
+
+    def quiet(self) -> None:
+        """Let pass what is still on its way, such as the second ok that a status question before a line earns."""
+        end = self._clock.now() + ANSWER
+        last = self._clock.now()
+        while self._clock.now() < min(end, last + QUIET):
+            if list(self.replies()):
+                last = self._clock.now()
+            self._clock.sleep(TICK)
+
+    def identify(self) -> Identity:
+        """Make sure that lines are answered, and read who answers; raises DeviceFault.
+
+        A link that is open at one end only may pass status on, but no lines.
+        """
+        self.ask("")
+        self.quiet()
+        told = dict(text.strip("[]").partition(":")[::2] for text in self.ask("$I") if text.startswith("["))
+        settings = [text[1:].partition("=") for text in self.ask("$$") if text.startswith("$")]
+        try:
+            count, _, letters = told["AXS"].partition(":")
+            _, blocks, receive, *_ = told["OPT"].split(",")
+            self.axes = int(count)
+            known = {int(number): value for number, _, value in settings}
+            return Identity(letters, int(receive), int(blocks), known)
+        except (KeyError, ValueError) as error:
+            raise DeviceFault(f"the controller is no grblHAL that can be used: it tells {told}") from error

@@ -1,0 +1,24 @@
+"""The device that a hardware file names."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.executor.clock import Clock
+from ctr_nlp.executor.devices import Device
+from ctr_nlp.executor.devices.grbl import Grbl
+from ctr_nlp.executor.devices.simulated import Simulated
+from ctr_nlp.executor.hardware import Hardware
+from ctr_nlp.executor.journal import Journal
+from ctr_nlp.executor.link import RecordedLink, SerialLink
+
+Array = npt.NDArray[np.float64]
+
+
+def device_of(hardware: Hardware, journal: Journal, clock: Clock, position: Array) -> Device:
+    """The device, not connected yet; position (m,): where the axes of a simulated one stand."""
+    connection = hardware.connection
+    if connection.device == "grbl":
+        return Grbl(hardware, lambda: RecordedLink(SerialLink(connection.url, connection.baud), journal), clock)
+    return Simulated(position, clock)

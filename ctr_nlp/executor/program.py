@@ -1,0 +1,165 @@
+"""A plan as commands: a path through its frames, timed for hardware, as positions of axes and tilts of the arm."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicHermiteSpline
+
+from ctr_nlp.errors import OptionError, ProgramError
+from ctr_nlp.executor.hardware import Hardware
+from ctr_nlp.executor.path import made_up, path_through
+from ctr_nlp.executor.timing import Motion, timed
+from ctr_nlp.plan import Plan
+from ctr_nlp.robot import Robot
+
+Array = npt.NDArray[np.float64]
+
+LINE = 0.05
+"""s: the longest piece of motion that a device gets as one straight line."""
+
+
+@dataclass(frozen=True)
+class Commands:
+    """Straight pieces of a motion, one after the other, from where it starts.
+
+    time (N,) s: when each ends, from the start; frame (N,): the frame on the way to which it lies, from 1; q (N,
+    2d + 2) and positions (N, m) of the axes, in their units, at its end.
+    """
+
+    time: Array
+    frame: npt.NDArray[np.int64]
+    q: Array
+    positions: Array
+
+
+@dataclass(frozen=True)
+class Program:
+    """A motion of a robot through numbered frames, at rest at both ends, on some hardware.
+
+    robot: with the limits of the hardware. knots (T,): parameters of the path (the plan's time) where frames are
+    passed, the first of which may be a place between frames; frames (T,): their numbers. lash: what is added to
+    the axes' positions (.., m) for play in the drives, a function of that parameter. digest: of what is played.
+    """
+
+    robot: Robot
+    hardware: Hardware
+    motion: Motion
+    lash: CubicHermiteSpline
+    knots: Array
+    frames: npt.NDArray[np.int64]
+    digest: str
+
+    @property
+    def duration(self) -> float:
+        """In s."""
+        return self.motion.duration
+
+    @cached_property
+    def frame_time(self) -> Array:
+        """When its frames are passed, (T,) s."""
+        return self.motion.when(self.knots)
+
+    def at(self, time: Array) -> tuple[Array, Array, Array]:
+        """Configurations q, velocities and accelerations (N, 2d + 2) at times (N,) s."""
+        return self.motion.at(time)
+
+    def positions(self, time: Array) -> Array:
+        """Positions (N, m) of the axes, in their units, at times (N,) s."""
+        joints = self.hardware.positions(self.robot, self.at(time)[0])
+        return np.asarray(joints + self.lash(self.motion.parameter(time)))
+
+    def commands(self, longest: float = LINE) -> Commands:
+        """The motion in straight pieces of at most so many s, with frames among their ends."""
+        counts = np.maximum(1, np.ceil(np.diff(self.frame_time) / longest - 1e-6)).astype(int)
+        pieces = [
+            np.linspace(start, end, count + 1)[1:]
+            for start, end, count in zip(self.frame_time[:-1], self.frame_time[1:], counts, strict=True)
+        ]
+        time = np.concatenate(pieces)
+        return Commands(time, np.repeat(self.frames[1:], counts), self.at(time)[0], self.positions(time))
+
+
+def program_of(plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: Array | None = None) -> Program:
+    """A plan's motion from its first frame on, at its own pace times tempo, slower where the hardware has to.
+
+    standing (m,): positions from which axes come to the first frame. Raises HardwareError, OptionError,
+    ProgramError; what is played must be checked before (checks.checked).
+    """
+    if isinstance(tempo, bool) or not 0 < tempo <= 1:
+        raise OptionError(f"tempo is {tempo!r}; it must lie in (0, 1]")
+    robot = hardware.tightened(plan.robot)
+    positions = hardware.positions(robot, plan.q)
+    before = np.zeros(len(hardware.axes))
+    if standing is not None:
+        before = np.where(standing > positions[0] + 0.01 * hardware.backlash, -hardware.backlash, 0.0)
+    lash = made_up(plan.time, positions, hardware.backlash, before)
+    path = path_through(robot, plan.time, plan.q)
+    frames = np.arange(1, len(plan.time) + 1)
+    return _timed(robot, hardware, path, lash, plan.time, frames, digest(plan, hardware), tempo)
+
+
+def rest_of(program: Program, s: float, tempo: float = 1.0) -> Program:
+    """What is left of a program when the robot stands on its path at the parameter s (the plan's time)."""
+    ahead = program.knots > s
+    if not ahead.any():
+        raise ProgramError("nothing is left of this program: it has reached its last frame")
+    knots = np.append(s, program.knots[ahead])
+    frames = np.append(program.frames[ahead][0] - 1, program.frames[ahead])
+    path = program.motion.path
+    return _timed(program.robot, program.hardware, path, program.lash, knots, frames, program.digest, tempo)
+
+
+def approach_to(program: Program, standing: Array, theta: Array) -> Program:
+    """The straight and slow way from positions (m,) of the axes and a tilt (2,) to where a program starts."""
+    hardware, start = program.hardware, program.knots[:1]
+    robot = program.robot.with_limits(**_named("speed", program.robot, hardware.approach * program.robot.speed))
+    q = np.stack([hardware.joints(robot, standing, theta), program.motion.path(start[0])])
+    knots = np.array([0.0, max(1e-3, float((abs(q[1] - q[0]) / robot.speed).max()))])
+    added = np.vstack([np.zeros(len(hardware.axes)), program.lash(start)])
+    lash = CubicHermiteSpline(knots, added, np.zeros_like(added))
+    first = program.frames[0]
+    frames = np.array([first - (program.knots[0] == program.motion.path.x[0]), first])
+    return _timed(robot, hardware, path_through(robot, knots, q), lash, knots, frames, program.digest, 1.0)
+
+
+def _named(kind: str, robot: Robot, values: Array) -> dict[str, Any]:
+    parts = zip(("alpha", "beta", "theta"), robot.split(values), strict=True)
+    return {f"{name}_{kind}": part.tolist() for name, part in parts}
+
+
+def _timed(
+    robot: Robot,
+    hardware: Hardware,
+    path: CubicHermiteSpline,
+    lash: CubicHermiteSpline,
+    knots: Array,
+    frames: npt.NDArray[np.int64],
+    name: str,
+    tempo: float,
+) -> Program:
+    """The program along a path, whose limits are those of what the drives do."""
+    if len(knots) < 2:
+        raise ProgramError(f"a plan of {len(knots)} frame is no motion; give at least two")
+
+    def driven(s: Array, order: int = 0) -> Array:
+        return np.asarray(path(s, order) + hardware.in_joints(robot, lash(s, order)))
+
+    motion = timed(path, driven, knots, robot.speed, robot.acceleration, tempo)
+    return Program(robot, hardware, motion, lash, knots, frames, name)
+
+
+def digest(plan: Plan, hardware: Hardware) -> str:
+    """A name for what a plan is on some hardware; it changes with every number that is played."""
+    known = hashlib.sha256()
+    for array in (plan.time, plan.q, plan.success):
+        known.update(np.ascontiguousarray(array).tobytes())
+    known.update(json.dumps(plan.meta["robot"], sort_keys=True).encode())
+    known.update(repr((hardware.axes, hardware.arm)).encode())
+    return known.hexdigest()

@@ -1,0 +1,148 @@
+"""From a plan to its last frame: check, connect, go to the first frame, play; or go on where a session ended."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.errors import ProgramError
+from ctr_nlp.executor.checks import Checked, check_plan, checked
+from ctr_nlp.executor.devices import Standing
+from ctr_nlp.executor.hardware import Hardware
+from ctr_nlp.executor.player import Player, Seen
+from ctr_nlp.executor.program import Program, approach_to, program_of, rest_of
+from ctr_nlp.executor.results import Outcome, Result, State
+from ctr_nlp.executor.way import Way
+from ctr_nlp.plan import Plan
+
+Array = npt.NDArray[np.float64]
+
+LEVEL = 1e-4
+"""rad by which the arm may be off where a program starts."""
+
+
+def prepared(
+    plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: Array | None = None
+) -> tuple[Program, Checked]:
+    """The program of a plan, and what was found when all of it was checked.
+
+    standing (m,): positions from which the axes come to the first frame. Raises HardwareError, OptionError,
+    ProgramError.
+    """
+    check_plan(plan, hardware.tightened(plan.robot))
+    program = program_of(plan, hardware, tempo, standing)
+    return program, checked(program, plan.elastic)
+
+
+def begin(
+    player: Player,
+    plan: Plan,
+    hardware: Hardware,
+    tempo: float = 1.0,
+    *,
+    home: bool = False,
+    seen: Seen | None = None,
+) -> Result:
+    """Play a plan from its first frame, to which the robot goes slowly and straight from where it stands.
+
+    home: let the device find its position before. Raises the errors of prepared before anything is sent, and
+    DeviceFault where no program could be begun.
+    """
+    program, _ = prepared(plan, hardware, tempo)
+    standing = player.connect()
+    if home:
+        standing = player.home()
+    if hardware.backlash.any():
+        program, _ = prepared(plan, hardware, tempo, standing.position)
+    _announce(player, program, tempo, standing.position, None)
+    return _go(player, program, standing, plan.elastic, seen)
+
+
+def resume(
+    player: Player,
+    plan: Plan,
+    hardware: Hardware,
+    records: list[dict[str, Any]],
+    *,
+    verified: bool = False,
+    seen: Seen | None = None,
+) -> Result:
+    """Go on where a session (the records of its journal) ended, if the robot still stands on its way.
+
+    A device that still moves is stopped first. verified: a person has made sure that the axes are where the device
+    says. Raises ProgramError where the plan or the position is another, or nothing is left.
+    """
+    told = next((record for record in records if record["kind"] == "program"), None)
+    if told is None:
+        raise ProgramError("the journal's session played no program: begin anew")
+    program = _as_told(plan, hardware, told)
+    frame = max([int(told["first"]), *(int(r["frame"]) for r in records if r["kind"] == "frame")])
+    if frame < 1:
+        raise ProgramError("the journal's session did not reach its first frame: begin anew")
+    if frame == program.frames[-1]:
+        raise ProgramError(f"the journal's session reached frame {frame}, the last one: nothing is left")
+    results = [record for record in records if record["kind"] == "result"]
+    if not verified and results and not results[-1]["trusted"]:
+        raise ProgramError(
+            "the position was not to be trusted when the session ended: home, or make sure that the axes are "
+            "where the device says and say so"
+        )
+    standing = player.connect(stop_first=True)
+    if player.state is not State.HOMED and not verified:
+        raise ProgramError("the device does not know its position any more: home and begin anew")
+    s = _place(program, standing.position, frame)
+    _announce(player, program, told["tempo"], told["standing"], s)
+    return _go(player, rest_of(program, s, told["tempo"]), standing, plan.elastic, seen)
+
+
+def _go(player: Player, program: Program, standing: Standing, elastic: bool, seen: Seen | None) -> Result:
+    """Play a program, after the slow way to its start where the robot is not there."""
+    start = program.positions(np.zeros(1))[0]
+    tilted = abs(player.tilt() - program.at(np.zeros(1))[0][0, -2:]).max() > LEVEL
+    if tilted or (abs(start - standing.position) > player.device.resolution).any():
+        approach = approach_to(program, standing.position, player.tilt())
+        checked(approach, elastic)
+        result = player.play(approach, seen)
+        if result.outcome is not Outcome.SUCCESS:
+            return result
+    return player.play(program, seen)
+
+
+def _announce(player: Player, program: Program, tempo: float, standing: Any, s: float | None) -> None:
+    """What resume needs to know."""
+    player.journal.record(
+        "program",
+        digest=program.digest,
+        tempo=tempo,
+        standing=np.asarray(standing).tolist(),
+        parameter=s,
+        first=0 if s is None else int(program.frames[program.knots <= s][-1]),
+        last=int(program.frames[-1]),
+        duration=program.duration,
+    )
+
+
+def _as_told(plan: Plan, hardware: Hardware, told: dict[str, Any]) -> Program:
+    """The program that a record tells of, made again."""
+    program, _ = prepared(plan, hardware, told["tempo"], np.array(told["standing"]))
+    if program.digest != told["digest"]:
+        raise ProgramError(
+            "the journal is of another plan, or of other hardware: the robot cannot go on with this one"
+        )
+    return program
+
+
+def _place(program: Program, position: Array, frame: int) -> float:
+    """Where on the way after a frame the axes stand, as a parameter of the path; raises ProgramError."""
+    commands = program.commands()
+    way = Way(program.positions(np.zeros(1))[0], commands, program.hardware.tolerance)
+    first = int(np.searchsorted(commands.frame, frame, "right"))
+    found = way.nearest(position, max(first - 1, 0), len(commands.time))
+    if found.away > 1.0:
+        raise ProgramError(
+            f"the axes stand {found.away:.3g} tolerances from the way after frame {frame}: nothing jumps; bring them "
+            "back, or begin anew"
+        )
+    return float(program.motion.parameter(found.time))

@@ -1,0 +1,45 @@
+"""Where on its way a device is: the straight pieces that it was given, and the place on them nearest to it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.executor.program import Commands
+
+Array = npt.NDArray[np.float64]
+
+
+class Place(NamedTuple):
+    """A place on a way: the time (s) at which it is passed, how many pieces lie behind, and the distance to it.
+
+    away: of the axis that is furthest off, in parts of its tolerance.
+    """
+
+    time: float
+    line: int
+    away: float
+
+
+class Way:
+    """From a position (m,) along commands; tolerance (m,): of the axes."""
+
+    def __init__(self, start: Array, commands: Commands, tolerance: Array) -> None:
+        self.ends = np.append(0.0, commands.time)
+        self.points = np.vstack([start, commands.positions])
+        self._scale = 1.0 / tolerance
+
+    def nearest(self, position: Array, first: int, last: int) -> Place:
+        """The place on pieces first to last - 1, from 0, nearest to a position (m,); the earliest of equals."""
+        last = max(last, first + 1)
+        start, way = self.points[first:last], np.diff(self.points[first : last + 1], axis=0) * self._scale
+        gone = (position - start) * self._scale
+        length = (way**2).sum(axis=1)
+        part = np.clip((way * gone).sum(axis=1) / np.where(length > 0, length, 1.0), 0.0, 1.0)
+        away = abs(gone - part[:, None] * way).max(axis=1)
+        best = int((away > away.min() + 1e-9).argmin())
+        k, t = first + best, float(part[best])
+        passed = k + 1 if t >= 1.0 - 1e-9 else k
+        return Place(float(self.ends[k] + t * (self.ends[k + 1] - self.ends[k])), passed, float(away[best]))
