@@ -55,3 +55,32 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     finally:
         if staging is not None:
             shutil.rmtree(staging, ignore_errors=True)
+
+
+def check_file(file: Path, opening: str) -> None:
+    """Raise OutputError unless a file can be written and is new, empty or one of ours."""
+    try:
+        if file.is_symlink() or (file.exists() and not file.is_file()):
+            raise OutputError(f"output file {file} is a folder or a link; it must be new or one of ours")
+        if file.exists():
+            with open(file, "rb") as known:
+                if not opening.encode().startswith(known.read(len(opening))):
+                    raise OutputError(f"output file {file} exists and is not one of ours; name another with --out")
+        parent = next(ancestor for ancestor in file.absolute().parents if ancestor.exists())
+        with tempfile.TemporaryDirectory(dir=parent):
+            pass
+    except OSError as error:
+        raise OutputError(f"output file {file} cannot be written: {error}") from error
+
+
+def write_text(file: Path, text: str) -> None:
+    """Write a file whole or not at all; raises OutputError."""
+    partial = file.with_name(f".{file.name}.partial")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        partial.write_text(text, encoding="utf-8", newline="")
+        os.replace(partial, file)
+    except OSError as error:
+        raise OutputError(f"output file {file} cannot be written: {error}") from error
+    finally:
+        partial.unlink(missing_ok=True)

@@ -14,14 +14,27 @@ MODES = "G21 G90 G93 G54"
 
 DECIMALS = 4
 
+LEAST_FEED = 1.0 / 60.0
+"""Units/s: Grbl goes no slower, and a line in which nothing moves takes no time there."""
+
 
 def line(number: int, letters: Sequence[str], position: Array, seconds: float) -> str:
     """The line that goes straight to a position (m,) within so many s; every axis and F are on it."""
-    words = " ".join(f"{letter}{value:.{DECIMALS}f}" for letter, value in zip(letters, position, strict=True))
+    rounded = np.round(position, DECIMALS) + 0.0
+    words = " ".join(f"{letter}{value:.{DECIMALS}f}" for letter, value in zip(letters, rounded, strict=True))
     return f"N{number} G1 {words} F{60.0 / seconds:.{DECIMALS}f}"
 
 
-def lines(letters: Sequence[str], positions: Array, time: Array) -> list[str]:
-    """The lines, numbered from 1, of commands that end at time (N,) s and at positions (N, m)."""
-    durations = np.diff(time, prepend=0.0)
-    return [line(n, letters, p, dt) for n, (p, dt) in enumerate(zip(positions, durations, strict=True), start=1)]
+def lines(letters: Sequence[str], start: Array, positions: Array, time: Array) -> list[str]:
+    """The lines, numbered from 1, from start (m,) to positions (N, m) that are reached at time (N,) s.
+
+    Where less would move than Grbl's least feed it waits (G4), and the next line makes up for it.
+    """
+    durations, there, found = np.diff(time, prepend=0.0), start, []
+    for n, (position, seconds) in enumerate(zip(positions, durations, strict=True), start=1):
+        if n < len(positions) and np.linalg.norm(position - there) < LEAST_FEED * seconds:
+            found.append(f"N{n} G4 P{seconds:.{DECIMALS}f}")
+        else:
+            found.append(line(n, letters, position, seconds))
+            there = position
+    return found

@@ -35,11 +35,12 @@ class SerialLink:
     def __init__(self, url: str, baud: int) -> None:
         self._url, self._serial = url, needed("serial")
         self._lost: tuple[type[Exception], ...] = _failures(self._serial)
+        unopened: tuple[type[Exception], ...] = (*self._lost, ValueError)
         try:
             self._port: Any = self._serial.serial_for_url(
                 url, baudrate=baud, timeout=0, write_timeout=WRITE_TIMEOUT
             )
-        except (*self._lost, ValueError) as error:
+        except unopened as error:
             raise DeviceFault(f"{url} cannot be opened: {error}") from error
 
     def write(self, data: bytes) -> None:

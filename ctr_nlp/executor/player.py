@@ -98,7 +98,7 @@ class Player:
     def play(self, program: Program, seen: Seen | None = None) -> Result:
         """Play a program that was checked, from where it starts; returns when everything stands still.
 
-        seen is told of the program and its progress every few ms. Nothing is sent where the axes are not at the start.
+        seen is told of the program and its progress every few ms. Nothing is sent where axes are not at the start.
         """
         if self.state is not State.HOMED:
             raise DeviceFault(f"the player is {self.state.value}; only a homed one plays")

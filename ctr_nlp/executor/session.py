@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.errors import ProgramError
+from ctr_nlp.errors import DeviceFault, ProgramError
 from ctr_nlp.executor.checks import Checked, check_plan, checked
 from ctr_nlp.executor.devices import Standing
 from ctr_nlp.executor.hardware import Hardware
@@ -54,6 +54,8 @@ def begin(
     standing = player.connect()
     if home:
         standing = player.home()
+    if player.state is not State.HOMED:
+        raise DeviceFault("the device does not know where it stands: let it home first")
     if hardware.backlash.any():
         program, _ = prepared(plan, hardware, tempo, standing.position)
     _announce(player, program, tempo, standing.position, None)
@@ -142,7 +144,7 @@ def _place(program: Program, position: Array, frame: int) -> float:
     found = way.nearest(position, max(first - 1, 0), len(commands.time))
     if found.away > 1.0:
         raise ProgramError(
-            f"the axes stand {found.away:.3g} tolerances from the way after frame {frame}: nothing jumps; bring them "
-            "back, or begin anew"
+            f"the axes stand {found.away:.3g} tolerances from the way after frame {frame}: nothing jumps; bring "
+            "them back, or begin anew"
         )
     return float(program.motion.parameter(found.time))

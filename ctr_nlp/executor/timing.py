@@ -24,7 +24,7 @@ CELLS = 6
 SIDE = 1e-3
 """Part of a cell: limits hold on both sides of a frame, where accelerations may jump."""
 
-CLOCK = 1e4
+CLOCK = 100.0
 """1/s: how fast the pace may change where no joint moves."""
 
 CHECKED = np.array([0.0, 0.25, 0.5, 0.75, 1.0 - 1e-6])

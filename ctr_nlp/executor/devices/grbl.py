@@ -67,7 +67,6 @@ class Grbl:
         self._lines: list[bytes] = []
         self._waiting: deque[int] = deque()
         self._holding = self._held = False
-        self._lost = ""
         self.underruns = 0
 
     # connecting
@@ -75,7 +74,7 @@ class Grbl:
     def connect(self) -> None:
         """Open the link and make sure of who answers; one that moves is asked for no more than its status."""
         self._talk = Talk(self._opened(), self._clock)
-        if self._talk.report(GREETING).state in STILL:
+        if self._talk.report(GREETING, greeting=True).state in STILL:
             self._identify()
 
     def _identify(self) -> None:
@@ -141,7 +140,7 @@ class Grbl:
         self._seen = Report("Idle", False, self._talk.report().position, 0, None)
         self._way = Way(self._seen.position[self._columns], commands, self._hardware.tolerance)
         self._place = Place(0.0, 0, 0.0)
-        texts = lines(self._hardware.letters, commands.positions, commands.time)
+        texts = lines(self._hardware.letters, self._way.points[0], commands.positions, commands.time)
         self._lines = [text.encode("ascii") + b"\n" for text in texts]
         self._sent = self._planned = self.underruns = 0
         self._waiting.clear()
@@ -179,8 +178,6 @@ class Grbl:
                 raise DeviceFault(f"the controller's report cannot be read: {reply.text!r}")
             self._follow(report)
         elif reply.kind != "message":
-            if reply.kind in ("alarm", "banner"):
-                self._lost = reply.text
             line = f" (line {self._planned + 1} of {len(self._lines)})" if reply.kind == "error" else ""
             raise DeviceFault(f"the controller says {reply.text!r}{line}")
 
@@ -245,19 +242,14 @@ class Grbl:
     def abort(self) -> Standing:
         """Hold, wait for rest, then reset, which keeps the position; raises DeviceFault where it is lost."""
         self._lines = []
-        if self._lost:
-            raise DeviceFault(
-                f"the controller stopped by itself, with {self._lost!r}: its position is not to be trusted"
-            )
+        self._talk.check()
         rested = self._rested()
         self._talk.link.write(RESET)
-        restarted = any(reply.kind == "banner" for reply in self._until("banner", HOLD_LIMIT))
-        if not (rested and restarted):
-            raise DeviceFault(
-                "the controller "
-                + ("was reset in motion" if restarted else "does not answer a reset")
-                + ": its position is not to be trusted"
-            )
+        said = [reply.kind for reply in self._until("banner", HOLD_LIMIT)]
+        if "alarm" in said or "banner" not in said or not rested:
+            how = "was reset in motion" if said else "does not answer a reset"
+            raise DeviceFault(f"the controller {how}: its position is not to be trusted")
+        self._talk.lost = ""
         return self.standing()
 
     def _rested(self) -> bool:
@@ -266,9 +258,8 @@ class Grbl:
         self._talk.link.write(HOLD)
         while self._clock.now() < end:
             self._talk.link.write(STATUS)
-            for reply in self._until("report", STOPPING):
-                if reply.kind in ("alarm", "banner"):
-                    raise DeviceFault(f"the controller says {reply.text!r}: its position is not to be trusted")
+            for reply in self._until("report", POLL):
+                self._talk.check()
                 report = report_of(reply.text, self._talk.axes) if reply.kind == "report" else None
                 if report is not None and report.state == "Alarm":
                     raise DeviceFault("the controller is in alarm: its position is not to be trusted")

@@ -49,13 +49,18 @@ class Talk:
     def __init__(self, link: Link, clock: Clock) -> None:
         self.link, self._clock, self._rest = link, clock, b""
         self.axes = 6
+        self.lost = ""
+        """What it said when it last restarted or stopped by itself: what it was told before is gone."""
 
     def replies(self) -> Iterator[Reply]:
         """Every whole line that has come."""
         self._rest += self.link.read()
         *lines, self._rest = self._rest.split(b"\n")
         for line in lines:
-            yield reply_of(line.rstrip(b"\r").decode("latin-1"))
+            reply = reply_of(line.rstrip(b"\r").decode("latin-1"))
+            if reply.kind in ("alarm", "banner"):
+                self.lost = reply.text
+            yield reply
 
     def waited(self, seconds: float) -> Iterator[Reply]:
         """Replies of so many s."""
@@ -71,17 +76,28 @@ class Talk:
         for reply in self.waited(seconds):
             if reply.kind == "ok":
                 return said
-            if reply.kind in ("error", "alarm", "banner"):
+            if reply.kind == "error":
                 raise DeviceFault(f"the controller answers {reply.text!r} to {line!r}")
+            self.check()
             said.append(reply.text)
         raise DeviceFault(f"the controller does not answer {line!r} within {seconds:g} s, but for {said}")
 
-    def report(self, seconds: float = ANSWER) -> Report:
-        """Ask for a status report until one comes; raises DeviceFault."""
+    def check(self) -> None:
+        """Raise DeviceFault where it restarted or stopped by itself."""
+        if self.lost:
+            raise DeviceFault(f"the controller said {self.lost!r}: its position is not to be trusted")
+
+    def report(self, seconds: float = ANSWER, greeting: bool = False) -> Report:
+        """Ask for a status report until one comes; raises DeviceFault.
+
+        greeting: it may restart meanwhile, as many do when their port is opened.
+        """
         end = self._clock.now() + seconds
         while self._clock.now() < end:
             self.link.write(STATUS)
             for reply in self.waited(0.25):
+                if not greeting:
+                    self.check()
                 found = report_of(reply.text, self.axes) if reply.kind == "report" else None
                 if found is not None:
                     return found
@@ -109,6 +125,7 @@ class Talk:
 
         A link that is open at one end only may pass status on, but no lines.
         """
+        self.lost = ""
         self.ask("")
         self.quiet()
         told = dict(text.strip("[]").partition(":")[::2] for text in self.ask("$I") if text.startswith("["))

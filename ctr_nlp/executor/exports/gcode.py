@@ -5,32 +5,26 @@ from __future__ import annotations
 import re
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.executor import gcode
 from ctr_nlp.executor.program import Program
 
-Array = npt.NDArray[np.float64]
-
 OPENING = "(ctr_nlp"
-LEAST_FEED = 1.0 / 60.0
-"""Units/s: Grbl goes no slower, and a line in which nothing moves takes no time there."""
 
 
 def gcode_text(program: Program, title: str) -> str:
     """The file: a pause, the slow way to the first frame, another pause, and the program's numbered lines.
 
-    title: of the plan. A straight piece in which less than Grbl's least feed would do is waited for (G4), and made
-    up for by the next line; the last line goes where the program ends.
+    title: of the plan.
     """
-    start, seconds = program.positions(np.zeros(1))[0], approach_time(program)
+    start, seconds, commands = program.positions(np.zeros(1))[0], approach_time(program), program.commands()
     head = [
-        f"ctr_nlp: {title}",
+        f"ctr_nlp: {title[:60]}",
         f"digest {program.digest}",
         f"{len(program.frames)} frames in {program.duration:.3f} s from the second pause on",
         *(f"{axis.letter} in {axis.unit} moves {axis.joint}" for axis in program.hardware.axes),
         "positions are those of the machine: no work offset may be active",
-        "rates and accelerations that the controller allows must not be less than those of the hardware file",
+        "rates and accelerations of the controller: at least those of the hardware",
         f"after the first pause: to the first frame in {seconds:.1f} s, all axes at once",
         "after the second pause: the motion",
     ]
@@ -46,7 +40,7 @@ def gcode_text(program: Program, title: str) -> str:
             "M0",
             gcode.line(0, program.hardware.letters, start, seconds),
             "M0",
-            *_lines(program, start),
+            *gcode.lines(program.hardware.letters, start, commands.positions, commands.time),
             "G94",
             "M2",
             "",
@@ -66,20 +60,6 @@ def approach_time(program: Program) -> float:
     ]
     speed = [abs(axis.scale) * robot.speed[robot.axes.index(axis.joint)] for axis in hardware.axes]
     return float(np.max(np.array(away) / (hardware.approach * np.array(speed))))
-
-
-def _lines(program: Program, start: Array) -> list[str]:
-    commands = program.commands()
-    duration = np.diff(commands.time, prepend=0.0)
-    moving = gcode.lines(program.hardware.letters, commands.positions, commands.time)
-    there, lines = start, []
-    for k, (position, seconds) in enumerate(zip(commands.positions, duration, strict=True)):
-        if np.linalg.norm(position - there) < LEAST_FEED * seconds and k < len(duration) - 1:
-            lines.append(f"N{k + 1} G4 P{seconds:.{gcode.DECIMALS}f}")
-        else:
-            lines.append(moving[k])
-            there = position
-    return lines
 
 
 def _comment(text: str) -> str:

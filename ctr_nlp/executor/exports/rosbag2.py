@@ -79,7 +79,7 @@ def write_bag(program: Program, title: str, folder: Path, storage: str = "mcap")
         topic(TRAJECTORY, "trajectory_msgs/msg/JointTrajectory")(0.0, trajectory)
         state = topic(STATES, "sensor_msgs/msg/JointState")
         times = np.append(0.0, program.commands().time)
-        for time, q, velocity in zip(times, *_moving(program, times)[:2], strict=True):
+        for time, q, velocity in zip(times, *program.at(times)[:2], strict=True):
             state(
                 time,
                 make["sensor_msgs/msg/JointState"](
@@ -101,7 +101,7 @@ def points(program: Program) -> tuple[Array, Array, Array, Array]:
     longest = float("inf")
     while True:
         time = np.append(0.0, program.commands(longest).time)
-        q, velocity, acceleration = _moving(program, time)
+        q, velocity, acceleration = program.at(time)
         curves = (
             CubicHermiteSpline(time, q, velocity),
             BPoly.from_derivatives(time, np.stack([q, velocity, acceleration], axis=1)),
@@ -111,13 +111,6 @@ def points(program: Program) -> tuple[Array, Array, Array, Array]:
         if max(abs((curve(places) - true) * program.robot.mm_per_unit).max() for curve in curves) <= TOLERANCE:
             return time, q, velocity, acceleration
         longest = min(LINE, longest / 2)
-
-
-def _moving(program: Program, time: Array) -> tuple[Array, Array, Array]:
-    """The program at times (N,) from its start to its end, at rest at both: controllers insist on a zero there."""
-    q, velocity, acceleration = program.at(time)
-    velocity[[0, -1]] = 0.0
-    return q, velocity, acceleration
 
 
 def _joints(program: Program) -> tuple[list[str], Array]:

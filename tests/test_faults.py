@@ -1,0 +1,139 @@
+"""What goes wrong while a plan is played, at random moments: nothing may move, be sent or be trusted that must not."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bench import Killed, World
+
+from ctr_nlp.emulator.faults import FAULTS
+from ctr_nlp.errors import DeviceFault, ProgramError
+from ctr_nlp.executor import journal as journal_module
+from ctr_nlp.executor.journal import read_journal
+from ctr_nlp.executor.results import Outcome, Result, State
+
+HOST_FAULTS = ("killed", "ctrl_c", "full_disk")
+KINDS = (*FAULTS, *HOST_FAULTS)
+AFTERWARDS = 8.0
+"""s in which all that is buffered has run out."""
+
+
+class Moment:
+    """Something that happens to the host once the clock has come to a time."""
+
+    def __init__(self, world: World, at: float, action: Any) -> None:
+        self._world, self._at, self._action, self.done = world, at, action, False
+
+    def __call__(self, *_: Any) -> None:
+        """See whether it is time."""
+        if not self.done and self._world.clock.now() >= self._at:
+            self.done = True
+            self._action()
+
+
+def struck(world: World, kind: str, at: float, seed: int, monkeypatch: pytest.MonkeyPatch) -> Result | None:
+    """Play with a fault; None where the process died."""
+    if kind in FAULTS:
+        return world.begin((FAULTS[kind](at=at, seed=seed),))
+
+    def kill() -> None:
+        world.links[-1].dead = True
+        raise Killed
+
+    def fill() -> None:
+        def full(*_: Any) -> int:
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(journal_module.os, "write", full)
+
+    moment = Moment(world, at, {"killed": kill, "ctrl_c": lambda: world.latest.abort(), "full_disk": fill}[kind])
+    try:
+        return world.begin(seen=moment)
+    except Killed:
+        return None
+    finally:
+        monkeypatch.undo()
+
+
+def check_stop(world: World, result: Result | None, kind: str) -> None:
+    """What holds after any stop."""
+    sent = world.sent_bytes()
+    journal = [json.loads(line) for line in world.path.read_bytes().splitlines()]
+    world.clock.sleep(AFTERWARDS)
+    assert world.sent_bytes() == sent
+    assert world.within_limits()
+    if result is None:
+        return
+    assert result.outcome in Outcome
+    if kind != "full_disk":
+        last = [record for record in journal if record["kind"] in ("result", "state")]
+        assert last[-1]["state"] == world.latest.state.value
+        assert last[-2]["outcome"] == result.outcome.name
+        assert [record["kind"] for record in journal[-2:]] == ["result", "state"]
+    assert world.latest.state in (State.HOMED, State.FAULT)
+    if result.trusted:
+        assert result.position is not None
+        assert not world.firmware.moving
+        np.testing.assert_allclose(result.position, world.firmware.position, atol=2e-3)
+        np.testing.assert_allclose(world.firmware.slip, 0.0)
+    if result.outcome is Outcome.SUCCESS:
+        assert world.frames_played() == list(range(1, len(world.plan.time) + 1))
+
+
+def check_resume(world: World, seed: int) -> str:
+    """Resuming is refused, or plays every frame that is left exactly once."""
+    before = world.frames_played()
+    try:
+        result = world.resume()
+    except (ProgramError, DeviceFault) as error:
+        assert world.frames_played() == before
+        return f"refused: {error}"
+    assert result.outcome is Outcome.SUCCESS, result
+    assert world.frames_played() == list(range(1, len(world.plan.time) + 1))
+    assert world.within_limits()
+    return "resumed"
+
+
+def run(seed: int, folder: Path, monkeypatch: pytest.MonkeyPatch, kind: str = "") -> tuple[str, str, str]:
+    """One fault at a random moment, what it ended in, and whether it could be resumed."""
+    draw = random.Random(seed)
+    kind = kind or draw.choice(KINDS)
+    world = World(folder)
+    start = world.clock.now()
+    try:
+        result = struck(world, kind, start + draw.uniform(0.0, 3.4), seed, monkeypatch)
+    except (DeviceFault, ProgramError) as error:
+        check_stop_before_motion(world)
+        return kind, f"not begun: {error}", ""
+    check_stop(world, result, kind)
+    ended = "killed" if result is None else f"{result.outcome.value}, {'' if result.trusted else 'not '}trusted"
+    return kind, ended, check_resume(world, seed)
+
+
+def check_stop_before_motion(world: World) -> None:
+    """A session that could not be begun has sent no motion."""
+    world.clock.sleep(AFTERWARDS)
+    assert world.firmware.executed == []
+    assert world.within_limits()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", range(2))
+def test_a_fault_at_a_random_moment_ends_cleanly(
+    kind: str, seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(1000 + seed, tmp_path, monkeypatch, kind)
+
+
+@pytest.mark.slow
+def test_a_thousand_faults_end_cleanly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for seed in range(1000):
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        run(seed, folder, monkeypatch)
