@@ -33,6 +33,9 @@ POLL = 0.05
 STOPPING = 0.02
 """s between them while it stops."""
 
+OVERHEARD = 0.06
+"""s after a hold in which the controller must slow down; else it has not heard it, as happens just after a resume."""
+
 AGAIN = 0.3
 """s after which a status question counts as lost and is asked again."""
 
@@ -51,7 +54,11 @@ HOMING = 180.0
 SPARE = 128
 """Bytes of the controller's buffer that are left free, lest a doubled ok makes it run over."""
 
-STILL = ("Idle", "Alarm", "Check", "Sleep")
+AHEAD = 320
+"""Bytes that may be on their way: a hold waits behind them, 28 ms at 115200 baud."""
+
+RESTART = 3.0
+"""s for a restart."""
 
 
 class Grbl:
@@ -63,6 +70,7 @@ class Grbl:
 
     def __init__(self, hardware: Hardware, opened: Callable[[], Link], clock: Clock) -> None:
         self._hardware, self._opened, self._clock = hardware, opened, clock
+        self._link: Link | None = None
         self._identity: Identity | None = None
         self._lines: list[bytes] = []
         self._waiting: deque[int] = deque()
@@ -72,9 +80,12 @@ class Grbl:
     # connecting
 
     def connect(self) -> None:
-        """Open the link and make sure of who answers; one that moves is asked for no more than its status."""
-        self._talk = Talk(self._opened(), self._clock)
-        if self._talk.report(GREETING, greeting=True).state in STILL:
+        """Open the link and make sure of who answers; unless it is idle, it is asked for no more than its status."""
+        self._link = self._opened()
+        self._talk = Talk(self._link, self._clock)
+        idle = self._talk.report(GREETING, greeting=True).state == "Idle"
+        self._restarted, self._talk.lost = bool(self._talk.lost), ""
+        if idle:
             self._identify()
 
     def _identify(self) -> None:
@@ -127,9 +138,13 @@ class Grbl:
         return all(int(mask) >> column & 1 for axis, column in pairs if axis.unit == "mm")
 
     def home(self) -> None:
-        """Run the controller's homing cycle."""
+        """Run the controller's homing cycle, which also ends an alarm."""
         if self._hardware.connection.homing != "cycle":
             raise DeviceFault("this hardware homes by hand: connection.homing is not cycle")
+        if self._talk.report().state == "Alarm":
+            self._reset()
+        if self._identity is None:
+            self._identify()
         self._talk.ask("$H", HOMING)
         self._talk.quiet()
 
@@ -199,6 +214,8 @@ class Grbl:
             self._place = max(self._place, place, key=lambda known: known.time)._replace(away=place.away)
 
     def _ask(self, now: float) -> None:
+        if self._holding and self._seen.state == "Run" and now - self._hold_sent > OVERHEARD:
+            self._say_hold()
         wait = (STOPPING if self._holding else POLL) if self._answered else AGAIN
         if now - self._asked >= wait:
             self._talk.link.write(STATUS)
@@ -207,7 +224,8 @@ class Grbl:
     def _send(self) -> None:
         if self._holding or self._identity is None:
             return
-        room = self._identity.receive - SPARE if self._hardware.connection.flow == "count" else 1
+        counted = self._hardware.connection.flow == "count"
+        room = min(AHEAD, self._identity.receive - SPARE) if counted else 1
         while self._sent < len(self._lines):
             line = self._lines[self._sent]
             if self._waiting and sum(self._waiting) + len(line) > room:
@@ -219,7 +237,7 @@ class Grbl:
     def _watch(self, now: float) -> None:
         if now - self._stamp > SILENCE:
             raise DeviceFault(f"the controller has not reported its status for {SILENCE:g} s")
-        if self._seen.state == "Idle" and now - self._moved > STALLED and not self._holding:
+        if self._seen.state == "Idle" and self._stamp - self._moved > STALLED and not self._holding:
             raise DeviceFault(
                 f"the controller is idle, with {self._planned} of {self._sent} lines acknowledged: replies or "
                 "lines were lost"
@@ -229,8 +247,12 @@ class Grbl:
 
     def hold(self) -> None:
         """Ask for a feed hold; no line is sent until it is resumed, and nothing at all once it is at rest."""
-        self._talk.link.write(HOLD)
+        self._say_hold()
         self._holding, self._held = True, False
+
+    def _say_hold(self) -> None:
+        self._talk.link.write(HOLD)
+        self._hold_sent = self._clock.now()
 
     def resume(self) -> None:
         """Go on after a hold."""
@@ -242,29 +264,38 @@ class Grbl:
     def abort(self) -> Standing:
         """Hold, wait for rest, then reset, which keeps the position; raises DeviceFault where it is lost."""
         self._lines = []
+        if self._restarted:
+            raise DeviceFault("the controller restarted when it was connected: its position is not to be trusted")
         self._talk.check()
         rested = self._rested()
-        self._talk.link.write(RESET)
-        said = [reply.kind for reply in self._until("banner", HOLD_LIMIT)]
-        if "alarm" in said or "banner" not in said or not rested:
-            how = "was reset in motion" if said else "does not answer a reset"
-            raise DeviceFault(f"the controller {how}: its position is not to be trusted")
-        self._talk.lost = ""
+        if not (self._reset() and rested):
+            raise DeviceFault("the controller was reset in motion: its position is not to be trusted")
         return self.standing()
+
+    def _reset(self) -> bool:
+        """Restart the controller's program; whether it did so without an alarm."""
+        self._talk.link.write(RESET)
+        said = [reply.kind for reply in self._until("banner", RESTART) if reply.kind != "report"]
+        if "banner" not in said:
+            raise DeviceFault(f"the controller answers a reset with {said}: its position is not to be trusted")
+        self._talk.lost = ""
+        return "alarm" not in said
 
     def _rested(self) -> bool:
         """Whether a feed hold has come to rest."""
         end = self._clock.now() + HOLD_LIMIT
-        self._talk.link.write(HOLD)
+        self._say_hold()
         while self._clock.now() < end:
             self._talk.link.write(STATUS)
-            for reply in self._until("report", POLL):
+            for reply in self._until("report", 2 * POLL):
                 self._talk.check()
                 report = report_of(reply.text, self._talk.axes) if reply.kind == "report" else None
                 if report is not None and report.state == "Alarm":
                     raise DeviceFault("the controller is in alarm: its position is not to be trusted")
                 if report is not None and (report.stopped or report.state == "Idle"):
                     return True
+                if report is not None and report.state == "Run" and self._clock.now() - self._hold_sent > OVERHEARD:
+                    self._say_hold()
         return False
 
     def _until(self, kind: str, seconds: float) -> list[Reply]:
@@ -278,4 +309,5 @@ class Grbl:
 
     def close(self) -> None:
         """Let go of the link; nothing is sent."""
-        self._talk.link.close()
+        if self._link is not None:
+            self._link.close()

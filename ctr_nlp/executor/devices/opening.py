@@ -8,6 +8,7 @@ import numpy.typing as npt
 from ctr_nlp.executor.clock import Clock
 from ctr_nlp.executor.devices import Device
 from ctr_nlp.executor.devices.grbl import Grbl
+from ctr_nlp.executor.devices.ros2 import Ros2
 from ctr_nlp.executor.devices.simulated import Simulated
 from ctr_nlp.executor.hardware import Hardware
 from ctr_nlp.executor.journal import Journal
@@ -21,4 +22,6 @@ def device_of(hardware: Hardware, journal: Journal, clock: Clock, position: Arra
     connection = hardware.connection
     if connection.device == "grbl":
         return Grbl(hardware, lambda: RecordedLink(SerialLink(connection.url, connection.baud), journal), clock)
+    if connection.device == "ros2":
+        return Ros2(hardware, journal, clock)
     return Simulated(position, clock)

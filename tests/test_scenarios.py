@@ -1,0 +1,186 @@
+"""The same scenarios in real time on the emulator, over TCP and a pseudo terminal, and on real firmware.
+
+Real firmware, or a simulator of it, is what answers at CTR_NLP_GRBL_URL: a grblHAL controller with axes X, Y, Z, A, B, C
+that may move by 30 mm and 60 degrees to the positive side of where it stands. Its own speeds and accelerations are used.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bench import sweep
+
+from ctr_nlp.emulator import Firmware, serving
+from ctr_nlp.errors import DeviceFault
+from ctr_nlp.executor.clock import RealClock
+from ctr_nlp.executor.devices import Progress
+from ctr_nlp.executor.devices.grbl import Grbl
+from ctr_nlp.executor.devices.grbl_talk import Talk
+from ctr_nlp.executor.hardware import Axis, Connection, Hardware
+from ctr_nlp.executor.journal import Journal, read_journal
+from ctr_nlp.executor.link import RecordedLink, SerialLink
+from ctr_nlp.executor.player import Player
+from ctr_nlp.executor.program import Program
+from ctr_nlp.executor.results import Outcome, State
+from ctr_nlp.executor.session import begin, resume
+from ctr_nlp.plan import Plan
+
+REAL = os.environ.get("CTR_NLP_GRBL_URL", "")
+
+
+@pytest.fixture(params=["tcp", "pty", "real"])
+def url(request: pytest.FixtureRequest) -> Iterator[str]:
+    """Where a controller answers."""
+    if request.param == "real":
+        if not REAL:
+            pytest.skip("CTR_NLP_GRBL_URL names no real firmware")
+        yield REAL
+    else:
+        with serving(Firmware(), request.param) as emulated:
+            yield emulated
+
+
+class Rig:
+    """The controller at a URL with hardware that fits it, and players on it."""
+
+    def __init__(self, url: str, folder: Path) -> None:
+        self.path, self.clock = folder / "journal.jsonl", RealClock()
+        link = SerialLink(url, 115200)
+        talk = Talk(link, self.clock)
+        position = talk.report(6.0, greeting=True).position
+        known = talk.identify()
+        link.close()
+        self.steps = np.array([known.setting(100 + k) for k in range(6)])
+        axes = [
+            Axis(
+                f"{'beta' if k < 3 else 'alpha'}_{k % 3 + 1}",
+                known.letters[k],
+                "mm" if k < 3 else "deg",
+                (position[k] - 60.0, position[k] + 60.0),
+                known.setting(110 + k) / 60.0,
+                known.setting(120 + k),
+                zero=position[k],
+            )
+            for k in range(6)
+        ]
+        self.hardware = Hardware(tuple(axes), None, Connection("grbl", url), approach=1.0)
+        self.url = url
+
+    def player(self) -> Player:
+        """A new one."""
+        journal = Journal(self.path, self.clock)
+        link = RecordedLink(SerialLink(self.url, 115200), journal)
+        return Player(Grbl(self.hardware, lambda: link, self.clock), None, journal, self.clock)
+
+
+@pytest.fixture
+def rig(url: str, tmp_path: Path) -> Rig:
+    """The one of this test."""
+    return Rig(url, tmp_path)
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    """Fifteen frames in 1.5 s."""
+    return sweep(15, 0.1)
+
+
+def at_frame(frame: int, action: Callable[[], None]) -> Callable[[Program, Progress], None]:
+    """Do something once when a frame of the plan has been passed."""
+    done = []
+
+    def seen(program: Program, progress: Progress) -> None:
+        if not done and len(program.frames) > 2 and progress.time >= program.frame_time[frame - 1]:
+            done.append(True)
+            action()
+
+    return seen
+
+
+def test_a_plan_is_played_to_its_last_step(rig: Rig, plan: Plan) -> None:
+    player = rig.player()
+    result = begin(player, plan, rig.hardware)
+    player.close()
+    assert result.outcome is Outcome.SUCCESS
+    goal = rig.hardware.positions(plan.robot, plan.q[-1])
+    assert (abs(result.position - goal) <= 1.0 / rig.steps + 1e-3).all()
+    passed = [record["frame"] for record in read_journal(rig.path) if record["kind"] == "frame"]
+    assert passed[-1] == 15
+    assert passed == sorted(set(passed))
+
+
+def test_a_hold_keeps_the_position_and_the_rest_is_played(rig: Rig, plan: Plan) -> None:
+    player = rig.player()
+    held: list[np.ndarray] = []
+
+    def seen(program: Program, progress: Progress) -> None:
+        pause(program, progress)
+        if progress.state == "held":
+            held.append(progress.position)
+            if len(held) == 40:
+                player.resume()
+
+    pause = at_frame(5, player.pause)
+    result = begin(player, plan, rig.hardware, seen=seen)
+    player.close()
+    assert result.outcome is Outcome.SUCCESS
+    assert len(held) >= 40
+    np.testing.assert_allclose(held[-1], held[0])
+
+
+def test_what_was_aborted_is_resumed_where_it_stood(rig: Rig, plan: Plan) -> None:
+    player = rig.player()
+    result = begin(player, plan, rig.hardware, seen=at_frame(6, player.abort))
+    player.close()
+    assert result.outcome is Outcome.CANCELLED
+    assert result.trusted
+    assert player.state is State.DISCONNECTED
+    records = read_journal(rig.path)
+    player = rig.player()
+    again = resume(player, plan, rig.hardware, records)
+    player.close()
+    assert again.outcome is Outcome.SUCCESS
+    first = next(r for r in read_journal(rig.path) if r["kind"] == "frame")["frame"]
+    assert result.frame < first <= result.frame + 2  # one more may pass while it slows down
+
+
+def test_a_controller_that_moves_is_left_alone_but_stopped_to_resume(rig: Rig, plan: Plan) -> None:
+    """The process is gone, the controller plays what it has; nothing else is begun, and it is stopped to go on."""
+
+    class Gone(BaseException):
+        pass
+
+    def gone() -> None:
+        raise Gone
+
+    player = rig.player()
+    device = player.device
+    device.abort = lambda: (_ for _ in ()).throw(DeviceFault("the process is gone"))  # type: ignore[method-assign]
+    with pytest.raises(Gone):
+        begin(player, plan, rig.hardware, seen=at_frame(2, gone))
+    device.close()
+    records = [r for r in read_journal(rig.path) if r["kind"] != "result"]
+    other = rig.player()
+    with pytest.raises(DeviceFault, match=r"is Run; it must be Idle"):
+        begin(other, plan, rig.hardware)
+    other.close()
+    player = rig.player()
+    result = resume(player, plan, rig.hardware, records)
+    player.close()
+    assert result.outcome is Outcome.SUCCESS
+
+
+def test_an_error_latch_is_cleared_by_the_next_session(rig: Rig, plan: Plan) -> None:
+    link = SerialLink(rig.url, 115200)
+    talk = Talk(link, rig.clock)
+    talk.report(6.0, greeting=True)
+    with pytest.raises(DeviceFault, match="error:20"):
+        talk.ask("G999")
+    link.close()
+    player = rig.player()
+    assert begin(player, plan, rig.hardware).outcome is Outcome.SUCCESS
+    player.close()
