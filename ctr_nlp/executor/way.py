@@ -12,13 +12,18 @@ from ctr_nlp.executor.program import Commands
 Array = npt.NDArray[np.float64]
 
 
+AT = 0.02
+"""Parts of tolerances within which a device is at a place."""
+
+
 class Place(NamedTuple):
     """A place on a way: the time (s) at which it is passed, how many pieces lie behind, and the distance to it.
 
-    away: of the axis that is furthest off, in parts of its tolerance.
+    until: when it is left, where it is rested at. away: of the axis that is furthest off, in parts of its tolerance.
     """
 
     time: float
+    until: float
     line: int
     away: float
 
@@ -40,6 +45,9 @@ class Way:
         part = np.clip((way * gone).sum(axis=1) / np.where(length > 0, length, 1.0), 0.0, 1.0)
         away = abs(gone - part[:, None] * way).max(axis=1)
         best = int((away > away.min() + 1e-9).argmin())
-        k, t = first + best, float(part[best])
-        passed = k + 1 if t >= 1.0 - 1e-9 else k
-        return Place(float(self.ends[k] + t * (self.ends[k + 1] - self.ends[k])), passed, float(away[best]))
+        k = first + best
+        time = float(self.ends[k] + part[best] * (self.ends[k + 1] - self.ends[k]))
+        apart = abs((self.points[k + 1 :] - position) * self._scale).max(axis=1) > AT
+        resting = int(apart.argmax()) if apart.any() else len(apart)
+        until = max(time, float(self.ends[k + resting]))
+        return Place(time, until, k + bool(part[best] >= 1.0 - 1e-9), float(away[best]))

@@ -84,12 +84,12 @@ class Grbl:
         self._link = self._opened()
         self._talk = Talk(self._link, self._clock)
         idle = self._talk.report(GREETING, greeting=True).state == "Idle"
+        self._talk.quiet()
         self._restarted, self._talk.lost = bool(self._talk.lost), ""
         if idle:
             self._identify()
 
     def _identify(self) -> None:
-        self._talk.quiet()
         self._identity = identity = self._talk.identify()
         missing = [axis.letter for axis in self._hardware.axes if axis.letter not in identity.letters]
         if missing:
@@ -107,6 +107,11 @@ class Grbl:
                     )
         if self._hardware.connection.homing == "cycle" and not (identity.setting(22) % 2 and identity.setting(20)):
             raise DeviceFault("homing is a cycle: the controller must have $22=1 (homing) and $20=1 (soft limits)")
+
+    @property
+    def in_flight(self) -> int:
+        """Bytes of lines that have not been acknowledged."""
+        return sum(self._waiting)
 
     @property
     def resolution(self) -> npt.NDArray[np.float64]:
@@ -154,7 +159,7 @@ class Grbl:
         """Begin to play commands from where it stands."""
         self._seen = Report("Idle", False, self._talk.report().position, 0, None)
         self._way = Way(self._seen.position[self._columns], commands, self._hardware.tolerance)
-        self._place = Place(0.0, 0, 0.0)
+        self._place = Place(0.0, 0.0, 0, 0.0)
         texts = lines(self._hardware.letters, self._way.points[0], commands.positions, commands.time)
         self._lines = [text.encode("ascii") + b"\n" for text in texts]
         self._sent = self._planned = self.underruns = 0
@@ -176,7 +181,7 @@ class Grbl:
             self._send()
             self._watch(now)
         state = "done" if done else "held" if self._held else "holding" if self._holding else "running"
-        time, line, away = self._place
+        time, _, line, away = self._place
         if done:
             time, line = float(self._way.ends[-1]), len(self._lines)
         return Progress(state, time, line, self._seen.position[self._columns], self._stamp, away)
@@ -198,7 +203,7 @@ class Grbl:
 
     def _follow(self, report: Report) -> None:
         """Find where on its way a report shows it."""
-        self._answered, self._stamp = True, self._clock.now()
+        before, self._answered, self._stamp = self._stamp, True, self._clock.now()
         if report.state not in ("Idle", "Run", "Hold"):
             raise DeviceFault(f"the controller is in state {report.state} while it should play")
         position = report.position[self._columns]
@@ -211,7 +216,9 @@ class Grbl:
         if self._sent:
             ahead = min(report.line + 1, self._sent) if report.line else self._sent
             place = self._way.nearest(position, max(self._place.line - 1, 0), ahead)
-            self._place = max(self._place, place, key=lambda known: known.time)._replace(away=place.away)
+            while_resting = min(place.until, self._place.time + self._stamp - before)
+            time = max(self._place.time, place.time, while_resting)
+            self._place = place._replace(time=time, line=max(place.line, self._place.line))
 
     def _ask(self, now: float) -> None:
         if self._holding and self._seen.state == "Run" and now - self._hold_sent > OVERHEARD:
@@ -228,7 +235,7 @@ class Grbl:
         room = min(AHEAD, self._identity.receive - SPARE) if counted else 1
         while self._sent < len(self._lines):
             line = self._lines[self._sent]
-            if self._waiting and sum(self._waiting) + len(line) > room:
+            if self._waiting and self.in_flight + len(line) > room:
                 return
             self._talk.link.write(line)
             self._waiting.append(len(line))

@@ -55,8 +55,8 @@ class Talk:
     def replies(self) -> Iterator[Reply]:
         """Every whole line that has come."""
         self._rest += self.link.read()
-        *lines, self._rest = self._rest.split(b"\n")
-        for line in lines:
+        while b"\n" in self._rest:  # what is not asked for stays for the next time
+            line, _, self._rest = self._rest.partition(b"\n")
             reply = reply_of(line.rstrip(b"\r").decode("latin-1"))
             if reply.kind in ("alarm", "banner"):
                 self.lost = reply.text
@@ -70,13 +70,16 @@ class Talk:
             self._clock.sleep(TICK)
 
     def ask(self, line: str, seconds: float = ANSWER) -> list[str]:
-        """Send a line and wait for its ok; what was said before it. Raises DeviceFault."""
+        """Send a line and wait for its ok; what was said before it. Raises DeviceFault.
+
+        An empty line ends an error's latch, and errors of lines before it are none of its own.
+        """
         self.link.write(line.encode("ascii") + b"\n")
         said: list[str] = []
         for reply in self.waited(seconds):
             if reply.kind == "ok":
                 return said
-            if reply.kind == "error":
+            if reply.kind == "error" and line:
                 raise DeviceFault(f"the controller answers {reply.text!r} to {line!r}")
             self.check()
             said.append(reply.text)
@@ -125,7 +128,6 @@ class Talk:
 
         A link that is open at one end only may pass status on, but no lines.
         """
-        self.lost = ""
         self.ask("")
         self.quiet()
         told = dict(text.strip("[]").partition(":")[::2] for text in self.ask("$I") if text.startswith("["))

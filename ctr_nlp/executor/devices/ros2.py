@@ -313,7 +313,7 @@ class Ros2:
         self._take()
         position = self._seen[-1][1]
         self._way = Way(position, commands, self._hardware.tolerance)
-        self._place, self._holding = Place(0.0, 0, 0.0), False
+        self._place, self._holding = Place(0.0, 0.0, 0, 0.0), False
         self._track = Track(position, commands)
         self._track.begin(self._clock.now())
         self._send(self._track.points())
@@ -334,7 +334,7 @@ class Ros2:
         if self._stamp > before:
             self._follow(track, position)
         state = self._state(track, position, now)
-        time, line, away = self._place
+        time, _, line, away = self._place
         if state == "done":
             time, line = track.end, len(track.ends) - 1
         return Progress(state, time, line, position, self._stamp, away)

@@ -71,15 +71,18 @@ class Simulated:
 
     def hold(self) -> None:
         """Slow down."""
+        self.update()
         self._goal = 0.0
 
     def resume(self) -> None:
         """Go on."""
+        self.update()
         self._goal = 1.0
 
     def abort(self) -> Standing:
         """Slow down, and forget the rest."""
-        self._goal = 0.0
+        if self._open:
+            self.hold()
         while self._open and self.update().state == "holding":
             self._clock.sleep(0.01)
         self._ends, self._way = np.zeros(1), self._position[None]
