@@ -8,12 +8,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp import tracking
-from ctr_nlp.errors import ProgramError, RobotError
+from ctr_nlp.errors import HardwareError, ProgramError, RobotError
 from ctr_nlp.executor.arm import check_joints, joints
 from ctr_nlp.executor.program import Program
 from ctr_nlp.forward import shapes
 from ctr_nlp.plan import Plan
 from ctr_nlp.robot import Robot
+from ctr_nlp.target import SIGMA
 
 Array = npt.NDArray[np.float64]
 
@@ -41,6 +42,14 @@ class Checked(NamedTuple):
 
 def check_plan(plan: Plan, robot: Robot) -> None:
     """Raise ProgramError unless a plan is whole, keeps this robot's limits and is as it was made."""
+    _check_arrays(plan)
+    unsolved = np.flatnonzero(plan.success == 0)
+    if unsolved.size:
+        why = plan.meta.get("failures", {}).get(str(unsolved[0] + 1), "")
+        raise ProgramError(
+            f"frame {unsolved[0] + 1}: the plan has no solution there, so that it is not played"
+            + f" ({why})" * bool(why)
+        )
     for name in ("time", "alpha", "beta", "theta"):
         bad = np.flatnonzero(~np.isfinite(getattr(plan, name).reshape(len(plan.time), -1)).all(axis=1))
         if bad.size:
@@ -48,13 +57,6 @@ def check_plan(plan: Plan, robot: Robot) -> None:
     if not (np.diff(plan.time) > 0).all():
         late = int(np.flatnonzero(np.diff(plan.time) <= 0)[0])
         raise ProgramError(f"frame {late + 2}: time is {plan.time[late + 1]:g} s, not after the frame before")
-    if plan.success.shape != plan.time.shape or not plan.success.all():
-        bad = np.flatnonzero(~plan.success)
-        why = plan.meta.get("failures", {}).get(str(bad[0] + 1), "") if bad.size else ""
-        raise ProgramError(
-            f"frame {bad[0] + 1 if bad.size else 1}: the plan has no solution there, so that it is not played"
-            + f" ({why})" * bool(why)
-        )
     for j, q in enumerate(plan.q, start=1):
         try:
             robot.check(q, f"frame {j}")
@@ -64,12 +66,24 @@ def check_plan(plan: Plan, robot: Robot) -> None:
     _check_shapes(plan)
 
 
+def _check_arrays(plan: Plan) -> None:
+    """A motion has frames, and everything is known of all of them."""
+    frames, d = plan.time.size, plan.robot.d
+    if frames < 2:
+        raise ProgramError(f"a plan of {frames} frames is no motion; give at least two")
+    sizes = {"time": (), "success": (), "alpha": (d,), "beta": (d,), "theta": (2,), "shape": (len(SIGMA), 3)}
+    for name, size in sizes.items():
+        found, wanted = getattr(plan, name).shape, (frames, *size)
+        if found != wanted:
+            raise ProgramError(f"{name} of the plan has shape {found}; it must be {wanted}")
+
+
 def _check_steps(plan: Plan) -> None:
     """The plan's robot was promised speeds; what is faster was not planned."""
     made = plan.robot
     excess = abs(np.diff(plan.q, axis=0)) / np.diff(plan.time)[:, None] / made.speed
-    j, i = np.unravel_index(excess.argmax(), excess.shape) if excess.size else (0, 0)
-    if excess.size and excess[j, i] > 1 + 1e-4:
+    j, i = np.unravel_index(excess.argmax(), excess.shape)
+    if excess[j, i] > 1 + 1e-4:
         raise ProgramError(
             f"frame {j + 2}: {made.axes[i]} steps by {plan.q[j + 1, i] - plan.q[j, i]:.4g} from the frame before, "
             f"{excess[j, i]:.3g} times what the plan's own robot may ({made.speed[i]:g}/s)"
@@ -117,7 +131,10 @@ def checked(program: Program, elastic: bool = False) -> Checked:
         )
     ]
     if program.hardware.arm is not None:
-        check_joints(program.hardware.arm, time, joints(program.hardware.arm, q[:, -2:]))
+        try:
+            check_joints(program.hardware.arm, time, joints(program.hardware.arm, q[:, -2:]))
+        except HardwareError as error:
+            raise ProgramError(f"the tilt, at {SAMPLES} places a frame: {error}") from error
     late = program.duration - float(program.knots[-1] - program.knots[0])
     return Checked(used[0], used[1], late, _least_margin(program, frame, q) if elastic else float("nan"))
 

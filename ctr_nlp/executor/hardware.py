@@ -54,7 +54,7 @@ class Axis:
 
     def __post_init__(self) -> None:
         kind, _, number = str(self.joint).partition("_")
-        if kind not in UNITS or not number.isdigit() or int(number) < 1:
+        if kind not in UNITS or not number.isdecimal() or int(number) < 1:
             raise HardwareError(f"joint of an axis is {self.joint!r}; it must be alpha_i or beta_i, with i from 1")
         if self.unit not in UNITS[kind]:
             raise HardwareError(f"unit of {self.joint} is {self.unit!r}; it must be {' or '.join(UNITS[kind])}")
@@ -65,7 +65,9 @@ class Axis:
         for name in ("speed", "acceleration", "zero", "backlash", "tolerance"):
             value = self._numbers(name, 1)[0]
             if name != "zero" and (value < 0 or (value == 0 and name != "backlash")):
-                raise HardwareError(f"{name} of {self.joint} is {value:g}; it must be positive")
+                raise HardwareError(
+                    f"{name} of {self.joint} is {value:g}; it must be positive{' or 0' * (name == 'backlash')}"
+                )
             object.__setattr__(self, name, float(value))
         lower, upper = self._numbers("range", 2)
         if lower >= upper:
@@ -174,7 +176,7 @@ class Hardware:
             speed[i] = min(speed[i], axis.speed / abs(axis.scale))
             acceleration[i] = min(acceleration[i], axis.acceleration / abs(axis.scale))
         if self.arm is None:
-            lower[-2:] = upper[-2:] = 0.0
+            lower[-2:], upper[-2:] = np.maximum(lower[-2:], 0.0), np.minimum(upper[-2:], 0.0)
         else:
             speed[-2:] = np.minimum(speed[-2:], np.radians(self.arm.tilt_speed_deg))
             acceleration[-2:] = np.minimum(acceleration[-2:], np.radians(self.arm.tilt_acceleration_deg))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,32 +21,46 @@ class Journal:
     """An open file to which records are added, each whole; raises JournalError where that fails.
 
     A record is {"t": s of the clock, "kind": ..., ...}. Bytes are latin-1 text. A file that is there is added to.
-    A failure is told once: what stops the robot afterwards must not fail for want of a journal.
     """
 
     def __init__(self, path: str | Path, clock: Clock) -> None:
-        self.path, self._clock, self._failed = Path(path), clock, False
-        try:
+        self.path, self._clock, self._strict = Path(path), clock, True
+        with self._written():
             self._file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-            self._end = os.fstat(self._file).st_size
-            if self._end and not self.path.read_bytes().endswith(b"\n"):
-                self._write(b"\n")
-        except OSError as error:
-            raise JournalError(f"journal {self.path} cannot be written: {error}") from error
-        self.record("session", wall=time.time(), pid=os.getpid())
+        try:
+            with self._written():
+                self._end = os.fstat(self._file).st_size
+                if self._end and not self.path.read_bytes().endswith(b"\n"):
+                    self._write(b"\n")
+            self.record("session", wall=time.time(), pid=os.getpid())
+        except JournalError:
+            self.close()
+            raise
 
     def record(self, kind: str, **fields: Any) -> None:
         """Add a record; a half-written one is taken back before JournalError is raised."""
-        if self._failed:
-            return
         line = json.dumps({"t": round(self._clock.now(), 6), "kind": kind} | fields, allow_nan=False)
-        try:
+        with self._written():
             self._write(line.encode() + b"\n")
             if kind in DURABLE:
                 os.fsync(self._file)
+
+    @contextmanager
+    def forgiving(self) -> Iterator[None]:
+        """Within the block nothing is raised: what stops a robot must not fail for want of a journal."""
+        before, self._strict = self._strict, False
+        try:
+            yield
+        finally:
+            self._strict = before
+
+    @contextmanager
+    def _written(self) -> Iterator[None]:
+        try:
+            yield
         except OSError as error:
-            self._failed = True
-            raise JournalError(f"journal {self.path} cannot be written: {error}") from error
+            if self._strict:
+                raise JournalError(f"journal {self.path} cannot be written: {error}") from error
 
     def _write(self, data: bytes) -> None:
         written = os.write(self._file, data)
@@ -59,15 +75,15 @@ class Journal:
 
 
 def read_journal(path: str | Path) -> list[dict[str, Any]]:
-    """The records of a journal's last session, oldest first; raises JournalError.
+    """The records since the session that played last began, oldest first; raises JournalError.
 
-    A last line that a crash cut short is left out.
+    Sessions that came to nothing may have followed it. Lines that a crash cut short are left out.
     """
     try:
         lines = Path(path).read_bytes().split(b"\n")
     except OSError as error:
         raise JournalError(f"journal {path} cannot be read: {error}") from error
-    records: list[dict[str, Any]] = []
+    sessions: list[list[dict[str, Any]]] = []
     for number, line in enumerate(lines, start=1):
         if not line:
             continue
@@ -78,7 +94,12 @@ def read_journal(path: str | Path) -> list[dict[str, Any]]:
             if number == len(lines) or b'"kind": "session"' in lines[number]:
                 continue
             raise JournalError(f"journal {path}, line {number}: not a record ({error})") from error
-        records = [record] if kind == "session" else [*records, record]
-    if not records or records[0]["kind"] != "session":
+        if kind == "session":
+            sessions.append([])
+        if not sessions:
+            break
+        sessions[-1].append(record)
+    if not sessions:
         raise JournalError(f"journal {path} holds no session")
-    return records
+    played = [n for n, records in enumerate(sessions) if any(r["kind"] == "program" for r in records)]
+    return [record for records in sessions[played[-1] if played else -1 :] for record in records]

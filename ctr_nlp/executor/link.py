@@ -38,7 +38,7 @@ class SerialLink:
         unopened: tuple[type[Exception], ...] = (*self._lost, ValueError)
         try:
             self._port: Any = self._serial.serial_for_url(
-                url, baudrate=baud, timeout=0, write_timeout=WRITE_TIMEOUT
+                url, baudrate=baud, timeout=0, write_timeout=WRITE_TIMEOUT, exclusive=True
             )
         except unopened as error:
             raise DeviceFault(f"{url} cannot be opened: {error}") from error

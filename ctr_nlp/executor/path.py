@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicHermiteSpline
 
+from ctr_nlp.errors import ProgramError
 from ctr_nlp.robot import Robot
 
 Array = npt.NDArray[np.float64]
@@ -18,29 +19,30 @@ OPTIONS: dict[str, Any] = {
     "ipopt": {"print_level": 0, "sb": "yes", "bound_relax_factor": 0.0, "tol": 1e-9},
 }
 
+STILL = 1e-6
+"""Part of the largest speed: what goes slower from one frame to the next stands still at both."""
+
 
 def path_through(robot: Robot, time: Array, q: Array) -> CubicHermiteSpline:
     """The smoothest cubic in time (T,) through frames q (T, 2d + 2) in which nothing overshoots a frame.
 
     It has the least integral of |W q''|^2 among those whose joints, and whose distances between neighbouring
     tubes, go steadily from each frame to the next (slopes in the box of de Boor and Swartz, 1977). Where frames
-    keep positions, order and carriage gaps, so does all of it.
+    keep positions, order and carriage gaps, so does all of it. Raises ProgramError.
     """
-    step = np.diff(time)
-    watched = np.vstack([np.eye(q.shape[1]), _neighbours(robot)])
-    lower, upper = _steady(np.diff(q @ watched.T, axis=0) / step[:, None])
-    slope = ca.SX.sym("slope", q.shape[1], len(q))
-    before, after = slope[:, :-1], slope[:, 1:]
-    chord = ca.DM(np.diff(q, axis=0).T / step)
-    weight = ca.DM(robot.mm_per_unit[:, None] ** 2 / step)
-    bending = weight * (before**2 + before * after + after**2 - 3 * chord * (before + after))
-    program: dict[str, Any] = {
-        "x": ca.vec(slope),
-        "f": ca.sum1(ca.sum2(bending)),
-        "g": ca.vec(ca.DM(_neighbours(robot)) @ slope),
-    }
+    step, n = np.diff(time), q.shape[1]
+    chord = np.diff(q * robot.mm_per_unit, axis=0) / step[:, None]
+    fastest = abs(chord).max() or 1.0
+    chord /= fastest
+    between = _neighbours(robot)
+    lower, upper = _steady(np.hstack([chord, chord @ between.T]))
+    fixed = (lower == upper)[:, :n] @ abs(between).T == 2
+    lower[:, n:][fixed], upper[:, n:][fixed] = -np.inf, np.inf
+    slope = ca.SX.sym("slope", n, len(q))
+    before, after, mean = slope[:, :-1], slope[:, 1:], ca.DM(chord.T)
+    bending = (before**2 + before * after + after**2 - 3 * mean * (before + after)) @ ca.DM(step.mean() / step)
+    program = {"x": ca.vec(slope), "f": ca.sum1(bending), "g": ca.vec(ca.DM(between) @ slope)}
     solve = ca.nlpsol("path", "ipopt", program, OPTIONS)
-    n = q.shape[1]
     found = solve(
         x0=0,
         lbx=lower[:, :n].ravel(),
@@ -48,7 +50,10 @@ def path_through(robot: Robot, time: Array, q: Array) -> CubicHermiteSpline:
         lbg=lower[:, n:].ravel(),
         ubg=upper[:, n:].ravel(),
     )
-    return CubicHermiteSpline(time, q, np.array(found["x"]).reshape(q.shape))
+    if not solve.stats()["success"]:
+        raise ProgramError(f"no smooth way leads through these frames: {solve.stats()['return_status']}")
+    slopes = np.array(found["x"]).reshape(q.shape) * fastest / robot.mm_per_unit
+    return CubicHermiteSpline(time, q, slopes)
 
 
 def _neighbours(robot: Robot) -> Array:
@@ -61,6 +66,7 @@ def _neighbours(robot: Robot) -> Array:
 
 def _steady(chord: Array) -> tuple[Array, Array]:
     """Bounds (T, k) of slopes at frames; a cubic with these chords (T - 1, k) is then monotone between them."""
+    chord = np.where(abs(chord) < STILL, 0.0, chord)
     least = 3.0 * np.minimum(abs(chord[1:]), abs(chord[:-1])) * (chord[1:] * chord[:-1] > 0)
     slopes = np.concatenate([3.0 * chord[:1], least * np.sign(chord[1:]), 3.0 * chord[-1:]])
     return np.minimum(slopes, 0.0), np.maximum(slopes, 0.0)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from queue import Empty, SimpleQueue
 
 import numpy as np
@@ -27,14 +28,20 @@ AHEAD = 0.1
 IN_STEP = 0.005
 """rad by which the arm may be off where the device's progress, within the skew tolerance, puts it."""
 
+LEVEL = 1e-3
+"""rad by which the arm may be off the last frame, SETTLING s after the axes are there."""
+
+SETTLING = 0.5
+
 Seen = Callable[[Program, Progress], None]
 
 
 class Player:
     """One device, and an arm or None, from connecting to closing; everything that happens is in the journal.
 
-    pause, resume and abort may be called from anywhere, also from the callback of play. After any stop nothing
-    moves and nothing is sent until the next call.
+    pause, resume and abort may be called from anywhere, also from the callback of play; the last of them counts, but
+    an abort is final. What is asked for while nothing plays holds for the next program. After any stop nothing
+    moves and nothing is sent until the next call. A call that the state does not allow raises DeviceFault.
     """
 
     def __init__(
@@ -43,6 +50,7 @@ class Player:
         self.device, self._arm, self.journal = device, arm, journal
         self._clock = RealClock() if clock is None else clock
         self._wishes: SimpleQueue[str] = SimpleQueue()
+        self._wish, self._frame = "", 0
         self.state = State.DISCONNECTED
 
     def connect(self, stop_first: bool = False) -> Standing:
@@ -50,27 +58,40 @@ class Player:
 
         stop_first: a device that moves, since its player died, is stopped; else that is a fault.
         """
-        try:
+        self._expect("connects", State.DISCONNECTED)
+        with self._faults():
             self.device.connect()
-            standing = self.device.abort() if stop_first else self.device.standing()
+            standing = self._cleared() if stop_first else self.device.standing()
             if self._arm is not None:
                 self._arm.connect()
-        except (DeviceFault, JournalError):
-            self._to(State.FAULT)
-            raise
-        self._to(State.HOMED if standing.homed else State.IDLE)
+            self._to(State.HOMED if standing.homed else State.IDLE)
         return standing
 
-    def home(self) -> Standing:
-        """Let the device find its position; raises DeviceFault."""
+    def _cleared(self) -> Standing:
+        """Stop what a dead player left behind; where that fails the position is lost, which is recorded."""
         try:
-            self.device.home()
-            standing = self.device.standing()
-        except DeviceFault:
-            self._to(State.FAULT)
+            return self.device.abort()
+        except DeviceFault as error:
+            self._ended(Outcome.DEVICE_FAULT, str(error), None)
             raise
-        self._to(State.HOMED)
+
+    def home(self) -> Standing:
+        """Let the device find its position; raises DeviceFault. What interrupts this stops the device."""
+        self._expect("homes", State.IDLE, State.HOMED)
+        with self._faults():
+            try:
+                self.device.home()
+            except BaseException as error:
+                self._stopped(Outcome.DEVICE_FAULT, f"homing failed: {error!r}")
+                raise
+            standing = self.device.standing()
+            self._to(State.HOMED if standing.homed else State.IDLE)
         return standing
+
+    def trust(self) -> None:
+        """Take the position that the device tells for true, since a person has made sure of it."""
+        self._expect("can be told to trust a position", State.IDLE, State.HOMED)
+        self._to(State.HOMED)
 
     def tilt(self) -> Array:
         """Measured tilt (2,) rad; 0 without an arm."""
@@ -81,7 +102,7 @@ class Player:
         self._wishes.put("pause")
 
     def resume(self) -> None:
-        """Go on after a pause."""
+        """Go on after a pause, once it has come to rest."""
         self._wishes.put("resume")
 
     def abort(self) -> None:
@@ -93,31 +114,35 @@ class Player:
         for part in (self._arm, self.device):
             if part is not None:
                 part.close()
-        self._to(State.DISCONNECTED)
+        with self.journal.forgiving():
+            self._to(State.DISCONNECTED)
 
     def play(self, program: Program, seen: Seen | None = None) -> Result:
         """Play a program that was checked, from where it starts; returns when everything stands still.
 
         seen is told of the program and its progress every few ms. Nothing is sent where axes are not at the start.
         """
-        if self.state is not State.HOMED:
-            raise DeviceFault(f"the player is {self.state.value}; only a homed one plays")
-        self._frame, self._program = int(program.frames[0]), program
+        self._expect("plays", State.HOMED)
+        self._frame = int(program.frames[0])
         try:
-            self._check_start(program)
+            standing = self.device.standing()
+            try:
+                self._check_start(program, standing)
+            except ProgramError as error:
+                return self._ended(Outcome.INVALID_PLAN, str(error), standing)
+            if self._asked() == "abort":
+                return self._ended(Outcome.CANCELLED, "stopped on request, before anything moved", standing)
             self._to(State.RUNNING)
             self.device.start(program.commands())
             return self._played(program, seen)
-        except ProgramError as error:
-            return self._ended(Outcome.INVALID_PLAN, str(error), self.device.standing())
         except (DeviceFault, JournalError) as error:
             return self._stopped(Outcome.DEVICE_FAULT, str(error))
-        except BaseException:
-            self._stopped(Outcome.CANCELLED, "the program that plays was interrupted")
+        except BaseException as error:
+            self._stopped(Outcome.CANCELLED, f"playing was interrupted by {error!r}")
             raise
 
-    def _check_start(self, program: Program) -> None:
-        start, standing = program.positions(np.zeros(1))[0], self.device.standing()
+    def _check_start(self, program: Program, standing: Standing) -> None:
+        start = program.positions(np.zeros(1))[0]
         for axis, wanted, there in zip(program.hardware.axes, start, standing.position, strict=True):
             if abs(wanted - there) > axis.tolerance:
                 raise ProgramError(
@@ -138,29 +163,37 @@ class Player:
                 )
             if progress.state == "done":
                 return self._arrived(program, progress)
-            if self._wished(progress):
+            if self._asked() == "abort":
                 return self._stopped(Outcome.CANCELLED, f"stopped on request, after frame {self._frame}")
+            self._obey(progress)
             self._lead(program, progress)
             self._clock.sleep(TICK)
 
-    def _wished(self, progress: Progress) -> bool:
-        """Do what was asked for; whether that was to abort."""
-        try:
-            wish = self._wishes.get_nowait()
-        except Empty:
-            wish = ""
-        if wish:
+    def _asked(self) -> str:
+        """What is wished for now: "" for nothing, "pause", "resume" or "abort"."""
+        while True:
+            try:
+                wish = self._wishes.get_nowait()
+            except Empty:
+                return self._wish
             self.journal.record("wish", wish=wish)
-        if wish == "pause" and progress.state == "running":
-            self.device.hold()
-        if wish == "resume" and self.state is State.HOLD:
-            self.device.resume()
-            self._to(State.RUNNING)
-        if progress.state == "held" and self.state is State.RUNNING and wish != "resume":
+            if self._wish != "abort":
+                self._wish = wish
+
+    def _obey(self, progress: Progress) -> None:
+        """Pause or go on as wished, once the device can."""
+        if progress.state == "held" and self.state is State.RUNNING:
             if self._arm is not None:
                 self._arm.hold()
             self._to(State.HOLD)
-        return wish == "abort"
+        if progress.state == "holding" and self._wish == "resume":
+            return
+        if progress.state == "running" and self._wish == "pause":
+            self.device.hold()
+        if progress.state == "held" and self._wish == "resume":
+            self.device.resume()
+            self._to(State.RUNNING)
+        self._wish = ""
 
     def _tell(self, progress: Progress, program: Program) -> None:
         """Record every frame that has been passed."""
@@ -187,35 +220,53 @@ class Player:
             )
 
     def _arrived(self, program: Program, progress: Progress) -> Result:
-        goal = program.positions(np.array([program.duration]))[0]
+        goal, end = program.positions(np.array([program.duration]))[0], program.at(np.array([program.duration]))
+        tilted = self._levelled(end[0][0, -2:])
         standing = Standing(progress.position, True)
         off = abs(progress.position - goal) / self.device.resolution
         if off.max() > 1.0:
             axis = program.hardware.axes[int(off.argmax())]
             message = f"axis {axis.letter} ({axis.joint}) stands {off.max():.3g} steps from the last frame"
             return self._ended(Outcome.GOAL_TOLERANCE_VIOLATED, message, standing)
-        if self._arm is not None:
-            self._arm.hold()
+        if tilted > LEVEL:
+            message = f"the arm stands {np.degrees(tilted):.2g} deg from the last frame"
+            return self._ended(Outcome.GOAL_TOLERANCE_VIOLATED, message, standing)
         return self._ended(Outcome.SUCCESS, f"frame {self._frame} reached", standing)
 
+    def _levelled(self, theta: Array) -> float:
+        """Let the arm come to a tilt (2,) rad and rest; by how much it stays off, rad."""
+        if self._arm is None:
+            return 0.0
+        end = self._clock.now() + SETTLING
+        self._arm.follow(theta)
+        while (off := float(np.linalg.norm(self._arm.tilt() - theta))) > 0.1 * LEVEL and self._clock.now() < end:
+            self._clock.sleep(TICK)
+            self._arm.follow(theta)
+        self._arm.hold()
+        return off
+
     def _stopped(self, outcome: Outcome, message: str) -> Result:
-        """Stop everything that can be stopped."""
-        try:
-            if self._arm is not None:
-                self._arm.stop()
-        except DeviceFault as error:
-            message += f"; {error}"
-        try:
-            standing = self.device.abort()
-        except (DeviceFault, JournalError) as error:
-            return self._ended(outcome, f"{message}; {error}", None)
+        """Stop everything that can be stopped; the axes first, since an arm that is not led stands still."""
+        standing = None
+        with self.journal.forgiving():
+            try:
+                standing = self.device.abort()
+            except DeviceFault as error:
+                message += f"; {error}"
+            finally:
+                try:
+                    if self._arm is not None:
+                        self._arm.hold() if outcome is Outcome.CANCELLED else self._arm.stop()
+                except DeviceFault as error:
+                    outcome, message = Outcome.DEVICE_FAULT, f"{message}; {error}"
         return self._ended(outcome, message, standing)
 
     def _ended(self, outcome: Outcome, message: str, standing: Standing | None) -> Result:
+        """The result, recorded if that is possible; what was asked for is done with."""
         position = None if standing is None else standing.position
-        result = Result(outcome, message, self._frame, position, standing is not None)
-        fine = standing is not None and outcome in (Outcome.SUCCESS, Outcome.INVALID_PLAN, Outcome.CANCELLED)
-        try:
+        result = Result(outcome, message, self._frame, position, standing is not None and standing.homed)
+        fine = result.trusted and outcome in (Outcome.SUCCESS, Outcome.INVALID_PLAN, Outcome.CANCELLED)
+        with self.journal.forgiving():
             self.journal.record(
                 "result",
                 outcome=outcome.name,
@@ -224,15 +275,26 @@ class Player:
                 position=None if position is None else position.tolist(),
                 trusted=result.trusted,
             )
-        except JournalError as error:
-            result = Result(outcome, f"{message}; {error}", result.frame, position, result.trusted)
-        self._to(State.HOMED if fine else State.FAULT)
+            self._to(State.HOMED if fine else State.FAULT)
+        if self._wish == "abort":
+            self._wish = ""
         return result
+
+    def _expect(self, what: str, *states: State) -> None:
+        if self.state not in states:
+            wanted = " or ".join(state.value for state in states)
+            raise DeviceFault(f"the player is {self.state.value}; only one that is {wanted} {what}")
+
+    @contextmanager
+    def _faults(self) -> Iterator[None]:
+        """Whatever goes wrong within ends in the state fault."""
+        try:
+            yield
+        except BaseException:
+            with self.journal.forgiving():
+                self._to(State.FAULT)
+            raise
 
     def _to(self, state: State) -> None:
         self.state = state
-        try:
-            self.journal.record("state", state=state.value)
-        except JournalError:
-            if state is State.RUNNING:
-                raise
+        self.journal.record("state", state=state.value)

@@ -24,6 +24,9 @@ Array = npt.NDArray[np.float64]
 LINE = 0.05
 """s: the longest piece of motion that a device gets as one straight line."""
 
+AT = 1e-4
+"""Part of the way from frame to frame: what stands so little before a frame stands at it."""
+
 
 @dataclass(frozen=True)
 class Commands:
@@ -107,7 +110,7 @@ def program_of(plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: Arr
 
 def rest_of(program: Program, s: float, tempo: float = 1.0) -> Program:
     """What is left of a program when the robot stands on its path at the parameter s (the plan's time)."""
-    ahead = program.knots > s
+    ahead = program.knots > s + AT * np.diff(program.knots, prepend=s)
     if not ahead.any():
         raise ProgramError("nothing is left of this program: it has reached its last frame")
     knots = np.append(s, program.knots[ahead])
@@ -145,8 +148,6 @@ def _timed(
     tempo: float,
 ) -> Program:
     """The program along a path, whose limits are those of what the drives do."""
-    if len(knots) < 2:
-        raise ProgramError(f"a plan of {len(knots)} frame is no motion; give at least two")
 
     def driven(s: Array, order: int = 0) -> Array:
         return np.asarray(path(s, order) + hardware.in_joints(robot, lash(s, order)))

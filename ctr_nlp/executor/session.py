@@ -92,9 +92,11 @@ def resume(
             "where the device says and say so"
         )
     standing = player.connect(stop_first=True)
-    if player.state is not State.HOMED and not verified:
+    if verified:
+        player.trust()
+    if player.state is not State.HOMED:
         raise ProgramError("the device does not know its position any more: home and begin anew")
-    s = _place(program, standing.position, frame)
+    s = _place(program, standing, player.device.resolution, frame)
     _announce(player, program, told["tempo"], told["standing"], s)
     return _go(player, rest_of(program, s, told["tempo"]), standing, plan.elastic, seen)
 
@@ -136,15 +138,24 @@ def _as_told(plan: Plan, hardware: Hardware, told: dict[str, Any]) -> Program:
     return program
 
 
-def _place(program: Program, position: Array, frame: int) -> float:
-    """Where on the way after a frame the axes stand, as a parameter of the path; raises ProgramError."""
-    commands = program.commands()
-    way = Way(program.positions(np.zeros(1))[0], commands, program.hardware.tolerance)
+def _place(program: Program, standing: Standing, resolution: Array, frame: int) -> float:
+    """Where on the way after a frame the axes stand, as a parameter of the path; raises ProgramError.
+
+    Where the way comes by the same place again, what the axes can tell apart (resolution, (m,)) decides for the
+    first time: a controller that was left alone plays no more than what it had in its buffer.
+    """
+    commands, tolerance = program.commands(), program.hardware.tolerance
+    way = Way(program.positions(np.zeros(1))[0], commands, tolerance)
     first = int(np.searchsorted(commands.frame, frame, "right"))
-    found = way.nearest(position, max(first - 1, 0), len(commands.time))
-    if found.away > 1.0:
+    pieces = range(max(first - 1, 0), len(commands.time))
+    found = [way.nearest(standing.position, k, k + 1) for k in pieces]
+    away = np.array([place.away for place in found])
+    if away.min() > 1.0:
         raise ProgramError(
-            f"the axes stand {found.away:.3g} tolerances from the way after frame {frame}: nothing jumps; bring "
+            f"the axes stand {away.min():.3g} tolerances from the way after frame {frame}: nothing jumps; bring "
             "them back, or begin anew"
         )
-    return float(program.motion.parameter(found.time))
+    alike = np.append(away <= away.min() + 2 * (resolution / tolerance).max(), False)
+    first = int(alike.argmax())
+    last = first + int((~alike[first:]).argmax())
+    return float(program.motion.parameter(found[first + int(away[first:last].argmin())].time))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,13 +22,16 @@ Path = Any
 CELLS = 6
 """Into how many cells toppra's grid divides the way between frames."""
 
-SIDE = 1e-3
-"""Part of a cell: limits hold on both sides of a frame, where accelerations may jump."""
+SIDES = 1e-3, 1e-2, 0.1
+"""Parts of a cell: limits hold on both sides of a frame, where accelerations may jump."""
+
+COARSER = 2.0, 16.0, 128.0
+"""Its linear programs are badly conditioned where paces are far from 1, and fail now and then: it tries again."""
 
 CLOCK = 100.0
 """1/s: how fast the pace may change where no joint moves."""
 
-CHECKED = np.array([0.0, 0.25, 0.5, 0.75, 1.0 - 1e-6])
+CHECKED = np.append(np.arange(16) / 16, 1.0 - 1e-6)
 """At which parts of every cell limits are checked."""
 
 ROOM = 1.001
@@ -97,44 +101,64 @@ def timed(path: Path, driven: Path, knots: Array, speed: Array, acceleration: Ar
     parameters between which both are smooth. The pace is a further joint of toppra's, whose speed is limited to
     tempo. Raises ProgramError.
     """
+    unit = _unit(abs(driven(knots, 1)).max(axis=0), speed, acceleration * (knots[-1] - knots[0]))
+    for side, coarser in itertools.product(SIDES, COARSER):
+        grid = _grid(knots, side)
+        pace = _fastest(driven, grid, speed, acceleration, tempo, max(unit / coarser, 1.0))
+        if pace is not None:
+            excess = _excess(Motion(driven, grid, pace), speed, acceleration)
+            return Motion(path, grid, pace / max(1.0, excess))
+    raise ProgramError("no timing of this motion keeps the hardware's speeds and accelerations")
+
+
+def _fastest(
+    driven: Path, grid: Array, speed: Array, acceleration: Array, tempo: float, unit: float
+) -> Array | None:
+    """The pace (K,) of the fastest motion, None where toppra, which counts in 1 / unit s, finds none."""
     toppra = needed("toppra")
     logging.getLogger("toppra").setLevel(logging.ERROR)
-    grid = _grid(knots)
     constraint, kind = toppra.constraint, toppra.constraint.DiscretizationType.Interpolation
-    fastest, hardest = np.append(speed, tempo), np.append(np.minimum(acceleration, 1e9), CLOCK)
+    fastest, hardest = np.append(speed, tempo * unit), np.append(np.minimum(acceleration, 1e9), CLOCK)
     solver = toppra.algorithm.TOPPRA(
         [
             constraint.JointVelocityConstraint(np.stack([-fastest, fastest], axis=1)),
             constraint.JointAccelerationConstraint(np.stack([-hardest, hardest], axis=1), kind),
         ],
-        _clocked(driven, grid, len(fastest)),
-        gridpoints=grid,
+        _clocked(driven, grid, len(fastest), unit),
+        gridpoints=grid * unit,
     )
     _, pace, _ = solver.compute_parameterization(0, 0)
-    if pace is None or not np.isfinite(pace).all() or (pace[1:] + pace[:-1] <= 0).any():
-        raise ProgramError("no timing of this motion keeps the hardware's speeds and accelerations")
-    excess = _excess(Motion(driven, grid, pace), speed, acceleration)
-    return Motion(path, grid, pace / max(1.0, excess))
+    found = pace is not None and np.isfinite(pace).all() and (pace[1:] + pace[:-1] > 0).all()
+    return pace / unit if found else None
 
 
-def _grid(knots: Array) -> Array:
+def _unit(tangent: Array, speed: Array, acceleration: Array) -> float:
+    """In which parts of a second toppra counts: its tolerances are for paces around 1, not for far smaller ones.
+
+    A power of two, so that knots stay where they are.
+    """
+    hurry = float(max((tangent / speed).max(), np.sqrt((tangent / acceleration).max())))
+    return float(2.0 ** np.ceil(np.log2(np.clip(hurry, 1.0, 1e3))))
+
+
+def _grid(knots: Array, side: float) -> Array:
     """Every cell of toppra's, with a narrow one before every knot within."""
     cell = np.diff(knots)[:, None] / CELLS
     inner = knots[:-1, None] + cell * np.arange(CELLS)
-    return np.unique(np.concatenate([inner.ravel(), knots[-1:], knots[1:-1] - SIDE * cell[:-1, 0]]))
+    return np.unique(np.concatenate([inner.ravel(), knots[-1:], knots[1:-1] - side * cell[:-1, 0]]))
 
 
-def _clocked(path: Path, grid: Array, joints: int) -> Any:
-    """The path with its own parameter as one more joint, as toppra wants it."""
+def _clocked(path: Path, grid: Array, joints: int, unit: float) -> Any:
+    """The path with its own parameter, in 1 / unit, as one more joint, as toppra wants it."""
 
     class Clocked(needed("toppra").interpolator.AbstractGeometricPath):  # type: ignore[misc]
         dof = joints
-        path_interval = grid[[0, -1]]
+        path_interval = grid[[0, -1]] * unit
 
         def __call__(self, s: Any, order: int = 0) -> Array:
             s = np.asarray(s, dtype=float)
             clock = (s, np.ones_like(s), np.zeros_like(s))[order]
-            return np.concatenate([path(s, order), clock[..., None]], axis=-1)
+            return np.concatenate([path(s / unit, order) / unit**order, clock[..., None]], axis=-1)
 
     return Clocked()
 

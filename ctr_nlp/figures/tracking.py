@@ -25,11 +25,13 @@ def tracking(
     rows = figure.subplots(3, 1, sharex=True)
     slides = [k for k, name in enumerate(names) if name.endswith("(mm)")]
     turns = [k for k in range(len(names)) if k not in slides]
-    for axes, some, label in ((rows[0], slides, "error (mm)"), (rows[1], turns, "error of angles")):
+    for axes, some in ((rows[0], slides), (rows[1], turns)):
+        units = dict.fromkeys(names[k].rpartition("(")[2].rstrip(")") for k in some)
+        axes.set_ylabel(f"error when due ({', '.join(units)})")
+        axes.axhline(0.0, color="0.6", lw=0.9)
         for i, k in enumerate(some):
             axes.plot(frame, error[:, k], color=tube_colour(i), lw=tube_width(i, len(some)), label=names[k])
         at_least(axes, 0.02)
-        axes.set_ylabel(label)
         axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))
     rows[2].plot(frame, 1e3 * late, color="0.2", lw=1.2)
     at_least(rows[2], 20.0)

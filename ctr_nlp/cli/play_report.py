@@ -1,0 +1,71 @@
+"""What play.py tells: what was checked before anything moved, and afterwards how it went."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ctr_nlp.cli.console import console, print_table
+from ctr_nlp.cli.report import write_table
+from ctr_nlp.executor.checks import Checked
+from ctr_nlp.executor.hardware import Hardware
+from ctr_nlp.executor.program import Program
+from ctr_nlp.executor.record import Tracking
+from ctr_nlp.executor.results import Result
+from ctr_nlp.figures import save, tracking
+from ctr_nlp.plan import Plan
+
+
+def print_program(plan: Plan, program: Program, found: Checked) -> None:
+    """What a program asks of its hardware."""
+    rows: list[tuple[str, Any, str]] = [
+        ("frames", len(program.frames), ""),
+        ("duration", f"{program.duration:.2f}", "s"),
+        ("of this, later than planned", f"{found.late:.2f}", "s"),
+        ("largest part of a speed limit", f"{found.speed:.2f}", ""),
+        ("largest part of an acceleration limit", f"{found.acceleration:.2f}", ""),
+    ]
+    if not np.isnan(found.margin):
+        rows.append(("least stability margin on the way", found.margin, ""))
+    print_table(f"{plan.meta['problem']['name']}: checked; nothing was sent", ("", "value", "unit"), rows)
+
+
+def report(plan: Plan, hardware: Hardware, result: Result, seen: Tracking | None, out: Path) -> None:
+    """How it went, on the terminal and, where enough was seen, as a table and a picture."""
+    name, device = plan.meta["problem"]["name"], hardware.connection.device
+    where = "trusted" if result.trusted else "not to be trusted"
+    rows: list[tuple[str, Any, str]] = [
+        ("result", result.outcome.value, ""),
+        ("last frame passed", f"{result.frame} of {len(plan.time)}", ""),
+        ("position of the axes", where, ""),
+    ]
+    if seen is not None and len(seen.frame):
+        letters = [f"{axis.letter} ({axis.unit})" for axis in hardware.axes]
+        write_table(out / "tracking.csv", _columns(seen, letters))
+        title = f"Tracking: {name}, {device} device"
+        save(tracking(title, seen.frame, seen.error, seen.late, letters), out / "tracking.png")
+        for unit in dict.fromkeys(axis.unit for axis in hardware.axes):
+            some = [k for k, axis in enumerate(hardware.axes) if axis.unit == unit]
+            rows.append(("largest error when a frame was due", float(abs(seen.error[:, some]).max()), unit))
+        rows.append(("last of these frames was due after", f"{seen.time[-1]:.2f}", "s"))
+        rows.append(("and passed after, without pauses", f"{seen.time[-1] + seen.late[-1]:.2f}", "s"))
+    print_table(f"{name} on the {device} device", ("", "value", "unit"), rows)
+    console().print(result.message, markup=False)
+    if not result.trusted:
+        console().print("Home the axes, or see that they are where the controller says, before they are used.")
+    files = [path.name for path in sorted(out.iterdir()) if path.name[0] != "."]
+    console().print(f"wrote {out}: {', '.join(files)}", markup=False)
+
+
+def _columns(seen: Tracking, names: list[str]) -> dict[str, list[Any]]:
+    columns: dict[str, list[Any]] = {
+        "frame": seen.frame.tolist(),
+        "time_s": seen.time.tolist(),
+        "late_s": seen.late.tolist(),
+    }
+    for k, name in enumerate(names):
+        columns[f"commanded {name}"] = seen.commanded[:, k].tolist()
+        columns[f"measured {name}"] = seen.measured[:, k].tolist()
+    return columns
