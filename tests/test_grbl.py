@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bench import World, homed_firmware, homing_hardware, plan_of, sweep
+from bench import WireLink, World, homed_firmware, homing_hardware, plan_of, sweep
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -275,3 +275,16 @@ def test_a_controller_that_restarts_when_its_port_is_opened_does_not_go_on(tmp_p
     assert rig.begin(seen=seen).trusted
     with pytest.raises(DeviceFault, match="restarted when it was connected"):
         rig.resume((FAULTS["banner"](at=rig.firmware.time + 0.004, choice=0.0),))
+
+
+def test_a_controller_that_reports_work_positions_is_refused(tmp_path: Path) -> None:
+    rig = world(tmp_path)
+    opened = WireLink.read
+
+    def work_positions(link: WireLink) -> bytes:
+        return opened(link).replace(b"|MPos:", b"|WPos:")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(WireLink, "read", work_positions)
+        with pytest.raises(DeviceFault, match=r"must report MPos: set \$10=511"):
+            rig.begin()

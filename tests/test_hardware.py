@@ -301,7 +301,7 @@ def test_the_commented_lines_of_the_example_are_a_controller(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("approach = 0.2", "aproach = 0.2", "unknown key 'aproach'; use name, axes, arm, connection, approach"),
+        ("approach = 0.2", "aproach = 0.2", "unknown key 'aproach'; use name, robot, axes, arm, connection, "),
         ("approach = 0.2", "approach = 2", r"approach is 2; it must lie in \(0, 1\]"),
         ('letter = "Y"', 'leter = "Y"', "unknown key 'leter' in axis; allowed are joint, letter, unit, range"),
         ('letter = "Y"', "", "axis: .*letter"),
@@ -315,7 +315,7 @@ def test_the_commented_lines_of_the_example_are_a_controller(tmp_path):
         ("[connection]", "connection = 3\n[bad]", "unknown key 'bad'"),
         ('model = "ur3e"', 'model = "ur1"', "model of the arm is 'ur1'; it must be one of"),
         ("[arm]", "[arm]\ncolour = 1", "unknown key 'colour' in arm"),
-        ("range = [0, 107]", "range = ", "line 32"),
+        ("range = [0, 107]", "range = ", "line 33"),
     ],
 )  # fmt: skip
 def test_a_wrong_hardware_file_is_named_with_what_is_wrong(tmp_path, old, new, message):
@@ -340,3 +340,25 @@ def test_a_file_without_axes_is_refused(tmp_path, content):
 def test_a_missing_hardware_file_is_named(tmp_path):
     with pytest.raises(HardwareError, match=r"nowhere\.toml"):
         Hardware.from_toml(tmp_path / "nowhere.toml")
+
+
+def test_a_plan_for_other_tubes_than_those_mounted_is_refused(tmp_path: Path) -> None:
+    robot = seed_robot()
+    mounted = replace(bench(robot), robot=robot)
+    assert mounted.tightened(robot).tubes == robot.tubes
+    tubes = (replace(robot.tubes[0], curvature=1 / 131), *robot.tubes[1:])
+    with pytest.raises(HardwareError, match=r"tube 1 .* has curvature 0\.0076.*, the one that is mounted 0\.0076"):
+        mounted.tightened(replace(robot, tubes=tubes))
+    fewer = replace(robot, tubes=robot.tubes[1:])
+    with pytest.raises(HardwareError, match="has 2 tubes, 3 are mounted"):
+        replace(bench(fewer), robot=robot).tightened(fewer)
+
+
+def test_the_robot_file_is_beside_the_hardware_file(tmp_path: Path) -> None:
+    examples = Path(__file__).resolve().parents[1] / "examples"
+    text = (examples / "hardware.toml").read_text(encoding="utf-8").replace("# robot =", "robot =")
+    (tmp_path / "rig.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(HardwareError, match=r"robot file .*robot\.toml"):
+        Hardware.from_toml(tmp_path / "rig.toml")
+    (tmp_path / "robot.toml").write_text((examples / "robot.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    assert Hardware.from_toml(tmp_path / "rig.toml").tightened(seed_robot()).d == 3

@@ -86,12 +86,12 @@ def test_states_from_connecting_to_closing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("state", "calls"),
     [
-        (State.DISCONNECTED, ("home", "play", "trust")),
+        (State.DISCONNECTED, ("play", "trust")),
         (State.IDLE, ("connect", "play")),
         (State.HOMED, ("connect",)),
-        (State.RUNNING, ("connect", "home", "play", "trust")),
-        (State.HOLD, ("connect", "home", "play", "trust")),
-        (State.FAULT, ("connect", "home", "play", "trust")),
+        (State.RUNNING, ("connect", "play", "trust")),
+        (State.HOLD, ("connect", "play", "trust")),
+        (State.FAULT, ("connect", "play", "trust")),
     ],
 )
 def test_calls_that_a_state_does_not_allow_say_so(state: State, calls: tuple[str, ...], tmp_path: Path) -> None:
@@ -110,8 +110,54 @@ def test_a_device_that_is_not_homed_is_idle_until_it_is(tmp_path: Path) -> None:
     assert player.state is State.IDLE
     with pytest.raises(DeviceFault, match="only one that is homed plays"):
         player.play(world.program())
-    assert player.home().homed
+    player = world.player()
+    assert player.connect(home=True).homed
     assert player.state is State.HOMED
+
+
+def test_homing_ends_an_alarm(tmp_path: Path) -> None:
+    world = World(tmp_path, SHORT)
+    world.firmware.hard_limit()
+    player = world.player()
+    assert player.connect(home=True).homed
+    assert player.state is State.HOMED
+
+
+def test_homing_can_be_stopped(tmp_path: Path) -> None:
+    world = World(tmp_path, SHORT, firmware=Firmware({20: 1, 22: 1}))
+    player, began = world.player(), world.clock.now()
+    wait = world.clock.sleep
+
+    def sleep(seconds: float) -> None:
+        wait(seconds)
+        if world.clock.now() > began + 2.0:
+            player.abort()
+
+    world.clock.sleep = sleep  # type: ignore[method-assign]
+    with pytest.raises(DeviceFault, match=r"\$H was stopped"):
+        player.connect(home=True)
+    assert world.clock.now() < began + 2.1
+    assert player.state is State.FAULT
+    wait(1.0)
+    assert world.firmware.state == "Alarm"
+    assert not world.firmware.moving
+
+
+def test_a_hold_asked_for_at_the_controller_is_a_pause(tmp_path: Path) -> None:
+    world, held = World(tmp_path, SHORT), [0]
+
+    def seen(program: Program, progress: Progress) -> None:
+        if len(program.frames) > 2 and progress.time > 0.3 and not held[0]:
+            held[0] = 1
+            world.firmware.receive(b"!")
+        if world.latest.state is State.HOLD:
+            held[0] += 1
+            if held[0] == 100:
+                world.latest.resume()
+
+    assert world.begin(seen=seen).outcome is Outcome.SUCCESS
+    assert held[0] >= 100
+    assert world.frames_played() == list(range(1, 11))
 
 
 # stopping

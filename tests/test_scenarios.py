@@ -1,7 +1,7 @@
 """The same scenarios in real time on the emulator, over TCP and a pseudo terminal, and on real firmware.
 
-Real firmware, or a simulator of it, is what answers at CTR_NLP_GRBL_URL: a grblHAL controller with axes X, Y, Z, A, B, C
-that may move by 30 mm and 60 degrees to the positive side of where it stands. Its own speeds and accelerations are used.
+Real firmware, or a simulator of it, is what answers at CTR_NLP_GRBL_URL: a grblHAL controller with axes X Y Z A B
+C that may move by 30 mm and 60 degrees from where it stands. Its own speeds and accelerations are used.
 """
 
 from __future__ import annotations

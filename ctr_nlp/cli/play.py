@@ -74,7 +74,9 @@ def _parsed(argv: list[str] | None) -> argparse.Namespace:
         help="with --resume: you have made sure that the axes stand where the controller says",
     )
     parser.add_argument(
-        "--out", metavar="DIR", help=f"where {JOURNAL}, tracking.csv and tracking.png go (default: PLAN-play)"
+        "--out",
+        metavar="DIR",
+        help=f"where {JOURNAL}, tracking.csv and tracking.png go (default runs/PROBLEM-play)",
     )
     arguments = parser.parse_args(argv)
     for name in ("home", "tempo", "dry_run"):
@@ -92,7 +94,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if arguments.dry_run:
         print_program(plan, *prepared(plan, hardware, tempo))
         return SOLVED
-    out = Path(arguments.out or Path(arguments.plan).with_suffix("").as_posix() + "-play")
+    out = Path(arguments.out or f"runs/{plan.meta['problem']['name']}-play")
     records = read_journal(out / JOURNAL) if arguments.resume else None
     _claim(out)
     clock = RealClock()
@@ -101,7 +103,9 @@ def _run(arguments: argparse.Namespace) -> int:
     device = device_of(hardware, journal, clock, _stood(hardware, records))
     player, recorder = Player(device, arm, journal, clock), Recorder()
     with deferred_interrupt() as interrupted, progress_bar() as labelled, _obeying(player):
-        seen = _seen(player, recorder, interrupted, labelled(plan.meta["problem"]["name"]))
+        if interrupted():
+            player.abort()
+        seen = _seen(player, recorder, labelled(plan.meta["problem"]["name"]))
         try:
             result = (
                 begin(player, plan, hardware, tempo, home=arguments.home, seen=seen)
@@ -149,6 +153,14 @@ def _obeying(player: Player) -> Iterator[None]:
     threading.Thread(target=_listen, args=(player,), daemon=True).start()
     signals = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
     before = {number: signal.signal(number, lambda *_: player.abort()) for number in signals}
+    remember = signal.getsignal(signal.SIGINT)
+
+    def interrupt(number: int, frame: Any) -> None:
+        player.abort()
+        if callable(remember):
+            remember(number, frame)
+
+    before[signal.SIGINT] = signal.signal(signal.SIGINT, interrupt)
     if hasattr(signal, "SIGTTIN"):  # in the background, reading a terminal must fail and not stop the program
         before[signal.SIGTTIN] = signal.signal(signal.SIGTTIN, signal.SIG_IGN)
     try:
@@ -170,17 +182,10 @@ def _listen(player: Player) -> None:
         return
 
 
-def _seen(
-    player: Player, recorder: Recorder, interrupted: Callable[[], bool], show: Callable[[int, int, str], None]
-) -> Seen:
-    """Record, show progress, and turn Ctrl-C into an abort."""
-    asked = False
+def _seen(player: Player, recorder: Recorder, show: Callable[[int, int, str], None]) -> Seen:
+    """Record, and show progress."""
 
     def seen(program: Program, progress: Progress) -> None:
-        nonlocal asked
-        if interrupted() and not asked:
-            asked = True
-            player.abort()
         recorder(program, progress)
         passed = program.frames[program.frame_time <= progress.time]
         show(int(passed[-1]) if len(passed) else 0, int(program.frames[-1]), player.state.value)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,8 @@ UNITS = {"beta": {"mm": 1.0}, "alpha": {"deg": math.degrees(1.0), "rad": 1.0}}
 DEVICES = ("simulated", "grbl", "ros2")
 HOMING = ("manual", "cycle")
 FLOW = ("count", "wait")
+KEYS = "name, robot, axes, arm, connection, approach"
+"""Of a hardware file."""
 
 
 @dataclass(frozen=True)
@@ -121,13 +123,15 @@ class Connection:
 class Hardware:
     """Axes, one for every alpha and beta of a robot, an arm that tilts it or None, and the connection.
 
-    approach: part of the largest speeds at which the first frame is gone to. Raises HardwareError.
+    approach: part of the largest speeds at which the first frame is gone to. robot: whose tubes are mounted; plans
+    for others are refused, None takes any. Raises HardwareError.
     """
 
     axes: tuple[Axis, ...]
     arm: Arm | None = None
     connection: Connection = field(default_factory=Connection)
     approach: float = 0.2
+    robot: Robot | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axes", tuple(self.axes))
@@ -166,6 +170,7 @@ class Hardware:
     def tightened(self, robot: Robot) -> Robot:
         """The robot with limits that these axes and the arm keep too; raises HardwareError."""
         self._check_joints(robot)
+        self._check_tubes(robot)
         lower, upper, speed, acceleration = (
             np.array(part) for part in (robot.lower, robot.upper, robot.speed, robot.acceleration)
         )
@@ -197,6 +202,19 @@ class Hardware:
             what = f"no axis moves {name} of the robot" if name in wanted else f"an axis moves {name}"
             raise HardwareError(f"{what}; axes must move {', '.join(sorted(wanted))}")
 
+    def _check_tubes(self, robot: Robot) -> None:
+        mounted = robot.tubes if self.robot is None else self.robot.tubes
+        if len(mounted) != robot.d:
+            raise HardwareError(f"the plan's robot has {robot.d} tubes, {len(mounted)} are mounted")
+        for i, (tube, there) in enumerate(zip(robot.tubes, mounted, strict=True), start=1):
+            for f in fields(tube):
+                planned, real = getattr(tube, f.name), getattr(there, f.name)
+                if not np.allclose(planned, real, rtol=1e-9):
+                    raise HardwareError(
+                        f"tube {i} of the plan's robot has {f.name} {planned}, the one that is mounted {real}: "
+                        "the plan is for another robot"
+                    )
+
     def positions(self, robot: Robot, q: Array) -> Array:
         """Positions (.., m) of the axes, in their units, at q (.., 2d + 2)."""
         columns = [robot.axes.index(axis.joint) for axis in self.axes]
@@ -219,9 +237,9 @@ class Hardware:
         """The hardware of a TOML file; raises HardwareError."""
         try:
             data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-            unknown = set(data) - {"name", "axes", "arm", "connection", "approach"}
+            unknown = set(data) - set(KEYS.split(", "))
             if unknown:
-                raise HardwareError(f"unknown key {min(unknown)!r}; use name, axes, arm, connection, approach")
+                raise HardwareError(f"unknown key {min(unknown)!r}; use {KEYS}")
             if not isinstance(data.get("axes"), list):
                 raise HardwareError("hardware needs a list of axes, [[axes]] in TOML")
             return cls(
@@ -229,6 +247,7 @@ class Hardware:
                 described(Arm, data["arm"]) if "arm" in data else None,
                 described(Connection, data.get("connection", {})),
                 data.get("approach", cls.approach),
+                Robot.from_toml(Path(path).parent / data["robot"]) if "robot" in data else None,
             )
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RobotError, HardwareError) as error:
             raise HardwareError(f"hardware file {path}: {error}") from error

@@ -39,7 +39,7 @@ Seen = Callable[[Program, Progress], None]
 class Player:
     """One device, and an arm or None, from connecting to closing; everything that happens is in the journal.
 
-    pause, resume and abort may be called from anywhere, also from the callback of play; the last of them counts, but
+    pause, resume and abort may be called from anywhere, also from the callback of play; the last word counts, but
     an abort is final. What is asked for while nothing plays holds for the next program. After any stop nothing
     moves and nothing is sent until the next call. A call that the state does not allow raises DeviceFault.
     """
@@ -53,14 +53,17 @@ class Player:
         self._wish, self._frame = "", 0
         self.state = State.DISCONNECTED
 
-    def connect(self, stop_first: bool = False) -> Standing:
+    def connect(self, stop_first: bool = False, home: bool = False) -> Standing:
         """Open the device and the arm; where the axes stand. Raises DeviceFault.
 
-        stop_first: a device that moves, since its player died, is stopped; else that is a fault.
+        stop_first: a device that moves, since its player died, is stopped; else that is a fault. home: let the
+        device find its position, which also ends its alarm; abort stops that.
         """
         self._expect("connects", State.DISCONNECTED)
         with self._faults():
             self.device.connect()
+            if home:
+                self.device.home(lambda: self._asked() == "abort")
             standing = self._cleared() if stop_first else self.device.standing()
             if self._arm is not None:
                 self._arm.connect()
@@ -74,19 +77,6 @@ class Player:
         except DeviceFault as error:
             self._ended(Outcome.DEVICE_FAULT, str(error), None)
             raise
-
-    def home(self) -> Standing:
-        """Let the device find its position; raises DeviceFault. What interrupts this stops the device."""
-        self._expect("homes", State.IDLE, State.HOMED)
-        with self._faults():
-            try:
-                self.device.home()
-            except BaseException as error:
-                self._stopped(Outcome.DEVICE_FAULT, f"homing failed: {error!r}")
-                raise
-            standing = self.device.standing()
-            self._to(State.HOMED if standing.homed else State.IDLE)
-        return standing
 
     def trust(self) -> None:
         """Take the position that the device tells for true, since a person has made sure of it."""

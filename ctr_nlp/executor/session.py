@@ -51,9 +51,7 @@ def begin(
     DeviceFault where no program could be begun.
     """
     program, _ = prepared(plan, hardware, tempo)
-    standing = player.connect()
-    if home:
-        standing = player.home()
+    standing = player.connect(home=home)
     if player.state is not State.HOMED:
         raise DeviceFault("the device does not know where it stands: let it home first")
     if hardware.backlash.any():
@@ -142,7 +140,8 @@ def _place(program: Program, standing: Standing, resolution: Array, frame: int) 
     """Where on the way after a frame the axes stand, as a parameter of the path; raises ProgramError.
 
     Where the way comes by the same place again, what the axes can tell apart (resolution, (m,)) decides for the
-    first time: a controller that was left alone plays no more than what it had in its buffer.
+    first time: a controller that was left alone plays no more than what it had in its buffer. A frame that they
+    cannot be told apart from has been passed.
     """
     commands, tolerance = program.commands(), program.hardware.tolerance
     way = Way(program.positions(np.zeros(1))[0], commands, tolerance)
@@ -158,4 +157,7 @@ def _place(program: Program, standing: Standing, resolution: Array, frame: int) 
     alike = np.append(away <= away.min() + 2 * (resolution / tolerance).max(), False)
     first = int(alike.argmax())
     last = first + int((~alike[first:]).argmax())
-    return float(program.motion.parameter(found[first + int(away[first:last].argmin())].time))
+    s = float(program.motion.parameter(found[first + int(away[first:last].argmin())].time))
+    ahead = np.flatnonzero(program.knots > s)[:1]
+    there = abs(program.positions(program.frame_time[ahead]) - standing.position) <= resolution
+    return float(program.knots[ahead[0]]) if ahead.size and there.all() else s

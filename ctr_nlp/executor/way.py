@@ -19,7 +19,7 @@ AT = 0.02
 class Place(NamedTuple):
     """A place on a way: the time (s) at which it is passed, how many pieces lie behind, and the distance to it.
 
-    until: when it is left, where it is rested at. away: of the axis that is furthest off, in parts of its tolerance.
+    until: when it is left, where it is rested at. away: of the axis furthest off, in parts of its tolerance.
     """
 
     time: float

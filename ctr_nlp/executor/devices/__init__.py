@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -54,8 +55,8 @@ class Device(Protocol):
         """The least that its axes (m,) can tell apart, in their units, once it is connected."""
         ...
 
-    def home(self) -> None:
-        """Find its position by itself, and wait for that."""
+    def home(self, stop: Callable[[], bool]) -> None:
+        """Find its position by itself, and wait for that; where stop says so, stop at once, which is a fault."""
         ...
 
     def start(self, commands: Commands) -> None:

@@ -34,7 +34,7 @@ STOPPING = 0.02
 """s between them while it stops."""
 
 OVERHEARD = 0.06
-"""s after a hold in which the controller must slow down; else it has not heard it, as happens just after a resume."""
+"""s in which a controller must react to a hold; else it has not heard it, as happens just after a resume."""
 
 AGAIN = 0.3
 """s after which a status question counts as lost and is asked again."""
@@ -80,7 +80,7 @@ class Grbl:
     # connecting
 
     def connect(self) -> None:
-        """Open the link and make sure of who answers; unless it is idle, it is asked for no more than its status."""
+        """Open the link and make sure of who answers; unless idle, it is asked for no more than its status."""
         self._link = self._opened()
         self._talk = Talk(self._link, self._clock)
         idle = self._talk.report(GREETING, greeting=True).state == "Idle"
@@ -142,15 +142,15 @@ class Grbl:
         pairs = zip(self._hardware.axes, self._columns, strict=True)
         return all(int(mask) >> column & 1 for axis, column in pairs if axis.unit == "mm")
 
-    def home(self) -> None:
-        """Run the controller's homing cycle, which also ends an alarm."""
+    def home(self, stop: Callable[[], bool]) -> None:
+        """Run the controller's homing cycle, which also ends an alarm; stop resets the controller in mid-cycle."""
         if self._hardware.connection.homing != "cycle":
             raise DeviceFault("this hardware homes by hand: connection.homing is not cycle")
         if self._talk.report().state == "Alarm":
             self._reset()
         if self._identity is None:
             self._identify()
-        self._talk.ask("$H", HOMING)
+        self._talk.ask("$H", HOMING, stop)
         self._talk.quiet()
 
     # playing
@@ -212,7 +212,8 @@ class Grbl:
         empty = report.free is not None and self._identity is not None and report.free >= self._identity.blocks
         if empty and self._sent < len(self._lines) and self._planned and not self._holding:
             self.underruns += 1
-        self._seen, self._held = report, self._holding and report.stopped
+        self._seen, self._held = report, report.stopped
+        self._holding = self._holding or report.state == "Hold"  # a person at the controller may have asked for it
         if self._sent:
             ahead = min(report.line + 1, self._sent) if report.line else self._sent
             place = self._way.nearest(position, max(self._place.line - 1, 0), ahead)
@@ -297,11 +298,12 @@ class Grbl:
             for reply in self._until("report", 2 * POLL):
                 self._talk.check()
                 report = report_of(reply.text, self._talk.axes) if reply.kind == "report" else None
-                if report is not None and report.state == "Alarm":
+                state = "" if report is None else report.state
+                if state == "Alarm":
                     raise DeviceFault("the controller is in alarm: its position is not to be trusted")
-                if report is not None and (report.stopped or report.state == "Idle"):
+                if state == "Idle" or (report is not None and report.stopped):
                     return True
-                if report is not None and report.state == "Run" and self._clock.now() - self._hold_sent > OVERHEARD:
+                if state == "Run" and self._clock.now() - self._hold_sent > OVERHEARD:
                     self._say_hold()
         return False
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from ctr_nlp.errors import DeviceFault
@@ -62,27 +62,31 @@ class Talk:
                 self.lost = reply.text
             yield reply
 
-    def waited(self, seconds: float) -> Iterator[Reply]:
-        """Replies of so many s."""
+    def waited(self, seconds: float, stop: Callable[[], bool] = lambda: False) -> Iterator[Reply]:
+        """Replies of so many s, or until told to stop."""
         end = self._clock.now() + seconds
-        while self._clock.now() < end:
+        while self._clock.now() < end and not stop():
             yield from self.replies()
             self._clock.sleep(TICK)
 
-    def ask(self, line: str, seconds: float = ANSWER) -> list[str]:
+    def ask(self, line: str, seconds: float = ANSWER, stop: Callable[[], bool] = lambda: False) -> list[str]:
         """Send a line and wait for its ok; what was said before it. Raises DeviceFault.
 
-        An empty line ends an error's latch, and errors of lines before it are none of its own.
+        An empty line ends an error's latch, and errors of lines before it are none of its own. stop: whether to
+        reset the controller instead of waiting on.
         """
         self.link.write(line.encode("ascii") + b"\n")
         said: list[str] = []
-        for reply in self.waited(seconds):
+        for reply in self.waited(seconds, stop):
             if reply.kind == "ok":
                 return said
             if reply.kind == "error" and line:
                 raise DeviceFault(f"the controller answers {reply.text!r} to {line!r}")
             self.check()
             said.append(reply.text)
+        if stop():
+            self.link.write(RESET)
+            raise DeviceFault(f"{line} was stopped: the controller is reset, its position is not to be trusted")
         raise DeviceFault(f"the controller does not answer {line!r} within {seconds:g} s, but for {said}")
 
     def check(self) -> None:
@@ -101,6 +105,8 @@ class Talk:
             for reply in self.waited(0.25):
                 if not greeting:
                     self.check()
+                if "|WPos:" in reply.text:
+                    raise DeviceFault("the controller reports work positions; it must report MPos: set $10=511")
                 found = report_of(reply.text, self.axes) if reply.kind == "report" else None
                 if found is not None:
                     return found

@@ -21,6 +21,7 @@ lies.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -228,7 +229,7 @@ class Ros2:
             raise DeviceFault("the joints move; they must stand still before anything is played")
         return Standing(self._seen[-1][1], self._hardware.connection.homing == "manual")
 
-    def home(self) -> None:
+    def home(self, stop: Callable[[], bool]) -> None:
         """A controller in ROS 2 homes by itself."""
         raise DeviceFault("a ROS 2 controller homes by its own means: connection.homing must be manual")
 

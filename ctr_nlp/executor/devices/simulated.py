@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import numpy.typing as npt
 
@@ -38,7 +40,7 @@ class Simulated:
         """The digits of a number."""
         return np.full(len(self._position), 1e-6)
 
-    def home(self) -> None:
+    def home(self, stop: Callable[[], bool]) -> None:
         """Nothing needs to be found."""
 
     def start(self, commands: Commands) -> None:
