@@ -83,10 +83,7 @@ def homed_firmware() -> Firmware:
 
 def homing_hardware(**changes: Any) -> Hardware:
     """Slides that count down from their homing switches, as Grbl's do; turns that count up; a Grbl controller."""
-    slides = [
-        Axis(f"beta_{i + 1}", "XYZ"[i], "mm", (-REACH[i], 0.0), 50.0, 200.0, sign=-1)
-        for i in range(3)
-    ]
+    slides = [Axis(f"beta_{i + 1}", "XYZ"[i], "mm", (-REACH[i], 0.0), 50.0, 200.0, sign=-1) for i in range(3)]
     turns = [Axis(f"alpha_{i + 1}", "ABC"[i], "deg", (-360.0, 360.0), 600.0, 2000.0) for i in range(3)]
     connection = Connection("grbl", "wire:", homing="cycle")
     return replace(Hardware((*slides, *turns), None, connection, approach=1.0), **changes)

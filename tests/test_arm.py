@@ -13,20 +13,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from ctr_nlp.errors import HardwareError, OptionError
-from ctr_nlp.executor.arm import (
-    JOINT_LIMIT,
-    LARGEST_GAIN,
-    LENGTH,
-    MODELS,
-    Arm,
-    check_joints,
-    gains,
-    insertion_error,
-    insertion_error_between,
-    joints,
-    poses,
-    tilt,
-)
+from ctr_nlp.executor.arm import branch
+from ctr_nlp.executor.arm.branch import LARGEST_GAIN, joints, poses
+from ctr_nlp.executor.arm.checks import check_joints
+from ctr_nlp.executor.arm.description import JOINT_LIMIT, MODELS, Arm
+from ctr_nlp.executor.arm.forward import LENGTH, gains, insertion_error, tilt
 
 library = pytest.importorskip("ur_analytic_ik")
 
@@ -230,17 +221,22 @@ def test_a_joint_limit_is_named():
 
 def test_a_jump_is_named(monkeypatch):
     """Were the library to lose a branch for a moment, the next one is not taken for it."""
-    from ctr_nlp.executor import arm as module
-
-    whole, calls = module._solutions, []
+    whole, calls = branch._solutions, []
 
     def losing(model, pose):
         calls.append(None)
         return whole(model, pose)[:1] if len(calls) > 3 else whole(model, pose)[1:2]
 
-    monkeypatch.setattr(module, "_solutions", losing)
+    monkeypatch.setattr(branch, "_solutions", losing)
     with pytest.raises(HardwareError, match=r"frame 4 of 9.*joint \d \(.*\) would jump by"):
         joints(Arm(), np.linspace((0, 0), (0.05, 0), 9))
+
+
+def insertion_error_between(arm, q, substeps=8):
+    """Largest insertion_error (T - 1,) in mm on the way between samples (T, 6), joints interpolated linearly."""
+    part = np.linspace(0, 1, substeps + 1)[:, None]
+    way = q[:-1, None] * (1 - part) + q[1:, None] * part
+    return insertion_error(arm, way.reshape(-1, 6)).reshape(-1, substeps + 1).max(axis=1)
 
 
 def test_the_insertion_point_moves_little_between_samples():

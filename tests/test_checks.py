@@ -10,7 +10,7 @@ from bench import homing_hardware, plan_of, sweep
 
 from ctr_nlp import Robot, Tube, branches, tracking
 from ctr_nlp.errors import HardwareError, ProgramError
-from ctr_nlp.executor.arm import Arm
+from ctr_nlp.executor.arm.description import Arm
 from ctr_nlp.executor.checks import SAMPLES, check_plan, checked
 from ctr_nlp.executor.hardware import bench
 from ctr_nlp.executor.program import program_of

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from ctr_nlp.emulator import FAULTS, Firmware, VirtualClock, Wire, fault, serving
-from ctr_nlp.emulator.motion import BLOCKS
+from ctr_nlp.emulator.planner import BLOCKS
 from ctr_nlp.errors import OptionError
 
 RECORDED = re.compile(r" *(\d+\.\d+) (>>|<<|==) (.*)")

@@ -246,7 +246,7 @@ def test_a_reset_in_motion_is_never_trusted(how: str, tmp_path: Path) -> None:
     rig.firmware.on_reset = how
 
     def seen(program: Program, progress: Progress) -> None:
-        if len(program.frames) > 2 and progress.time > 0.4:
+        if len(program.frames) > 2 and progress.time > 2.0:
             rig.links[-1].wire.line.outward.append(lambda data: data.replace(b"!", b""))
             rig.latest.abort()
 

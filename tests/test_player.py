@@ -17,8 +17,8 @@ from ctr_nlp.emulator.firmware import Firmware
 from ctr_nlp.emulator.wire import VirtualClock
 from ctr_nlp.errors import DeviceFault, ProgramError
 from ctr_nlp.executor.devices import Progress, Standing
+from ctr_nlp.executor.devices.arms import SimulatedArm
 from ctr_nlp.executor.devices.simulated import Simulated
-from ctr_nlp.executor.devices.ur import SimulatedArm
 from ctr_nlp.executor.hardware import bench
 from ctr_nlp.executor.journal import Journal, read_journal
 from ctr_nlp.executor.player import Player

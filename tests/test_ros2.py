@@ -18,7 +18,8 @@ import pytest
 from ctr_nlp import Plan, Problem, curve_from_formula, growing, seed_robot
 from ctr_nlp.errors import DeviceFault, HardwareError
 from ctr_nlp.executor.clock import RealClock
-from ctr_nlp.executor.devices.ros2 import SILENCE, Ros2, Track
+from ctr_nlp.executor.devices.ros2 import Ros2
+from ctr_nlp.executor.devices.ros2_joints import SILENCE
 from ctr_nlp.executor.devices.ros2_messages import (
     LOOPBACK,
     Points,
@@ -28,6 +29,7 @@ from ctr_nlp.executor.devices.ros2_messages import (
     trajectory_message,
     types,
 )
+from ctr_nlp.executor.devices.ros2_track import Track
 from ctr_nlp.executor.hardware import Connection, bench
 from ctr_nlp.executor.journal import Journal, read_journal
 from ctr_nlp.executor.player import Player

@@ -10,8 +10,12 @@ import numpy as np
 import pytest
 
 from ctr_nlp.errors import DeviceFault, HardwareError, OptionError
-from ctr_nlp.executor.arm import Arm, insertion_error, joints, tilt
-from ctr_nlp.executor.devices.ur import LONGEST_STEP, STALE, SimulatedArm, UrArm, arm_follower
+from ctr_nlp.executor.arm.branch import joints
+from ctr_nlp.executor.arm.description import Arm
+from ctr_nlp.executor.arm.forward import insertion_error, tilt
+from ctr_nlp.executor.devices.arms import LONGEST_STEP, SimulatedArm
+from ctr_nlp.executor.devices.opening import arm_follower
+from ctr_nlp.executor.devices.ur import STALE, UrArm
 from ctr_nlp.executor.exports.urscript import SETTLE, write_urscript
 
 pytest.importorskip("ur_analytic_ik")

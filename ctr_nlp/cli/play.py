@@ -27,8 +27,7 @@ from ctr_nlp.cli.play_report import print_program, report
 from ctr_nlp.errors import DeviceFault, OptionError
 from ctr_nlp.executor.clock import RealClock
 from ctr_nlp.executor.devices import Progress
-from ctr_nlp.executor.devices.opening import device_of
-from ctr_nlp.executor.devices.ur import arm_follower
+from ctr_nlp.executor.devices.opening import arm_follower, device_of
 from ctr_nlp.executor.hardware import Hardware, bench
 from ctr_nlp.executor.journal import Journal, read_journal
 from ctr_nlp.executor.player import Player, Seen

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from ctr_nlp.emulator.stops import soft_limit
 from ctr_nlp.emulator.wire import Line
 from ctr_nlp.errors import OptionError
 
@@ -141,7 +142,7 @@ FAULTS: dict[str, Callable[..., Fault]] = {
     "bytes_lost": _kind("bytes_lost", _outbound, choice=0.02),
     "banner": _kind("banner", _reboot, choice=1.0),
     "hard_limit": _kind("hard_limit", lambda line, fault: line.firmware.hard_limit()),
-    "soft_limit": _kind("soft_limit", lambda line, fault: line.firmware.soft_limit()),
+    "soft_limit": _kind("soft_limit", lambda line, fault: soft_limit(line.firmware)),
     "error_latch": _kind("error_latch", _refusal, choice=20),
     "estop": _kind("estop", _estop),
 }

@@ -66,7 +66,6 @@ class Line:
     modal: Modal
     axes: dict[int, float]
     number: int | None = None
-    feed: float | None = None
     dwell: float = 0.0
     ends: bool = False
 
@@ -145,4 +144,4 @@ def _applied(modal: Modal, codes: dict[str, float], values: dict[str, float], en
         raise Refused(NO_FEED)
     axes = {i: value * (scale if i < LINEAR else 1.0) for i, value in axes.items()}
     after = Modal(motion, inverse_time, absolute, inches, kept)
-    return Line(after, axes, None if number is None else int(number), feed, dwell, ends)
+    return Line(after, axes, None if number is None else int(number), dwell, ends)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from ctr_nlp.emulator.gcode import BAD_NUMBER, NEGATIVE, Refused
-from ctr_nlp.emulator.motion import Limits
+from ctr_nlp.emulator.planner import Limits
 
 NO_SUCH_SETTING, NEEDS_HOMING = 53, 10
 

@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 from ctr_nlp import tracking
 from ctr_nlp.errors import HardwareError, ProgramError, RobotError
-from ctr_nlp.executor.arm import check_joints, joints
+from ctr_nlp.executor.arm.branch import joints
+from ctr_nlp.executor.arm.checks import check_joints
 from ctr_nlp.executor.program import Program
 from ctr_nlp.forward import shapes
 from ctr_nlp.plan import Plan

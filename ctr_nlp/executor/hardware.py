@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.errors import HardwareError, RobotError
-from ctr_nlp.executor.arm import Arm
+from ctr_nlp.executor.arm.description import Arm
 from ctr_nlp.robot import Robot
 from ctr_nlp.values import described, numbers
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ctr_nlp.errors import DeviceFault, JournalError, ProgramError
 from ctr_nlp.executor.clock import Clock, RealClock
 from ctr_nlp.executor.devices import Device, Progress, Standing
-from ctr_nlp.executor.devices.ur import ArmFollower
+from ctr_nlp.executor.devices.arms import ArmFollower
 from ctr_nlp.executor.journal import Journal
 from ctr_nlp.executor.program import Program
 from ctr_nlp.executor.results import Outcome, Result, State

@@ -54,11 +54,15 @@ class Recorder:
             self._rows.append((time, progress.time, progress.position))
 
     def tracking(self) -> Tracking | None:
-        """Positions at the times of frames, between reports linearly; None where too little was seen."""
+        """Positions at the times of frames, between reports linearly; None where too little was seen.
+
+        Times count from when the axes began to move, by the first report in which they had.
+        """
         if self._program is None or len(self._rows) < 2:
             return None
         stamp, played, position = (np.array(column) for column in zip(*self._rows, strict=True))
-        stamp -= stamp[0]
+        began = int((played > 0).argmax())
+        stamp -= stamp[began] - played[began]
         reached = self._program.frame_time <= played[-1] + 1e-9
         due = self._program.frame_time[reached]
         measured = np.stack([np.interp(due, stamp, column) for column in position.T], axis=1)

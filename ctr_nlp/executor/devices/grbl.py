@@ -175,7 +175,7 @@ class Grbl:
         for reply in self._talk.replies():
             self._take(reply)
         now = self._clock.now()
-        done = self._planned == len(self._lines) and self._seen.state == "Idle" and self._stamp > self._moved
+        done = self._planned == len(self._lines) and self._seen.state == "Idle" and self._settled()
         if not (done or self._held):
             self._ask(now)
             self._send()
@@ -185,6 +185,12 @@ class Grbl:
         if done:
             time, line = float(self._way.ends[-1]), len(self._lines)
         return Progress(state, time, line, self._seen.position[self._columns], self._stamp, away)
+
+    def _settled(self) -> bool:
+        """Whether an idle controller has done all that was planned: it may not have begun with the last of it."""
+        off = abs(self._seen.position[self._columns] - self._way.points[-1]) / self.resolution
+        rest = self._stamp - self._moved
+        return rest > (0.0 if off.max() <= 1.0 else STALLED)
 
     def _take(self, reply: Reply) -> None:
         if reply.kind == "ok":

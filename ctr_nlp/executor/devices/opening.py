@@ -1,15 +1,21 @@
-"""The device that a hardware file names."""
+"""The devices that a hardware file names."""
 
 from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
+from ctr_nlp.executor.arm.description import Arm
 from ctr_nlp.executor.clock import Clock
 from ctr_nlp.executor.devices import Device
+from ctr_nlp.executor.devices.arms import ArmFollower, SimulatedArm
 from ctr_nlp.executor.devices.grbl import Grbl
 from ctr_nlp.executor.devices.ros2 import Ros2
 from ctr_nlp.executor.devices.simulated import Simulated
+from ctr_nlp.executor.devices.ur import UrArm
 from ctr_nlp.executor.hardware import Hardware
 from ctr_nlp.executor.journal import Journal
 from ctr_nlp.executor.link import RecordedLink, SerialLink
@@ -25,3 +31,10 @@ def device_of(hardware: Hardware, journal: Journal, clock: Clock, position: Arra
     if connection.device == "ros2":
         return Ros2(hardware, journal, clock)
     return Simulated(position, clock)
+
+
+def arm_follower(
+    arm: Arm, theta: Sequence[float] = (0.0, 0.0), clock: Callable[[], float] = time.monotonic
+) -> ArmFollower:
+    """What the arm's device names; a simulated arm stands at a tilt theta (2,) rad."""
+    return SimulatedArm(arm, theta, clock=clock) if arm.device == "simulated" else UrArm(arm, clock=clock)

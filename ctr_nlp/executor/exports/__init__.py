@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctr_nlp.errors import HardwareError
-from ctr_nlp.executor import arm
+from ctr_nlp.executor.arm.branch import joints
 from ctr_nlp.executor.exports import gcode, table, urscript
 from ctr_nlp.executor.program import Program
 
@@ -31,9 +31,9 @@ def _urscript(program: Program, title: str) -> str:
     if holder is None:
         raise HardwareError("this hardware has no arm, so that there is nothing to write for one")
     time = PERIOD * np.arange(np.ceil(program.duration / PERIOD - 1e-6) + 1)
-    joints = arm.joints(holder, program.at(time)[0][:, -2:])
+    way = joints(holder, program.at(time)[0][:, -2:])
     name = re.sub(r"\W", "_", f"ctr_nlp_{title}", flags=re.ASCII)
-    return urscript.write_urscript(time, joints, period=PERIOD, name=name)
+    return urscript.write_urscript(time, way, period=PERIOD, name=name)
 
 
 TEXTS = {

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.errors import HardwareError, OptionError
-from ctr_nlp.executor.arm import JOINT_LIMIT
+from ctr_nlp.executor.arm.description import JOINT_LIMIT
 
 CYCLE = 0.002
 """s: the controller's own cycle; 0.008 before the e-series."""
