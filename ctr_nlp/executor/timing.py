@@ -31,7 +31,7 @@ COARSER = 2.0, 16.0, 128.0
 CLOCK = 100.0
 """1/s: how fast the pace may change where no joint moves."""
 
-CHECKED = np.append(np.arange(16) / 16, 1.0 - 1e-6)
+CHECKED = np.append(np.arange(40) / 40, 1.0 - 1e-6)
 """At which parts of every cell limits are checked."""
 
 ROOM = 1.001

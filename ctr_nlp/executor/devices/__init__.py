@@ -40,7 +40,7 @@ class Progress(NamedTuple):
 
 
 class Device(Protocol):
-    """Plays commands. Nothing here waits for a motion but home, abort and settle; all raise DeviceFault."""
+    """Plays commands. Nothing here waits for a motion but home and abort; all raise DeviceFault."""
 
     def connect(self) -> None:
         """Open the link and make sure of what answers."""
