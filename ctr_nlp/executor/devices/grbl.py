@@ -11,16 +11,9 @@ import numpy.typing as npt
 from ctr_nlp.errors import DeviceFault
 from ctr_nlp.executor.clock import Clock
 from ctr_nlp.executor.devices import Progress, Standing
+from ctr_nlp.executor.devices.grbl_identity import Identity
 from ctr_nlp.executor.devices.grbl_replies import Reply, Report, report_of
-from ctr_nlp.executor.devices.grbl_talk import (
-    GREETING,
-    HOLD,
-    RESET,
-    RESUME,
-    STATUS,
-    Identity,
-    Talk,
-)
+from ctr_nlp.executor.devices.grbl_talk import GREETING, HOLD, RESET, RESUME, STATUS, Talk
 from ctr_nlp.executor.gcode import MODES, lines
 from ctr_nlp.executor.hardware import Hardware
 from ctr_nlp.executor.link import Link
@@ -77,8 +70,6 @@ class Grbl:
         self._holding = self._held = False
         self.underruns = 0
 
-    # connecting
-
     def connect(self) -> None:
         """Open the link and make sure of who answers; unless idle, it is asked for no more than its status."""
         self._link = self._opened()
@@ -91,22 +82,8 @@ class Grbl:
 
     def _identify(self) -> None:
         self._identity = identity = self._talk.identify()
-        missing = [axis.letter for axis in self._hardware.axes if axis.letter not in identity.letters]
-        if missing:
-            raise DeviceFault(f"the controller has axes {identity.letters}; the hardware wants {missing[0]}")
-        self._columns = [identity.letters.index(axis.letter) for axis in self._hardware.axes]
-        if identity.setting(13):
-            raise DeviceFault("the controller reports in inches: set $13=0")
-        for axis, column in zip(self._hardware.axes, self._columns, strict=True):
-            for base, name, wanted in ((110, "speed", 60 * axis.speed), (120, "acceleration", axis.acceleration)):
-                there = identity.setting(base + column)
-                if there < wanted * (1 - 1e-9):
-                    raise DeviceFault(
-                        f"the controller's ${base + column}={there:g} is less than the {name} of {axis.letter} in "
-                        f"the hardware file ({wanted:g} here): it would be late; raise the one or lower the other"
-                    )
-        if self._hardware.connection.homing == "cycle" and not (identity.setting(22) % 2 and identity.setting(20)):
-            raise DeviceFault("homing is a cycle: the controller must have $22=1 (homing) and $20=1 (soft limits)")
+        self._columns = identity.columns(self._hardware)
+        identity.check(self._hardware)
 
     @property
     def in_flight(self) -> int:
@@ -117,8 +94,7 @@ class Grbl:
     def resolution(self) -> npt.NDArray[np.float64]:
         """What the axes (m,) can tell apart: a step, and the last digit of reports."""
         assert self._identity is not None
-        steps = [self._identity.setting(100 + column) for column in self._columns]
-        return 1.0 / np.array(steps) + 1e-3
+        return self._identity.resolution(self._hardware)
 
     def standing(self) -> Standing:
         """Where it stands, which must be at rest and in order."""
@@ -152,8 +128,6 @@ class Grbl:
             self._identify()
         self._talk.ask("$H", HOMING, stop)
         self._talk.quiet()
-
-    # playing
 
     def start(self, commands: Commands) -> None:
         """Begin to play commands from where it stands."""
@@ -256,8 +230,6 @@ class Grbl:
                 f"the controller is idle, with {self._planned} of {self._sent} lines acknowledged: replies or "
                 "lines were lost"
             )
-
-    # stopping
 
     def hold(self) -> None:
         """Ask for a feed hold; no line is sent until it is resumed, and nothing at all once it is at rest."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 from ctr_nlp.errors import DeviceFault
 from ctr_nlp.executor.clock import Clock
+from ctr_nlp.executor.devices.grbl_identity import Identity
 from ctr_nlp.executor.devices.grbl_replies import Reply, Report, reply_of, report_of
 from ctr_nlp.executor.link import Link
 
@@ -24,23 +24,6 @@ QUIET = 0.15
 
 TICK = 0.005
 """s between two looks at the link while waiting."""
-
-
-@dataclass(frozen=True)
-class Identity:
-    """letters of its axes; receive: bytes that it can keep; blocks: of its planner; settings: by number."""
-
-    letters: str
-    receive: int
-    blocks: int
-    settings: dict[int, str]
-
-    def setting(self, number: int) -> float:
-        """A setting as a number; raises DeviceFault."""
-        try:
-            return float(self.settings[number])
-        except (KeyError, ValueError) as error:
-            raise DeviceFault(f"the controller does not tell its setting ${number}") from error
 
 
 class Talk:
