@@ -62,7 +62,9 @@ def check_plan(plan: Plan, robot: Robot) -> None:
         try:
             robot.check(q, f"frame {j}")
         except RobotError as error:
-            raise ProgramError(f"{error} on this hardware") from error
+            level = "theta" in str(error) and not (robot.lower[-2:].any() or robot.upper[-2:].any())
+            hint = "; it has no arm that tilts: plan with --lock-tilt" if level else ""
+            raise ProgramError(f"{error} on this hardware{hint}") from error
     _check_steps(plan)
     _check_shapes(plan)
 
