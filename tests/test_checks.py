@@ -86,7 +86,7 @@ def test_an_unsolved_frame_tells_its_reason_also_where_it_was_never_reached():
         ("beta", 2, 151.0, r"beta_3 of frame 20 is 151; it must lie in \[0, 1\d0\] on this hardware"),
         ("beta", 1, 35.0, "beta_2 of frame 20 is 35 mm and exceeds beta_3, 30 mm on this hardware"),
         ("alpha", 0, 7.0, r"alpha_1 of frame 20 is 7; it must lie in \[-6.28319, 6.28319\] on this hardware"),
-        ("theta", 1, 0.1, r"theta_y of frame 20 is 0.1; .* \[0, 0\] on this hardware; it has no arm .* --lock-tilt"),
+        ("theta", 1, 0.1, r"theta_y of frame 20 is 0.1; .* \[0, 0\] on this hardware; it has no arm .* --lock"),
         ("alpha", 1, 1.0, r"frame 20: alpha_2 steps by .*, .* times what the plan's own robot may \(2/s\)"),
         ("beta", 2, 39.5, r"frame 20: beta_3 steps by 10.* from the frame before, 1\.\d* times .*\(90/s\)"),
         ("alpha", 2, 0.55, "frame 20: the plan's shape is .* mm from that of its configuration"),

@@ -17,7 +17,7 @@ from ctr_nlp.executor.arm.description import JOINTS, Arm
 from ctr_nlp.executor.arm.forward import tilt
 
 Array = npt.NDArray[np.float64]
-Clock = Callable[[], float]
+Now = Callable[[], float]
 
 LONGEST_STEP = 0.1
 """s: a longer silence between two commands does not allow a longer step."""
@@ -92,7 +92,7 @@ class SimulatedArm:
         *,
         lag: float = 0.0,
         speed: float = math.inf,
-        clock: Clock = time.monotonic,
+        clock: Now = time.monotonic,
     ) -> None:
         self._arm, self._lag, self._speed, self._clock = arm, lag, speed, clock
         self._at = joints(arm, np.array([theta], dtype=float))[0]

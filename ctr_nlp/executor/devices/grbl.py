@@ -47,8 +47,8 @@ HOMING = 180.0
 SPARE = 128
 """Bytes of the controller's buffer that are left free, lest a doubled ok makes it run over."""
 
-AHEAD = 320
-"""Bytes that may be on their way: a hold waits behind them, 28 ms at 115200 baud."""
+AHEAD = 200
+"""Bytes that may be on their way: a hold waits behind them, 17 ms at 115200 baud."""
 
 RESTART = 3.0
 """s for a restart."""

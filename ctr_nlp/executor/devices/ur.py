@@ -15,7 +15,7 @@ from ctr_nlp.errors import DeviceFault, HardwareError
 from ctr_nlp.executor.arm.branch import joints
 from ctr_nlp.executor.arm.description import Arm
 from ctr_nlp.executor.arm.forward import insertion_error, tilt
-from ctr_nlp.executor.devices.arms import Clock, Steps
+from ctr_nlp.executor.devices.arms import Now, Steps
 from ctr_nlp.executor.extras import needed
 
 Array = npt.NDArray[np.float64]
@@ -43,7 +43,7 @@ class UrArm:
         period: float = 0.02,
         lookahead_time: float = 0.05,
         gain: float = 500.0,
-        clock: Clock = time.monotonic,
+        clock: Now = time.monotonic,
     ) -> None:
         self._arm, self._clock = arm, clock
         self._servo = (period, lookahead_time, gain)
