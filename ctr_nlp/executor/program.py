@@ -21,7 +21,7 @@ from ctr_nlp.robot import Robot
 
 Array = npt.NDArray[np.float64]
 
-LINE = 0.03
+LINE = 0.05
 """s: the longest piece of motion that a device gets as one straight line."""
 
 AT = 1e-4

@@ -47,8 +47,11 @@ HOMING = 180.0
 SPARE = 128
 """Bytes of the controller's buffer that are left free, lest a doubled ok makes it run over."""
 
+FILLED = 1.0
+"""s of motion that a controller should have planned."""
+
 AHEAD = 200
-"""Bytes that may be on their way: a hold waits behind them, 17 ms at 115200 baud."""
+"""Bytes that may be on their way once it has: a hold waits behind them, 17 ms at 115200 baud."""
 
 RESTART = 3.0
 """s for a restart."""
@@ -212,8 +215,11 @@ class Grbl:
     def _send(self) -> None:
         if self._holding or self._identity is None:
             return
-        counted = self._hardware.connection.flow == "count"
-        room = min(AHEAD, self._identity.receive - SPARE) if counted else 1
+        room = self._identity.receive - SPARE
+        if self._way.ends[self._planned] - self._place.time > FILLED:
+            room = min(room, AHEAD)
+        if self._hardware.connection.flow == "wait":
+            room = 1
         while self._sent < len(self._lines):
             line = self._lines[self._sent]
             if self._waiting and self.in_flight + len(line) > room:
