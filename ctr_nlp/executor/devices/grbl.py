@@ -47,11 +47,11 @@ HOMING = 180.0
 SPARE = 128
 """Bytes of the controller's buffer that are left free, lest a doubled ok makes it run over."""
 
-FILLED = 1.0
-"""s of motion that a controller should have planned."""
+FIRST = 8
+"""Lines at the start for which all of the controller's buffer is used, so that it need not wait for more."""
 
-AHEAD = 200
-"""Bytes that may be on their way once it has: a hold waits behind them, 17 ms at 115200 baud."""
+AHEAD = 320
+"""Bytes that may be on their way afterwards: a hold waits behind them, 28 ms at 115200 baud."""
 
 RESTART = 3.0
 """s for a restart."""
@@ -216,8 +216,8 @@ class Grbl:
         if self._holding or self._identity is None:
             return
         room = self._identity.receive - SPARE
-        if self._way.ends[self._planned] - self._place.time > FILLED:
-            room = min(room, AHEAD)
+        if self._planned >= FIRST:
+            room = min(AHEAD, room)
         if self._hardware.connection.flow == "wait":
             room = 1
         while self._sent < len(self._lines):
