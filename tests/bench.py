@@ -161,13 +161,13 @@ class World:
         self.latest = self.player(faults)
         return resume(self.latest, self.plan, self.hardware, records, verified=verified, seen=seen)
 
-    def frames_played(self) -> list[int]:
-        """Which frames' positions the controller finished lines at, in order."""
+    def frames_played(self, within: float = 2e-4) -> list[int]:
+        """Which frames' positions the controller finished lines at, to so many mm and deg, in order."""
         at_frames = np.round(self.program().positions(self.program().frame_time), 4)
         ends = np.array([target for _, target in self.firmware.executed]).reshape(-1, 6)
         order = [self.hardware.letters.index(letter) for letter in "XYZABC"]
         away = abs(ends[:, None, :] - at_frames[None, :, order]).max(axis=2)
-        return [int(j) + 1 for row in away for j in np.flatnonzero(row < 2e-4)]
+        return [int(j) + 1 for row in away for j in np.flatnonzero(row < within)]
 
     def sent_bytes(self) -> int:
         """How many bytes players have sent so far, whether or not they arrived."""

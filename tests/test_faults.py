@@ -93,8 +93,12 @@ def check_resume(world: World, kind: str) -> str:
         assert world.frames_played() == before
         return f"refused: {error}"
     assert result.outcome is Outcome.SUCCESS, result
-    assert world.frames_played()[len(before) :] == frames[before[-1] :]
-    assert world.frames_played() == frames or kind == "bytes_lost"  # digits that are lost move a frame a little
+    after = world.frames_played()[len(before) :]
+    assert after == frames[-len(after) :]
+    if kind == "bytes_lost":  # digits that are lost move a frame, by no more than the tolerances
+        assert set(world.frames_played(within=0.5)) == set(frames)
+    else:
+        assert before + after == frames
     assert world.within_limits()
     return "resumed"
 
