@@ -141,7 +141,7 @@ def summary(plan: Plan) -> dict[str, Any]:
         "problem": plan.meta["problem"]["name"],
         "formulation": plan.meta["formulation"],
         "model": plan.meta["model"],
-        "evaluated": plan.meta.get("evaluated", plan.meta["model"]),
+        "evaluated": plan.evaluated,
         "solver": plan.meta["solver"],
         "direction": plan.meta["options"].get("direction"),
         "smoothing_deviation": plan.meta["problem"]["deviation"],

@@ -77,9 +77,14 @@ class Plan:
         return float(self.time[0])
 
     @property
+    def evaluated(self) -> str:
+        """The model that its shapes and margins are those of."""
+        return str(self.meta.get("evaluated", self.meta["model"]))
+
+    @property
     def elastic(self) -> bool:
-        """Whether its shapes and margins are those of the elastic model."""
-        return bool(self.meta.get("evaluated", self.meta["model"]) == "elastic")
+        """Whether that is the elastic one."""
+        return self.evaluated == "elastic"
 
     @property
     def complete(self) -> bool:

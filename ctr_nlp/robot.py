@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,12 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.errors import RobotError
-from ctr_nlp.values import described, frozen, numbers, pairs, strict_json
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from ctr_nlp.values import described, frozen, numbers, pairs, read_toml, strict_json
 
 Array = npt.NDArray[np.float64]
 
@@ -302,9 +296,8 @@ class Robot:
     def from_toml(cls, path: str | Path) -> Robot:
         """The robot of a TOML file; raises RobotError where it cannot be read or is not a robot."""
         try:
-            data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-            return cls.from_dict(data)
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RobotError) as error:
+            return cls.from_dict(read_toml(path))
+        except RobotError as error:
             raise RobotError(f"robot file {path}: {error}") from error
 
 

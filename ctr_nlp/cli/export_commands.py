@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ctr_nlp.cli.console import SOLVED, console, guarded, print_table
+from ctr_nlp.cli.console import SOLVED, console, guarded
 from ctr_nlp.cli.output import check_file, check_folder, whole_folder, write_text
+from ctr_nlp.cli.play_report import print_program
 from ctr_nlp.errors import OptionError
-from ctr_nlp.executor.checks import Checked
 from ctr_nlp.executor.exports import BAG, FORMATS, TEXTS
 from ctr_nlp.executor.exports.rosbag2 import STORAGES, write_bag
 from ctr_nlp.executor.hardware import Hardware, bench
@@ -67,7 +67,8 @@ def _run(arguments: argparse.Namespace) -> int:
         _write_bag(program, title, out, arguments.storage or STORAGES[0])
     else:
         write_text(out, TEXTS[to].of(program, title))
-    _report(program, title, found, out)
+    print_program(f"{title} for {len(program.hardware.axes)} axes", program, found)
+    console().print(f"wrote {out}")
     return SOLVED
 
 
@@ -91,15 +92,3 @@ def _write_bag(program: Program, title: str, out: Path, storage: str) -> None:
         for file in made.iterdir():
             file.rename(staging / file.name)
         made.rmdir()
-
-
-def _report(program: Program, title: str, found: Checked, out: Path) -> None:
-    rows = [
-        ("frames", len(program.frames), ""),
-        ("duration, and how much later than planned", f"{program.duration:.3f} / {found.late:.3f}", "s"),
-        ("largest part of speeds and accelerations used", f"{found.speed:.3f} / {found.acceleration:.3f}", ""),
-    ]
-    if found.margin == found.margin:
-        rows.append(("least stability margin on the way", found.margin, ""))
-    print_table(f"{title} for {len(program.hardware.axes)} axes", ("", "value", "unit"), rows)
-    console().print(f"wrote {out}")

@@ -22,11 +22,15 @@ def check_folder(folder: Path) -> None:
     try:
         if folder.is_dir() and any(folder.iterdir()) and not (folder / MARK).is_file():
             raise OutputError(f"output folder {folder} is not empty and not one of ours; name another with --out")
-        parent = next(ancestor for ancestor in folder.absolute().parents if ancestor.exists())
-        with tempfile.TemporaryDirectory(dir=parent):
-            pass
+        _try_beside(folder)
     except OSError as error:
         raise OutputError(f"output folder {folder} cannot be written: {error}") from error
+
+
+def _try_beside(path: Path) -> None:
+    """Make something where path is to be, and take it away; raises OSError."""
+    with tempfile.TemporaryDirectory(dir=next(p for p in path.absolute().parents if p.exists())):
+        pass
 
 
 @contextmanager
@@ -66,9 +70,7 @@ def check_file(file: Path, opening: str) -> None:
             with open(file, "rb") as known:
                 if not opening.encode().startswith(known.read(len(opening))):
                     raise OutputError(f"output file {file} exists and is not one of ours; name another with --out")
-        parent = next(ancestor for ancestor in file.absolute().parents if ancestor.exists())
-        with tempfile.TemporaryDirectory(dir=parent):
-            pass
+        _try_beside(file)
     except OSError as error:
         raise OutputError(f"output file {file} cannot be written: {error}") from error
 

@@ -91,7 +91,8 @@ def _run(arguments: argparse.Namespace) -> int:
     hardware = bench(plan.robot) if arguments.hardware is None else Hardware.from_toml(arguments.hardware)
     tempo = 1.0 if arguments.tempo is None else arguments.tempo
     if arguments.dry_run:
-        print_program(plan, *prepared(plan, hardware, tempo))
+        title = f"{plan.meta['problem']['name']}: checked; nothing was sent"
+        print_program(title, *prepared(plan, hardware, tempo))
         return SOLVED
     out = Path(arguments.out or f"runs/{plan.meta['problem']['name']}-play")
     records = read_journal(out / JOURNAL) if arguments.resume else None

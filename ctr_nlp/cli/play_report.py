@@ -18,7 +18,7 @@ from ctr_nlp.figures import save, tracking
 from ctr_nlp.plan import Plan
 
 
-def print_program(plan: Plan, program: Program, found: Checked) -> None:
+def print_program(title: str, program: Program, found: Checked) -> None:
     """What a program asks of its hardware."""
     rows: list[tuple[str, Any, str]] = [
         ("frames", len(program.frames), ""),
@@ -29,7 +29,7 @@ def print_program(plan: Plan, program: Program, found: Checked) -> None:
     ]
     if not np.isnan(found.margin):
         rows.append(("least stability margin on the way", found.margin, ""))
-    print_table(f"{plan.meta['problem']['name']}: checked; nothing was sent", ("", "value", "unit"), rows)
+    print_table(title, ("", "value", "unit"), rows)
 
 
 def report(plan: Plan, hardware: Hardware, result: Result, seen: Tracking | None, out: Path) -> None:

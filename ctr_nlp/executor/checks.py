@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -59,12 +59,7 @@ def check_plan(plan: Plan, robot: Robot) -> None:
         late = int(np.flatnonzero(np.diff(plan.time) <= 0)[0])
         raise ProgramError(f"frame {late + 2}: time is {plan.time[late + 1]:g} s, not after the frame before")
     for j, q in enumerate(plan.q, start=1):
-        try:
-            robot.check(q, f"frame {j}")
-        except RobotError as error:
-            level = "theta" in str(error) and not (robot.lower[-2:].any() or robot.upper[-2:].any())
-            hint = "; it has no arm that tilts: plan with --lock-tilt" if level else ""
-            raise ProgramError(f"{error} on this hardware{hint}") from error
+        _check_limits(robot, q, f"frame {j}")
     _check_steps(plan)
     _check_shapes(plan)
 
@@ -79,6 +74,21 @@ def _check_arrays(plan: Plan) -> None:
         found, wanted = getattr(plan, name).shape, (frames, *size)
         if found != wanted:
             raise ProgramError(f"{name} of the plan has shape {found}; it must be {wanted}")
+
+
+def _check_limits(robot: Robot, q: Array, name: str) -> None:
+    try:
+        robot.check(q, name)
+    except RobotError as error:
+        level = "theta" in str(error) and not (robot.lower[-2:].any() or robot.upper[-2:].any())
+        hint = "; it has no arm that tilts: plan with --lock-tilt" if level else ""
+        raise ProgramError(f"{error} on this hardware{hint}") from error
+
+
+def _check_snaps(found: tracking.Followed, frame: npt.NDArray[Any]) -> None:
+    """Frame (T,): on the way to which the places lie that were followed."""
+    for snap in found.snaps:
+        raise ProgramError(f"frame {frame[snap.frame - 1]}: the robot would snap on the way, tubes {snap.tubes}")
 
 
 def _check_steps(plan: Plan) -> None:
@@ -97,8 +107,7 @@ def _check_shapes(plan: Plan) -> None:
     """Shapes belong to configurations; on the elastic model where the motion leads to them."""
     if plan.elastic:
         known = tracking.follow(plan.robot, plan.q)
-        for snap in known.snaps:
-            raise ProgramError(f"frame {snap.frame}: the robot would snap on the way, tubes {snap.tubes}")
+        _check_snaps(known, np.arange(1, len(plan.time) + 1))
         made = tracking.shapes(plan.robot, known.x)
     else:
         made = shapes(plan.robot, plan.q)
@@ -121,10 +130,7 @@ def checked(program: Program, elastic: bool = False) -> Checked:
     frame = np.append(np.repeat(program.frames[1:], SAMPLES), program.frames[-1])
     q, velocity, acceleration = program.at(time)
     for j, place in zip(frame, q, strict=True):
-        try:
-            program.robot.check(place, f"the way to frame {j}")
-        except RobotError as error:
-            raise ProgramError(f"{error} on this hardware") from error
+        _check_limits(program.robot, place, f"the way to frame {j}")
     _check_ranges(program, time, frame)
     used = [
         _most(name, abs(rate) / limit, program, frame)
@@ -166,9 +172,7 @@ def _most(name: str, used: Array, program: Program, frame: Array) -> float:
 def _least_margin(program: Program, frame: Array, q: Array) -> float:
     """The least margin of the robot moved through q, which must be stable everywhere."""
     found = tracking.follow(program.robot, q, substeps=1)
-    if found.snaps:
-        snap = found.snaps[0]
-        raise ProgramError(f"frame {frame[snap.frame - 1]}: the robot would snap on the way, tubes {snap.tubes}")
+    _check_snaps(found, frame)
     least = np.nan_to_num(found.stability_between, nan=-np.inf)
     if not least.min() > 0:
         raise ProgramError(f"frame {frame[least.argmin()]}: on the way the robot would be unstable")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
@@ -15,12 +14,7 @@ import numpy.typing as npt
 from ctr_nlp.errors import HardwareError, RobotError
 from ctr_nlp.executor.arm.description import Arm
 from ctr_nlp.robot import Robot
-from ctr_nlp.values import described, numbers
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from ctr_nlp.values import described, numbers, read_toml
 
 Array = npt.NDArray[np.float64]
 
@@ -236,7 +230,7 @@ class Hardware:
     def from_toml(cls, path: str | Path) -> Hardware:
         """The hardware of a TOML file; raises HardwareError."""
         try:
-            data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+            data = read_toml(path)
             unknown = set(data) - set(KEYS.split(", "))
             if unknown:
                 raise HardwareError(f"unknown key {min(unknown)!r}; use {KEYS}")
@@ -249,7 +243,7 @@ class Hardware:
                 data.get("approach", cls.approach),
                 Robot.from_toml(Path(path).parent / data["robot"]) if "robot" in data else None,
             )
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RobotError, HardwareError) as error:
+        except (RobotError, HardwareError) as error:
             raise HardwareError(f"hardware file {path}: {error}") from error
 
 

@@ -33,11 +33,11 @@ class SerialLink:
     """A port that pyserial can open: "/dev/ttyUSB0", "COM3", "socket://127.0.0.1:23". Raises DeviceFault."""
 
     def __init__(self, url: str, baud: int) -> None:
-        self._url, self._serial = url, needed("serial")
-        self._lost: tuple[type[Exception], ...] = _failures(self._serial)
+        self._url, serial = url, needed("serial")
+        self._lost: tuple[type[Exception], ...] = _failures(serial)
         unopened: tuple[type[Exception], ...] = (*self._lost, ValueError)
         try:
-            self._port: Any = self._serial.serial_for_url(
+            self._port: Any = serial.serial_for_url(
                 url, baudrate=baud, timeout=0, write_timeout=WRITE_TIMEOUT, exclusive=True
             )
         except unopened as error:

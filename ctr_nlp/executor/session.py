@@ -55,7 +55,8 @@ def begin(
     if player.state is not State.HOMED:
         raise DeviceFault("the device does not know where it stands: let it home first")
     if hardware.backlash.any():
-        program, _ = prepared(plan, hardware, tempo, standing.position)
+        program = program_of(plan, hardware, tempo, standing.position)
+        checked(program, plan.elastic)
     _announce(player, program, tempo, standing.position, None)
     return _go(player, program, standing, plan.elastic, seen)
 
