@@ -272,6 +272,13 @@ def test_a_simulated_device_stops_at_any_moment_and_keeps_its_place(seed: int, t
     assert frames == list(range(2, 11))
 
 
+def test_every_frame_is_recorded_however_seldom_the_player_gets_to_look(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    assert rig.play(lambda *_: rig.clock.sleep(0.37)).outcome is Outcome.SUCCESS
+    frames = [record["frame"] for record in read_journal(rig.path) if record["kind"] == "frame"]
+    assert frames == list(range(2, 11))
+
+
 def test_nothing_goes_on_by_itself(tmp_path: Path) -> None:
     """Held for a minute with nobody asking, it is still held; twice paused, one call lets it go on."""
     world = watched(tmp_path)

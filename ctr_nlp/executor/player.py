@@ -186,13 +186,13 @@ class Player:
         self._wish = ""
 
     def _tell(self, progress: Progress, program: Program) -> None:
-        """Record every frame that has been passed."""
+        """Record every frame that has been passed, with the position when that was seen."""
         passed = program.frames[program.frame_time <= progress.time + 1e-9]
         if progress.state == "done":
             passed = program.frames
-        if len(passed) and passed[-1] > self._frame:
-            self._frame = int(passed[-1])
-            self.journal.record("frame", frame=self._frame, position=progress.position.tolist())
+        for frame in passed[passed > self._frame].tolist():
+            self._frame = frame
+            self.journal.record("frame", frame=frame, position=progress.position.tolist())
 
     def _lead(self, program: Program, progress: Progress) -> None:
         """Let the arm follow the device's progress, and see that it does."""
