@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -46,7 +46,8 @@ class Chain:
     frame: the Nlp of every frame, with n unknowns x and m constraint values g, from which it picks a configuration
     q of k entries. axes: names of these; scale (k,): what a unit of each counts as, mm.
     parameters (p, T): packed, a column a frame. lower, upper (T, n): equal where an unknown is fixed.
-    functions: the frame's, as symbols or compiled.
+    functions: the frame's, as symbols or compiled. surroundings: where some parameters hold near a motion only,
+    these (T, ..), by name, of the robot's unknowns (T, n - slacks), and the slacks (T,) that they need there.
 
     x is (T n,), frame by frame. Rows are, in this order: x itself; the frames' constraints, frame by frame;
     the links, one after the other.
@@ -60,6 +61,7 @@ class Chain:
     upper: Array
     links: tuple[Link, ...]
     functions: FrameFunctions
+    surroundings: Callable[[Array], tuple[Mapping[str, Array], Array]] | None = None
 
     @property
     def frames(self) -> int:
@@ -70,6 +72,26 @@ class Chain:
     def unknowns(self) -> int:
         """n, of one frame."""
         return self.frame.x.numel()
+
+    def robot_of(self, x: Array) -> Array:
+        """The robot's unknowns (T, n - slacks) of x (T n,)."""
+        return x.reshape(self.frames, -1)[:, : self.unknowns - self.frame.slacks]
+
+    def around(self, motion: Array) -> tuple[Chain, Array]:
+        """The chain near to a motion, (T, n - slacks) or its entries in one row, and that motion as x (T n,)."""
+        unknowns = motion.reshape(self.frames, -1)
+        if self.surroundings is None:
+            return self, np.pad(unknowns, ((0, 0), (0, self.frame.slacks))).ravel()
+        values, slack = self.surroundings(unknowns)
+        return self.with_parameters(values), np.column_stack([unknowns, slack]).ravel()
+
+    def with_parameters(self, values: Mapping[str, Array]) -> Chain:
+        """The same chain with other values (T, ..) of some parameters."""
+        parameters = self.parameters.copy()
+        for name, value in values.items():
+            columns = [each.ravel(order="F") for each in np.asarray(value)]
+            parameters[self.frame.place(name)] = np.transpose(columns)
+        return replace(self, parameters=parameters)
 
     def with_cost(self, factor: float) -> Chain:
         """The same chain with the links' costs times a factor."""

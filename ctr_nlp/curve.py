@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import BSpline, CubicHermiteSpline, CubicSpline, PchipInterpolator, make_smoothing_spline
-from scipy.spatial import cKDTree
 
 from ctr_nlp.errors import CurveError
+from ctr_nlp.smoothing import evened
 
 Array = npt.NDArray[np.float64]
 Field = Callable[[Array], Array]
@@ -26,6 +27,11 @@ LONGEST_MM = 1e5
 """Nor was a longer one written in millimetres."""
 REPEATED_MM = 1e-6
 """Neighbouring points closer than this are one point given twice."""
+SAMPLE_MM = 0.05
+"""Places along a curve, at most so far apart, at which smoothing keeps its bound."""
+MOST_SAMPLES = 50_000
+ROOM_SPENT = 0.5
+"""How much of the lumen's radius smoothing may take at any place."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +40,8 @@ class Curve:
 
     point, tangent: (n,) -> (n, 3), mm and unit vectors. curvature: (n,) -> (n,), unsigned, 1/mm.
     radius: of the lumen, (n,) -> (n,) mm, or None. by_parameter: a fraction in [0, 1] of the range of the
-    curve's own parameter -> arc length in mm; None where the parameter is arc length. deviation: largest
-    distance from a given point, in mm (0 unless smoothing was asked for).
+    curve's own parameter -> arc length in mm; None where the parameter is arc length. deviation: how far
+    smoothing moved the curve at most, in mm, and deviation_share, how much of the lumen's radius that is at most.
     """
 
     length: float
@@ -45,6 +51,7 @@ class Curve:
     radius: Field | None = None
     by_parameter: Callable[[float], float] | None = None
     deviation: float = 0.0
+    deviation_share: float = 0.0
 
     def length_at(self, fraction: float) -> float:
         """Arc length in mm where the curve's own parameter has covered a fraction in [0, 1] of its range."""
@@ -70,6 +77,7 @@ class Curve:
             lambda s: self.curvature(at(s)),
             None if radius is None else lambda s: radius(at(s)),
             deviation=self.deviation,
+            deviation_share=self.deviation_share,
         )
 
     def moved(self, transform: Array) -> Curve:
@@ -79,6 +87,33 @@ class Curve:
             self,
             point=lambda s: self.point(s) @ rotation.T + shift,
             tangent=lambda s: self.tangent(s) @ rotation.T,
+        )
+
+    def smoothed(self, allowed: float) -> Curve:
+        """The least bent curve within allowed mm, and within half of the lumen's radius, of this one.
+
+        The bound holds everywhere, between given points too, so that the curve stays in the lumen. Its radius is
+        that of the sphere around its own points inside the lumen's: what it was, less the way to there. 0 mm is
+        the curve itself. Raises CurveError.
+        """
+        if not (np.isfinite(allowed) and allowed >= 0):
+            raise CurveError(f"smoothing is {allowed} mm; it must be a finite number >= 0")
+        if allowed == 0:
+            return self
+        spacing = max(min(SAMPLE_MM, allowed / 8), self.length / MOST_SAMPLES)
+        s = np.linspace(0.0, self.length, max(16, int(np.ceil(self.length / spacing)) + 1))
+        given, radius = self.point(s), None if self.radius is None else self.radius(s)
+        bound = np.full(len(s), allowed) if radius is None else np.minimum(allowed, ROOM_SPENT * radius)
+        points = evened(given, np.maximum(bound - s[1] / 2, bound / 2))
+        away = np.linalg.norm(points - given, axis=1)
+        spline = CubicSpline(s, points)
+        curve = _by_arc_length(lambda v, order: spline(v, nu=order), s)
+        found = replace(curve, by_parameter=None, deviation=float(away.max()))
+        if radius is None:
+            return found
+        lengths = np.array([curve.length_at(fraction) for fraction in s / self.length])
+        return replace(
+            found, radius=_radius_along(lengths, radius - away), deviation_share=float((away / radius).max())
         )
 
 
@@ -101,34 +136,34 @@ def curve_from_formula(formula: Callable[[Any], tuple[Any, Any, Any]], start: fl
 def curve_from_points(points: npt.ArrayLike, radius: npt.ArrayLike | None = None, smoothing: float = 0.0) -> Curve:
     """The C2 cubic spline through points (n, 3) in mm, n >= 4; radius (n,) in mm where the lumen's is known.
 
-    smoothing: largest distance in mm that the curve may keep from the points; 0 passes through all of them,
-    and then only the curvature comes from a smoothing spline (by generalised cross-validation), since second
-    derivatives magnify the rounding of coordinates. The deviation found is in the result's `deviation`.
-    Raises CurveError.
+    Only its curvature comes from a smoothing spline (by generalised cross-validation), since second derivatives
+    magnify the rounding of coordinates. smoothing: how far the curve may keep from that spline, mm; see
+    Curve.smoothed. Raises CurveError.
     """
     given = np.asarray(points, dtype=float)
     _check_points(given)
     radii = None if radius is None else np.asarray(radius, dtype=float)
     if radii is not None and (radii.shape != given.shape[:1] or not (np.isfinite(radii) & (radii > 0)).all()):
         raise CurveError(f"lumen radii must be {len(given)} positive finite numbers in mm, one a point")
-    if not (np.isfinite(smoothing) and smoothing >= 0):
-        raise CurveError(f"smoothing is {smoothing} mm; it must be a finite number >= 0")
     chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(given, axis=0), axis=1))])
-    spline = _smoothed(chord, given, smoothing) if smoothing else CubicSpline(chord, given)
-    bending = spline if smoothing else _bending(chord, given, spline)
+    spline = CubicSpline(chord, given)
+    bending = cache(lambda: _bending(chord, given, spline))
     per_span = max(1, CELLS // (len(chord) - 1))
     breaks = np.interp(np.arange(per_span * (len(chord) - 1) + 1) / per_span, np.arange(len(chord)), chord)
-    by_chord = _by_arc_length(lambda v, order: spline(v, nu=order), breaks, lambda v, order: bending(v, nu=order))
+    by_chord = _by_arc_length(
+        lambda v, order: spline(v, nu=order), breaks, lambda v, order: bending()(v, nu=order)
+    )
     curve = replace(by_chord, by_parameter=None)
-    if smoothing:
-        dense = curve.point(np.linspace(0, curve.length, 20 * CELLS))
-        distance = cKDTree(dense).query(given)[0]
-        curve = replace(curve, deviation=float(distance.max()))
-    if radii is None:
-        return curve
-    lengths = np.array([by_chord.length_at(c / chord[-1]) for c in chord])
-    along = PchipInterpolator(lengths, radii)
-    return replace(curve, radius=lambda s: along(np.clip(s, 0.0, curve.length)))
+    if radii is not None:
+        lengths = np.array([by_chord.length_at(c / chord[-1]) for c in chord])
+        curve = replace(curve, radius=_radius_along(lengths, radii))
+    return curve.smoothed(smoothing)
+
+
+def _radius_along(lengths: Array, radii: Array) -> Field:
+    """Radii (n,) at arc lengths (n,), and between them within their range."""
+    between = PchipInterpolator(lengths, radii)
+    return lambda s: np.asarray(between(np.clip(s, lengths[0], lengths[-1])))
 
 
 def _check_points(points: Array) -> None:
@@ -154,25 +189,9 @@ def _check_points(points: Array) -> None:
         )
 
 
-def _smoothed(chord: Array, points: Array, allowed: float) -> Any:
-    """The smoothest cubic smoothing spline that keeps within allowed mm of every point at equal parameter."""
-    if len(points) < 5:
-        raise CurveError(f"{len(points)} points; smoothing needs at least 5")
-    best = CubicSpline(chord, points)
-    weakest, strongest = -9.0, 9.0
-    for _ in range(40):
-        middle = (weakest + strongest) / 2
-        spline = _smoothing_spline(chord, points, 10.0**middle)
-        if np.linalg.norm(spline(chord) - points, axis=1).max() <= allowed:
-            best, weakest = spline, middle
-        else:
-            strongest = middle
-    return best
-
-
-def _smoothing_spline(chord: Array, points: Array, penalty: float | None = None) -> BSpline:
-    """Cubic smoothing splines of the coordinates as one; penalty = None asks generalised cross-validation."""
-    each = [make_smoothing_spline(chord, coordinate, lam=penalty) for coordinate in points.T]
+def _smoothing_spline(chord: Array, points: Array) -> BSpline:
+    """Cubic smoothing splines of the coordinates as one, by generalised cross-validation."""
+    each = [make_smoothing_spline(chord, coordinate) for coordinate in points.T]
     return BSpline(each[0].t, np.column_stack([spline.c for spline in each]), each[0].k)
 
 

@@ -17,13 +17,18 @@ Array = npt.NDArray[np.float64]
 
 
 def shapes(robot: Robot, q: Array, sigma: Array = SIGMA) -> Array:
-    """Points (T, n, 3) in mm of the dominant model at q (T, 2d + 2) and sigma (n,)."""
+    """Points (T, n, 3) in mm of the dominant model at q (T, 2d + 2) and sigma (n,) or (T, n)."""
     return _stacked(_backbone(robot, q, sigma).points)
 
 
 def tangents(robot: Robot, q: Array, sigma: Array = SIGMA) -> Array:
     """Unit tangents (T, n, 3) of the dominant model at q (T, 2d + 2) and sigma (n,)."""
     return _stacked(_backbone(robot, q, sigma).tangents)
+
+
+def points_of(robot: Robot, x: Array, sigma: Array, model: str) -> Array:
+    """Points (T, n, 3) in mm of a model with unknowns x (T, 2d + 2) at sigma (n,) or (T, n)."""
+    return (shapes if model == "dominant" else tracking.shapes)(robot, x, sigma)
 
 
 class Simulation(NamedTuple):

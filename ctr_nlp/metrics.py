@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from ctr_nlp.contacts import contacts, depth
 from ctr_nlp.target import QUADRATURE
 
 if TYPE_CHECKING:
@@ -49,7 +50,10 @@ def tip_angle(plan: Plan) -> Array:
 
 
 def by_frame(plan: Plan) -> dict[str, Array]:
-    """Columns (T,) of errors.csv: mm, s and rad. nearest is a root mean square over sigma, as e2."""
+    """Columns (T,) of errors.csv: mm, s and rad. nearest is a root mean square over sigma, as e2.
+
+    clearance is the least over sigma, negative in contact.
+    """
     distance, near = e1(plan), nearest(plan)
     return {
         "frame": np.arange(1, len(plan.time) + 1),
@@ -61,6 +65,7 @@ def by_frame(plan: Plan) -> dict[str, Array]:
         "nearest_max": near.max(axis=1),
         "tip_angle": tip_angle(plan),
         **_stability(plan),
+        **({} if plan.clearance is None else {"clearance": plan.clearance.min(axis=1)}),
         "success": plan.success.astype(int),
     }
 
@@ -122,6 +127,9 @@ def summary(plan: Plan) -> dict[str, Any]:
         "stability_binds": bound_by_stability(plan),
         "stability_missed": missed_margin(plan),
         "snaps": plan.meta.get("snaps", []),
+        "clearance_min": None if plan.clearance is None else _least(plan.clearance),
+        "contact_depth": None if plan.clearance is None else float(np.nansum(depth(plan))),
+        "contacts": [contact._asdict() for contact in contacts(plan)],
         "solve_ms": {
             "median": _number(1e3 * np.median(seconds) if seconds.size else np.nan),
             "p99": _number(1e3 * np.quantile(seconds, 0.99) if seconds.size else np.nan),
@@ -136,6 +144,7 @@ def summary(plan: Plan) -> dict[str, Any]:
         "kkt_max": _number(plan.kkt[plan.success].max(initial=-np.inf)),
         "weights": {
             "motion_s2": plan.meta["options"].get("motion_weight"),
+            "contact_mm": plan.meta.get("contact_weight"),
             "angle_mm_per_rad": float(robot.mm_per_unit[0]),
         },
         "problem": plan.meta["problem"]["name"],
@@ -145,6 +154,7 @@ def summary(plan: Plan) -> dict[str, Any]:
         "solver": plan.meta["solver"],
         "direction": plan.meta["options"].get("direction"),
         "smoothing_deviation": plan.meta["problem"]["deviation"],
+        "smoothing_share": plan.meta["problem"].get("deviation_share"),
     }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -86,6 +87,7 @@ class Nlp:
 
     x (n, 1); lower, upper (n,), which a caller may tighten from solve to solve for what the configuration is;
     parameters by name. picks: which of x's entries and then g's are the configuration; None where x itself is.
+    slacks: how many of x's last entries only tell by how much soft constraints are missed.
     """
 
     name: str
@@ -98,6 +100,7 @@ class Nlp:
     constraints: tuple[Constraint, ...] = ()
     inner: Inner = Inner()
     picks: tuple[int, ...] | None = None
+    slacks: int = 0
 
     @cached_property
     def p(self) -> ca.SX:
@@ -170,6 +173,12 @@ class Nlp:
     def g_nonlinear(self) -> npt.NDArray[np.bool_]:
         """Which entries of g are not linear in x, (m,)."""
         return np.array(ca.which_depends(self.g, self.x, 2, True), dtype=bool)
+
+    def place(self, name: str) -> slice:
+        """Where a parameter stands among p's entries."""
+        sizes = {key: symbol.numel() for key, symbol in self.parameters.items()}
+        begin = sum(itertools.islice(sizes.values(), list(sizes).index(name)))
+        return slice(begin, begin + sizes[name])
 
     def pack(self, values: Mapping[str, Any]) -> Array:
         """Parameter values in one column (len(p),); every parameter must be given, in its own shape.

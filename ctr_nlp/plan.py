@@ -20,8 +20,10 @@ import numpy.typing as npt
 
 from ctr_nlp.errors import OutputError, RobotError
 from ctr_nlp.forward import Simulation, simulated
+from ctr_nlp.lumen import Lumen
 from ctr_nlp.problem import Problem
 from ctr_nlp.robot import Robot
+from ctr_nlp.target import SIGMA
 from ctr_nlp.tracking import Snap
 
 Array = npt.NDArray[np.float64]
@@ -38,8 +40,9 @@ class Plan:
     time (T,) s; alpha (T, d) rad; beta (T, d) mm; theta (T, 2) rad; target, shape (T, 101, 3) mm at uniform
     sigma; target_direction, tip_direction (T, 3) unit tangents at the tip; solve_time (T,) s; success (T,);
     objective (T,) mm^2; kkt (T,); stability, stability_between (T,), NaN on the dominant model; to_robot
-    (4, 4), file to robot frame; lumen_radius (T, 101) mm and truth (T, 2d + 2), where known. Frames that
-    were never reached hold NaN.
+    (4, 4), file to robot frame; where known, truth (T, 2d + 2), lumen_radius (T, 101) mm at the target's points,
+    lumen (N, 4), the path and radius of the whole lumen, mm, and clearance (T, 101) mm, what is left between tubes
+    and its wall. Frames that were never reached hold NaN.
     """
 
     time: Array
@@ -60,6 +63,8 @@ class Plan:
     meta: dict[str, Any]
     lumen_radius: Array | None = None
     truth: Array | None = None
+    lumen: Array | None = None
+    clearance: Array | None = None
 
     @cached_property
     def robot(self) -> Robot:
@@ -93,7 +98,7 @@ class Plan:
 
     def reversed(self) -> Plan:
         """The same motion played backwards, at the same pace."""
-        kept = ("time", "to_robot", "meta")
+        kept = ("time", "to_robot", "lumen", "meta")
         arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in kept}
         turned: dict[str, Any] = {name: None if array is None else array[::-1] for name, array in arrays.items()}
         return replace(self, meta=self.meta | {"reversed": not self.meta.get("reversed", False)}, **turned)
@@ -107,6 +112,7 @@ class Plan:
             tip_direction=moved.tip_direction,
             stability=moved.stability,
             stability_between=moved.stability_between,
+            clearance=_clearance(self.robot, self.lumen, self.beta, moved.shape),
             meta=self.meta | _told(moved) | {"evaluated": model},
         )
 
@@ -173,6 +179,7 @@ def plan_from_configurations(
         }
     alpha, beta, theta = robot.split(q)
     radii = [frame.radius for frame in frames]
+    lumen = None if problem.lumen is None else Lumen.around(problem.lumen).table
     return Plan(
         time=np.arange(1.0, problem.frames + 1) * problem.dt,
         alpha=alpha,
@@ -197,6 +204,7 @@ def plan_from_configurations(
                 "frames": problem.frames,
                 "duration": problem.duration,
                 "deviation": problem.deviation,
+                "deviation_share": problem.deviation_share,
             },
             "robot": robot.to_dict(),
             "versions": {
@@ -209,7 +217,14 @@ def plan_from_configurations(
         },
         lumen_radius=None if any(radius is None for radius in radii) else np.array(radii),
         truth=problem.truth,
+        lumen=lumen,
+        clearance=_clearance(robot, lumen, beta, moved.shape),
     )
+
+
+def _clearance(robot: Robot, lumen: Array | None, beta: Array, shape: Array) -> Array | None:
+    """What is left (T, 101) mm where the lumen (N, 4) is known."""
+    return None if lumen is None else Lumen(lumen).clearance(robot, beta, SIGMA, shape)
 
 
 def elsewhere(x: Array, planned: Array, snaps: Sequence[Snap]) -> npt.NDArray[np.bool_]:

@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.centreline import placed, read_csv, trimmed
-from ctr_nlp.errors import OptionError, ProblemError
-from ctr_nlp.robot import Robot, seed_robot
-from ctr_nlp.target import Frame, Target, check_frames, growing
+from ctr_nlp.curve import Curve
+from ctr_nlp.errors import ProblemError
+from ctr_nlp.robot import Robot
+from ctr_nlp.target import Frame, Target
 
 Array = npt.NDArray[np.float64]
 
@@ -26,9 +24,10 @@ OVERLONG = 1.005
 class Problem:
     """A robot that is to follow a target of T frames within a duration in s.
 
-    to_robot: rigid transform (4, 4) from the target's file to the robot's frame; the identity where the
-    target was given in the robot's frame. truth: q (T, 2d + 2) where it is known. deviation: mm, how far
-    smoothing, where asked for, moved the target. Raises ProblemError.
+    to_robot: transform (4, 4) from the target's file, in its own coordinates, to the robot's frame; None where the
+    target was given in the robot's frame. truth: q (T, 2d + 2) where it is known. lumen: the path with the lumen's
+    radius along it, in the robot's frame, longer than the target where more of it is known; by default the target
+    where all frames share a curve with a radius, else None: no wall is known. Raises ProblemError.
     """
 
     name: str
@@ -37,7 +36,7 @@ class Problem:
     duration: float = 10.0
     to_robot: Array | None = None
     truth: Array | None = None
-    deviation: float = 0.0
+    lumen: Curve | None = None
 
     def __post_init__(self) -> None:
         if not (isinstance(self.duration, (int, float)) and math.isfinite(self.duration) and self.duration > 0):
@@ -48,6 +47,16 @@ class Problem:
                 f"the target of {self.name} is {longest:.2f} mm long and the robot reaches {reach:.2f} mm "
                 f"(0.5 % more is accepted); say which end to drop, --trim start or --trim end"
             )
+        if self.lumen is None:
+            object.__setattr__(self, "lumen", self._walled())
+        elif self.lumen.radius is None:
+            raise ProblemError("lumen is a curve without a radius; give one, or None where no wall is known")
+
+    def _walled(self) -> Curve | None:
+        """The one curve of all frames, where it has a radius."""
+        first = self.target.curves[0]
+        alone = all(curve is first for curve in self.target.curves)
+        return first if alone and first.radius is not None else None
 
     @property
     def frames(self) -> int:
@@ -59,6 +68,16 @@ class Problem:
         """Time from frame to frame, s."""
         return self.duration / self.frames
 
+    @property
+    def deviation(self) -> float:
+        """How far smoothing, where asked for, moved the target at most, mm."""
+        return max(curve.deviation for curve in self.target.curves)
+
+    @property
+    def deviation_share(self) -> float:
+        """How much of the lumen's radius that is at most; 0 where no radius is known."""
+        return max(curve.deviation_share for curve in self.target.curves)
+
     def retraction(self) -> Problem:
         """The same frames in the opposite order: the robot's way back, named so."""
         target = Target(self.target.curves[::-1], self.target.lengths[::-1])
@@ -69,33 +88,3 @@ class Problem:
     def samples(self) -> tuple[Frame, ...]:
         """The target at 101 uniform sigma, frame by frame."""
         return self.target.sample()
-
-
-def problem_from_file(
-    path: str | Path,
-    robot: Robot | None = None,
-    frames: int = 100,
-    duration: float = 10.0,
-    reverse: bool = False,
-    trim: Literal["start", "end"] | None = None,
-    smoothing: float = 0.0,
-) -> Problem:
-    """The problem of advancing along a centreline file (CSV: x_mm, y_mm, z_mm and optionally radius_mm).
-
-    reverse: follow it from its last point. trim: which end to drop where the path is longer than the robot
-    reaches. smoothing: mm that the followed curve may keep from the points. Raises CurveError, ProblemError,
-    OptionError.
-    """
-    check_frames(frames)
-    if trim not in (None, "start", "end"):
-        raise OptionError(f"trim is {trim!r}; it must be 'start' or 'end'")
-    robot = robot or seed_robot()
-    curve = read_csv(path, smoothing)
-    if reverse:
-        curve = curve.reversed()
-    if trim is not None:
-        curve = trimmed(curve, robot.reach, trim)
-    curve, to_robot = placed(curve)
-    return Problem(
-        Path(path).stem, robot, growing(curve, frames), duration, to_robot=to_robot, deviation=curve.deviation
-    )

@@ -17,12 +17,19 @@ class Settings:
     as a shape error of 0.01 mm. jump_width: of the smoothed jumps of curvature in the two-stage formulation,
     mm, reached from wider ones by continuation. seed: of the random starts. stability_margin: the least that a
     configuration of the elastic model may have, from 1 (no tube acts on another) down to 0 (snap); None for any.
+    clearance: mm that are to be kept between tubes and the lumen's wall, where that is known, by the joint
+    formulation and the horizon. contact_weight: what a mm less of it costs in a frame, mm^2, as an exact penalty:
+    all is kept where that costs less; 0 for no wall. clearance_cost: by what part of itself the error e3 may
+    grow for clearance; where it would grow by more, contact costs less.
     """
 
     motion_weight: float = 1e-6
     jump_width: float = 1.5
     seed: int = 0
     stability_margin: float | None = 0.1
+    clearance: float = 0.05
+    contact_weight: float = 30.0
+    clearance_cost: float = 0.1
 
     def __post_init__(self) -> None:
         check_motion_weight(self.motion_weight)
@@ -32,6 +39,11 @@ class Settings:
             raise OptionError(f"seed is {self.seed}; it must be a whole number in [0, 2^32)")
         if self.stability_margin is not None and not 0 <= self.stability_margin < 1:
             raise OptionError(f"stability_margin is {self.stability_margin}; it must lie in [0, 1), or be None")
+        for name in ("clearance", "contact_weight", "clearance_cost"):
+            value = getattr(self, name)
+            if not value >= 0 or (math.isinf(value) and name != "clearance_cost"):
+                allowed = "a number >= 0, or inf" if name == "clearance_cost" else "a finite number >= 0"
+                raise OptionError(f"{name} is {value}; it must be {allowed}")
 
 
 def check_motion_weight(weight: float) -> float:

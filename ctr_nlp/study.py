@@ -92,9 +92,9 @@ def parse_variant(name: str) -> Variant:
             name,
             formulation,
             model,
-            lambda problem, settings, initial, progress: Horizon(problem, model, solver).solve(
-                initial, settings=settings, progress=progress
-            ),
+            lambda problem, settings, initial, progress: Horizon(
+                problem, model, solver, settings=settings
+            ).solve(initial, progress=progress),
         )
     return Variant(
         name,

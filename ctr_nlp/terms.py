@@ -48,6 +48,35 @@ def stability(determinants: ca.SX) -> Constraint:
     return Constraint("stability", determinants, np.append(np.full(count - 1, CLEAR), 0.0), np.full(count, np.inf))
 
 
+FIRM = 1e-3
+"""What keeps Hessians definite, where contact costs nothing too."""
+CENTRED = 0.01
+"""mm: what rounds off the distance to the path where that is 0."""
+
+
+def clearance(
+    points: dominant.Vector, path: Sequence[dominant.Vector], wall: Sequence[ca.SX], slack: ca.SX
+) -> Constraint:
+    """Distance from the robot to a path within the room that the lumen leaves it, or that and a slack, mm.
+
+    points: x, y, z, each (n, 1) mm. path: its point near to each, its tangent and its bend, 1/mm, in the same
+    axes. wall, each (n, 1): the room there, mm, how much more there is a mm further, and how far the path goes on
+    behind and ahead, mm.
+    """
+    (centre, tangent, bend), (room, taper, behind, ahead) = path, wall
+    away = [points[i] - centre[i] for i in range(3)]
+    further = ca.fmax(ca.fmin(sum(away[i] * tangent[i] for i in range(3)), ahead), -behind)
+    across = [away[i] - further * tangent[i] - further**2 / 2 * bend[i] for i in range(3)]
+    distance = ca.sqrt(sum(part**2 for part in across) + CENTRED**2)
+    value = room + taper * further + slack - distance
+    return Constraint("clearance", value, np.zeros(value.numel()), np.full(value.numel(), np.inf))
+
+
+def contact(slack: Any, weight: Any) -> Cost:
+    """An exact penalty on the depth of contact; weight: mm^2 a mm."""
+    return Cost("contact", weight * slack + FIRM * slack**2)
+
+
 def length(beta_d: ca.SX, target_length: ca.SX, weight: float) -> Residual:
     """Deployed length against the target's, mm; weight has no unit."""
     return Residual("length", np.sqrt(weight) * (beta_d - target_length))

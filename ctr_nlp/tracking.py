@@ -55,12 +55,12 @@ def configuration(robot: Robot, x: Array) -> Array:
 
 
 def shapes(robot: Robot, x: Array, sigma: Array = SIGMA) -> Array:
-    """Points (T, n, 3) in mm of the elastic model at x (T, 2d + 2) and sigma (n,)."""
+    """Points (T, n, 3) in mm of the elastic model at x (T, 2d + 2) and sigma (n,) or (T, n)."""
     columns, d = dominant.columns_of(x), robot.d
     parts = torsion.sections(robot, columns[d : 2 * d], np)
-    lengths, _ = elastic.arms(robot, columns[d : 2 * d], parts, sigma, np)
+    lengths, _ = elastic.arms(robot, columns[d : 2 * d], parts, sigma * columns[2 * d - 1], np)
     vectors = elastic.curves(robot, columns, parts, torsion.twist(robot, columns, parts, np), np)
-    travelled = np.stack([np.broadcast_to(length, (len(x), len(sigma))) for length in lengths], axis=-1)
+    travelled = np.stack([np.broadcast_to(length, (len(x), np.shape(sigma)[-1])) for length in lengths], axis=-1)
     directions, base = (
         np.concatenate([_stacked(vector, len(x), 1) for vector in some], axis=1)
         for some in (vectors, elastic.turned_base(robot, columns, np))

@@ -2,11 +2,12 @@
 
 from ctr_nlp import Problem, Robot, growing, seed_robot
 from ctr_nlp.anatomy import synthetic_airway
-from ctr_nlp.centreline import placed
+from ctr_nlp.placing import placed
 
 
 def problem(frames: int = 100, duration: float = 10.0, robot: Robot | None = None) -> Problem:
     """The last 150 mm of the airway of seed 0."""
     airway = synthetic_airway(seed=0)
     path, to_robot = placed(airway.part(airway.length - 150, airway.length))
-    return Problem("bronchus", robot or seed_robot(), growing(path, frames), duration, to_robot=to_robot)
+    target, lumen = growing(path, frames), airway.moved(to_robot)
+    return Problem("bronchus", robot or seed_robot(), target, duration, to_robot=to_robot, lumen=lumen)

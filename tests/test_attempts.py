@@ -48,7 +48,7 @@ def feasible(chain, x):
 
 
 def tried(chain, solve, x0, stop=lambda: False):
-    return attempt(chain, solve, x0, None, stop)
+    return attempt(chain, lambda _: solve, x0, None, stop)
 
 
 class Fake:
@@ -135,7 +135,7 @@ def test_an_interrupted_solve_leaves_the_best_feasible_point(chain, solver):
     def report(iterate):
         seen.append(iterate)
 
-    found = attempt(chain, CHAIN_SOLVERS[solver](chain), standing(), report, lambda: len(seen) == 12)
+    found = attempt(chain, CHAIN_SOLVERS[solver], standing(), report, lambda: len(seen) == 12)
     assert len(seen) == 12
     assert not found.solution.success
     assert found.feasible
@@ -281,7 +281,7 @@ def made(objective, success, start, allowed=True):
     found = Solution(
         np.zeros(1), objective, 0.0 if success else 1.0, success, "Fake", 1, np.zeros(1), np.zeros(0), np.zeros(1)
     )
-    return Attempt(found, allowed, start, 0.0)
+    return Attempt(found, np.zeros((4, 8)), np.zeros(0), allowed, start, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -302,7 +302,7 @@ def test_the_best_of_several_attempts(attempts, best):
 
 
 def test_a_solution_has_no_failures(chain, solution):
-    assert failures(chain, Attempt(solution, True, 1.0, 0.0)) == {}
+    assert failures(chain, Attempt(solution, solution.x, chain.parameters, True, 1.0, 0.0)) == {}
 
 
 def test_failures_name_the_worst_limit_of_each_frame(chain):
@@ -311,13 +311,13 @@ def test_failures_name_the_worst_limit_of_each_frame(chain):
     x[1:, 6] += 0.8 * 2.5 + 0.125
     x[2:, 0] = x[1, 0]
     found = judged(chain, x.ravel(), np.zeros(len(chain.bounds[0])), "Fake", 1)
-    said = failures(chain, Attempt(found, False, np.inf, 0.0))
+    said = failures(chain, Attempt(found, found.x, chain.parameters, False, np.inf, 0.0))
     assert said == {"2": "speed of alpha_1 exceeded by 0.25 rad; relax it, or give more time"}
 
 
 def test_a_failure_within_limits_says_how_far_it_is_from_a_solution(chain):
     found = judged(chain, standing(), np.zeros(len(chain.bounds[0])), "Fake", 1)
-    said = failures(chain, Attempt(found, True, 1.0, 0.0))
+    said = failures(chain, Attempt(found, found.x, chain.parameters, True, 1.0, 0.0))
     assert said == {"all": f"Fake, KKT residual {found.kkt:.1e}"}
 
 

@@ -166,7 +166,7 @@ def test_smoothing_is_bounded_and_reported(tmp_path, straight, capsys):
     assert solve(straight, "--frames", 2, "--smoothing", "0.5", "--out", tmp_path / "out") == 0
     deviation = json.loads((tmp_path / "out" / "summary.json").read_text())["smoothing_deviation"]
     assert 0 < deviation <= 0.5 + 1e-4
-    assert "smoothing moved the target" in capsys.readouterr().out
+    assert "smoothing moved the path" in capsys.readouterr().err
 
 
 def test_robot_file_start_and_locked_tilt(tmp_path):

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from ctr_nlp import problem_from_file, solve_horizon, solve_per_frame, summary
 from ctr_nlp.errors import OptionError, ProblemError, RobotError
 from ctr_nlp.formulations.horizon import Ends, horizon
+from ctr_nlp.settings import Settings
 from ctr_nlp.solvers import CHAIN_SOLVERS
 from ctr_nlp.solvers.chains import judged
 from ctr_nlp.steer import Horizon
@@ -252,7 +253,7 @@ def test_ctrl_c_stops_other_processes(problem):
     with deferred_interrupt() as interrupted:
         alarm.start()
         begin = time.perf_counter()
-        found = Horizon(hard).solve(motions, 1e-6, starts=60, jobs=2)
+        found = Horizon(hard, settings=Settings(contact_weight=0.0)).solve(motions, 1e-6, starts=60, jobs=2)
         assert time.perf_counter() - begin < 60
         assert interrupted()
     assert found.meta["interrupted"]
@@ -277,7 +278,7 @@ def test_what_a_point_exceeds_is_said_by_limit_frame_and_amount(problem):
     x = np.tile(start - np.repeat([2.0, 0.0], [1, 7]), 12)
     x[5 * 8 + 3] = -0.25
     solution = judged(chain, x, np.zeros(chain.bounds[0].size), "Gave_Up", 0)
-    found = failures(chain, Attempt(solution, False, np.inf, 0.0))
+    found = failures(chain, Attempt(solution, x, chain.parameters, False, np.inf, 0.0))
     assert not solution.success
     assert found["1"].startswith("speed of alpha_1 exceeded by 0.333 rad; relax it")
     assert found["6"].startswith("limits of beta_1 exceeded by 0.25 mm")

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from ctr_nlp import Plan, curve_from_points
-from ctr_nlp.anatomy import synthetic_airway
-from ctr_nlp.anatomy.airway import BIFURCATION_DEG, GENERATIONS, ROUNDING_MM
 from ctr_nlp.target import SIGMA
 from problems import NAMES, named
 
@@ -63,39 +61,6 @@ def test_synthesis_ends_where_the_seed_says():
 def test_euler_mixed_has_a_straight_tube_an_arc_and_an_euler_tube():
     curvatures = [tube.curvature for tube in named("euler_mixed", 2).robot.tubes]
     assert curvatures == [0.0, 1 / 80, (1 / 120, 1 / 60)]
-
-
-@pytest.mark.parametrize(
-    "seed", [*range(10), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(10, 100))]
-)
-def test_synthetic_airways_are_plausible(seed):
-    airway = synthetic_airway(seed)
-    s = np.linspace(0, airway.length, 700)
-    curvature = airway.curvature(s)
-    turned = curvature.mean() * airway.length
-    corners = len(GENERATIONS) - 1
-    assert 150 < airway.length < 181
-    assert curvature.max() < 1.15 / ROUNDING_MM[0]
-    assert (
-        np.radians(BIFURCATION_DEG[0]) * corners * 0.97 < turned < np.radians(BIFURCATION_DEG[1]) * corners * 1.03
-    )
-    radius = airway.radius(s)
-    assert radius[0] == pytest.approx(9)
-    assert 3 <= radius[-1] <= 4
-    assert (np.diff(radius) <= 1e-9).all()
-
-
-def test_airways_of_one_seed_are_the_same():
-    ends = [synthetic_airway(3).point(np.array([100.0, 150.0])) for _ in range(2)]
-    assert np.array_equal(*ends)
-    assert not np.allclose(ends[0], synthetic_airway(4).point(np.array([100.0, 150.0])))
-
-
-def test_the_airway_generator_is_no_plane_curve():
-    """Consecutive bending planes are rolled against each other."""
-    airway = synthetic_airway(0)
-    points = airway.point(np.linspace(0, airway.length, 200))
-    assert np.linalg.svd(points - points.mean(0))[1][2] > 10
 
 
 def test_plan_keeps_the_transform_of_a_placed_path(tmp_path):

@@ -5,18 +5,25 @@ from __future__ import annotations
 import argparse
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from ctr_nlp.anatomy.files import CENTRELINES, MASKS
 from ctr_nlp.errors import OptionError
+from ctr_nlp.fit import check_radii
 from ctr_nlp.models import MODELS
+from ctr_nlp.problem import Problem
 from ctr_nlp.settings import Settings
 from ctr_nlp.solvers.cache import SWITCH
 
 Array = npt.NDArray[np.float64]
+
+FILE_OPTIONS = ("branch", "entry", "target", "insertion", "tilt", "reverse", "smoothing", "trim")
+"""What add_file_options adds."""
 
 
 def add_problem_options(parser: argparse.ArgumentParser) -> None:
@@ -51,6 +58,41 @@ def add_stability_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_wall_options(parser: argparse.ArgumentParser) -> None:
+    """How the lumen's wall counts; None where not given."""
+    defaults = Settings()
+    group = parser.add_argument_group("the lumen's wall, where radii are known")
+    group.add_argument(
+        "--clearance",
+        metavar="MM",
+        type=float,
+        help=f"to keep between tubes and wall (default {defaults.clearance:g})",
+    )
+    group.add_argument(
+        "--contact-weight",
+        metavar="MM",
+        type=float,
+        help="what a mm less of it costs in a frame, beside the mean square error in mm^2; 0: the wall does not "
+        f"count (default {defaults.contact_weight:g})",
+    )
+    group.add_argument(
+        "--clearance-cost",
+        metavar="PART",
+        type=float,
+        help="by what part of itself the error e3 may grow for clearance; where it would grow by more, contact "
+        f"costs less; inf: clearance comes first (default {defaults.clearance_cost:g})",
+    )
+
+
+def walled(settings: Settings, arguments: argparse.Namespace, problem: Problem) -> Settings:
+    """Settings with what add_wall_options' arguments say; raises OptionError, and ProblemError without a wall."""
+    names = "clearance", "contact_weight", "clearance_cost"
+    given = {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}
+    if any(given.values()):
+        check_radii(problem)
+    return replace(settings, **given)
+
+
 def _margin(text: str) -> float | None:
     try:
         return None if text == "none" else float(text)
@@ -71,18 +113,36 @@ def add_compile_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_file_options(parser: argparse.ArgumentParser) -> None:
-    """What is done to a path from a file before it is followed."""
-    group = parser.add_argument_group("where PROBLEM is a centreline file (CSV: x_mm, y_mm, z_mm[, radius_mm])")
-    group.add_argument("--reverse", action="store_true", help="follow it from its last point to its first")
+    """What is done to a path from a file before it is followed: FILE_OPTIONS, None where not given."""
+    kinds = f"a centreline ({', '.join(CENTRELINES)}) or a mask of the lumen ({', '.join(MASKS)})"
+    group = parser.add_argument_group(
+        f"where PROBLEM is {kinds}", "Points and directions are in the file's own coordinates, in mm."
+    )
+    group.add_argument("--branch", metavar="NAME|NUMBER", help="which branch of several; see list_branches.py")
+    for option, what in (
+        ("entry", "point where the robot enters (default: the branch's first)"),
+        ("target", "point where it is to arrive (default: the branch's last); a mask needs both"),
+        ("insertion", "direction in which it is inserted (default: that of the path's first 10 mm)"),
+    ):
+        group.add_argument(f"--{option}", metavar=("X", "Y", "Z"), nargs=3, type=float, help=what)
     group.add_argument(
-        "--trim", choices=("start", "end"), help="which end to drop where it is longer than the robot reaches"
+        "--tilt",
+        metavar="DEG",
+        type=float,
+        help="how far the base may tilt about each axis (default: the robot's)",
+    )
+    group.add_argument(
+        "--reverse", action="store_true", default=None, help="the file's lines run from the tip to the root"
     )
     group.add_argument(
         "--smoothing",
         metavar="MM",
         type=float,
-        default=0.0,
-        help="how far the followed curve may keep from the points (default 0: through all of them)",
+        help="how far the followed curve may keep from the path, never more than half of the lumen's radius "
+        "(default 0: through all points)",
+    )
+    group.add_argument(
+        "--trim", choices=("start", "end"), help="which end to drop where it is longer than the robot reaches"
     )
 
 

@@ -1,13 +1,19 @@
-"""PROBLEM on a command line: the name of a file in problems/, or a centreline file."""
+"""PROBLEM on a command line: the name of a file in problems/, or a file of anatomy."""
 
 from __future__ import annotations
 
 import argparse
+import math
 import runpy
+import sys
 from pathlib import Path
 
+from ctr_nlp.anatomy.files import CENTRELINES, MASKS
+from ctr_nlp.cli.arguments import FILE_OPTIONS
 from ctr_nlp.errors import OptionError
-from ctr_nlp.problem import Problem, problem_from_file
+from ctr_nlp.fit import notes
+from ctr_nlp.problem import Problem
+from ctr_nlp.problem_files import problem_from_file
 from ctr_nlp.robot import Robot
 
 
@@ -25,16 +31,27 @@ def named(
 
 
 def load(name: str, folder: Path, arguments: argparse.Namespace) -> Problem:
-    """The problem that a name in folder, or a centreline file, stands for; raises a CtrError."""
+    """The problem that a name in folder, or a file of anatomy, stands for; raises a CtrError."""
     robot = None if arguments.robot is None else Robot.from_toml(arguments.robot)
+    given = {key: getattr(arguments, key, None) for key in FILE_OPTIONS}
+    options = {key: value for key, value in given.items() if value is not None}
     if name in names(folder):
-        for option in ("reverse", "trim", "smoothing"):
-            if getattr(arguments, option, None):
-                raise OptionError(f"--{option} goes with a centreline file; {name} is a named problem")
+        if options:
+            raise OptionError(
+                f"--{next(iter(options))} goes with a centreline file or a mask; {name} is a named problem"
+            )
         return named(name, folder, arguments.frames, arguments.duration, robot)
     if not Path(name).is_file():
         raise OptionError(
-            f"problem is {name!r}; it must be one of {', '.join(names(folder))} or an existing centreline file"
+            f"problem is {name!r}; it must be one of {', '.join(names(folder))} or an existing centreline file "
+            f"({', '.join(CENTRELINES)}) or a mask ({', '.join(MASKS)})"
         )
-    options = {key: getattr(arguments, key) for key in ("reverse", "trim", "smoothing") if hasattr(arguments, key)}
+    if "tilt" in options:
+        options["tilt"] = math.radians(options["tilt"])
     return problem_from_file(name, robot, arguments.frames, arguments.duration, **options)
+
+
+def tell(problem: Problem) -> None:
+    """What is worth knowing of a problem before it is solved, on stderr."""
+    for note in notes(problem):
+        sys.stderr.write(f"note: {note}\n")

@@ -59,12 +59,11 @@ def print_report(plan: Plan, out: Path) -> None:
                 "rad / mm / rad",
             ),
             *_stability(found),
+            *_clearance(found),
             *_effort(found),
             ("frames, and of these not solved", f"{found['frames']} / {found['failed']}", ""),
         ],
     )
-    if plan.meta["problem"]["deviation"]:
-        console().print(f"smoothing moved the target by up to {plan.meta['problem']['deviation']:.3f} mm")
     if found["acceleration_used"] > 1:
         console().print(
             f"the motion needs {found['acceleration_used']:.1f} times the acceleration that limits allow"
@@ -79,6 +78,20 @@ def print_report(plan: Plan, out: Path) -> None:
         tubes = ", ".join(map(str, snap["tubes"]))
         console().print(
             f"snap on the way to frame {snap['frame']}: tips of tubes {tubes} turn by {snap['jump']:.2f} rad"
+        )
+    for contact in found["contacts"]:
+        first, last = contact["first"], contact["last"]
+        frames = f"frame {first}" if first == last else f"frames {first} to {last}"
+        console().print(
+            f"contact in {frames}: tube {contact['tube']} by up to {contact['depth']:.2f} mm, "
+            f"{contact['path']:.0f} mm along the path in frame {contact['frame']}"
+        )
+    weight, asked = found["weights"]["contact_mm"], plan.meta["options"].get("contact_weight")
+    if found["contacts"] and weight is not None and weight < asked:
+        part = plan.meta["options"]["clearance_cost"]
+        console().print(
+            f"less contact would raise e3 by more than {part:.0%}: a mm of it was weighed {weight:.2g} and not "
+            f"{asked:g} mm² (--clearance-cost)"
         )
     reasons = list(plan.meta["failures"].items())
     for frame, why in reasons[:MOST_REASONS]:
@@ -98,6 +111,19 @@ def _stability(found: dict[str, Any]) -> list[tuple[str, Any, str]]:
         return []
     margins = f"{found['stability_min']:.3f} / {found['stability_between_min']:.3f}"
     return [("least stability margin, at and between frames", margins, "")]
+
+
+def _clearance(found: dict[str, Any]) -> list[tuple[str, Any, str]]:
+    """What is left to the lumen's wall, where that is known."""
+    if found["clearance_min"] is None:
+        return []
+    rows: list[tuple[str, Any, str]] = [("least clearance from the lumen's wall", found["clearance_min"], "mm")]
+    if found["contacts"]:
+        frames = sum(contact["last"] - contact["first"] + 1 for contact in found["contacts"])
+        rows.append(
+            ("frames in contact, and depths summed", f"{frames} / {shown(found['contact_depth'])}", "/ mm")
+        )
+    return rows
 
 
 def _effort(found: dict[str, Any]) -> list[tuple[str, Any, str]]:

@@ -13,7 +13,9 @@ from ctr_nlp.cli.arguments import (
     add_model_options,
     add_problem_options,
     add_stability_option,
+    add_wall_options,
     read_start,
+    walled,
     whole,
 )
 from ctr_nlp.cli.console import guarded, progress_bar
@@ -40,7 +42,7 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
         epilog="Exit status: 0 solved, 1 not, 2 bad input, 130 interrupted (the best motion so far is written).",
     )
     parser.add_argument(
-        "problem", metavar="PROBLEM", help=f"{', '.join(problems.names(folder))}, or a centreline file"
+        "problem", metavar="PROBLEM", help=f"{', '.join(problems.names(folder))}, or a centreline file or a mask"
     )
     add_problem_options(parser)
     add_model_options(parser)
@@ -51,6 +53,7 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
     _add_motion(parser)
     _add_search(parser)
     add_file_options(parser)
+    add_wall_options(parser)
     return parser
 
 
@@ -99,22 +102,23 @@ def _add_search(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(folder: Path, arguments: argparse.Namespace) -> int:
-    settings = Settings(seed=arguments.seed, stability_margin=arguments.stability_margin)
     for weight in arguments.sweep_motion_weight or ():
         check_motion_weight(weight)
     problem = _problem(folder, arguments)
+    settings = Settings(seed=arguments.seed, stability_margin=arguments.stability_margin)
+    settings = walled(settings, arguments, problem)
     start, end = (None if path is None else read_start(path) for path in (arguments.start, arguments.end))
     out = Path(arguments.out or f"runs/{problem.name}-horizon-{arguments.model}")
     check_folder(out)
-    horizon = Horizon(problem, arguments.model, arguments.solver, start, end, settings.stability_margin)
+    horizon = Horizon(problem, arguments.model, arguments.solver, start, end, settings)
     initial = [Plan.load(path).q for path in arguments.initial]
+    problems.tell(problem)
     with progress_bar() as labelled:
         plan = horizon.solve(
             initial,
             arguments.motion_weight,
             arguments.starts,
             arguments.jobs,
-            settings,
             labelled(problem.name),
         )
         points: list[Point] = []

@@ -13,8 +13,10 @@ from ctr_nlp.cli.arguments import (
     add_model_options,
     add_problem_options,
     add_settings,
+    add_wall_options,
     read_start,
     settings_from,
+    walled,
 )
 from ctr_nlp.cli.console import guarded, progress_bar
 from ctr_nlp.cli.output import check_folder, whole_folder
@@ -38,7 +40,7 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
         epilog="Exit status: 0 every frame solved, 1 some not, 2 bad input, 130 interrupted.",
     )
     parser.add_argument(
-        "problem", metavar="PROBLEM", help=f"{', '.join(problems.names(folder))}, or a centreline file"
+        "problem", metavar="PROBLEM", help=f"{', '.join(problems.names(folder))}, or a centreline file or a mask"
     )
     add_problem_options(parser)
     parser.add_argument("--formulation", choices=FORMULATIONS, default="joint", help="(default joint)")
@@ -52,19 +54,21 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
     add_compile_option(parser)
     parser.add_argument("--out", metavar="DIR", help="(default runs/PROBLEM-FORMULATION-MODEL)")
     add_file_options(parser)
+    add_wall_options(parser)
     add_settings(parser)
     return parser
 
 
 def _run(folder: Path, arguments: argparse.Namespace) -> int:
-    settings = settings_from(arguments)
     problem = problems.load(arguments.problem, folder, arguments)
+    settings = walled(settings_from(arguments), arguments, problem)
     if arguments.lock_tilt:
         problem = replace(problem, robot=problem.robot.with_locked_tilt())
     start = None if arguments.start is None else read_start(arguments.start)
     out = Path(arguments.out or f"runs/{problem.name}-{arguments.formulation}-{arguments.model}")
     check_folder(out)
     solver = NlpFrames(problem, arguments.formulation, arguments.solver, arguments.model, settings)
+    problems.tell(problem)
     with progress_bar() as labelled:
         plan = march(problem, solver, arguments.direction, start, labelled(problem.name))
     if arguments.evaluate is not None:

@@ -6,8 +6,8 @@ from contextlib import suppress
 from typing import Any, Protocol
 
 from ctr_nlp.errors import DeviceFault
-from ctr_nlp.executor.extras import needed
 from ctr_nlp.executor.journal import Journal
+from ctr_nlp.extras import needed
 
 WRITE_TIMEOUT = 1.0
 """s: a controller that takes no bytes for so long is lost."""

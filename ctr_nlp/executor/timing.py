@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.errors import ProgramError
-from ctr_nlp.executor.extras import needed
+from ctr_nlp.extras import needed
 
 Array = npt.NDArray[np.float64]
 

@@ -1,5 +1,6 @@
 """Plans to pictures: what the seed shows in its Figs. 4, 5, 6 and 8, for any plan."""
 
+from ctr_nlp.figures.clearance import clearance
 from ctr_nlp.figures.files import save, save_all, save_front
 from ctr_nlp.figures.frames import by_frame
 from ctr_nlp.figures.motion import configuration
@@ -11,6 +12,7 @@ from ctr_nlp.figures.violins import errors
 
 __all__ = [
     "by_frame",
+    "clearance",
     "configuration",
     "errors",
     "pareto",

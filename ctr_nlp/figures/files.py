@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ctr_nlp.errors import OutputError
+from ctr_nlp.figures.clearance import clearance
 from ctr_nlp.figures.frames import by_frame
 from ctr_nlp.figures.motion import configuration
 from ctr_nlp.figures.overlay import shapes
@@ -24,11 +25,12 @@ DPI = 150
 
 
 def save_all(plan: Plan, folder: str | Path) -> list[Path]:
-    """Write shapes.png, errors.png, by_frame.png, configuration.png and, where margins are known, stability.png.
+    """Write shapes.png, errors.png, by_frame.png, configuration.png; stability.png and clearance.png where known.
 
     Into a folder that exists; returns where they lie. Raises OutputError where they cannot be written.
     """
     pictures = PICTURES | ({"stability": stability} if np.isfinite(plan.stability).any() else {})
+    pictures |= {} if plan.clearance is None else {"clearance": clearance}
     return [save(picture(plan), Path(folder) / f"{name}.png") for name, picture in pictures.items()]
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.chain import Chain
+from ctr_nlp.formulations.contact import Wall
 from ctr_nlp.formulations.joint import alone, target_of, tip_steps
 from ctr_nlp.links import Link, differences
 from ctr_nlp.nlp import FrameFunctions, Nlp
@@ -39,20 +40,24 @@ def horizon(
     functions: Callable[[Nlp], FrameFunctions] = lambda nlp: nlp.functions,
     model: str = "dominant",
     margin: float | None = None,
+    wall: Wall | None = None,
 ) -> Chain:
     """The motion through frames, dt s apart, as a chain; functions: how a frame is evaluated.
 
     The objective is J / dt = sum_j shape_j + lambda sum_j |W (q_{j+1} - q_j)|^2 / dt^2 in mm^2, with shape_j the
     distance (8) of frame j and lambda = motion_weight in s^2. margin: least stability margin on the elastic model.
+    wall: of the lumen that the robot is kept in; a chain holds near a motion then (Chain.around).
     """
     margin = margin if model == "elastic" else None
-    frame = alone(robot, model, margin is not None)
-    columns = [frame.pack(target_of(at, margin)) for at in frames]
+    frame = alone(robot, model, margin is not None, walled=wall is not None)
+    away = {} if wall is None else wall.away()
+    columns = [frame.pack(target_of(at, margin) | away) for at in frames]
     lower, upper = (np.tile(bound, (len(frames), 1)) for bound in (frame.lower, frame.upper))
     tips = tip_steps(robot, dt) if model == "elastic" else np.zeros(0)
     rest = [None if q is None or not len(tips) else settled(robot, q) for q in (ends.start, ends.end)]
     if ends.end is not None:
-        lower[-1] = upper[-1] = ends.end if rest[1] is None else rest[1]
+        robot_only = frame.x.numel() - frame.slacks
+        lower[-1, :robot_only] = upper[-1, :robot_only] = ends.end if rest[1] is None else rest[1]
     before, after = (
         [] if q is None else [q if x is None else np.append(q, x[: robot.d])]
         for q, x in zip((ends.start, ends.end), rest, strict=True)
@@ -66,15 +71,8 @@ def horizon(
         upper,
         _links(robot, len(frames), dt, motion_weight, before, after, tips),
         functions(frame),
+        None if wall is None else wall.surroundings,
     )
-
-
-def with_margins(chain: Chain, margins: Array) -> Chain:
-    """The same chain with a least stability margin (T,) for every frame."""
-    names = [name for name, symbol in chain.frame.parameters.items() for _ in range(symbol.numel())]
-    parameters = chain.parameters.copy()
-    parameters[names.index("margin")] = margins
-    return replace(chain, parameters=parameters)
 
 
 def _links(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp import terms
+from ctr_nlp.formulations import contact
 from ctr_nlp.formulations.stage import Stage
 from ctr_nlp.models import MODELS
 from ctr_nlp.nlp import Nlp
@@ -27,31 +29,39 @@ TIP_STEP, TIP_SPEED = 0.5, 2.0
 """On the elastic model tips may turn by the first, rad, from frame to frame, or by this times what motors may."""
 
 
-def alone(robot: Robot, model: str = "dominant", stable: bool = False, stride: int = STRIDE) -> Nlp:
+def alone(
+    robot: Robot, model: str = "dominant", stable: bool = False, stride: int = STRIDE, walled: bool = False
+) -> Nlp:
     """One frame without neighbours: its unknowns with all limits, and the distance (8) to the target.
 
     stable: with the least stability margin on the elastic model as a parameter, margin. stride: every so many-th
-    of the target's samples is used.
+    of the target's samples is used. walled: kept within a lumen, as far as that goes.
     """
-    sigma = SIGMA[::stride]
-    weights = np.full(len(sigma), 1 / (len(sigma) - 1))
+    sigma = ca.DM(SIGMA[::stride])
+    weights = np.full(sigma.numel(), 1 / (sigma.numel() - 1))
     weights[[0, -1]] /= 2
-    parameters = {"target": ca.SX.sym("target", len(sigma), 3)}
+    parameters = {"target": ca.SX.sym("target", sigma.numel(), 3)}
     if stable:
         parameters["margin"] = ca.SX.sym("margin")
-    shape = MODELS[model](robot, sigma, parameters.get("margin"))
+
+    def places(beta: Sequence[ca.SX]) -> ca.SX:
+        return ca.vertcat(sigma * beta[-1], *(contact.arc_lengths(beta) if walled else ()))
+
+    shape = MODELS[model](robot, places, parameters.get("margin"))
     motors = () if shape.picks is None else (terms.motors(robot, shape.alpha),)
-    return Nlp(
+    x, y, z = (axis[: sigma.numel()] for axis in shape.points)
+    frame = Nlp(
         "frame",
         shape.x,
         shape.lower,
         shape.upper,
         parameters,
-        residuals=(terms.shape(shape.points, shape.seen(parameters["target"]), ca.DM(weights)),),
+        residuals=(terms.shape((x, y, z), shape.seen(parameters["target"]), ca.DM(weights)),),
         constraints=(*motors, *map(terms.stability, shape.stability), *terms.order(robot, shape.beta)),
         inner=shape.inner,
         picks=shape.picks,
     )
+    return contact.walled(frame, shape) if walled else frame
 
 
 def tip_steps(robot: Robot, dt: float) -> Array:
@@ -64,10 +74,10 @@ def target_of(frame: Frame, margin: float | None = None) -> dict[str, Any]:
     return {"target": frame.points[::STRIDE]} | ({} if margin is None else {"margin": margin})
 
 
-def joint(robot: Robot, settings: Settings, model: str = "dominant") -> tuple[Stage, ...]:
-    """One stage that decides all of q, so that bounds and step limits are bounds of the NLP."""
+def joint(robot: Robot, settings: Settings, model: str = "dominant", walled: bool = False) -> tuple[Stage, ...]:
+    """One stage that decides all of q, so that bounds and step limits are bounds of the NLP; walled: as alone."""
     margin = settings.stability_margin if model == "elastic" else None
-    frame = alone(robot, model, margin is not None)
+    frame = alone(robot, model, margin is not None, walled=walled)
     previous, root = ca.SX.sym("previous", len(robot.axes)), ca.SX.sym("motion_root")
     nlp = replace(
         frame,

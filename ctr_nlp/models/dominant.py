@@ -40,7 +40,7 @@ def columns_of(q: Any) -> list[Any]:
 
 def backbone(robot: Robot, q: Sequence[Any], sigma: Any, xp: Any) -> Backbone:
     """The shape C(s | q) at s = sigma beta_d, eqs. (1) and (4); q: the 2d + 2 entries."""
-    travelled = arms(robot, q[robot.d : 2 * robot.d], sigma, xp)
+    travelled = arms(robot, q[robot.d : 2 * robot.d], sigma * q[2 * robot.d - 1], xp)
     planes = directions(robot, q, xp)
     tangent = planes[0][1]
     for (_, _, angle), (bend, t) in zip(travelled, planes, strict=True):
@@ -56,13 +56,13 @@ def points(travelled: Sequence[Any], planes: Sequence[Any]) -> Vector:
     return point
 
 
-def arms(robot: Robot, beta: Sequence[Any], sigma: Any, xp: Any) -> list[Arm]:
-    """What is travelled on every tube to s = sigma beta_d.
+def arms(robot: Robot, beta: Sequence[Any], s: Any, xp: Any) -> list[Arm]:
+    """What is travelled on every tube to arc lengths s, mm.
 
     The expression has the same structure whichever tube a sample lies on; positions are C1 in beta, also where
     rounding has put a tube's end before that of the tube around it.
     """
-    s, start, before, travelled = sigma * beta[-1], 0 * beta[0], 0 * beta[0], []
+    start, before, travelled = 0 * beta[0], 0 * beta[0], list[Arm]()
     for i in range(robot.d):
         here = xp.fmin(s, beta[i])
         travelled.append(_travel(robot, i, beta[i] - start, beta[i] - start - (here - before), xp))

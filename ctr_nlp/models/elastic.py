@@ -30,7 +30,7 @@ def backbone(robot: Robot, x: Sequence[Any], sigma: Any, xp: Any, steps: int = S
     beta = x[robot.d : 2 * robot.d]
     parts = sections(robot, beta, xp)
     vectors = curves(robot, x, parts, twist(robot, x, parts, xp, steps), xp)
-    lengths, turns = arms(robot, beta, parts, sigma, xp, steps)
+    lengths, turns = arms(robot, beta, parts, sigma * beta[-1], xp, steps)
     base = turned_base(robot, x, xp)
     tangent = combination([1.0, *turns], [(0.0, 0.0, 1.0), *vectors])
     return Backbone(combination(combination(lengths, vectors), base), combination(tangent, base))
@@ -60,10 +60,9 @@ def curves(robot: Robot, x: Sequence[Any], parts: Sequence[Section], twisted: Tw
 
 
 def arms(
-    robot: Robot, beta: Sequence[Any], parts: Sequence[Section], sigma: Any, xp: Any, steps: int = STEPS
+    robot: Robot, beta: Sequence[Any], parts: Sequence[Section], s: Any, xp: Any, steps: int = STEPS
 ) -> tuple[list[Any], list[Any]]:
-    """For each of these vectors: travel along it to s = sigma beta_d, mm, and how much of it the tangent gains."""
-    s = sigma * beta[-1]
+    """For each of these vectors: travel along it to arc lengths s, mm, and how much of it the tangent gains."""
     lengths, turns, before = list[Any](), list[Any](), 0 * s
     for part in parts:
         here = xp.fmin(s, part.start + part.length)

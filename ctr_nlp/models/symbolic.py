@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -15,6 +15,8 @@ from ctr_nlp.nlp import Inner
 from ctr_nlp.robot import Robot
 
 Array = npt.NDArray[np.float64]
+Places = Callable[[Sequence[ca.SX]], ca.SX]
+"""Arc lengths (n, 1) of samples, mm, for beta."""
 
 STEPS = 2
 """Steps of integration a section in a nonlinear program: 0.02 mm, where a forward solution has 0.002."""
@@ -22,7 +24,7 @@ STEPS = 2
 
 @dataclass(frozen=True)
 class Shape:
-    """A robot's shape at given sigma; everything but x is written in inner's symbols.
+    """A robot's shape at some samples; everything but x is written in inner's symbols.
 
     x (n, 1): the unknowns, within lower and upper (n,). alpha (d, 1): the motors' angles; beta. picks: where the
     configuration stands among x's entries and then alpha's, and after it the tips' angles, which say on what
@@ -50,12 +52,12 @@ class Shape:
         return x, y, z
 
 
-def dominant_shape(robot: Robot, sigma: Array, margin: ca.SX | None) -> Shape:
+def dominant_shape(robot: Robot, places: Places, margin: ca.SX | None) -> Shape:
     """On the dominant-stiffness model: x is q, and nothing can be unstable."""
     x, d = ca.SX.sym("q", 2 * robot.d + 2), robot.d
     q = ca.vertsplit(x)
     travelled = [
-        ca.horzcat(side, along) for side, along, _ in dominant.arms(robot, q[d : 2 * d], ca.DM(sigma), ca)
+        ca.horzcat(side, along) for side, along, _ in dominant.arms(robot, q[d : 2 * d], places(q[d : 2 * d]), ca)
     ]
     planes = [_matrix(plane) for plane in dominant.directions(robot, q, ca)]
     inner = Inner.of(travelled + planes)
@@ -64,14 +66,14 @@ def dominant_shape(robot: Robot, sigma: Array, margin: ca.SX | None) -> Shape:
     return Shape(x, robot.lower, robot.upper, x[:d], tuple(q[d : 2 * d]), points, inner)
 
 
-def elastic_shape(robot: Robot, sigma: Array, margin: ca.SX | None) -> Shape:
+def elastic_shape(robot: Robot, places: Places, margin: ca.SX | None) -> Shape:
     """On the elastic model; margin: the least stability margin, None for none."""
     d, x = robot.d, ca.SX.sym("x", 2 * robot.d + 2)
     entries = ca.vertsplit(x)
     beta = entries[d : 2 * d]
     parts = torsion.sections(robot, beta, ca)
     twisted = torsion.twist(robot, entries, parts, ca, STEPS)
-    lengths, _ = elastic.arms(robot, beta, parts, ca.DM(sigma), ca, STEPS)
+    lengths, _ = elastic.arms(robot, beta, parts, places(beta), ca, STEPS)
     vectors = elastic.curves(robot, entries, parts, twisted, ca)
     base = elastic.turned_base(robot, entries, ca)
     alpha = ca.vertcat(*torsion.motors(robot, entries, twisted))

@@ -15,10 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.chain import Chain
+from ctr_nlp.formulations.contact import ROUNDS, SETTLED, Wall
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.robot import Robot
 from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, ChainSolver, Iterate, Solution, Watch, default_chain_solver
-from ctr_nlp.solvers.chains import NEAR, judged
+from ctr_nlp.solvers.chains import NEAR, WIDE, judged
 from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.target import Frame
@@ -36,10 +37,13 @@ POLL = 0.2
 class Attempt:
     """What came of one motion: a solution or, where success is False, the best feasible iterate, else the last.
 
-    start_objective: mm^2, of the motion brought within limits; inf where there is none. feasible: the point is.
+    motion: of the robot's unknowns (T, n - slacks). parameters: of the chain that was solved. start_objective:
+    mm^2, of the motion brought within limits; inf where there is none. feasible: the point is.
     """
 
     solution: Solution
+    motion: Array
+    parameters: Array
     feasible: bool
     start_objective: float
     seconds: float
@@ -72,6 +76,7 @@ def failures(chain: Chain, one: Attempt) -> dict[str, str]:
     """Why an attempt is no solution, by frame where limits are exceeded, else for all; empty where it is one."""
     if one.solution.success:
         return {}
+    chain = replace(chain, parameters=one.parameters)
     found: dict[str, str] = {}
     for name, frame, amount in chain.excesses(chain.evaluate(one.solution.x)[1], FEASIBLE):
         unit = "mm" if "beta" in name or name == "order" else "rad"
@@ -96,23 +101,49 @@ def within_limits(chain: Chain, x: Array) -> Array:
 
 
 def attempt(
-    chain: Chain, solve: ChainSolver, x0: Array, report: Report | None, stop: Callable[[], bool]
+    chain: Chain,
+    solver: Callable[[Chain], ChainSolver],
+    motion: Array,
+    report: Report | None,
+    stop: Callable[[], bool],
 ) -> Attempt:
-    """Solve a chain from x0 (T n,), or from the feasible motion nearest to it.
+    """Solve a chain from a motion, as Chain.around takes it, or from the feasible one nearest to it.
 
-    The result is never worse than that; where it would be, the chain is solved once more, from near it.
+    Where a chain holds near a motion only, it is solved again around its solution until that needs no more slack.
+    The result is never worse than the start.
     """
-    begin = time.perf_counter()
+    begin, tried, missing = time.perf_counter(), list[Attempt](), np.inf
+    while len(tried) < ROUNDS and missing > SETTLED and not (tried and (stop() or not tried[-1].solution.success)):
+        near, x0 = chain.around(motion)
+        one = _solved(near, solver(near), x0, NEAR if tried else WIDE, report, stop)
+        there, x = chain.around(motion := one.motion)
+        missing = float((x - one.solution.x).max())
+        objective = there.evaluate(x)[0] if missing > 0 else one.solution.objective
+        tried.append(replace(one, solution=replace(one.solution, objective=objective)))
+    best = best_of(tried)
+    iterations = sum(one.solution.iterations for one in tried)
+    return replace(
+        best,
+        solution=replace(best.solution, iterations=iterations),
+        start_objective=tried[0].start_objective,
+        seconds=time.perf_counter() - begin,
+    )
+
+
+def _solved(
+    chain: Chain, solve: ChainSolver, x0: Array, barrier: float, report: Report | None, stop: Callable[[], bool]
+) -> Attempt:
+    """Solve a chain from x0 (T n,) as it is; where the result would be worse, once more, from near it."""
     x0 = within_limits(chain, x0)
     objective, value = chain.evaluate(x0)
     start = objective if chain.violation(value) <= FEASIBLE else np.inf
     watch = Watch(report, stop, Iterate(0, objective, chain.violation(value), np.inf, x0))
-    solution = _kept(chain, solve(x0, watch), watch, start)
+    solution = _kept(chain, solve(x0, watch, barrier), watch, start)
     if not (solution.success or watch.best is None or stop()):
         again = _kept(chain, solve(watch.best.x, watch, NEAR), watch, start)
         solution = replace(again, iterations=solution.iterations + again.iterations)
     feasible = chain.violation(chain.evaluate(solution.x)[1]) <= FEASIBLE
-    return Attempt(solution, feasible, start, time.perf_counter() - begin)
+    return Attempt(solution, chain.robot_of(solution.x), chain.parameters, feasible, start, 0.0)
 
 
 def _kept(chain: Chain, solution: Solution, watch: Watch, start: float) -> Solution:
@@ -129,7 +160,7 @@ def _kept(chain: Chain, solution: Solution, watch: Watch, start: float) -> Solut
 
 @dataclass(frozen=True)
 class Task:
-    """A chain and its solver, described so that another process can build them."""
+    """A chain and its solver, described so that another process can build them; near: to its wall."""
 
     robot: Robot
     frames: tuple[Frame, ...]
@@ -139,12 +170,15 @@ class Task:
     solver: str
     model: str = "dominant"
     stability_margin: float | None = None
+    wall: Wall | None = None
+    near: bool = True
 
-    def solve(self, x0: Array) -> Attempt:
-        """Solve from x0 (T n,), in a process that attempt_in_processes has prepared."""
-        model, margin = self.model, self.stability_margin
-        chain = horizon(self.robot, self.frames, self.dt, self.motion_weight, self.ends, fastest, model, margin)
-        return attempt(chain, CHAIN_SOLVERS[self.solver](chain), x0, None, _stopping.is_set)
+    def solve(self, motion: Array) -> Attempt:
+        """Solve from a motion, in a process that attempt_in_processes has prepared."""
+        at = self.robot, self.frames, self.dt, self.motion_weight, self.ends
+        chain = horizon(*at, fastest, self.model, self.stability_margin, self.wall)
+        chain = chain if self.near else replace(chain, surroundings=None)
+        return attempt(chain, CHAIN_SOLVERS[self.solver], motion, None, _stopping.is_set)
 
 
 _stopping: Any = None
@@ -160,7 +194,7 @@ def _prepare(stopping: Any) -> None:
 def attempt_in_processes(
     task: Task, motions: Sequence[Array], jobs: int, progress: Progress | None, stop: Callable[[], bool]
 ) -> list[Attempt]:
-    """Solve from every motion (T n,), in up to so many processes at once."""
+    """Solve from every motion, in up to so many processes at once."""
     context = multiprocessing.get_context("spawn")
     stopping = context.Event()
     with ProcessPoolExecutor(min(jobs, len(motions)), context, _prepare, (stopping,)) as pool:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ import numpy.typing as npt
 from ctr_nlp import tracking
 from ctr_nlp.chain import Chain
 from ctr_nlp.errors import OptionError
+from ctr_nlp.formulations.contact import Wall, wall_of
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.models import MODELS
 from ctr_nlp.plan import Plan, plan_from_configurations
@@ -23,15 +25,19 @@ from ctr_nlp.solvers import CHAIN_SOLVERS, default_chain_solver
 from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.steer.attempts import Attempt, Task, attempt, attempt_in_processes, best_of, failures, within_limits
 from ctr_nlp.steer.forecast import Forecast
+from ctr_nlp.steer.inside import affordable, distinct, errors
 from ctr_nlp.steer.interrupt import deferred_interrupt
 from ctr_nlp.steer.limits import check_ends, check_growth
 from ctr_nlp.steer.motions import per_frame_motions, wandered
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.realised import realised
+from ctr_nlp.values import strict_json
 
 Array = npt.NDArray[np.float64]
 
+Run = Callable[[Wall | None, Sequence[Array]], list[Attempt]]
+"""Attempts near a wall, or far from any, from motions."""
 MOTION_SHARE = 0.1
 """What the motion of the start costs by default, as a part of its shape errors."""
 LEAST_MOTION_WEIGHT = 1e-9
@@ -63,8 +69,8 @@ def solve_horizon(
     the work; the plan is then the best feasible one so far, marked as interrupted. Raises OptionError,
     ProblemError, RobotError.
     """
-    whole = Horizon(problem, model, solver, start, end, settings.stability_margin)
-    return whole.solve(initial, motion_weight, starts, jobs, settings, progress)
+    whole = Horizon(problem, model, solver, start, end, settings)
+    return whole.solve(initial, motion_weight, starts, jobs, progress)
 
 
 class Horizon:
@@ -77,7 +83,7 @@ class Horizon:
         solver: str | None = None,
         start: npt.ArrayLike | None = None,
         end: npt.ArrayLike | None = None,
-        stability_margin: float | None = DEFAULTS.stability_margin,
+        settings: Settings = DEFAULTS,
     ) -> None:
         """Build; raises OptionError, RobotError, and ProblemError where no motion can keep the limits."""
         check_choice("model of a horizon", model, MODELS)
@@ -90,10 +96,9 @@ class Horizon:
         self.problem = problem
         self.ends = Ends(self._checked_end(start, "start"), self._checked_end(end, "end"))
         self._names = {"formulation": "horizon", "model": model, "solver": solver}
-        self._margin = stability_margin
-        self._chain = horizon(
-            problem.robot, problem.samples, problem.dt, 1.0, self.ends, fastest, model, stability_margin
-        )
+        self._settings, self._wall = settings, wall_of(problem.robot, problem.lumen, model, settings)
+        at = problem.robot, problem.samples, problem.dt, 1.0, self.ends
+        self._chain = horizon(*at, fastest, model, settings.stability_margin, self._wall)
         if self.ends.start is not None and self.ends.end is not None and not self._chain.bent:
             check_ends(problem, self._chain)
         self.build_seconds = time.perf_counter() - begin
@@ -104,10 +109,10 @@ class Horizon:
         motion_weight: float | None = None,
         starts: int | None = None,
         jobs: int = 1,
-        settings: Settings = DEFAULTS,
         progress: Progress | None = None,
     ) -> Plan:
         """The plan; as solve_horizon."""
+        settings, model = self._settings, self._names["model"]
         for name, count in (("starts", starts), ("jobs", jobs)):
             if count is not None and count < 1:
                 raise OptionError(f"{name} is {count}; it must be at least 1")
@@ -116,73 +121,103 @@ class Horizon:
         given = [x for motion in initial for x in self._unknowns(self._checked_motion(motion))]
         with deferred_interrupt() as interrupted:
             begin = time.perf_counter()
-            found = given or per_frame_motions(self.problem, self.ends, settings, progress, self._names["model"])
+            found = given or per_frame_motions(self.problem, self.ends, settings, progress, model)
             between = time.perf_counter()
             weight = self.balanced_weight(found[0]) if motion_weight is None else motion_weight
-            chain = self._chain.with_cost(weight)
-            attempts: list[Attempt] = []
+            run = functools.partial(self._attempts, weight, jobs, progress, interrupted)
+            wall, attempts = None, list[Attempt]()
             if not interrupted():
-                picked = self._picked(chain, found, starts or len(found), settings.seed)
-                attempts = self._attempts(chain, weight, picked, jobs, progress, interrupted)
-            if self._names["model"] == "elastic" and not interrupted():
-                solve = CHAIN_SOLVERS[self._names["solver"]]
-                chain, attempts = realised(self.problem.robot, chain, solve, attempts, self._margin, interrupted)
+                attempts = run(None, self._picked(weight, found, starts or len(found)))
+            if self._wall is not None and not interrupted():
+                wall, attempts = self._inside(self._wall, run, attempts, given, interrupted)
             work = {"search_s": between - begin, "solve_s": time.perf_counter() - between}
             stopped = interrupted()
-        options = asdict(settings) | {"motion_weight": weight, "starts": starts}
+        options = strict_json(asdict(settings)) | {"motion_weight": weight, "starts": starts}
         for name, q in (("start", self.ends.start), ("end", self.ends.end)):
             options[name] = None if q is None else q.tolist()
         meta = {**self._names, **work, "options": options, "build_s": self.build_seconds, "interrupted": stopped}
-        return self._plan(chain, found[0], attempts, meta)
+        meta["contact_weight"] = None if wall is None else wall.weight
+        return self._plan(self._near(wall, weight), found[0], attempts, meta)
+
+    def _inside(
+        self, wall: Wall, run: Run, free: Sequence[Attempt], given: Sequence[Array], stop: Callable[[], bool]
+    ) -> tuple[Wall, list[Attempt]]:
+        """Attempts within a wall, from those free of it and from given motions, and the wall that they afford."""
+        motions = [*distinct(free), *given]
+
+        def solve(tried: Wall) -> list[Attempt]:
+            attempts = run(tried, motions)
+            motions[:] = [best_of(free).motion, best_of(attempts).motion]
+            return attempts
+
+        def error(attempts: Sequence[Attempt]) -> float:
+            return float(np.linalg.norm(errors(wall, self.problem.samples, best_of(attempts).motion)))
+
+        limit = (1 + self._settings.clearance_cost) * error(free)
+        return affordable(wall, limit, solve, error, stop)
 
     def balanced_weight(self, motion: Array) -> float:
         """The lambda in s^2 at which a motion costs MOTION_SHARE of its shape errors."""
-        shape, moved = (float(part.sum()) for part in self._chain.by_frame(motion.ravel()))
+        free, x = self._near(None, 1.0).around(motion)
+        shape, moved = (float(part.sum()) for part in free.by_frame(x))
         weight = MOTION_SHARE * shape / moved if moved > 0 else 0.0
         return weight if weight > LEAST_MOTION_WEIGHT else LEAST_MOTION_WEIGHT
 
-    def _picked(self, chain: Chain, motions: Sequence[Array], count: int, seed: int) -> list[Array]:
-        """The best of motions in the horizon's own objective, then random changes of the very best, (T n,)."""
-        kept = [within_limits(chain, motion.ravel()) for motion in motions]
-        ranked = sorted(kept, key=lambda x: chain.evaluate(x)[0])
-        changes = wandered(self.problem.robot, ranked[0].reshape(motions[0].shape), seed)
-        endless = itertools.chain(ranked, (motion.ravel() for motion in changes))
-        return list(itertools.islice(endless, count))
+    def _near(self, wall: Wall | None, weight: float) -> Chain:
+        """The chain with a motion weight in s^2, near a wall, or far from any."""
+        chain = self._chain.with_cost(weight)
+        return replace(chain, surroundings=None if wall is None else wall.surroundings)
+
+    def _picked(self, weight: float, motions: Sequence[Array], count: int) -> list[Array]:
+        """The best of motions in the horizon's own objective, then random changes of the very best."""
+        free = self._near(None, weight)
+        kept = sorted(
+            (within_limits(*free.around(motion)) for motion in motions), key=lambda x: free.evaluate(x)[0]
+        )
+        ranked = [free.robot_of(x) for x in kept]
+        changes = wandered(self.problem.robot, ranked[0], self._settings.seed)
+        return list(itertools.islice(itertools.chain(ranked, changes), count))
 
     def _attempts(
         self,
-        chain: Chain,
         weight: float,
-        motions: Sequence[Array],
         jobs: int,
         progress: Progress | None,
         interrupted: Callable[[], bool],
+        wall: Wall | None,
+        motions: Sequence[Array],
     ) -> list[Attempt]:
-        problem, count = self.problem, len(motions)
+        """What comes of motions near a wall, or far from any; on the elastic model, that the robot makes."""
+        problem, settings, names = self.problem, self._settings, self._names
+        chain, solver, count = self._near(wall, weight), CHAIN_SOLVERS[names["solver"]], len(motions)
+        attempts = list[Attempt]()
         if jobs > 1 and count > 1:
-            names = self._names["solver"], self._names["model"], self._margin
-            task = Task(problem.robot, problem.samples, problem.dt, weight, self.ends, *names)
-            return attempt_in_processes(task, motions, jobs, progress, interrupted)
-        solve = CHAIN_SOLVERS[self._names["solver"]](chain)
-        attempts = []
-        for number, motion in enumerate(motions, start=1):
-            report = None if progress is None else Forecast(progress, problem.frames, number, count)
-            attempts.append(attempt(chain, solve, motion, report, interrupted))
-            if interrupted():
+            own = names["solver"], names["model"], settings.stability_margin, wall or self._wall, wall is not None
+            task = Task(problem.robot, problem.samples, problem.dt, weight, self.ends, *own)
+            attempts = attempt_in_processes(task, motions, jobs, progress, interrupted)
+        for number, motion in enumerate(() if attempts else motions, start=1):
+            if attempts and interrupted():
                 break
-        return attempts
+            report = None if progress is None else Forecast(progress, problem.frames, number, count)
+            attempts.append(attempt(chain, solver, motion, report, interrupted))
+        if names["model"] == "dominant" or interrupted():
+            return attempts
+        return realised(problem.robot, chain, solver, attempts, settings.stability_margin, interrupted)
 
     def _plan(self, chain: Chain, motion: Array, attempts: Sequence[Attempt], meta: dict[str, Any]) -> Plan:
         """The best attempt as a plan; without any, the motion (T, n) to start from, not solved."""
         frames = self.problem.frames
         unknown = np.full(frames, np.nan)
-        x, solved, kkt = motion.ravel(), False, unknown
+        solved, kkt = False, unknown
         why = {"all": "interrupted before the horizon was begun"}
         if attempts:
             best = best_of(attempts)
-            x, solved, why = best.solution.x, best.solution.success, failures(chain, best)
+            found, solved, why = best.solution, best.solution.success, failures(chain, best)
+            motion = best.motion
             if solved:
-                kkt = chain.kkt(x, np.concatenate([best.solution.lam_x, best.solution.lam_g]))
+                multipliers = np.concatenate([found.lam_x, found.lam_g])
+                kkt = replace(chain, parameters=best.parameters).kkt(found.x, multipliers)
+        chain, x = chain.around(motion)
         meta["starts"] = [one.described(frames) for one in attempts]
         meta["iterations"] = sum(one.solution.iterations for one in attempts)
         return plan_from_configurations(
@@ -193,12 +228,12 @@ class Horizon:
             solve_time=unknown,
             objective=np.add(*chain.by_frame(x)),
             kkt=kkt,
-            planned=None if chain.frame.picks is None else x.reshape(frames, -1),
+            planned=motion if self._names["model"] == "elastic" else None,
         )
 
     def _unknowns(self, motion: Array) -> list[Array]:
         """What to start from where a motion (T, 2d + 2) is given."""
-        if self._chain.frame.picks is None:
+        if self._names["model"] == "dominant":
             return [motion]
         robot = self.problem.robot
         return [tracking.follow(robot, motion).x, np.array([tracking.untwisted(robot, q) for q in motion])]

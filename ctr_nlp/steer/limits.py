@@ -60,7 +60,7 @@ def check_ends(problem: Problem, chain: Chain) -> None:
     rows = size + np.flatnonzero(np.tile(~chain.frame.g_nonlinear, chain.frames))
     links = np.arange(at.value.size - len(chain.offset), at.value.size)
     own = sp.block_diag(list(at.jacobian), format="csr")[rows - size]
-    matrix = sp.csr_array(sp.vstack([own, chain.difference]))
+    matrix = sp.csr_array(sp.vstack([own, chain.linking[:, :size]]))
     picked = np.concatenate([rows, links])
     shift = at.value[picked] - matrix @ x0
     grows = np.isin(picked, links)

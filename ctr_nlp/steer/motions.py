@@ -29,7 +29,7 @@ SPREAD = 1.0, 25.0, 0.2
 def per_frame_motions(
     problem: Problem, ends: Ends, settings: Settings, progress: Progress | None = None, model: str = "dominant"
 ) -> list[Array]:
-    """Unknowns (T, 2d + 2) of the joint formulation, run forwards and backwards, best first.
+    """Unknowns (T, 2d + 2) of the joint formulation, far from any wall, run forwards and backwards, best first.
 
     Where Ctrl-C, held back by the caller, ended the work early, the robot stands still in frames not reached.
     """
@@ -42,7 +42,7 @@ def per_frame_motions(
         duration=problem.dt * stride * len(picked),
         truth=None,
     )
-    solver = NlpFrames(coarse, model=model, settings=settings)
+    solver = NlpFrames(coarse, model=model, settings=replace(settings, contact_weight=0.0))
     passes, _ = run_passes(coarse, solver, "best", ends.start, ends.end, progress)
     passes.sort(key=lambda one: one.badness(coarse, model))
     return [_filled(one.unknowns(coarse), picked, problem.frames) for one in passes]

@@ -12,13 +12,15 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.formulations import FORMULATIONS
-from ctr_nlp.formulations.joint import tip_steps
+from ctr_nlp.formulations.contact import ROUNDS, SETTLED, Wall, wall_of
+from ctr_nlp.formulations.joint import joint, tip_steps
 from ctr_nlp.forward import other_way
 from ctr_nlp.frames import FrameResult, reachable, starts
 from ctr_nlp.models import MODELS
 from ctr_nlp.problem import Problem
 from ctr_nlp.settings import Settings, check_choice
 from ctr_nlp.solvers import SOLVERS, Solution, default_solver
+from ctr_nlp.values import strict_json
 
 Array = npt.NDArray[np.float64]
 
@@ -57,14 +59,20 @@ class NlpFrames:
             self.margins[:] = settings.stability_margin
         self._root = math.sqrt(settings.motion_weight) / problem.dt
         begin = time.perf_counter()
-        self._stages = FORMULATIONS[formulation](problem.robot, settings, model)
+        self.wall = wall_of(problem.robot, problem.lumen, model, settings) if formulation == "joint" else None
+        """That of the lumen, None where none is known or counts."""
+        self.clearance_cost = settings.clearance_cost
+        self.near: Wall | None = None
+        """The same, once frames are to be kept within it."""
+        at = problem.robot, settings, model
+        self._stages = FORMULATIONS[formulation](*at) if self.wall is None else joint(*at, walled=True)
         self._solvers = tuple(SOLVERS[solver](stage.nlp) for stage in self._stages)
         self.build_seconds = time.perf_counter() - begin
         self.description: dict[str, Any] = {
             "formulation": formulation,
             "model": model,
             "solver": solver,
-            "options": asdict(settings),
+            "options": strict_json(asdict(settings)),
         }
 
     def search(self, frame: int) -> list[FrameResult]:
@@ -123,7 +131,24 @@ class NlpFrames:
             tips, step = before.x[: robot.d], tip_steps(robot, dt)
         return np.append(low, tips - step), np.append(high, tips + step)
 
+    def again(self, frame: int, known: FrameResult) -> FrameResult:
+        """The answer for a frame without a past, from a known one."""
+        return self._solve(frame, known, None)
+
     def _solve(self, index: int, guess: FrameResult, before: FrameResult | None) -> FrameResult:
+        """The answer from a guess; near a wall, solved again around itself until that needs no more slack."""
+        result, tried = self._solved(index, guess, before), list[FrameResult]()
+        while self.near is not None and result.success:
+            slack = result.warm[0].x[-1]
+            needed = self.near.surroundings((result.q if result.x is None else result.x)[None])[1][0]
+            more = np.maximum(self.near.cost(needed) - self.near.cost(slack), 0.0)
+            tried.append(replace(result, objective=result.objective + float(more)))
+            if needed <= slack + SETTLED or len(tried) == ROUNDS:
+                break
+            result = self._solved(index, result, before)
+        return min(tried, key=lambda one: one.objective, default=result)
+
+    def _solved(self, index: int, guess: FrameResult, before: FrameResult | None) -> FrameResult:
         frame, q = self.problem.samples[index], guess.q.copy()
         previous = None if before is None else before.q
         low, high = self._limits(before)
@@ -138,7 +163,14 @@ class NlpFrames:
             values["motion_root"] = 0.0 if previous is None else self._root
             solution: Solution | None = guess.warm[k] if guess.warm else None
             x = stage.rest(q[decides]) if guess.x is None else guess.x
-            x = x if solution is None else solution.x
+            x = x if solution is None else solution.x[: stage.nlp.x.numel() - stage.nlp.slacks]
+            if self.wall is not None:
+                described, slack = self.wall.away(), np.zeros(1)
+                if self.near is not None:
+                    parameters, slack = self.near.surroundings(x[None])
+                    described = {name: value[0] for name, value in parameters.items()}
+                values |= described
+                x = np.append(x, slack)
             for step in stage.schedule:
                 packed = stage.nlp.pack({**values, **step})
                 solution = solver(x, packed, low[limited], high[limited], solution)
@@ -151,5 +183,5 @@ class NlpFrames:
             solutions.append(solution)
         kkt = max(solution.kkt for solution in solutions)
         status = ", ".join(solution.status for solution in solutions)
-        unknowns = None if stage.nlp.picks is None else x
+        unknowns = None if stage.guess is None else x[: stage.nlp.x.numel() - stage.nlp.slacks]
         return FrameResult(q, True, solutions[-1].objective, kkt, iterations, status, tuple(solutions), unknowns)

@@ -13,6 +13,7 @@ from ctr_nlp.plan import Plan, plan_from_configurations
 from ctr_nlp.problem import Problem
 from ctr_nlp.settings import Settings
 from ctr_nlp.solvers.sqp import FALLBACK
+from ctr_nlp.steer.inside import kept_inside
 from ctr_nlp.steer.interrupt import deferred_interrupt
 from ctr_nlp.steer.nlp_frames import DEFAULTS, NlpFrames
 from ctr_nlp.steer.passes import Direction, Pass, Progress, run_passes
@@ -60,8 +61,10 @@ def march(
     with deferred_interrupt() as interrupted:
         passes, search_seconds = run_passes(problem, solver, direction, start, progress=progress)
         best = min(passes, key=lambda one: one.badness(problem, solver.description["model"]))
-        if isinstance(solver, NlpFrames) and solver.description["model"] == "elastic" and not interrupted():
-            best = held(problem, solver, best, interrupted)
+        if isinstance(solver, NlpFrames) and not interrupted():
+            best = kept_inside(problem, solver, best, interrupted)
+            if solver.description["model"] == "elastic" and not interrupted():
+                best = held(problem, solver, best, interrupted)
         stopped = interrupted()
     options = {
         "direction": best.direction,
@@ -88,6 +91,7 @@ def _plan(
         **solver.description,
         **work,
         "options": solver.description["options"] | options,
+        "contact_weight": solver.near.weight if isinstance(solver, NlpFrames) and solver.near else None,
         "build_s": solver.build_seconds,
         "iterations": sum(result.iterations for result in results),
         "failures": {str(j + 1): r.status for j, r in enumerate(results) if not r.success},

@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from ctr_nlp import tracking
 from ctr_nlp.chain import Chain
-from ctr_nlp.formulations.horizon import with_margins
 from ctr_nlp.plan import elsewhere
 from ctr_nlp.problem import Problem
 from ctr_nlp.robot import Robot
@@ -38,9 +37,8 @@ TURNS = 2
 
 
 class Made(NamedTuple):
-    """An attempt whose motion the robot makes, the chain it solves, and what the margin is missed by at most."""
+    """An attempt whose motion the robot makes, and what the margin is missed by at most."""
 
-    chain: Chain
     attempt: Attempt
     missing: float
 
@@ -52,10 +50,10 @@ def realised(
     attempts: Sequence[Attempt],
     margin: float | None,
     stop: Callable[[], bool],
-) -> tuple[Chain, list[Attempt]]:
-    """The chain and attempt of least objective among the best whose motion the robot makes; else all, as they are.
+) -> list[Attempt]:
+    """The attempt of least objective among the best whose motion the robot makes; else all, as they are.
 
-    Where the margin is missed between frames, those beside must hold more: then the chain is another.
+    Where the margin is missed between frames, those beside must hold more: an attempt has its own parameters.
     """
     made: list[Made] = []
     tried: list[float] = []
@@ -69,9 +67,8 @@ def realised(
         found = _made(robot, chain, solver, one, margin, stop)
         made += [] if found is None else [found]
     if not made:
-        return chain, list(attempts)
-    best = min(made, key=lambda one: (max(one.missing, SHORT), one.attempt.solution.objective))
-    return best.chain, [best.attempt]
+        return list(attempts)
+    return [min(made, key=lambda one: (max(one.missing, SHORT), one.attempt.solution.objective)).attempt]
 
 
 def _made(
@@ -87,14 +84,14 @@ def _made(
     one = _found(robot, chain, one)
     for _ in range(ROUNDS + 1):
         q = one.solution.q.reshape(chain.frames, -1)[:, : len(robot.axes)]
-        missing, lost = _missing(robot, q, one.solution.x.reshape(chain.frames, -1), margin)
+        missing, lost = _missing(robot, q, one.motion, margin)
         if not lost and (best is None or missing.max() < best.missing):
-            best = Made(chain, one, float(missing.max()))
+            best = Made(one, float(missing.max()))
         if margin is None or stop() or not (lost or missing.max() > SHORT):
             break
         margins = _raised(margins, missing)
-        chain = with_margins(chain, margins)
-        one = attempt(chain, solver(chain), one.solution.x, None, stop)
+        chain = chain.with_parameters({"margin": margins})
+        one = attempt(chain, solver, one.motion, None, stop)
         if not one.solution.success:
             break
     return best
@@ -102,15 +99,16 @@ def _made(
 
 def _found(robot: Robot, chain: Chain, one: Attempt) -> Attempt:
     """The same motion with tubes turned by whole turns, so that the robot is found where it begins."""
+    chain = replace(chain, parameters=one.parameters)
     x = one.solution.x.reshape(chain.frames, -1).copy()
     q = one.solution.q.reshape(chain.frames, -1)[0, : len(robot.axes)]
-    turns = _turns(robot, q, x[0])
+    turns = _turns(robot, q, one.motion[0])
     x[:, : robot.d - 1] += turns
     value = chain.evaluate(x.ravel())[1]
     if not turns.any() or chain.violation(value) > FEASIBLE:
         return one
     solution = replace(one.solution, x=x.ravel(), q=chain.configurations(value).ravel())
-    return replace(one, solution=solution)
+    return replace(one, solution=solution, motion=chain.robot_of(x.ravel()))
 
 
 def held(problem: Problem, frames: NlpFrames, one: Pass, stop: Callable[[], bool]) -> Pass:

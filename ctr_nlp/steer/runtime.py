@@ -50,8 +50,7 @@ class Steerer:
         self._tips = len(self._picks) - len(self.q)
         most = np.append(robot.speed * dt, tip_steps(robot, dt)[: self._tips])
         self._limits = *stage.nlp.limits, most
-        ends = np.cumsum([symbol.numel() for symbol in stage.nlp.parameters.values()])
-        places = dict(zip(stage.nlp.parameters, np.split(self._program.p, ends[:-1]), strict=True))
+        places = {name: self._program.p[stage.nlp.place(name)] for name in stage.nlp.parameters}
         self._target = places["target"].reshape(3, -1)
         self._previous = places["previous"]
         places["motion_root"][:] = math.sqrt(settings.motion_weight) / dt

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ctr_nlp.errors import HardwareError
 from ctr_nlp.executor.arm.description import JOINT_LIMIT, JOINTS, Arm, rotations
 from ctr_nlp.executor.arm.forward import gains
-from ctr_nlp.executor.extras import needed
+from ctr_nlp.extras import needed
 
 Array = npt.NDArray[np.float64]
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.executor.arm.description import Arm
-from ctr_nlp.executor.extras import needed
+from ctr_nlp.extras import needed
 
 Array = npt.NDArray[np.float64]
 

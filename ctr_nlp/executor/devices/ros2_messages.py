@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.errors import DeviceFault, HardwareError
-from ctr_nlp.executor.extras import needed
 from ctr_nlp.executor.journal import Journal
+from ctr_nlp.extras import needed
 
 Array = npt.NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from ctr_nlp.executor.arm.branch import joints
 from ctr_nlp.executor.arm.description import Arm
 from ctr_nlp.executor.arm.forward import insertion_error, tilt
 from ctr_nlp.executor.devices.arms import Now, Steps
-from ctr_nlp.executor.extras import needed
+from ctr_nlp.extras import needed
 
 Array = npt.NDArray[np.float64]
 

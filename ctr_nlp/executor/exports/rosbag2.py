@@ -10,8 +10,8 @@ import numpy.typing as npt
 from scipy.interpolate import BPoly, CubicHermiteSpline
 
 from ctr_nlp.errors import OptionError
-from ctr_nlp.executor.extras import needed
 from ctr_nlp.executor.program import LINE, Program
+from ctr_nlp.extras import needed
 
 Array = npt.NDArray[np.float64]
 

@@ -15,6 +15,10 @@ EXTRAS = {
     "rtde_control": "ur",
     "rtde_receive": "ur",
     "cyclonedds": "ros2",
+    "SimpleITK": "anatomy",
+    "skimage": "anatomy",
+    "pyvista": "anatomy",
+    "vtkmodules": "anatomy",
 }
 """Which extra of this package brings a module."""
 

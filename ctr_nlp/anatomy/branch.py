@@ -1,0 +1,94 @@
+"""What files of anatomy hold: paths from where a robot enters to the tips of a tree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.curve import LONGEST_MM, SHORTEST_MM
+from ctr_nlp.errors import CurveError
+
+Array = npt.NDArray[np.float64]
+
+SPACES = {"LPS": np.eye(4), "RAS": np.diag([-1.0, -1.0, 1.0, 1.0])}
+"""Patient coordinates by the directions in which x, y, z grow (left, posterior, superior or right, anterior,
+superior), and what takes them to LPS, the coordinates of DICOM."""
+LEAST_POINTS = 4
+
+
+@dataclass(frozen=True)
+class Branch:
+    """One path from an entry to a tip: points (n, 3) mm in LPS, radius (n,) mm of the lumen or None."""
+
+    name: str
+    points: Array
+    radius: Array | None = None
+
+    @property
+    def length(self) -> float:
+        """Of the straight lines from point to point, in mm."""
+        return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
+
+    def reversed(self) -> Branch:
+        """The same path from its last point to its first."""
+        return replace(self, points=self.points[::-1], radius=None if self.radius is None else self.radius[::-1])
+
+
+@dataclass(frozen=True)
+class Branches:
+    """The branches of a file. space: the coordinate system it is written in; to_lps (4, 4): from there to LPS."""
+
+    branches: tuple[Branch, ...]
+    space: str
+    to_lps: Array
+
+    @property
+    def from_lps(self) -> Array:
+        """From LPS to the coordinate system of the file, (4, 4)."""
+        return np.asarray(np.linalg.inv(self.to_lps), dtype=float)
+
+    def reversed(self) -> Branches:
+        """The same branches, each from its last point to its first."""
+        return replace(self, branches=tuple(branch.reversed() for branch in self.branches))
+
+
+def moved(points: npt.ArrayLike, transform: Array) -> Array:
+    """Points (n, 3) or one point (3,) under an affine transform (4, 4)."""
+    return np.asarray(points, dtype=float) @ transform[:3, :3].T + transform[:3, 3]
+
+
+def check_points(points: Array) -> None:
+    """Raise CurveError unless points (n, 3) are finite and can be coordinates in millimetres."""
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if bad.size:
+        raise CurveError(f"point {bad[0] + 1} is {points[bad[0]].tolist()}; coordinates must be finite")
+    extent = float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
+    if len(points) >= LEAST_POINTS and extent < SHORTEST_MM:
+        raise CurveError(
+            f"its points span {extent:.3g}; coordinates must be in millimetres, and these look like metres"
+        )
+    if extent > LONGEST_MM:
+        raise CurveError(f"its points span {extent:.3g} mm; at most {LONGEST_MM:g} mm are allowed")
+
+
+def checked(path: str | Path, branches: Branches) -> Branches:
+    """The branches of a file, each fit to be a curve; raises CurveError, which names file and branch."""
+    for branch in branches.branches:
+        where = f"{path}, {branch.name}" if len(branches.branches) > 1 else str(path)
+        try:
+            check_points(branch.points)
+        except CurveError as error:
+            raise CurveError(f"{where}: {error}") from error
+        if len(branch.points) < LEAST_POINTS:
+            raise CurveError(f"{where}: {len(branch.points)} points; a centreline needs at least {LEAST_POINTS}")
+        if branch.radius is not None:
+            bad = np.flatnonzero(~(np.isfinite(branch.radius) & (branch.radius > 0)))
+            if bad.size:
+                raise CurveError(
+                    f"{where}: the lumen radius at point {bad[0] + 1} is {branch.radius[bad[0]]:g}; "
+                    "radii must be positive finite numbers in mm"
+                )
+    return branches

@@ -1,0 +1,137 @@
+"""Which branch a robot follows, and from where to where."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import minimize_scalar
+
+from ctr_nlp.anatomy.branch import Branch, Branches, moved
+from ctr_nlp.curve import Curve
+from ctr_nlp.errors import CurveError
+
+Array = npt.NDArray[np.float64]
+
+UNKNOWN_LUMEN_MM = 5.0
+"""How far from a branch without a radius a point may lie."""
+SPACING_MM = 0.25
+"""Places along a curve among which the nearest one is looked for, before it is refined."""
+LISTED = 20
+
+
+def chosen(
+    branches: Branches,
+    branch: str | None = None,
+    entry: npt.ArrayLike | None = None,
+    target: npt.ArrayLike | None = None,
+) -> Branch:
+    """The branch that is meant, whole: `extent` says where entry and target lie along it.
+
+    branch: its number from 1 or its name. entry, target: points (3,) in mm, in the file's own coordinates.
+    Without branch it is the one that passes nearest to target, or the only one. Raises CurveError where there is
+    no such branch, none is named, or a point lies outside of the branch's lumen (5 mm where that is unknown).
+    """
+    points = {
+        name: checked_point(name, at) for name, at in (("entry", entry), ("target", target)) if at is not None
+    }
+    lps = {name: moved(at, branches.to_lps) for name, at in points.items()}
+    if branch is not None:
+        found = _named(branches, branch)
+    elif len(branches.branches) == 1:
+        found = branches.branches[0]
+    elif target is not None:
+        found = min(branches.branches, key=lambda each: _distance(each, lps["target"])[0])
+    else:
+        raise CurveError(
+            f"there are {len(branches.branches)} branches, {listed(branches)}; say which to follow, by its number "
+            "or its name, or by a target point in the file's coordinates that it passes"
+        )
+    for name, at in lps.items():
+        distance, lumen = _distance(found, at)
+        if distance > lumen:
+            raise CurveError(
+                f"{name} {_written(points[name])} is {distance:.1f} mm away from branch {found.name!r}; it must "
+                f"lie in its lumen, within {lumen:.1f} mm, and be given in mm in the file's coordinates, "
+                f"{branches.space}"
+            )
+    return found
+
+
+def extent(
+    curve: Curve, branches: Branches, entry: npt.ArrayLike | None = None, target: npt.ArrayLike | None = None
+) -> tuple[float, float]:
+    """Arc lengths in mm of a branch's curve, in LPS, nearest to entry and to target; its ends where not given.
+
+    entry, target: (3,) mm in the file's own coordinates. Raises CurveError where target does not come after entry.
+    """
+    start = 0.0 if entry is None else _nearest(curve, moved(checked_point("entry", entry), branches.to_lps))
+    stop = (
+        curve.length
+        if target is None
+        else _nearest(curve, moved(checked_point("target", target), branches.to_lps))
+    )
+    if start >= stop:
+        raise CurveError(
+            f"the branch passes its target at {stop:.1f} mm and its entry at {start:.1f} mm; it must enter first: "
+            "exchange the points, or reverse the branch"
+        )
+    return start, stop
+
+
+def listed(branches: Branches) -> str:
+    """Numbers, names and lengths of the branches in words, the first twenty of them."""
+    entries = [f"{k} {each.name!r} ({each.length:.1f} mm)" for k, each in enumerate(branches.branches, start=1)]
+    more = len(entries) - LISTED
+    return ", ".join(entries[:LISTED]) + (f" and {more} more" if more > 0 else "")
+
+
+def _named(branches: Branches, branch: str) -> Branch:
+    every = branches.branches
+    if branch.strip().isdecimal() and 1 <= int(branch) <= len(every):
+        return every[int(branch) - 1]
+    same = [each for each in every if each.name == branch]
+    if len(same) == 1:
+        return same[0]
+    problem = f"{len(same)} branches have that name" if same else "there is none of that name or number"
+    raise CurveError(f"branch is {branch!r}; {problem}: {listed(branches)}")
+
+
+def checked_point(name: str, given: npt.ArrayLike) -> Array:
+    """A point (3,) in mm; raises CurveError where it is none."""
+    try:
+        point = np.asarray(given, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise CurveError(f"{name} is {given!r}; it must be three finite numbers in mm") from error
+    if point.shape != (3,) or not np.isfinite(point).all():
+        raise CurveError(f"{name} is {_written(point.ravel())}; it must be three finite numbers in mm")
+    return point
+
+
+def _distance(branch: Branch, point: Array) -> tuple[float, float]:
+    """Distance in mm of a point to the lines through a branch's points, and the lumen's radius there."""
+    start, step = branch.points[:-1], np.diff(branch.points, axis=0)
+    part = np.clip(((point - start) * step).sum(axis=1) / (step**2).sum(axis=1), 0, 1)
+    distances = np.linalg.norm(start + part[:, None] * step - point, axis=1)
+    k = int(distances.argmin())
+    if branch.radius is None:
+        return float(distances[k]), UNKNOWN_LUMEN_MM
+    return float(distances[k]), float(branch.radius[k] + part[k] * (branch.radius[k + 1] - branch.radius[k]))
+
+
+def _nearest(curve: Curve, point: Array) -> float:
+    """Arc length in mm where a curve passes nearest to a point."""
+
+    def distance(s: npt.ArrayLike) -> Array:
+        return np.asarray(np.linalg.norm(curve.point(np.atleast_1d(s)) - point, axis=1))
+
+    places = np.linspace(0, curve.length, max(2, int(np.ceil(curve.length / SPACING_MM)) + 1))
+    k = int(distance(places).argmin())
+    bounds = places[max(k - 1, 0)], places[min(k + 1, len(places) - 1)]
+    refined = minimize_scalar(lambda s: float(distance(s)[0]), bounds=bounds, method="bounded")
+    return float(min((places[k], refined.x), key=lambda s: float(distance(s)[0])))
+
+
+def _written(point: Iterable[float]) -> str:
+    return f"({', '.join(f'{number:g}' for number in point)})"

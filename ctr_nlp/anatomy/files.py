@@ -1,0 +1,58 @@
+"""Files of anatomy of every kind, by the ends of their names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy.typing as npt
+
+from ctr_nlp.anatomy.branch import Branches, checked
+from ctr_nlp.anatomy.images import NIFTI, NRRD
+from ctr_nlp.anatomy.slicer import read_slicer
+from ctr_nlp.anatomy.table import read_table
+from ctr_nlp.anatomy.vtk import read_vtk
+from ctr_nlp.errors import CurveError, OptionError
+
+TABLE, MARKUPS, LINES = (".csv",), (".mrk.json", ".json"), (".vtp", ".vtk", ".vtu")
+CENTRELINES, MASKS = (*TABLE, *MARKUPS, *LINES), (*NIFTI, *NRRD)
+SUFFIXES = (*CENTRELINES, *MASKS)
+
+
+def read_branches(
+    path: str | Path, entry: npt.ArrayLike | None = None, target: npt.ArrayLike | None = None
+) -> Branches:
+    """The branches of a centreline file, or the path between two points of a mask, each fit to be a curve.
+
+    entry: (3,) mm in the file's coordinates, where the robot enters; it settles where a tree in a VTK file
+    starts, if the file does not. A mask needs it and target, (3,) mm too. Raises CurveError, and OptionError where
+    a mask lacks one of them or an extra is missing.
+    """
+    name = Path(path).name.lower()
+    if name.endswith(MASKS):
+        if entry is None or target is None:
+            raise OptionError(
+                f"{path} is a mask, which has no branches: its path is found between two points in the lumen, to "
+                "be given with --entry X Y Z and --target X Y Z where it is followed"
+            )
+        from ctr_nlp.anatomy.mask import read_mask  # and with it scipy.ndimage: only where it is used
+
+        return checked(path, read_mask(path, entry, target))
+    if name.endswith(LINES):
+        return checked(path, read_vtk(path, entry))
+    if name.endswith(MARKUPS):
+        return checked(path, read_slicer(path))
+    if name.endswith(TABLE):
+        return checked(path, read_table(path))
+    raise CurveError(f"{path} is not a known kind of file; its name must end in {', '.join(SUFFIXES)}")
+
+
+def is_mask(path: str | Path) -> bool:
+    """Whether a file holds a mask rather than centrelines."""
+    return Path(path).name.lower().endswith(MASKS)
+
+
+def title(path: str | Path) -> str:
+    """The name of a file without what tells its kind."""
+    name = Path(path).name
+    known = [suffix for suffix in SUFFIXES if name.lower().endswith(suffix)]
+    return name[: -max(map(len, known))] if known else name

@@ -1,0 +1,93 @@
+"""What is left between tubes and the lumen's wall, along the robot over time."""
+
+from __future__ import annotations
+
+import matplotlib
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap, PowerNorm
+from matplotlib.figure import Figure
+
+from ctr_nlp.contacts import contacts
+from ctr_nlp.figures.page import STYLE, curve, frame_axis, head, shade_failures
+from ctr_nlp.figures.palette import BLUE, VERMILLION, tube_colour, tube_width
+from ctr_nlp.plan import Plan
+from ctr_nlp.target import SIGMA
+
+Array = npt.NDArray[np.float64]
+
+CONTACT = "#A33400"
+"""A darker vermillion, which stands out from the blues in grey too."""
+ROOMY = ListedColormap(np.linspace((0.47, 0.71, 0.92), (0.97, 0.97, 0.97), 256)).with_extremes(under=CONTACT)
+"""From no room, blue, to the most there is."""
+SPREAD = 0.5
+"""Power of the scale of colours: the last millimetre has more shades than others."""
+ENDS = ("-", (0, (6, 2)), (0, (2, 1.5)))
+"""Lines at tubes' ends, which differ without their colours too; they repeat after three tubes."""
+LEAST_SPAN = 0.1
+"""Of clearances, and what is drawn beyond the wall at least, mm."""
+
+
+@matplotlib.rc_context(STYLE)
+def clearance(plan: Plan) -> Figure:
+    """Clearance along the robot frame by frame, tubes' ends and contacts; below it the least a frame; mm."""
+    assert plan.clearance is not None
+    figure = Figure(figsize=(7.0, 5.8), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
+    frames = np.arange(1, len(plan.time) + 1)
+    for axes in (upper, lower):
+        shade_failures(axes, plan, frames, 1.0)
+    _map(figure, upper, plan, plan.clearance)
+    _ends(upper, plan)
+    _least(lower, frames, plan.clearance.min(axis=1))
+    frame_axis(lower, len(frames))
+    named = [axes.get_legend_handles_labels() for axes in (lower, upper)]
+    handles = {label: handle for some, labels in named for handle, label in zip(some, labels, strict=True)}
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4)
+    head(figure, plan, "Clearance from the lumen's wall")
+    return figure
+
+
+def _map(figure: Figure, axes: Axes, plan: Plan, found: Array) -> None:
+    """Colours over frames and arc length: a column a frame, as long as its robot."""
+    cells = np.concatenate([[0.0], (SIGMA[1:] + SIGMA[:-1]) / 2, [1.0]])
+    length = np.nan_to_num(plan.beta[:, -1])
+    sides = np.repeat(np.arange(len(length) + 1) + 0.5, 2)[1:-1]
+    columns = np.full((2 * len(length) - 1, len(SIGMA)), np.nan)
+    columns[::2] = found
+    corners = np.broadcast_to(sides, (len(cells), len(sides))), np.outer(cells, np.repeat(length, 2))
+    norm = PowerNorm(SPREAD, 0.0, found.max(where=np.isfinite(found), initial=LEAST_SPAN))
+    drawn = axes.pcolormesh(*corners, np.ma.masked_invalid(columns.T), cmap=ROOMY, norm=norm)
+    figure.colorbar(drawn, ax=axes, label="clearance (mm), contact below 0", extend="min", pad=0.01)
+    axes.set_ylim(0.0, 1.04 * length.max(initial=1.0))
+    axes.grid(False)
+    axes.set_ylabel("along the robot (mm)")
+
+
+def _ends(axes: Axes, plan: Plan) -> None:
+    """Where tubes end, and where contacts are deepest."""
+    sides = np.arange(len(plan.time) + 1) + 0.5
+    for i, ends in enumerate(plan.beta.T):
+        width, line = 0.4 + 0.5 * tube_width(i, plan.robot.d), ENDS[i % len(ENDS)]
+        axes.stairs(
+            ends, sides, baseline=None, color=tube_colour(i), lw=width, ls=line, label=f"end of tube {i + 1}"
+        )
+    deepest = np.array([(contact.frame, contact.arc_length) for contact in contacts(plan)])
+    if len(deepest):
+        axes.plot(*deepest.T, color="black", mfc="white", ls="", marker="o", ms=5, label="deepest in contact")
+
+
+def _least(axes: Axes, frames: npt.NDArray[np.int_], least: Array) -> None:
+    """The least of every frame over what is beyond the wall."""
+    curve(axes, frames, least, color=BLUE, lw=1.8)
+    touching = least < 0
+    if touching.any():
+        axes.plot(frames[touching], least[touching], color=CONTACT, ls="", marker="s", ms=3.5, label="contact")
+    known = least[np.isfinite(least)]
+    low, high = known.min(initial=0.0), known.max(initial=0.0)
+    margin = max(0.08 * (high - low), LEAST_SPAN)
+    axes.set_ylim(low - margin, high + margin)
+    axes.axhspan(low - 2 * margin, 0.0, color=VERMILLION, alpha=0.15, lw=0, zorder=0, label="beyond the wall")
+    axes.axhline(0.0, color="0.2", lw=0.9)
+    axes.set_ylabel("least of a frame (mm)")
