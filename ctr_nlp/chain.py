@@ -103,7 +103,6 @@ class Chain:
         An unknown counts as the axis of the same number, of which there must be as many.
         """
         own, to = self.frame, ca.SX.sym("to", self.unknowns)
-        in_x = (ca.substitute(constraint.value, *own.inner.columns) for constraint in own.constraints)
         frame = Nlp(
             "nearest",
             own.x,
@@ -111,7 +110,8 @@ class Chain:
             own.upper,
             {**own.parameters, "to": to},
             (Residual("nearest", ca.DM(self.scale[: self.unknowns]) * (own.x - to)),),
-            constraints=tuple(replace(c, value=value) for c, value in zip(own.constraints, in_x, strict=True)),
+            constraints=own.constraints,
+            inner=own.inner,
             picks=own.picks,
         )
         parameters = np.vstack([self.parameters, x.reshape(self.frames, self.unknowns).T])

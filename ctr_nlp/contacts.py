@@ -17,7 +17,7 @@ Array = npt.NDArray[np.float64]
 
 
 class Contact(NamedTuple):
-    """Frames first to last, from 1, one after the other, in which the robot touches the wall, and where it is worst.
+    """Frames first to last, from 1, all of them, in which the robot touches the wall, and where it is worst.
 
     depth: by how much it is there beyond the wall, mm, in which frame; of which tube, from 1; arc_length: mm along
     the robot; path: mm along the lumen's path; both from the insertion point.

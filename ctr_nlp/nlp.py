@@ -48,7 +48,8 @@ class Inner:
     """Quantities between x and the terms of an Nlp, which may be written in their symbols.
 
     Where residuals are simple in a few quantities and these depend on few x each, as points that are sums of
-    lengths times directions, derivatives taken in two steps need a third fewer operations.
+    lengths times directions, derivatives taken in two steps need a third fewer operations. Layers of them follow
+    each other: the values of one may be written in the symbols of those before.
     """
 
     symbols: tuple[ca.SX, ...] = ()
@@ -98,7 +99,7 @@ class Nlp:
     residuals: tuple[Residual, ...] = ()
     costs: tuple[Cost, ...] = ()
     constraints: tuple[Constraint, ...] = ()
-    inner: Inner = Inner()
+    inner: tuple[Inner, ...] = ()
     picks: tuple[int, ...] | None = None
     slacks: int = 0
 
@@ -110,7 +111,7 @@ class Nlp:
     @cached_property
     def residual(self) -> ca.SX:
         """All residuals in one column."""
-        return ca.substitute(self._written[0], *self.inner.columns)
+        return self.in_x([self._written[0]])[0]
 
     @property
     def _written(self) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -124,12 +125,12 @@ class Nlp:
     @cached_property
     def objective(self) -> ca.SX:
         """The objective, mm^2."""
-        return ca.sumsqr(self.residual) + ca.substitute(self._written[1], *self.inner.columns)
+        return ca.sumsqr(self.residual) + self.in_x([self._written[1]])[0]
 
     @cached_property
     def g(self) -> ca.SX:
         """All constraint values in one column."""
-        return ca.substitute(self._written[2], *self.inner.columns)
+        return self.in_x([self._written[2]])[0]
 
     @cached_property
     def g_bounds(self) -> tuple[Array, Array]:
@@ -214,21 +215,38 @@ class Nlp:
         """The objective's gradient, the Jacobian of g, and the Hessian of lam_f objective + lam_g g.
 
         With L(u) = lam_f (|r(u)|^2 + cost(u)) + lam_g g(u) of u(x), the Hessian is u_x' L_uu u_x + sum L_u u_xx,
-        where of L_uu the part 2 r_u' r_u becomes 2 J'J with J = r_u u_x.
+        where of L_uu the part 2 r_u' r_u becomes 2 J'J with J = r_u u_x; and so on for u(v(x)), layer by layer.
         """
-        symbols, values = self.inner.columns
-        u, at = ca.vertcat(symbols, self.x), ca.vertcat(values, self.x)
+        u, u_x, layers = self.x, ca.SX.eye(self.x.numel()), list[tuple[ca.SX, ca.SX, ca.SX, ca.SX]]()
+        for inner in self.inner:
+            symbols, values = inner.columns
+            at = ca.vertcat(values, u)
+            step = ca.jacobian(at, u)
+            layers.append((u, u_x, at, step))
+            u, u_x = ca.vertcat(symbols, u), step @ u_x
         r, cost, g = self._written
-        u_x, r_u, g_u = ca.jacobian(at, self.x), ca.jacobian(r, u), ca.jacobian(g, u)
+        r_u, g_u = ca.jacobian(r, u), ca.jacobian(g, u)
         slope, pull = r_u @ u_x, ca.densify(2 * r_u.T @ r + ca.gradient(cost, u))
-        pushes, pulls = ca.SX.sym("pushes", r.numel()), ca.SX.sym("pulls", u.numel())
+        pushes = ca.SX.sym("pushes", r.numel())
         straight = ca.dot(pushes, r) + lam_f * cost + ca.dot(lam_g, g)
-        bent = ca.hessian(ca.dot(pulls, at), self.x)[0]
-        half = ca.triu(2 * lam_f * slope.T @ slope + u_x.T @ ca.hessian(straight, u)[0] @ u_x + bent)
-        given = [ca.densify(2 * lam_f * r), ca.densify(lam_f * pull + g_u.T @ lam_g)]
-        (half,) = ca.substitute([half], [pushes, pulls], given)
-        half, gradient, jacobian = ca.substitute([half, u_x.T @ pull, g_u @ u_x], [symbols], [values])
+        half = ca.triu(2 * lam_f * slope.T @ slope + u_x.T @ ca.hessian(straight, u)[0] @ u_x)
+        stand_ins, given = [pushes], [ca.densify(2 * lam_f * r)]
+        force = ca.densify(lam_f * pull + g_u.T @ lam_g)
+        for below, below_x, at, step in reversed(layers):
+            pulls = ca.SX.sym("pulls", at.numel())
+            half += ca.triu(below_x.T @ ca.hessian(ca.dot(pulls, at), below)[0] @ below_x)
+            stand_ins, given = [*stand_ins, pulls], [*given, force]
+            force = ca.densify(step.T @ force)
+        (half,) = ca.substitute([half], stand_ins, given)
+        gradient, jacobian, half = self.in_x([u_x.T @ pull, g_u @ u_x, half])
         return gradient, jacobian, ca.triu2symm(half)
+
+    def in_x(self, expressions: list[ca.SX]) -> list[ca.SX]:
+        """Expressions that are written in inner symbols, without these."""
+        for inner in reversed(self.inner):
+            symbols, values = inner.columns
+            expressions = ca.substitute(expressions, [symbols], [values])
+        return expressions
 
     @cached_property
     def kkt_function(self) -> ca.Function:

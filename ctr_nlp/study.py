@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -92,9 +92,9 @@ def parse_variant(name: str) -> Variant:
             name,
             formulation,
             model,
-            lambda problem, settings, initial, progress: Horizon(
-                problem, model, solver, settings=settings
-            ).solve(initial, progress=progress),
+            lambda problem, settings, initial, progress: Horizon(problem, model, solver, settings=settings).solve(
+                initial, progress=progress
+            ),
         )
     return Variant(
         name,
@@ -121,10 +121,10 @@ def compare(
 ) -> Comparison:
     """Every variant on every problem, with the seed's published figures beside; one solve at a time.
 
-    All horizons of a problem start from the same motions. progress: (problem, variant) -> what is told how many
-    frames are done. Ctrl-C leaves the rows that were begun.
+    No wall of a lumen counts: not all methods know of one. All horizons of a problem start from the same motions.
+    progress: (problem, variant) -> what is told how many frames are done. Ctrl-C leaves the rows that were begun.
     """
-    chosen, rows = settings or Settings(), []
+    chosen, rows = replace(settings or Settings(), contact_weight=0.0), []
     agreements: list[dict[str, Any]] = []
     with deferred_interrupt() as interrupted:
         for problem in problems:

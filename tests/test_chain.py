@@ -305,49 +305,54 @@ def test_times_and_transposed_are_adjoint(slow, seed):
 
 
 def through_inner():
-    """One Nlp twice: with residuals in symbols of inner quantities and x, and with all of them in x alone."""
+    """One Nlp thrice: with terms in symbols of two layers of inner quantities and x, of one, and in x alone."""
     x, to = ca.SX.sym("x", 3), ca.SX.sym("to", 2)
     directions = ca.horzcat(ca.vertcat(ca.sin(x[0]), x[1] * x[2]), ca.vertcat(ca.cos(x[1]), ca.exp(x[0] / 2)))
-    lengths = ca.vertcat(ca.SX(1, 1), x[0] * to[1], x[2] ** 2)
-    inner = Inner.of((directions, lengths))
-    u, v = inner.symbols
-    near = Residual("near", u @ ca.vertcat(v[1], x[2]) - to)
-    curved = Residual("curved", ca.vertcat(u[0, 1] * v[2] * x[0], ca.sin(x[1]) + v[0], u[1, 0] ** 3))
-    costs = (Cost("bowl", to[0] * x[0] * x[1] ** 2 + x[2] ** 4), Cost("wave", ca.cos(x[0] * x[2])))
-    ball = Constraint("ball", ca.vertcat(ca.sumsqr(x), x[0] * x[1] * x[2]), np.zeros(2), np.ones(2))
-    rising = Constraint("rising", to[1] * ca.exp(x[1]) - x[0], np.zeros(1), np.ones(1))
-    residuals = {True: (near, curved)}
-    values = ca.substitute([near.value, curved.value], list(inner.symbols), list(inner.values))
-    residuals[False] = tuple(
-        Residual(term.name, value) for term, value in zip((near, curved), values, strict=True)
-    )
-    return tuple(
-        Nlp(
-            "twice",
-            x,
-            np.full(3, -2.0),
-            np.full(3, 2.0),
-            {"to": to},
-            residuals[inward],
-            costs,
-            (ball, rising),
-            inner if inward else Inner(),
+    first = Inner.of((directions, ca.vertcat(ca.SX(1, 1), x[0] * to[1], x[2] ** 2)))
+    u, v = first.symbols
+    second = Inner.of((u @ ca.vertcat(v[1], x[2]),))
+    (point,) = second.symbols
+    terms = [
+        point - to,
+        ca.vertcat(u[0, 1] * v[2] * x[0], ca.sin(x[1]) + v[0], u[1, 0] ** 3),
+        ca.sqrt(ca.sumsqr(point) + 1) * x[2] + v[1],
+    ]
+    found = []
+    for layers in ((first, second), (first,), ()):
+        for inner in (second, first)[: 2 - len(layers)]:
+            terms = ca.substitute(terms, list(inner.symbols), list(inner.values))
+        near, curved, deep = terms
+        found.append(
+            Nlp(
+                "thrice",
+                x,
+                np.full(3, -2.0),
+                np.full(3, 2.0),
+                {"to": to},
+                (Residual("near", near), Residual("curved", curved)),
+                (Cost("bowl", to[0] * x[0] * x[1] ** 2 + x[2] ** 4), Cost("wave", ca.cos(x[0] * x[2]))),
+                (
+                    Constraint("ball", ca.vertcat(ca.sumsqr(x), x[0] * x[1] * x[2]), np.zeros(2), np.ones(2)),
+                    Constraint("deep", deep, np.zeros(1), np.ones(1)),
+                ),
+                layers,
+            )
         )
-        for inward in (True, False)
-    )
+        terms = [near, curved, deep]
+    return found
 
 
 @given(seeds)
 def test_derivatives_through_inner_quantities_are_those_in_x(seed):
     """The plain Nlp's by CasADi from its Lagrangian as a whole, with any factor of the objective."""
-    rng, (inward, plain) = np.random.default_rng(seed), through_inner()
+    rng, (*inward, plain) = np.random.default_rng(seed), through_inner()
     x, p, lam_f, lam_g = rng.normal(size=3), rng.normal(size=2), rng.uniform(-3, 3), rng.normal(size=3)
     factors = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", 3)
     whole = factors[0] * plain.objective + ca.dot(factors[1], plain.g)
     gradient, jacobian = ca.gradient(plain.objective, plain.x), ca.jacobian(plain.g, plain.x)
     out = [plain.objective, gradient, plain.g, jacobian, ca.hessian(whole, plain.x)[0]]
     expected = ca.Function("whole", [plain.x, plain.p, *factors], out)(x, p, lam_f, lam_g)
-    for nlp in (inward, plain):
+    for nlp in (*inward, plain):
         value, slopes, expansion, _ = nlp.functions
         for found in (value(x, p), slopes(x, p), expansion(x, p, lam_f, lam_g)):
             wanted = [expected[0], expected[2]] if len(found) == 2 else expected
@@ -355,15 +360,17 @@ def test_derivatives_through_inner_quantities_are_those_in_x(seed):
                 np.testing.assert_allclose(one.full(), other.full(), rtol=1e-10, atol=1e-10)
 
 
-def test_residual_and_objective_are_functions_of_x_and_parameters_alone():
-    inward, plain = through_inner()
+@pytest.mark.parametrize("layers", [2, 1])
+def test_residual_and_objective_are_functions_of_x_and_parameters_alone(layers):
+    *inward, plain = through_inner()
+    inward = inward[2 - layers]
     x, p = np.array([0.3, -0.7, 1.1]), np.array([0.4, -1.3])
     found, expected = (
-        ca.Function("terms", [nlp.x, nlp.p], [nlp.residual, nlp.objective])(x, p) for nlp in (inward, plain)
+        ca.Function("terms", [nlp.x, nlp.p], [nlp.residual, nlp.objective, nlp.g])(x, p) for nlp in (inward, plain)
     )
     own = {ca.SX.element_hash(entry) for symbol in (inward.x, inward.p) for entry in ca.symvar(symbol)}
-    for term in (inward.residual, inward.objective):
-        assert {ca.SX.element_hash(entry) for entry in ca.symvar(term)} == own
+    for term in (inward.residual, inward.objective, inward.g):
+        assert {ca.SX.element_hash(entry) for entry in ca.symvar(term)} <= own
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(one.full(), other.full(), rtol=1e-12)
 

@@ -34,7 +34,7 @@ SAME = 1e-4, 1e-6
 def chain_of(problem: Problem) -> tuple[Chain, Array]:
     """A compiled horizon with its default weight, and the best motion to start from."""
     motions = per_frame_motions(problem, Ends(), Settings())
-    weight = Horizon(problem).balanced_weight(motions[0])
+    weight = Horizon(problem, settings=Settings(contact_weight=0.0)).balanced_weight(motions[0])
     return horizon(problem.robot, problem.samples, problem.dt, weight, Ends(), compiled), motions[0].ravel()
 
 

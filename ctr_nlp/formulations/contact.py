@@ -20,7 +20,8 @@ from ctr_nlp.curve import Curve
 from ctr_nlp.forward import points_of
 from ctr_nlp.lumen import Lumen, outer_radius
 from ctr_nlp.models import Shape, dominant
-from ctr_nlp.nlp import Nlp
+from ctr_nlp.models.symbolic import columns_of
+from ctr_nlp.nlp import Inner, Nlp
 from ctr_nlp.robot import Robot
 from ctr_nlp.settings import Settings
 
@@ -99,8 +100,8 @@ def walled(frame: Nlp, shape: Shape) -> Nlp:
     """A frame whose shape's last samples are the places, kept within the wall; one more unknown, a slack in mm."""
     n, places = frame.x.numel(), len(shape.beta) * PLACES
     wall, slack, weight = ca.SX.sym("wall", places, COLUMNS), ca.SX.sym("slack"), ca.SX.sym("contact_weight")
-    x, y, z = (axis[-places:] for axis in shape.points)
-    path = [shape.seen(wall[:, i : i + 3]) for i in (0, 3, 6)]
+    points = Inner.of([ca.horzcat(*(axis[-places:] for axis in shape.placed()))])
+    at, *path = (columns_of(matrix) for matrix in (points.symbols[0], wall[:, :3], wall[:, 3:6], wall[:, 6:9]))
     return replace(
         frame,
         x=ca.vertcat(frame.x, slack),
@@ -108,7 +109,8 @@ def walled(frame: Nlp, shape: Shape) -> Nlp:
         upper=np.append(frame.upper, np.inf),
         parameters={**frame.parameters, "wall": wall, "contact_weight": weight},
         costs=(*frame.costs, terms.contact(slack, weight)),
-        constraints=(*frame.constraints, terms.clearance((x, y, z), path, ca.horzsplit(wall[:, ROOM:]), slack)),
+        inner=(*frame.inner, points),
+        constraints=(*frame.constraints, terms.clearance(at, path, ca.horzsplit(wall[:, ROOM:]), slack)),
         picks=tuple(range(n)) if frame.picks is None else tuple(pick + (pick >= n) for pick in frame.picks),
         slacks=1,
     )

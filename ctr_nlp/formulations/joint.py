@@ -58,7 +58,7 @@ def alone(
         parameters,
         residuals=(terms.shape((x, y, z), shape.seen(parameters["target"]), ca.DM(weights)),),
         constraints=(*motors, *map(terms.stability, shape.stability), *terms.order(robot, shape.beta)),
-        inner=shape.inner,
+        inner=(shape.inner,),
         picks=shape.picks,
     )
     return contact.walled(frame, shape) if walled else frame

@@ -46,10 +46,13 @@ class Shape:
     def seen(self, target: ca.SX) -> Vector:
         """Points (n, 3) of the base frame in the axes of `points`."""
         if self.base is None:
-            x, y, z = ca.horzsplit(target)
-            return x, y, z
+            return columns_of(target)
         x, y, z = (sum(target[:, i] * axis[i] for i in range(3)) for axis in self.base)
         return x, y, z
+
+    def placed(self) -> Vector:
+        """Points in the base frame."""
+        return self.points if self.base is None else elastic.combination(self.points, self.base)
 
 
 def dominant_shape(robot: Robot, places: Places, margin: ca.SX | None) -> Shape:
@@ -89,6 +92,12 @@ def elastic_shape(robot: Robot, places: Places, margin: ca.SX | None) -> Shape:
     first, second, third = _vectors(axes)
     picks = (*range(2 * d + 2, 3 * d + 2), *range(d, 2 * d + 2), *range(d))
     return Shape(x, lower, upper, motors, tuple(beta), points, inner, (first, second, third), tuple(stable), picks)
+
+
+def columns_of(points: ca.SX) -> Vector:
+    """x, y and z of points (n, 3)."""
+    x, y, z = ca.horzsplit(points)
+    return x, y, z
 
 
 def _matrix(vectors: Sequence[Vector]) -> ca.SX:

@@ -109,7 +109,7 @@ def attempt(
 ) -> Attempt:
     """Solve a chain from a motion, as Chain.around takes it, or from the feasible one nearest to it.
 
-    Where a chain holds near a motion only, it is solved again around its solution until that needs no more slack.
+    Where a chain holds near a motion only, it is solved again around its solution until that needs the same slack.
     The result is never worse than the start.
     """
     begin, tried, missing = time.perf_counter(), list[Attempt](), np.inf
@@ -117,7 +117,7 @@ def attempt(
         near, x0 = chain.around(motion)
         one = _solved(near, solver(near), x0, NEAR if tried else WIDE, report, stop)
         there, x = chain.around(motion := one.motion)
-        missing = float((x - one.solution.x).max())
+        missing = float(abs(x - one.solution.x).max())
         objective = there.evaluate(x)[0] if missing > 0 else one.solution.objective
         tried.append(replace(one, solution=replace(one.solution, objective=objective)))
     best = best_of(tried)

@@ -79,7 +79,7 @@ class NlpFrames:
         """Distinct answers for a frame without a past, best first; at least one."""
         guesses = starts(self.problem.robot, self.problem.samples[frame], SEARCH_STARTS, self._seed)
         tried = [FrameResult(guess, x=self._unknowns(guess)) for guess in guesses]
-        results = sorted(self._attempts(frame, tried, None), key=lambda r: r.objective)
+        results = sorted(map(self._unwound, self._attempts(frame, tried, None)), key=lambda r: r.objective)
         distinct: list[FrameResult] = []
         for result in results:
             if not distinct or result.objective > distinct[-1].objective * (1 + DISTINCT) + 1e-9:
@@ -89,12 +89,24 @@ class NlpFrames:
         best, *others = distinct
         return [best, *(replace(best, q=twin, warm=None) for twin in self._twin(best.q)), *others]
 
+    def _unwound(self, result: FrameResult) -> FrameResult:
+        """An answer without whole turns that a search may have gone through; on the elastic model they count."""
+        d, q = self.problem.robot.d, result.q.copy()
+        q[:d] -= 2 * np.pi * np.round(q[:d] / (2 * np.pi))
+        far = abs(result.q[:d]).max() > 2 * np.pi and result.x is None
+        return replace(result, q=q, warm=None) if far and self._allowed(q) else result
+
+    def _allowed(self, q: Array) -> bool:
+        """Whether q is within the robot's limits."""
+        robot = self.problem.robot
+        return bool((np.minimum(q - robot.lower, robot.upper - q) > -1e-9).all())
+
     def _twin(self, q: Array) -> list[Array]:
         """The other way to write the same shape, where the limits of tilt are not near: it may lead further."""
         robot, twin = self.problem.robot, other_way(self.problem.robot, q)
         twin[-2:] -= 2 * np.pi * np.round(twin[-2:] / (2 * np.pi))
-        room = np.minimum(twin - robot.lower, robot.upper - twin)
-        return [twin] if (room[-2:] > TWIN_ROOM).all() and (room > -1e-9).all() else []
+        room = np.minimum(twin - robot.lower, robot.upper - twin)[-2:]
+        return [twin] if (room > TWIN_ROOM).all() and self._allowed(twin) else []
 
     def step(self, frame: int, before: FrameResult) -> FrameResult:
         """The answer for a frame within speed limits of the one before; other starts are tried on failure."""
@@ -136,14 +148,14 @@ class NlpFrames:
         return self._solve(frame, known, None)
 
     def _solve(self, index: int, guess: FrameResult, before: FrameResult | None) -> FrameResult:
-        """The answer from a guess; near a wall, solved again around itself until that needs no more slack."""
+        """The answer from a guess; near a wall, solved again around itself until that needs the same slack."""
         result, tried = self._solved(index, guess, before), list[FrameResult]()
         while self.near is not None and result.success:
             slack = result.warm[0].x[-1]
             needed = self.near.surroundings((result.q if result.x is None else result.x)[None])[1][0]
-            more = np.maximum(self.near.cost(needed) - self.near.cost(slack), 0.0)
-            tried.append(replace(result, objective=result.objective + float(more)))
-            if needed <= slack + SETTLED or len(tried) == ROUNDS:
+            more = float(self.near.cost(needed) - self.near.cost(slack))
+            tried.append(replace(result, objective=result.objective + more))
+            if abs(needed - slack) <= SETTLED or len(tried) == ROUNDS:
                 break
             result = self._solved(index, result, before)
         return min(tried, key=lambda one: one.objective, default=result)
