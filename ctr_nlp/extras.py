@@ -16,7 +16,6 @@ EXTRAS = {
     "rtde_receive": "ur",
     "cyclonedds": "ros2",
     "SimpleITK": "anatomy",
-    "skimage": "anatomy",
     "pyvista": "anatomy",
     "vtkmodules": "anatomy",
 }

@@ -80,7 +80,7 @@ def add_wall_options(parser: argparse.ArgumentParser) -> None:
         metavar="PART",
         type=float,
         help="by what part of itself the error e3 may grow for clearance; where it would grow by more, contact "
-        f"costs less; inf: clearance comes first (default {defaults.clearance_cost:g})",
+        f"costs less; inf: contact always costs its full weight (default {defaults.clearance_cost:g})",
     )
 
 

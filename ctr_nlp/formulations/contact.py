@@ -42,7 +42,7 @@ ROOM = 9
 FAR = 1e3
 """mm: room enough."""
 TINY = 1e-9
-"""mm: the length of a robot that is not there yet."""
+"""mm, 1/mm: what stands for nothing in a denominator."""
 
 
 def wall_of(robot: Robot, lumen: Curve | None, model: str, settings: Settings) -> Wall | None:
@@ -76,7 +76,10 @@ class Wall:
         return {"wall": wall, "contact_weight": 0.0}
 
     def surroundings(self, x: Array) -> tuple[dict[str, Array], Array]:
-        """Parameters (T, ..) of frames near to unknowns x (T, 2d + 2) of the model, and slacks (T,) needed, mm."""
+        """Parameters (T, ..) of frames near to unknowns x (T, 2d + 2) of the model, and slacks (T,) needed, mm.
+
+        Bends sharper than the lumen is wide are noise of the path's points.
+        """
         beta = dominant.columns_of(x[:, self.robot.d : 2 * self.robot.d])
         sigma = np.hstack(arc_lengths(beta, PLACES * FINER)) / np.maximum(beta[-1], TINY)
         near = self.lumen.near(points_of(self.robot, x, sigma, self.model))
@@ -84,7 +87,9 @@ class Wall:
         left = room - np.hypot(near.distance, terms.CENTRED)
         room -= left - np.repeat(left.reshape(len(x), -1, FINER).min(axis=-1), FINER, axis=-1)
         numbers = np.stack([room, near.taper, near.behind, near.ahead], axis=-1)
-        wall = np.concatenate([near.centre, near.tangent, near.bend, numbers], axis=-1)
+        sharpest = 1.0 / near.radius / np.maximum(np.linalg.norm(near.bend, axis=-1), TINY)
+        bend = near.bend * np.minimum(sharpest, 1.0)[..., None]
+        wall = np.concatenate([near.centre, near.tangent, bend, numbers], axis=-1)
         described = {"wall": wall[:, FINER - 1 :: FINER], "contact_weight": np.full(len(x), self.weight)}
         return described, np.maximum(-left.min(axis=1), 0.0)
 
