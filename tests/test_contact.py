@@ -20,6 +20,7 @@ from ctr_nlp import (
     curve_from_points,
     forward,
     growing,
+    problem_from_file,
     seed_robot,
     solve_horizon,
     solve_per_frame,
@@ -373,3 +374,21 @@ def test_the_two_stage_formulation_only_tells_the_clearance(problem):
 def test_settings_out_of_range_are_refused(name, value):
     with pytest.raises(OptionError, match=rf"{name} is {value}"):
         Settings(**{name: value})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["chaste_ts002_LLL", "chaste_ts002_RLL", "chaste_ts002_RML", "hra_vhm_left_main"])
+@pytest.mark.parametrize("solve", [solve_horizon, solve_per_frame])
+def test_on_the_elastic_model_the_robot_makes_what_is_planned_in_real_airways(name, solve, shared_data):
+    """Also where the motion with least contact would snap on the way."""
+    problem = problem_from_file(shared_data / "airways" / f"{name}.csv", frames=30, trim="end")
+    without, kept = (
+        solve(problem, model="elastic", settings=settings)
+        for settings in (Settings(contact_weight=0.0), Settings())
+    )
+    assert without.complete
+    assert kept.complete
+    assert kept.meta["snaps"] == []
+    assert summary(kept)["e3"] <= 1.1 * summary(without)["e3"]
+    before, after = (summary(plan)["contact_depth"] for plan in (without, kept))
+    assert after < before or before == 0

@@ -38,7 +38,8 @@ class Attempt:
     """What came of one motion: a solution or, where success is False, the best feasible iterate, else the last.
 
     motion: of the robot's unknowns (T, n - slacks). parameters: of the chain that was solved. start_objective:
-    mm^2, of the motion brought within limits; inf where there is none. feasible: the point is.
+    mm^2, of the motion brought within limits; inf where there is none. feasible: the point is. made: the robot
+    makes the motion, as far as has been looked at.
     """
 
     solution: Solution
@@ -47,6 +48,7 @@ class Attempt:
     feasible: bool
     start_objective: float
     seconds: float
+    made: bool = True
 
     def described(self, frames: int) -> dict[str, Any]:
         """For a plan's meta; objectives as means over frames, mm^2."""
@@ -62,12 +64,13 @@ class Attempt:
 
 
 def best_of(attempts: Sequence[Attempt]) -> Attempt:
-    """The solution of least objective, unless some start was better: then the best feasible point."""
+    """The solution of least objective, unless some start was better: then the best feasible point; a made one."""
     least = min(one.start_objective for one in attempts)
 
-    def badness(one: Attempt) -> tuple[bool, bool, float]:
+    def badness(one: Attempt) -> tuple[bool, bool, bool, float]:
         found = one.solution
-        return not (found.success and no_worse(found.objective, least)), not one.feasible, found.objective
+        solved = found.success and no_worse(found.objective, least)
+        return not one.made, not solved, not one.feasible, found.objective
 
     return min(attempts, key=badness)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
@@ -125,7 +126,8 @@ class Horizon:
             between = time.perf_counter()
             weight = self.balanced_weight(found[0]) if motion_weight is None else motion_weight
             run = functools.partial(self._attempts, weight, jobs, progress, interrupted)
-            wall, attempts = None, list[Attempt]()
+            wall: Wall | None = None
+            attempts: Sequence[Attempt] = []
             if not interrupted():
                 attempts = run(None, self._picked(weight, found, starts or len(found)))
             if self._wall is not None and not interrupted():
@@ -141,20 +143,28 @@ class Horizon:
 
     def _inside(
         self, wall: Wall, run: Run, free: Sequence[Attempt], given: Sequence[Array], stop: Callable[[], bool]
-    ) -> tuple[Wall, list[Attempt]]:
-        """Attempts within a wall, from those free of it and from given motions, and the wall that they afford."""
-        motions = [*distinct(free), *given]
+    ) -> tuple[Wall | None, Sequence[Attempt]]:
+        """Attempts within a wall, from those free of it and from given motions, and the wall that they afford.
+
+        Those free of it where the robot makes no other.
+        """
+        motions, best = [*distinct(free), *given], best_of(free)
 
         def solve(tried: Wall) -> list[Attempt]:
             attempts = run(tried, motions)
-            motions[:] = [best_of(free).motion, best_of(attempts).motion]
+            found = best_of(attempts)
+            motions[:] = [best.motion, found.motion] if found.made else [best.motion]
             return attempts
 
         def error(attempts: Sequence[Attempt]) -> float:
-            return float(np.linalg.norm(errors(wall, self.problem.samples, best_of(attempts).motion)))
+            found = best_of(attempts)
+            if best.made and not found.made:
+                return np.inf
+            return float(np.linalg.norm(errors(wall, self.problem.samples, found.motion)))
 
-        limit = (1 + self._settings.clearance_cost) * error(free)
-        return affordable(wall, limit, solve, error, stop)
+        limit = min((1 + self._settings.clearance_cost) * error(free), sys.float_info.max)
+        afforded = affordable(wall, limit, solve, error, stop)
+        return (None, free) if best.made and not best_of(afforded[1]).made else afforded
 
     def balanced_weight(self, motion: Array) -> float:
         """The lambda in s^2 at which a motion costs MOTION_SHARE of its shape errors."""

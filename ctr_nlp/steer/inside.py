@@ -18,6 +18,7 @@ from ctr_nlp.problem import Problem
 from ctr_nlp.steer.attempts import Attempt
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.passes import Pass
+from ctr_nlp.steer.realised import held
 from ctr_nlp.target import SIGMA, Frame
 
 Array = npt.NDArray[np.float64]
@@ -90,8 +91,8 @@ def kept_inside(problem: Problem, frames: NlpFrames, free: Pass, stop: Callable[
         one = Pass(free.direction, free.order, free.before, known, seconds)
         for _ in one.run(frames):
             if stop():
-                break
-        return one
+                return one
+        return held(problem, frames, one, stop)
 
     def error(one: Pass) -> float:
         failed, square = one.badness(problem, wall.model)

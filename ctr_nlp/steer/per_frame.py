@@ -62,9 +62,8 @@ def march(
         passes, search_seconds = run_passes(problem, solver, direction, start, progress=progress)
         best = min(passes, key=lambda one: one.badness(problem, solver.description["model"]))
         if isinstance(solver, NlpFrames) and not interrupted():
+            best = held(problem, solver, best, interrupted)
             best = kept_inside(problem, solver, best, interrupted)
-            if solver.description["model"] == "elastic" and not interrupted():
-                best = held(problem, solver, best, interrupted)
         stopped = interrupted()
     options = {
         "direction": best.direction,

@@ -51,7 +51,7 @@ def realised(
     margin: float | None,
     stop: Callable[[], bool],
 ) -> list[Attempt]:
-    """The attempt of least objective among the best whose motion the robot makes; else all, as they are.
+    """The attempt of least objective among the best whose motion the robot makes; else all, which it does not.
 
     Where the margin is missed between frames, those beside must hold more: an attempt has its own parameters.
     """
@@ -67,7 +67,7 @@ def realised(
         found = _made(robot, chain, solver, one, margin, stop)
         made += [] if found is None else [found]
     if not made:
-        return list(attempts)
+        return [replace(one, made=False) for one in attempts]
     return [min(made, key=lambda one: (max(one.missing, SHORT), one.attempt.solution.objective)).attempt]
 
 
@@ -112,7 +112,9 @@ def _found(robot: Robot, chain: Chain, one: Attempt) -> Attempt:
 
 
 def held(problem: Problem, frames: NlpFrames, one: Pass, stop: Callable[[], bool]) -> Pass:
-    """A run through all frames on the elastic model, repeated until the margin is held between frames too."""
+    """A run through all frames, on the elastic model repeated until the margin is held between frames too."""
+    if frames.description["model"] == "dominant":
+        return one
     robot, margin = problem.robot, None if np.isnan(frames.margins[0]) else float(frames.margins[0])
     best, least = one, np.inf
     for _ in range(ROUNDS + 1):
