@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import itertools
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
@@ -162,7 +161,7 @@ class Horizon:
                 return np.inf
             return float(np.linalg.norm(errors(wall, self.problem.samples, found.motion)))
 
-        limit = min((1 + self._settings.clearance_cost) * error(free), sys.float_info.max)
+        limit = (1 + self._settings.clearance_cost) * error(free)
         afforded = affordable(wall, limit, solve, error, stop)
         return (None, free) if best.made and not best_of(afforded[1]).made else afforded
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -42,9 +43,9 @@ def affordable(
     stop: Callable[[], bool],
 ) -> tuple[Wall, Found]:
     """What solve finds, and the wall with the weight that it was found with: the whole one where that keeps errors
-    within a limit, mm; else the largest that does, by bisection.
+    within a limit; else the largest that does, by bisection. An error is inf where what was found will not do.
     """
-    kept = wall, solve(wall)
+    kept, limit = (wall, solve(wall)), min(limit, sys.float_info.max)
     if stop() or error(kept[1]) <= limit:
         return kept
     low, high = math.log(LIGHTEST * wall.weight), math.log(wall.weight)
@@ -79,7 +80,10 @@ def distinct(attempts: Sequence[Attempt]) -> list[Array]:
 
 
 def kept_inside(problem: Problem, frames: NlpFrames, free: Pass, stop: Callable[[], bool]) -> Pass:
-    """A run through all frames again, within the wall, from the first answer of one that is free of it."""
+    """A run through all frames again, within the wall, from the first answer of one that is free of it.
+
+    That one where fewer frames are solved within the wall.
+    """
     wall, first = frames.wall, free.order[0]
     if wall is None or first not in free.results:
         return free
@@ -100,4 +104,7 @@ def kept_inside(problem: Problem, frames: NlpFrames, free: Pass, stop: Callable[
 
     most = free.badness(problem, wall.model)[0]
     frames.near, found = affordable(wall, (1 + frames.clearance_cost) * error(free), solve, error, stop)
-    return found
+    if math.isfinite(error(found)) or stop():
+        return found
+    frames.near = None
+    return free
