@@ -36,7 +36,7 @@ COLUMNS = 13
 ROUNDS = 12
 """Times that an NLP is solved around its own solution."""
 SETTLED = 0.01
-"""mm of slack more than a solution has that it may need."""
+"""mm by which the slack of a solution may differ from what it needs."""
 ROOM = 9
 """Which of them the room is."""
 FAR = 1e3
