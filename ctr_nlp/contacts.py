@@ -39,18 +39,22 @@ def depth(plan: Plan) -> Array:
     return np.maximum(0.0, -plan.clearance.min(axis=1))
 
 
+def runs(flags: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """The first index of each run of flags that are set, and the one after its last."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
+    return [(first, stop) for first, stop in edges.reshape(-1, 2).tolist()]
+
+
 def contacts(plan: Plan) -> list[Contact]:
     """All of a plan's, in order of time; none where no wall is known."""
     if plan.clearance is None or plan.lumen is None:
         return []
-    deep = depth(plan)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], deep > 0, [False]]).astype(int)))
-    found = []
-    for first, stop in edges.reshape(-1, 2).tolist():
+    deep, lumen, found = depth(plan), Lumen(plan.lumen), []
+    for first, stop in runs(deep > 0):
         frame = first + int(deep[first:stop].argmax())
         sample = int(plan.clearance[frame].argmin())
         tube = outermost(plan.beta[frame][None], SIGMA)[0, sample]
-        start, place = Lumen(plan.lumen).near(np.stack([np.zeros(3), plan.shape[frame, sample]])).behind
+        start, place = lumen.near(np.stack([np.zeros(3), plan.shape[frame, sample]])).behind
         s = SIGMA[sample] * plan.beta[frame, -1]
         numbers = float(deep[frame]), frame + 1, int(tube) + 1, float(s), float(place - start)
         found.append(Contact(first + 1, stop, *numbers))

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ctr_nlp.contacts import runs
 from ctr_nlp.curve import Curve
 from ctr_nlp.errors import ProblemError
 from ctr_nlp.lumen import Lumen, outer_radius
@@ -48,13 +49,13 @@ def misfits(problem: Problem) -> list[Misfit]:
     if problem.lumen is None:
         return []
     curve, s = _longest(problem)
-    radius, found = _room(problem.lumen, curve.point(s)), []
+    radius, found = Lumen.around(problem.lumen).near(curve.point(s)).radius, []
     for i, (least, most) in enumerate(_extensions(problem.robot, s[-1])):
         lack = outer_radius(problem.robot)[i] - radius
         for forced, reached in ((True, (s <= least) & (least > 0)), (False, (s > least) & (s <= most))):
-            for run in _runs(reached & (lack > 0)):
-                worst = run[lack[run].argmax()]
-                found.append(Misfit(i + 1, s[run[0]], s[run[-1]], lack[worst], s[worst], forced))
+            for first, stop in runs(reached & (lack > 0)):
+                worst = first + lack[first:stop].argmax()
+                found.append(Misfit(i + 1, s[first], s[stop - 1], lack[worst], s[worst], forced))
     return found
 
 
@@ -106,19 +107,6 @@ def _extensions(robot: Robot, length: float) -> list[tuple[float, float]]:
             low[i] = max(low[i], low[i + 1] + robot.carriage_gap - longer)
     high = np.minimum(high, length)
     return [(float(least), float(most)) for least, most in zip(low, np.maximum(low, high), strict=True)]
-
-
-def _room(lumen: Curve, points: Array) -> Array:
-    """Radius (n,) in mm of the lumen where it is nearest to points (n, 3)."""
-    around = Lumen.around(lumen)
-    return np.full(len(points), np.inf) if around is None else around.near(points).radius
-
-
-def _runs(flags: npt.NDArray[np.bool_]) -> Iterator[npt.NDArray[np.intp]]:
-    """The indices of flags that are set, those of neighbours together."""
-    places = np.flatnonzero(flags)
-    for _, run in groupby(enumerate(places), key=lambda pair: pair[1] - pair[0]):
-        yield np.array([place for _, place in run])
 
 
 def _smoothed(problem: Problem) -> Iterator[str]:

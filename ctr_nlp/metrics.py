@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.contacts import contacts, depth
+from ctr_nlp.contacts import contacts, depth, runs
 from ctr_nlp.target import QUADRATURE
 
 if TYPE_CHECKING:
@@ -82,8 +82,7 @@ def bound_by_stability(plan: Plan) -> list[tuple[int, int]]:
     if margin is None or not np.isfinite(plan.stability).any():
         return []
     bound = np.fmin(plan.stability, plan.stability_between) < margin + BINDS
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], bound, [False]]).astype(int)))
-    return [(int(first) + 1, int(last)) for first, last in edges.reshape(-1, 2)]
+    return [(first + 1, stop) for first, stop in runs(bound)]
 
 
 def missed_margin(plan: Plan) -> tuple[int, float] | None:

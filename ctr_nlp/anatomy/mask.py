@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.anatomy.branch import Branch, Branches, moved
+from ctr_nlp.anatomy.choose import checked_point
 from ctr_nlp.anatomy.images import TO_LPS, Image, read_image
 from ctr_nlp.anatomy.middle import centred, holds
 from ctr_nlp.anatomy.route import cheapest_route, depths
@@ -82,9 +83,7 @@ def _shift(offset: Array) -> Array:
 
 def _end(mask: Image, name: str, given: npt.ArrayLike) -> Array:
     """The index (3,), not whole, of the lumen's point nearest to a given one; raises CurveError if that is far."""
-    point = np.asarray(given, dtype=float)
-    if point.shape != (3,) or not np.isfinite(point).all():
-        raise CurveError(f"{name} is {point.tolist()}; it must be three finite numbers in mm")
+    point = checked_point(name, given)
     to_index, one = np.asarray(np.linalg.inv(mask.affine), dtype=float), np.ones(3)
     index = moved(point, to_index)
     if holds(mask.voxels, one, index[None])[0]:

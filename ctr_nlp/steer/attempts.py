@@ -116,12 +116,12 @@ def attempt(
     The result is never worse than the start.
     """
     begin, tried, missing = time.perf_counter(), list[Attempt](), np.inf
+    near, x0 = chain.around(motion)
     while len(tried) < ROUNDS and missing > SETTLED and not (tried and (stop() or not tried[-1].solution.success)):
-        near, x0 = chain.around(motion)
         one = _solved(near, solver(near), x0, NEAR if tried else WIDE, report, stop)
-        there, x = chain.around(motion := one.motion)
-        missing = float(abs(x - one.solution.x).max())
-        objective = there.evaluate(x)[0] if missing > 0 else one.solution.objective
+        near, x0 = chain.around(one.motion)
+        missing = float(abs(x0 - one.solution.x).max())
+        objective = near.evaluate(x0)[0] if missing > 0 else one.solution.objective
         tried.append(replace(one, solution=replace(one.solution, objective=objective)))
     best = best_of(tried)
     iterations = sum(one.solution.iterations for one in tried)

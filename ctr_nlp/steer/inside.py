@@ -19,7 +19,7 @@ from ctr_nlp.problem import Problem
 from ctr_nlp.steer.attempts import Attempt
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.passes import Pass
-from ctr_nlp.steer.realised import held
+from ctr_nlp.steer.realised import SAME, held
 from ctr_nlp.target import SIGMA, Frame
 
 Array = npt.NDArray[np.float64]
@@ -29,8 +29,6 @@ LIGHTEST = 1e-3
 BISECTIONS = 6
 MOST = 4
 """Motions that are brought within a wall."""
-SAME = 1e-6
-"""Motions whose objectives differ by less than this part are one."""
 
 Found = TypeVar("Found")
 
