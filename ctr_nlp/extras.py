@@ -18,6 +18,9 @@ EXTRAS = {
     "SimpleITK": "anatomy",
     "pyvista": "anatomy",
     "vtkmodules": "anatomy",
+    "k3d": "report",
+    "bokeh": "report",
+    "jinja2": "report",
 }
 """Which extra of this package brings a module."""
 

@@ -8,6 +8,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from ctr_nlp.account import shown
 from ctr_nlp.cli import problems
 from ctr_nlp.cli.arguments import add_compile_option, add_problem_options, add_settings, settings_from
 from ctr_nlp.cli.console import (
@@ -18,7 +19,6 @@ from ctr_nlp.cli.console import (
     guarded,
     print_table,
     progress_bar,
-    shown,
 )
 from ctr_nlp.cli.output import check_folder, whole_folder
 from ctr_nlp.models import MODELS

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from ctr_nlp.account import shown
 from ctr_nlp.errors import CtrError
 from ctr_nlp.steer.interrupt import deferred_interrupt
 
@@ -73,12 +74,3 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]
     for row in rows:
         table.add_row(*(shown(cell) for cell in row))
     console().print(table)
-
-
-def shown(cell: Any) -> str:
-    """A cell as text: three decimals, two above 1, one above 10; nothing for None."""
-    if cell is None:
-        return ""
-    if isinstance(cell, float):
-        return f"{cell:.{3 - (abs(cell) >= 1) - (abs(cell) >= 10)}f}"
-    return str(cell)

@@ -9,14 +9,12 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, console, print_table, shown
+from ctr_nlp import account
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, console, print_table
 from ctr_nlp.figures import save_all, save_front
 from ctr_nlp.metrics import by_frame, summary
 from ctr_nlp.plan import Plan
 from ctr_nlp.trade_off import Point
-
-MOST_REASONS = 10
-"""Failures that are printed one by one; the plan holds them all."""
 
 
 def write(plan: Plan, folder: Path) -> None:
@@ -38,111 +36,12 @@ def write_table(path: Path, columns: Mapping[str, Sequence[Any]]) -> None:
 
 def print_report(plan: Plan, out: Path) -> None:
     """The numbers of a plan, what is wrong with it, and where it was written."""
-    found = summary(plan)
-    on = [] if found["evaluated"] == "dominant" == found["model"] else [found["model"]]
-    how = [found["formulation"], *on, "by", found["solver"]] + [found["direction"]] * (
-        found["direction"] is not None
-    )
-    seen = "" if found["evaluated"] == found["model"] else f", on the {found['evaluated']} model"
-    print_table(
-        f"{found['problem']}, {' '.join(how)}{seen}",
-        ("", "value", "unit"),
-        [
-            ("e3, RMS over frames of e2", found["e3"], "mm"),
-            ("e4, median over frames of e2", found["e4"], "mm"),
-            ("largest error, at equal arc length", found["e_max"], "mm"),
-            ("largest distance to the target", found["nearest_max"], "mm"),
-            ("largest tip error", found["tip_max"], "mm"),
-            (
-                "largest step of alpha, beta, theta",
-                " / ".join(map(shown, found["max_step"].values())),
-                "rad / mm / rad",
-            ),
-            *_stability(found),
-            *_clearance(found),
-            *_effort(found),
-            ("frames, and of these not solved", f"{found['frames']} / {found['failed']}", ""),
-        ],
-    )
-    if found["acceleration_used"] > 1:
-        console().print(
-            f"the motion needs {found['acceleration_used']:.1f} times the acceleration that limits allow"
-        )
-    if found["stability_binds"]:
-        parts = ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in found["stability_binds"])
-        console().print(f"stability (margin {plan.meta['options']['stability_margin']:g}) limits frames {parts}")
-    if found["stability_missed"]:
-        frame, least = found["stability_missed"]
-        console().print(f"the margin is missed between frames: {least:.3f} on the way to frame {frame}")
-    for snap in found["snaps"]:
-        tubes = ", ".join(map(str, snap["tubes"]))
-        console().print(
-            f"snap on the way to frame {snap['frame']}: tips of tubes {tubes} turn by {snap['jump']:.2f} rad"
-        )
-    for contact in found["contacts"]:
-        first, last = contact["first"], contact["last"]
-        frames = f"frame {first}" if first == last else f"frames {first} to {last}"
-        console().print(
-            f"contact in {frames}: tube {contact['tube']} by up to {contact['depth']:.2f} mm, "
-            f"{contact['path']:.0f} mm along the path in frame {contact['frame']}"
-        )
-    weight, asked = found["weights"]["contact_mm"], plan.meta["options"].get("contact_weight")
-    if found["contacts"] and weight is not None and weight < asked:
-        part = plan.meta["options"]["clearance_cost"]
-        console().print(
-            f"less contact would raise e3 by more than {part:.0%}: a mm of it was weighed {weight:.2g} and not "
-            f"{asked:g} mm² (--clearance-cost)"
-        )
-    reasons = list(plan.meta["failures"].items())
-    for frame, why in reasons[:MOST_REASONS]:
-        console().print(f"{'' if frame == 'all' else 'frame '}{frame} not solved: {why}")
-    if len(reasons) > MOST_REASONS:
-        console().print(f"and {len(reasons) - MOST_REASONS} more")
-    if plan.meta["interrupted"]:
-        console().print("interrupted: the plan holds what was solved until then")
+    print_table(account.title(plan), ("", "value", "unit"), account.rows(plan))
+    for remark in account.remarks(plan):
+        console().print(remark)
     console().print(
         f"wrote {out}: {', '.join(sorted(path.name for path in out.iterdir() if path.name[0] != '.'))}"
     )
-
-
-def _stability(found: dict[str, Any]) -> list[tuple[str, Any, str]]:
-    """The least margins, where the model has any."""
-    if found["stability_min"] is None:
-        return []
-    margins = f"{found['stability_min']:.3f} / {found['stability_between_min']:.3f}"
-    return [("least stability margin, at and between frames", margins, "")]
-
-
-def _clearance(found: dict[str, Any]) -> list[tuple[str, Any, str]]:
-    """What is left to the lumen's wall, where that is known."""
-    if found["clearance_min"] is None:
-        return []
-    rows: list[tuple[str, Any, str]] = [("least clearance from the lumen's wall", found["clearance_min"], "mm")]
-    if found["contacts"]:
-        frames = sum(contact["last"] - contact["first"] + 1 for contact in found["contacts"])
-        rows.append(
-            ("frames in contact, and depths summed", f"{frames} / {shown(found['contact_depth'])}", "/ mm")
-        )
-    return rows
-
-
-def _effort(found: dict[str, Any]) -> list[tuple[str, Any, str]]:
-    """What the plan took: a time a frame, or the times of a start and a horizon."""
-    times = found["solve_ms"]
-    if times["median"] is not None:
-        return [("time a frame, median and 99 %", f"{shown(times['median'])} / {shown(times['p99'])}", "ms")]
-    return [
-        (
-            "roughness, and its weight in the objective",
-            f"{found['roughness']:.0f} / {found['weights']['motion_s2']:.2g}",
-            "mm²/s / s²",
-        ),
-        (
-            "time for the start, and for the horizon",
-            f"{shown(found['search_s'])} / {shown(times['total'] / 1e3)}",
-            "s",
-        ),
-    ]
 
 
 def exit_status(plan: Plan) -> int:

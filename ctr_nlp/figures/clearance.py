@@ -6,21 +6,17 @@ import matplotlib
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.colors import ListedColormap, PowerNorm
+from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 
 from ctr_nlp.contacts import contacts
 from ctr_nlp.figures.page import STYLE, curve, frame_axis, head, shade_failures
-from ctr_nlp.figures.palette import BLUE, VERMILLION, tube_colour, tube_width
+from ctr_nlp.figures.palette import BLUE, CONTACT, ROOMY, VERMILLION, tube_colour, tube_width
 from ctr_nlp.plan import Plan
 from ctr_nlp.target import SIGMA
 
 Array = npt.NDArray[np.float64]
 
-CONTACT = "#A33400"
-"""A darker vermillion, which stands out from the blues in grey too."""
-ROOMY = ListedColormap(np.linspace((0.47, 0.71, 0.92), (0.97, 0.97, 0.97), 256)).with_extremes(under=CONTACT)
-"""From no room, blue, to the most there is."""
 SPREAD = 0.5
 """Power of the scale of colours: the last millimetre has more shades than others."""
 ENDS = ("-", (0, (6, 2)), (0, (2, 1.5)))

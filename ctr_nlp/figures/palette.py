@@ -7,6 +7,9 @@ as the tubes themselves: where two lie upon each other, both are seen.
 
 from __future__ import annotations
 
+import numpy as np
+from matplotlib.colors import ListedColormap
+
 BLUE, ORANGE, GREEN, PURPLE = "#0072B2", "#E69F00", "#009E73", "#CC79A7"
 BLACK, SKY, VERMILLION = "#000000", "#56B4E9", "#D55E00"
 
@@ -14,6 +17,13 @@ TUBES = (BLUE, ORANGE, GREEN, PURPLE, BLACK, SKY, VERMILLION)
 TILT = (BLACK, VERMILLION)
 FAILED, UNREACHED = "0.80", "0.93"
 AMBIGUOUS = "#CBE6F6"
+
+CONTACT = "#A33400"
+"""A darker vermillion, which stands out from the blues in grey too."""
+ROOMY = ListedColormap(np.linspace((0.47, 0.71, 0.92), (0.97, 0.97, 0.97), 256)).with_extremes(under=CONTACT)
+"""From no room, blue, to the most there is."""
+ERROR = "cividis"
+"""From no error, dark, to the largest, light: a map of matplotlib's that is the same for colour-blind eyes."""
 
 
 def tube_colour(i: int) -> str:

@@ -1,0 +1,116 @@
+"""One HTML file with everything in it: scenes, plots, numbers, and the script that keeps them in step."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from importlib import resources
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp import account
+from ctr_nlp.errors import OptionError
+from ctr_nlp.extras import needed
+from ctr_nlp.figures.palette import tube_colour
+from ctr_nlp.metrics import by_frame, summary
+from ctr_nlp.plan import Plan
+from ctr_nlp.report.plots import cursors, figures
+from ctr_nlp.report.scales import Scale, quantities, scales
+from ctr_nlp.report.scene import BY_TUBE, DATA, box, reached, scene
+
+READOUT = {"e2": "mm", "max": "mm", "clearance": "mm", "stability": ""}
+"""Columns of errors.csv that are told of the frame that is shown, with their units."""
+
+
+def page(plans: Sequence[Plan], names: Sequence[str] | None = None) -> str:
+    """A page for one plan, or for several side by side in step; it needs no other file and no network.
+
+    names: what to call each plan besides its title, such as its file. Raises OptionError without plans, or where
+    the extra `report` is not installed.
+    """
+    if not plans:
+        raise OptionError("plans is empty; give at least one")
+    embed, inline = needed("bokeh.embed"), needed("bokeh.resources").Resources(mode="inline", components=["bokeh"])
+    coloured = scales(plans)
+    low, high = box(plans)
+    scenes = [scene(plan, coloured, low, high) for plan in plans]
+    plotted = figures(plans)
+    script, divs = embed.components([figure for some in plotted for figure in some.values() if figure])
+    rest = iter(divs)
+    shown = [
+        {
+            "title": account.title(plan),
+            "name": name,
+            "rows": [(row, account.shown(value), unit) for row, value, unit in account.rows(plan)],
+            "remarks": account.remarks(plan),
+            "summary": json.dumps(summary(plan), indent=2, allow_nan=False, ensure_ascii=False),
+            "plots": [(panel, next(rest) if figure else None) for panel, figure in some.items()],
+        }
+        for plan, name, some in zip(plans, names or [""] * len(plans), plotted, strict=True)
+    ]
+    data = {
+        "template": scenes[0][0],
+        "placeholder": DATA,
+        "plans": [
+            _moving(plan, packed, cursors(filter(None, some.values())))
+            for plan, (_, packed), some in zip(plans, scenes, plotted, strict=True)
+        ],
+    }
+    jinja2 = needed("jinja2")
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
+    environment.policies["json.dumps_kwargs"] = {"allow_nan": False}
+    return str(
+        environment.from_string(_text("page.html")).render(
+            plans=shown,
+            data=data,
+            frames=max(len(plan.time) for plan in plans),
+            scales=[_legend(scale) for scale in coloured],
+            tubes=[tube_colour(i) for i in range(max(plan.robot.d for plan in plans))],
+            by_tube=BY_TUBE,
+            style=_text("page.css"),
+            code=_text("page.js"),
+            bokeh=inline.render_js(),
+            plots=script,
+        )
+    )
+
+
+def _moving(plan: Plan, packed: str, spans: list[str]) -> dict[str, Any]:
+    """What the script needs to show a plan's frames."""
+    columns = by_frame(plan)
+    return {
+        "scene": packed,
+        "time": plan.time.tolist(),
+        "reached": reached(plan).tolist(),
+        "solved": plan.success.tolist(),
+        "cursors": spans,
+        "colourings": [BY_TUBE, *quantities(plan)],
+        "readout": {
+            name: {"unit": unit, "values": _numbers(columns[name])}
+            for name, unit in READOUT.items()
+            if name in columns
+        },
+    }
+
+
+def _numbers(column: npt.NDArray[np.float64]) -> list[float | None]:
+    """A column as JSON has it, without NaN."""
+    return [float(f"{value:.4g}") if np.isfinite(value) else None for value in column]
+
+
+def _legend(scale: Scale) -> dict[str, Any]:
+    gradient = ", ".join(f"{colour} {100 * at:.2f}%" for at, colour in scale.stops)
+    zero = 100 * (0.0 - scale.low) / (scale.high - scale.low)
+    return {
+        "key": scale.key,
+        "name": scale.name,
+        "gradient": f"linear-gradient(90deg, {gradient})",
+        "zero": zero,
+        "high": f"{scale.high:.3g}",
+    }
+
+
+def _text(name: str) -> str:
+    return resources.files("ctr_nlp.report").joinpath(name).read_text(encoding="utf-8")

@@ -1,0 +1,175 @@
+"""Errors, clearance, stability, configuration and speeds over time, with a cursor at the frame that is shown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.extras import needed
+from ctr_nlp.figures.palette import BLACK, BLUE, ORANGE, TILT, VERMILLION, tube_colour
+from ctr_nlp.metrics import by_frame
+from ctr_nlp.plan import Plan
+
+Array = npt.NDArray[np.float64]
+
+ERROR, CLEARANCE, STABILITY = "error (mm)", "clearance (mm)", "stability margin"
+CONFIGURATION = ("α (rad)", "β (mm)", "θ (rad)")
+SPEEDS = ("dα/dt (rad/s)", "dβ/dt (mm/s)", "dθ/dt (rad/s)")
+ORDER = (ERROR, CLEARANCE, STABILITY, *CONFIGURATION, *SPEEDS)
+"""Names of panels from top to bottom."""
+
+HEIGHT = 190
+"""Of a plot in pixels."""
+LEFT = 64
+"""Pixels left of all plots, so that their time axes lie below one another."""
+LIMIT = "#777777"
+DASHES = ("solid", "dashed", "dotdash", "dotted")
+MARGIN = 0.06
+"""Above and below what is shown, as a part of it."""
+LEAST_SPAN = 1e-3
+
+
+@dataclass(frozen=True)
+class Line:
+    """A named line of a plot over time: y (T,), colour, and how it is dashed."""
+
+    name: str
+    y: Array
+    colour: str
+    dash: str = "solid"
+    width: float = 1.8
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Lines on one vertical axis, named with its unit; values that it always shows, and limits of the robot."""
+
+    name: str
+    lines: tuple[Line, ...]
+    least: tuple[float, ...] = ()
+    limits: tuple[float, ...] = ()
+
+
+def panels(plan: Plan) -> Iterator[Panel]:
+    """What there is to plot of a plan, from top to bottom."""
+    columns = by_frame(plan)
+    yield Panel(
+        ERROR,
+        (
+            Line("RMSE e2", columns["e2"], BLUE),
+            Line("maximum of e1", columns["max"], VERMILLION, "dashed"),
+        ),
+        (0.0,),
+    )
+    if "clearance" in columns:
+        yield Panel(CLEARANCE, (Line("least clearance", columns["clearance"], BLUE),), (0.0,))
+    if "stability" in columns:
+        margins = (
+            Line("at the frame", columns["stability"], BLUE),
+            Line("on the way to it", columns["stability_between"], ORANGE, "dashed"),
+        )
+        yield Panel(STABILITY, margins, (0.0, 1.0))
+    robot = plan.robot
+    yield from _motion(plan, plan.q, CONFIGURATION, (robot.lower, robot.upper))
+    speed = np.diff(plan.q, axis=0, prepend=np.nan) / plan.dt
+    yield from _motion(plan, speed, SPEEDS, (-robot.speed, robot.speed))
+
+
+def _motion(plan: Plan, values: Array, names: Sequence[str], limits: tuple[Array, Array]) -> Iterator[Panel]:
+    """Three panels of values (T, 2d + 2) in the order of q, with limits (2d + 2,)."""
+    split = plan.robot.split
+    for name, part, *sides in zip(names, split(values), *map(split, limits), strict=True):
+        tilt = "θ" in name
+        lines = tuple(
+            Line(
+                f"θ{'xy'[i]}" if tilt else f"tube {i + 1}",
+                part[:, i],
+                TILT[i] if tilt else tube_colour(i),
+                DASHES[i % len(DASHES)],
+            )
+            for i in range(part.shape[1])
+        )
+        yield Panel(name, lines, limits=tuple(value for value in np.unique(sides).tolist() if np.isfinite(value)))
+
+
+def figures(plans: Sequence[Plan]) -> list[dict[str, Any]]:
+    """Bokeh figures of each plan by their names, in one order for all plans; None where a plan has no such panel.
+
+    Panels of one name have one vertical range; each plan has its own time axis. Spans named "cursor" mark the
+    frame.
+    """
+    models = needed("bokeh.models")
+    shown = [{panel.name: panel for panel in panels(plan)} for plan in plans]
+    names = sorted({name for some in shown for name in some}, key=ORDER.index)
+    ranges = {name: models.Range1d(*_range([some[name] for some in shown if name in some])) for name in names}
+    found = []
+    for plan, some in zip(plans, shown, strict=True):
+        times = models.Range1d(0.0, float(plan.time[-1]), bounds="auto")
+        found.append(
+            {name: _figure(plan, some[name], times, ranges[name]) if name in some else None for name in names}
+        )
+    return found
+
+
+def _range(some: Sequence[Panel]) -> tuple[float, float]:
+    values = np.concatenate([part for panel in some for part in (panel.least, *(line.y for line in panel.lines))])
+    known = values[np.isfinite(values)]
+    low, high = known.min(initial=np.inf), known.max(initial=-np.inf)
+    if not known.size:
+        return 0.0, 1.0
+    margin = max(MARGIN * (high - low), LEAST_SPAN)
+    return float(low - margin), float(high + margin)
+
+
+def _figure(plan: Plan, panel: Panel, times: Any, values: Any) -> Any:
+    """One plot; a tap moves all plans to that moment."""
+    models, plotting = needed("bokeh.models"), needed("bokeh.plotting")
+    frames = np.arange(1, len(plan.time) + 1)
+    data = {"time": plan.time, "frame": frames} | {line.name: line.y for line in panel.lines}
+    source = models.ColumnDataSource(data)
+    figure = plotting.figure(
+        height=HEIGHT,
+        min_border_left=LEFT,
+        sizing_mode="stretch_width",
+        x_range=times,
+        y_range=values,
+        x_axis_label="time (s)",
+        y_axis_label=panel.name,
+        tools="xbox_zoom,xpan,reset",
+        active_drag=None,
+        toolbar_location="right",
+    )
+    for line in panel.lines:
+        figure.line(
+            "time",
+            line.name,
+            source=source,
+            color=line.colour,
+            line_dash=line.dash,
+            line_width=line.width,
+            legend_label=line.name,
+        )
+    for limit in (limit for limit in panel.limits if values.start < limit < values.end):
+        figure.line([0.0, plan.time[-1]], limit, color=LIMIT, line_dash="dotted", legend_label="limit")
+    tips = [("frame", "@frame"), ("time", "@time{0.00} s")]
+    tips += [(line.name, f"@{{{line.name}}}{{0.000}}") for line in panel.lines]
+    figure.add_tools(models.HoverTool(tooltips=tips, mode="vline", renderers=figure.renderers[:1]))
+    figure.add_layout(
+        models.Span(location=float(plan.time[0]), dimension="height", line_color=BLACK, name="cursor")
+    )
+    figure.toolbar.update(autohide=True, logo=None)
+    figure.add_layout(figure.legend[0], "above")
+    figure.legend.update(orientation="horizontal", border_line_color=None, padding=0, spacing=12, margin=2)
+    code = "seek(cb_obj.x / duration)"
+    figure.js_on_event("tap", models.CustomJS(code=code, args={"duration": float(plan.time[-1])}))
+    return figure
+
+
+def cursors(some: Iterable[Any]) -> list[str]:
+    """Ids of the cursors of figures."""
+    models = needed("bokeh.models")
+    return [span.id for figure in some for span in figure.select({"type": models.Span, "name": "cursor"})]

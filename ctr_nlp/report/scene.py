@@ -1,0 +1,206 @@
+"""A plan as a moving scene in three dimensions: tubes, target, wall, insertion point and tilt."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.colors import to_rgb
+from scipy.spatial.transform import Rotation
+
+from ctr_nlp.extras import needed
+from ctr_nlp.figures.overlay import tube_ends
+from ctr_nlp.figures.palette import BLACK, tube_colour
+from ctr_nlp.lumen import outer_radius
+from ctr_nlp.plan import Plan
+from ctr_nlp.report.scales import Scale, quantities
+from ctr_nlp.target import SIGMA
+
+Array = npt.NDArray[np.float64]
+
+BY_TUBE = "tube"
+"""Colouring that is always there: every tube in its own colour."""
+SAMPLES = 31
+"""Points of a tube's visible part."""
+AROUND = 24
+"""Points around the wall."""
+HOLDER = 12.0
+"""Length in mm of what is drawn of the robot before the insertion point."""
+TARGET_RADIUS, AXIS_RADIUS, POINT_SIZE = 0.25, 0.12, 2.6
+"""Of the target's line and the insertion axis, mm; diameter of the insertion point in radii of tube 1."""
+WALL, OPACITY = 0x8A8A8A, 0.2
+HELD, AXIS = 0x777777, 0x888888
+FIELD = 30.0
+"""Of view, degrees."""
+DATA = "@DATA@"
+"""Stands in k3d's page for the data."""
+READY = "console.log = () => {}; window.parent.ready(window.frameElement, K3DInstance);"
+"""Run in each scene once it is drawn; k3d would write a line for every tube of every frame."""
+
+
+def scene(plan: Plan, scales: Sequence[Scale], low: Array, high: Array) -> tuple[str, str]:
+    """A page of k3d's with everything but its data, the same for all plans, and the data, in base64.
+
+    low, high: corners (3,) mm of what is seen at first. The scene's time is the index of the frame. Objects that
+    show under one colouring only name it in their custom_data.
+    """
+    k3d = needed("k3d")
+    plot = k3d.plot(
+        menu_visibility=False,
+        camera_auto_fit=False,
+        grid_auto_fit=False,
+        grid=[*low, *high],
+        axes=[rf"{name}\text{{ (mm)}}" for name in "xyz"],
+        axes_helper=0.0,
+        camera_fov=FIELD,
+        camera_up_axis="z",
+        colorbar_object_id=0,
+    )
+    plot.camera = _camera(low, high)
+    for drawn in [*_tubes(k3d, plan, scales), *_surroundings(k3d, plan)]:
+        plot += drawn
+    data = base64.b64encode(plot.get_binary_snapshot()).decode()
+    return plot.get_snapshot(additional_js_code=READY).replace(data, DATA), data
+
+
+def reached(plan: Plan) -> npt.NDArray[np.bool_]:
+    """Frames (T,) that have a shape."""
+    return np.asarray(np.isfinite(plan.shape).all(axis=(1, 2)))
+
+
+def _tubes(k3d: Any, plan: Plan, scales: Sequence[Scale]) -> list[Any]:
+    """Each tube where it is the outermost one, once for every colouring."""
+    known, radius, found = quantities(plan), outer_radius(plan.robot), []
+    sigma = _visible(plan)
+    for i in range(plan.robot.d):
+        vertices = _over_time([_at(sigma[:, i], plan.shape)[j] for j in range(len(plan.time))])
+        look = {"width": float(radius[i]), "shader": "mesh", "radial_segments": 16}
+        colour = _packed(tube_colour(i))
+        found.append(
+            k3d.line(vertices, color=colour, name=f"tube {i + 1}", custom_data={"colouring": BY_TUBE}, **look)
+        )
+        for scale in scales:
+            if scale.key in known:
+                values = np.clip(np.nan_to_num(known[scale.key], nan=scale.low), scale.low, scale.high)
+                found.append(
+                    k3d.line(
+                        vertices,
+                        attribute=_over_time(_at(sigma[:, i], values[..., None])[..., 0]),
+                        color_map=[part for at, colour in scale.stops for part in (at, *to_rgb(colour))],
+                        color_range=[scale.low, scale.high],
+                        visible=False,
+                        name=f"tube {i + 1} by {scale.key}",
+                        custom_data={"colouring": scale.key},
+                        **look,
+                    )
+                )
+    return found
+
+
+def _surroundings(k3d: Any, plan: Plan) -> list[Any]:
+    """Target, insertion point and axis, the robot's holder with its tilt, and the wall where it is known."""
+    tilted = Rotation.from_euler("xy", np.nan_to_num(plan.theta)).apply([0.0, 0.0, -HOLDER])
+    radius = float(outer_radius(plan.robot)[0])
+    found = [
+        k3d.line(_over_time(plan.target), color=_packed(BLACK), width=TARGET_RADIUS, shader="mesh", name="target"),
+        k3d.points(
+            [[0.0, 0.0, 0.0]], point_size=POINT_SIZE * radius, color=_packed(BLACK), name="insertion point"
+        ),
+        k3d.line(
+            [[0.0, 0.0, -1.5 * HOLDER], [0.0, 0.0, HOLDER]],
+            color=AXIS,
+            width=AXIS_RADIUS,
+            shader="mesh",
+            name="insertion axis",
+        ),
+        k3d.line(
+            _over_time(np.stack([tilted, np.zeros_like(tilted)], axis=1)),
+            color=HELD,
+            width=1.5 * radius,
+            shader="mesh",
+            name="holder, tilted",
+        ),
+    ]
+    if plan.lumen is not None:
+        vertices, indices = _wall(plan.lumen)
+        found.append(
+            k3d.mesh(
+                vertices,
+                indices,
+                color=WALL,
+                opacity=OPACITY,
+                flat_shading=False,
+                side="double",
+                name="lumen",
+            )
+        )
+    return found
+
+
+def _wall(lumen: Array) -> tuple[Array, npt.NDArray[np.uint32]]:
+    """Triangles of the wall around a path and its radius (N, 4) mm: rings in rotation-minimising frames."""
+    path, radius = lumen[:, :3], lumen[:, 3]
+    tangents = np.gradient(path, axis=0)
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    side = np.linalg.svd(tangents[:1])[2][1]
+    angle = np.linspace(0.0, 2 * np.pi, AROUND, endpoint=False)
+    rings = []
+    for point, tangent, r in zip(path, tangents, radius, strict=True):
+        side = side - (side @ tangent) * tangent
+        side /= np.linalg.norm(side)
+        rings.append(
+            point + r * (np.outer(np.cos(angle), side) + np.outer(np.sin(angle), np.cross(tangent, side)))
+        )
+    here = np.arange(len(path) * AROUND).reshape(-1, AROUND)
+    beside, ahead = np.roll(here, -1, axis=1)[:-1], here[1:]
+    across = np.roll(here, -1, axis=1)[1:]
+    triangles = np.stack([here[:-1], beside, ahead, beside, across, ahead], axis=-1)
+    return np.concatenate(rings).astype(np.float32), triangles.reshape(-1, 3).astype(np.uint32)
+
+
+def _visible(plan: Plan) -> Array:
+    """Sigma (T, d, SAMPLES) along the part of each tube where it is the outermost one."""
+    ends = np.array([tube_ends(beta) for beta in np.nan_to_num(plan.beta)])
+    starts = np.concatenate([np.zeros((len(ends), 1)), ends[:, :-1]], axis=1)
+    return starts[..., None] + (ends - starts)[..., None] * np.linspace(0.0, 1.0, SAMPLES)
+
+
+def _at(sigma: Array, values: Array) -> Array:
+    """Values (T, 101, n) at sigma (T, m): (T, m, n); 0 in frames that were never reached."""
+    place = np.clip(sigma, 0.0, 1.0) * (len(SIGMA) - 1)
+    before = np.minimum(place.astype(int), len(SIGMA) - 2)
+    frames, part = np.arange(len(values))[:, None], (place - before)[..., None]
+    return np.nan_to_num((1 - part) * values[frames, before] + part * values[frames, before + 1])
+
+
+def _over_time(frames: Any) -> dict[str, npt.NDArray[np.float32]]:
+    """A keyframe a frame."""
+    return {str(j): np.asarray(frame, dtype=np.float32) for j, frame in enumerate(frames)}
+
+
+def box(plans: Sequence[Plan]) -> tuple[Array, Array]:
+    """Corners (3,) mm of all that is ever seen of plans."""
+    seen = [np.array([[0.0, 0.0, -HOLDER], [0.0, 0.0, HOLDER]])]
+    for plan in plans:
+        seen += [plan.target.reshape(-1, 3), plan.shape.reshape(-1, 3)]
+        if plan.lumen is not None:
+            seen += [plan.lumen[:, :3] + side * plan.lumen[:, 3:] for side in (-1, 1)]
+    points = np.concatenate(seen)
+    return np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+
+
+def _camera(low: Array, high: Array) -> list[float]:
+    """Position, point looked at and upward direction: from where most is seen, a little from above."""
+    middle, size = (low + high) / 2, high - low
+    away = np.array([0.25, -1.0, 0.2]) if size[0] >= size[1] else np.array([1.0, 0.25, 0.2])
+    far = 0.6 * np.linalg.norm(size) / np.tan(np.radians(FIELD / 2))
+    return [*(middle + far * away / np.linalg.norm(away)), *middle, 0.0, 0.0, 1.0]
+
+
+def _packed(colour: str) -> int:
+    """A colour as k3d takes it."""
+    red, green, blue = (round(255 * part) for part in to_rgb(colour))
+    return red << 16 | green << 8 | blue
