@@ -1,10 +1,12 @@
-"""What a plan's numbers say, in words: its title, a table, and remarks on what is wrong with it."""
+"""What a plan's numbers say, in words: its title, a table, and remarks on what is wrong with it.
+
+found is the plan's summary, as in summary.json.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
-from ctr_nlp.metrics import summary
 from ctr_nlp.plan import Plan
 
 Row = tuple[str, Any, str]
@@ -14,9 +16,8 @@ MOST_REASONS = 10
 """Failures that are told one by one; the plan holds them all."""
 
 
-def title(plan: Plan) -> str:
+def title(found: dict[str, Any]) -> str:
     """Problem, formulation, model, solver and direction."""
-    found = summary(plan)
     on = [] if found["evaluated"] == "dominant" == found["model"] else [found["model"]]
     how = [found["formulation"], *on, "by", found["solver"]] + [found["direction"]] * (
         found["direction"] is not None
@@ -25,9 +26,8 @@ def title(plan: Plan) -> str:
     return f"{found['problem']}, {' '.join(how)}{seen}"
 
 
-def rows(plan: Plan) -> list[Row]:
+def rows(found: dict[str, Any]) -> list[Row]:
     """The numbers that tell how good a plan is; lengths in mm."""
-    found = summary(plan)
     return [
         ("e3, RMS over frames of e2", found["e3"], "mm"),
         ("e4, median over frames of e2", found["e4"], "mm"),
@@ -46,9 +46,8 @@ def rows(plan: Plan) -> list[Row]:
     ]
 
 
-def remarks(plan: Plan) -> list[str]:
+def remarks(plan: Plan, found: dict[str, Any]) -> list[str]:
     """Sentences on limits that bind or are exceeded, snaps, contacts and failures; none where all is well."""
-    found = summary(plan)
     return [*_limits(plan, found), *_snaps(found), *_contacts(plan, found), *_failures(plan)]
 
 

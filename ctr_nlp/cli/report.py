@@ -36,8 +36,9 @@ def write_table(path: Path, columns: Mapping[str, Sequence[Any]]) -> None:
 
 def print_report(plan: Plan, out: Path) -> None:
     """The numbers of a plan, what is wrong with it, and where it was written."""
-    print_table(account.title(plan), ("", "value", "unit"), account.rows(plan))
-    for remark in account.remarks(plan):
+    found = summary(plan)
+    print_table(account.title(found), ("", "value", "unit"), account.rows(found))
+    for remark in account.remarks(plan, found):
         console().print(remark)
     console().print(
         f"wrote {out}: {', '.join(sorted(path.name for path in out.iterdir() if path.name[0] != '.'))}"

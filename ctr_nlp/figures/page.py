@@ -72,11 +72,16 @@ def shade_failures(axes: Axes, plan: Plan, centres: npt.NDArray[Any], width: flo
 
 
 def curve(axes: Axes, x: npt.NDArray[Any], y: npt.NDArray[np.float64], **look: Any) -> None:
-    """Plot y over x, with a dot for each known value between two unknown ones, which no line would show."""
-    known = np.isfinite(np.concatenate([[np.nan], y, [np.nan]]))
-    alone = np.flatnonzero(known[1:-1] & ~known[:-2] & ~known[2:])
+    """Plot y over x, with a dot for each value that no line would show."""
     axes.plot(x, y, **look)
-    axes.plot(x[alone], y[alone], color=look["color"], ls="", marker="o", ms=3)
+    single = alone(y)
+    axes.plot(x[single], y[single], color=look["color"], ls="", marker="o", ms=3)
+
+
+def alone(y: npt.NDArray[np.float64]) -> npt.NDArray[np.int_]:
+    """Indices of known values of y (n,) between two unknown ones."""
+    known = np.isfinite(np.concatenate([[np.nan], y, [np.nan]]))
+    return np.flatnonzero(known[1:-1] & ~known[:-2] & ~known[2:])
 
 
 def frame_axis(axes: Axes, frames: int) -> None:

@@ -18,7 +18,7 @@ from ctr_nlp.metrics import by_frame, summary
 from ctr_nlp.plan import Plan
 from ctr_nlp.report.plots import cursors, figures
 from ctr_nlp.report.scales import Scale, quantities, scales
-from ctr_nlp.report.scene import BY_TUBE, DATA, box, reached, scene
+from ctr_nlp.report.scene import BY_TUBE, DATA, box, frame, reached, scene
 
 READOUT = {"e2": "mm", "max": "mm", "clearance": "mm", "stability": ""}
 """Columns of errors.csv that are told of the frame that is shown, with their units."""
@@ -40,22 +40,15 @@ def page(plans: Sequence[Plan], names: Sequence[str] | None = None) -> str:
     script, divs = embed.components([figure for some in plotted for figure in some.values() if figure])
     rest = iter(divs)
     shown = [
-        {
-            "title": account.title(plan),
-            "name": name,
-            "rows": [(row, account.shown(value), unit) for row, value, unit in account.rows(plan)],
-            "remarks": account.remarks(plan),
-            "summary": json.dumps(summary(plan), indent=2, allow_nan=False, ensure_ascii=False),
-            "plots": [(panel, next(rest) if figure else None) for panel, figure in some.items()],
-        }
+        _told(plan, name) | {"plots": [(panel, next(rest) if figure else None) for panel, figure in some.items()]}
         for plan, name, some in zip(plans, names or [""] * len(plans), plotted, strict=True)
     ]
     data = {
-        "template": scenes[0][0],
+        "template": frame(),
         "placeholder": DATA,
         "plans": [
             _moving(plan, packed, cursors(filter(None, some.values())))
-            for plan, (_, packed), some in zip(plans, scenes, plotted, strict=True)
+            for plan, packed, some in zip(plans, scenes, plotted, strict=True)
         ],
     }
     jinja2 = needed("jinja2")
@@ -75,6 +68,18 @@ def page(plans: Sequence[Plan], names: Sequence[str] | None = None) -> str:
             plots=script,
         )
     )
+
+
+def _told(plan: Plan, name: str) -> dict[str, Any]:
+    """What is written about a plan."""
+    found = summary(plan)
+    return {
+        "title": account.title(found),
+        "name": name,
+        "rows": [(row, account.shown(value), unit) for row, value, unit in account.rows(found)],
+        "remarks": account.remarks(plan, found),
+        "summary": json.dumps(found, indent=2, allow_nan=False, ensure_ascii=False),
+    }
 
 
 def _moving(plan: Plan, packed: str, spans: list[str]) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.extras import needed
+from ctr_nlp.figures.page import alone
 from ctr_nlp.figures.palette import BLACK, BLUE, ORANGE, TILT, VERMILLION, tube_colour
 from ctr_nlp.metrics import by_frame
 from ctr_nlp.plan import Plan
@@ -30,7 +31,8 @@ LIMIT = "#777777"
 DASHES = ("solid", "dashed", "dotdash", "dotted")
 MARGIN = 0.06
 """Above and below what is shown, as a part of it."""
-LEAST_SPAN = 1e-3
+LEAST_SPAN = 0.1
+"""Of an axis: less is rounding noise."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,7 @@ def figures(plans: Sequence[Plan]) -> list[dict[str, Any]]:
     ranges = {name: models.Range1d(*_range([some[name] for some in shown if name in some])) for name in names}
     found = []
     for plan, some in zip(plans, shown, strict=True):
-        times = models.Range1d(0.0, float(plan.time[-1]), bounds="auto")
+        times = models.Range1d(0.0, float(plan.time[-1] + plan.dt / 2), bounds="auto")
         found.append(
             {name: _figure(plan, some[name], times, ranges[name]) if name in some else None for name in names}
         )
@@ -121,7 +123,7 @@ def _range(some: Sequence[Panel]) -> tuple[float, float]:
     low, high = known.min(initial=np.inf), known.max(initial=-np.inf)
     if not known.size:
         return 0.0, 1.0
-    margin = max(MARGIN * (high - low), LEAST_SPAN)
+    margin = max(MARGIN * (high - low), (LEAST_SPAN - (high - low)) / 2)
     return float(low - margin), float(high + margin)
 
 
@@ -153,6 +155,8 @@ def _figure(plan: Plan, panel: Panel, times: Any, values: Any) -> Any:
             line_width=line.width,
             legend_label=line.name,
         )
+        if len(single := alone(line.y)):
+            figure.scatter(plan.time[single], line.y[single], color=line.colour, legend_label=line.name)
     for limit in (limit for limit in panel.limits if values.start < limit < values.end):
         figure.line([0.0, plan.time[-1]], limit, color=LIMIT, line_dash="dotted", legend_label="limit")
     tips = [("frame", "@frame"), ("time", "@time{0.00} s")]

@@ -41,8 +41,15 @@ READY = "console.log = () => {}; window.parent.ready(window.frameElement, K3DIns
 """Run in each scene once it is drawn; k3d would write a line for every tube of every frame."""
 
 
-def scene(plan: Plan, scales: Sequence[Scale], low: Array, high: Array) -> tuple[str, str]:
-    """A page of k3d's with everything but its data, the same for all plans, and the data, in base64.
+def frame() -> str:
+    """A page of k3d's for any scene, with DATA where its data goes."""
+    empty = needed("k3d").plot()
+    data = base64.b64encode(empty.get_binary_snapshot()).decode()
+    return str(empty.get_snapshot(additional_js_code=READY)).replace(data, DATA)
+
+
+def scene(plan: Plan, scales: Sequence[Scale], low: Array, high: Array) -> str:
+    """The data of a scene in base64.
 
     low, high: corners (3,) mm of what is seen at first. The scene's time is the index of the frame. Objects that
     show under one colouring only name it in their custom_data.
@@ -62,8 +69,7 @@ def scene(plan: Plan, scales: Sequence[Scale], low: Array, high: Array) -> tuple
     plot.camera = _camera(low, high)
     for drawn in [*_tubes(k3d, plan, scales), *_surroundings(k3d, plan)]:
         plot += drawn
-    data = base64.b64encode(plot.get_binary_snapshot()).decode()
-    return plot.get_snapshot(additional_js_code=READY).replace(data, DATA), data
+    return base64.b64encode(plot.get_binary_snapshot()).decode()
 
 
 def reached(plan: Plan) -> npt.NDArray[np.bool_]:
@@ -76,7 +82,7 @@ def _tubes(k3d: Any, plan: Plan, scales: Sequence[Scale]) -> list[Any]:
     known, radius, found = quantities(plan), outer_radius(plan.robot), []
     sigma = _visible(plan)
     for i in range(plan.robot.d):
-        vertices = _over_time([_at(sigma[:, i], plan.shape)[j] for j in range(len(plan.time))])
+        vertices = _over_time(_at(sigma[:, i], plan.shape))
         look = {"width": float(radius[i]), "shader": "mesh", "radial_segments": 16}
         colour = _packed(tube_colour(i))
         found.append(
