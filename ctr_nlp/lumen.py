@@ -96,6 +96,21 @@ class Lumen:
         return np.asarray(near.radius - near.distance - outer_radius(robot)[outermost(beta, sigma)])
 
 
+def rings(table: Array, angle: Array) -> Array:
+    """Points (N, n, 3) mm of the wall around a table (N, 4), at angles (n,) in rotation-minimising frames."""
+    centre, radius = table[:, :3], table[:, 3]
+    steps = np.linalg.norm(np.diff(centre, axis=0), axis=1)
+    tangents = np.gradient(centre, np.append(0.0, steps.cumsum()), axis=0)
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    side, sides = np.eye(3)[abs(tangents[0]).argmin()], np.empty_like(tangents)
+    for j, tangent in enumerate(tangents):
+        side = side - (side @ tangent) * tangent
+        side /= np.linalg.norm(side)
+        sides[j] = side
+    across = np.cos(angle)[:, None] * sides[:, None] + np.sin(angle)[:, None] * np.cross(tangents, sides)[:, None]
+    return np.asarray(centre[:, None] + radius[:, None, None] * across)
+
+
 def outer_radius(robot: Robot) -> Array:
     """Of every tube, (d,) mm."""
     return np.array([tube.outer_diameter / 2 for tube in robot.tubes])

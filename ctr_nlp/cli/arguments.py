@@ -13,7 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.anatomy.files import CENTRELINES, MASKS
+from ctr_nlp.cli.output import check_file
 from ctr_nlp.errors import OptionError
+from ctr_nlp.figures.film import check_film
 from ctr_nlp.fit import check_radii
 from ctr_nlp.models import MODELS
 from ctr_nlp.problem import Problem
@@ -109,6 +111,36 @@ def add_compile_option(parser: argparse.ArgumentParser) -> None:
 
     parser.add_argument(
         "--no-compile", action=Switch, nargs=0, help=f"solve without compiled code, as {SWITCH}=0 does everywhere"
+    )
+
+
+def add_film_option(parser: argparse.ArgumentParser) -> None:
+    """Whether the motion is also drawn as a film."""
+    parser.add_argument(
+        "--film",
+        metavar="FILE.gif|mp4",
+        help="also draw the motion as a film, as long as the motion lasts; an .mp4 needs ffmpeg",
+    )
+
+
+def film_file(arguments: argparse.Namespace) -> Path | None:
+    """Where add_film_option's argument wants a film, None for nowhere; raises OptionError, OutputError.
+
+    A file that is there already will be replaced, but no folder or link.
+    """
+    if arguments.film is None:
+        return None
+    check_film(arguments.film)
+    check_file(Path(arguments.film), "")
+    return Path(arguments.film)
+
+
+def add_live_option(parser: argparse.ArgumentParser, what: str) -> None:
+    """Whether a window shows something while the program works."""
+    parser.add_argument(
+        "--live",
+        action="store_true",
+        help=f"show {what} in a window, which stays when the program has ended; closing it changes nothing else",
     )
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from ctr_nlp.cli.arguments import add_film_option, film_file
 from ctr_nlp.cli.console import SOLVED, console, guarded
+from ctr_nlp.cli.film import staged, write_film
 from ctr_nlp.cli.output import check_folder, whole_folder, write_text
 from ctr_nlp.plan import Plan
 from ctr_nlp.report import page
@@ -21,20 +23,27 @@ def main(argv: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="make_report.py",
-        description=f"Write {PAGE}: the moving robot in three dimensions, plots and numbers of a plan, or of several "
-        "side by side in step. It is one file, which opens in a browser without a network.",
+        description=f"Write {PAGE}: the moving robot in three dimensions, plots and numbers of a plan, or of "
+        "several side by side in step. It is one file, which opens in a browser without a network.",
         epilog="Exit status: 0 written, 2 bad input, nothing written.",
     )
     parser.add_argument("plans", metavar="PLAN.npz", nargs="+")
     parser.add_argument("--out", metavar="DIR", default="runs/report", help="(default runs/report)")
+    add_film_option(parser)
     return parser
 
 
 def _run(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out)
     check_folder(out)
-    text = page([Plan.load(path) for path in arguments.plans], arguments.plans)
+    film = film_file(arguments)
+    plans = [Plan.load(path) for path in arguments.plans]
+    text = page(plans, arguments.plans)
     with whole_folder(out) as staging:
         write_text(staging / PAGE, text)
+        if film is not None:
+            write_film(plans, staged(film, out, staging))
     console().print(f"wrote {out / PAGE} ({len(text) / 1e6:.1f} MB); open it in a browser")
+    if film is not None:
+        console().print(f"wrote {film}")
     return SOLVED

@@ -8,12 +8,14 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ctr_nlp.cli import live
+from ctr_nlp.cli.arguments import add_live_option
 from ctr_nlp.cli.console import (
     BAD_INPUT,
     INTERRUPTED,
@@ -77,12 +79,15 @@ def _parsed(argv: list[str] | None) -> argparse.Namespace:
         metavar="DIR",
         help=f"where {JOURNAL}, tracking.csv and tracking.png go (default runs/PROBLEM-play)",
     )
+    add_live_option(parser, "the robot where its axes are, over where they should be (the tilt as commanded),")
     arguments = parser.parse_args(argv)
     for name in ("home", "tempo", "dry_run"):
         if arguments.resume and getattr(arguments, name) not in (None, False):
             raise OptionError(f"--{name.replace('_', '-')} does not go with --resume")
     if arguments.position_verified and not arguments.resume:
         raise OptionError("--position-verified goes with --resume only")
+    if arguments.live and arguments.dry_run:
+        raise OptionError("--live does not go with --dry-run, in which nothing moves")
     return arguments
 
 
@@ -96,6 +101,20 @@ def _run(arguments: argparse.Namespace) -> int:
         return SOLVED
     out = Path(arguments.out or f"runs/{plan.meta['problem']['name']}-play")
     records = read_journal(out / JOURNAL) if arguments.resume else None
+    with live.playing(plan) if arguments.live else nullcontext() as told:
+        return _played(arguments, plan, hardware, tempo, out, records, told)
+
+
+def _played(
+    arguments: argparse.Namespace,
+    plan: Plan,
+    hardware: Hardware,
+    tempo: float,
+    out: Path,
+    records: list[dict[str, Any]] | None,
+    told: live.Played | None,
+) -> int:
+    """Play, from the beginning or where records end; told, unless None, of all that is seen."""
     _claim(out)
     clock = RealClock()
     journal = Journal(out / JOURNAL, clock)
@@ -105,7 +124,7 @@ def _run(arguments: argparse.Namespace) -> int:
     with deferred_interrupt() as interrupted, progress_bar() as labelled, _obeying(player):
         if interrupted():
             player.abort()
-        seen = _seen(player, recorder, labelled(plan.meta["problem"]["name"]))
+        seen = _seen(player, recorder, labelled(plan.meta["problem"]["name"]), told)
         try:
             result = (
                 begin(player, plan, hardware, tempo, home=arguments.home, seen=seen)
@@ -118,6 +137,8 @@ def _run(arguments: argparse.Namespace) -> int:
         finally:
             player.close()
             journal.close()
+    if told is not None:
+        told.ended(result.outcome.value)
     report(plan, hardware, result, recorder.tracking(), out)
     if result.outcome is Outcome.SUCCESS:
         return SOLVED
@@ -182,12 +203,15 @@ def _listen(player: Player) -> None:
         return
 
 
-def _seen(player: Player, recorder: Recorder, show: Callable[[int, int, str], None]) -> Seen:
+def _seen(
+    player: Player, recorder: Recorder, show: Callable[[int, int, str], None], told: live.Played | None
+) -> Seen:
     """Record, and show progress."""
 
     def seen(program: Program, progress: Progress) -> None:
         recorder(program, progress)
-        passed = program.frames[program.frame_time <= progress.time]
-        show(int(passed[-1]) if len(passed) else 0, int(program.frames[-1]), player.state.value)
+        show(program.passed(progress.time), int(program.frames[-1]), player.state.value)
+        if told is not None:
+            told(program, progress, player.state.value)
 
     return seen

@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
-from ctr_nlp.cli import problems
+from ctr_nlp.cli import live, problems
 from ctr_nlp.cli.arguments import (
     add_compile_option,
     add_file_options,
+    add_film_option,
+    add_live_option,
     add_model_options,
     add_problem_options,
     add_stability_option,
     add_wall_options,
+    film_file,
     read_start,
     walled,
     whole,
 )
-from ctr_nlp.cli.console import guarded, progress_bar
+from ctr_nlp.cli.console import console, guarded, progress_bar
+from ctr_nlp.cli.film import staged, write_film
 from ctr_nlp.cli.output import check_folder, whole_folder
 from ctr_nlp.cli.report import exit_status, print_front, print_report, write, write_front
 from ctr_nlp.plan import Plan
@@ -50,6 +55,8 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
     parser.add_argument("--solver", choices=CHAIN_SOLVERS, help="(default banded where there is a C compiler)")
     add_compile_option(parser)
     parser.add_argument("--out", metavar="DIR", help="(default runs/PROBLEM-horizon-MODEL)")
+    add_film_option(parser)
+    add_live_option(parser, "the motion as it is solved for, or with --jobs the best yet,")
     _add_motion(parser)
     _add_search(parser)
     add_file_options(parser)
@@ -105,35 +112,51 @@ def _run(folder: Path, arguments: argparse.Namespace) -> int:
     for weight in arguments.sweep_motion_weight or ():
         check_motion_weight(weight)
     problem = _problem(folder, arguments)
-    settings = Settings(seed=arguments.seed, stability_margin=arguments.stability_margin)
-    settings = walled(settings, arguments, problem)
-    start, end = (None if path is None else read_start(path) for path in (arguments.start, arguments.end))
     out = Path(arguments.out or f"runs/{problem.name}-horizon-{arguments.model}")
     check_folder(out)
-    horizon = Horizon(problem, arguments.model, arguments.solver, start, end, settings)
-    initial = [Plan.load(path).q for path in arguments.initial]
-    problems.tell(problem)
-    with progress_bar() as labelled:
-        plan = horizon.solve(
-            initial,
-            arguments.motion_weight,
-            arguments.starts,
-            arguments.jobs,
-            labelled(problem.name),
-        )
-        points: list[Point] = []
-        if arguments.sweep_motion_weight is not None:
-            points = trade_off(horizon, plan, arguments.sweep_motion_weight or WEIGHTS, settings, labelled)
+    film = film_file(arguments)
+    plan, points = _solved(arguments, problem)
     if arguments.evaluate is not None:
         plan = plan.on(arguments.evaluate)
     with whole_folder(out) as staging:
         write(plan, staging)
         if points:
             write_front(points, problem.name, staging)
+        if film is not None:
+            write_film([plan], staged(film, out, staging))
     print_report(plan, out)
     if points:
         print_front(points)
+    if film is not None:
+        console().print(f"wrote {film}")
     return exit_status(plan)
+
+
+def _solved(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan, list[Point]]:
+    """The plan, and the points of a sweep where one is asked for."""
+    settings = Settings(seed=arguments.seed, stability_margin=arguments.stability_margin)
+    settings = walled(settings, arguments, problem)
+    start, end = (None if path is None else read_start(path) for path in (arguments.start, arguments.end))
+    initial = [Plan.load(path).q for path in arguments.initial]
+    points: list[Point] = []
+    with live.solving(problem, arguments.model) if arguments.live else nullcontext() as seen:
+        horizon = Horizon(problem, arguments.model, arguments.solver, start, end, settings)
+        problems.tell(problem)
+        with progress_bar() as labelled:
+            plan = horizon.solve(
+                initial,
+                arguments.motion_weight,
+                arguments.starts,
+                arguments.jobs,
+                labelled(problem.name),
+                seen,
+            )
+            if seen is not None:
+                seen.ended(plan)
+            if arguments.sweep_motion_weight is not None:
+                weights = arguments.sweep_motion_weight or WEIGHTS
+                points = trade_off(horizon, plan, weights, settings, labelled)
+    return plan, points
 
 
 def _problem(folder: Path, arguments: argparse.Namespace) -> Problem:

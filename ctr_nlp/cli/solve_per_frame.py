@@ -10,15 +10,18 @@ from ctr_nlp.cli import problems
 from ctr_nlp.cli.arguments import (
     add_compile_option,
     add_file_options,
+    add_film_option,
     add_model_options,
     add_problem_options,
     add_settings,
     add_wall_options,
+    film_file,
     read_start,
     settings_from,
     walled,
 )
-from ctr_nlp.cli.console import guarded, progress_bar
+from ctr_nlp.cli.console import console, guarded, progress_bar
+from ctr_nlp.cli.film import staged, write_film
 from ctr_nlp.cli.output import check_folder, whole_folder
 from ctr_nlp.cli.report import exit_status, print_report, write
 from ctr_nlp.formulations import FORMULATIONS
@@ -53,6 +56,7 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
     parser.add_argument("--lock-tilt", action="store_true", help="no arm: the tilt stays 0")
     add_compile_option(parser)
     parser.add_argument("--out", metavar="DIR", help="(default runs/PROBLEM-FORMULATION-MODEL)")
+    add_film_option(parser)
     add_file_options(parser)
     add_wall_options(parser)
     add_settings(parser)
@@ -67,6 +71,7 @@ def _run(folder: Path, arguments: argparse.Namespace) -> int:
     start = None if arguments.start is None else read_start(arguments.start)
     out = Path(arguments.out or f"runs/{problem.name}-{arguments.formulation}-{arguments.model}")
     check_folder(out)
+    film = film_file(arguments)
     solver = NlpFrames(problem, arguments.formulation, arguments.solver, arguments.model, settings)
     problems.tell(problem)
     with progress_bar() as labelled:
@@ -75,5 +80,9 @@ def _run(folder: Path, arguments: argparse.Namespace) -> int:
         plan = plan.on(arguments.evaluate)
     with whole_folder(out) as staging:
         write(plan, staging)
+        if film is not None:
+            write_film([plan], staged(film, out, staging))
     print_report(plan, out)
+    if film is not None:
+        console().print(f"wrote {film}")
     return exit_status(plan)

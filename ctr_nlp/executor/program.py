@@ -78,6 +78,18 @@ class Program:
         joints = self.hardware.positions(self.robot, self.at(time)[0])
         return np.asarray(joints + self.lash(self.motion.parameter(time)))
 
+    def joints(self, time: Array, positions: Array) -> Array:
+        """Configurations (N, 2d + 2) of axes that are found at positions (N, m) at times (N,) s.
+
+        The tilt is the one commanded then; what is added for play in the drives is taken out.
+        """
+        lengths = positions - self.lash(self.motion.parameter(time))
+        return self.hardware.joints(self.robot, lengths, self.at(time)[0][:, -2:])
+
+    def passed(self, time: float) -> int:
+        """The last frame that is passed by a time in s, 0 before the first."""
+        return int(self.frames[self.frame_time <= time].max(initial=0))
+
     def commands(self, longest: float = LINE) -> Commands:
         """The motion in straight pieces of at most so many s, with frames among their ends."""
         counts = np.maximum(1, np.ceil(np.diff(self.frame_time) / longest - 1e-6)).astype(int)

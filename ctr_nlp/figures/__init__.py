@@ -2,6 +2,7 @@
 
 from ctr_nlp.figures.clearance import clearance
 from ctr_nlp.figures.files import save, save_all, save_front
+from ctr_nlp.figures.film import check_film, film
 from ctr_nlp.figures.frames import by_frame
 from ctr_nlp.figures.motion import configuration
 from ctr_nlp.figures.overlay import shapes
@@ -12,9 +13,11 @@ from ctr_nlp.figures.violins import errors
 
 __all__ = [
     "by_frame",
+    "check_film",
     "clearance",
     "configuration",
     "errors",
+    "film",
     "pareto",
     "save",
     "save_all",

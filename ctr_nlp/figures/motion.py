@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import matplotlib
@@ -32,17 +33,35 @@ def configuration(plan: Plan) -> Figure:
     _limits(grid[1, 0], plan)
     _column(grid[:, 0], plan, plan.q, LEAST_SPAN)
     if plan.truth is not None:
-        for axes in grid[:, 1]:
-            axes.axhline(0.0, color="0.6", lw=0.9)
-        _column(grid[:, 1], plan, error_from_truth(plan), LEAST_ERROR_SPAN)
-        for axes, name in zip(grid[:, 1], NAMES, strict=True):
-            axes.set_ylabel(f"error of {name}")
-        for axes in grid[::2, 1]:
-            shade(axes, plan.time, plan.dt, indistinct(plan), AMBIGUOUS, "α, θy are\none rotation")
+        _errors(grid[:, 1], plan)
     for row in grid:
         _legend(row)
     head(figure, plan, "Configuration")
     return figure
+
+
+@matplotlib.rc_context(STYLE)
+def configuration_errors(plans: Mapping[str, Plan]) -> Figure:
+    """Errors q - truth over time of plans for a problem whose truth is known, a column each, by name."""
+    figure = Figure(figsize=(1.2 + 3.4 * len(plans), 6.2), layout="constrained")
+    grid = figure.subplots(3, len(plans), sharex=True, squeeze=False)
+    for column, (name, plan) in zip(grid.T, plans.items(), strict=True):
+        _errors(column, plan)
+        column[0].set_title(name)
+    for row in grid:
+        _legend(row)
+    return figure
+
+
+def _errors(column: npt.NDArray[np.object_], plan: Plan) -> None:
+    """Three panels of the errors of alpha, beta and theta."""
+    for axes in column:
+        axes.axhline(0.0, color="0.6", lw=0.9)
+    _column(column, plan, error_from_truth(plan), LEAST_ERROR_SPAN)
+    for axes, name in zip(column, NAMES, strict=True):
+        axes.set_ylabel(f"error of {name}")
+    for axes in column[::2]:
+        shade(axes, plan.time, plan.dt, indistinct(plan), AMBIGUOUS, "α, θy are\none rotation")
 
 
 def _column(column: npt.NDArray[np.object_], plan: Plan, values: Array, least: tuple[float, ...]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -33,6 +34,7 @@ LEFT, RIGHT, TOP, BOTTOM = 0.65, 0.15, 1.1, 0.9
 """Inches around the panels, for labels, title and key."""
 NARROWEST, ENTRY = 5.0, 0.95
 """Least width of the picture in inches, which the title needs, and the width of an entry of the key."""
+TARGET: dict[str, Any] = {"color": BLACK, "lw": 0.8, "ls": (0, (4, 2))}
 GAP, BELOW, BELOW_CAPTION = 0.2, 0.55, 1.05
 """Inches between columns, between the views of a frame, and between rows of frames."""
 
@@ -56,13 +58,13 @@ def shapes(plan: Plan, frames: Sequence[int] | None = None) -> Figure:
     for k, number in enumerate(shown):
         for view, sideways in enumerate(views):
             axes = grid[k // columns * len(views) + view, k % columns]
-            _draw(axes, plan, number - 1, sideways)
+            draw(axes, plan, number - 1, sideways)
             _frame(axes, (low + high) / 2, panel, sideways)
             if view == 0:
                 axes.set_title(_caption(plan, number))
     for axes in grid[:, 0]:
         axes.set_ylabel("z (mm)")
-    figure.legend(handles=_key(plan.robot.d), loc="lower center", ncols=int(figure.get_figwidth() / ENTRY))
+    figure.legend(handles=key(plan.robot.d), loc="lower center", ncols=int(figure.get_figwidth() / ENTRY))
     head(figure, plan, "Shapes and targets")
     return figure
 
@@ -119,22 +121,28 @@ def _grid(count: int, views: int, panel: Array) -> tuple[Figure, npt.NDArray[np.
     return figure, grid
 
 
-def _draw(axes: Axes, plan: Plan, frame: int, sideways: int) -> None:
-    """One frame: each tube where it is the outermost one, and the target as a thin dashed line upon it."""
-    shape, d = plan.shape[frame], plan.robot.d
-    if np.isfinite(shape).all():
-        ends = _ends(plan.beta[frame])
-        for i, (start, end) in enumerate(zip([0.0, *ends], ends, strict=False)):
-            sigma = np.concatenate([[start], SIGMA[(start < SIGMA) & (end > SIGMA)], [end]])
-            part = np.array([np.interp(sigma, SIGMA, coordinate) for coordinate in shape.T])
-            if end > start:
-                axes.plot(
-                    part[sideways], part[2], color=tube_colour(i), lw=tube_width(i, d), solid_capstyle="butt"
-                )
-    axes.plot(plan.target[frame, :, sideways], plan.target[frame, :, 2], color=BLACK, lw=0.8, ls=(0, (4, 2)))
+def draw(axes: Axes, plan: Plan, frame: int, sideways: int) -> None:
+    """Frame 0 .. T - 1: each tube where it is the outermost one, and the target as a thin dashed line upon it.
+
+    sideways: the horizontal axis, 0 for x and 1 for y; mm.
+    """
+    for i, part in enumerate(parts(plan.shape[frame], plan.beta[frame])):
+        width = tube_width(i, plan.robot.d)
+        axes.plot(part[:, sideways], part[:, 2], color=tube_colour(i), lw=width, solid_capstyle="butt")
+    axes.plot(plan.target[frame, :, sideways], plan.target[frame, :, 2], **TARGET)
 
 
-def _ends(beta: Array) -> Array:
+def parts(shape: Array, beta: Array) -> list[Array]:
+    """Points (n, 3) mm of each tube, beta (d,) mm long, where it is the outermost one; none of unknown shapes."""
+    ends, found = tube_ends(beta), []
+    for start, end in zip([0.0, *ends], ends, strict=False):
+        sigma = np.concatenate([[start], SIGMA[(start < SIGMA) & (end > SIGMA)], [end]])
+        sigma = sigma if end > start and np.isfinite(shape).all() else sigma[:0]
+        found.append(np.stack([np.interp(sigma, SIGMA, coordinate) for coordinate in shape.T], axis=1))
+    return found
+
+
+def tube_ends(beta: Array) -> Array:
     """Sigma (d,) at which each tube ends; the innermost one at 1."""
     ends = np.clip(beta / max(beta[-1], 1e-9), 0.0, 1.0)
     ends[-1] = 1.0
@@ -156,6 +164,7 @@ def _caption(plan: Plan, number: int) -> str:
     return f"frame {number}\n{plan.time[number - 1]:.3g} s{state}"
 
 
-def _key(d: int) -> list[Line2D]:
+def key(d: int) -> list[Line2D]:
+    """Entries of a legend for d tubes and the target."""
     tubes = [Line2D([], [], color=tube_colour(i), lw=tube_width(i, d), label=f"tube {i + 1}") for i in range(d)]
-    return [*tubes, Line2D([], [], color=BLACK, lw=0.8, ls=(0, (4, 2)), label="target")]
+    return [*tubes, Line2D([], [], label="target", **TARGET)]

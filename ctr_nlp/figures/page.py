@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -37,16 +38,20 @@ STYLE: Any = {
 def head(figure: Figure, plan: Plan, title: str) -> None:
     """Title a picture with what it shows, the problem, how it was solved, and the error over all frames."""
     numbers = summary(plan)
-    e3 = "no frame reached" if numbers["e3"] is None else f"e3 = {numbers['e3']:.3g} mm"
-    failed = f", {numbers['failed']} of {numbers['frames']} frames failed" if numbers["failed"] else ""
     on = (
         numbers["model"]
         if numbers["evaluated"] == numbers["model"]
         else f"{numbers['evaluated']} instead of {numbers['model']}"
     )
     how = f"{numbers['formulation']}, {on} model, {numbers['solver']}"
-    text = printable(f"{title}: {numbers['problem']}") + f"\n{how}; {e3}{failed}"
+    text = printable(f"{title}: {numbers['problem']}") + f"\n{how}; {outcome(numbers)}"
     figure.suptitle(text, fontsize=10, parse_math=False)
+
+
+def outcome(numbers: Mapping[str, Any]) -> str:
+    """The error over all frames, and how many failed; from a plan's summary."""
+    e3 = "no frame reached" if numbers["e3"] is None else f"e3 = {numbers['e3']:.3g} mm"
+    return e3 + (f", {numbers['failed']} of {numbers['frames']} frames failed" if numbers["failed"] else "")
 
 
 def printable(text: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import matplotlib
@@ -9,16 +10,20 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from ctr_nlp import metrics
 from ctr_nlp.figures.page import STYLE, head
-from ctr_nlp.figures.palette import BLACK, SKY
+from ctr_nlp.figures.palette import BLACK, SKY, VERMILLION
+from ctr_nlp.figures.panels import panels, root_scale
 from ctr_nlp.plan import Plan
 
 Array = npt.NDArray[np.float64]
 
 GROUPS = 10
 """Violins in the picture; fewer where there are fewer frames."""
+COLOURS = SKY, VERMILLION
+"""Of violins side by side."""
 
 
 @matplotlib.rc_context(STYLE)
@@ -26,23 +31,64 @@ def errors(plan: Plan) -> Figure:
     """Violins of e1 over the shape in mm, one for each tenth of the motion, with medians and middle halves."""
     figure = Figure(figsize=(7.0, 3.6), layout="constrained")
     axes = figure.subplots()
-    distance = metrics.e1(plan)
-    groups = np.array_split(np.arange(len(plan.time)), min(GROUPS, len(plan.time)))
-    for group in groups:
-        known = distance[group][np.isfinite(distance[group]).all(axis=1)]
-        if known.size:
-            begin, end = plan.time[group[0]] - plan.dt, plan.time[group[-1]]
-            _violin(axes, known.ravel(), (begin + end) / 2, 0.85 * (end - begin))
+    groups = _groups(plan)
+    for values, begin, end in spread(plan):
+        _violin(axes, values, (begin + end) / 2, 0.85 * (end - begin), SKY)
     _label(axes, plan, sorted({len(group) for group in groups}))
     head(figure, plan, "Distance from robot to target")
     return figure
 
 
-def _violin(axes: Axes, values: Array, centre: float, width: float) -> None:
+@matplotlib.rc_context(STYLE)
+def errors_compared(plans: Mapping[str, Mapping[str, Plan]]) -> Figure:
+    """A panel for each problem with violins of e1 of two plans side by side, on a square-root scale.
+
+    plans: by problem, then by what the plan is called.
+    """
+    figure, grid = panels(list(plans), 2, (3.6, 2.3))
+    for axes, pair in zip(grid, plans.values(), strict=True):
+        for k, (plan, colour) in enumerate(zip(pair.values(), COLOURS, strict=True)):
+            for values, begin, end in spread(plan):
+                half = (end - begin) / 2
+                _violin(axes, values, begin + (k + 0.5) * half, 0.85 * half, colour)
+        axes.set_xlim(0.0, plan.time[-1])
+        axes.grid(visible=False, axis="x")
+        root_scale(axes)
+        axes.set_xlabel("time (s)")
+        axes.set_ylabel("e1 (mm)")
+    figure.legend(
+        handles=[
+            Patch(facecolor=colour, edgecolor=BLACK, lw=0.6, label=name)
+            for name, colour in zip(pair, COLOURS, strict=True)
+        ],
+        loc="outside lower center",
+        ncols=2,
+    )
+    return figure
+
+
+def spread(plan: Plan) -> list[tuple[Array, float, float]]:
+    """For each tenth of a motion e1 in mm at all samples of its frames, and when it begins and ends, s.
+
+    Tenths without a known shape are left out.
+    """
+    distance, found = metrics.e1(plan), []
+    for group in _groups(plan):
+        known = distance[group][np.isfinite(distance[group]).all(axis=1)]
+        if known.size:
+            found.append((known.ravel(), float(plan.time[group[0]] - plan.dt), float(plan.time[group[-1]])))
+    return found
+
+
+def _groups(plan: Plan) -> list[npt.NDArray[np.int_]]:
+    return np.array_split(np.arange(len(plan.time)), min(GROUPS, len(plan.time)))
+
+
+def _violin(axes: Axes, values: Array, centre: float, width: float, colour: str) -> None:
     # A density needs a spread: once rounded, values that differ by noise alone are equal, and drawn flat.
     parts: Any = axes.violinplot([np.round(values, 9)], [centre], widths=width, showextrema=False, points=200)
     for body in parts["bodies"]:
-        body.set(facecolor=SKY, edgecolor=BLACK, linewidth=0.6, alpha=1.0)
+        body.set(facecolor=colour, edgecolor=BLACK, linewidth=0.6, alpha=1.0)
     low, median, high = np.quantile(values, [0.25, 0.5, 0.75])
     axes.vlines(centre, low, high, color=BLACK, lw=3.0)
     axes.plot([centre], [median], marker="o", ms=4, mfc="white", mec=BLACK, mew=0.8)

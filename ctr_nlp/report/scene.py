@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from ctr_nlp.extras import needed
 from ctr_nlp.figures.overlay import tube_ends
 from ctr_nlp.figures.palette import BLACK, tube_colour
-from ctr_nlp.lumen import outer_radius
+from ctr_nlp.lumen import outer_radius, rings
 from ctr_nlp.plan import Plan
 from ctr_nlp.report.scales import Scale, quantities
 from ctr_nlp.target import SIGMA
@@ -147,24 +147,13 @@ def _surroundings(k3d: Any, plan: Plan) -> list[Any]:
 
 
 def _wall(lumen: Array) -> tuple[Array, npt.NDArray[np.uint32]]:
-    """Triangles of the wall around a path and its radius (N, 4) mm: rings in rotation-minimising frames."""
-    path, radius = lumen[:, :3], lumen[:, 3]
-    tangents = np.gradient(path, axis=0)
-    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    side = np.linalg.svd(tangents[:1])[2][1]
-    angle = np.linspace(0.0, 2 * np.pi, AROUND, endpoint=False)
-    rings = []
-    for point, tangent, r in zip(path, tangents, radius, strict=True):
-        side = side - (side @ tangent) * tangent
-        side /= np.linalg.norm(side)
-        rings.append(
-            point + r * (np.outer(np.cos(angle), side) + np.outer(np.sin(angle), np.cross(tangent, side)))
-        )
-    here = np.arange(len(path) * AROUND).reshape(-1, AROUND)
+    """Triangles of the wall around a path and its radius (N, 4) mm."""
+    surface = rings(lumen, np.linspace(0.0, 2 * np.pi, AROUND, endpoint=False))
+    here = np.arange(surface[..., 0].size).reshape(-1, AROUND)
     beside, ahead = np.roll(here, -1, axis=1)[:-1], here[1:]
     across = np.roll(here, -1, axis=1)[1:]
     triangles = np.stack([here[:-1], beside, ahead, beside, across, ahead], axis=-1)
-    return np.concatenate(rings).astype(np.float32), triangles.reshape(-1, 3).astype(np.uint32)
+    return surface.reshape(-1, 3).astype(np.float32), triangles.reshape(-1, 3).astype(np.uint32)
 
 
 def _visible(plan: Plan) -> Array:

@@ -50,6 +50,12 @@ class Attempt:
     seconds: float
     made: bool = True
 
+    def as_iterate(self) -> Iterate:
+        """The last of its iterations; its violation is 0 or not known."""
+        found = self.solution
+        violation = 0.0 if self.feasible else math.nan
+        return Iterate(found.iterations, found.objective, violation, found.kkt, found.x)
+
     def described(self, frames: int) -> dict[str, Any]:
         """For a plan's meta; objectives as means over frames, mm^2."""
         start = None if math.isinf(self.start_objective) else self.start_objective / frames
@@ -90,6 +96,17 @@ def failures(chain: Chain, one: Attempt) -> dict[str, str]:
 def no_worse(objective: float, than: float) -> bool:
     """Whether an objective is at most another, rounding apart."""
     return objective <= than + TIE * (1 + abs(objective))
+
+
+def together(*reports: Report | None) -> Report:
+    """One report that hands every iterate to all of these."""
+    known = [report for report in reports if report is not None]
+
+    def report(iterate: Iterate) -> None:
+        for each in known:
+            each(iterate)
+
+    return report
 
 
 def within_limits(chain: Chain, x: Array) -> Array:
@@ -195,18 +212,28 @@ def _prepare(stopping: Any) -> None:
 
 
 def attempt_in_processes(
-    task: Task, motions: Sequence[Array], jobs: int, progress: Progress | None, stop: Callable[[], bool]
+    task: Task,
+    motions: Sequence[Array],
+    jobs: int,
+    progress: Progress | None,
+    stop: Callable[[], bool],
+    seen: Report | None = None,
 ) -> list[Attempt]:
-    """Solve from every motion, in up to so many processes at once."""
+    """Solve from every motion, in up to so many processes at once; seen is told of each that is the best yet."""
     context = multiprocessing.get_context("spawn")
     stopping = context.Event()
     with ProcessPoolExecutor(min(jobs, len(motions)), context, _prepare, (stopping,)) as pool:
         futures = [pool.submit(task.solve, motion) for motion in motions]
         waiting = set(futures)
+        best: Attempt | None = None
         while waiting:
             finished, waiting = wait(waiting, timeout=POLL, return_when=FIRST_COMPLETED)
             if finished and progress is not None:
                 progress(len(futures) - len(waiting), len(futures), f"starts, in {jobs} processes")
+            for one in (future.result() for future in finished):
+                if seen is not None and (best is None or best_of([best, one]) is one):
+                    best = one
+                    seen(one.as_iterate())
             if stop():
                 stopping.set()
         return [future.result() for future in futures]

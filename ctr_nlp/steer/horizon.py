@@ -23,7 +23,17 @@ from ctr_nlp.problem import Problem
 from ctr_nlp.settings import Settings, check_choice, check_motion_weight
 from ctr_nlp.solvers import CHAIN_SOLVERS, default_chain_solver
 from ctr_nlp.solvers.compiled import fastest
-from ctr_nlp.steer.attempts import Attempt, Task, attempt, attempt_in_processes, best_of, failures, within_limits
+from ctr_nlp.steer.attempts import (
+    Attempt,
+    Report,
+    Task,
+    attempt,
+    attempt_in_processes,
+    best_of,
+    failures,
+    together,
+    within_limits,
+)
 from ctr_nlp.steer.forecast import Forecast
 from ctr_nlp.steer.inside import affordable, distinct, errors
 from ctr_nlp.steer.interrupt import deferred_interrupt
@@ -57,6 +67,7 @@ def solve_horizon(
     jobs: int = 1,
     settings: Settings = DEFAULTS,
     progress: Progress | None = None,
+    seen: Report | None = None,
 ) -> Plan:
     """The plan that follows a problem's target over all frames at once, eq. (9) over a horizon.
 
@@ -65,12 +76,13 @@ def solve_horizon(
     the start costs a tenth of its shape errors. initial: motions (T, 2d + 2) to start from; without any, those of
     per_frame_motions. starts: how many are tried: the best of those, then smooth random changes of the best
     (settings.seed); None tries those alone. jobs: in how many processes. settings: of the frames run one by one.
+    seen: told of every iterate, or where processes are several of every attempt that is the best until then.
     The plan is never worse than the best motion it started from, and marked where it is no solution. Ctrl-C ends
     the work; the plan is then the best feasible one so far, marked as interrupted. Raises OptionError,
     ProblemError, RobotError.
     """
     whole = Horizon(problem, model, solver, start, end, settings)
-    return whole.solve(initial, motion_weight, starts, jobs, progress)
+    return whole.solve(initial, motion_weight, starts, jobs, progress, seen)
 
 
 class Horizon:
@@ -110,6 +122,7 @@ class Horizon:
         starts: int | None = None,
         jobs: int = 1,
         progress: Progress | None = None,
+        seen: Report | None = None,
     ) -> Plan:
         """The plan; as solve_horizon."""
         settings, model = self._settings, self._names["model"]
@@ -124,7 +137,7 @@ class Horizon:
             found = given or per_frame_motions(self.problem, self.ends, settings, progress, model)
             between = time.perf_counter()
             weight = self.balanced_weight(found[0]) if motion_weight is None else motion_weight
-            run = functools.partial(self._attempts, weight, jobs, progress, interrupted)
+            run = functools.partial(self._attempts, weight, jobs, progress, seen, interrupted)
             wall: Wall | None = None
             attempts: Sequence[Attempt] = []
             if not interrupted():
@@ -192,6 +205,7 @@ class Horizon:
         weight: float,
         jobs: int,
         progress: Progress | None,
+        seen: Report | None,
         interrupted: Callable[[], bool],
         wall: Wall | None,
         motions: Sequence[Array],
@@ -203,12 +217,12 @@ class Horizon:
         if jobs > 1 and count > 1:
             own = names["solver"], names["model"], settings.stability_margin, wall or self._wall, wall is not None
             task = Task(problem.robot, problem.samples, problem.dt, weight, self.ends, *own)
-            attempts = attempt_in_processes(task, motions, jobs, progress, interrupted)
+            attempts = attempt_in_processes(task, motions, jobs, progress, interrupted, seen)
         for number, motion in enumerate(() if attempts else motions, start=1):
             if attempts and interrupted():
                 break
-            report = None if progress is None else Forecast(progress, problem.frames, number, count)
-            attempts.append(attempt(chain, solver, motion, report, interrupted))
+            forecast = None if progress is None else Forecast(progress, problem.frames, number, count)
+            attempts.append(attempt(chain, solver, motion, together(seen, forecast), interrupted))
         if names["model"] == "dominant" or interrupted():
             return attempts
         return realised(problem.robot, chain, solver, attempts, settings.stability_margin, interrupted)

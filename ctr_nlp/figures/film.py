@@ -1,0 +1,149 @@
+"""Plans as films: robots that move, side by side and in step, over their errors."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import textwrap
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+import numpy.typing as npt
+from matplotlib.animation import FFMpegWriter, PillowWriter
+from matplotlib.figure import Figure
+
+from ctr_nlp import account, metrics
+from ctr_nlp.errors import OptionError, OutputError
+from ctr_nlp.figures.frames import CURVES
+from ctr_nlp.figures.overlay import TARGET
+from ctr_nlp.figures.page import STYLE, curve, frame_axis, outcome, printable, shade_failures
+from ctr_nlp.figures.palette import BLACK
+from ctr_nlp.figures.space import Body, frame, insertion_point, key, points_of_all, span, wall
+from ctr_nlp.plan import Plan
+
+Array = npt.NDArray[np.float64]
+
+WRITERS: dict[str, Any] = {".gif": PillowWriter, ".mp4": FFMpegWriter}
+"""What writes a film, by the suffix of its file."""
+WIDTH, HEIGHT, DPI = 4.8, 7.2, 100
+"""Inches of a plan's column; whole and even numbers of pixels, as H.264 needs them."""
+LINE = 64
+"""Characters of a title's line, which fit into a column."""
+SHORTEST, LONGEST = 2.0, 60.0
+"""s that a film lasts, however short or long its plans are."""
+RATE, MOST = 25, 300
+"""Most pictures a second, and in all."""
+
+
+def check_film(path: str | Path) -> None:
+    """Raise OptionError where a film of that name cannot be made: by its suffix, or since ffmpeg is missing."""
+    suffix = Path(path).suffix.lower()
+    if suffix not in WRITERS:
+        raise OptionError(f"film is {str(path)!r}; its suffix must be {' or '.join(WRITERS)}")
+    if not WRITERS[suffix].isAvailable():
+        raise OptionError(
+            f"film is {str(path)!r} and ffmpeg is missing; install it, or name a .gif, which needs none"
+        )
+
+
+@matplotlib.rc_context(STYLE | {"animation.codec": "h264"})
+def film(
+    plans: Sequence[Plan], path: str | Path, progress: Callable[[int, int, str], None] = lambda *_: None
+) -> Path:
+    """Write a film of plans side by side: tubes, targets, walls where known, and errors; returns its path.
+
+    It lasts as long as the longest plan, within 2 to 60 s. Plans with other numbers of frames or durations play in
+    step: at every moment each is at the same part of its own. A frame that was never reached shows its target
+    alone. A file that exists is replaced. Raises OptionError for a path as check_film, and without plans;
+    OutputError where it cannot be written.
+    """
+    check_film(path)
+    if not plans:
+        raise OptionError("plans is empty; a film needs at least one")
+    target = Path(path)
+    partial = target.with_name(f".{target.stem}.partial{target.suffix.lower()}")
+    seconds = float(np.clip(max(plan.time[-1] for plan in plans), SHORTEST, LONGEST))
+    count = min(max(len(plan.time) for plan in plans), round(seconds * RATE), MOST)
+    figure, columns = _stage(plans)
+    writer = WRITERS[target.suffix.lower()](fps=count / seconds)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with writer.saving(figure, str(partial), DPI):
+            for k in range(1, count + 1):
+                for column in columns:
+                    column.show(k / count)
+                writer.grab_frame()
+                progress(k, count, "pictures of the film")
+        os.replace(partial, target)
+    except (OSError, subprocess.CalledProcessError) as error:
+        raise OutputError(f"film {target} cannot be written: {error}") from error
+    finally:
+        partial.unlink(missing_ok=True)
+    return target
+
+
+def _stage(plans: Sequence[Plan]) -> tuple[Figure, list[_Column]]:
+    """The picture before anything moves; shapes of all plans at one scale, errors too."""
+    figure = Figure(figsize=(WIDTH * len(plans), HEIGHT), dpi=DPI)
+    shown = [points_of_all([plan.shape, plan.target], plan.lumen) for plan in plans]
+    side = np.max([span(points) for points in shown], axis=0)
+    columns = [
+        _Column(figure, k / len(plans), 1 / len(plans), plan, points, side)
+        for k, (plan, points) in enumerate(zip(plans, shown, strict=True))
+    ]
+    highest = max(column.errors.get_ylim()[1] for column in columns)
+    for column in columns:
+        column.errors.set_ylim(0.0, highest)
+    handles = key(max(plan.robot.d for plan in plans), any(plan.lumen is not None for plan in plans))
+    named = [column.errors.get_legend_handles_labels() for column in columns]
+    curves = {label: handle for some, labels in named for handle, label in zip(some, labels, strict=True)}
+    figure.legend(handles=[*handles, *curves.values()], loc="lower center", ncols=4 * len(plans))
+    return figure, columns
+
+
+class _Column:
+    """One plan: its robot above, its errors below."""
+
+    def __init__(self, figure: Figure, left: float, width: float, plan: Plan, points: Array, side: Array) -> None:
+        self._plan, numbers = plan, metrics.summary(plan)
+        space: Any = figure.add_axes((left, 0.31, width, 0.605), projection="3d")
+        if plan.lumen is not None:
+            wall(space, plan.lumen)
+        insertion_point(space)
+        self._target = space.plot([], [], [], zorder=5, **TARGET)[0]
+        self._body = Body(space, plan.robot.d)
+        frame(space, points, side)
+        figure.text(
+            left + width / 2,
+            0.985,
+            f"{textwrap.fill(printable(account.title(numbers)), LINE)}\n{outcome(numbers)}",
+            ha="center",
+            va="top",
+            parse_math=False,
+        )
+        self._now = figure.text(left + width / 2, 0.91, "", ha="center", va="center")
+        self.errors = figure.add_axes((left + 0.13 * width, 0.125, 0.82 * width, 0.125))
+        self._draw_errors()
+        self._cursor = self.errors.axvline(0.0, color=BLACK, lw=1.0)
+
+    def _draw_errors(self) -> None:
+        frames, distance = np.arange(1, len(self._plan.time) + 1), metrics.e1(self._plan)
+        shade_failures(self.errors, self._plan, frames, 1.0)
+        curve(self.errors, frames, distance.max(axis=1), **CURVES["max"])
+        curve(self.errors, frames, metrics.rms_over_sigma(distance), **CURVES["e2"])
+        frame_axis(self.errors, len(frames))
+        self.errors.set_ylabel("distance (mm)")
+
+    def show(self, part: float) -> None:
+        """The frame at a part of the motion, in (0, 1]."""
+        plan = self._plan
+        j = int(np.ceil(part * len(plan.time) - 1e-9)) - 1
+        reached = bool(np.isfinite(plan.shape[j]).all())
+        state = "" if plan.success[j] else ", failed" if reached else ", not reached"
+        self._body.show(plan.shape[j], plan.beta[j])
+        self._target.set_data_3d(*plan.target[j].T)
+        self._now.set_text(f"frame {j + 1} of {len(plan.time)}, {plan.time[j]:.2f} s{state}")
+        self._cursor.set_xdata([j + 1, j + 1])

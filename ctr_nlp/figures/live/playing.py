@@ -1,0 +1,89 @@
+"""A robot while it is moved: where it is, where it should be, and its target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from ctr_nlp import tracking
+from ctr_nlp.figures.overlay import TARGET
+from ctr_nlp.figures.page import printable
+from ctr_nlp.figures.palette import FAILED
+from ctr_nlp.figures.space import Body, frame, insertion_point, key, points_of_all, span, wall
+from ctr_nlp.forward import shapes
+from ctr_nlp.plan import Plan
+from ctr_nlp.robot import Robot
+
+Array = npt.NDArray[np.float64]
+
+COMMANDED: dict[str, Any] = {"color": FAILED, "lw": 8.0, "zorder": 3}
+"""A broad light band, which the robot is to lie in."""
+
+
+class Now(NamedTuple):
+    """A moment. state: in words; frame: the last that was passed, 0 for none; time: s of the program.
+
+    measured, commanded: q (2d + 2,).
+    """
+
+    state: str
+    frame: int
+    time: float
+    measured: Array
+    commanded: Array
+
+
+@dataclass
+class Playing:
+    """The picture of a plan that is played; states are Now."""
+
+    plan: Plan
+    size = (5.2, 7.0)
+
+    def begin(self, figure: Figure) -> None:
+        """Draw what stays: box, wall, insertion point."""
+        plan = self.plan
+        axes: Any = figure.add_axes((0.0, 0.08, 1.0, 0.84), projection="3d")
+        if plan.lumen is not None:
+            wall(axes, plan.lumen)
+        insertion_point(axes)
+        self._commanded = Body(axes, plan.robot.d, **COMMANDED), Shapes(plan.robot, plan.elastic)
+        self._measured = Body(axes, plan.robot.d), Shapes(plan.robot, plan.elastic)
+        self._target = axes.plot([], [], [], zorder=5, **TARGET)[0]
+        points = points_of_all([plan.shape, plan.target], plan.lumen)
+        frame(axes, points, span(points))
+        figure.suptitle(printable(f"{plan.meta['problem']['name']}, played"), fontsize=10, parse_math=False)
+        self._now = figure.text(0.5, 0.925, "waiting", ha="center", va="center")
+        commanded = Line2D([], [], label="commanded", **{name: COMMANDED[name] for name in ("color", "lw")})
+        figure.legend(handles=[*key(plan.robot.d, plan.lumen is not None), commanded], loc="lower center", ncols=4)
+
+    def show(self, state: Now) -> None:
+        """A moment; nothing is drawn of a robot whose equilibrium is lost."""
+        d, plan = self.plan.robot.d, self.plan
+        for (body, shape), q in ((self._commanded, state.commanded), (self._measured, state.measured)):
+            body.show(shape(q), q[d : 2 * d])
+        self._target.set_data_3d(*plan.target[np.clip(state.frame, 1, len(plan.time)) - 1].T)
+        where = f"frame {state.frame} of {len(plan.time)}" if state.frame else "on the way to frame 1"
+        self._now.set_text(f"{state.state}, {where}, {state.time:.1f} s")
+
+
+class Shapes:
+    """Shapes of one robot at one configuration after the other, each equilibrium from the one before."""
+
+    def __init__(self, robot: Robot, elastic: bool) -> None:
+        self._robot, self._elastic = robot, elastic
+        self._before: tuple[Array, Array] | None = None
+
+    def __call__(self, q: Array) -> Array:
+        """The shape (101, 3) mm at q (2d + 2,); NaN where no equilibrium is found."""
+        if not self._elastic:
+            return shapes(self._robot, q[None])[0]
+        way, x0 = (q[None], None) if self._before is None else (np.stack([self._before[0], q]), self._before[1])
+        x = tracking.follow(self._robot, way, x0).x[-1]
+        self._before = (q, x) if np.isfinite(x).all() else None
+        return tracking.shapes(self._robot, x[None])[0]

@@ -1,0 +1,102 @@
+"""A whole motion while it is solved for: some of its shapes, its objective and how far from optimal it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+
+from ctr_nlp.figures.overlay import TARGET
+from ctr_nlp.figures.page import outcome, printable
+from ctr_nlp.figures.palette import BLACK, BLUE
+from ctr_nlp.figures.space import Body, frame, insertion_point, key, points_of_all, span, wall
+from ctr_nlp.forward import points_of
+from ctr_nlp.metrics import summary
+from ctr_nlp.plan import Plan
+from ctr_nlp.robot import Robot
+from ctr_nlp.target import SIGMA
+
+Array = npt.NDArray[np.float64]
+
+SHOWN = 5
+"""Frames whose shapes are drawn."""
+
+
+class Stage(NamedTuple):
+    """Where a solver is. objective (n,), mean over frames, mm^2, and error (n,), KKT residual: of all iterates.
+
+    motion (T, 2d + 2): the newest one's unknowns.
+    """
+
+    objective: Array
+    error: Array
+    motion: Array
+
+
+@dataclass
+class Solving:
+    """The picture of a motion in the making; states are Stage, and at last a Plan.
+
+    target (T, 101, 3) mm; lumen (N, 4) mm, where known.
+    """
+
+    name: str
+    robot: Robot
+    model: str
+    target: Array
+    lumen: Array | None
+    size = (9.6, 7.0)
+
+    def begin(self, figure: Figure) -> None:
+        """Draw what stays: box, wall, insertion point and targets."""
+        axes: Any = figure.add_axes((0.0, 0.08, 0.5, 0.84), projection="3d")
+        count = len(self.target)
+        self._frames = np.unique(np.ceil(np.arange(1, SHOWN + 1) * count / SHOWN).astype(int) - 1)
+        if self.lumen is not None:
+            wall(axes, self.lumen)
+        insertion_point(axes)
+        self._bodies = [Body(axes, self.robot.d) for _ in self._frames]
+        for j in self._frames:
+            axes.plot(*self.target[j].T, zorder=5, **TARGET)
+        points = points_of_all([self.target], self.lumen)
+        frame(axes, points, span(points))
+        self._curves = list[tuple[Axes, Line2D]]()
+        for row, (label, colour) in enumerate((("objective (mm²)", BLUE), ("KKT residual", BLACK))):
+            panel = figure.add_axes((0.6, 0.57 - 0.4 * row, 0.36, 0.33))
+            panel.set_yscale("log")
+            panel.set_ylabel(label)
+            self._curves.append((panel, panel.plot([], [], color=colour, lw=0.8, marker=".", ms=2)[0]))
+            panel.xaxis.set_major_locator(MaxNLocator(integer=True))
+        panel.set_xlabel("iterate, of all starts")
+        figure.suptitle(
+            printable(f"{self.name}: the motion while it is solved for"), fontsize=10, parse_math=False
+        )
+        self._now = figure.text(0.25, 0.925, "looking for motions to start from", ha="center", va="center")
+        figure.legend(handles=key(self.robot.d, self.lumen is not None), loc="lower center", ncols=6)
+
+    def show(self, state: Stage | Plan) -> None:
+        """The newest motion and all iterates; or a plan, in their place."""
+        if isinstance(state, Plan):
+            self._draw(state.shape[self._frames], state.beta[self._frames])
+            self._tell(f"the plan: {outcome(summary(state))}")
+            return
+        motion = state.motion[self._frames]
+        self._draw(points_of(self.robot, motion, SIGMA, self.model), self.robot.split(motion)[1])
+        for (panel, line), values in zip(self._curves, (state.objective, state.error), strict=True):
+            line.set_data(np.arange(len(values)), np.where(values > 0, values, np.nan))
+            panel.relim()
+            panel.autoscale_view()
+        self._tell(f"iterate {np.isfinite(state.error).sum()}, objective {state.objective[-1]:.4g} mm²")
+
+    def _draw(self, shapes: Array, beta: Array) -> None:
+        for body, shape, row in zip(self._bodies, shapes, beta, strict=True):
+            body.show(shape, row)
+
+    def _tell(self, words: str) -> None:
+        self._now.set_text(f"frames {', '.join(str(j + 1) for j in self._frames)}; {words}")
