@@ -135,7 +135,7 @@ def compare(
                 if variant.formulation == "horizon" and variant.model == "dominant" and not initial:
                     initial = per_frame_motions(problem, Ends(), chosen, report)
                 plan = variant.plan(problem, chosen, initial, report)
-                rows.append(_row(problem.name, variant.name, plan))
+                rows.append(row(problem.name, variant.name, plan))
                 if variant.formulation == "horizon" and variant.model == "dominant":
                     horizons.append(plan)
                 if interrupted():
@@ -175,7 +175,7 @@ def _to_limits(chain: Chain, plan: Plan) -> Array:
     return np.minimum(value - low, high - value)
 
 
-def _row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
+def row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
     """Errors in mm, steps in rad and mm, times in ms and s. seed_*: Table II's figures for the same method.
 
     e3 and others are of the model planned on; dominant_*, elastic_* of the same motion on both.

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
-from signal import SIG_IGN, SIGINT, signal
 from typing import Any
 
 import numpy as np
@@ -20,12 +18,12 @@ from ctr_nlp.errors import OptionError
 from ctr_nlp.metrics import summary
 from ctr_nlp.placing import placed
 from ctr_nlp.plan import Plan
+from ctr_nlp.pool import side_by_side
 from ctr_nlp.problem import Problem
 from ctr_nlp.problem_files import problem_from_file
 from ctr_nlp.robot import seed_robot
 from ctr_nlp.settings import Settings
 from ctr_nlp.steer import solve_horizon
-from ctr_nlp.steer.interrupt import deferred_interrupt
 from ctr_nlp.target import growing
 
 Source = Path | int
@@ -34,8 +32,6 @@ WAY = 150.0
 """mm of a synthetic airway that are followed, its last."""
 WITHOUT, WITH, FIRST = Settings(contact_weight=0.0), Settings(), Settings(clearance_cost=math.inf)
 """No wall; the default; clearance whatever it costs."""
-POLL = 0.2
-"""Seconds between two looks at whether Ctrl-C was pressed."""
 
 
 @dataclass(frozen=True)
@@ -97,19 +93,15 @@ def study(
     jobs: in how many processes. Ctrl-C leaves the cases that were done. Raises CtrError for files that are no
     problem, before any is solved.
     """
-    if jobs < 1:
-        raise OptionError(f"jobs is {jobs}; it must be at least 1")
     for source in sources:
         if not isinstance(source, int) and problem_of(source, frames).lumen is None:
             raise OptionError(f"{source} has no radii, so no wall is known; give a file with radius_mm")
     found: dict[int, Case] = {}
-    with deferred_interrupt() as interrupted:
-        run = _one_by_one if jobs == 1 else _side_by_side
-        for number, case in run(sources, frames, jobs, interrupted):
-            if case is not None:
-                found[number] = case
-                if progress is not None:
-                    progress(len(found), case.name)
+    for number, case in side_by_side(partial(measured, frames=frames), sources, jobs):
+        if case is not None:
+            found[number] = case
+            if progress is not None:
+                progress(len(found), case.name)
     return [found[number] for number in sorted(found)]
 
 
@@ -164,31 +156,3 @@ def plans_of(problem: Problem) -> tuple[Plan, Plan, Plan]:
     whole = kept.meta["contact_weight"] == WITH.contact_weight
     # Where clearance was affordable whole, that is what comes first too.
     return without, kept, kept if whole else solve_horizon(problem, settings=FIRST)
-
-
-def _one_by_one(
-    sources: Sequence[Source], frames: int, _: int, interrupted: Callable[[], bool]
-) -> Iterator[tuple[int, Case | None]]:
-    for number, source in enumerate(sources):
-        if interrupted():
-            return
-        yield number, measured(source, frames)
-
-
-def _side_by_side(
-    sources: Sequence[Source], frames: int, jobs: int, interrupted: Callable[[], bool]
-) -> Iterator[tuple[int, Case | None]]:
-    with ProcessPoolExecutor(jobs, get_context("spawn"), signal, (SIGINT, SIG_IGN)) as pool:
-        tasks: dict[Future[Case | None], int] = {
-            pool.submit(measured, source, frames): number for number, source in enumerate(sources)
-        }
-        waiting = set(tasks)
-        try:
-            while waiting:
-                finished, waiting = wait(waiting, timeout=POLL, return_when=FIRST_COMPLETED)
-                for task in finished:
-                    yield tasks[task], task.result()
-                if interrupted():
-                    waiting = {task for task in waiting if not task.cancel()}
-        finally:
-            pool.shutdown(cancel_futures=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -14,6 +13,7 @@ from ctr_nlp.clearance_study.cases import WAY, WITH, Case
 from ctr_nlp.clearance_study.claims import claims, frames_missed
 from ctr_nlp.figures.cost_of_clearance import cost_of_clearance
 from ctr_nlp.figures.files import save
+from ctr_nlp.tables import markdown, write_csv
 
 HEADER = (
     "airway",
@@ -90,10 +90,7 @@ It writes `clearance.md` (this page), `clearance.csv` with all numbers, and `cle
 def write(cases: Sequence[Case], folder: Path) -> None:
     """Write clearance.md, clearance.csv and clearance.png into a folder that exists."""
     rows = [asdict(case) | {"growth": case.growth, "growth_first": case.growth_first} for case in cases]
-    with open(folder / "clearance.csv", "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+    write_csv(folder / "clearance.csv", rows)
     save(cost_of_clearance(cases), folder / "clearance.png")
     (folder / "clearance.md").write_text(page(cases), encoding="utf-8")
 
@@ -134,9 +131,9 @@ def page(cases: Sequence[Case]) -> str:
     parts.append(EXPLANATION.format(**numbers))
     for title, some in (("Real airways", real), ("Synthetic airways, by seed", synthetic)):
         if some:
-            parts.append(f"\n## {title}\n\n{_table(HEADER, [_cells(case) for case in some])}")
+            parts.append(f"\n## {title}\n\n{markdown(HEADER, [_cells(case) for case in some])}")
     if synthetic:
-        parts.append(f"\nTheir spread, column by column:\n\n{_table(HEADER, _spread(synthetic))}")
+        parts.append(f"\nTheir spread, column by column:\n\n{markdown(HEADER, _spread(synthetic))}")
     return "".join([*parts, "\n", REMAKING.format(**numbers)])
 
 
@@ -167,8 +164,3 @@ def _shown(numbers: Sequence[float]) -> list[str]:
     """As text: mm of e3 to the third decimal, % to the first, mm of contact to the second, unless they are 0."""
     places = (3, 3, 1, 1, 2, 2, 2, 0, 0, 2, 0, 1, 1, 1)
     return [f"{x:.{k}f}" if x else "0" for x, k in zip(numbers, places, strict=True)]
-
-
-def _table(header: Sequence[str], body: Sequence[Sequence[str]]) -> str:
-    lines = [header, ["---", *["---:"] * (len(header) - 1)], *body]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)

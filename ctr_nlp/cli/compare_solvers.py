@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from ctr_nlp.cli.output import check_folder, whole_folder
 from ctr_nlp.models import MODELS
 from ctr_nlp.reference.published import BASELINE, BASELINE_ELASTIC, SEED, SEED_ELASTIC
 from ctr_nlp.study import VARIANTS, Comparison, compare, parse_variant, variants_here
+from ctr_nlp.tables import markdown, write_csv
 
 COLUMNS = {
     "variant": ("variant",),
@@ -125,42 +125,31 @@ def _write(found: Comparison, folder: Path) -> None:
         if entries:
             text = json.dumps(entries, indent=1, allow_nan=False)
             (folder / f"{name}.json").write_text(text + "\n", encoding="utf-8")
-    with open(folder / "comparison.csv", "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    details = [["problem", *COLUMNS], *([row["problem"], *_cells(row)] for row in rows)]
-    halves = "".join(
-        f"e3 in mm on the {model} model:\n\n{_markdown(_overview(rows, model))}\n" for model in MODELS
-    )
-    markdown = f"{halves}Everything:\n\n{_markdown(details)}"
+    write_csv(folder / "comparison.csv", rows)
+    details = markdown(["problem", *COLUMNS], [[row["problem"], *_cells(row)] for row in rows])
+    halves = [f"e3 in mm on the {model} model:\n\n{_overview(rows, model)}\n" for model in MODELS]
+    page = f"{''.join(halves)}Everything:\n\n{details}"
     if found.agreements:
-        markdown += (
-            f"\nWhether solvers of the horizon agree:\n\n{_markdown([list(AGREEMENT), *_agreements(found)])}"
-        )
-    (folder / "comparison.md").write_text(markdown, encoding="utf-8")
+        page += f"\nWhether solvers of the horizon agree:\n\n{markdown(list(AGREEMENT), _agreements(found))}"
+    (folder / "comparison.md").write_text(page, encoding="utf-8")
 
 
-def _overview(rows: list[dict[str, Any]], model: str) -> list[list[str]]:
+def _overview(rows: list[dict[str, Any]], model: str) -> str:
     """A row a problem, a column a variant: e3 in mm on a model; the seed's figures last.
 
     A star: frames failed; an exclamation mark: the robot snaps.
     """
     figures = (SEED, BASELINE) if model == "dominant" else (SEED_ELASTIC, BASELINE_ELASTIC)
     variants = list(dict.fromkeys(row["variant"] for row in rows))
-    table = [["problem", *(f"`{variant}`" for variant in variants), "seed, published", "its baseline, published"]]
+    header = ["problem", *(f"`{variant}`" for variant in variants), "seed, published", "its baseline, published"]
+    body = []
     for problem in dict.fromkeys(row["problem"] for row in rows):
         found = {row["variant"]: row for row in rows if row["problem"] == problem}
         cells = [_cell(found[v], model) if v in found else "" for v in variants]
         published = (shown(each[problem][0]) if problem in each else "" for each in figures)
-        table.append([problem, *cells, *published])
-    return table
+        body.append([problem, *cells, *published])
+    return markdown(header, body)
 
 
 def _cell(row: dict[str, Any], model: str) -> str:
     return shown(row[f"{model}_e3"]) + "*" * (row["failed"] > 0) + "!" * (model == "elastic" and row["snaps"] > 0)
-
-
-def _markdown(table: list[list[str]]) -> str:
-    header, *body = table
-    return "".join(f"| {' | '.join(line)} |\n" for line in (header, ["---"] * len(header), *body))

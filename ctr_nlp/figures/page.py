@@ -91,7 +91,7 @@ def alone(y: npt.NDArray[np.float64]) -> npt.NDArray[np.int_]:
 
 def frame_axis(axes: Axes, frames: int) -> None:
     """Frames, from 1, along the horizontal axis."""
-    axes.set_xlim(0.5, frames + 0.5)
+    axes.set_xlim(0.5, max(frames, 1) + 0.5)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axes.set_xlabel("frame")
 

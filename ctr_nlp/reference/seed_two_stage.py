@@ -17,15 +17,20 @@ Array = npt.NDArray[np.float64]
 
 SAMPLES = 20
 """Midpoints per segment of the integral (11); they move with the segment, so that the sum has a gradient."""
+POINTS = 2
+"""On a segment in (12): its middle and its end, what the seed found sufficient."""
 
 
-def seed_two_stage(problem: Problem, motion_weight: float) -> Method:
-    """The method for a problem; motion_weight: lambda / dt^2 of both stages."""
+def seed_two_stage(problem: Problem, motion_weight: float, points: int = POINTS) -> Method:
+    """The method for a problem; motion_weight: lambda / dt^2 of both stages.
+
+    points: samples of the shape on a segment in stage two, the last at its end; Fig. 3 asks how many it takes.
+    """
     robot = problem.robot
 
     def solve(frame: Frame, guess: Array, previous: Array | None) -> FrameResult:
         beta, ok_first, n_first, first = _extend(robot, frame, guess, previous, motion_weight)
-        q, objective, ok, n, second = _rotate(robot, frame, beta, guess, previous, motion_weight)
+        q, objective, ok, n, second = _rotate(robot, frame, beta, points, guess, previous, motion_weight)
         return FrameResult(q, ok_first and ok, objective, np.nan, n_first + n, f"{first}; {second}")
 
     return solve
@@ -58,21 +63,20 @@ def _extend(
 
 
 def _rotate(
-    robot: Robot, frame: Frame, beta: Array, guess: Array, previous: Array | None, weight: float
+    robot: Robot, frame: Frame, beta: Array, points: int, guess: Array, previous: Array | None, weight: float
 ) -> tuple[Array, float, bool, int, str]:
-    """Alpha and theta from the ends and midpoints of the segments, all weighted alike."""
-    d = robot.d
-    edges = np.concatenate([[0.0], beta])
-    sigma = np.concatenate([(edges[1:] + edges[:-1]) / 2, beta]) / beta[-1]
-    target, even = frame.at(sigma), np.full(2 * d, 1 / (2 * d))
+    """Alpha and theta from evenly spaced points of the segments, all weighted alike."""
+    d, parts = robot.d, np.arange(1, points + 1) / points
+    sigma = (beta - np.outer(1 - parts, np.diff(beta, prepend=0.0))).ravel() / beta[-1]
+    target, even = frame.at(sigma), np.full(len(sigma), 1 / len(sigma))
 
     def configured(x: Array) -> Array:
         return np.concatenate([x[:, :d], np.broadcast_to(beta, (len(x), d)), x[:, d:]], axis=1)
 
     def cost(x: Array) -> Array:
         q = configured(x)
-        points = dominant.backbone(robot, list(q.T[..., None]), sigma, np).points
-        return shape_error(points, target, even) + motion(robot, q, previous, weight)
+        shape = dominant.backbone(robot, list(q.T[..., None]), sigma, np).points
+        return shape_error(shape, target, even) + motion(robot, q, previous, weight)
 
     angles = np.r_[0:d, 2 * d : 2 * d + 2]
     bounds = np.column_stack([robot.lower, robot.upper])[angles]

@@ -1,0 +1,13 @@
+"""See ctr_nlp/cli/reproduce_seed.py, or run with --help."""
+
+import signal
+import sys
+from pathlib import Path
+
+if __name__ == "__main__":
+    if hasattr(signal, "pthread_sigmask"):  # Ctrl-C waits until the program can answer it
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+
+    from ctr_nlp.cli.reproduce_seed import main
+
+    sys.exit(main(Path(__file__).resolve().parents[1] / "problems"))

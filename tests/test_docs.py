@@ -1,0 +1,362 @@
+"""The documentation is executed: every command and example as written; links, options, files and functions exist.
+
+Commands run, page by page and in order, in a folder that looks like a clone with its environment. In the normal
+suite programs that take minutes get further arguments, those of THIN, last, where they win; `pytest -m slow` runs
+them in full.
+"""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pages import Block, Page
+
+from ctr_nlp.anatomy.files import read_branches
+from ctr_nlp.executor.arm.description import Arm
+from ctr_nlp.executor.hardware import Axis, Connection, Hardware
+from ctr_nlp.values import described, read_toml
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+LANGUAGES = {"bash", "python", "toml", "text", "mermaid", "math"}
+SCRIPTS = sorted(path.name for path in (ROOT / "scripts").glob("*.py"))
+ENVIRONMENT = "python3 -m venv"
+"""What commands begin with that make an environment: .ci/run runs these."""
+THIN = {
+    "compare_solvers.py": "--frames 2 --variants joint:sqp horizon:banded",
+    "benchmark.py": "--parts horizons --problems arc",
+    "study_clearance.py": "--seeds 1 --frames 5",
+    "reproduce_seed.py": "--only fig10 --frames 3 --jobs 1",
+}
+
+PIP = '''#!{python}
+"""Instead of pip, which needs a network: whether what is to be installed could be."""
+import re
+import sys
+
+from ctr_nlp.values import read_toml
+
+*options, wanted = sys.argv[1:]
+extras = set(read_toml("pyproject.toml")["project"]["optional-dependencies"])
+found = re.fullmatch(r"\\.\\[([a-z0-9,]+)\\]", wanted)
+sys.exit(not (options == ["install", "-q", "-e"] and found and set(found[1].split(",")) <= extras))
+'''
+
+
+def named(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def clone_of(folder: Path, thin: bool) -> Path:
+    """What programs need, copied, with an environment whose programs are those of this one; thin: as THIN says."""
+    for part in ("scripts", "problems", "examples", "docs"):
+        shutil.copytree(ROOT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", folder)
+    (folder / ".venv" / "bin").mkdir(parents=True)
+    cases = [f'scripts/{name}) set -- "$@" {more} ;;' for name, more in THIN.items() if thin]
+    python = ["#!/bin/sh", 'case "$1" in', *cases, "esac", f'exec "{sys.executable}" "$@"', ""]
+    for name, text in {"python": "\n".join(python), "pip": PIP.format(python=sys.executable)}.items():
+        program = folder / ".venv" / "bin" / name
+        program.write_text(text)
+        program.chmod(0o755)
+    return folder
+
+
+def run(clone: Path, command: list[str], name: str) -> str:
+    """What a command prints; it must succeed. What it leaves in the background is ended."""
+    output = clone / "output"
+    with open(output, "w") as file:
+        process = subprocess.Popen(
+            command,
+            cwd=clone,
+            env=os.environ | {"COLUMNS": "120"},
+            stdin=subprocess.DEVNULL,
+            stdout=file,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+        try:
+            status = process.wait()
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+    printed = output.read_text()
+    assert status == 0, f"{name}: exit status {status}\n{command[-1]}\n{printed}"
+    return printed
+
+
+def commands(block: Block) -> str:
+    """Those of a block. Where one makes the environment: what is left to do in it, but for running the tests."""
+    if not block.text.startswith(ENVIRONMENT):
+        return block.text
+    last = block.text.split(" && ")[-1]
+    return ":" if last.endswith("-m pytest\n") else last
+
+
+def walk(page: Path, clone: Path) -> None:
+    """Run the blocks of a page in order; examples in Python go on where those before them ended."""
+    examples, printed = "", ""
+    for block in Page.read(page).blocks:
+        place = f"{named(page)}, line {block.line}"
+        if block.language == "bash":
+            printed = run(clone, ["bash", "-euo", "pipefail", "-c", commands(block)], place)
+        elif block.language == "python":
+            examples += block.text
+            run(clone, [".venv/bin/python", "-W", "error", "-c", examples], place)
+        elif block.language == "text":
+            shown, told = (" ".join(text.replace("─", " ").split()) for text in (block.text, printed))
+            assert shown in told, f"{place}: not what is printed:\n{printed}"
+
+
+RUNNABLE = [page for page in PAGES if {"bash", "python"} & {block.language for block in Page.read(page).blocks}]
+LONG = [page for page in RUNNABLE if any(f"scripts/{name}" in page.read_text() for name in THIN)]
+
+
+@pytest.fixture(scope="module")
+def walks(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[dict[Path, Future[None]]]:
+    """The pages that are asked for, two at a time: what is played waits more than it works."""
+    asked = [item for item in request.session.items if "walks" in getattr(item, "fixturenames", ())]
+    pages = [item.callspec.params["page"] for item in asked if isinstance(item, pytest.Function)]
+    with ThreadPoolExecutor(2) as pool:
+        yield {
+            page: pool.submit(walk, page, clone_of(tmp_path_factory.mktemp(page.stem), thin=True))
+            for page in pages
+        }
+        pool.shutdown(cancel_futures=True)
+
+
+@pytest.mark.parametrize("page", RUNNABLE, ids=named)
+def test_every_command_and_example_runs(page, walks):
+    walks[page].result()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", LONG, ids=named)
+def test_every_command_runs_in_full(page, tmp_path):
+    walk(page, clone_of(tmp_path, thin=False))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_every_block_is_of_a_kind_that_is_looked_at(page):
+    blocks = Page.read(page).blocks
+    assert {block.language for block in blocks} <= LANGUAGES
+    placeholder = re.compile(r"\b(FILE|DIR|PROBLEM|PLAN\.npz|X Y Z|HOST)\b|<\w+>|\.\.\.")
+    assert not [block.line for block in blocks if block.language == "bash" and placeholder.search(block.text)]
+
+
+def test_ci_runs_the_commands_that_make_an_environment():
+    commands = [
+        line for block in Page.read(PAGES[0]).blocks for line in block.text.splitlines() if ENVIRONMENT in line
+    ]
+    ci = (ROOT / ".ci" / "run").read_text()
+    endings = re.findall(r"""^bash -c "\$\(readme_command '([^']+)'\)"$""", ci, re.MULTILINE)
+    assert len(commands) == len(endings) == 2
+    for ending in endings:
+        assert len([command for command in commands if command.endswith(ending)]) == 1
+    assert all(ENVIRONMENT not in page.read_text() for page in PAGES[1:])
+    extras = read_toml(ROOT / "pyproject.toml")["project"]["optional-dependencies"]
+    assert {name for command in commands for name in re.findall(r"\.\[(\w+)\]", command)} <= set(extras)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_every_link_leads_somewhere(page):
+    for link in Page.read(page).links():
+        if link.startswith("https://"):
+            continue
+        file, _, anchor = link.partition("#")
+        target = (page.parent / file).resolve() if file else page
+        assert target.exists(), f"{link}: no such file"
+        assert not anchor or anchor in Page.read(target).anchors(), f"{link}: no such heading"
+
+
+def defined(path: Path) -> set[str]:
+    """Names at the top of a module, and those in its classes as Class.name."""
+
+    def names(body: list[ast.stmt]) -> set[str]:
+        found = {node.name for node in body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+        for node in body:
+            targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+            for target in targets:
+                found |= {name.id for name in ast.walk(target or ast.Pass()) if isinstance(name, ast.Name)}
+        return found
+
+    body = ast.parse(path.read_text()).body
+    classes = [node for node in body if isinstance(node, ast.ClassDef)]
+    return names(body) | {f"{node.name}.{name}" for node in classes for name in names(node.body)}
+
+
+def test_every_function_that_the_method_names_is_in_its_file():
+    lines = [line for line in Page.read(ROOT / "docs" / "method.md").prose if line.startswith("Code: ")]
+    checked = 0
+    for line in lines:
+        parts = re.split(r"\[([^\]]+)\]\(([^)]+)\)", line.removeprefix("Code: "))
+        assert parts[0] == ""
+        for title, link, names in zip(parts[1::3], parts[2::3], parts[3::3], strict=True):
+            assert link == f"../ctr_nlp/{title}"
+            wanted = re.findall(r"`([^`]+)`", names)
+            missing = set(wanted) - defined(ROOT / "ctr_nlp" / title)
+            assert wanted, f"{title}: no function is named"
+            assert not missing, f"{title}: {missing}"
+            checked += len(wanted)
+    assert checked > 50
+
+
+def test_every_equation_of_the_seed_stands_once_and_with_its_code():
+    """Displayed ones are fenced; inline ones have no backslash before a sign, which Markdown would take away."""
+    text = (ROOT / "docs" / "method.md").read_text()
+    numbers = re.findall(r"\\tag\{(\d+)\}|\\text\{\((\d+)\)\}", text)
+    assert sorted(int(tag or mark) for tag, mark in numbers) == list(range(1, 13))
+    page = Page.read(ROOT / "docs" / "method.md")
+    assert sum(block.language == "math" for block in page.blocks) >= 12
+    inline = re.findall(r"\$[^$]+\$", "\n".join(page.prose))
+    assert inline
+    assert not [formula for formula in inline if re.search(r"\\[^a-zA-Z]", formula)]
+    parts = text.partition("## Where we depart")[0].split("\n## ")[1:]
+    assert [part.split("\n")[0] for part in parts if "\nCode: [" not in part] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_every_file_that_is_named_exists(page):
+    """Those of the repository; links are looked at elsewhere, and what programs write is not here."""
+    text = re.sub(r"\[[^\]]*\]\([^)]*\)", "", "\n".join(Page.read(page).prose))
+    for span in re.findall(r"`([^`\s]+)`", text):
+        if re.fullmatch(r"[\w./-]+(\.py|\.c|\.toml|\.cff|/)", span) and not span.startswith("runs/"):
+            assert any((ROOT / room / span).exists() for room in (".", "ctr_nlp", "scripts")), span
+
+
+@pytest.fixture(scope="module")
+def helps() -> dict[str, str]:
+    """The --help of every program."""
+
+    def asked(command: list[str]) -> str:
+        done = subprocess.run(
+            [sys.executable, *command, "--help"], cwd=ROOT, capture_output=True, text=True, check=True
+        )
+        return done.stdout
+
+    programs = {name: [f"scripts/{name}"] for name in SCRIPTS} | {"ctr_nlp.emulator": ["-m", "ctr_nlp.emulator"]}
+    with ThreadPoolExecutor(2) as pool:
+        return dict(zip(programs, pool.map(asked, programs.values()), strict=True))
+
+
+def test_every_program_tells_its_exit_status(helps):
+    assert len(SCRIPTS) > 8
+    assert [name for name in SCRIPTS if "Exit status" not in helps[name]] == []
+
+
+def options(text: str) -> set[str]:
+    """Long options in a text, tables' rulers apart."""
+    return set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", text))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_every_program_and_option_that_is_named_exists(page, helps):
+    """An option stands in the help of a program that its section names, or else its page."""
+    whole = "\n".join(Page.read(page).sections())
+    for name in re.findall(r"\bscripts/(\w+\.py)", whole):
+        assert name in SCRIPTS
+    for section in Page.read(page).sections():
+        near = [name for name in helps if name in section] or [name for name in helps if name in whole]
+        allowed = set().union(*(options(helps[name]) for name in near or helps))
+        assert options(section) <= allowed, f"{section[:60]}: {options(section) - allowed}, by {near}"
+
+
+def snippets() -> list[tuple[str, Block]]:
+    pages = [(named(page), block) for page in PAGES for block in Page.read(page).blocks]
+    return [(name, block) for name, block in pages if block.language == "toml"]
+
+
+@pytest.mark.parametrize(("name", "block"), snippets(), ids=lambda value: getattr(value, "line", value))
+def test_a_part_of_a_hardware_file_fits_into_the_example(name, block, tmp_path, robot):
+    part, whole = tmp_path / "part.toml", read_toml(ROOT / "examples" / "hardware.toml")
+    part.write_text(block.text)
+    given = read_toml(part)
+    assert set(given) <= {"connection", "axes", "arm"}
+    axes = {axis["joint"]: axis for axis in [*whole["axes"], *given.get("axes", [])]}
+    hardware = Hardware(
+        tuple(described(Axis, axis) for axis in axes.values()),
+        described(Arm, whole["arm"] | given.get("arm", {})),
+        described(Connection, given.get("connection", {})),
+    )
+    hardware.tightened(robot)
+    for axis in given.get("axes", []):
+        i = robot.axes.index(axis["joint"])
+        ends = np.zeros((2, len(robot.axes)))
+        ends[:, i] = robot.lower[i], robot.upper[i]
+        column = [each.joint for each in hardware.axes].index(axis["joint"])
+        reached = np.sort(hardware.positions(robot, ends)[:, column])
+        assert reached == pytest.approx(axis["range"])
+
+
+def test_diagrams_are_of_a_kind_that_github_draws():
+    diagrams = [block for page in PAGES for block in Page.read(page).blocks if block.language == "mermaid"]
+    assert diagrams
+    for diagram in diagrams:
+        head, *lines = diagram.text.splitlines()
+        assert re.fullmatch("flowchart (LR|TD)", head)
+        assert all(re.search(r"^ +\w+(\[.*\])? -.*-?> ?", line) for line in lines)
+        assert all(line.count('"') % 2 == 0 and line.count("[") == line.count("]") for line in lines)
+
+
+def test_the_wiring_is_that_of_the_example_hardware():
+    """Axis, joint, unit, range, speed and acceleration; the drives agree with the emulated machine's settings."""
+    from ctr_nlp.emulator.settings import DEFAULTS
+
+    hardware = Hardware.from_toml(ROOT / "examples" / "hardware.toml")
+    rows = [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in Page.read(ROOT / "docs" / "hardware.md").prose
+        if re.match(r"\| [A-Z] \|", line)
+    ]
+    assert [row[0] for row in rows] == list(hardware.letters)
+    for k, (row, axis) in enumerate(zip(rows, hardware.axes, strict=True)):
+        assert f"`{axis.joint}`" in row[1]
+        lower, upper = axis.range
+        assert row[2:6] == [
+            axis.unit,
+            f"{lower:g} to {upper:g}",
+            f"{axis.speed:g} {axis.unit}/s",
+            f"{axis.acceleration:g} {axis.unit}/s²",
+        ]
+        if "=" in row[6]:
+            drive, steps = row[6].split(" = ")
+            numbers = drive.replace("mm lead", "").replace("steps", "").replace(" : 1", "").replace("x", "*")
+            assert eval(numbers) == pytest.approx(DEFAULTS[100 + k])
+            assert steps == f"{DEFAULTS[100 + k]:g} steps/{axis.unit}"
+
+
+def test_the_example_of_slicer_is_what_the_tutorial_makes(tmp_path, monkeypatch):
+    blocks = [
+        block for block in Page.read(ROOT / "docs" / "tutorial.md").blocks if "synthetic_airway" in block.text
+    ]
+    assert [block.language for block in blocks] == ["python"]
+    monkeypatch.chdir(tmp_path)
+    exec(compile(blocks[0].text, "tutorial.md", "exec"), {})
+    kept = ROOT / "examples" / "airway.mrk.json"
+    assert kept.stat().st_size < 60e3
+    made, known = (read_branches(path, None) for path in (tmp_path / "airway.mrk.json", kept))
+    assert [branch.name for branch in made.branches] == [branch.name for branch in known.branches]
+    assert made.space == known.space == "LPS"
+    for one, other in zip(made.branches, known.branches, strict=True):
+        assert one.points == pytest.approx(other.points, abs=2e-3)
+        assert one.radius == pytest.approx(other.radius, abs=2e-3)
+
+
+def test_pictures_are_small():
+    pictures = [path for path in (ROOT / "docs").iterdir() if path.suffix == ".png"]
+    assert pictures
+    assert all(path.stat().st_size < 150e3 for path in pictures)
