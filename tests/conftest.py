@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import tempfile
+from collections.abc import Generator
 from pathlib import Path
 
 import casadi as ca
@@ -19,10 +21,24 @@ settings.load_profile("quick")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Keep compiled code in a folder of this session's own, which every process that tests start inherits."""
+    """Keep compiled code in a folder of this session's own, which every process of it inherits."""
+    if hasattr(config, "workerinput"):
+        return
     folder = tempfile.TemporaryDirectory(prefix="ctr_nlp-tests-", ignore_cleanup_errors=True)
     config.add_cleanup(folder.cleanup)
-    os.environ["CTR_NLP_CACHE"] = folder.name
+    os.environ["CTR_NLP_CACHE"] = str(Path(folder.name, "cache"))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """Tests of what happens in real time have the machine to themselves; others run side by side."""
+    alone = item.get_closest_marker("real_time") is not None
+    folder = Path(os.environ["CTR_NLP_CACHE"]).parent
+    with open(folder / "door", "w") as door, open(folder / "room", "w") as room:
+        fcntl.flock(door, fcntl.LOCK_EX)  # who waits for an empty room lets nobody else in
+        fcntl.flock(room, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+        fcntl.flock(door, fcntl.LOCK_UN)
+        return (yield)
 
 
 @pytest.fixture(scope="session")

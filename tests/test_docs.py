@@ -15,7 +15,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from pathlib import Path
 
@@ -132,11 +132,12 @@ def walks(
     asked = [item for item in request.session.items if "walks" in getattr(item, "fixturenames", ())]
     pages = [item.callspec.params["page"] for item in asked if isinstance(item, pytest.Function)]
     with ThreadPoolExecutor(2) as pool:
-        yield {
+        walking = {
             page: pool.submit(walk, page, clone_of(tmp_path_factory.mktemp(page.stem), thin=True))
             for page in pages
         }
-        pool.shutdown(cancel_futures=True)
+        wait(walking.values())  # nothing is left to work beside tests that need the machine for themselves
+        yield walking
 
 
 @pytest.mark.parametrize("page", RUNNABLE, ids=named)

@@ -16,6 +16,8 @@ from ctr_nlp.emulator import FAULTS, Firmware, VirtualClock, Wire, fault, servin
 from ctr_nlp.emulator.planner import BLOCKS
 from ctr_nlp.errors import OptionError
 
+pytestmark = pytest.mark.real_time
+
 RECORDED = re.compile(r" *(\d+\.\d+) (>>|<<|==) (.*)")
 TICK_S = 0.02
 """The recorded firmware looked at its input every 20 ms, so when a byte took effect is known no better."""

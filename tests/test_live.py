@@ -32,6 +32,8 @@ from ctr_nlp.forward import shapes
 from ctr_nlp.lumen import Lumen
 from problems import FOLDER
 
+pytestmark = pytest.mark.real_time
+
 PLAN = sweep(10)
 TESTS = Path(__file__).parent
 SECONDS = 60

@@ -29,6 +29,8 @@ from ctr_nlp.executor.hardware import Hardware, bench
 from ctr_nlp.executor.journal import read_journal
 from ctr_nlp.executor.session import prepared
 
+pytestmark = pytest.mark.real_time
+
 SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "play.py"
 PLAN = sweep(10)
 unix = pytest.mark.skipif(sys.platform == "win32", reason="signals of Unix")

@@ -38,6 +38,8 @@ from ctr_nlp.executor.results import Outcome, State
 from ctr_nlp.executor.session import begin, resume
 from ctr_nlp.plan import plan_from_configurations
 
+pytestmark = pytest.mark.real_time
+
 pytest.importorskip("cyclonedds", reason='needs cyclonedds: pip install -e ".[ros2]"')
 pytest.importorskip("toppra", reason='needs toppra: pip install -e ".[hardware]"')
 

@@ -29,6 +29,8 @@ from ctr_nlp.executor.results import Outcome, State
 from ctr_nlp.executor.session import begin, resume
 from ctr_nlp.plan import Plan
 
+pytestmark = pytest.mark.real_time
+
 REAL = os.environ.get("CTR_NLP_GRBL_URL", "")
 
 
