@@ -13,6 +13,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from ctr_nlp import Problem, Robot, curve_from_formula, growing, seed_robot
+from ctr_nlp.pool import THREADS
 
 settings.register_profile(
     "quick", max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow], print_blob=True
@@ -27,6 +28,8 @@ def pytest_configure(config: pytest.Config) -> None:
     folder = tempfile.TemporaryDirectory(prefix="ctr_nlp-tests-", ignore_cleanup_errors=True)
     config.add_cleanup(folder.cleanup)
     os.environ["CTR_NLP_CACHE"] = str(Path(folder.name, "cache"))
+    for name in THREADS:
+        os.environ.setdefault(name, "1")
 
 
 @pytest.hookimpl(wrapper=True)
