@@ -91,6 +91,11 @@ class Plan:
         """Whether that is the elastic one."""
         return self.evaluated == "elastic"
 
+    @cached_property
+    def reached(self) -> npt.NDArray[np.bool_]:
+        """Frames (T,) that have a shape, solved or not."""
+        return np.asarray(np.isfinite(self.shape).all(axis=(1, 2)))
+
     @property
     def complete(self) -> bool:
         """Whether every frame was solved."""

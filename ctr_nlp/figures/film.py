@@ -141,8 +141,7 @@ class _Column:
         """The frame at a part of the motion, in (0, 1]."""
         plan = self._plan
         j = int(np.ceil(part * len(plan.time) - 1e-9)) - 1
-        reached = bool(np.isfinite(plan.shape[j]).all())
-        state = "" if plan.success[j] else ", failed" if reached else ", not reached"
+        state = "" if plan.success[j] else ", failed" if plan.reached[j] else ", not reached"
         self._body.show(plan.shape[j], plan.beta[j])
         self._target.set_data_3d(*plan.target[j].T)
         self._now.set_text(f"frame {j + 1} of {len(plan.time)}, {plan.time[j]:.2f} s{state}")

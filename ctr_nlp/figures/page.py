@@ -71,9 +71,8 @@ def shade(
 
 def shade_failures(axes: Axes, plan: Plan, centres: npt.NDArray[Any], width: float) -> None:
     """Shade the frames that were not solved, lighter where there is no shape at all."""
-    reached = np.asarray(np.isfinite(plan.shape).all(axis=(1, 2)))
-    shade(axes, centres, width, ~plan.success & reached, FAILED, "failed frame")
-    shade(axes, centres, width, ~reached, UNREACHED, "not reached")
+    shade(axes, centres, width, ~plan.success & plan.reached, FAILED, "failed frame")
+    shade(axes, centres, width, ~plan.reached, UNREACHED, "not reached")
 
 
 def curve(axes: Axes, x: npt.NDArray[Any], y: npt.NDArray[np.float64], **look: Any) -> None:

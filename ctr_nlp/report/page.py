@@ -18,7 +18,7 @@ from ctr_nlp.metrics import by_frame, summary
 from ctr_nlp.plan import Plan
 from ctr_nlp.report.plots import cursors, figures
 from ctr_nlp.report.scales import Scale, quantities, scales
-from ctr_nlp.report.scene import BY_TUBE, DATA, box, frame, reached, scene
+from ctr_nlp.report.scene import BY_TUBE, DATA, box, frame, scene
 
 READOUT = {"e2": "mm", "max": "mm", "clearance": "mm", "stability": ""}
 """Columns of errors.csv that are told of the frame that is shown, with their units."""
@@ -88,7 +88,7 @@ def _moving(plan: Plan, packed: str, spans: list[str]) -> dict[str, Any]:
     return {
         "scene": packed,
         "time": plan.time.tolist(),
-        "reached": reached(plan).tolist(),
+        "reached": plan.reached.tolist(),
         "solved": plan.success.tolist(),
         "cursors": spans,
         "colourings": [BY_TUBE, *quantities(plan)],

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from ctr_nlp.extras import needed
 from ctr_nlp.figures.overlay import tube_ends
 from ctr_nlp.figures.palette import BLACK, tube_colour
+from ctr_nlp.figures.space import points_of_all
 from ctr_nlp.lumen import outer_radius, rings
 from ctr_nlp.plan import Plan
 from ctr_nlp.report.scales import Scale, quantities
@@ -70,11 +71,6 @@ def scene(plan: Plan, scales: Sequence[Scale], low: Array, high: Array) -> str:
     for drawn in [*_tubes(k3d, plan, scales), *_surroundings(k3d, plan)]:
         plot += drawn
     return base64.b64encode(plot.get_binary_snapshot()).decode()
-
-
-def reached(plan: Plan) -> npt.NDArray[np.bool_]:
-    """Frames (T,) that have a shape."""
-    return np.asarray(np.isfinite(plan.shape).all(axis=(1, 2)))
 
 
 def _tubes(k3d: Any, plan: Plan, scales: Sequence[Scale]) -> list[Any]:
@@ -178,12 +174,12 @@ def _over_time(frames: Any) -> dict[str, npt.NDArray[np.float32]]:
 
 def box(plans: Sequence[Plan]) -> tuple[Array, Array]:
     """Corners (3,) mm of all that is ever seen of plans."""
-    seen = [np.array([[0.0, 0.0, -HOLDER], [0.0, 0.0, HOLDER]])]
-    for plan in plans:
-        seen += [plan.target.reshape(-1, 3), plan.shape.reshape(-1, 3)]
-        if plan.lumen is not None:
-            seen += [plan.lumen[:, :3] + side * plan.lumen[:, 3:] for side in (-1, 1)]
-    points = np.concatenate(seen)
+    points = np.concatenate(
+        [
+            [[0.0, 0.0, -HOLDER], [0.0, 0.0, HOLDER]],
+            *(points_of_all([plan.target, plan.shape], plan.lumen) for plan in plans),
+        ]
+    )
     return np.nanmin(points, axis=0), np.nanmax(points, axis=0)
 
 

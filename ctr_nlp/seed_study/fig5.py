@@ -63,7 +63,7 @@ def rows(found: Found) -> list[dict[str, Any]]:
 
 def draw(found: Found) -> Figure:
     """Violins of both methods for all six problems."""
-    return errors_compared({p: {NAMES[m]: found.plan(p, m) for m in METHODS} for p in ALL})
+    return errors_compared({problem: found.named(problem, METHODS) for problem in ALL})
 
 
 SECTION = Section(

@@ -13,7 +13,7 @@ from ctr_nlp.figures.frames import by_frame_compared
 from ctr_nlp.metrics import by_frame
 from ctr_nlp.seed_study.checks import Check, part
 from ctr_nlp.seed_study.runs import BASELINE, HORIZON, NAMES, SEED, Found
-from ctr_nlp.seed_study.section import Section, Table, beside, motions
+from ctr_nlp.seed_study.section import Section, Table, beside, by_frames, motions
 
 Array = npt.NDArray[np.float64]
 
@@ -115,19 +115,17 @@ def _apart(a: float, b: float) -> float:
 
 def rows(found: Found) -> list[dict[str, Any]]:
     """A line for each problem, method and frame."""
-    result = []
-    for problem in PROBLEMS:
-        for method in METHODS:
-            columns = by_frame(found.plan(problem, method))
-            for frame, e2, most in zip(*(columns[key].tolist() for key in ("frame", "e2", "max")), strict=True):
-                one = {"problem": problem, "method": method, "frame": frame, "e2_mm": e2, "max_mm": most}
-                result.append(one)
-    return result
+    return [
+        {"problem": problem, "method": method} | line
+        for problem in PROBLEMS
+        for method in METHODS
+        for line in by_frames(found.plan(problem, method), ("e2", "max"))
+    ]
 
 
 def draw(found: Found) -> Figure:
     """All three methods on all four problems."""
-    return by_frame_compared({p: {NAMES[m]: found.plan(p, m) for m in METHODS} for p in PROBLEMS})
+    return by_frame_compared({problem: found.named(problem, METHODS) for problem in PROBLEMS})
 
 
 SECTION = Section(

@@ -11,12 +11,11 @@ from matplotlib.figure import Figure
 from ctr_nlp.figures.motion import configuration_errors
 from ctr_nlp.figures.overlay import shapes
 from ctr_nlp.figures.truth import error_from_truth, indistinct
-from ctr_nlp.metrics import by_frame
 from ctr_nlp.plan import Plan
 from ctr_nlp.reference.published import SEED as PRINTED
 from ctr_nlp.seed_study.checks import Check, number, order
 from ctr_nlp.seed_study.runs import BASELINE, HORIZON, NAMES, SEED, Found
-from ctr_nlp.seed_study.section import Section, Table, beside, mm, motions
+from ctr_nlp.seed_study.section import Section, Table, beside, by_frames, mm, motions
 
 Array = npt.NDArray[np.float64]
 
@@ -80,11 +79,9 @@ def checks_of_errors(found: Found) -> list[Check]:
 def rows_of_shapes(found: Found) -> list[dict[str, Any]]:
     """A line for each method and frame."""
     return [
-        {"method": method, "frame": frame, "e2_mm": e2, "max_mm": most}
+        {"method": method} | line
         for method in METHODS
-        for frame, e2, most in zip(
-            *(by_frame(found.plan(NAME, method))[key].tolist() for key in ("frame", "e2", "max")), strict=True
-        )
+        for line in by_frames(found.plan(NAME, method), ("e2", "max"))
     ]
 
 
@@ -102,7 +99,7 @@ def rows_of_errors(found: Found) -> list[dict[str, Any]]:
 
 def draw_errors(found: Found) -> Figure:
     """Errors of both methods."""
-    return configuration_errors({NAMES[m]: found.plan(NAME, m) for m in METHODS})
+    return configuration_errors(found.named(NAME, METHODS))
 
 
 FIG7 = Section(

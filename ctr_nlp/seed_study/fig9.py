@@ -9,11 +9,10 @@ from matplotlib.figure import Figure
 
 from ctr_nlp.account import shown as written
 from ctr_nlp.figures.page import STYLE
-from ctr_nlp.metrics import by_frame
 from ctr_nlp.seed_study.checks import Check, number
 from ctr_nlp.seed_study.clips import Group, clips
 from ctr_nlp.seed_study.runs import HORIZON, NAMES, SEED, TIP, Found
-from ctr_nlp.seed_study.section import Section, Table, motions
+from ctr_nlp.seed_study.section import Section, Table, by_frames, motions
 
 NAME = "bronchus"
 METHODS = HORIZON, SEED, TIP
@@ -48,12 +47,9 @@ def checks(found: Found) -> list[Check]:
 def rows(found: Found) -> list[dict[str, Any]]:
     """A line for each method and frame."""
     return [
-        {"method": method, "frame": frame, "e2_mm": e2, "max_mm": most, "tip_mm": tip}
+        {"method": method} | line
         for method in METHODS
-        for frame, e2, most, tip in zip(
-            *(by_frame(found.plan(NAME, method))[key].tolist() for key in ("frame", "e2", "max", "tip")),
-            strict=True,
-        )
+        for line in by_frames(found.plan(NAME, method), ("e2", "max", "tip"))
     ]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -78,6 +78,10 @@ class Found:
     def plan(self, problem: str, method: str) -> Plan:
         """The plan of a method for a problem."""
         return self.moved[Motion(problem, method)].plan
+
+    def named(self, problem: str, methods: Sequence[str]) -> dict[str, Plan]:
+        """Plans of methods for a problem, by what the methods are called."""
+        return {NAMES[method]: self.plan(problem, method) for method in methods}
 
     def row(self, problem: str, method: str) -> dict[str, Any]:
         """What study.row says of that plan."""

@@ -9,6 +9,8 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from ctr_nlp.account import shown
+from ctr_nlp.metrics import by_frame
+from ctr_nlp.plan import Plan
 from ctr_nlp.reference.published import BASELINE as BASELINE_PRINTED
 from ctr_nlp.reference.published import SEED as SEED_PRINTED
 from ctr_nlp.seed_study.checks import Check
@@ -52,6 +54,16 @@ class Section:
 def motions(problems: Sequence[str], methods: Sequence[str]) -> tuple[Task, ...]:
     """All methods on all problems."""
     return tuple(Motion(problem, method) for problem in problems for method in methods)
+
+
+def by_frames(plan: Plan, keys: Sequence[str]) -> list[dict[str, Any]]:
+    """A line for each frame with columns of errors.csv, in mm."""
+    columns = by_frame(plan)
+    numbers = zip(*(columns[key].tolist() for key in keys), strict=True)
+    return [
+        {"frame": frame} | {f"{key}_mm": value for key, value in zip(keys, line, strict=True)}
+        for frame, line in enumerate(numbers, 1)
+    ]
 
 
 def errors(found: Found, problem: str, method: str, model: str = "dominant") -> str:
