@@ -10,13 +10,12 @@ from ctr_nlp.figures.film import film
 from ctr_nlp.plan import Plan
 
 
-def write_film(plans: Sequence[Plan], file: Path) -> Path:
-    """Write a film of plans and show how far it is; raises OptionError, OutputError."""
-    with progress_bar() as labelled:
-        return film(plans, file, labelled(file.name))
+def write_film(plans: Sequence[Plan], file: Path, out: Path, staging: Path) -> None:
+    """Write a film of plans and show how far it is; raises OptionError, OutputError.
 
-
-def staged(file: Path, out: Path, staging: Path) -> Path:
-    """Where to write a file while staging is to take the place of the folder out: in there, if it lies in that."""
+    A file within the folder out, whose place staging is to take, is written into that.
+    """
     place, folder = file.absolute(), out.absolute()
-    return staging / place.relative_to(folder) if place.is_relative_to(folder) else file
+    target = staging / place.relative_to(folder) if place.is_relative_to(folder) else file
+    with progress_bar() as labelled:
+        film(plans, target, labelled(file.name))

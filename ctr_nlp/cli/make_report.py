@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ctr_nlp.cli.arguments import add_film_option, film_file
 from ctr_nlp.cli.console import SOLVED, console, guarded
-from ctr_nlp.cli.film import staged, write_film
+from ctr_nlp.cli.film import write_film
 from ctr_nlp.cli.output import check_folder, whole_folder, write_text
 from ctr_nlp.plan import Plan
 from ctr_nlp.report import page
@@ -42,7 +42,7 @@ def _run(arguments: argparse.Namespace) -> int:
     with whole_folder(out) as staging:
         write_text(staging / PAGE, text)
         if film is not None:
-            write_film(plans, staged(film, out, staging))
+            write_film(plans, film, out, staging)
     console().print(f"wrote {out / PAGE} ({len(text) / 1e6:.1f} MB); open it in a browser")
     if film is not None:
         console().print(f"wrote {film}")

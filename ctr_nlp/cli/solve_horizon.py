@@ -23,7 +23,7 @@ from ctr_nlp.cli.arguments import (
     whole,
 )
 from ctr_nlp.cli.console import console, guarded, progress_bar
-from ctr_nlp.cli.film import staged, write_film
+from ctr_nlp.cli.film import write_film
 from ctr_nlp.cli.output import check_folder, whole_folder
 from ctr_nlp.cli.report import exit_status, print_front, print_report, write, write_front
 from ctr_nlp.plan import Plan
@@ -123,7 +123,7 @@ def _run(folder: Path, arguments: argparse.Namespace) -> int:
         if points:
             write_front(points, problem.name, staging)
         if film is not None:
-            write_film([plan], staged(film, out, staging))
+            write_film([plan], film, out, staging)
     print_report(plan, out)
     if points:
         print_front(points)

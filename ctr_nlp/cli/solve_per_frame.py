@@ -21,7 +21,7 @@ from ctr_nlp.cli.arguments import (
     walled,
 )
 from ctr_nlp.cli.console import console, guarded, progress_bar
-from ctr_nlp.cli.film import staged, write_film
+from ctr_nlp.cli.film import write_film
 from ctr_nlp.cli.output import check_folder, whole_folder
 from ctr_nlp.cli.report import exit_status, print_report, write
 from ctr_nlp.formulations import FORMULATIONS
@@ -81,7 +81,7 @@ def _run(folder: Path, arguments: argparse.Namespace) -> int:
     with whole_folder(out) as staging:
         write(plan, staging)
         if film is not None:
-            write_film([plan], staged(film, out, staging))
+            write_film([plan], film, out, staging)
     print_report(plan, out)
     if film is not None:
         console().print(f"wrote {film}")
