@@ -12,12 +12,13 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.emulator import homing, stops
+from ctr_nlp.emulator import homing, realtime, stops
 from ctr_nlp.emulator.commands import command
 from ctr_nlp.emulator.execution import execute
 from ctr_nlp.emulator.gcode import Modal, Refused
 from ctr_nlp.emulator.lines import Lines
 from ctr_nlp.emulator.motion import Motion
+from ctr_nlp.emulator.overrides import Overrides
 from ctr_nlp.emulator.planner import Vector
 from ctr_nlp.emulator.reports import BUTTONS, Status
 from ctr_nlp.emulator.settings import Settings
@@ -117,11 +118,11 @@ class Firmware:
         """Bytes arrive now. Realtime characters act at once; those beyond a full buffer are lost."""
         self.bytes_received += len(data)
         for byte in data:
-            if byte in b"?!~\x18" or byte >= 0x80:
+            if realtime.is_realtime(byte):
                 if self.time < self._stalled_until:
                     self._deferred.append(byte)
                 else:
-                    self._realtime(byte)
+                    realtime.act(self, byte)
             else:
                 self.bytes_lost += not self.lines.put(byte)
             if byte == 0x0A:
@@ -136,7 +137,7 @@ class Firmware:
                 self.time = min(end, self._stalled_until)
                 if self.time >= self._stalled_until:
                     while self._deferred:
-                        self._realtime(self._deferred.popleft())
+                        realtime.act(self, self._deferred.popleft())
                     self._work()
                 continue
             step = end - self.time
@@ -212,29 +213,39 @@ class Firmware:
             shown = "Hold:0" if self.motion.halted else "Hold:1"
         feed = 0.0 if self.state == "Alarm" else self.motion.speed * 60
         buffers, homed = (self.motion.free, self.lines.free), bool(self.homed)
-        self.say(self.status.report(shown, self.position, buffers, self.motion.line, feed, self.pressed, homed))
+        self.say(
+            self.status.report(
+                shown, self.position, buffers, self.motion.line, feed, self.motion.overrides, self.pressed, homed
+            )
+        )
+
+    def asked(self) -> None:
+        """A report is asked for; while homing it comes at the end."""
+        if self.state == "Home":
+            self.report_due = True
+        else:
+            self.report()
+
+    def override(self, overrides: Overrides) -> None:
+        """Move faster or slower than programmed from now on; the next report says so."""
+        if overrides != self.motion.overrides:
+            self.motion.override(overrides)
+            self.status.overridden = True
+
+    def forget_lines(self) -> None:
+        """Drop what was received and not read, the line that has begun, and the error that is repeated."""
+        self.lines.clear()
+        self.error = None
+
+    def carry_on(self) -> None:
+        """Do what a change of state has made possible."""
+        self._settled()
+        self._work()
 
     def later(self, seconds: float, action: Callable[[], None]) -> None:
         """Do something after so many seconds."""
         self.timers.append((self.time + seconds, action))
         self.timers.sort(key=lambda timer: timer[0])
-
-    def _realtime(self, byte: int) -> None:
-        if byte == ord("?"):
-            if self.state == "Home":
-                self.report_due = True
-            else:
-                self.report()
-        elif byte == ord("!"):
-            stops.hold(self)
-        elif byte == ord("~") and self.state == "Hold" and self.when_stopped is None:
-            stops.resume(self)
-            self._settled()
-            self._work()
-        elif byte == 0x18:
-            stops.reset(self)
-        elif byte == 0x85 and self.state == "Jog":
-            stops.cancel_jog(self)
 
     def _settled(self) -> None:
         """Change state where motion has come to its end."""
