@@ -6,6 +6,7 @@ lines, an error is repeated for G-code until a blank line, and a reset in motion
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Mapping
 
@@ -26,6 +27,10 @@ from ctr_nlp.errors import OptionError
 
 LONGEST_LINE = 256
 TOO_LONG = 14
+ALWAYS_ENERGISED = 255
+"""The step idle delay $1 that never ends."""
+RELAXATION = 0.5
+"""How far the load pushes a motor that goes limp, in mm or deg; the firmware does not see it."""
 SLICE_S = 0.01
 """How often lines that wait for room are tried again; the planner makes room a block at a time."""
 
@@ -75,6 +80,8 @@ class Firmware:
         self.status = Status()
         self.report_due = False
         """Whether a report was asked for during homing."""
+        self._still = math.inf
+        """Seconds since motors last turned."""
         self._sent = bytearray()
         self._stalled_until = self._silent_until = 0.0
         self._deferred: deque[int] = deque()
@@ -150,6 +157,7 @@ class Firmware:
             elif self.state in ("Run", "Jog", "Hold"):
                 self.motion.advance(step)
             self.time += step
+            self._rest(step)
             while self.timers and self.timers[0][0] <= self.time + 1e-12:
                 self.timers.pop(0)[1]()
             self._settled()
@@ -246,6 +254,14 @@ class Firmware:
         """Do something after so many seconds."""
         self.timers.append((self.time + seconds, action))
         self.timers.sort(key=lambda timer: timer[0])
+
+    def _rest(self, seconds: float) -> None:
+        """Let motors that have stood still for $1 ms go limp, unless $1 is 255; those of $37 stay energised."""
+        delay, before = self.settings[1], self._still
+        self._still = 0.0 if self.moving else before + seconds
+        if delay != ALWAYS_ENERGISED and before <= delay / 1000 < self._still:
+            kept = int(self.settings[37])
+            self.slip = self.slip + [0.0 if kept >> i & 1 else RELAXATION for i in range(6)]
 
     def _settled(self) -> None:
         """Change state where motion has come to its end."""

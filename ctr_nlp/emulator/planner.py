@@ -44,15 +44,18 @@ class Block:
     length: float
     asked: float
     fastest: float
-    speed: float
     acceleration: float
     corner: float
-    highest_entry: float
     line: int | None
     jog: bool
+    speed: float = 0.0
+    highest_entry: float = 0.0
     entry: float = 0.0
     remaining: float = 0.0
     """Length not yet prepared."""
+
+    def __post_init__(self) -> None:
+        self.remaining = self.length
 
     def override(self, overrides: Overrides, before: float) -> None:
         """Scale its speed; before: the nominal speed of the block before it."""
@@ -87,9 +90,7 @@ def straight(
     fastest = min(limits.speed[i] / abs(direction[i]) for i in used)
     acceleration = min(limits.acceleration[i] / abs(direction[i]) for i in used)
     corner = 0.0 if before is None else junction(before.direction, direction, limits)
-    new = Block(
-        start, target, direction, length, asked, fastest, asked, acceleration, corner, corner, line, jog, remaining=length
-    )
+    new = Block(start, target, direction, length, asked, fastest, acceleration, corner, line, jog)
     new.override(overrides, math.inf if before is None else before.speed)
     return new
 

@@ -121,4 +121,3 @@ def soft_limit(firmware: Firmware) -> None:
         firmware.when_stopped = lambda: alarm(firmware, SOFT_LIMIT)
     else:
         alarm(firmware, SOFT_LIMIT)
-
