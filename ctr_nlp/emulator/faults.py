@@ -9,12 +9,19 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from ctr_nlp.emulator.lies import LIES
 from ctr_nlp.emulator.stops import soft_limit
 from ctr_nlp.emulator.wire import Line
 from ctr_nlp.errors import OptionError
 
 Strike = Callable[[Line, "Fault"], None]
 Change = Callable[[bytes, random.Random, "Fault"], list[tuple[float, bytes]]]
+
+THIRD_PARTIES = (
+    *(b"~", b"!", b"\x18", b"\x19", b"\x85", 5 * b"\x91", 5 * b"\x92", b"\x97"),
+    *(b"$J=G91 X-1 F600\n", b"$1=25\n", b"$110=300\n", b"G94 G1 X-1 F600\n", b"G4 P0.3\n", b"G999\n"),
+)
+"""What pendants and other clients have been seen to send; one is drawn where a fault names none."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +30,7 @@ class Fault:
 
     name: its entry in FAULTS. at: s since the firmware was switched on. after_bytes: sent by the host on this
     connection. seconds: how long it lasts or delays, inf for good. seed: of what is drawn at random.
-    choice: what varies from kind to kind; see FAULTS.
+    choice: what varies from kind to kind; see FAULTS. data: what is sent or said, drawn where it is empty.
     """
 
     name: str
@@ -33,6 +40,7 @@ class Fault:
     seconds: float = math.inf
     seed: int = 0
     choice: float = 0.3
+    data: bytes = b""
 
     def due(self, time: float, sent_bytes: int) -> bool:
         """Whether its moment has come."""
@@ -100,6 +108,35 @@ def _outbound(line: Line, fault: Fault) -> None:
     )
 
 
+def _third_party(line: Line, fault: Fault) -> None:
+    line.firmware.receive(fault.data or random.Random(fault.seed).choice(THIRD_PARTIES))
+
+
+def _lie(line: Line, fault: Fault) -> None:
+    said = fault.data or LIES[fault.name](line.firmware, random.Random(fault.seed)).encode()
+    line.insert(said + b"\r\n")
+
+
+def _flipped(data: bytes, draw: random.Random, share: float) -> bytes:
+    """Bytes of which a share has one bit the other way round."""
+    return bytes(byte ^ (1 << draw.randrange(8)) if draw.random() < share else byte for byte in data)
+
+
+def _flips_to_host(line: Line, fault: Fault) -> None:
+    lasting, draw = _lasting(line, fault), random.Random(fault.seed)
+    line.inward.append(lambda reply: [(0.0, _flipped(reply, draw, fault.choice) if lasting() else reply)])
+
+
+def _flips_to_device(line: Line, fault: Fault) -> None:
+    lasting, draw = _lasting(line, fault), random.Random(fault.seed)
+    line.outward.append(lambda data: _flipped(data, draw, fault.choice) if lasting() else data)
+
+
+def _power_cycle_unseen(line: Line, fault: Fault) -> None:
+    line.drop()
+    line.firmware.reboot(loses_position=True)
+
+
 def _reboot(line: Line, fault: Fault) -> None:
     line.firmware.reboot(loses_position=bool(fault.choice))
 
@@ -145,16 +182,34 @@ FAULTS: dict[str, Callable[..., Fault]] = {
     "soft_limit": _kind("soft_limit", lambda line, fault: soft_limit(line.firmware)),
     "error_latch": _kind("error_latch", _refusal, choice=20),
     "estop": _kind("estop", _estop),
+    "power_cycle": _kind("power_cycle", lambda line, fault: line.firmware.reboot(loses_position=True)),
+    "power_cycle_unseen": _kind("power_cycle_unseen", _power_cycle_unseen),
+    "third_party": _kind("third_party", _third_party),
+    **{name: _kind(name, _lie) for name in LIES},
+    "flips_to_host": _kind("flips_to_host", _flips_to_host, choice=0.01),
+    "flips_to_device": _kind("flips_to_device", _flips_to_device, choice=0.01),
 }
 """Name -> constructor, whose keywords are the fields of Fault.
 
-cut: the host's next read or write raises. half_open: `?` is answered, lines are not. silent: the controller goes
-on but says nothing more, reconnects included. busy: for `seconds` it neither moves, reads nor replies. garbled,
-lost, doubled: a share `choice` of the reply lines. late: every reply by `seconds`. last_ok: the ok after which
-nothing is left to answer is lost. bytes_lost: a share `choice` of the host's bytes. banner: the controller
-restarts, without its position where `choice` is 1 and with it where it is 0. hard_limit, soft_limit: ALARM:1,
-ALARM:2. error_latch: one line is refused with error number `choice`, and so is G-code after it until a blank
-line. estop: ALARM:10, motion stops dead.
+The link. cut: the host's next read or write raises. half_open: `?` is answered, lines are not. silent: the
+controller goes on but says nothing more, reconnects included. garbled, lost, doubled: a share `choice` of the
+reply lines. late: every reply by `seconds`. last_ok: the ok after which nothing is left to answer is lost.
+bytes_lost: a share `choice` of the host's bytes. flips_to_host, flips_to_device: a share `choice` of the bytes
+that go there have one bit flipped.
+
+The controller. busy: for `seconds` it neither moves, reads nor replies. banner: it restarts, without its
+position where `choice` is 1 and with it where it is 0. power_cycle: it is switched off and on, its position
+counts begin at zero while the mechanics stay where they are, and the banner is sent. power_cycle_unseen: the
+same while the link is cut, so that nobody sees the banner. hard_limit, soft_limit: ALARM:1, ALARM:2.
+error_latch: one line is refused with error number `choice`, and so is G-code after it until a blank line.
+estop: ALARM:10, motion stops dead.
+
+Others. third_party: a pendant or another client sends `data`, and the replies go to our host.
+
+Text that lies, a line put between the controller's own although nothing of the kind has happened; `data` says
+it word for word. false_alarm, false_banner, false_ok, false_error: of that kind. false_past, false_future: a
+status report, idle where an earlier line ended or where the plan will end. false_state: a report with another
+state. noise: printable characters without sense.
 """
 
 

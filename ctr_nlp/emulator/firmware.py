@@ -6,18 +6,20 @@ lines, an error is repeated for G-code until a blank line, and a reset in motion
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Mapping
 
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.emulator import homing, stops
+from ctr_nlp.emulator import homing, realtime, stops
 from ctr_nlp.emulator.commands import command
 from ctr_nlp.emulator.execution import execute
 from ctr_nlp.emulator.gcode import Modal, Refused
 from ctr_nlp.emulator.lines import Lines
 from ctr_nlp.emulator.motion import Motion
+from ctr_nlp.emulator.overrides import Overrides
 from ctr_nlp.emulator.planner import Vector
 from ctr_nlp.emulator.reports import BUTTONS, Status
 from ctr_nlp.emulator.settings import Settings
@@ -25,6 +27,10 @@ from ctr_nlp.errors import OptionError
 
 LONGEST_LINE = 256
 TOO_LONG = 14
+ALWAYS_ENERGISED = 255
+"""The step idle delay $1 that never ends."""
+RELAXATION = 0.5
+"""How far the load pushes a motor that goes limp, in mm or deg; the firmware does not see it."""
 SLICE_S = 0.01
 """How often lines that wait for room are tried again; the planner makes room a block at a time."""
 
@@ -74,6 +80,8 @@ class Firmware:
         self.status = Status()
         self.report_due = False
         """Whether a report was asked for during homing."""
+        self._still = math.inf
+        """Seconds since motors last turned."""
         self._sent = bytearray()
         self._stalled_until = self._silent_until = 0.0
         self._deferred: deque[int] = deque()
@@ -117,11 +125,11 @@ class Firmware:
         """Bytes arrive now. Realtime characters act at once; those beyond a full buffer are lost."""
         self.bytes_received += len(data)
         for byte in data:
-            if byte in b"?!~\x18" or byte >= 0x80:
+            if realtime.is_realtime(byte):
                 if self.time < self._stalled_until:
                     self._deferred.append(byte)
                 else:
-                    self._realtime(byte)
+                    realtime.act(self, byte)
             else:
                 self.bytes_lost += not self.lines.put(byte)
             if byte == 0x0A:
@@ -136,7 +144,7 @@ class Firmware:
                 self.time = min(end, self._stalled_until)
                 if self.time >= self._stalled_until:
                     while self._deferred:
-                        self._realtime(self._deferred.popleft())
+                        realtime.act(self, self._deferred.popleft())
                     self._work()
                 continue
             step = end - self.time
@@ -149,6 +157,7 @@ class Firmware:
             elif self.state in ("Run", "Jog", "Hold"):
                 self.motion.advance(step)
             self.time += step
+            self._rest(step)
             while self.timers and self.timers[0][0] <= self.time + 1e-12:
                 self.timers.pop(0)[1]()
             self._settled()
@@ -212,29 +221,47 @@ class Firmware:
             shown = "Hold:0" if self.motion.halted else "Hold:1"
         feed = 0.0 if self.state == "Alarm" else self.motion.speed * 60
         buffers, homed = (self.motion.free, self.lines.free), bool(self.homed)
-        self.say(self.status.report(shown, self.position, buffers, self.motion.line, feed, self.pressed, homed))
+        self.say(
+            self.status.report(
+                shown, self.position, buffers, self.motion.line, feed, self.motion.overrides, self.pressed, homed
+            )
+        )
+
+    def asked(self) -> None:
+        """A report is asked for; while homing it comes at the end."""
+        if self.state == "Home":
+            self.report_due = True
+        else:
+            self.report()
+
+    def override(self, overrides: Overrides) -> None:
+        """Move faster or slower than programmed from now on; the next report says so."""
+        if overrides != self.motion.overrides:
+            self.motion.override(overrides)
+            self.status.overridden = True
+
+    def forget_lines(self) -> None:
+        """Drop what was received and not read, the line that has begun, and the error that is repeated."""
+        self.lines.clear()
+        self.error = None
+
+    def carry_on(self) -> None:
+        """Do what a change of state has made possible."""
+        self._settled()
+        self._work()
 
     def later(self, seconds: float, action: Callable[[], None]) -> None:
         """Do something after so many seconds."""
         self.timers.append((self.time + seconds, action))
         self.timers.sort(key=lambda timer: timer[0])
 
-    def _realtime(self, byte: int) -> None:
-        if byte == ord("?"):
-            if self.state == "Home":
-                self.report_due = True
-            else:
-                self.report()
-        elif byte == ord("!"):
-            stops.hold(self)
-        elif byte == ord("~") and self.state == "Hold" and self.when_stopped is None:
-            stops.resume(self)
-            self._settled()
-            self._work()
-        elif byte == 0x18:
-            stops.reset(self)
-        elif byte == 0x85 and self.state == "Jog":
-            stops.cancel_jog(self)
+    def _rest(self, seconds: float) -> None:
+        """Let motors that have stood still for $1 ms go limp, unless $1 is 255; those of $37 stay energised."""
+        delay, before = self.settings[1], self._still
+        self._still = 0.0 if self.moving else before + seconds
+        if delay != ALWAYS_ENERGISED and before <= delay / 1000 < self._still:
+            kept = int(self.settings[37])
+            self.slip = self.slip + [0.0 if kept >> i & 1 else RELAXATION for i in range(6)]
 
     def _settled(self) -> None:
         """Change state where motion has come to its end."""

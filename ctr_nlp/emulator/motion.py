@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 
+from ctr_nlp.emulator.overrides import Overrides
 from ctr_nlp.emulator.planner import BLOCKS, LEAST_STEP_MM, Block, Limits, Vector, look_ahead, straight
 from ctr_nlp.emulator.segments import Segment, ramp
 
@@ -27,6 +28,7 @@ class Motion:
         self.finished: list[tuple[int | None, Vector]] = []
         self.lowest = list(self.position)
         self.highest = list(self.position)
+        self.overrides = Overrides()
         self.line: int | None = None
         """Line number of the block last executed."""
         self.running = False
@@ -60,10 +62,20 @@ class Motion:
     def plan(self, target: Vector, speed: float, line: int | None = None, jog: bool = False) -> None:
         """Append a line to target (6,) at a speed in mm/s along the path, unless there is nothing to move."""
         before = self.blocks[-1] if self.blocks else None
-        new = straight(self.target, target, speed, self.limits, before, line, jog)
+        new = straight(self.target, target, speed, self.limits, before, self.overrides, line, jog)
         if new is not None:
             self.blocks.append(new)
             look_ahead(list(self.blocks), self.speed)
+
+    def override(self, overrides: Overrides) -> None:
+        """Scale the speeds of what is planned and of what will be; what is prepared goes on as it is."""
+        self.overrides = overrides
+        before = math.inf
+        for block in self.blocks:
+            block.override(overrides, before)
+            before = block.speed
+        if self.blocks:
+            look_ahead(list(self.blocks), self.speed, anew=True)
 
     def _prepare(self) -> None:
         """Fill the segment buffer from the blocks."""
@@ -103,6 +115,16 @@ class Motion:
         self.holding = True
         if not self.segments:
             self._settle()
+
+    def brake(self) -> None:
+        """Come to a standstill along the path at once; what has been prepared is worked out anew."""
+        if self.holding or not self.running or not self.segments:
+            self.hold()
+            return
+        present = self.segments[0]
+        self._return_segments()
+        self.holding, self._elapsed, self.speed = True, 0.0, (present.end - present.begin) / present.seconds
+        self._prepare()
 
     def resume(self) -> None:
         """Go on after a hold."""

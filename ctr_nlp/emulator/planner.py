@@ -10,6 +10,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ctr_nlp.emulator.overrides import Overrides
+
 BLOCKS = 100
 """Blocks that the planner holds."""
 LEAST_STEP_MM = 1e-9
@@ -30,20 +32,36 @@ class Limits:
 
 @dataclass
 class Block:
-    """One line in the planner. speed: nominal, mm/s along the path; entry: speed at its start, squared."""
+    """One line in the planner, speeds in mm/s along the path.
+
+    asked: as programmed. fastest: that its axes allow. speed: nominal, as overridden. corner: at which the corner
+    before it may be passed, squared. entry: at its start, squared.
+    """
 
     start: Vector
     target: Vector
     direction: Vector
     length: float
-    speed: float
+    asked: float
+    fastest: float
     acceleration: float
-    highest_entry: float
+    corner: float
     line: int | None
     jog: bool
+    speed: float = 0.0
+    highest_entry: float = 0.0
     entry: float = 0.0
     remaining: float = 0.0
     """Length not yet prepared."""
+
+    def __post_init__(self) -> None:
+        self.remaining = self.length
+
+    def override(self, overrides: Overrides, before: float) -> None:
+        """Scale its speed; before: the nominal speed of the block before it."""
+        asked = self.asked if self.jog else overrides.speed(self.asked, self.fastest)
+        self.speed = max(min(asked, self.fastest), SLOWEST)
+        self.highest_entry = min(self.corner, self.speed**2, before**2)
 
     def at(self, covered: float) -> Vector:
         """Position (6,) where a length has been covered."""
@@ -53,7 +71,14 @@ class Block:
 
 
 def straight(
-    start: Vector, target: Vector, speed: float, limits: Limits, before: Block | None, line: int | None, jog: bool
+    start: Vector,
+    target: Vector,
+    asked: float,
+    limits: Limits,
+    before: Block | None,
+    overrides: Overrides,
+    line: int | None,
+    jog: bool,
 ) -> Block | None:
     """A line between positions (6,), after another, at a speed in mm/s along the path; None if nothing moves."""
     delta = [b - a for a, b in zip(start, target, strict=True)]
@@ -64,11 +89,10 @@ def straight(
     used = [i for i, d in enumerate(direction) if d]
     fastest = min(limits.speed[i] / abs(direction[i]) for i in used)
     acceleration = min(limits.acceleration[i] / abs(direction[i]) for i in used)
-    nominal = min(max(speed, SLOWEST), fastest)
-    highest = 0.0
-    if before is not None:
-        highest = min(junction(before.direction, direction, limits), nominal**2, before.speed**2)
-    return Block(start, target, direction, length, nominal, acceleration, highest, line, jog, remaining=length)
+    corner = 0.0 if before is None else junction(before.direction, direction, limits)
+    new = Block(start, target, direction, length, asked, fastest, acceleration, corner, line, jog)
+    new.override(overrides, math.inf if before is None else before.speed)
+    return new
 
 
 def junction(before: Vector, after: Vector, limits: Limits) -> float:
@@ -85,15 +109,16 @@ def junction(before: Vector, after: Vector, limits: Limits) -> float:
     return limit * limits.deviation * sine / (1 - sine)
 
 
-def look_ahead(blocks: Sequence[Block], speed: float) -> None:
+def look_ahead(blocks: Sequence[Block], speed: float, anew: bool = False) -> None:
     """Set the highest entry speeds from which every later block, and the end, can still be reached.
 
-    speed: with which the first block is being left behind, mm/s.
+    speed: with which the first block is being left behind, mm/s. anew: all of them, not only those that the last
+    block changes.
     """
     leaving = 0.0
     for later in reversed(blocks[1:]):
         entry = min(later.highest_entry, leaving + 2 * later.acceleration * later.remaining)
-        if entry == later.entry and later is not blocks[-1]:
+        if entry == later.entry and later is not blocks[-1] and not anew:
             break
         later.entry = leaving = entry
     arriving = speed**2 + 2 * blocks[0].acceleration * blocks[0].remaining

@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 from ctr_nlp.emulator.gcode import AXES, Modal
+from ctr_nlp.emulator.overrides import Overrides
 from ctr_nlp.emulator.settings import Settings
 
 BANNER = "\r\nGrblHAL 1.1f ['$' or '$HELP' for help]"
@@ -51,6 +52,7 @@ class Status:
 
     until_offset: int = 1
     until_overrides: int = 0
+    overridden: bool = False
     accessories: bool = False
     homed: bool = False
     tool: bool = True
@@ -62,6 +64,7 @@ class Status:
         buffers: tuple[int, int],
         line: int | None,
         feed: float,
+        overrides: Overrides,
         pressed: Collection[str],
         homed: bool,
     ) -> str:
@@ -73,15 +76,18 @@ class Status:
         parts.append(f"FS:{feed:.0f},0")
         if pressed:
             parts.append("Pn:" + "".join(letter for name, letter in BUTTONS.items() if name in pressed))
-        parts += self._rarer(busy, homed)
+        parts += self._rarer(busy, overrides, homed)
         return f"<{'|'.join(parts)}>"
 
-    def _rarer(self, busy: bool, homed: bool) -> list[str]:
+    def _rarer(self, busy: bool, overrides: Overrides, homed: bool) -> list[str]:
         parts = []
         if not busy:
             self.until_offset = min(self.until_offset, IDLE_REPORTS)
             self.until_overrides = min(self.until_overrides, IDLE_REPORTS)
         accessories = self.accessories
+        if self.overridden:
+            self.until_overrides = 0
+            self.until_offset = max(self.until_offset, 1)
         if self.until_offset > 0:
             self.until_offset -= 1
         else:
@@ -93,7 +99,7 @@ class Status:
         else:
             self.until_overrides = (BUSY_OVERRIDE_REPORTS if busy else IDLE_REPORTS) - 1
             accessories = accessories or self.tool
-            parts.append("Ov:100,100,100")
+            parts.append(f"Ov:{overrides.feed},{overrides.rapid},{overrides.spindle}")
         parts += ["A:"] * accessories + [f"H:{homed:d}"] * self.homed + ["TLR:0"] * self.tool
-        self.accessories = self.homed = self.tool = False
+        self.overridden = self.accessories = self.homed = self.tool = False
         return parts

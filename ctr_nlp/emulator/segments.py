@@ -35,6 +35,12 @@ def ramp(speed: float, rest: float, block: Block, leaving: float) -> tuple[float
             end = math.sqrt(max(speed * speed - 2 * acceleration * ahead, leaving * leaving))
             length, speed, time = _braked(speed, end, ahead, acceleration, left)
             return covered + length, speed, SEGMENT_S - left + time
+        if speed > nominal:
+            time = min((speed - nominal) / acceleration, left)
+            covered += time * (speed - acceleration * time / 2)
+            left -= time
+            speed = nominal if left > 0 else speed - acceleration * time
+            continue
         if speed < nominal:
             peak = min(nominal, math.sqrt(acceleration * ahead + (speed * speed + leaving * leaving) / 2))
             if peak > speed:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from ctr_nlp.emulator.gcode import Modal
+from ctr_nlp.emulator.overrides import Overrides
 from ctr_nlp.emulator.reports import BANNER, UNLOCK, Status
 
 if TYPE_CHECKING:
@@ -15,19 +16,37 @@ HARD_LIMIT, SOFT_LIMIT, RESET, RESET_HOMING, ESTOP = 1, 2, 3, 6, 10
 
 
 def hold(firmware: Firmware) -> None:
-    """Feed hold; a jog is ended by it."""
-    if firmware.state == "Jog":
-        cancel_jog(firmware)
-    elif firmware.state in ("Idle", "Run"):
+    """Feed hold; it does nothing to a jog, nor to homing, and an alarm has nothing left to hold."""
+    if firmware.state in ("Idle", "Run"):
         firmware.state = "Hold"
         firmware.motion.hold()
 
 
 def resume(firmware: Firmware) -> None:
-    """Go on after a feed hold."""
-    firmware.say("[MSG:]")
-    firmware.state = "Run"
-    firmware.motion.resume()
+    """Go on after a feed hold, once it has come to a standstill."""
+    if firmware.state == "Hold" and firmware.motion.halted and firmware.when_stopped is None:
+        firmware.say("[MSG:]")
+        firmware.state = "Run"
+        firmware.motion.resume()
+        firmware.carry_on()
+
+
+def stop(firmware: Firmware) -> None:
+    """Come to a standstill at once and forget all that is planned or waits; not while homing."""
+
+    def over() -> None:
+        firmware.motion.flush()
+        firmware.modal = Modal()
+        if firmware.state != "Check":
+            firmware.state = "Idle"
+        firmware.say("[MSG:Stop]")
+
+    if firmware.state == "Home" or firmware.critical:
+        return
+    firmware.forget_lines()
+    firmware.pending = None
+    firmware.motion.brake()
+    firmware.when_stopped = over
 
 
 def cancel_jog(firmware: Firmware) -> None:
@@ -53,7 +72,8 @@ def reset(firmware: Firmware) -> None:
         return
     firmware.state = "Alarm"
     firmware.homing.clear()
-    _forget_lines(firmware)
+    firmware.forget_lines()
+    firmware.pending = firmware.when_stopped = None
     if firmware.on_reset == "alarm" and not homing:
         firmware.motion.freeze()
     else:
@@ -63,10 +83,12 @@ def reset(firmware: Firmware) -> None:
 
 def restart(firmware: Firmware, locked: bool) -> None:
     """Begin as after power-on, with the banner; locked: in alarm. Position and settings stay."""
-    _forget_lines(firmware)
+    firmware.forget_lines()
+    firmware.pending = firmware.when_stopped = None
     firmware.timers.clear()
     firmware.homing.clear()
     firmware.motion.flush()
+    firmware.override(Overrides())
     firmware.motion.line = None
     firmware.modal = Modal()
     firmware.critical = False
@@ -99,8 +121,3 @@ def soft_limit(firmware: Firmware) -> None:
         firmware.when_stopped = lambda: alarm(firmware, SOFT_LIMIT)
     else:
         alarm(firmware, SOFT_LIMIT)
-
-
-def _forget_lines(firmware: Firmware) -> None:
-    firmware.lines.clear()
-    firmware.pending = firmware.when_stopped = firmware.error = None

@@ -105,6 +105,11 @@ class Line:
         self._trigger()
         self._collect()
 
+    def insert(self, line: bytes) -> None:
+        """A line that the firmware never sent is on its way to the host, between its own."""
+        if not self.cut:
+            self._send(0.0, line)
+
     def drop(self) -> None:
         """The link is lost, with whatever was on its way; the firmware does not notice."""
         self.cut = True
@@ -132,8 +137,11 @@ class Line:
             for alter in self.inward:
                 pieces = [(wait + more, new) for wait, old in pieces for more, new in alter(old)]
             for wait, piece in pieces:
-                self._inbound_free = max(self.time, self._inbound_free) + len(piece) * self.byte_s
-                heapq.heappush(self._to_host, (self._inbound_free + wait, next(self._order), piece))
+                self._send(wait, piece)
+
+    def _send(self, wait: float, piece: bytes) -> None:
+        self._inbound_free = max(self.time, self._inbound_free) + len(piece) * self.byte_s
+        heapq.heappush(self._to_host, (self._inbound_free + wait, next(self._order), piece))
 
 
 class Wire:
