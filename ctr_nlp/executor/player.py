@@ -226,6 +226,7 @@ class Player:
             return
         if progress.state == "running" and self._wish == "pause":
             self.device.hold()
+            supervisor.paused()
         if progress.state == "held" and self._wish == "resume":
             self.device.resume()
             supervisor.resumed()

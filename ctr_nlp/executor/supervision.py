@@ -21,6 +21,9 @@ STALLED = 1.0
 HOLDING = 2.0
 """s in which a hold must have come to rest."""
 
+UNASKED = 10.0
+"""s for which somebody else may hold the motion; then it is stopped, from where it can be resumed."""
+
 EARLY = 0.25
 """s by which the device may run ahead of its schedule: reports are late, never early."""
 
@@ -53,11 +56,17 @@ class Supervisor:
     _since: tuple[float, float] | None = field(default=None, init=False)
     """When (s of the clock) and where (s of the motion) the schedule began, anew after every hold."""
     _holding: float | None = field(default=None, init=False)
+    _paused: bool = field(default=False, init=False)
     _rest: Array | None = field(default=None, init=False)
+
+    def paused(self) -> None:
+        """The player has asked for a hold, which may last as long as its user wants."""
+        self._paused = True
 
     def resumed(self) -> None:
         """The player lets a held device go on: from now on it may move, and keeps a new schedule."""
         self._since = self._holding = self._rest = None
+        self._paused = False
 
     def violation(self, progress: Progress, now: float) -> Violation | None:
         """What is wrong at a moment (s of the clock), None where nothing is; the gravest first."""
@@ -72,17 +81,13 @@ class Supervisor:
     def _unexpected(self, progress: Progress) -> Violation | None:
         signs = progress.signs
         if signs.said:
-            return Violation(Outcome.DEVICE_FAULT, signs.said)
+            return _fault(signs.said)
         if signs.override is not None and signs.override != 100:
-            return Violation(
-                Outcome.DEVICE_FAULT,
-                f"the feed override is {signs.override:g} %, and must be 100 %: somebody changed it",
-            )
+            return _fault(f"the feed override is {signs.override:g} %, and must be 100 %: somebody changed it")
         if signs.stalled > STALLED:
-            return Violation(
-                Outcome.DEVICE_FAULT,
+            return _fault(
                 f"nothing has moved for {signs.stalled:.2g} s, though the device was given more to do: replies or "
-                "lines were lost",
+                "lines were lost"
             )
         return None
 
@@ -95,32 +100,30 @@ class Supervisor:
         return None
 
     def _held(self, progress: Progress, now: float) -> Violation | None:
-        """A hold comes to rest in time, and nobody but the player ends it."""
-        if progress.state == "held":
+        """A hold comes to rest in time, nothing moves in it, and nobody but the player ends it."""
+        if progress.state not in ("holding", "held"):
             if self._rest is None:
-                self._rest = progress.position
-            moved = abs(progress.position - self._rest) - self.tolerances.at_rest
-            if (moved > 0).any():
-                return Violation(
-                    Outcome.DEVICE_FAULT,
-                    f"an axis has moved by {abs(progress.position - self._rest).max():.3g} in a hold",
-                )
-        elif self._rest is not None:
-            return Violation(
-                Outcome.DEVICE_FAULT, "the motion goes on after a hold, though the player did not resume it"
-            )
-        elif progress.state == "holding":
-            self._holding = now if self._holding is None else self._holding
-            if now - self._holding > HOLDING:
-                return Violation(Outcome.DEVICE_FAULT, f"a hold has not come to rest in {HOLDING:g} s")
+                return None
+            return _fault("the motion goes on after a hold, though the player did not resume it")
+        self._holding = now if self._holding is None else self._holding
+        lasted = now - self._holding
+        if progress.state == "holding":
+            if self._rest is not None:
+                return _fault("the axes no longer rest in a hold, though the player did not resume the motion")
+            return _fault(f"a hold has not come to rest in {HOLDING:g} s") if lasted > HOLDING else None
+        if self._rest is None:
+            self._rest = progress.position
+        moved = abs(progress.position - self._rest)
+        if (moved > self.tolerances.at_rest).any():
+            return _fault(f"an axis has moved by {moved.max():.3g} in a hold")
+        if lasted > UNASKED and not self._paused:
+            return _fault(f"somebody else has held the motion for {UNASKED:g} s")
         return None
 
     def _silent(self, progress: Progress, now: float) -> Violation | None:
-        if now - progress.stamp > SILENCE:
-            return Violation(
-                Outcome.DEVICE_FAULT,
-                f"the device has not told its position for {now - progress.stamp:.2g} s; {SILENCE:g} s are allowed",
-            )
+        silent = now - progress.stamp
+        if silent > SILENCE:
+            return _fault(f"the device has told no position for {silent:.2g} s; {SILENCE:g} s are allowed")
         return None
 
     def _pace(self, progress: Progress, now: float) -> Violation | None:
@@ -143,3 +146,7 @@ class Supervisor:
                 f"the axes are {late:.2g} s behind their schedule; {self.tolerances.late:g} s are allowed",
             )
         return None
+
+
+def _fault(what: str) -> Violation:
+    return Violation(Outcome.DEVICE_FAULT, what)
