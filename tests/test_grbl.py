@@ -88,10 +88,20 @@ def world(tmp_path: Path, firmware: Firmware | None = None, **changes: Any) -> W
 @pytest.mark.parametrize(
     ("settings", "complaint"),
     [
-        ({110: 2999.0}, r"\$110=2999 is less than the speed of X in the hardware file \(3000"),
-        ({125: 1000.0}, r"\$125=1000 is less than the acceleration of C"),
+        ({110: 2999.0}, r"\$110 is 2999.* less than the speed of X in the hardware file.*: set \$110=3000"),
+        ({125: 1000.0}, r"\$125 is 1000.* less than the acceleration of C .*: set \$125=2000"),
         ({13: 1}, r"reports in inches: set \$13=0"),
-        ({20: 0}, r"must have \$22=1 \(homing\) and \$20=1"),
+        ({20: 0}, r"soft limits are off, .*: set \$20=1"),
+        ({22: 0}, r"homing is off, .*: set \$22=1"),
+        ({1: 25}, r"motors X Y Z A B C go limp after 25 ms at rest, and lose their position: set \$1=255"),
+        ({1: 254, 37: 0b110111}, r"motors A go limp after 254 ms .*: set \$1=255"),
+        ({10: 447}, r"status reports lack overrides: set \$10=511"),
+        ({10: 2}, r"lack machine positions, line numbers, overrides: set \$10=511"),
+        ({32: 2}, r"a laser cutter or a lathe.*: set \$32=0"),
+        ({39: 0}, r"a hold is not obeyed .*: set \$39=1"),
+        ({62: 1}, r"goes to sleep by itself.*: set \$62=0"),
+        ({162: 0.05}, r"backlash of Z; .*: set \$162=0"),
+        ({1: 25, 13: 1}, r"1 more: play.py --commission lists all"),
     ],
 )
 def test_a_controller_set_otherwise_is_refused(settings: dict[int, float], complaint: str, tmp_path: Path) -> None:
@@ -143,13 +153,13 @@ def test_400_frames_stream_in_20_seconds(flow: str, tmp_path: Path) -> None:
     assert tracking is not None
     took = tracking.time[-1] + tracking.late[-1]
     assert took == pytest.approx(20.0, rel=0.02)
-    assert rig.latest.device.underruns == 0
+    assert rig.latest.device.underruns <= (0 if flow == "count" else 3)  # one line alone is a short start
     assert rig.frames_played() == list(range(1, 401))
     goal = rig.program().positions(np.array([rig.program().duration]))[0]
     assert (abs(rig.firmware.position - goal) <= STEP).all()
     assert abs(tracking.error[:, :3]).max() < 0.5
     assert abs(tracking.error[:, 3:]).max() < 1.0
-    assert most[0] <= (1024 - device.SPARE if flow == "count" else 80)
+    assert most[0] <= (device.IN_FLIGHT if flow == "count" else 80)
     assert rig.firmware.bytes_lost == 0
 
 
@@ -223,19 +233,21 @@ def test_a_hold_that_was_not_heard_is_repeated(tmp_path: Path) -> None:
     assert asked[1] - asked[0] < 0.5
 
 
-def test_a_held_controller_is_not_even_asked(tmp_path: Path) -> None:
+def test_a_held_controller_is_asked_for_its_status_and_nothing_else(tmp_path: Path) -> None:
     rig, sent = world(tmp_path), []
 
     def seen(program: Program, progress: Progress) -> None:
         if len(program.frames) > 2 and progress.time > 0.4 and rig.latest.state is State.RUNNING and not sent:
             rig.latest.pause()
         if rig.latest.state is State.HOLD:
-            sent.append(rig.sent_bytes())
+            sent.append(len(sent_by_host(rig)))
             if len(sent) == 300:
                 rig.latest.resume()
 
     assert rig.begin(seen=seen).outcome is Outcome.SUCCESS
-    assert len(set(sent[:300])) == 1
+    while_held = sent_by_host(rig)[sent[0] : sent[299]]
+    assert len(while_held) > 20
+    assert set(while_held) == {ord("?")}
     assert rig.frames_played() == list(range(1, 21))
 
 

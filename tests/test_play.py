@@ -282,12 +282,29 @@ def test_bad_hardware_files_are_bad_input(plan: Path, tmp_path: Path, capsys: py
 
 
 @pytest.mark.parametrize(
-    "options", [["--resume", "--home"], ["--resume", "--tempo", "0.5"], ["--resume", "--dry-run"]]
+    ("options", "complaint"),
+    [
+        (["--resume", "--home"], "--home does not go with --resume"),
+        (["--resume", "--tempo", "0.5"], "--tempo does not go with --resume"),
+        (["--resume", "--dry-run"], "--dry-run does not go with --resume"),
+        (["--retract", "--resume"], "--resume does not go with --retract"),
+        (["--dry-run", "--position-verified"], "--position-verified does not go with --dry-run"),
+        (["--commission", "--hardware", "x.toml"], "PLAN.npz does not go with --commission"),
+        (["--tempo", "1.5"], "tempo is 1.5; it must lie in (0, 1]"),
+    ],
 )
-def test_options_that_do_not_go_together(options: list[str], plan: Path) -> None:
+def test_options_that_do_not_go_together(
+    options: list[str], complaint: str, plan: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main([str(plan), *options]) == 2
-    assert main([str(plan), "--position-verified"]) == 2
-    assert main([str(plan), "--tempo", "1.5"]) == 2
+    assert capsys.readouterr().err.strip() == f"error: {complaint}"
+
+
+def test_a_plan_or_hardware_that_is_missing_is_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 2
+    assert "a plan is needed" in capsys.readouterr().err
+    assert main(["--commission"]) == 2
+    assert "--commission needs --hardware" in capsys.readouterr().err
 
 
 def test_nobody_listening_is_one_clear_line(

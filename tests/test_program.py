@@ -15,7 +15,8 @@ from ctr_nlp.errors import OptionError, ProgramError
 from ctr_nlp.executor import gcode
 from ctr_nlp.executor.devices import Progress
 from ctr_nlp.executor.hardware import Connection, bench
-from ctr_nlp.executor.program import LINE, approach_to, digest, program_of, rest_of
+from ctr_nlp.executor.lookahead import LONGEST
+from ctr_nlp.executor.program import approach_to, digests, program_of, rest_of
 from ctr_nlp.executor.record import Recorder
 from ctr_nlp.executor.way import Way
 
@@ -68,7 +69,7 @@ def test_half_the_tempo_takes_twice_the_time():
     assert program_of(plan, rig).duration < half.duration
 
 
-@given(longest=st.sampled_from([LINE, 0.02, 0.3, 10.0]))
+@given(longest=st.sampled_from([LONGEST, 0.02, 0.3, 10.0]))
 def test_pieces_are_short_end_at_frames_and_keep_all_limits(program, longest):
     commands = program.commands(longest)
     length = np.diff(commands.time, prepend=0.0)
@@ -97,7 +98,7 @@ def test_the_rest_goes_on_along_the_same_way(program, part):
     np.testing.assert_array_equal(rest.knots[1:], program.knots[behind:])
     np.testing.assert_allclose(rest.at(rest.frame_time[1:])[0], sweep().q[behind:], atol=1e-6)
     np.testing.assert_array_equal(np.unique(rest.commands().frame), rest.frames[1:])
-    assert rest.digest == program.digest
+    assert rest.digests == program.digests
     assert abs(rest.at(np.array([0.0, rest.duration]))[1]).max() < 1e-6
 
 
@@ -196,9 +197,9 @@ def test_without_play_positions_are_those_of_the_joints(program):
 # Names of what is played
 
 
-def test_the_digest_changes_with_every_number_that_is_played():
+def test_the_digest_of_plan_or_hardware_changes_with_everything_in_it():
     plan, rig = sweep(), homing_hardware()
-    known = digest(plan, rig)
+    known = digests(plan, rig)
     last = np.zeros(20)
     last[-1] = 1e-12
     slower = plan.robot.with_limits(alpha_speed=1.9)
@@ -215,17 +216,21 @@ def test_the_digest_changes_with_every_number_that_is_played():
                 {"acceleration": 199.0}, {"range": (-50.5, -1.0)},
             )
         ),
+        (replace(plan, shape=plan.shape + 1e-9), rig),
+        (replace(plan, meta=plan.meta | {"solver": "another"}), rig),
         (plan, replace(rig, arm=bench(plan.robot).arm)),
+        (plan, replace(rig, connection=replace(rig.connection, baud=9600))),
+        (plan, replace(rig, approach=0.5)),
     ]  # fmt: skip
-    names = [digest(*case) for case in changed]
-    assert len({known, *names}) == 1 + len(changed)
+    found = [digests(*case) for case in changed]
+    assert len({known, *found}) == 1 + len(changed)
+    assert all((names.plan == known.plan) is (case[0] is plan) for names, case in zip(found, changed, strict=True))
 
 
-def test_the_digest_does_not_change_with_what_is_not_played():
+def test_the_same_plan_and_hardware_have_the_same_digests():
     plan, rig = sweep(), homing_hardware()
-    other = replace(plan, solve_time=plan.solve_time + 1, meta=plan.meta | {"solver": "another"})
-    assert digest(other, replace(rig, connection=Connection(), approach=0.5)) == digest(plan, rig)
-    assert digest(replace(plan, time=plan.time[::1].copy()), homing_hardware()) == digest(plan, rig)
+    copied = replace(plan, time=plan.time.copy(), meta=dict(plan.meta))
+    assert digests(copied, replace(homing_hardware(), commissioned={1: "255"})) == digests(plan, rig)
 
 
 # G-code, ways and records

@@ -233,11 +233,14 @@ def test_another_plan_other_hardware_or_another_journal_are_refused(tmp_path: Pa
     beta = plan.beta.copy()
     beta[-1, 0] += 1e-6
     world.plan = replace(plan, beta=beta)
-    refused(world, "another plan, or of other hardware")
+    refused(world, r"another plan: its digest .* that of this plan \(bench\)")
+    world.plan = replace(plan, shape=plan.shape + 0.02)
+    refused(world, "another plan")
     world.plan = plan
     axis = replace(hardware.axes[0], zero=hardware.axes[0].zero - 1e-3)
-    world.hardware = replace(hardware, axes=(axis, *hardware.axes[1:]))
-    refused(world, "another plan, or of other hardware")
+    for other in (replace(hardware, axes=(axis, *hardware.axes[1:])), replace(hardware, approach=0.9)):
+        world.hardware = other
+        refused(world, "another hardware: .* that of this hardware file")
     world.hardware = hardware
     finish(world)
 

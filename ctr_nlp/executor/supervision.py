@@ -15,6 +15,9 @@ Array = npt.NDArray[np.float64]
 SILENCE = 0.5
 """s without news from the device."""
 
+HELD_UP = 0.5
+"""s in which the player itself did not look, since its process was suspended or its machine too busy."""
+
 STALLED = 1.0
 """s in which nothing moves and nothing is acknowledged, and yet something should."""
 
@@ -55,6 +58,7 @@ class Supervisor:
     tolerances: Tolerances
     _since: tuple[float, float] | None = field(default=None, init=False)
     """When (s of the clock) and where (s of the motion) the schedule began, anew after every hold."""
+    _looked: float | None = field(default=None, init=False)
     _holding: float | None = field(default=None, init=False)
     _paused: bool = field(default=False, init=False)
     _rest: Array | None = field(default=None, init=False)
@@ -121,6 +125,10 @@ class Supervisor:
         return None
 
     def _silent(self, progress: Progress, now: float) -> Violation | None:
+        """Neither the device nor the player itself is away for long."""
+        away, self._looked = 0.0 if self._looked is None else now - self._looked, now
+        if away > HELD_UP:
+            return _fault(f"the player itself was held up for {away:.2g} s; {HELD_UP:g} s are allowed")
         silent = now - progress.stamp
         if silent > SILENCE:
             return _fault(f"the device has told no position for {silent:.2g} s; {SILENCE:g} s are allowed")

@@ -26,6 +26,9 @@ from ctr_nlp.executor.way import Place, Way
 AGAIN = 0.1
 """s after which a status question counts as lost and is asked again."""
 
+FRESH = 0.15
+"""s after which a position is too old for giving the controller more: this process may have been suspended."""
+
 SETTLING = 0.5
 """s in which an idle controller that is not quite at the end may still begin with the last line."""
 
@@ -106,6 +109,9 @@ class Grbl:
                 raise DeviceFault(
                     f"the controller's {name} is {offsets[name]}; G-code must mean machine positions"
                 )
+        override = self._talk.override()
+        if override != 100:
+            raise DeviceFault(f"the feed override is {override:g} %; set it to 100 % at the controller")
         homed = self._hardware.connection.homing == "manual" or self._all_homed(offsets)
         return Standing(report.position[self._columns], homed)
 
@@ -254,6 +260,8 @@ class Grbl:
             self._send(now)
 
     def _send(self, now: float) -> None:
+        if now - self._stamp > FRESH:
+            return
         room = min(IN_FLIGHT, self._asked_who().receive - SPARE)
         if self._hardware.connection.flow == "wait":
             room = 1

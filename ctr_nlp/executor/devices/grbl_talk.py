@@ -21,6 +21,9 @@ GREETING = 6.0
 ANSWER = 3.0
 """s within which a line is answered while nothing moves."""
 
+RARELY = 32
+"""Reports among which one tells the overrides."""
+
 QUIET = 0.15
 """s without a byte: nothing else is on its way."""
 
@@ -125,6 +128,14 @@ class Talk:
             self.report()
             taken.append(self._clock.now() - asked)
         return float(statistics.median(taken))
+
+    def override(self) -> float:
+        """By what the feed is scaled, in %, which only some reports tell; raises DeviceFault."""
+        for _ in range(RARELY):
+            override = self.report().override
+            if override is not None:
+                return override
+        raise DeviceFault("the controller does not tell its feed override: set $10=511")
 
     def offsets(self) -> dict[str, tuple[float, ...]]:
         """Offsets between G-code and machine, and what has been homed, by name ($#); raises DeviceFault."""
