@@ -21,7 +21,9 @@ from ctr_nlp.executor.link import RecordedLink
 from ctr_nlp.executor.player import Player, Seen
 from ctr_nlp.executor.program import Program
 from ctr_nlp.executor.results import Result
+from ctr_nlp.executor.retract import retract
 from ctr_nlp.executor.session import begin, prepared, resume
+from ctr_nlp.executor.trust import Memory
 from ctr_nlp.forward import shapes, tangents
 from ctr_nlp.plan import Plan
 
@@ -129,6 +131,8 @@ class World:
     hardware: Hardware = field(default_factory=homing_hardware)
     firmware: Firmware = field(default_factory=homed_firmware)
     clock: VirtualClock = field(default_factory=VirtualClock)
+    state: Path | None = None
+    """Where devices are remembered; None: they are not."""
 
     def __post_init__(self) -> None:
         self.path = self.folder / "journal.jsonl"
@@ -148,12 +152,19 @@ class World:
             self.links.append(WireLink(Wire(self.firmware, self.clock, faults)))
             return RecordedLink(self.links[-1], journal)
 
-        return Player(Grbl(self.hardware, opened, self.clock), None, journal, self.clock)
+        memory = None if self.state is None else Memory(self.state, self.hardware.connection.url)
+        return Player(Grbl(self.hardware, opened, self.clock), None, journal, self.clock, memory)
 
-    def begin(self, faults: tuple[Fault, ...] = (), seen: Seen | None = None) -> Result:
+    def begin(self, faults: tuple[Fault, ...] = (), **options: Any) -> Result:
         """Play from the first frame."""
         self.latest = self.player(faults)
-        return begin(self.latest, self.plan, self.hardware, seen=seen)
+        return begin(self.latest, self.plan, self.hardware, **options)
+
+    def retract(self, known: bool = True, **options: Any) -> Result:
+        """Pull the tubes back, by the journal where that is known."""
+        records = read_journal(self.path) if known else None
+        self.latest = self.player()
+        return retract(self.latest, self.plan, self.hardware, records, **options)
 
     def resume(self, faults: tuple[Fault, ...] = (), verified: bool = False, seen: Seen | None = None) -> Result:
         """Go on."""

@@ -22,12 +22,13 @@ settings.load_profile("quick")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Keep compiled code in a folder of this session's own, which every process of it inherits."""
+    """Keep compiled code, and what is known of devices, in a folder of this session's own, for all its processes."""
     if hasattr(config, "workerinput"):
         return
     folder = tempfile.TemporaryDirectory(prefix="ctr_nlp-tests-", ignore_cleanup_errors=True)
     config.add_cleanup(folder.cleanup)
     os.environ["CTR_NLP_CACHE"] = str(Path(folder.name, "cache"))
+    os.environ["CTR_NLP_STATE"] = str(Path(folder.name, "state"))
     for name in THREADS:
         os.environ.setdefault(name, "1")
 

@@ -127,7 +127,7 @@ class Supervisor:
     def _silent(self, progress: Progress, now: float) -> Violation | None:
         """Neither the device nor the player itself is away for long."""
         away, self._looked = 0.0 if self._looked is None else now - self._looked, now
-        if away > HELD_UP:
+        if away > HELD_UP and progress.state != "held":
             return _fault(f"the player itself was held up for {away:.2g} s; {HELD_UP:g} s are allowed")
         silent = now - progress.stamp
         if silent > SILENCE:
