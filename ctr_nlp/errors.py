@@ -1,5 +1,7 @@
 """The errors this library raises on bad input; each names the field, its value and what is allowed."""
 
+from typing import Any
+
 
 class CtrError(Exception):
     """Base of every error that ctr_nlp raises itself."""
@@ -35,6 +37,14 @@ class HardwareError(CtrError):
 
 class DeviceFault(CtrError):
     """A device that does not do what it should: the message says what was seen."""
+
+
+class Stopped(DeviceFault):
+    """A stop that was asked for while a device was being connected, carried out; result: how that ended."""
+
+    def __init__(self, result: Any) -> None:
+        super().__init__(result.message)
+        self.result = result
 
 
 class JournalError(CtrError):

@@ -10,6 +10,8 @@ from ctr_nlp.errors import OptionError
 EXTRAS = {
     "toppra": "hardware",
     "serial": "hardware",
+    "filelock": "hardware",
+    "platformdirs": "hardware",
     "ur_analytic_ik": "hardware",
     "rosbags": "hardware",
     "rtde_control": "ur",

@@ -16,6 +16,7 @@ import numpy as np
 
 from ctr_nlp.cli import live
 from ctr_nlp.cli.arguments import add_live_option
+from ctr_nlp.cli.commission import commission
 from ctr_nlp.cli.console import (
     BAD_INPUT,
     INTERRUPTED,
@@ -29,13 +30,14 @@ from ctr_nlp.cli.play_report import print_program, report
 from ctr_nlp.errors import DeviceFault, OptionError
 from ctr_nlp.executor.clock import RealClock
 from ctr_nlp.executor.devices import Progress
-from ctr_nlp.executor.devices.opening import arm_follower, device_of
+from ctr_nlp.executor.devices.opening import arm_follower, device_of, memory_of
 from ctr_nlp.executor.hardware import Hardware, bench
 from ctr_nlp.executor.journal import Journal, read_journal
 from ctr_nlp.executor.player import Player, Seen
 from ctr_nlp.executor.program import Program
 from ctr_nlp.executor.record import Recorder
-from ctr_nlp.executor.results import Outcome
+from ctr_nlp.executor.results import Outcome, Result
+from ctr_nlp.executor.retract import retract
 from ctr_nlp.executor.session import begin, prepared, resume
 from ctr_nlp.plan import Plan
 from ctr_nlp.steer.interrupt import deferred_interrupt
@@ -57,7 +59,7 @@ def _parsed(argv: list[str] | None) -> argparse.Namespace:
         "lines on standard input are obeyed: p pauses, r resumes, a aborts; Ctrl-C aborts too.",
         epilog="Exit status: 0 played to the end, 1 not, 2 bad input (nothing was sent), 130 interrupted.",
     )
-    parser.add_argument("plan", metavar="PLAN.npz")
+    parser.add_argument("plan", metavar="PLAN.npz", nargs="?", help="not with --commission")
     parser.add_argument("--hardware", metavar="FILE.toml", help="(default: a simulated bench rig)")
     parser.add_argument("--dry-run", action="store_true", help="check everything; open no device")
     parser.add_argument(
@@ -72,7 +74,19 @@ def _parsed(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--position-verified",
         action="store_true",
-        help="with --resume: you have made sure that the axes stand where the controller says",
+        help="you have made sure that the axes stand where the controller says, after it was not to be trusted",
+    )
+    parser.add_argument(
+        "--retract",
+        action="store_true",
+        help="pull the tubes back slowly along the way that the last session in the journal came, or, where there is "
+        "no journal, innermost first; the motion is checked like a plan",
+    )
+    parser.add_argument(
+        "--commission",
+        action="store_true",
+        help="read a Grbl controller, tell which settings are wrong and what to set, move single axes by a small step "
+        "where asked to, and keep its settings beside the hardware file, to be compared at every start",
     )
     parser.add_argument(
         "--out",
@@ -81,56 +95,75 @@ def _parsed(argv: list[str] | None) -> argparse.Namespace:
     )
     add_live_option(parser, "the robot where its axes are, over where they should be (the tilt as commanded),")
     arguments = parser.parse_args(argv)
-    for name in ("home", "tempo", "dry_run"):
-        if arguments.resume and getattr(arguments, name) not in (None, False):
-            raise OptionError(f"--{name.replace('_', '-')} does not go with --resume")
-    if arguments.position_verified and not arguments.resume:
-        raise OptionError("--position-verified goes with --resume only")
-    if arguments.live and arguments.dry_run:
-        raise OptionError("--live does not go with --dry-run, in which nothing moves")
+    _check_together(arguments)
     return arguments
 
 
+EXCLUDED = {
+    "resume": ("home", "tempo", "dry_run"),
+    "retract": ("home", "tempo", "dry_run", "resume", "live"),
+    "commission": ("home", "tempo", "dry_run", "resume", "retract", "live", "position_verified", "plan"),
+    "dry_run": ("live", "position_verified"),
+}
+"""Option -> what does not go with it."""
+
+
+def _check_together(arguments: argparse.Namespace) -> None:
+    """Raise OptionError for options that do not go together, and for a plan or a hardware file that is missing."""
+    for option, others in EXCLUDED.items():
+        for other in others:
+            if getattr(arguments, option) and getattr(arguments, other) not in (None, False):
+                name = "PLAN.npz" if other == "plan" else f"--{other.replace('_', '-')}"
+                raise OptionError(f"{name} does not go with --{option.replace('_', '-')}")
+    if arguments.commission and arguments.hardware is None:
+        raise OptionError("--commission needs --hardware FILE.toml, beside which the settings are kept")
+    if arguments.plan is None and not arguments.commission:
+        raise OptionError("a plan is needed: play.py PLAN.npz")
+
+
 def _run(arguments: argparse.Namespace) -> int:
+    if arguments.commission:
+        out = Path(arguments.out or "runs/commissioning")
+        _claim(out)
+        return commission(Path(arguments.hardware), out / JOURNAL)
     plan = Plan.load(arguments.plan)
     hardware = bench(plan.robot) if arguments.hardware is None else Hardware.from_toml(arguments.hardware)
-    tempo = 1.0 if arguments.tempo is None else arguments.tempo
     if arguments.dry_run:
         title = f"{plan.meta['problem']['name']}: checked; nothing was sent"
-        print_program(title, *prepared(plan, hardware, tempo))
+        print_program(title, *prepared(plan, hardware, _tempo(arguments)))
         return SOLVED
     out = Path(arguments.out or f"runs/{plan.meta['problem']['name']}-play")
-    records = read_journal(out / JOURNAL) if arguments.resume else None
+    known = arguments.resume or (arguments.retract and (out / JOURNAL).exists())
+    records = read_journal(out / JOURNAL) if known else None
     with live.playing(plan) if arguments.live else nullcontext() as told:
-        return _played(arguments, plan, hardware, tempo, out, records, told)
+        return _played(arguments, plan, hardware, out, records, told)
+
+
+def _tempo(arguments: argparse.Namespace) -> float:
+    return 1.0 if arguments.tempo is None else float(arguments.tempo)
 
 
 def _played(
     arguments: argparse.Namespace,
     plan: Plan,
     hardware: Hardware,
-    tempo: float,
     out: Path,
     records: list[dict[str, Any]] | None,
     told: live.Played | None,
 ) -> int:
-    """Play, from the beginning or where records end; told, unless None, of all that is seen."""
+    """Play, from the beginning or where records end, or retract; told, unless None, of all that is seen."""
     _claim(out)
     clock = RealClock()
     journal = Journal(out / JOURNAL, clock)
     arm = None if hardware.arm is None else arm_follower(hardware.arm, _tilt(plan, records), clock.now)
     device = device_of(hardware, journal, clock, _stood(hardware, records))
-    player, recorder = Player(device, arm, journal, clock), Recorder()
-    with deferred_interrupt() as interrupted, progress_bar() as labelled, _obeying(player):
+    player, recorder = Player(device, arm, journal, clock, memory_of(hardware.connection)), Recorder()
+    with deferred_interrupt() as interrupted, progress_bar() as labelled, _obeying(player, interrupted):
         if interrupted():
             player.abort()
         seen = _seen(player, recorder, labelled(plan.meta["problem"]["name"]), told)
         try:
-            result = (
-                begin(player, plan, hardware, tempo, home=arguments.home, seen=seen)
-                if records is None
-                else resume(player, plan, hardware, records, verified=arguments.position_verified, seen=seen)
-            )
+            result = _result(arguments, player, plan, hardware, records, seen)
         except DeviceFault as error:
             sys.stderr.write(f"error: {error}\nnothing was played; what was said is in {out / JOURNAL}\n")
             return SOME_FAILED
@@ -145,6 +178,23 @@ def _played(
     if result.outcome is Outcome.INVALID_PLAN:
         return BAD_INPUT
     return INTERRUPTED if interrupted() else SOME_FAILED
+
+
+def _result(
+    arguments: argparse.Namespace,
+    player: Player,
+    plan: Plan,
+    hardware: Hardware,
+    records: list[dict[str, Any]] | None,
+    seen: Seen,
+) -> Result:
+    """What came of what was asked for."""
+    verified = arguments.position_verified
+    if arguments.retract:
+        return retract(player, plan, hardware, records, verified=verified, seen=seen)
+    if records is not None:
+        return resume(player, plan, hardware, records, verified=verified, seen=seen)
+    return begin(player, plan, hardware, _tempo(arguments), home=arguments.home, verified=verified, seen=seen)
 
 
 def _claim(out: Path) -> None:
@@ -169,8 +219,11 @@ def _tilt(plan: Plan, records: list[dict[str, Any]] | None) -> Any:
 
 
 @contextmanager
-def _obeying(player: Player) -> Iterator[None]:
-    """Within the block what is typed, and signals that end programs, are wishes of the player's."""
+def _obeying(player: Player, interrupted: Callable[[], bool]) -> Iterator[None]:
+    """Within the block what is typed, and signals that end programs, are wishes of the player's.
+
+    Ctrl-C is one as often as it is pressed: a stop is never itself interrupted, and always ends.
+    """
     threading.Thread(target=_listen, args=(player,), daemon=True).start()
     signals = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
     before = {number: signal.signal(number, lambda *_: player.abort()) for number in signals}
@@ -178,7 +231,7 @@ def _obeying(player: Player) -> Iterator[None]:
 
     def interrupt(number: int, frame: Any) -> None:
         player.abort()
-        if callable(remember):
+        if callable(remember) and not interrupted():
             remember(number, frame)
 
     before[signal.SIGINT] = signal.signal(signal.SIGINT, interrupt)

@@ -13,6 +13,8 @@ import numpy.typing as npt
 
 from ctr_nlp.errors import HardwareError, RobotError
 from ctr_nlp.executor.arm.description import Arm
+from ctr_nlp.executor.commissioned import read_commissioned
+from ctr_nlp.executor.lookahead import steady_speed
 from ctr_nlp.robot import Robot
 from ctr_nlp.values import described, numbers, read_toml
 
@@ -24,7 +26,7 @@ UNITS = {"beta": {"mm": 1.0}, "alpha": {"deg": math.degrees(1.0), "rad": 1.0}}
 DEVICES = ("simulated", "grbl", "ros2")
 HOMING = ("manual", "cycle")
 FLOW = ("count", "wait")
-KEYS = "name, robot, axes, arm, connection, approach"
+KEYS = "name, robot, axes, arm, connection, approach, late"
 """Of a hardware file."""
 
 
@@ -118,7 +120,9 @@ class Hardware:
     """Axes, one for every alpha and beta of a robot, an arm that tilts it or None, and the connection.
 
     approach: part of the largest speeds at which the first frame is gone to. robot: whose tubes are mounted; plans
-    for others are refused, None takes any. Raises HardwareError.
+    for others are refused, None takes any. late: s that a motion may be behind its schedule. commissioned: the
+    controller's settings by number when the rig was commissioned, as it told them; None where that was not done.
+    Raises HardwareError.
     """
 
     axes: tuple[Axis, ...]
@@ -126,6 +130,8 @@ class Hardware:
     connection: Connection = field(default_factory=Connection)
     approach: float = 0.2
     robot: Robot | None = None
+    late: float = 1.0
+    commissioned: dict[int, str] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axes", tuple(self.axes))
@@ -137,6 +143,9 @@ class Hardware:
         approach = self.approach
         if isinstance(approach, bool) or not isinstance(approach, int | float) or not 0 < approach <= 1:
             raise HardwareError(f"approach is {approach!r}; it must lie in (0, 1]")
+        late = self.late
+        if isinstance(late, bool) or not isinstance(late, int | float) or not 0 < late < math.inf:
+            raise HardwareError(f"late is {late!r}; it must be a positive number of seconds")
 
     @cached_property
     def letters(self) -> tuple[str, ...]:
@@ -172,7 +181,7 @@ class Hardware:
             i = robot.axes.index(axis.joint)
             ends = sorted((end - axis.zero) / axis.scale for end in axis.range)
             lower[i], upper[i] = max(lower[i], ends[0]), min(upper[i], ends[1])
-            speed[i] = min(speed[i], axis.speed / abs(axis.scale))
+            speed[i] = min(speed[i], self._fastest(axis) / abs(axis.scale))
             acceleration[i] = min(acceleration[i], axis.acceleration / abs(axis.scale))
         if self.arm is None:
             lower[-2:], upper[-2:] = np.maximum(lower[-2:], 0.0), np.minimum(upper[-2:], 0.0)
@@ -189,6 +198,12 @@ class Hardware:
             return robot.with_limits(**limits)
         except RobotError as error:
             raise HardwareError(f"this hardware cannot move the robot: {error}") from error
+
+    def _fastest(self, axis: Axis) -> float:
+        """The largest speed of an axis in its unit; lower where its controller could not stop soon enough from it."""
+        if self.connection.device != "grbl":
+            return axis.speed
+        return min(axis.speed, steady_speed(axis.acceleration, axis.unit == "mm"))
 
     def _check_joints(self, robot: Robot) -> None:
         wanted, moved = set(robot.axes[: 2 * robot.d]), {axis.joint for axis in self.axes}
@@ -242,6 +257,8 @@ class Hardware:
                 described(Connection, data.get("connection", {})),
                 data.get("approach", cls.approach),
                 Robot.from_toml(Path(path).parent / data["robot"]) if "robot" in data else None,
+                data.get("late", cls.late),
+                read_commissioned(path),
             )
         except (RobotError, HardwareError) as error:
             raise HardwareError(f"hardware file {path}: {error}") from error

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
+import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,10 +22,12 @@ class Journal:
     """An open file to which records are added, each whole; raises JournalError where that fails.
 
     A record is {"t": s of the clock, "kind": ..., ...}. Bytes are latin-1 text. A file that is there is added to.
+    session: a name that no other session has.
     """
 
     def __init__(self, path: str | Path, clock: Clock) -> None:
         self.path, self._clock, self._strict = Path(path), clock, True
+        self.session = uuid.uuid4().hex
         with self._written():
             self._file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
         try:
@@ -32,7 +35,7 @@ class Journal:
                 self._end = os.fstat(self._file).st_size
                 if self._end and not self.path.read_bytes().endswith(b"\n"):
                     self._write(b"\n")
-            self.record("session", wall=time.time(), pid=os.getpid())
+            self.record("session", id=self.session, wall=time.time(), pid=os.getpid())
         except JournalError:
             self.close()
             raise

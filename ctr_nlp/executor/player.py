@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from queue import Empty, SimpleQueue
 
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.errors import DeviceFault, JournalError, ProgramError
+from ctr_nlp.errors import DeviceFault, JournalError, ProgramError, Stopped
 from ctr_nlp.executor.clock import Clock, RealClock
 from ctr_nlp.executor.devices import Device, Progress, Standing
 from ctr_nlp.executor.devices.arms import ArmFollower
 from ctr_nlp.executor.journal import Journal
 from ctr_nlp.executor.program import Program
 from ctr_nlp.executor.results import Outcome, Result, State
+from ctr_nlp.executor.supervision import Supervisor, Tolerances
+from ctr_nlp.executor.trust import Memory, Remembered, doubt
 
 Array = npt.NDArray[np.float64]
 
@@ -40,35 +42,64 @@ class Player:
     """One device, and an arm or None, from connecting to closing; everything that happens is in the journal.
 
     pause, resume and abort may be called from anywhere, also from the callback of play; the last word counts, but
-    an abort is final. What is asked for while nothing plays holds for the next program. After any stop nothing
-    moves and nothing is sent until the next call. A call that the state does not allow raises DeviceFault.
+    an abort is final, and works in every state. What is asked for while nothing plays holds for the next program.
+    After any stop nothing moves and nothing is sent until the next call. memory: of whether the device's position was
+    to be trusted when sessions before this one ended, None to forget. A call that the state does not allow raises
+    DeviceFault.
     """
 
     def __init__(
-        self, device: Device, arm: ArmFollower | None, journal: Journal, clock: Clock | None = None
+        self,
+        device: Device,
+        arm: ArmFollower | None,
+        journal: Journal,
+        clock: Clock | None = None,
+        memory: Memory | None = None,
     ) -> None:
-        self.device, self._arm, self.journal = device, arm, journal
+        self.device, self._arm, self.journal, self._memory = device, arm, journal, memory
         self._clock = RealClock() if clock is None else clock
         self._wishes: SimpleQueue[str] = SimpleQueue()
         self._wish, self._frame = "", 0
         self.state = State.DISCONNECTED
+        self.doubt = ""
+        """Why the position of the connected device is not to be trusted, "" where nothing speaks against it."""
 
-    def connect(self, stop_first: bool = False, home: bool = False) -> Standing:
+    def connect(self, stop_first: bool = False, home: bool = False, session: str = "") -> Standing:
         """Open the device and the arm; where the axes stand. Raises DeviceFault.
 
         stop_first: a device that moves, since its player died, is stopped; else that is a fault. home: let the
-        device find its position, which also ends its alarm; abort stops that.
+        device find its position, which also ends its alarm. session: the journal's, of one that is to be gone on
+        with. Where an abort is asked for meanwhile, the device is stopped, and Stopped is raised.
         """
         self._expect("connects", State.DISCONNECTED)
         with self._faults():
-            self.device.connect()
-            if home:
-                self.device.home(lambda: self._asked() == "abort")
-            standing = self._cleared() if stop_first else self.device.standing()
+            if self._memory is not None:
+                self._memory.claim()
+            standing = self._opened(stop_first, home)
             if self._arm is not None:
                 self._arm.connect()
-            self._to(State.HOMED if standing.homed else State.IDLE)
+            if self._memory is not None and not home:
+                left = self._memory.read(self.device.identity)
+                self.doubt = doubt(left, standing.position, self.device.resolution, session)
+            self._to(State.HOMED if standing.homed and not self.doubt else State.IDLE)
         return standing
+
+    def _opened(self, stop_first: bool, home: bool) -> Standing:
+        """Where a device stands that was connected, and homed or stopped as wanted, unless an abort comes between."""
+        homing = False
+        try:
+            self.device.connect(self._aborted)
+            homing = home
+            if home:
+                self.device.home(self._aborted)
+            return self._cleared() if stop_first else self.device.standing()
+        except BaseException as error:
+            if self._aborted() and isinstance(error, DeviceFault):
+                result = self._stopped(Outcome.CANCELLED, "stopped on request, before anything was played")
+                raise Stopped(result) from error
+            if homing:
+                self._stopped(Outcome.DEVICE_FAULT, f"homing failed: {error!r}")
+            raise
 
     def _cleared(self) -> Standing:
         """Stop what a dead player left behind; where that fails the position is lost, which is recorded."""
@@ -81,6 +112,7 @@ class Player:
     def trust(self) -> None:
         """Take the position that the device tells for true, since a person has made sure of it."""
         self._expect("can be told to trust a position", State.IDLE, State.HOMED)
+        self.doubt = ""
         self._to(State.HOMED)
 
     def tilt(self) -> Array:
@@ -104,6 +136,8 @@ class Player:
         for part in (self._arm, self.device):
             if part is not None:
                 part.close()
+        if self._memory is not None:
+            self._memory.release()
         with self.journal.forgiving():
             self._to(State.DISCONNECTED)
 
@@ -118,18 +152,25 @@ class Player:
             standing = self.device.standing()
             try:
                 self._check_start(program, standing)
+                self.device.start(program.commands())
             except ProgramError as error:
                 return self._ended(Outcome.INVALID_PLAN, str(error), standing)
-            if self._asked() == "abort":
+            if self._aborted():
                 return self._ended(Outcome.CANCELLED, "stopped on request, before anything moved", standing)
+            self._remember(
+                Remembered(False, "a motion had begun, and its end was never told", session=self.journal.session)
+            )
             self._to(State.RUNNING)
-            self.device.start(program.commands())
             return self._played(program, seen)
         except (DeviceFault, JournalError) as error:
             return self._stopped(Outcome.DEVICE_FAULT, str(error))
         except BaseException as error:
             self._stopped(Outcome.CANCELLED, f"playing was interrupted by {error!r}")
             raise
+
+    def _remember(self, left: Remembered) -> None:
+        if self._memory is not None:
+            self._memory.write(self.device.identity, left)
 
     def _check_start(self, program: Program, standing: Standing) -> None:
         start = program.positions(np.zeros(1))[0]
@@ -141,23 +182,28 @@ class Player:
                 )
 
     def _played(self, program: Program, seen: Seen | None) -> Result:
+        supervisor = Supervisor(Tolerances(program.hardware.late, self.device.resolution))
         while True:
             progress = self.device.update()
             self._tell(progress, program)
+            wrong = supervisor.violation(progress, self._clock.now())
+            if wrong is not None:
+                where = f"{progress.time:.2f} s after the start, frame {self._frame} being the last passed"
+                return self._stopped(wrong.outcome, f"{wrong.what} ({where})")
             if seen is not None:
                 seen(program, progress)
-            if progress.away > 1.0:
-                return self._stopped(
-                    Outcome.PATH_TOLERANCE_VIOLATED,
-                    f"the axes are {progress.away:.3g} tolerances from their way, after frame {self._frame}",
-                )
             if progress.state == "done":
                 return self._arrived(program, progress)
-            if self._asked() == "abort":
+            if self._aborted():
                 return self._stopped(Outcome.CANCELLED, f"stopped on request, after frame {self._frame}")
-            self._obey(progress)
+            self._obey(progress, supervisor)
             self._lead(program, progress)
+            self.device.feed()
             self._clock.sleep(TICK)
+
+    def _aborted(self) -> bool:
+        """Whether an abort has been asked for."""
+        return self._asked() == "abort"
 
     def _asked(self) -> str:
         """What is wished for now: "" for nothing, "pause", "resume" or "abort"."""
@@ -170,7 +216,7 @@ class Player:
             if self._wish != "abort":
                 self._wish = wish
 
-    def _obey(self, progress: Progress) -> None:
+    def _obey(self, progress: Progress, supervisor: Supervisor) -> None:
         """Pause or go on as wished, once the device can."""
         if progress.state == "held" and self.state is State.RUNNING:
             if self._arm is not None:
@@ -182,6 +228,7 @@ class Player:
             self.device.hold()
         if progress.state == "held" and self._wish == "resume":
             self.device.resume()
+            supervisor.resumed()
             self._to(State.RUNNING)
         self._wish = ""
 
@@ -266,9 +313,16 @@ class Player:
                 trusted=result.trusted,
             )
             self._to(State.HOMED if fine else State.FAULT)
+        self._remembered(result)
         if self._wish == "abort":
             self._wish = ""
         return result
+
+    def _remembered(self, result: Result) -> None:
+        """How a session left the device; where that cannot be written, what was written before it distrusts it."""
+        position = None if result.position is None else tuple(result.position.tolist())
+        with suppress(DeviceFault):
+            self._remember(Remembered(result.trusted, "" if result.trusted else result.message, position))
 
     def _expect(self, what: str, *states: State) -> None:
         if self.state not in states:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +14,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from ctr_nlp.errors import OptionError, ProgramError
 from ctr_nlp.executor.hardware import Hardware
+from ctr_nlp.executor.lookahead import LONGEST
 from ctr_nlp.executor.path import made_up, path_through
 from ctr_nlp.executor.timing import Motion, timed
 from ctr_nlp.plan import Plan
@@ -21,11 +22,15 @@ from ctr_nlp.robot import Robot
 
 Array = npt.NDArray[np.float64]
 
-LINE = 0.05
-"""s: the longest piece of motion that a device gets as one straight line."""
-
 AT = 1e-4
 """Part of the way from frame to frame: what stands so little before a frame stands at it."""
+
+
+class Digests(NamedTuple):
+    """SHA-256 of a plan and of the hardware that it is played on."""
+
+    plan: str
+    hardware: str
 
 
 @dataclass(frozen=True)
@@ -48,7 +53,7 @@ class Program:
 
     robot: with the limits of the hardware. knots (T,): parameters of the path (the plan's time) where frames are
     passed, the first of which may be a place between frames; frames (T,): their numbers. lash: what is added to
-    the axes' positions (.., m) for play in the drives, a function of that parameter. digest: of what is played.
+    the axes' positions (.., m) for play in the drives, a function of that parameter. digests: of what is played.
     """
 
     robot: Robot
@@ -57,7 +62,7 @@ class Program:
     lash: CubicHermiteSpline
     knots: Array
     frames: npt.NDArray[np.int64]
-    digest: str
+    digests: Digests
 
     @property
     def duration(self) -> float:
@@ -90,7 +95,7 @@ class Program:
         """The last frame that is passed by a time in s, 0 before the first."""
         return int(self.frames[self.frame_time <= time].max(initial=0))
 
-    def commands(self, longest: float = LINE) -> Commands:
+    def commands(self, longest: float = LONGEST) -> Commands:
         """The motion in straight pieces of at most so many s, with frames among their ends."""
         counts = np.maximum(1, np.ceil(np.diff(self.frame_time) / longest - 1e-6)).astype(int)
         pieces = [
@@ -117,7 +122,7 @@ def program_of(plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: Arr
     lash = made_up(plan.time, positions, hardware.backlash, before)
     path = path_through(robot, plan.time, plan.q)
     frames = np.arange(1, len(plan.time) + 1)
-    return _timed(robot, hardware, path, lash, plan.time, frames, digest(plan, hardware), tempo)
+    return along(robot, hardware, path, lash, plan.time, frames, digests(plan, hardware), tempo)
 
 
 def rest_of(program: Program, s: float, tempo: float = 1.0) -> Program:
@@ -128,35 +133,36 @@ def rest_of(program: Program, s: float, tempo: float = 1.0) -> Program:
     knots = np.append(s, program.knots[ahead])
     frames = np.append(program.frames[ahead][0] - 1, program.frames[ahead])
     path = program.motion.path
-    return _timed(program.robot, program.hardware, path, program.lash, knots, frames, program.digest, tempo)
+    return along(program.robot, program.hardware, path, program.lash, knots, frames, program.digests, tempo)
 
 
 def approach_to(program: Program, standing: Array, theta: Array) -> Program:
     """The straight and slow way from positions (m,) of the axes and a tilt (2,) to where a program starts."""
     hardware, start = program.hardware, program.knots[:1]
-    robot = program.robot.with_limits(**_named("speed", program.robot, hardware.approach * program.robot.speed))
+    robot = slowed(program.robot, hardware.approach)
     q = np.stack([hardware.joints(robot, standing, theta), program.motion.path(start[0])])
     knots = np.array([0.0, max(1e-3, float((abs(q[1] - q[0]) / robot.speed).max()))])
     added = np.vstack([np.zeros(len(hardware.axes)), program.lash(start)])
     lash = CubicHermiteSpline(knots, added, np.zeros_like(added))
     first = program.frames[0]
     frames = np.array([first - (program.knots[0] == program.motion.path.x[0]), first])
-    return _timed(robot, hardware, path_through(robot, knots, q), lash, knots, frames, program.digest, 1.0)
+    return along(robot, hardware, path_through(robot, knots, q), lash, knots, frames, program.digests, 1.0)
 
 
-def _named(kind: str, robot: Robot, values: Array) -> dict[str, Any]:
-    parts = zip(("alpha", "beta", "theta"), robot.split(values), strict=True)
-    return {f"{name}_{kind}": part.tolist() for name, part in parts}
+def slowed(robot: Robot, part: float) -> Robot:
+    """A robot that moves at a part of its largest speeds."""
+    parts = zip(("alpha", "beta", "theta"), robot.split(part * robot.speed), strict=True)
+    return robot.with_limits(**{f"{name}_speed": speed.tolist() for name, speed in parts})
 
 
-def _timed(
+def along(
     robot: Robot,
     hardware: Hardware,
     path: CubicHermiteSpline,
     lash: CubicHermiteSpline,
     knots: Array,
     frames: npt.NDArray[np.int64],
-    name: str,
+    names: Digests,
     tempo: float,
 ) -> Program:
     """The program along a path, whose limits are those of what the drives do."""
@@ -165,14 +171,18 @@ def _timed(
         return np.asarray(path(s, order) + hardware.in_joints(robot, lash(s, order)))
 
     motion = timed(path, driven, knots, robot.speed, robot.acceleration, tempo)
-    return Program(robot, hardware, motion, lash, knots, frames, name)
+    return Program(robot, hardware, motion, lash, knots, frames, names)
 
 
-def digest(plan: Plan, hardware: Hardware) -> str:
-    """A name for what a plan is on some hardware; it changes with every number that is played."""
-    known = hashlib.sha256()
-    for array in (plan.time, plan.q, plan.success):
-        known.update(np.ascontiguousarray(array).tobytes())
-    known.update(json.dumps(plan.meta["robot"], sort_keys=True).encode())
-    known.update(repr((hardware.axes, hardware.arm)).encode())
-    return known.hexdigest()
+def digests(plan: Plan, hardware: Hardware) -> Digests:
+    """Names for a plan and some hardware, which change with every number, word or limit in either."""
+    known = hashlib.sha256(json.dumps(plan.meta, sort_keys=True).encode())
+    for field in fields(plan):
+        array = getattr(plan, field.name)
+        if isinstance(array, np.ndarray):
+            known.update(
+                f"{field.name} {array.dtype} {array.shape}".encode() + np.ascontiguousarray(array).tobytes()
+            )
+    return Digests(
+        known.hexdigest(), hashlib.sha256(repr(replace(hardware, commissioned=None)).encode()).hexdigest()
+    )

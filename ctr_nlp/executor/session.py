@@ -7,17 +7,21 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.errors import DeviceFault, ProgramError
+from ctr_nlp.errors import DeviceFault, ProgramError, Stopped
 from ctr_nlp.executor.checks import Checked, check_plan, checked
 from ctr_nlp.executor.devices import Standing
 from ctr_nlp.executor.hardware import Hardware
 from ctr_nlp.executor.player import Player, Seen
 from ctr_nlp.executor.program import Program, approach_to, program_of, rest_of
 from ctr_nlp.executor.results import Outcome, Result, State
+from ctr_nlp.executor.trust import REMEDY
 from ctr_nlp.executor.way import Way
 from ctr_nlp.plan import Plan
 
 Array = npt.NDArray[np.float64]
+
+RETRACTED = "retraction"
+"""Kind of the journal's record of a retraction, after which no session before it can be resumed."""
 
 LEVEL = 1e-4
 """rad by which the arm may be off where a program starts."""
@@ -43,22 +47,36 @@ def begin(
     tempo: float = 1.0,
     *,
     home: bool = False,
+    verified: bool = False,
     seen: Seen | None = None,
 ) -> Result:
     """Play a plan from its first frame, to which the robot goes slowly and straight from where it stands.
 
-    home: let the device find its position before. Raises the errors of prepared before anything is sent, and
-    DeviceFault where no program could be begun.
+    home: let the device find its position before. verified: a person has made sure that the axes are where the device
+    says. Raises the errors of prepared before anything is sent, and DeviceFault where no program could be begun.
     """
     program, _ = prepared(plan, hardware, tempo)
-    standing = player.connect(home=home)
-    if player.state is not State.HOMED:
-        raise DeviceFault("the device does not know where it stands: let it home first")
+    try:
+        standing = ready(player, home=home, verified=verified)
+    except Stopped as stop:
+        return stop.result
     if hardware.backlash.any():
         program = program_of(plan, hardware, tempo, standing.position)
         checked(program, plan.elastic)
     _announce(player, program, tempo, standing.position, None)
     return _go(player, program, standing, plan.elastic, seen)
+
+
+def ready(
+    player: Player, *, home: bool = False, verified: bool = False, stop_first: bool = False, session: str = ""
+) -> Standing:
+    """Connect a player whose device must know where it stands, or a person for it; raises DeviceFault, Stopped."""
+    standing = player.connect(stop_first, home, session)
+    if verified:
+        player.trust()
+    if player.state is not State.HOMED:
+        raise DeviceFault(player.doubt or "the device does not know where it stands: let it home first")
+    return standing
 
 
 def resume(
@@ -75,29 +93,48 @@ def resume(
     A device that still moves is stopped first. verified: a person has made sure that the axes are where the device
     says. Raises ProgramError where the plan or the position is another, or nothing is left.
     """
-    told = next((record for record in records if record["kind"] == "program"), None)
-    if told is None:
-        raise ProgramError("the journal's session played no program: begin anew")
-    program = _as_told(plan, hardware, told)
-    frame = max([int(told["first"]), *(int(r["frame"]) for r in records if r["kind"] == "frame")])
+    if any(record["kind"] == RETRACTED for record in records):
+        raise ProgramError("the tubes have been retracted since that session: begin anew")
+    told = announced(records)
+    program = as_told(plan, hardware, told)
+    frame = last_passed(records)
     if frame < 1:
         raise ProgramError("the journal's session did not reach its first frame: begin anew")
     if frame == program.frames[-1]:
         raise ProgramError(f"the journal's session reached frame {frame}, the last one: nothing is left")
-    results = [record for record in records if record["kind"] == "result"]
-    if not verified and results and not results[-1]["trusted"]:
-        raise ProgramError(
-            "the position was not to be trusted when the session ended: home, or make sure that the axes are "
-            "where the device says and say so"
-        )
-    standing = player.connect(stop_first=True)
-    if verified:
-        player.trust()
-    if player.state is not State.HOMED:
-        raise ProgramError("the device does not know its position any more: home and begin anew")
-    s = _place(program, standing, player.device.resolution, frame)
+    check_trusted(records, verified)
+    try:
+        standing = ready(player, verified=verified, stop_first=True, session=session_of(records))
+    except Stopped as stop:
+        return stop.result
+    s = place(program, standing, player.device.resolution, frame)
     _announce(player, program, told["tempo"], told["standing"], s)
     return _go(player, rest_of(program, s, told["tempo"]), standing, plan.elastic, seen)
+
+
+def announced(records: list[dict[str, Any]]) -> dict[str, Any]:
+    """What a journal tells of the program that its session played; raises ProgramError."""
+    told = next((record for record in records if record["kind"] == "program"), None)
+    if told is None:
+        raise ProgramError("the journal's session played no program: begin anew")
+    return told
+
+
+def last_passed(records: list[dict[str, Any]]) -> int:
+    """The last frame that a session passed for certain, 0 for none."""
+    return max([int(announced(records)["first"]), *(int(r["frame"]) for r in records if r["kind"] == "frame")])
+
+
+def session_of(records: list[dict[str, Any]]) -> str:
+    """The name of the session that played, "" where the journal is too old to tell."""
+    return str(next((record.get("id", "") for record in records if record["kind"] == "session"), ""))
+
+
+def check_trusted(records: list[dict[str, Any]], verified: bool) -> None:
+    """Raise ProgramError where a session ended with a position that was not to be trusted, and nobody looked since."""
+    results = [record for record in records if record["kind"] == "result"]
+    if not verified and results and not results[-1]["trusted"]:
+        raise ProgramError(f"the position was not to be trusted when the session ended: {REMEDY}")
 
 
 def _go(player: Player, program: Program, standing: Standing, elastic: bool, seen: Seen | None) -> Result:
@@ -114,10 +151,11 @@ def _go(player: Player, program: Program, standing: Standing, elastic: bool, see
 
 
 def _announce(player: Player, program: Program, tempo: float, standing: Any, s: float | None) -> None:
-    """What resume needs to know."""
+    """What resume and retract need to know."""
     player.journal.record(
         "program",
-        digest=program.digest,
+        plan=program.digests.plan,
+        hardware=program.digests.hardware,
         tempo=tempo,
         standing=np.asarray(standing).tolist(),
         parameter=s,
@@ -127,17 +165,20 @@ def _announce(player: Player, program: Program, tempo: float, standing: Any, s: 
     )
 
 
-def _as_told(plan: Plan, hardware: Hardware, told: dict[str, Any]) -> Program:
-    """The program that a record tells of, made again."""
+def as_told(plan: Plan, hardware: Hardware, told: dict[str, Any]) -> Program:
+    """The program that a record tells of, made again; raises ProgramError where plan or hardware is another."""
     program, _ = prepared(plan, hardware, told["tempo"], np.array(told["standing"]))
-    if program.digest != told["digest"]:
-        raise ProgramError(
-            "the journal is of another plan, or of other hardware: the robot cannot go on with this one"
-        )
+    for what, digest in zip(("plan", "hardware"), program.digests, strict=True):
+        if told.get(what) != digest:
+            name = f"this {what} ({plan.meta['problem']['name']})" if what == "plan" else "this hardware file"
+            raise ProgramError(
+                f"the journal is of another {what}: its digest is {str(told.get(what))[:12]}, that of {name} "
+                f"{digest[:12]}; the robot cannot go on with what was changed since"
+            )
     return program
 
 
-def _place(program: Program, standing: Standing, resolution: Array, frame: int) -> float:
+def place(program: Program, standing: Standing, resolution: Array, frame: int) -> float:
     """Where on the way after a frame the axes stand, as a parameter of the path; raises ProgramError.
 
     Where the way comes by the same place again, what the axes can tell apart (resolution, (m,)) decides for the

@@ -23,12 +23,26 @@ class Standing(NamedTuple):
     homed: bool
 
 
+class Signs(NamedTuple):
+    """What a device shows beside its position; whether that is as it should be is decided by the supervision.
+
+    said: a sentence on what it said or did that no device does that plays as it should, "" for nothing. override: what
+    it scales all speeds by, in %, None where it does not tell. stalled: s in which it has done nothing although it
+    was given something to do.
+    """
+
+    said: str = ""
+    override: float | None = None
+    stalled: float = 0.0
+
+
 class Progress(NamedTuple):
     """How far a device has come.
 
     state: "running", "holding" (slowing down), "held" or "done". time: s of the program that have been played.
     line: how many commands have been finished. position (m,): of the axes, in their units; stamp: when it was seen
     there, s of the clock. away: how far it was from the way it should be on, in parts of the axes' tolerances.
+    signs: what else it shows.
     """
 
     state: str
@@ -37,13 +51,23 @@ class Progress(NamedTuple):
     position: Array
     stamp: float
     away: float
+    signs: Signs = Signs()
+
+
+Asked = Callable[[], bool]
+"""Whether a stop has been asked for."""
 
 
 class Device(Protocol):
-    """Plays commands. Nothing here waits for a motion but home and abort; all raise DeviceFault."""
+    """Plays commands. Nothing here waits for a motion but home and abort, whose waits end; all raise DeviceFault."""
 
-    def connect(self) -> None:
-        """Open the link and make sure of what answers."""
+    def connect(self, stop: Asked) -> None:
+        """Open the link and make sure of what answers; where a stop is asked for meanwhile, that is a fault."""
+        ...
+
+    @property
+    def identity(self) -> str:
+        """What tells this device from others at the same address, once it is connected; "" where there is nothing."""
         ...
 
     def standing(self) -> Standing:
@@ -55,16 +79,23 @@ class Device(Protocol):
         """The least that its axes (m,) can tell apart, in their units, once it is connected."""
         ...
 
-    def home(self, stop: Callable[[], bool]) -> None:
+    def home(self, stop: Asked) -> None:
         """Find its position by itself, and wait for that; where stop says so, stop at once, which is a fault."""
         ...
 
     def start(self, commands: Commands) -> None:
-        """Begin to play commands from where it stands; update goes on with it."""
+        """Get ready to play commands from where it stands; feed begins with it.
+
+        Raises ProgramError where the link is too slow for them.
+        """
         ...
 
     def update(self) -> Progress:
-        """Do what can be done now and tell how far it is; call it every few ms."""
+        """Take the news and tell how far it is; gives the device nothing to do. Call it every few ms."""
+        ...
+
+    def feed(self) -> None:
+        """Give the device what it may have now: called after every update in which nothing was wrong."""
         ...
 
     def hold(self) -> None:
@@ -76,7 +107,10 @@ class Device(Protocol):
         ...
 
     def abort(self) -> Standing:
-        """Stop for good and forget what has not been played; returns where it stands once that is sure."""
+        """Stop for good, in whatever state it is, and forget what has not been played.
+
+        The stop is sent before anything is asked. Returns where it stands once that is sure.
+        """
         ...
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Steppers behind a Grbl controller: lines ahead of the motion, counted, watched and stopped."""
+"""Steppers behind a Grbl controller: lines a little ahead of the motion, counted, watched and stopped."""
 
 from __future__ import annotations
 
@@ -8,38 +8,26 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.errors import DeviceFault
+from ctr_nlp.errors import DeviceFault, ProgramError
+from ctr_nlp.executor import lookahead
 from ctr_nlp.executor.clock import Clock
-from ctr_nlp.executor.devices import Progress, Standing
+from ctr_nlp.executor.devices import Asked, Progress, Signs, Standing
 from ctr_nlp.executor.devices.grbl_identity import Identity
 from ctr_nlp.executor.devices.grbl_replies import Reply, Report, report_of
-from ctr_nlp.executor.devices.grbl_talk import GREETING, HOLD, RESET, RESUME, STATUS, Talk
+from ctr_nlp.executor.devices.grbl_settings import check
+from ctr_nlp.executor.devices.grbl_stop import OVERHEARD, stopped
+from ctr_nlp.executor.devices.grbl_talk import GREETING, HOLD, RESET, RESUME, STATUS, Talk, never
 from ctr_nlp.executor.gcode import MODES, lines
 from ctr_nlp.executor.hardware import Hardware
 from ctr_nlp.executor.link import Link
 from ctr_nlp.executor.program import Commands
 from ctr_nlp.executor.way import Place, Way
 
-POLL = 0.05
-"""s between status questions while it moves."""
-
-STOPPING = 0.02
-"""s between them while it stops."""
-
-OVERHEARD = 0.06
-"""s in which a controller must react to a hold; else it has not heard it, as happens just after a resume."""
-
-AGAIN = 0.3
+AGAIN = 0.1
 """s after which a status question counts as lost and is asked again."""
 
-SILENCE = 2.0
-"""s without a report after which the controller counts as gone."""
-
-STALLED = 1.0
-"""s in which nothing moves, nothing is acknowledged, and yet something should."""
-
-HOLD_LIMIT = 2.0
-"""s in which a hold must have come to rest before the controller is reset all the same."""
+SETTLING = 0.5
+"""s in which an idle controller that is not quite at the end may still begin with the last line."""
 
 HOMING = 180.0
 """s for a homing cycle."""
@@ -47,46 +35,53 @@ HOMING = 180.0
 SPARE = 128
 """Bytes of the controller's buffer that are left free, lest a doubled ok makes it run over."""
 
-FIRST = 8
-"""Lines at the start for which all of the controller's buffer is used, so that it need not wait for more."""
-
-AHEAD = 320
-"""Bytes that may be on their way afterwards: a hold waits behind them, 28 ms at 115200 baud."""
-
-RESTART = 3.0
-"""s for a restart."""
+IN_FLIGHT = 320
+"""Bytes that may be on their way unacknowledged: a hold waits behind them, 28 ms at 115200 baud."""
 
 
 class Grbl:
     """A grblHAL controller at the end of a link that opened makes.
 
-    Streams by counting characters against the size of the controller's buffer, or line by line (connection.flow).
-    ok means planned: what has been played is told by the line number and position of status reports.
+    Streams by counting characters against the size of the controller's buffer, or line by line (connection.flow),
+    and never further ahead of the confirmed position than lookahead allows. ok means planned: what has been played
+    is told by the line number and position of status reports.
     """
 
     def __init__(self, hardware: Hardware, opened: Callable[[], Link], clock: Clock) -> None:
         self._hardware, self._opened, self._clock = hardware, opened, clock
+        self._slides = np.array([axis.unit == "mm" for axis in hardware.axes])
         self._link: Link | None = None
-        self._identity: Identity | None = None
+        self._known: Identity | None = None
         self._lines: list[bytes] = []
         self._waiting: deque[int] = deque()
-        self._holding = self._held = False
+        self._holding = self._held = self._homing = False
+        self._restarted = ""
         self.underruns = 0
 
-    def connect(self) -> None:
+    def connect(self, stop: Asked = never) -> None:
         """Open the link and make sure of who answers; unless idle, it is asked for no more than its status."""
         self._link = self._opened()
         self._talk = Talk(self._link, self._clock)
-        idle = self._talk.report(GREETING, greeting=True).state == "Idle"
+        idle = self._talk.report(GREETING, greeting=True, stop=stop).state == "Idle"
         self._talk.quiet()
-        self._restarted, self._talk.lost = bool(self._talk.lost), ""
+        self._restarted, self._talk.lost = self._talk.lost, ""
         if idle:
-            self._identify()
+            self._identify(stop)
 
-    def _identify(self) -> None:
-        self._identity = identity = self._talk.identify()
-        self._columns = identity.columns(self._hardware)
-        identity.check(self._hardware)
+    def _identify(self, stop: Asked = never) -> None:
+        self._known = self._talk.identify(stop)
+        self._columns = self._known.columns(self._hardware)
+        check(self._known, self._hardware)
+
+    @property
+    def identity(self) -> str:
+        """Version, options and driver of the controller."""
+        return self._asked_who().told
+
+    def _asked_who(self) -> Identity:
+        if self._known is None:
+            raise DeviceFault("the controller has not been asked who it is: it was not idle when it was connected")
+        return self._known
 
     @property
     def in_flight(self) -> int:
@@ -96,15 +91,14 @@ class Grbl:
     @property
     def resolution(self) -> npt.NDArray[np.float64]:
         """What the axes (m,) can tell apart: a step, and the last digit of reports."""
-        assert self._identity is not None
-        return self._identity.resolution(self._hardware)
+        return self._asked_who().resolution(self._hardware)
 
     def standing(self) -> Standing:
         """Where it stands, which must be at rest and in order."""
         report = self._talk.report()
         if report.state != "Idle":
             raise DeviceFault(f"the controller is {report.state}; it must be Idle before anything is played")
-        if self._identity is None:
+        if self._known is None:
             self._identify()
         offsets = self._talk.offsets()
         for name in ("G54", "G92", "TLO"):
@@ -118,127 +112,163 @@ class Grbl:
     def _all_homed(self, offsets: dict[str, tuple[float, ...]]) -> bool:
         """Whether all slides have been homed; turning axes have no end to find."""
         *_, mask = offsets.get("HOME", (0.0,))
-        pairs = zip(self._hardware.axes, self._columns, strict=True)
-        return all(int(mask) >> column & 1 for axis, column in pairs if axis.unit == "mm")
+        return all(int(mask) >> column & 1 for column in np.array(self._columns)[self._slides])
 
-    def home(self, stop: Callable[[], bool]) -> None:
-        """Run the controller's homing cycle, which also ends an alarm; stop resets the controller in mid-cycle."""
+    def home(self, stop: Asked) -> None:
+        """Run the controller's homing cycle, which also ends an alarm."""
         if self._hardware.connection.homing != "cycle":
             raise DeviceFault("this hardware homes by hand: connection.homing is not cycle")
         if self._talk.report().state == "Alarm":
-            self._reset()
-        if self._identity is None:
-            self._identify()
+            self._talk.link.write(RESET)
+            self._talk.until("banner", GREETING)
+            self._talk.quiet()
+            self._talk.lost = ""
+        if self._known is None:
+            self._identify(stop)
+        self._homing = True
         self._talk.ask("$H", HOMING, stop)
+        self._homing = False
         self._talk.quiet()
 
     def start(self, commands: Commands) -> None:
-        """Begin to play commands from where it stands."""
-        self._seen = Report("Idle", False, self._talk.report().position, 0, None)
+        """Get ready to play commands from where it stands; raises ProgramError where the link is too slow."""
+        self._seen = Report("Idle", False, self._talk.report().position, 0, None, None)
         self._way = Way(self._seen.position[self._columns], commands, self._hardware.tolerance)
+        self._window = lookahead.Window(self._way.ends, self._way.points, self._slides)
         self._place = Place(0.0, 0.0, 0, 0.0)
         texts = lines(self._hardware.letters, self._way.points[0], commands.positions, commands.time)
         self._lines = [text.encode("ascii") + b"\n" for text in texts]
         self._sent = self._planned = self.underruns = 0
         self._waiting.clear()
-        self._holding = self._held = False
+        self._resumed = False
+        self._said = self._restarted = ""
+        self._check_link(commands)
         self._talk.ask(MODES)
+        self._hold_sent, self._overrides = 0.0, 100.0
+        self._go_on()
+
+    def _go_on(self) -> None:
+        """From now on the axes may move, and no faster than the clock."""
+        self._holding = self._held = False
         now = self._clock.now()
-        self._stamp = self._asked = self._moved = now
+        self._stamp = self._asked = self._moved = self._fed = now
+        self._schedule = now - self._place.time
         self._answered = True
 
+    def _check_link(self, commands: Commands) -> None:
+        """Raise ProgramError where the link, as measured, cannot keep the motion supplied."""
+        connection, seconds = self._hardware.connection, np.diff(self._way.ends)
+        link = lookahead.Link(self._talk.round_trip(), connection.baud / 10.0)
+        speed = abs(np.diff(self._way.points, axis=0) / seconds[:, None]).max(axis=0)
+        rate = float(sum(map(len, self._lines)) / commands.time[-1])
+        acceleration = self._asked_who().acceleration(self._hardware)
+        part = lookahead.sustainable(speed, acceleration, self._slides, link, rate)
+        if part < 1.0:
+            advice = f"play it at {int(100 * part) / 100:g} of this tempo" if part >= 0.01 else "use another link"
+            raise ProgramError(
+                f"the link answers after {1e3 * link.round_trip:.0f} ms and takes {link.rate:.0f} bytes/s: with "
+                f"{lookahead.AHEAD:g} s of motion in the controller's hands, it cannot keep this pace; {advice}"
+            )
+
     def update(self) -> Progress:
-        """Take what has come, ask for the next report, and send what there is room for."""
+        """Take what has come and find out how far it is."""
         for reply in self._talk.replies():
             self._take(reply)
-        now = self._clock.now()
         done = self._planned == len(self._lines) and self._seen.state == "Idle" and self._settled()
-        if not (done or self._held):
-            self._ask(now)
-            self._send()
-            self._watch(now)
         state = "done" if done else "held" if self._held else "holding" if self._holding else "running"
         time, _, line, away = self._place
         if done:
             time, line = float(self._way.ends[-1]), len(self._lines)
-        return Progress(state, time, line, self._seen.position[self._columns], self._stamp, away)
+        position = self._seen.position[self._columns]
+        return Progress(state, time, line, position, self._stamp, away, self._signs())
+
+    def _signs(self) -> Signs:
+        idle = self._seen.state == "Idle" and not self._holding and self._planned < len(self._lines)
+        waiting = self._planned < self._sent or self._sent < len(self._lines)
+        stalled = self._stamp - max(self._moved, self._fed) if idle and waiting else 0.0
+        return Signs(self._said, self._overrides, max(stalled, 0.0))
 
     def _settled(self) -> bool:
-        """Whether an idle controller has done all that was planned: it may not have begun with the last of it."""
+        """Whether an idle controller has done all that was planned: it may not have begun with the last of it.
+
+        At the end of the way two reports that agree will do: one alone may be a lie.
+        """
         off = abs(self._seen.position[self._columns] - self._way.points[-1]) / self.resolution
         rest = self._stamp - self._moved
-        return rest > (0.0 if off.max() <= 1.0 else STALLED)
+        return rest > (lookahead.POLL / 2 if off.max() <= 1.0 else SETTLING)
 
     def _take(self, reply: Reply) -> None:
         if reply.kind == "ok":
             if not self._waiting:
-                raise DeviceFault("the controller acknowledges more lines than it was sent")
+                self._said = self._said or "the controller acknowledges more lines than it was sent"
+                return
             self._waiting.popleft()
             self._planned, self._moved = self._planned + 1, self._clock.now()
         elif reply.kind == "report":
             report = report_of(reply.text, self._talk.axes)
             if report is None:
-                raise DeviceFault(f"the controller's report cannot be read: {reply.text!r}")
-            self._follow(report)
+                self._said = self._said or f"the controller's report cannot be read: {reply.text!r}"
+            else:
+                self._follow(report)
         elif reply.kind != "message":
             line = f" (line {self._planned + 1} of {len(self._lines)})" if reply.kind == "error" else ""
-            raise DeviceFault(f"the controller says {reply.text!r}{line}")
+            self._said = self._said or f"the controller says {reply.text!r}{line}"
 
     def _follow(self, report: Report) -> None:
         """Find where on its way a report shows it."""
         before, self._answered, self._stamp = self._stamp, True, self._clock.now()
         if report.state not in ("Idle", "Run", "Hold"):
-            raise DeviceFault(f"the controller is in state {report.state} while it should play")
+            self._said = self._said or f"the controller is in state {report.state} while it should play"
+        if report.override is not None:
+            self._overrides = report.override
         position = report.position[self._columns]
         if (position != self._seen.position[self._columns]).any():
             self._moved = self._stamp
-        empty = report.free is not None and self._identity is not None and report.free >= self._identity.blocks
+        empty = report.free is not None and self._known is not None and report.free >= self._known.blocks
         if empty and self._sent < len(self._lines) and self._planned and not self._holding:
             self.underruns += 1
-        self._seen, self._held = report, report.stopped
-        self._holding = self._holding or report.state == "Hold"  # a person at the controller may have asked for it
+        self._resumed = self._resumed and report.state == "Hold"  # told before the controller went on
+        self._seen, self._held = report, report.stopped and not self._resumed
+        if report.state == "Hold" and not self._resumed:  # a person at the controller may have asked for it
+            self._holding = True
         if self._sent:
-            ahead = min(report.line + 1, self._sent) if report.line else self._sent
-            place = self._way.nearest(position, max(self._place.line - 1, 0), ahead)
-            while_resting = min(place.until, self._place.time + self._stamp - before)
-            time = max(self._place.time, place.time, while_resting)
-            self._place = place._replace(time=time, line=max(place.line, self._place.line))
+            self._locate(report, position, self._stamp - before)
 
-    def _ask(self, now: float) -> None:
+    def _locate(self, report: Report, position: npt.NDArray[np.float64], passed: float) -> None:
+        """The place on the way of a position that was reported so many s after the one before."""
+        ahead = min(report.line + 1, self._sent) if report.line else self._sent
+        place = self._way.nearest(position, max(self._place.line - 1, 0), ahead)
+        while_resting = min(place.until, self._place.time + passed)
+        time = max(self._place.time, place.time, while_resting)
+        self._place = place._replace(time=time, line=max(place.line, self._place.line))
+
+    def feed(self) -> None:
+        """Ask for the next report, and send the lines that the controller may have now."""
+        now = self._clock.now()
         if self._holding and self._seen.state == "Run" and now - self._hold_sent > OVERHEARD:
             self._say_hold()
-        wait = (STOPPING if self._holding else POLL) if self._answered else AGAIN
-        if now - self._asked >= wait:
+        if now - self._asked >= (lookahead.POLL if self._answered else AGAIN):
             self._talk.link.write(STATUS)
             self._asked, self._answered = now, False
+        if not self._holding:
+            self._send(now)
 
-    def _send(self) -> None:
-        if self._holding or self._identity is None:
-            return
-        room = self._identity.receive - SPARE
-        if self._planned >= FIRST:
-            room = min(AHEAD, room)
+    def _send(self, now: float) -> None:
+        room = min(IN_FLIGHT, self._asked_who().receive - SPARE)
         if self._hardware.connection.flow == "wait":
             room = 1
-        while self._sent < len(self._lines):
+        done = min(self._place.time, now - self._schedule)  # a report that lies cannot hurry the motion
+        open_to = self._window.open_to(done)
+        while self._sent < open_to:
             line = self._lines[self._sent]
             if self._waiting and self.in_flight + len(line) > room:
                 return
             self._talk.link.write(line)
             self._waiting.append(len(line))
-            self._sent, self._moved = self._sent + 1, self._clock.now()
-
-    def _watch(self, now: float) -> None:
-        if now - self._stamp > SILENCE:
-            raise DeviceFault(f"the controller has not reported its status for {SILENCE:g} s")
-        if self._seen.state == "Idle" and self._stamp - self._moved > STALLED and not self._holding:
-            raise DeviceFault(
-                f"the controller is idle, with {self._planned} of {self._sent} lines acknowledged: replies or "
-                "lines were lost"
-            )
+            self._sent, self._fed = self._sent + 1, now
 
     def hold(self) -> None:
-        """Ask for a feed hold; no line is sent until it is resumed, and nothing at all once it is at rest."""
+        """Ask for a feed hold; no line is sent until it is resumed."""
         self._say_hold()
         self._holding, self._held = True, False
 
@@ -249,56 +279,19 @@ class Grbl:
     def resume(self) -> None:
         """Go on after a hold."""
         self._talk.link.write(RESUME)
-        self._holding = self._held = False
-        self._stamp = self._asked = self._moved = self._clock.now()
-        self._answered = True
+        self._resumed = True
+        self._go_on()
 
     def abort(self) -> Standing:
-        """Hold, wait for rest, then reset, which keeps the position; raises DeviceFault where it is lost."""
+        """Stop, whatever it does; raises DeviceFault where the position is lost."""
+        if self._link is None:
+            raise DeviceFault("the link was never opened: nothing could be sent")
         self._lines = []
+        homing, self._homing = self._homing, False
+        stopped(self._talk, self._clock, homing)
         if self._restarted:
             raise DeviceFault("the controller restarted when it was connected: its position is not to be trusted")
-        self._talk.check()
-        rested = self._rested()
-        if not (self._reset() and rested):
-            raise DeviceFault("the controller was reset in motion: its position is not to be trusted")
         return self.standing()
-
-    def _reset(self) -> bool:
-        """Restart the controller's program; whether it did so without an alarm."""
-        self._talk.link.write(RESET)
-        said = [reply.kind for reply in self._until("banner", RESTART) if reply.kind != "report"]
-        if "banner" not in said:
-            raise DeviceFault(f"the controller answers a reset with {said}: its position is not to be trusted")
-        self._talk.lost = ""
-        return "alarm" not in said
-
-    def _rested(self) -> bool:
-        """Whether a feed hold has come to rest."""
-        end = self._clock.now() + HOLD_LIMIT
-        self._say_hold()
-        while self._clock.now() < end:
-            self._talk.link.write(STATUS)
-            for reply in self._until("report", 2 * POLL):
-                self._talk.check()
-                report = report_of(reply.text, self._talk.axes) if reply.kind == "report" else None
-                state = "" if report is None else report.state
-                if state == "Alarm":
-                    raise DeviceFault("the controller is in alarm: its position is not to be trusted")
-                if state == "Idle" or (report is not None and report.stopped):
-                    return True
-                if state == "Run" and self._clock.now() - self._hold_sent > OVERHEARD:
-                    self._say_hold()
-        return False
-
-    def _until(self, kind: str, seconds: float) -> list[Reply]:
-        """Replies up to one of a kind, or of so many s."""
-        found: list[Reply] = []
-        for reply in self._talk.waited(seconds):
-            found.append(reply)
-            if reply.kind == kind:
-                break
-        return found
 
     def close(self) -> None:
         """Let go of the link; nothing is sent."""

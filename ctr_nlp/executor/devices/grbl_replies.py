@@ -25,8 +25,8 @@ class Report:
     """A status report. position (m,): MPos, in the order of the controller's axes, mm and deg.
 
     state: Idle, Run, Hold, Jog, Alarm, Home, Check, ...; stopped: whether a Hold has come to rest. line: number
-    of the line that is being played, 0 where that is not told. free: empty blocks of the planner, None where that
-    is not told.
+    of the line that is being played, 0 where that is not told. free: empty blocks of the planner; override: of the
+    feed, in %; None where that is not told, as an override is for many reports after the one that told it.
     """
 
     state: str
@@ -34,6 +34,7 @@ class Report:
     position: Array
     line: int
     free: int | None
+    override: float | None
 
 
 _PATTERNS = (
@@ -70,7 +71,15 @@ def report_of(text: str, axes: int) -> Report | None:
     if position is None or not line.isdigit():
         return None
     stopped = found["state"] == "Hold" and found["part"] == "0"
-    return Report(found["state"], stopped, position, int(line), int(free) if free.isdigit() else None)
+    override = fields.get("Ov", "").partition(",")[0]
+    return Report(
+        found["state"],
+        stopped,
+        position,
+        int(line),
+        int(free) if free.isdigit() else None,
+        float(override) if override.isdigit() else None,
+    )
 
 
 def _numbers(text: str | None, count: int) -> Array | None:

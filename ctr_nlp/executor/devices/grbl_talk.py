@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+import statistics
+from collections.abc import Iterator
 
 from ctr_nlp.errors import DeviceFault
 from ctr_nlp.executor.clock import Clock
+from ctr_nlp.executor.devices import Asked
 from ctr_nlp.executor.devices.grbl_identity import Identity
 from ctr_nlp.executor.devices.grbl_replies import Reply, Report, reply_of, report_of
 from ctr_nlp.executor.link import Link
@@ -24,6 +26,11 @@ QUIET = 0.15
 
 TICK = 0.005
 """s between two looks at the link while waiting."""
+
+
+def never() -> bool:
+    """No stop is asked for."""
+    return False
 
 
 class Talk:
@@ -45,18 +52,32 @@ class Talk:
                 self.lost = reply.text
             yield reply
 
-    def waited(self, seconds: float, stop: Callable[[], bool] = lambda: False) -> Iterator[Reply]:
-        """Replies of so many s, or until told to stop."""
+    def waited(self, seconds: float, stop: Asked = never) -> Iterator[Reply]:
+        """Replies of so many s, or until a stop is asked for."""
         end = self._clock.now() + seconds
         while self._clock.now() < end and not stop():
             yield from self.replies()
             self._clock.sleep(TICK)
 
-    def ask(self, line: str, seconds: float = ANSWER, stop: Callable[[], bool] = lambda: False) -> list[str]:
-        """Send a line and wait for its ok; what was said before it. Raises DeviceFault.
+    def until(self, kind: str, seconds: float) -> list[Reply]:
+        """Replies up to the first of a kind, or of so many s."""
+        heard: list[Reply] = []
+        for reply in self.waited(seconds):
+            heard.append(reply)
+            if reply.kind == kind:
+                break
+        return heard
 
-        An empty line ends an error's latch, and errors of lines before it are none of its own. stop: whether to
-        reset the controller instead of waiting on.
+    def asked_report(self, seconds: float) -> Report | None:
+        """The status report that a question brings, None where none that can be read comes in so many s."""
+        self.link.write(STATUS)
+        reports = (report_of(reply.text, self.axes) for reply in self.waited(seconds) if reply.kind == "report")
+        return next((report for report in reports if report is not None), None)
+
+    def ask(self, line: str, seconds: float = ANSWER, stop: Asked = never) -> list[str]:
+        """Send a line and wait for its ok; what was said before it. Raises DeviceFault, also where it is stopped.
+
+        An empty line ends an error's latch, and errors of lines before it are none of its own.
         """
         self.link.write(line.encode("ascii") + b"\n")
         said: list[str] = []
@@ -68,8 +89,7 @@ class Talk:
             self.check()
             said.append(reply.text)
         if stop():
-            self.link.write(RESET)
-            raise DeviceFault(f"{line} was stopped: the controller is reset, its position is not to be trusted")
+            raise DeviceFault(f"a stop was asked for while the controller was to answer {line!r}")
         raise DeviceFault(f"the controller does not answer {line!r} within {seconds:g} s, but for {said}")
 
     def check(self) -> None:
@@ -77,15 +97,15 @@ class Talk:
         if self.lost:
             raise DeviceFault(f"the controller said {self.lost!r}: its position is not to be trusted")
 
-    def report(self, seconds: float = ANSWER, greeting: bool = False) -> Report:
-        """Ask for a status report until one comes; raises DeviceFault.
+    def report(self, seconds: float = ANSWER, greeting: bool = False, stop: Asked = never) -> Report:
+        """Its status; raises DeviceFault.
 
         greeting: it may restart meanwhile, as many do when their port is opened.
         """
         end = self._clock.now() + seconds
-        while self._clock.now() < end:
+        while self._clock.now() < end and not stop():
             self.link.write(STATUS)
-            for reply in self.waited(0.25):
+            for reply in self.waited(0.25, stop):
                 if not greeting:
                     self.check()
                 if "|WPos:" in reply.text:
@@ -93,7 +113,18 @@ class Talk:
                 found = report_of(reply.text, self.axes) if reply.kind == "report" else None
                 if found is not None:
                     return found
+        if stop():
+            raise DeviceFault("a stop was asked for while the controller was to tell its status")
         raise DeviceFault(f"the controller sends no status within {seconds:g} s")
+
+    def round_trip(self, times: int = 5) -> float:
+        """The median of some times from a status question to its answer, s; raises DeviceFault."""
+        taken = []
+        for _ in range(times):
+            asked = self._clock.now()
+            self.report()
+            taken.append(self._clock.now() - asked)
+        return float(statistics.median(taken))
 
     def offsets(self) -> dict[str, tuple[float, ...]]:
         """Offsets between G-code and machine, and what has been homed, by name ($#); raises DeviceFault."""
@@ -112,20 +143,22 @@ class Talk:
                 last = self._clock.now()
             self._clock.sleep(TICK)
 
-    def identify(self) -> Identity:
+    def identify(self, stop: Asked = never) -> Identity:
         """Make sure that lines are answered, and read who answers; raises DeviceFault.
 
         A link that is open at one end only may pass status on, but no lines.
         """
-        self.ask("")
+        self.ask("", stop=stop)
         self.quiet()
-        told = dict(text.strip("[]").partition(":")[::2] for text in self.ask("$I") if text.startswith("["))
-        settings = [text[1:].partition("=") for text in self.ask("$$") if text.startswith("$")]
+        told = dict(
+            text.strip("[]").partition(":")[::2] for text in self.ask("$I", stop=stop) if text.startswith("[")
+        )
+        settings = [text[1:].partition("=") for text in self.ask("$$", stop=stop) if text.startswith("$")]
         try:
             count, _, letters = told["AXS"].partition(":")
             _, blocks, receive, *_ = told["OPT"].split(",")
             self.axes = int(count)
             known = {int(number): value for number, _, value in settings}
-            return Identity(letters, int(receive), int(blocks), known)
+            return Identity(letters, int(receive), int(blocks), known, "; ".join(map(":".join, told.items())))
         except (KeyError, ValueError) as error:
             raise DeviceFault(f"the controller is no grblHAL that can be used: it tells {told}") from error

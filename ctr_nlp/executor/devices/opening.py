@@ -16,9 +16,10 @@ from ctr_nlp.executor.devices.grbl import Grbl
 from ctr_nlp.executor.devices.ros2 import Ros2
 from ctr_nlp.executor.devices.simulated import Simulated
 from ctr_nlp.executor.devices.ur import UrArm
-from ctr_nlp.executor.hardware import Hardware
+from ctr_nlp.executor.hardware import Connection, Hardware
 from ctr_nlp.executor.journal import Journal
-from ctr_nlp.executor.link import RecordedLink, SerialLink
+from ctr_nlp.executor.link import Link, RecordedLink, SerialLink
+from ctr_nlp.executor.trust import Memory, state_folder
 
 Array = npt.NDArray[np.float64]
 
@@ -27,10 +28,20 @@ def device_of(hardware: Hardware, journal: Journal, clock: Clock, position: Arra
     """The device, not connected yet; position (m,): where the axes of a simulated one stand."""
     connection = hardware.connection
     if connection.device == "grbl":
-        return Grbl(hardware, lambda: RecordedLink(SerialLink(connection.url, connection.baud), journal), clock)
+        return Grbl(hardware, lambda: recorded_link(connection, journal), clock)
     if connection.device == "ros2":
         return Ros2(hardware, journal, clock)
     return Simulated(position, clock)
+
+
+def recorded_link(connection: Connection, journal: Journal) -> Link:
+    """An open link to a Grbl controller, of which every byte is in a journal; raises DeviceFault."""
+    return RecordedLink(SerialLink(connection.url, connection.baud), journal)
+
+
+def memory_of(connection: Connection) -> Memory | None:
+    """What is remembered of the device there, None where it is simulated."""
+    return None if connection.device == "simulated" else Memory(state_folder(), connection.url)
 
 
 def arm_follower(

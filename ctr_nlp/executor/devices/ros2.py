@@ -16,14 +16,12 @@ lies.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.errors import DeviceFault
 from ctr_nlp.executor.clock import Clock
-from ctr_nlp.executor.devices import Progress, Standing
+from ctr_nlp.executor.devices import Asked, Progress, Standing
 from ctr_nlp.executor.devices.ros2_joints import REST, SILENCE, Joints
 from ctr_nlp.executor.devices.ros2_messages import Points, Topics, address_of
 from ctr_nlp.executor.devices.ros2_track import FIRST, Track, stop_there
@@ -63,7 +61,7 @@ class Ros2:
         self._topics: Topics | None = None
         self._track: Track | None = None
 
-    def connect(self) -> None:
+    def connect(self, stop: Asked = lambda: False) -> None:
         """Open the topics; wait for a controller that listens, and for the first joint states."""
         self.close()
         self._topics = topics = Topics(self._address, self._journal)
@@ -72,6 +70,8 @@ class Ros2:
         end = self._clock.now() + DISCOVERY
         while not (self._joints.known and topics.listeners()):
             self._take()
+            if stop():
+                raise DeviceFault("a stop was asked for before the controller was found: nothing was sent")
             if self._clock.now() > end:
                 raise DeviceFault(self._missing(topics.listeners()))
             self._clock.sleep(0.01)
@@ -84,6 +84,11 @@ class Ros2:
         return f"no joint states of {', '.join(self._joints.names)} on /{self._address.states}: {told}"
 
     @property
+    def identity(self) -> str:
+        """The joints that the controller moves."""
+        return ", ".join(self._joints.names)
+
+    @property
     def resolution(self) -> Array:
         """A tenth of the axes' tolerances (m,): ROS does not tell what they can tell apart."""
         return np.asarray(self._hardware.tolerance / PARTS)
@@ -94,7 +99,7 @@ class Ros2:
             raise DeviceFault("the joints move; they must stand still before anything is played")
         return Standing(self._joints.position, self._hardware.connection.homing == "manual")
 
-    def home(self, stop: Callable[[], bool]) -> None:
+    def home(self, stop: Asked) -> None:
         """A controller in ROS 2 homes by itself."""
         raise DeviceFault("a ROS 2 controller homes by its own means: connection.homing must be manual")
 
@@ -150,6 +155,9 @@ class Ros2:
         if state == "done":
             time, line = track.end, len(track.ends) - 1
         return Progress(state, time, line, position, self._joints.stamp, away)
+
+    def feed(self) -> None:
+        """The controller has the whole trajectory."""
 
     def _follow(self, track: Track, position: Array) -> None:
         """Find where on its way the newest state shows it, and see that it is not left behind."""

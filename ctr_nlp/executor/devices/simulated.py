@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.errors import DeviceFault
 from ctr_nlp.executor.clock import Clock
-from ctr_nlp.executor.devices import Progress, Standing
+from ctr_nlp.executor.devices import Asked, Progress, Standing
 from ctr_nlp.executor.program import Commands
 
 Array = npt.NDArray[np.float64]
@@ -27,9 +25,14 @@ class Simulated:
         self._time = self._pace = self._goal = self._seen = 0.0
         self._open = False
 
-    def connect(self) -> None:
+    def connect(self, stop: Asked = lambda: False) -> None:
         """Nothing is opened."""
         self._open = True
+
+    @property
+    def identity(self) -> str:
+        """There is nothing that could be told from another."""
+        return ""
 
     def standing(self) -> Standing:
         """Where the axes are; their position is always known."""
@@ -40,7 +43,7 @@ class Simulated:
         """The digits of a number."""
         return np.full(len(self._position), 1e-6)
 
-    def home(self, stop: Callable[[], bool]) -> None:
+    def home(self, stop: Asked) -> None:
         """Nothing needs to be found."""
 
     def start(self, commands: Commands) -> None:
@@ -70,6 +73,9 @@ class Simulated:
         if self._goal == 0.0:
             return "held" if self._pace == 0.0 else "holding"
         return "running"
+
+    def feed(self) -> None:
+        """It has been given everything."""
 
     def hold(self) -> None:
         """Slow down."""

@@ -20,7 +20,7 @@ def gcode_text(program: Program, title: str) -> str:
     start, seconds, commands = program.positions(np.zeros(1))[0], approach_time(program), program.commands()
     head = [
         f"ctr_nlp: {title[:60]}",
-        f"digest {program.digest}",
+        f"digest {program.digests.plan}",
         f"{len(program.frames)} frames in {program.duration:.3f} s from the second pause on",
         *(f"{axis.letter} in {axis.unit} moves {axis.joint}" for axis in program.hardware.axes),
         "positions are those of the machine: no work offset may be active",

@@ -10,7 +10,8 @@ import numpy.typing as npt
 from scipy.interpolate import BPoly, CubicHermiteSpline
 
 from ctr_nlp.errors import OptionError
-from ctr_nlp.executor.program import LINE, Program
+from ctr_nlp.executor.lookahead import LONGEST
+from ctr_nlp.executor.program import Program
 from ctr_nlp.extras import needed
 
 Array = npt.NDArray[np.float64]
@@ -68,7 +69,7 @@ def write_bag(program: Program, title: str, folder: Path, storage: str = "mcap")
     )
     with bags.Writer(folder, version=VERSION, storage_plugin=bags.StoragePlugin[storage.upper()]) as bag:
         bag.set_custom_data("ctr_nlp.plan", title)
-        bag.set_custom_data("ctr_nlp.digest", program.digest)
+        bag.set_custom_data("ctr_nlp.digest", program.digests.plan)
 
         def topic(name: str, kind: str) -> Any:
             connection = bag.add_connection(name, kind, typestore=store)
@@ -110,7 +111,7 @@ def points(program: Program) -> tuple[Array, Array, Array, Array]:
         true = program.at(places)[0]
         if max(abs((curve(places) - true) * program.robot.mm_per_unit).max() for curve in curves) <= TOLERANCE:
             return time, q, velocity, acceleration
-        longest = min(LINE, longest / 2)
+        longest = min(LONGEST, longest / 2)
 
 
 def _joints(program: Program) -> tuple[list[str], Array]:

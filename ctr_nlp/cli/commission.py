@@ -1,0 +1,92 @@
+"""What play.py --commission shows and asks: settings, single steps of axes, and the record that is kept."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from ctr_nlp.cli.console import SOLVED, SOME_FAILED, console, print_table
+from ctr_nlp.cli.output import write_text
+from ctr_nlp.errors import DeviceFault, HardwareError
+from ctr_nlp.executor.clock import RealClock
+from ctr_nlp.executor.commission import STEP, Commissioning, Controller
+from ctr_nlp.executor.commissioned import commissioned_file, commissioned_text
+from ctr_nlp.executor.devices.opening import memory_of, recorded_link
+from ctr_nlp.executor.hardware import Hardware
+from ctr_nlp.executor.journal import Journal
+from ctr_nlp.steer.interrupt import deferred_interrupt
+
+WAYS = {"+": 1, "-": -1}
+
+
+def commission(hardware_file: Path, journal_file: Path) -> int:
+    """Read a controller, move what a person asks for, and keep its settings if none is wrong; the exit status."""
+    hardware, clock = Hardware.from_toml(hardware_file), RealClock()
+    journal, memory = Journal(journal_file, clock), memory_of(hardware.connection)
+    try:
+        if memory is not None:
+            memory.claim()
+        rig = Commissioning(hardware, lambda: recorded_link(hardware.connection, journal), clock)
+        try:
+            controller = rig.read()
+            _show(hardware, controller)
+            if controller.wrong:
+                console().print("Nothing was moved or kept. Set what is wrong, then commission again.")
+                return SOME_FAILED
+            _steps(rig, hardware)
+        finally:
+            rig.close()
+    except DeviceFault as error:
+        sys.stderr.write(f"error: {error}\nwhat was said is in {journal_file}\n")
+        return SOME_FAILED
+    finally:
+        if memory is not None:
+            memory.release()
+        journal.close()
+    kept = commissioned_file(hardware_file)
+    write_text(kept, commissioned_text(controller.identity.settings, controller.identity.told))
+    console().print(f"wrote {kept}: play.py compares the controller with it at every start", markup=False)
+    return SOLVED
+
+
+def _show(hardware: Hardware, controller: Controller) -> None:
+    """Who it is, where its axes stand, and every setting that is wrong or has changed."""
+    stands = zip(hardware.axes, controller.position, strict=True)
+    rows = [(f"axis {axis.letter} ({axis.joint})", f"{there:.3f}", axis.unit) for axis, there in stands]
+    rows.append(("question to answer", f"{1e3 * controller.round_trip:.0f}", "ms"))
+    rows.append(("settings read", str(len(controller.identity.settings)), ""))
+    print_table(f"controller at {hardware.connection.url}", ("", "value", "unit"), rows)
+    for title, settings in (
+        ("settings that are wrong", controller.wrong),
+        ("settings that have changed since the rig was commissioned", controller.changed),
+    ):
+        table = [(f"${one.number}", one.value, f"${one.number}={one.wanted}", one.why) for one in settings]
+        if table:
+            print_table(title, ("setting", "is", "set", "why"), table)
+    if not controller.wrong:
+        console().print("No setting goes against safe playing.")
+
+
+def _steps(rig: Commissioning, hardware: Hardware) -> None:
+    """Move single axes as typed, until a line says something else or there are no more."""
+    letters = " ".join(hardware.letters)
+    console().print(
+        f"Type an axis ({letters}) and + or - to move it by {STEP:g} mm or degree, such as X+; an empty line ends.\n"
+        "Each must move as far as a ruler shows, and + must go outwards, or anticlockwise seen from the tip, where "
+        "sign is 1.",
+        markup=False,
+    )
+    with deferred_interrupt() as interrupted:
+        for line in sys.stdin:
+            typed = line.strip().upper()
+            if not typed or interrupted():
+                return
+            if len(typed) != 2 or typed[0] not in hardware.letters or typed[1] not in WAYS:
+                console().print(f"{typed!r} is no axis and way; type one of {letters} and + or -", markup=False)
+                continue
+            try:
+                before, after = rig.step(typed[0], WAYS[typed[1]], interrupted)
+            except HardwareError as error:
+                console().print(str(error), markup=False)
+            else:
+                console().print(f"{typed[0]} went from {before:.3f} to {after:.3f}")
