@@ -149,6 +149,18 @@ def test_0x19_stops_at_once_and_forgets_the_plan():
     assert host.firmware.position[0] == pytest.approx(stopped - 1, abs=0.003)
 
 
+def test_0x19_ends_an_alarm_and_the_check_mode():
+    """Which a stop must not: it is no way to stop a controller in a state that is not known."""
+    host = Host()
+    host.ask("G1 X-40 F1500", seconds=0.4)
+    host.ask(b"\x18", seconds=0.3)
+    assert host.ask("G1 X0") == ["error:9"]
+    assert host.ask(b"\x19") == ["[MSG:Stop]"]
+    assert host.firmware.state == "Idle"
+    host.ask("$C", b"\x19")
+    assert host.firmware.state == "Idle"
+
+
 @pytest.mark.parametrize("byte", [b"!", b"~", b"\x19", b"\x85", FASTER])
 def test_homing_is_stopped_by_a_reset_alone(byte):
     host = Host(settings={22: 1})
