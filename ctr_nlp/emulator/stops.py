@@ -88,7 +88,7 @@ def restart(firmware: Firmware, locked: bool) -> None:
     firmware.homing.clear()
     firmware.motion.flush()
     firmware.override(Overrides())
-    firmware.motion.line = None
+    firmware.motion.read = None
     firmware.modal = Modal()
     firmware.critical = False
     firmware.state = "Alarm" if locked else "Idle"
