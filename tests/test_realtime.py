@@ -173,3 +173,17 @@ def test_homing_is_stopped_by_a_reset_alone(byte):
 @pytest.mark.parametrize("byte", [b"\x00", b"\x07", b"\x7f", b"\xa5", b"\xff"])
 def test_characters_without_a_meaning_are_dropped(byte):
     assert Host().ask(b"G9" + byte + b"0\n") == ["ok"]
+
+
+def test_the_reported_line_is_the_one_in_preparation():
+    """Some 0.09 s ahead of motion, in lines of 2 mm and 0.1 s; at the end the one that was read last."""
+    host = Host()
+    host.ask("G93", *program(20, step=-2.0), seconds=0.005)
+    host.listen(0.4)
+    for _ in range(10):
+        (report,) = host.ask(b"?", seconds=0.013)
+        line, moved = int(re.search(r"Ln:(\d+)", report)[1]), -float(re.search(r"MPos:([^,]*)", report)[1])
+        assert 0.85 < line - moved / 2 < 1.95
+    host.settle()
+    (report,) = host.ask(b"?")
+    assert "|Ln:20|" in report
