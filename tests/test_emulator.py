@@ -11,8 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from emulated import Host, program
 
-from ctr_nlp.emulator import FAULTS, Firmware, VirtualClock, Wire, fault, serving
+from ctr_nlp.emulator import FAULTS, Firmware, Wire, fault, serving
 from ctr_nlp.emulator.planner import BLOCKS
 from ctr_nlp.errors import OptionError
 
@@ -21,42 +22,6 @@ pytestmark = pytest.mark.real_time
 RECORDED = re.compile(r" *(\d+\.\d+) (>>|<<|==) (.*)")
 TICK_S = 0.02
 """The recorded firmware looked at its input every 20 ms, so when a byte took effect is known no better."""
-
-
-class Host:
-    """A host on a wire in virtual time that keeps every line it was sent."""
-
-    def __init__(self, *faults, **settings):
-        self.firmware = Firmware(**settings)
-        self.clock = VirtualClock()
-        self.wire = Wire(self.firmware, self.clock, faults)
-
-    def listen(self, seconds):
-        end = self.clock.now() + seconds
-        data = b""
-        while self.clock.now() < end:
-            data += self.wire.read(end - self.clock.now())
-        return data.decode("latin-1").replace("\r", "").split("\n")[:-1]
-
-    def ask(self, *lines, seconds=0.05):
-        heard = []
-        for line in lines:
-            self.wire.write(line if isinstance(line, bytes) else line.encode() + b"\n")
-            heard += self.listen(seconds)
-        return heard
-
-    def settle(self, most=60.0):
-        end = self.clock.now() + most
-        heard = []
-        while self.clock.now() < end:
-            heard += self.listen(0.05)
-            if self.firmware.state == "Idle":
-                return heard
-        raise AssertionError(f"still {self.firmware.state} after {most} s")
-
-
-def program(count, seconds=0.1, step=-0.2):
-    return [f"N{i} G1 X{step * i:.4f} A{2 * i:.4f} F{60 / seconds:g}" for i in range(1, count + 1)]
 
 
 def recorded_groups():

@@ -59,6 +59,7 @@ def planned(firmware: Firmware, line: Line, target: Vector, jog: bool = False) -
     if line.axes and not firmware.motion.free:
         return False
     feed = line.modal.feed
+    firmware.motion.read = line.number or None
     if line.axes:
         if line.modal.motion == 0:
             speed = float("inf")

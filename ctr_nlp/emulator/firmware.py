@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.emulator import homing, realtime, stops
-from ctr_nlp.emulator.commands import command
-from ctr_nlp.emulator.execution import execute
-from ctr_nlp.emulator.gcode import Modal, Refused
+from ctr_nlp.emulator.answers import answer
+from ctr_nlp.emulator.gcode import Modal
+from ctr_nlp.emulator.limp import pushed
 from ctr_nlp.emulator.lines import Lines
 from ctr_nlp.emulator.motion import Motion
 from ctr_nlp.emulator.overrides import Overrides
@@ -25,12 +25,6 @@ from ctr_nlp.emulator.reports import BUTTONS, Status
 from ctr_nlp.emulator.settings import Settings
 from ctr_nlp.errors import OptionError
 
-LONGEST_LINE = 256
-TOO_LONG = 14
-ALWAYS_ENERGISED = 255
-"""The step idle delay $1 that never ends."""
-RELAXATION = 0.5
-"""How far the load pushes a motor that goes limp, in mm or deg; the firmware does not see it."""
 SLICE_S = 0.01
 """How often lines that wait for room are tried again; the planner makes room a block at a time."""
 
@@ -227,13 +221,6 @@ class Firmware:
             )
         )
 
-    def asked(self) -> None:
-        """A report is asked for; while homing it comes at the end."""
-        if self.state == "Home":
-            self.report_due = True
-        else:
-            self.report()
-
     def override(self, overrides: Overrides) -> None:
         """Move faster or slower than programmed from now on; the next report says so."""
         if overrides != self.motion.overrides:
@@ -256,12 +243,8 @@ class Firmware:
         self.timers.sort(key=lambda timer: timer[0])
 
     def _rest(self, seconds: float) -> None:
-        """Let motors that have stood still for $1 ms go limp, unless $1 is 255; those of $37 stay energised."""
-        delay, before = self.settings[1], self._still
-        self._still = 0.0 if self.moving else before + seconds
-        if delay != ALWAYS_ENERGISED and before <= delay / 1000 < self._still:
-            kept = int(self.settings[37])
-            self.slip = self.slip + [0.0 if kept >> i & 1 else RELAXATION for i in range(6)]
+        before, self._still = self._still, 0.0 if self.moving else self._still + seconds
+        self.slip = self.slip + pushed(self.settings, before, self._still)
 
     def _settled(self) -> None:
         """Change state where motion has come to its end."""
@@ -285,7 +268,7 @@ class Firmware:
             text = self.lines.take()
             if text is None:
                 break
-            self._obey(text)
+            answer(self, text)
         if self.state in ("Idle", "Run", "Jog") and self.motion.blocks and self.when_stopped is None:
             if self.state == "Idle":
                 self.state = "Jog" if self.motion.blocks[0].jog else "Run"
@@ -293,20 +276,3 @@ class Firmware:
 
     def _blocked(self) -> bool:
         return self.state in ("Hold", "Home") or self.time < self._stalled_until or self.when_stopped is not None
-
-    def _obey(self, text: str) -> None:
-        try:
-            if self.refuse is not None and text:
-                number, self.refuse = self.refuse, None
-                raise Refused(number)
-            if not text:
-                self.ok()
-            elif len(text) > LONGEST_LINE:
-                raise Refused(TOO_LONG)
-            elif text.startswith("$"):
-                command(self, text[1:].strip())
-            else:
-                execute(self, text)
-        except Refused as refusal:
-            self.error = refusal.number
-            self.say(f"error:{refusal.number}")

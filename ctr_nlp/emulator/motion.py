@@ -29,8 +29,8 @@ class Motion:
         self.lowest = list(self.position)
         self.highest = list(self.position)
         self.overrides = Overrides()
-        self.line: int | None = None
-        """Line number of the block last executed."""
+        self.read: int | None = None
+        """Number of the line that was read last."""
         self.running = False
         self.holding = False
         self._elapsed = 0.0
@@ -44,6 +44,11 @@ class Motion:
         if self.blocks:
             return self.blocks[-1].target
         return self.segments[-1].block.target if self.segments else self.position
+
+    @property
+    def line(self) -> int | None:
+        """The line number that is reported: of the block in preparation, else of the line that was read last."""
+        return self.blocks[0].line if self.blocks else self.read
 
     @property
     def free(self) -> int:
@@ -181,21 +186,20 @@ class Motion:
             if seconds < rest:
                 self._elapsed += seconds
                 share = self._elapsed / segment.seconds
-                self._reach(segment.block.at(segment.begin + share * (segment.end - segment.begin)), segment)
+                self._reach(segment.block.at(segment.begin + share * (segment.end - segment.begin)))
                 return
             seconds -= rest
             self._elapsed = 0.0
             self.segments.popleft()
-            self._reach(segment.block.at(segment.end), segment)
+            self._reach(segment.block.at(segment.end))
             if segment.last:
                 self.finished.append((segment.block.line, segment.block.target))
             self._prepare()
             if not self.segments:
                 self._settle()
 
-    def _reach(self, position: Vector, segment: Segment) -> None:
+    def _reach(self, position: Vector) -> None:
         self.position = position
-        self.line = segment.block.line
         for i, value in enumerate(position):
             if value < self.lowest[i]:
                 self.lowest[i] = value

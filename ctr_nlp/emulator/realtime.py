@@ -25,7 +25,10 @@ def is_realtime(byte: int) -> bool:
 def act(firmware: Firmware, byte: int) -> None:
     """Do what a realtime character asks for, where the state allows it."""
     if byte in QUERIES:
-        firmware.asked()
+        if firmware.state == "Home":
+            firmware.report_due = True
+        else:
+            firmware.report()
     elif byte == RESET:
         stops.reset(firmware)
     elif byte in HOLD:

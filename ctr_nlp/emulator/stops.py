@@ -32,13 +32,12 @@ def resume(firmware: Firmware) -> None:
 
 
 def stop(firmware: Firmware) -> None:
-    """Come to a standstill at once and forget all that is planned or waits; not while homing."""
+    """Come to a standstill at once and forget all that is planned or waits, an alarm too; not while homing."""
 
     def over() -> None:
         firmware.motion.flush()
         firmware.modal = Modal()
-        if firmware.state != "Check":
-            firmware.state = "Idle"
+        firmware.state = "Idle"
         firmware.say("[MSG:Stop]")
 
     if firmware.state == "Home" or firmware.critical:
@@ -57,7 +56,7 @@ def cancel_jog(firmware: Firmware) -> None:
         firmware.state = "Idle"
 
     firmware.when_stopped = over
-    firmware.motion.hold()
+    firmware.motion.brake()
 
 
 def reset(firmware: Firmware) -> None:
@@ -89,7 +88,7 @@ def restart(firmware: Firmware, locked: bool) -> None:
     firmware.homing.clear()
     firmware.motion.flush()
     firmware.override(Overrides())
-    firmware.motion.line = None
+    firmware.motion.read = None
     firmware.modal = Modal()
     firmware.critical = False
     firmware.state = "Alarm" if locked else "Idle"
