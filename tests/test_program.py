@@ -230,7 +230,7 @@ def test_the_digest_of_plan_or_hardware_changes_with_everything_in_it():
 def test_the_same_plan_and_hardware_have_the_same_digests():
     plan, rig = sweep(), homing_hardware()
     copied = replace(plan, time=plan.time.copy(), meta=dict(plan.meta))
-    assert digests(copied, replace(homing_hardware(), commissioned={1: "255"})) == digests(plan, rig)
+    assert digests(copied, replace(homing_hardware(), commissioned={"1": "255"})) == digests(plan, rig)
 
 
 # G-code, ways and records

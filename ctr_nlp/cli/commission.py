@@ -60,7 +60,7 @@ def _show(hardware: Hardware, controller: Controller) -> None:
         ("settings that are wrong", controller.wrong),
         ("settings that have changed since the rig was commissioned", controller.changed),
     ):
-        table = [(f"${one.number}", one.value, f"${one.number}={one.wanted}", one.why) for one in settings]
+        table = [(f"${one.name}", one.value, f"${one.name}={one.wanted}", one.why) for one in settings]
         if table:
             print_table(title, ("setting", "is", "set", "why"), table)
     if not controller.wrong:

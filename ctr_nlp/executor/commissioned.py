@@ -13,21 +13,20 @@ def commissioned_file(hardware_file: str | Path) -> Path:
     return Path(hardware_file).with_suffix(".commissioned.json")
 
 
-def read_commissioned(hardware_file: str | Path) -> dict[int, str] | None:
-    """Settings by number, None where the rig has not been commissioned; raises HardwareError."""
+def read_commissioned(hardware_file: str | Path) -> dict[str, str] | None:
+    """Settings by name, None where the rig has not been commissioned; raises HardwareError."""
     path = commissioned_file(hardware_file)
     if not path.exists():
         return None
     try:
         settings = json.loads(path.read_text(encoding="utf-8"))["settings"]
-        return {int(number): str(value) for number, value in settings.items()}
+        return {str(name): str(value) for name, value in settings.items()}
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise HardwareError(
             f"{path} is no record of a commissioning ({error}): delete it, and commission the rig anew"
         ) from error
 
 
-def commissioned_text(settings: dict[int, str], identity: str) -> str:
+def commissioned_text(settings: dict[str, str], identity: str) -> str:
     """What the file holds; identity: what the controller tells of itself."""
-    known = {str(number): value for number, value in sorted(settings.items())}
-    return json.dumps({"controller": identity, "settings": known}, indent=1) + "\n"
+    return json.dumps({"controller": identity, "settings": settings}, indent=1) + "\n"

@@ -9,8 +9,11 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-MODES = "G21 G90 G93 G54"
-"""Millimetres, absolute positions, F as 1 / (minutes that a line takes), and the first work offset, which is 0."""
+MEANING = "G21 G90 G93"
+"""Millimetres, absolute positions, and F as 1 / (minutes that a line takes)."""
+
+MODES = f"{MEANING} G54"
+"""What a program begins with: also the first work offset, which is 0."""
 
 DECIMALS = 4
 
@@ -18,14 +21,17 @@ LEAST_FEED = 1.0 / 60.0
 """Units/s: Grbl goes no slower, and a line in which nothing moves takes no time there."""
 
 
-def line(number: int, letters: Sequence[str], position: Array, seconds: float) -> str:
-    """The line that goes straight to a position (m,) within so many s; every axis and F are on it."""
+def line(number: int, letters: Sequence[str], position: Array, seconds: float, meaning: str = "") -> str:
+    """The line that goes straight to a position (m,) within so many s; every axis and F are on it.
+
+    meaning: words that it says besides, lest it means something else after another client's word.
+    """
     rounded = np.round(position, DECIMALS) + 0.0
     words = " ".join(f"{letter}{value:.{DECIMALS}f}" for letter, value in zip(letters, rounded, strict=True))
-    return f"N{number} G1 {words} F{60.0 / seconds:.{DECIMALS}f}"
+    return f"N{number} {meaning}{' ' * bool(meaning)}G1 {words} F{60.0 / seconds:.{DECIMALS}f}"
 
 
-def lines(letters: Sequence[str], start: Array, positions: Array, time: Array) -> list[str]:
+def lines(letters: Sequence[str], start: Array, positions: Array, time: Array, meaning: str = "") -> list[str]:
     """The lines, numbered from 1, from start (m,) to positions (N, m) that are reached at time (N,) s.
 
     Where less would move than Grbl's least feed it waits (G4), and the next line makes up for it.
@@ -35,6 +41,6 @@ def lines(letters: Sequence[str], start: Array, positions: Array, time: Array) -
         if n < len(positions) and np.linalg.norm(position - there) < LEAST_FEED * seconds:
             found.append(f"N{n} G4 P{seconds:.{DECIMALS}f}")
         else:
-            found.append(line(n, letters, position, seconds))
+            found.append(line(n, letters, position, seconds, meaning))
             there = position
     return found

@@ -121,7 +121,7 @@ class Hardware:
 
     approach: part of the largest speeds at which the first frame is gone to. robot: whose tubes are mounted; plans
     for others are refused, None takes any. late: s that a motion may be behind its schedule. commissioned: the
-    controller's settings by number when the rig was commissioned, as it told them; None where that was not done.
+    controller's settings by name when the rig was commissioned, as it told them; None where that was not done.
     Raises HardwareError.
     """
 
@@ -131,7 +131,7 @@ class Hardware:
     approach: float = 0.2
     robot: Robot | None = None
     late: float = 1.0
-    commissioned: dict[int, str] | None = None
+    commissioned: dict[str, str] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axes", tuple(self.axes))

@@ -69,7 +69,7 @@ class Supervisor:
 
     def resumed(self) -> None:
         """The player lets a held device go on: from now on it may move, and keeps a new schedule."""
-        self._since = self._holding = self._rest = None
+        self._since = self._looked = self._holding = self._rest = None
         self._paused = False
 
     def violation(self, progress: Progress, now: float) -> Violation | None:

@@ -17,7 +17,7 @@ from ctr_nlp.executor.devices.grbl_replies import Reply, Report, report_of
 from ctr_nlp.executor.devices.grbl_settings import check
 from ctr_nlp.executor.devices.grbl_stop import OVERHEARD, stopped
 from ctr_nlp.executor.devices.grbl_talk import GREETING, HOLD, RESET, RESUME, STATUS, Talk, never
-from ctr_nlp.executor.gcode import MODES, lines
+from ctr_nlp.executor.gcode import MEANING, MODES, lines
 from ctr_nlp.executor.hardware import Hardware
 from ctr_nlp.executor.link import Link
 from ctr_nlp.executor.program import Commands
@@ -142,7 +142,7 @@ class Grbl:
         self._way = Way(self._seen.position[self._columns], commands, self._hardware.tolerance)
         self._window = lookahead.Window(self._way.ends, self._way.points, self._slides)
         self._place = Place(0.0, 0.0, 0, 0.0)
-        texts = lines(self._hardware.letters, self._way.points[0], commands.positions, commands.time)
+        texts = lines(self._hardware.letters, self._way.points[0], commands.positions, commands.time, MEANING)
         self._lines = [text.encode("ascii") + b"\n" for text in texts]
         self._sent = self._planned = self.underruns = 0
         self._waiting.clear()

@@ -13,21 +13,21 @@ from ctr_nlp.executor.hardware import Hardware
 
 @dataclass(frozen=True)
 class Identity:
-    """letters of its axes; receive: bytes that it can keep; blocks: of its planner; settings: by number, as told.
-
+    """letters of its axes; receive: bytes that it can keep; blocks: of its planner; settings: by name
+    ("110"; startup lines are "N0", "N1"), as told.
     told: version, options and driver, as it answers $I; these tell it from another controller.
     """
 
     letters: str
     receive: int
     blocks: int
-    settings: dict[int, str]
+    settings: dict[str, str]
     told: str
 
     def setting(self, number: int) -> float:
         """A setting as a number; raises DeviceFault."""
         try:
-            return float(self.settings[number])
+            return float(self.settings[str(number)])
         except (KeyError, ValueError) as error:
             raise DeviceFault(f"the controller does not tell its setting ${number}") from error
 

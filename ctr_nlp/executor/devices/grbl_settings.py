@@ -20,15 +20,15 @@ NEEDED = {0: "machine positions", 1: "the planner's free blocks", 2: "line numbe
 
 
 class Finding(NamedTuple):
-    """A setting that is wrong: its number, its value, the value to set, and why."""
+    """A setting that is wrong: its name, its value, the value to set, and why."""
 
-    number: int
+    name: str
     value: str
     wanted: str
     why: str
 
     def __str__(self) -> str:
-        return f"the controller's ${self.number} is {self.value}, and {self.why}: set ${self.number}={self.wanted}"
+        return f"the controller's ${self.name} is {self.value}, and {self.why}: set ${self.name}={self.wanted}"
 
 
 def check(identity: Identity, hardware: Hardware) -> None:
@@ -48,11 +48,9 @@ def changes(identity: Identity, hardware: Hardware) -> list[Finding]:
     """Every setting that is not what it was when the rig was commissioned; none where it has not been."""
     before = hardware.commissioned or {}
     return [
-        Finding(
-            number, identity.settings.get(number, "not told"), value, f"was {value} when the rig was commissioned"
-        )
-        for number, value in sorted(before.items())
-        if identity.settings.get(number) != value
+        Finding(name, identity.settings.get(name, "not told"), value, f"was {value} when the rig was commissioned")
+        for name, value in sorted(before.items())
+        if identity.settings.get(name) != value
     ]
 
 
@@ -63,26 +61,31 @@ def _reports(identity: Identity) -> Iterator[Finding]:
         yield _finding(identity, 10, str(STATUS_MASK), f"status reports lack {', '.join(missing)}")
     if identity.setting(13):
         yield _finding(identity, 13, "0", "it reports in inches")
-    if identity.settings.get(39, "1") == "0":
+    if identity.settings.get("39", "1") == "0":
         yield _finding(identity, 39, "1", "a hold is not obeyed while a line with $ or a comment is being read")
 
 
 def _positions(identity: Identity, hardware: Hardware) -> Iterator[Finding]:
     """Settings with which motors lose their place, or an axis counts as something else."""
     axes = [(axis.letter, column) for axis, column in zip(hardware.axes, identity.columns(hardware), strict=True)]
-    held = int(float(identity.settings.get(37, "0")))
+    held = int(float(identity.settings.get("37", "0")))
     limp = [letter for letter, column in axes if not held >> column & 1]
     if identity.setting(1) != 255 and limp:
         why = f"motors {' '.join(limp)} go limp after {identity.setting(1):g} ms at rest, and lose their position"
         yield _finding(identity, 1, "255", why)
-    if float(identity.settings.get(32, "0")):
-        yield _finding(identity, 32, "0", "it works as a laser cutter or a lathe, whose axes mean something else")
-    if float(identity.settings.get(62, "0")):
-        yield _finding(identity, 62, "0", "it goes to sleep by itself, and its motors go limp")
+    harmful = {
+        32: "it works as a laser cutter or a lathe, whose axes mean something else",
+        41: "it moves an axis by itself when its door is opened",
+        62: "it goes to sleep by itself, and its motors go limp",
+    }
     for letter, column in axes:
-        if float(identity.settings.get(160 + column, "0")):
-            why = f"it makes up for backlash of {letter}; that is the hardware file's business"
-            yield _finding(identity, 160 + column, "0", why)
+        harmful[160 + column] = f"it makes up for backlash of {letter}; that is the hardware file's business"
+    for number, why in harmful.items():
+        if float(identity.settings.get(str(number), "0")):
+            yield _finding(identity, number, "0", why)
+    for name in ("N0", "N1"):
+        if identity.settings.get(name):
+            yield Finding(name, identity.settings[name], "", "it is obeyed whenever the controller starts")
 
 
 def _limits(identity: Identity, hardware: Hardware) -> Iterator[Finding]:
@@ -100,4 +103,4 @@ def _limits(identity: Identity, hardware: Hardware) -> Iterator[Finding]:
 
 
 def _finding(identity: Identity, number: int, wanted: str, why: str) -> Finding:
-    return Finding(number, identity.settings[number], wanted, why)
+    return Finding(str(number), identity.settings[str(number)], wanted, why)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from ctr_nlp.errors import DeviceFault
 from ctr_nlp.executor.clock import Clock
 from ctr_nlp.executor.devices.grbl_replies import Report
-from ctr_nlp.executor.devices.grbl_talk import ANSWER, HOLD, RESET, Talk
+from ctr_nlp.executor.devices.grbl_talk import ANSWER, HOLD, JOG_CANCEL, RESET, Talk
 
 ASKING = 0.02
 """s between status questions while it comes to rest."""
@@ -29,11 +29,11 @@ RESTART = 3.0
 def stopped(talk: Talk, clock: Clock, homing: bool = False) -> Report:
     """Stop motion and let the controller forget the rest of it; returns what it reports at rest afterwards.
 
-    A feed hold is sent at once, and then, when the axes rest, a reset, which keeps the position. Where the hold is not
+    A feed hold, and for jogs, which know none, a cancellation are sent at once, and then, when the axes rest, a reset, which keeps the position. Where the hold is not
     obeyed in time, and in a homing cycle, which knows no hold, the reset is sent all the same. Raises DeviceFault
     where the position is not to be trusted afterwards.
     """
-    talk.link.write(HOLD)
+    talk.link.write(HOLD + JOG_CANCEL)
     restarted = talk.lost
     rested = None if homing else _rested(talk, clock)
     talk.link.write(RESET)
@@ -70,6 +70,6 @@ def _rested(talk: Talk, clock: Clock) -> Report | None:
             return report
         before = report if at_rest else None
         if not at_rest and clock.now() - held > OVERHEARD and report.state in ("Run", "Jog"):
-            talk.link.write(HOLD)
+            talk.link.write(HOLD + JOG_CANCEL)
             held = clock.now()
     return None

@@ -13,7 +13,7 @@ from ctr_nlp.executor.devices.grbl_identity import Identity
 from ctr_nlp.executor.devices.grbl_replies import Reply, Report, reply_of, report_of
 from ctr_nlp.executor.link import Link
 
-STATUS, HOLD, RESUME, RESET = b"?", b"!", b"~", b"\x18"
+STATUS, HOLD, RESUME, RESET, JOG_CANCEL = b"?", b"!", b"~", b"\x18", b"\x85"
 
 GREETING = 6.0
 """s for a controller that restarts when its port is opened."""
@@ -165,11 +165,12 @@ class Talk:
             text.strip("[]").partition(":")[::2] for text in self.ask("$I", stop=stop) if text.startswith("[")
         )
         settings = [text[1:].partition("=") for text in self.ask("$$", stop=stop) if text.startswith("$")]
+        settings += [text[1:].partition("=") for text in self.ask("$N", stop=stop) if text.startswith("$N")]
         try:
             count, _, letters = told["AXS"].partition(":")
             _, blocks, receive, *_ = told["OPT"].split(",")
             self.axes = int(count)
-            known = {int(number): value for number, _, value in settings}
+            known = {name: value for name, _, value in settings}
             return Identity(letters, int(receive), int(blocks), known, "; ".join(map(":".join, told.items())))
         except (KeyError, ValueError) as error:
             raise DeviceFault(f"the controller is no grblHAL that can be used: it tells {told}") from error
