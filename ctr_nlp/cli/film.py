@@ -10,12 +10,18 @@ from ctr_nlp.figures.film import film
 from ctr_nlp.plan import Plan
 
 
-def write_film(plans: Sequence[Plan], file: Path, out: Path, staging: Path) -> None:
-    """Write a film of plans and show how far it is; raises OptionError, OutputError.
+def write_film(plans: Sequence[Plan], file: Path, out: Path, place: Path, staging: Path) -> Path:
+    """Write a film of plans and show how far it is; returns where it will be. Raises OptionError, OutputError.
 
-    A file within the folder out, whose place staging is to take, is written into that.
+    out: the output folder that was asked for; place: the one that takes staging's files, another where the run was
+    interrupted. A file within out is written into staging; so is any other where out takes none.
     """
-    place, folder = file.absolute(), out.absolute()
-    target = staging / place.relative_to(folder) if place.is_relative_to(folder) else file
+    if file.absolute().is_relative_to(out.absolute()):
+        name = file.absolute().relative_to(out.absolute())
+    elif place != out:
+        name = Path(file.name)
+    else:
+        name = file.absolute()
     with progress_bar() as labelled:
-        film(plans, target, labelled(file.name))
+        film(plans, staging / name, labelled(file.name))
+    return file if name.is_absolute() or place == out else place / name
