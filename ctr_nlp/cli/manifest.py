@@ -134,7 +134,7 @@ def read(folder: Path) -> Manifest | None:
     try:
         text = (folder / MARK).read_text(encoding="utf-8")
         return _parsed(json.loads(text)) if text.startswith("{") else _from_a_mark(folder)
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise OutputError(
