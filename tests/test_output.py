@@ -195,7 +195,8 @@ def test_nothing_is_written_through_links(tmp_path):
     run(out, {"plan.npz": "second"})
     assert contents(elsewhere) == {"film.gif": "first"}
     with pytest.raises(OutputError, match="deep is in the way"):
-        check_folder(out, "plan", out / "deep" / "film.gif")
+        publish(out, {"deep/film.gif": "third"})
+    assert contents(elsewhere) == {"film.gif": "first"}
 
 
 def test_an_interrupted_run_goes_beside(tmp_path):
@@ -289,7 +290,7 @@ def test_a_full_disk_leaves_what_was_there(tmp_path, monkeypatch):
 def test_a_write_that_fails_on_the_way_loses_nothing(tmp_path, monkeypatch, step):
     """Whichever move fails, each file is one of the two runs', and where the old one stays the new one is kept."""
     out = tmp_path / "out"
-    run(out, PLAN)
+    run(out, PLAN | {"stability.png": "first"})
     replace, calls = os.replace, []
 
     def failing(source, target):
@@ -308,6 +309,10 @@ def test_a_write_that_fails_on_the_way_loses_nothing(tmp_path, monkeypatch, step
     for name in PLAN:
         assert found[f"out/{name}"] in ("first", "second")
         assert "second" in (found[f"out/{name}"], found.get(f"out-kept-1/{name}"))
+    whole = all(found[f"out/{name}"] == "second" for name in PLAN)
+    assert whole or found["out/stability.png"] == "first"
+    run(out, {"plan.npz": "third"})
+    assert contents(out) == {"plan.npz": "third"}
 
 
 def test_a_read_only_folder_is_refused_early(tmp_path):

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ctr_nlp.cli.console import progress_bar
+from ctr_nlp.cli.output import name_within
 from ctr_nlp.figures.film import film
 from ctr_nlp.plan import Plan
 
@@ -14,14 +15,13 @@ def write_film(plans: Sequence[Plan], file: Path, out: Path, place: Path, stagin
     """Write a film of plans and show how far it is; returns where it will be. Raises OptionError, OutputError.
 
     out: the output folder that was asked for; place: the one that takes staging's files, another where the run was
-    interrupted. A file within out is written into staging; so is any other where out takes none.
+    interrupted, which then takes all films. Otherwise a file that is not within out is written where it is to be.
     """
-    if file.absolute().is_relative_to(out.absolute()):
-        name = file.absolute().relative_to(out.absolute())
-    elif place != out:
-        name = Path(file.name)
+    inner = name_within(out, file)
+    if inner is None and place == out:
+        target = found = file
     else:
-        name = file.absolute()
+        target, found = staging / (inner or file.name), place / (inner or file.name)
     with progress_bar() as labelled:
-        film(plans, staging / name, labelled(file.name))
-    return file if name.is_absolute() or place == out else place / name
+        film(plans, target, labelled(file.name))
+    return found

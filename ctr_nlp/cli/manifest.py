@@ -82,10 +82,11 @@ class Manifest:
         return Manifest(self.files, Publication(staging, new, tuple(old)))
 
     def settled(self, folder: Path) -> Manifest:
-        """With nothing pending, and with what lies in folder now under each name that was new."""
+        """With nothing pending, and with what lies in folder now under each name that was new or superseded."""
         if self.pending is None:
             return self
-        files = {name: one for name, one in self.files.items() if name not in self.pending.superseded}
+        superseded = self.pending.superseded
+        files = {n: one for n, one in self.files.items() if n not in superseded or one.is_at(folder / n)}
         for name, one in self.pending.files.items():
             if one.is_at(folder / name):
                 files[name] = one

@@ -27,6 +27,12 @@ def place_of(out: Path, interrupted: bool) -> Path:
     return out / INTERRUPTED if interrupted else out
 
 
+def name_within(folder: Path, file: Path) -> str | None:
+    """The name of a file relative to folder; None where it lies elsewhere."""
+    place, home = file.parent.resolve() / file.name, folder.resolve()
+    return place.relative_to(home).as_posix() if place.is_relative_to(home) else None
+
+
 def check_folder(folder: Path, kind: str, other: Path | None = None) -> None:
     """Raise OutputError unless a run of this kind can write into folder: it is new, empty or one of ours.
 
@@ -34,9 +40,8 @@ def check_folder(folder: Path, kind: str, other: Path | None = None) -> None:
     What a run that was killed has left in folder is completed or removed first.
     """
     target = folder.absolute()
-    names = standard(kind, target)
-    if other is not None and other.absolute().is_relative_to(target):
-        names.append(other.absolute().relative_to(target).as_posix())
+    inner = None if other is None else name_within(folder, other)
+    names = [*standard(kind, target), *([] if inner is None else [inner])]
     try:
         if target.is_dir() and not target.is_symlink():
             with locked(target, PATIENCE):
@@ -172,9 +177,10 @@ def _finish(folder: Path) -> list[str]:
         if (staging / name).is_file() and manifest.occupied(folder, name) is None:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             os.replace(staging / name, folder / name)
-    for name in manifest.pending.superseded:
-        if manifest.owned(folder, name):
-            _delete(folder, name)
+    if all(one.is_at(folder / name) for name, one in names.items()):
+        for name in manifest.pending.superseded:
+            if manifest.owned(folder, name):
+                _delete(folder, name)
     staging.mkdir(exist_ok=True)
     _write(manifest.settled(folder), staging, folder)
     left = [name for name in names if (staging / name).is_file()]

@@ -99,7 +99,7 @@ def _run(arguments: argparse.Namespace) -> int:
         title = f"{plan.meta['problem']['name']}: checked; nothing was sent"
         print_program(title, *prepared(plan, hardware, tempo))
         return SOLVED
-    out = Path(arguments.out or f"runs/{path_component(plan.meta['problem']['name'])}-play")
+    out = Path(arguments.out or f"runs/{path_component(str(plan.meta['problem']['name']))}-play")
     records = read_journal(out / JOURNAL) if arguments.resume else None
     with live.playing(plan) if arguments.live else nullcontext() as told:
         return _played(arguments, plan, hardware, tempo, out, records, told)
