@@ -192,14 +192,15 @@ def contents(folder):
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-@pytest.mark.parametrize(("count", "frames"), [(2, 20), pytest.param(20, 600, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("count", "frames"), [(2, 20), pytest.param(20, 100, marks=pytest.mark.slow)])
 def test_reruns_and_interruptions_touch_nothing_of_the_user_s_and_the_best_plan_stays(
     tmp_path, count, frames, capsys
 ):
     moments, out = random.Random(0), tmp_path / "out"
-    begin = time.perf_counter()
-    subprocess.run(command(out, frames), check=True, capture_output=True)
-    whole = time.perf_counter() - begin
+    for _ in range(2):  # the first may have to compile
+        begin = time.perf_counter()
+        subprocess.run(command(out, frames), check=True, capture_output=True)
+        whole = time.perf_counter() - begin
     for name, text in MINE.items():
         (out / name).parent.mkdir(exist_ok=True)
         (out / name).write_text(text)
