@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
-import os
 import platform
 import zipfile
 import zlib
@@ -25,6 +24,7 @@ from ctr_nlp.problem import Problem
 from ctr_nlp.robot import Robot
 from ctr_nlp.target import SIGMA
 from ctr_nlp.tracking import Snap
+from ctr_nlp.whole_file import whole_file
 
 Array = npt.NDArray[np.float64]
 
@@ -126,13 +126,10 @@ class Plan:
         arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "meta"}
         present = {name: array for name, array in arrays.items() if array is not None}
         target = Path(path)
-        partial = target.with_name(f".{target.name}.partial")
         try:
-            with open(partial, "wb") as file:
+            with whole_file(target) as partial, open(partial, "wb") as file:
                 np.savez_compressed(file, meta=np.array(json.dumps(self.meta, allow_nan=False)), **present)
-            os.replace(partial, target)
         except OSError as error:
-            partial.unlink(missing_ok=True)
             raise OutputError(f"plan cannot be written to {target}: {error}") from error
 
     @classmethod

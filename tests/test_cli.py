@@ -14,6 +14,7 @@ import pytest
 from ctr_nlp import Plan
 from ctr_nlp.cli.compare_solvers import main as compare_solvers
 from ctr_nlp.cli.output import MARK
+from ctr_nlp.cli.solve_horizon import main as solve_horizon
 from ctr_nlp.cli.solve_per_frame import main as solve_per_frame
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from problems import FOLDER
@@ -87,12 +88,14 @@ def test_plan_arrays_have_their_documented_shapes(tmp_path, straight):
     assert {"problem", "robot", "model", "formulation", "solver", "options", "versions", "format"} <= set(meta)
 
 
-def test_a_folder_of_ours_is_replaced_whole(tmp_path):
+def test_a_rerun_replaces_its_files_and_leaves_the_user_s(tmp_path, capsys):
     out = tmp_path / "out"
     assert solve("arc", "--frames", 2, "--out", out) == 0
-    (out / "stale.txt").write_text("left from before")
+    (out / "thesis.tex").write_text("years of work")
     assert solve("arc", "--frames", 3, "--out", out) == 0
-    assert {path.name for path in out.iterdir()} == FILES
+    assert {path.name for path in out.iterdir()} == FILES | {"thesis.tex"}
+    assert (out / "thesis.tex").read_text() == "years of work"
+    assert "thesis" not in capsys.readouterr().out
     assert len(Plan.load(out / "plan.npz").time) == 3
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
@@ -102,6 +105,38 @@ def test_a_folder_with_other_files_is_refused(tmp_path, capsys):
     assert solve("arc", "--frames", 2, "--out", tmp_path) == 2
     assert "not empty" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_a_file_of_ours_that_the_user_changed_is_refused_before_solving(tmp_path, capsys, monkeypatch):
+    assert solve("arc", "--frames", 2, "--out", tmp_path) == 0
+    (tmp_path / "errors.csv").write_text("corrected by hand")
+    capsys.readouterr()
+    monkeypatch.setattr(NlpFrames, "search", lambda *_: pytest.fail("solving has started"))
+    assert solve("arc", "--frames", 3, "--out", tmp_path) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "errors.csv is in the way" in line
+    assert (tmp_path / "errors.csv").read_text() == "corrected by hand"
+    assert len(Plan.load(tmp_path / "plan.npz").time) == 2
+
+
+@pytest.mark.parametrize("name", ["../../x", "/x", "..", "a/b"])
+def test_a_problem_s_name_makes_no_path(tmp_path, name, monkeypatch):
+    work = tmp_path / "deep" / "deeper"
+    (work / "problems").mkdir(parents=True)
+    (work / "problems" / "own.py").write_text(
+        "from dataclasses import replace\n"
+        "from runpy import run_path\n"
+        f"made = run_path({str(FOLDER / 'arc.py')!r})['problem']\n"
+        f"problem = lambda *options: replace(made(*options), name={name!r})\n"
+    )
+    monkeypatch.chdir(work)
+    before = set(tmp_path.rglob("*"))
+    for program in (solve_per_frame, solve_horizon):
+        assert program(work / "problems", ["own", "--frames", "2"]) == 0
+    made = sorted((work / "runs").iterdir())
+    assert [path.name.partition("~")[2][8:] for path in made] == ["-horizon-dominant", "-joint-dominant"]
+    assert {Plan.load(path / "plan.npz").meta["problem"]["name"] for path in made} == {name}
+    assert {path for path in tmp_path.rglob("*") if path.parent not in made} == before | {work / "runs", *made}
 
 
 @pytest.mark.parametrize("place", ["file/out", "file", "/proc/ctr_nlp"])
@@ -200,9 +235,10 @@ def test_ctrl_c_writes_what_was_solved_and_exits_with_130(tmp_path):
     process.send_signal(signal.SIGINT)
     output, errors = process.communicate(timeout=120)
     assert process.returncode == 130, errors
-    assert "interrupted" in output
-    assert json.loads((out / "summary.json").read_text())["interrupted"]
-    plan = Plan.load(out / "plan.npz")
+    assert f"wrote {out / 'interrupted'}" in output.replace("\n", "")
+    assert [path.name for path in out.iterdir()] == ["interrupted"]
+    assert json.loads((out / "interrupted" / "summary.json").read_text())["interrupted"]
+    plan = Plan.load(out / "interrupted" / "plan.npz")
     assert plan.success.any()
 
 

@@ -11,10 +11,12 @@ import time
 import numpy as np
 import pytest
 
-from ctr_nlp import Plan
+from ctr_nlp import Plan, trade_off
+from ctr_nlp.cli import problems
 from ctr_nlp.cli.compare_solvers import main as compare_solvers
 from ctr_nlp.cli.output import MARK
 from ctr_nlp.cli.solve_horizon import main as solve_horizon
+from ctr_nlp.cli.solve_per_frame import main as solve_per_frame
 from ctr_nlp.solvers import CHAIN_SOLVERS
 from ctr_nlp.solvers.chains import judged
 from ctr_nlp.steer.nlp_frames import NlpFrames
@@ -154,40 +156,122 @@ def test_an_unsolved_horizon_is_exit_status_1_and_says_why(tmp_path, capsys, mon
     assert not Plan.load(tmp_path / "out" / "plan.npz").success.any()
 
 
-def command(out):
-    return [sys.executable, ROOT / "scripts" / "solve_horizon.py", "cos", "--frames", "600", "--out", out]
+def command(out, frames=600):
+    return [sys.executable, ROOT / "scripts" / "solve_horizon.py", "cos", "--frames", str(frames), "--out", out]
 
 
-def interrupted_after(seconds, out):
-    process = subprocess.Popen(command(out), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+def interrupted_after(seconds, out, frames=600):
+    """Ctrl-C then: "beside" where what there was until then has been written, "nothing", or "too late"."""
+    process = subprocess.Popen(command(out, frames), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     time.sleep(seconds)
     process.send_signal(signal.SIGINT)
     output, errors = process.communicate(timeout=300)
-    plan = Plan.load(out / "plan.npz")
+    if process.returncode in (0, -signal.SIGINT):  # everything is written by then
+        return "too late"
+    assert process.returncode == 130, errors
+    if "nothing was written" in errors:
+        return "nothing"
+    plan = Plan.load(out / "interrupted" / "plan.npz")
+    assert plan.meta["interrupted"]
+    assert f"wrote {out / 'interrupted'}" in output.replace("\n", "")
     for q in plan.q:
         plan.robot.check(q)
     assert (np.abs(np.diff(plan.q, axis=0)) <= plan.robot.speed * plan.dt + 1e-6).all()
-    at_its_end = (0, -signal.SIGINT)  # everything is written by then
-    assert process.returncode in ((130,) if plan.meta["interrupted"] else at_its_end), errors
-    assert plan.meta["interrupted"] or plan.success.all()
-    return plan, output
+    return "beside"
 
 
-def test_ctrl_c_while_the_program_loads_still_leaves_a_plan(tmp_path):
-    plan, output = interrupted_after(0.3, tmp_path / "out")
-    assert plan.meta["interrupted"]
-    assert "interrupted" in output
+def test_ctrl_c_while_the_program_loads_writes_nothing_and_says_so(tmp_path):
+    assert interrupted_after(0.3, tmp_path / "out") == "nothing"
+    assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.slow
-def test_ctrl_c_at_20_random_moments_always_leaves_a_plan_within_limits(tmp_path):
-    moments = random.Random(0)
+MINE = {"thesis.tex": "years of work", "interrupted/notes.txt": "mine", "deep/film.gif": "mine"}
+
+
+def contents(folder):
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize(("count", "frames"), [(2, 20), pytest.param(20, 100, marks=pytest.mark.slow)])
+def test_reruns_and_interruptions_touch_nothing_of_the_user_s_and_the_best_plan_stays(
+    tmp_path, count, frames, capsys
+):
+    moments, out = random.Random(0), tmp_path / "out"
     for _ in range(2):  # the first may have to compile
         begin = time.perf_counter()
-        subprocess.run(command(tmp_path / "whole"), check=True, capture_output=True)
+        subprocess.run(command(out, frames), check=True, capture_output=True)
         whole = time.perf_counter() - begin
-    plans = [interrupted_after(moments.uniform(0.1, whole), tmp_path / str(i))[0] for i in range(20)]
-    assert any(plan.meta["interrupted"] for plan in plans)
+    for name, text in MINE.items():
+        (out / name).parent.mkdir(exist_ok=True)
+        (out / name).write_text(text)
+    (out / "interrupted" / MARK).write_text('{"format": 1, "files": {}}')  # made by an interrupted run
+    told = []
+    for _ in range(count):
+        before = contents(out)
+        told.append(interrupted_after(moments.uniform(0.1, whole), out, frames))
+        after = contents(out)
+        assert all(after[name].decode() == text for name, text in MINE.items())
+        beside = {name for name in after if name.startswith("interrupted/")}
+        changed = {name for name in {*before, *after} if before.get(name) != after.get(name)}
+        assert not changed - (beside if told[-1] == "beside" else FILES if told[-1] == "too late" else set())
+        assert Plan.load(out / "plan.npz").complete
+        assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    with capsys.disabled():
+        print(f"\n{count} runs of {whole:.1f} s:", ", ".join(f"{told.count(one)} {one}" for one in set(told)))
+    assert "beside" in told or count < 20
+
+
+def pressing_ctrl_c_once(call):
+    """The same call, before whose first Ctrl-C is pressed."""
+    left = [signal.SIGINT]
+
+    def pressed(*arguments, **options):
+        if left:
+            signal.raise_signal(left.pop())
+        return call(*arguments, **options)
+
+    return pressed
+
+
+def test_ctrl_c_before_solving_begins_writes_nothing(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(problems, "tell", lambda _: signal.raise_signal(signal.SIGINT))
+    for program in (solve_horizon, solve_per_frame):
+        assert program(FOLDER, ["cos", "--frames", "4", "--out", str(tmp_path / "out")]) == 130
+        assert "interrupted; nothing was written" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_interrupted_sweep_leaves_the_last_one(tmp_path, monkeypatch):
+    arguments = ("arc", "--frames", 4, "--out", tmp_path / "out", "--sweep-motion-weight", 1e-3, 1e-5)
+    assert solve(*arguments) == 0
+    before = contents(tmp_path)
+    monkeypatch.setattr(trade_off, "sweep", pressing_ctrl_c_once(trade_off.sweep))
+    assert solve(*arguments) == 130
+    after = contents(tmp_path)
+    assert {name: after[name] for name in before} == before
+    assert "out/interrupted/plan.npz" in after
+
+
+@pytest.mark.parametrize("moment", ["while frames are solved", "while the horizon is solved"])
+def test_an_interrupted_run_leaves_a_good_plan_and_its_film(tmp_path, capsys, monkeypatch, moment):
+    out, film = tmp_path / "out", tmp_path / "film.gif"
+    arguments = ("cos", "--frames", 12, "--out", out, "--film", film)
+    assert solve(*arguments) == 0
+    before = contents(tmp_path)
+    if moment == "while frames are solved":
+        monkeypatch.setattr(NlpFrames, "step", pressing_ctrl_c_once(NlpFrames.step))
+    else:
+        solver = CHAIN_SOLVERS["banded"]
+        monkeypatch.setitem(CHAIN_SOLVERS, "banded", lambda chain: pressing_ctrl_c_once(solver(chain)))
+    capsys.readouterr()
+    assert solve(*arguments) == 130
+    told = capsys.readouterr().out.replace("\n", "")
+    assert f"wrote {out / 'interrupted'}: " in told
+    assert f"wrote {out / 'interrupted' / 'film.gif'}" in told
+    after = contents(tmp_path)
+    assert {name: after[name] for name in before} == before
+    assert {name.removeprefix("out/interrupted/") for name in after if name not in before} == FILES | {"film.gif"}
+    assert Plan.load(out / "interrupted" / "plan.npz").meta["interrupted"]
 
 
 def test_horizons_are_compared_from_one_start(tmp_path, capsys):

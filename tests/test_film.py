@@ -245,7 +245,7 @@ def program(request, monkeypatch):
 def test_programs_write_films_into_their_folders_and_elsewhere(program, tmp_path, capsys):
     out = tmp_path / "out"
     (tmp_path / "beside.gif").write_bytes(b"before")
-    for film_file in (out / "deep" / "in.gif", tmp_path / "beside.gif"):
+    for film_file in (out / "deep" / "in.gif", tmp_path / "beside.gif", out / ".." / "above.gif"):
         assert program("--out", out, "--film", film_file) == 0
         assert f"wrote {film_file}" in capsys.readouterr().out.replace("\n", "")
         with Image.open(film_file) as image:

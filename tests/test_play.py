@@ -22,6 +22,8 @@ import pytest
 from bench import homing_hardware, sweep
 
 from ctr_nlp import Plan, seed_robot
+from ctr_nlp.cli.manifest import MARK
+from ctr_nlp.cli.output import check_folder, published
 from ctr_nlp.cli.play import JOURNAL, main
 from ctr_nlp.emulator.firmware import Firmware
 from ctr_nlp.emulator.serve import serving
@@ -351,6 +353,60 @@ def test_what_earlier_sessions_left_is_not_taken_for_this_one(plan: Path, tmp_pa
     url = "socket://127.0.0.1:1"
     assert main([str(plan), "--hardware", str(rig(tmp_path, url)), "--out", str(out)]) == 1
     assert {path.name for path in out.iterdir()} == {".ctr_nlp", JOURNAL}
+
+
+@pytest.mark.parametrize("name", ["../../x", "/x", ".."])
+def test_a_plan_s_name_makes_no_path(
+    plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    found = Plan.load(plan)
+    replace(found, meta=found.meta | {"problem": found.meta["problem"] | {"name": name}}).save(plan)
+    work = tmp_path / "deep" / "deeper"
+    work.mkdir(parents=True)
+    monkeypatch.chdir(work)
+    hardware = rig(tmp_path, "socket://127.0.0.1:1")
+    before = set(tmp_path.rglob("*"))
+    assert main([str(plan), "--hardware", str(hardware)]) == 1
+    (out,) = (work / "runs").iterdir()
+    assert out.name.endswith("-play")
+    assert set(tmp_path.rglob("*")) - before == {out.parent, out, out / MARK, out / JOURNAL}
+
+
+@pytest.mark.parametrize("name", ["tracking.csv", JOURNAL])
+def test_files_of_the_user_s_in_its_folder_are_refused(plan: Path, tmp_path: Path, name: str) -> None:
+    out, arguments = tmp_path / "out", [str(plan), "--hardware", str(rig(tmp_path, "socket://127.0.0.1:1"))]
+    assert main([*arguments, "--out", str(out)]) == 1
+    (out / name).write_text("mine")
+    (out / "notes.txt").write_text("mine")
+    before = {path: path.read_bytes() for path in out.iterdir()}
+    assert main([*arguments, "--out", str(out)]) == 2
+    assert {path: path.read_bytes() for path in out.iterdir()} == before
+
+
+def test_beside_a_plan_the_plan_stays_and_the_journal_grows(plan: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with published(out, "plan") as staging:
+        Plan.load(plan).save(staging / "plan.npz")
+    before, sizes = (out / "plan.npz").read_bytes(), []
+    for _ in range(2):
+        url = "socket://127.0.0.1:1"
+        assert main([str(out / "plan.npz"), "--hardware", str(rig(tmp_path, url)), "--out", str(out)]) == 1
+        sizes.append((out / JOURNAL).stat().st_size)
+    assert (out / "plan.npz").read_bytes() == before
+    assert 0 < sizes[0] < sizes[1]
+    check_folder(out, "plan")
+
+
+def test_a_result_stands_where_its_table_cannot_be_published(plan: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with playing(plan, "--out", out) as process:
+        recorded(out, "frame", 1)
+        (out / "tracking.csv").write_text("mine")
+        status, told, said = ended(process)
+    assert (status, said.count("tracking.csv is in the way")) == (0, 1)
+    assert (out / "tracking.csv").read_text() == "mine"
+    assert (tmp_path / "out-kept-1" / "tracking.csv").is_file()
+    assert f"wrote {out}: {JOURNAL}" in told.replace("\n", "")
 
 
 def test_it_refuses_a_folder_that_is_not_ours(plan: Path, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from strategies import numbers
 from ctr_nlp.errors import OptionError, ProgramError
 from ctr_nlp.executor import gcode
 from ctr_nlp.executor.devices import Progress
-from ctr_nlp.executor.hardware import Connection, bench
+from ctr_nlp.executor.hardware import bench
 from ctr_nlp.executor.lookahead import LONGEST
 from ctr_nlp.executor.program import approach_to, digests, program_of, rest_of
 from ctr_nlp.executor.record import Recorder

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.anatomy.files import CENTRELINES, MASKS
-from ctr_nlp.cli.output import check_file
+from ctr_nlp.cli.output_file import check_file
 from ctr_nlp.errors import OptionError
 from ctr_nlp.figures.film import check_film
 from ctr_nlp.fit import check_radii
@@ -111,6 +111,16 @@ def add_compile_option(parser: argparse.ArgumentParser) -> None:
 
     parser.add_argument(
         "--no-compile", action=Switch, nargs=0, help=f"solve without compiled code, as {SWITCH}=0 does everywhere"
+    )
+
+
+def add_out_option(parser: argparse.ArgumentParser, default: str) -> None:
+    """The output folder, None where not given; default: what the help says of it."""
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        help="folder for the results: new, empty, or with those of an earlier run, which are replaced; files of "
+        f"yours in it stay (default {default})",
     )
 
 

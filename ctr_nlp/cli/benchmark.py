@@ -18,6 +18,7 @@ from ctr_nlp.benchmarks.sizes import sizes
 from ctr_nlp.benchmarks.start_up import start_up
 from ctr_nlp.cli import problems
 from ctr_nlp.cli.console import SOLVED, SOME_FAILED, console, guarded, print_table
+from ctr_nlp.cli.output_file import write_text
 from ctr_nlp.errors import OptionError
 from ctr_nlp.problem import Problem
 from ctr_nlp.solvers import cache
@@ -70,7 +71,7 @@ def _run(folder: Path, arguments: argparse.Namespace) -> int:
     rows = [(r.name, f"{r.value:.4g}", r.unit, r.better) for r in records]
     print_table("benchmark", ("", "value", "unit", "better"), rows)
     if target is not None:
-        target.write_text(json.dumps([asdict(record) for record in records], indent=1) + "\n", encoding="utf-8")
+        write_text(target, json.dumps([asdict(record) for record in records], indent=1) + "\n")
         console().print(f"wrote {target}")
     return _checked(records, folder.parent / "scripts" / BASELINE) if arguments.check else SOLVED
 

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from ctr_nlp.cli.console import SOLVED, SOME_FAILED, console, print_table
-from ctr_nlp.cli.output import write_text
+from ctr_nlp.cli.output_file import write_text
 from ctr_nlp.errors import DeviceFault, HardwareError
 from ctr_nlp.executor.clock import RealClock
 from ctr_nlp.executor.commission import STEP, Commissioning, Controller

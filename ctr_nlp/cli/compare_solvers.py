@@ -19,9 +19,10 @@ from ctr_nlp.cli.console import (
     print_table,
     progress_bar,
 )
-from ctr_nlp.cli.output import check_folder, whole_folder
+from ctr_nlp.cli.output import check_folder, place_of, published
 from ctr_nlp.models import MODELS
 from ctr_nlp.reference.published import BASELINE, BASELINE_ELASTIC, SEED, SEED_ELASTIC
+from ctr_nlp.steer.interrupt import end_if_interrupted
 from ctr_nlp.study import VARIANTS, Comparison, compare, parse_variant, variants_here
 from ctr_nlp.tables import markdown, write_csv
 
@@ -64,7 +65,8 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
         prog="compare_solvers.py",
         description="Solve problems with every variant, one after the other, and print errors, steps and times "
         "beside the seed's Table II; write comparison.md, .csv and .json.",
-        epilog="Exit status: 0 every frame of ours solved, 1 some not, 2 bad input, 130 interrupted.",
+        epilog="Exit status: 0 every frame of ours solved, 1 some not, 2 bad input, 130 interrupted (what was "
+        "done goes into DIR/interrupted, and DIR's own files stay).",
     )
     names = ", ".join(problems.names(folder))
     parser.add_argument(
@@ -87,18 +89,21 @@ def _run(folder: Path, arguments: argparse.Namespace) -> int:
     settings, out = settings_from(arguments), Path(arguments.out)
     variants = [parse_variant(name) for name in arguments.variants or variants_here()]
     chosen = [problems.load(name, folder, arguments) for name in arguments.problems or problems.names(folder)]
-    check_folder(out)
+    check_folder(out, "comparison")
+    end_if_interrupted()
     with progress_bar() as labelled:
         found = compare(chosen, variants, settings, lambda problem, variant: labelled(f"{problem}, {variant}"))
-    with whole_folder(out) as staging:
-        _write(found, staging)
     rows = found.rows
+    interrupted = len(rows) < len(chosen) * len(variants) or any(row["interrupted"] for row in rows)
+    place = place_of(out, interrupted)
+    with published(place, "comparison") as staging:
+        _write(found, staging)
     for name in dict.fromkeys(row["problem"] for row in rows):
         print_table(name, list(COLUMNS), [_cells(row) for row in rows if row["problem"] == name])
     if found.agreements:
         print_table("do solvers of the horizon agree?", list(AGREEMENT), _agreements(found))
-    console().print(f"wrote {out}: comparison.md, comparison.csv, comparison.json")
-    if any(row["interrupted"] for row in rows):
+    console().print(f"wrote {place}: comparison.md, comparison.csv, comparison.json")
+    if interrupted:
         return INTERRUPTED
     return SOME_FAILED if any(row["failed"] for row in rows if ":" in row["variant"]) else SOLVED
 

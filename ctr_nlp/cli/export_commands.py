@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 
 from ctr_nlp.cli.console import SOLVED, console, guarded
-from ctr_nlp.cli.output import check_file, check_folder, whole_folder, write_text
+from ctr_nlp.cli.output import check_folder, published
+from ctr_nlp.cli.output_file import check_file, write_text
 from ctr_nlp.cli.play_report import print_program
 from ctr_nlp.errors import OptionError
 from ctr_nlp.executor.exports import BAG, FORMATS, TEXTS
@@ -82,11 +83,11 @@ def _check_out(out: Path, to: str) -> None:
     elif out.suffix in (".mcap", ".db3"):
         raise OptionError(f"--out is {out}, but a bag is a folder: {out.with_suffix('')} will hold such a file")
     else:
-        check_folder(out)
+        check_folder(out, "bag")
 
 
 def _write_bag(program: Program, title: str, out: Path, storage: str) -> None:
-    with whole_folder(out) as staging:
+    with published(out, "bag") as staging:
         made = staging / out.absolute().name  # the bag's file takes its name from the folder that it is made in
         write_bag(program, title, made, storage)
         for file in made.iterdir():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +11,13 @@ import numpy as np
 from ctr_nlp.anatomy.branch import Branch, Branches, moved
 from ctr_nlp.anatomy.files import CENTRELINES, read_branches
 from ctr_nlp.cli.console import SOLVED, console, guarded, print_table, progress_bar
-from ctr_nlp.cli.output import check_file
+from ctr_nlp.cli.output_file import check_file
 from ctr_nlp.curve import curve_from_points
 from ctr_nlp.errors import CurveError, OptionError, OutputError
 from ctr_nlp.figures import save
 from ctr_nlp.figures.branches import tree
 from ctr_nlp.fit import JAGGED, sharpest_bend
+from ctr_nlp.whole_file import whole_file
 
 PNG = b"\x89PNG"
 COLUMNS = ("branch", "name", "length", "tightest bend", "radius at start", "least", "at end", "tip", "remark")
@@ -124,12 +124,9 @@ def _draw(branches: Branches, name: str, out: Path) -> None:
     every = branches.branches
     title = f"{name}\n{len(every)} {'branches' if len(every) > 1 else 'branch'}, in the file's coordinates"
     paths = [moved(branch.points, branches.from_lps) for branch in every]
-    partial = out.with_name(f".{out.name}.partial.png")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        save(tree(paths, [branch.name for branch in every], title, branches.space), partial)
-        os.replace(partial, out)
+        with whole_file(out) as partial:
+            save(tree(paths, [branch.name for branch in every], title, branches.space), partial)
     except OSError as error:
         raise OutputError(f"output file {out} cannot be written: {error}") from error
-    finally:
-        partial.unlink(missing_ok=True)

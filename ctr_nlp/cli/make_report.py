@@ -8,7 +8,8 @@ from pathlib import Path
 from ctr_nlp.cli.arguments import add_film_option, film_file
 from ctr_nlp.cli.console import SOLVED, console, guarded
 from ctr_nlp.cli.film import write_film
-from ctr_nlp.cli.output import check_folder, whole_folder, write_text
+from ctr_nlp.cli.output import check_folder, published
+from ctr_nlp.cli.output_file import write_text
 from ctr_nlp.plan import Plan
 from ctr_nlp.report import page
 
@@ -35,14 +36,14 @@ def _parser() -> argparse.ArgumentParser:
 
 def _run(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out)
-    check_folder(out)
     film = film_file(arguments)
+    check_folder(out, "report", film)
     plans = [Plan.load(path) for path in arguments.plans]
     text = page(plans, arguments.plans)
-    with whole_folder(out) as staging:
+    with published(out, "report") as staging:
         write_text(staging / PAGE, text)
         if film is not None:
-            write_film(plans, film, out, staging)
+            write_film(plans, film, out, out, staging)
     console().print(f"wrote {out / PAGE} ({len(text) / 1e6:.1f} MB); open it in a browser")
     if film is not None:
         console().print(f"wrote {film}")

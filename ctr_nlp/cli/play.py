@@ -25,8 +25,10 @@ from ctr_nlp.cli.console import (
     guarded,
     progress_bar,
 )
-from ctr_nlp.cli.output import MARK, check_folder
-from ctr_nlp.cli.play_report import print_program, report
+from ctr_nlp.cli.names import path_component
+from ctr_nlp.cli.output import check_folder, published
+from ctr_nlp.cli.output_file import check_file
+from ctr_nlp.cli.play_report import JOURNAL, print_program, report
 from ctr_nlp.errors import DeviceFault, OptionError
 from ctr_nlp.executor.clock import RealClock
 from ctr_nlp.executor.devices import Progress
@@ -41,8 +43,6 @@ from ctr_nlp.executor.retract import retract
 from ctr_nlp.executor.session import begin, prepared, resume
 from ctr_nlp.plan import Plan
 from ctr_nlp.steer.interrupt import deferred_interrupt
-
-JOURNAL = "journal.jsonl"
 
 WISHES = {"p": "pause", "r": "resume", "a": "abort"}
 
@@ -132,7 +132,7 @@ def _run(arguments: argparse.Namespace) -> int:
         title = f"{plan.meta['problem']['name']}: checked; nothing was sent"
         print_program(title, *prepared(plan, hardware, _tempo(arguments)))
         return SOLVED
-    out = Path(arguments.out or f"runs/{plan.meta['problem']['name']}-play")
+    out = Path(arguments.out or f"runs/{path_component(str(plan.meta['problem']['name']))}-play")
     known = arguments.resume or (arguments.retract and (out / JOURNAL).exists())
     records = read_journal(out / JOURNAL) if known else None
     with live.playing(plan) if arguments.live else nullcontext() as told:
@@ -199,11 +199,10 @@ def _result(
 
 def _claim(out: Path) -> None:
     """Make out a folder of ours; raises OutputError. Its journal is added to; what told of other sessions goes."""
-    check_folder(out)
-    out.mkdir(parents=True, exist_ok=True)
-    (out / MARK).touch()
-    for name in ("tracking.csv", "tracking.png"):
-        (out / name).unlink(missing_ok=True)
+    check_file(out / JOURNAL, '{"t": ')
+    check_folder(out, "play")
+    with published(out, "play"):
+        pass
 
 
 def _stood(hardware: Hardware, records: list[dict[str, Any]] | None) -> Any:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from ctr_nlp.cli.console import console, print_table
+from ctr_nlp.cli.output import published
 from ctr_nlp.cli.report import write_table
+from ctr_nlp.errors import OutputError
 from ctr_nlp.executor.checks import Checked
 from ctr_nlp.executor.hardware import Hardware
 from ctr_nlp.executor.program import Program
@@ -16,6 +20,9 @@ from ctr_nlp.executor.record import Tracking
 from ctr_nlp.executor.results import Result
 from ctr_nlp.figures import save, tracking
 from ctr_nlp.plan import Plan
+
+JOURNAL = "journal.jsonl"
+"""In the output folder: the record of all sessions, to which each adds its own."""
 
 
 def print_program(title: str, program: Program, found: Checked) -> None:
@@ -41,11 +48,11 @@ def report(plan: Plan, hardware: Hardware, result: Result, seen: Tracking | None
         ("last frame passed", f"{result.frame} of {len(plan.time)}", ""),
         ("position of the axes", where, ""),
     ]
+    files = [JOURNAL]
     if seen is not None and len(seen.frame):
         letters = [f"{axis.letter} ({axis.unit})" for axis in hardware.axes]
-        write_table(out / "tracking.csv", _columns(seen, letters))
-        title = f"Tracking: {name}, {device} device"
-        save(tracking(title, seen.frame, seen.error, seen.late, letters), out / "tracking.png")
+        picture = tracking(f"Tracking: {name}, {device} device", seen.frame, seen.error, seen.late, letters)
+        files += _written(_columns(seen, letters), picture, out)
         for unit in dict.fromkeys(axis.unit for axis in hardware.axes):
             some = [k for k, axis in enumerate(hardware.axes) if axis.unit == unit]
             rows.append(("largest error when a frame was due", float(abs(seen.error[:, some]).max()), unit))
@@ -55,8 +62,19 @@ def report(plan: Plan, hardware: Hardware, result: Result, seen: Tracking | None
     console().print(result.message, markup=False)
     if not result.trusted:
         console().print("Home the axes, or see that they are where the controller says, before they are used.")
-    files = [path.name for path in sorted(out.iterdir()) if path.name[0] != "."]
     console().print(f"wrote {out}: {', '.join(files)}", markup=False)
+
+
+def _written(table: dict[str, list[Any]], picture: Figure, out: Path) -> list[str]:
+    """Write tracking.csv and tracking.png; without them the motion has been played all the same."""
+    try:
+        with published(out, "play") as staging:
+            write_table(staging / "tracking.csv", table)
+            save(picture, staging / "tracking.png")
+    except OutputError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return []
+    return ["tracking.csv", "tracking.png"]
 
 
 def _columns(seen: Tracking, names: list[str]) -> dict[str, list[Any]]:

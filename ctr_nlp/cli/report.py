@@ -34,15 +34,13 @@ def write_table(path: Path, columns: Mapping[str, Sequence[Any]]) -> None:
         writer.writerows(zip(*columns.values(), strict=True))
 
 
-def print_report(plan: Plan, out: Path) -> None:
-    """The numbers of a plan, what is wrong with it, and where it was written."""
+def print_report(plan: Plan, folder: Path, files: Sequence[str]) -> None:
+    """The numbers of a plan, what is wrong with it, and where which files of it were written."""
     found = summary(plan)
     print_table(account.title(found), ("", "value", "unit"), account.rows(found))
     for remark in account.remarks(plan, found):
         console().print(remark)
-    console().print(
-        f"wrote {out}: {', '.join(sorted(path.name for path in out.iterdir() if path.name[0] != '.'))}"
-    )
+    console().print(f"wrote {folder}: {', '.join(files)}")
 
 
 def exit_status(plan: Plan) -> int:

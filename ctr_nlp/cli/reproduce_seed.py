@@ -10,7 +10,7 @@ from pathlib import Path
 from ctr_nlp.cli import problems
 from ctr_nlp.cli.arguments import whole
 from ctr_nlp.cli.console import SOLVED, SOME_FAILED, console, guarded, print_table, progress_bar
-from ctr_nlp.cli.output import check_folder, whole_folder
+from ctr_nlp.cli.output import check_folder, published
 from ctr_nlp.seed_study import SECTIONS, Found, study
 from ctr_nlp.seed_study.page import part_seconds, write
 from ctr_nlp.seed_study.section import Section
@@ -46,13 +46,13 @@ def _run(folder: Path, arguments: argparse.Namespace) -> int:
         [SECTIONS[name] for name in SECTIONS if name in (arguments.only or SECTIONS)],
     )
     check_frames(arguments.frames)
-    check_folder(out)
+    check_folder(out, "seed")
     load = functools.partial(problems.named, folder=folder, frames=arguments.frames)
     tasks = [task for section in sections for task in section.tasks]
     with deferred_interrupt() as interrupted, progress_bar() as labelled:
         found = study(load, tasks, arguments.frames, arguments.jobs, labelled("runs"))
         report = labelled("pictures and tables")
-        with whole_folder(out) as staging:
+        with published(out, "seed") as staging:
             for number, name in enumerate(write(found, sections, staging), 1):
                 report(number, len(sections), name)
                 if interrupted():

@@ -14,6 +14,7 @@ from ctr_nlp.cli.arguments import (
     add_film_option,
     add_live_option,
     add_model_options,
+    add_out_option,
     add_problem_options,
     add_stability_option,
     add_wall_options,
@@ -22,15 +23,17 @@ from ctr_nlp.cli.arguments import (
     walled,
     whole,
 )
-from ctr_nlp.cli.console import console, guarded, progress_bar
+from ctr_nlp.cli.console import INTERRUPTED, console, guarded, progress_bar
 from ctr_nlp.cli.film import write_film
-from ctr_nlp.cli.output import check_folder, whole_folder
+from ctr_nlp.cli.names import path_component
+from ctr_nlp.cli.output import check_folder, place_of, published
 from ctr_nlp.cli.report import exit_status, print_front, print_report, write, write_front
 from ctr_nlp.plan import Plan
 from ctr_nlp.problem import Problem
 from ctr_nlp.settings import Settings, check_motion_weight
 from ctr_nlp.solvers import CHAIN_SOLVERS
 from ctr_nlp.steer import Horizon
+from ctr_nlp.steer.interrupt import deferred_interrupt, end_if_interrupted
 from ctr_nlp.trade_off import WEIGHTS, Point, trade_off
 
 
@@ -44,7 +47,8 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
         prog="solve_horizon.py",
         description="Follow a target with the whole shape of the robot, all frames in one program; write "
         "plan.npz, errors.csv, summary.json and pictures.",
-        epilog="Exit status: 0 solved, 1 not, 2 bad input, 130 interrupted (the best motion so far is written).",
+        epilog="Exit status: 0 solved, 1 not, 2 bad input, 130 interrupted (the best motion so far goes into "
+        "DIR/interrupted, and DIR's own files stay).",
     )
     parser.add_argument(
         "problem", metavar="PROBLEM", help=f"{', '.join(problems.names(folder))}, or a centreline file or a mask"
@@ -54,7 +58,7 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
     add_stability_option(parser)
     parser.add_argument("--solver", choices=CHAIN_SOLVERS, help="(default banded where there is a C compiler)")
     add_compile_option(parser)
-    parser.add_argument("--out", metavar="DIR", help="(default runs/PROBLEM-horizon-MODEL)")
+    add_out_option(parser, "runs/PROBLEM-horizon-MODEL")
     add_film_option(parser)
     add_live_option(parser, "the motion as it is solved for, or with --jobs the best yet,")
     _add_motion(parser)
@@ -112,24 +116,28 @@ def _run(folder: Path, arguments: argparse.Namespace) -> int:
     for weight in arguments.sweep_motion_weight or ():
         check_motion_weight(weight)
     problem = _problem(folder, arguments)
-    out = Path(arguments.out or f"runs/{problem.name}-horizon-{arguments.model}")
-    check_folder(out)
+    out = Path(arguments.out or f"runs/{path_component(problem.name)}-horizon-{arguments.model}")
     film = film_file(arguments)
+    check_folder(out, "plan", film)
     plan, points = _solved(arguments, problem)
     if arguments.evaluate is not None:
         plan = plan.on(arguments.evaluate)
-    with whole_folder(out) as staging:
+    with deferred_interrupt() as pressed:
+        interrupted = plan.meta["interrupted"] or (arguments.sweep_motion_weight is not None and pressed())
+    place = place_of(out, interrupted)
+    with published(place, "plan") as staging:
         write(plan, staging)
         if points:
             write_front(points, problem.name, staging)
+        files = sorted(path.name for path in staging.iterdir())
         if film is not None:
-            write_film([plan], film, out, staging)
-    print_report(plan, out)
+            film = write_film([plan], film, out, place, staging)
+    print_report(plan, place, files)
     if points:
         print_front(points)
     if film is not None:
         console().print(f"wrote {film}")
-    return exit_status(plan)
+    return INTERRUPTED if interrupted else exit_status(plan)
 
 
 def _solved(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan, list[Point]]:
@@ -142,6 +150,7 @@ def _solved(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan, list
     with live.solving(problem, arguments.model) if arguments.live else nullcontext() as seen:
         horizon = Horizon(problem, arguments.model, arguments.solver, start, end, settings)
         problems.tell(problem)
+        end_if_interrupted()
         with progress_bar() as labelled:
             plan = horizon.solve(
                 initial,

@@ -12,6 +12,7 @@ from ctr_nlp.cli.arguments import (
     add_file_options,
     add_film_option,
     add_model_options,
+    add_out_option,
     add_problem_options,
     add_settings,
     add_wall_options,
@@ -22,11 +23,13 @@ from ctr_nlp.cli.arguments import (
 )
 from ctr_nlp.cli.console import console, guarded, progress_bar
 from ctr_nlp.cli.film import write_film
-from ctr_nlp.cli.output import check_folder, whole_folder
+from ctr_nlp.cli.names import path_component
+from ctr_nlp.cli.output import check_folder, place_of, published
 from ctr_nlp.cli.report import exit_status, print_report, write
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.solvers import SOLVERS
 from ctr_nlp.steer import DIRECTIONS, march
+from ctr_nlp.steer.interrupt import end_if_interrupted
 from ctr_nlp.steer.nlp_frames import NlpFrames
 
 
@@ -40,7 +43,8 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
         prog="solve_per_frame.py",
         description="Follow a target with the whole shape of the robot, frame by frame; write plan.npz, "
         "errors.csv, summary.json and pictures.",
-        epilog="Exit status: 0 every frame solved, 1 some not, 2 bad input, 130 interrupted.",
+        epilog="Exit status: 0 every frame solved, 1 some not, 2 bad input, 130 interrupted (what was solved goes "
+        "into DIR/interrupted, and DIR's own files stay).",
     )
     parser.add_argument(
         "problem", metavar="PROBLEM", help=f"{', '.join(problems.names(folder))}, or a centreline file or a mask"
@@ -55,7 +59,7 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
     parser.add_argument("--start", metavar="Q.json", help="configuration at time 0, from which the motion leads")
     parser.add_argument("--lock-tilt", action="store_true", help="no arm: the tilt stays 0")
     add_compile_option(parser)
-    parser.add_argument("--out", metavar="DIR", help="(default runs/PROBLEM-FORMULATION-MODEL)")
+    add_out_option(parser, "runs/PROBLEM-FORMULATION-MODEL")
     add_film_option(parser)
     add_file_options(parser)
     add_wall_options(parser)
@@ -69,20 +73,26 @@ def _run(folder: Path, arguments: argparse.Namespace) -> int:
     if arguments.lock_tilt:
         problem = replace(problem, robot=problem.robot.with_locked_tilt())
     start = None if arguments.start is None else read_start(arguments.start)
-    out = Path(arguments.out or f"runs/{problem.name}-{arguments.formulation}-{arguments.model}")
-    check_folder(out)
+    default = f"runs/{path_component(problem.name)}-{arguments.formulation}-{arguments.model}"
+    out = Path(arguments.out or default)
     film = film_file(arguments)
+    check_folder(out, "plan", film)
     solver = NlpFrames(problem, arguments.formulation, arguments.solver, arguments.model, settings)
     problems.tell(problem)
+    end_if_interrupted()
     with progress_bar() as labelled:
         plan = march(problem, solver, arguments.direction, start, labelled(problem.name))
     if arguments.evaluate is not None:
         plan = plan.on(arguments.evaluate)
-    with whole_folder(out) as staging:
+    if not plan.reached.any():
+        end_if_interrupted()
+    place = place_of(out, plan.meta["interrupted"])
+    with published(place, "plan") as staging:
         write(plan, staging)
+        files = sorted(path.name for path in staging.iterdir())
         if film is not None:
-            write_film([plan], film, out, staging)
-    print_report(plan, out)
+            film = write_film([plan], film, out, place, staging)
+    print_report(plan, place, files)
     if film is not None:
         console().print(f"wrote {film}")
     return exit_status(plan)

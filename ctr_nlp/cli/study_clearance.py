@@ -9,7 +9,7 @@ from ctr_nlp.clearance_study import Source, study
 from ctr_nlp.clearance_study.report import findings, write
 from ctr_nlp.cli.arguments import whole
 from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, console, guarded, progress_bar
-from ctr_nlp.cli.output import check_folder, whole_folder
+from ctr_nlp.cli.output import check_folder, place_of, published
 from ctr_nlp.errors import OptionError
 
 
@@ -23,7 +23,8 @@ def _parser() -> argparse.ArgumentParser:
         prog="study_clearance.py",
         description="Plan airways without clearance, with it and with clearance first, find what clearance alone "
         "could have, and write clearance.md, clearance.csv and clearance.png.",
-        epilog="Exit status: 0 every frame solved, 1 some not, 2 bad input, 130 interrupted.",
+        epilog="Exit status: 0 every frame solved, 1 some not, 2 bad input, 130 interrupted (what was done goes "
+        "into DIR/interrupted, and DIR's own files stay).",
     )
     parser.add_argument("files", metavar="FILE", nargs="*", help="centreline files with radii")
     parser.add_argument("--seeds", metavar="N", type=whole, default=100, help="synthetic airways (default 100)")
@@ -35,7 +36,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _run(arguments: argparse.Namespace) -> int:
     out, sources = Path(arguments.out), _sources(arguments.files, arguments.seeds)
-    check_folder(out)
+    check_folder(out, "clearance")
     with progress_bar() as labelled:
         report = labelled("airways")
         cases = study(
@@ -43,12 +44,14 @@ def _run(arguments: argparse.Namespace) -> int:
         )
     if not cases:
         raise KeyboardInterrupt
-    with whole_folder(out) as staging:
+    interrupted = len(cases) < len(sources)
+    place = place_of(out, interrupted)
+    with published(place, "clearance") as staging:
         write(cases, staging)
     for sentence in findings(cases):
         console().print(f"- {sentence}")
-    console().print(f"wrote {out}: clearance.md, clearance.csv, clearance.png")
-    if len(cases) < len(sources):
+    console().print(f"wrote {place}: clearance.md, clearance.csv, clearance.png")
+    if interrupted:
         return INTERRUPTED
     return SOLVED if all(case.solved for case in cases) else SOME_FAILED
 

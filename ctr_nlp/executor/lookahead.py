@@ -42,7 +42,7 @@ class Link(NamedTuple):
 
     @property
     def delay(self) -> float:
-        """s of what a controller has in hand that it cannot use to brake: done, not yet told, or on the way to it."""
+        """S of what a controller has in hand that it cannot use to brake: done, not yet told, or on the way to it."""
         return PREPARED + LONGEST + POLL + 1.5 * self.round_trip
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import textwrap
 from collections.abc import Callable, Sequence
@@ -23,6 +22,7 @@ from ctr_nlp.figures.page import STYLE, curve, frame_axis, outcome, printable, s
 from ctr_nlp.figures.palette import BLACK
 from ctr_nlp.figures.space import Body, frame, insertion_point, key, points_of_all, span, wall
 from ctr_nlp.plan import Plan
+from ctr_nlp.whole_file import whole_file
 
 Array = npt.NDArray[np.float64]
 
@@ -64,24 +64,20 @@ def film(
     if not plans:
         raise OptionError("plans is empty; a film needs at least one")
     target = Path(path)
-    partial = target.with_name(f".{target.stem}.partial{target.suffix.lower()}")
     seconds = float(np.clip(max(plan.time[-1] for plan in plans), SHORTEST, LONGEST))
     count = min(max(len(plan.time) for plan in plans), round(seconds * RATE), MOST)
     figure, columns = _stage(plans)
     writer = WRITERS[target.suffix.lower()](fps=count / seconds)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        with writer.saving(figure, str(partial), DPI):
+        with whole_file(target) as partial, writer.saving(figure, str(partial), DPI):
             for k in range(1, count + 1):
                 for column in columns:
                     column.show(k / count)
                 writer.grab_frame()
                 progress(k, count, "pictures of the film")
-        os.replace(partial, target)
     except (OSError, subprocess.CalledProcessError) as error:
         raise OutputError(f"film {target} cannot be written: {error}") from error
-    finally:
-        partial.unlink(missing_ok=True)
     return target
 
 

@@ -43,3 +43,23 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
         yield handler.pressed.is_set
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def end_if_interrupted() -> None:
+    """Raise KeyboardInterrupt where Ctrl-C was pressed and is held back: for when nothing is worth keeping."""
+    with deferred_interrupt() as interrupted:
+        if interrupted():
+            raise KeyboardInterrupt
+
+
+@contextmanager
+def ignored_interrupt() -> Iterator[None]:
+    """Within the block Ctrl-C does nothing: for what takes milliseconds and must not stop halfway."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
