@@ -37,7 +37,7 @@ class Rig:
 
     def play(self) -> int:
         """The exit status."""
-        sweep(5).save(self.folder / "plan.npz")
+        sweep(12).save(self.folder / "plan.npz")
         return main(
             [str(self.folder / "plan.npz"), "--hardware", str(self.file), "--out", str(self.folder / "play")]
         )
