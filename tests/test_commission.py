@@ -53,13 +53,13 @@ def rig(tmp_path: Path) -> Iterator[Rig]:
 def test_axes_move_as_asked_and_the_settings_are_kept_and_compared(
     rig: Rig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert rig.commission("x+\nA-\nQ+\nY-\n\nZ+\n", monkeypatch) == 0
+    assert rig.commission("z+\nA-\nQ+\nY-\n\nX+\n", monkeypatch) == 0
     out = capsys.readouterr().out
-    assert "X went from 0.000 to 1.000" in out
+    assert "Z went from 0.000 to 1.000" in out
     assert "A went from 0.000 to -1.000" in out
     assert "'Q+' is no axis and way" in out
     assert "axis Y (beta_2) stands at 0 mm and would go to -1; it must stay in [0, 150]" in out
-    assert rig.firmware.position.tolist() == [1.0, 0.0, 0.0, -1.0, 0.0, 0.0]
+    assert rig.firmware.position.tolist() == [0.0, 0.0, 1.0, -1.0, 0.0, 0.0]
     known = json.loads(commissioned_file(rig.file).read_text())
     assert known["settings"]["110"] == "3000.000"
     assert "grblHAL" in known["controller"]
