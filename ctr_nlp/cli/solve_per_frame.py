@@ -40,7 +40,7 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
         prog="solve_per_frame.py",
         description="Follow a target with the whole shape of the robot, frame by frame; write plan.npz, "
         "errors.csv, summary.json and pictures.",
-        epilog="Exit status: 0 every frame solved, 1 some not, 2 bad input, 130 interrupted.",
+        epilog="Exit status: 0 no verdict is no, 1 one is, 2 bad input, 130 interrupted.",
     )
     parser.add_argument(
         "problem", metavar="PROBLEM", help=f"{', '.join(problems.names(folder))}, or a centreline file or a mask"
