@@ -5,6 +5,7 @@ found is the plan's summary, as in summary.json.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from ctr_nlp.plan import Plan
@@ -41,7 +42,7 @@ def _measured(number: float | None, unit: str) -> str:
     return "" if number is None else f"{shown(number)} {unit}".rstrip()
 
 
-def failed(found: dict[str, Any]) -> str:
+def failed(found: Mapping[str, Any]) -> str:
     """The matters whose verdict is no, after a colon; empty where there is none."""
     matters = [each["matter"] for each in found["verdicts"].values() if each["word"] == NO]
     return f"{NO}: {', '.join(matters)}" if matters else ""

@@ -19,7 +19,7 @@ SLACK = 1e-5
 
 
 class Used(NamedTuple):
-    """part: of a limit, 1 for all of it. exceeded: whether it is more, but for SLACK. what: the limit, and where."""
+    """part: of a limit, 1 for all of it. exceeded: by more than SLACK. what: which limit, and in which frame."""
 
     part: float
     exceeded: bool
@@ -29,8 +29,8 @@ class Used(NamedTuple):
 def most_used(plan: Plan) -> Used | None:
     """The limit that a motion exceeds by most, or else the speed or acceleration that uses most of its limit.
 
-    Positions count where they exceed limits only: tubes are meant to go all the way. What is beyond is a part of
-    the robot's reach, or of half a turn. Frames that were not reached count for nothing; None where nothing counts.
+    Positions count only where they exceed limits, since tubes are meant to go all the way: as 1 and what is beyond
+    as a part of the robot's reach, or of half a turn. None where the robot does not move.
     """
     found = [used for used in (*_rates(plan), *_positions(plan)) if used.part > 0]
     return max(found, key=lambda used: (used.exceeded, used.part), default=None)

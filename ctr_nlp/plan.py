@@ -44,7 +44,8 @@ class Plan:
     objective (T,) mm^2; kkt (T,); stability, stability_between (T,), NaN on the dominant model; to_robot
     (4, 4), file to robot frame; where known, truth (T, 2d + 2), lumen_radius (T, 101) mm at the target's points,
     lumen (N, 4), the path and radius of the whole lumen, mm, clearance (T, 101) mm, what is left between tubes
-    and its wall, and free (T, 2d + 2), the motion that was found without the wall. Frames that were never reached hold NaN.
+    and its wall, and free (T, 2d + 2), the motion that was found without the wall. Frames that were never reached
+    hold NaN.
     """
 
     time: Array

@@ -57,6 +57,11 @@ def verdicts(plan: Plan) -> Verdicts:
     )
 
 
+def largest_e3(free: float, cost: float) -> float:
+    """What e3 may be at most, mm, where it is free without the wall and clearance may cost this part of it."""
+    return math.inf if math.isinf(cost) else (1 + cost) * free + ROUNDING
+
+
 Judgement = tuple[str, float | None, str, str]
 """Word, number, unit and sentence of a verdict."""
 
@@ -74,12 +79,11 @@ def _followed(plan: Plan) -> Judgement:
         return YES, number, "mm", f"{told}."
     if free is None:
         return NOT_KNOWN, number, "mm", f"{told}; how large e3 would be without the wall is not known."
-    allowed = float(_option(plan, "clearance_cost"))
+    cost = float(_option(plan, "clearance_cost"))
     growth = number / free - 1 if number > free > 0 else 0.0
-    told += f"; the wall makes e3 {growth:.1%} larger than {free:.3g} mm" + f", {allowed:.0%} is allowed" * (
-        allowed < math.inf
-    )
-    return YES if number <= (1 + allowed) * free + ROUNDING else NO, number, "mm", f"{told}."
+    told += f"; the wall makes e3 {growth:.1%} larger than {free:.3g} mm"
+    told += "" if math.isinf(cost) else f", {cost:.0%} is allowed"
+    return YES if number <= largest_e3(free, cost) else NO, number, "mm", f"{told}."
 
 
 def _stable(plan: Plan) -> Judgement:
@@ -109,8 +113,11 @@ def _within_limits(plan: Plan) -> Judgement:
     if not most.exceeded:
         return YES, most.part, "of a limit", f"No limit is exceeded; the {most.what} uses most of its own."
     hint = "acceleration" in most.what and plan.meta["formulation"] != "horizon"
-    return NO, most.part, "of a limit", f"The {most.what} exceeds what is allowed" + (
-        "; only a horizon keeps accelerations." if hint else "."
+    return (
+        NO,
+        most.part,
+        "of a limit",
+        f"The {most.what} exceeds what is allowed" + ("; only a horizon keeps accelerations." if hint else "."),
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Literal
 
 from rich import box
 from rich.console import Console
@@ -72,7 +72,9 @@ def print_table(
     """A table with a left-aligned first column and columns of text; numbers are cut to what is worth reading."""
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for i, column in enumerate(columns):
-        table.add_column(column, justify="left" if i == 0 or column in text else "right", no_wrap=i == 0, overflow="fold")
+        table.add_column(
+            column, justify="left" if i == 0 or column in text else "right", no_wrap=i == 0, overflow="fold"
+        )
     for row in rows:
         table.add_row(*(shown(cell) for cell in row))
     console().print(table)

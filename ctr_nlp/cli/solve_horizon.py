@@ -44,8 +44,8 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
         prog="solve_horizon.py",
         description="Follow a target with the whole shape of the robot, all frames in one program; write "
         "plan.npz, errors.csv, summary.json and pictures.",
-        epilog="Exit status: 0 no verdict is no, 1 one is, 2 bad input, 130 interrupted (the best motion so far is "
-        "written).",
+        epilog="Exit status: 0 no verdict is no, 1 one is, 2 bad input, 130 interrupted (the best motion so far "
+        "is written).",
     )
     parser.add_argument(
         "problem", metavar="PROBLEM", help=f"{', '.join(problems.names(folder))}, or a centreline file or a mask"
