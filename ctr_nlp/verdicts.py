@@ -75,6 +75,7 @@ def _followed(plan: Plan) -> Judgement:
     if lost:
         return NO, number, "mm", f"The robot's shape is not known in {lost} of {frames} frames."
     told, free = f"All {frames} frames were solved", plan.meta.get("e3_free")
+    told += "" if plan.evaluated == plan.meta["model"] else f" on the {plan.meta['model']} model"
     if plan.free is None or number is None:
         return YES, number, "mm", f"{told}."
     if free is None:
