@@ -5,10 +5,14 @@ found is the plan's summary, as in summary.json.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from ctr_nlp.plan import Plan
+from ctr_nlp.verdicts import NO
 
+VERDICTS = ("", "verdict", "value", "why")
+"""Columns of the table of verdicts."""
 Row = tuple[str, Any, str]
 """Of a table: name, value and unit."""
 
@@ -24,6 +28,24 @@ def title(found: dict[str, Any]) -> str:
     )
     seen = "" if found["evaluated"] == found["model"] else f", on the {found['evaluated']} model"
     return f"{found['problem']}, {' '.join(how)}{seen}"
+
+
+def verdict_rows(found: dict[str, Any]) -> list[tuple[str, str, str, str]]:
+    """Of every matter: its name, the verdict's word, its number with unit, and why."""
+    return [
+        (each["matter"], each["word"], _measured(each["number"], each["unit"]), each["why"])
+        for each in found["verdicts"].values()
+    ]
+
+
+def _measured(number: float | None, unit: str) -> str:
+    return "" if number is None else f"{shown(number)} {unit}".rstrip()
+
+
+def failed(found: Mapping[str, Any]) -> str:
+    """The matters whose verdict is no, after a colon; empty where there is none."""
+    matters = [each["matter"] for each in found["verdicts"].values() if each["word"] == NO]
+    return f"{NO}: {', '.join(matters)}" if matters else ""
 
 
 def rows(found: dict[str, Any]) -> list[Row]:

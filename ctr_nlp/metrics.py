@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.contacts import contacts, depth, runs
+from ctr_nlp.limits_used import rate_parts
 from ctr_nlp.target import QUADRATURE
 
 if TYPE_CHECKING:
@@ -41,6 +42,17 @@ def _to_polyline(points: Array, line: Array) -> Array:
     offset = points[:, None] - start
     along = np.clip((offset * span).sum(-1) / np.maximum((span**2).sum(-1), 1e-30), 0.0, 1.0)
     return np.linalg.norm(offset - along[..., None] * span, axis=-1).min(axis=1)
+
+
+def e3(plan: Plan) -> float | None:
+    """Root mean square over frames of e2, mm, of those whose shape is known; None without any."""
+    return root_mean_square(rms_over_sigma(e1(plan)))
+
+
+def root_mean_square(values: Array) -> float | None:
+    """That of those among (T,) values that are known; None without any."""
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else None
 
 
 def tip_angle(plan: Plan) -> Array:
@@ -108,7 +120,8 @@ def summary(plan: Plan) -> dict[str, Any]:
     largest = np.abs(steps).max(axis=0, initial=0.0)
     alpha, beta, theta = robot.split(largest)
     return {
-        "e3": _number(np.sqrt(np.mean(rms**2)) if rms.size else np.nan),
+        "e3": e3(plan),
+        "e3_free": plan.meta.get("e3_free"),
         "e4": _number(np.median(rms) if rms.size else np.nan),
         "e_max": _number(columns["max"][known].max(initial=-np.inf)),
         "tip_max": _number(columns["tip"][known].max(initial=-np.inf)),
@@ -120,7 +133,7 @@ def summary(plan: Plan) -> dict[str, Any]:
             "beta": float(beta.max()),
             "theta": float(theta.max()),
         },
-        "acceleration_used": _acceleration_used(plan),
+        "acceleration_used": float(rate_parts(plan, 2).max(initial=0.0)),
         "stability_min": _least(plan.stability),
         "stability_between_min": _least(plan.stability_between),
         "stability_binds": bound_by_stability(plan),
@@ -146,6 +159,7 @@ def summary(plan: Plan) -> dict[str, Any]:
             "contact_mm": plan.meta.get("contact_weight"),
             "angle_mm_per_rad": float(robot.mm_per_unit[0]),
         },
+        "verdicts": {name: verdict._asdict() for name, verdict in plan.verdicts._asdict().items()},
         "problem": plan.meta["problem"]["name"],
         "formulation": plan.meta["formulation"],
         "model": plan.meta["model"],
@@ -155,12 +169,6 @@ def summary(plan: Plan) -> dict[str, Any]:
         "smoothing_deviation": plan.meta["problem"]["deviation"],
         "smoothing_share": plan.meta["problem"].get("deviation_share"),
     }
-
-
-def _acceleration_used(plan: Plan) -> float:
-    """Largest acceleration, from second differences of q, as a part of what the robot's limits allow."""
-    used = np.abs(np.diff(plan.q, n=2, axis=0)) / plan.dt**2 / plan.robot.acceleration
-    return float(used[np.isfinite(used)].max(initial=0.0))
 
 
 def _least(values: Array) -> float | None:

@@ -20,10 +20,12 @@ import numpy.typing as npt
 from ctr_nlp.errors import OutputError, RobotError
 from ctr_nlp.forward import Simulation, simulated
 from ctr_nlp.lumen import Lumen
+from ctr_nlp.metrics import rms_over_sigma, root_mean_square
 from ctr_nlp.problem import Problem
 from ctr_nlp.robot import Robot
 from ctr_nlp.target import SIGMA
 from ctr_nlp.tracking import Snap
+from ctr_nlp.verdicts import Verdicts, verdicts
 from ctr_nlp.whole_file import whole_file
 
 Array = npt.NDArray[np.float64]
@@ -41,8 +43,9 @@ class Plan:
     sigma; target_direction, tip_direction (T, 3) unit tangents at the tip; solve_time (T,) s; success (T,);
     objective (T,) mm^2; kkt (T,); stability, stability_between (T,), NaN on the dominant model; to_robot
     (4, 4), file to robot frame; where known, truth (T, 2d + 2), lumen_radius (T, 101) mm at the target's points,
-    lumen (N, 4), the path and radius of the whole lumen, mm, and clearance (T, 101) mm, what is left between tubes
-    and its wall. Frames that were never reached hold NaN.
+    lumen (N, 4), the path and radius of the whole lumen, mm, clearance (T, 101) mm, what is left between tubes
+    and its wall, and free (T, 2d + 2), the motion that was found without the wall. Frames that were never reached
+    hold NaN.
     """
 
     time: Array
@@ -65,6 +68,7 @@ class Plan:
     truth: Array | None = None
     lumen: Array | None = None
     clearance: Array | None = None
+    free: Array | None = None
 
     @cached_property
     def robot(self) -> Robot:
@@ -101,6 +105,11 @@ class Plan:
         """Whether every frame was solved."""
         return bool(self.success.all())
 
+    @cached_property
+    def verdicts(self) -> Verdicts:
+        """Whether the plan does what was asked of it, one verdict a matter."""
+        return verdicts(self)
+
     def reversed(self) -> Plan:
         """The same motion played backwards, at the same pace."""
         kept = ("time", "to_robot", "lumen", "meta")
@@ -118,7 +127,9 @@ class Plan:
             stability=moved.stability,
             stability_between=moved.stability_between,
             clearance=_clearance(self.robot, self.lumen, self.beta, moved.shape),
-            meta=self.meta | _told(moved) | {"evaluated": model},
+            meta=self.meta
+            | _told(moved)
+            | {"evaluated": model, "e3_free": _e3_free(self.robot, self.free, self.target, moved.shape, model)},
         )
 
     def save(self, path: str | Path) -> None:
@@ -165,11 +176,12 @@ def plan_from_configurations(
     objective: Array,
     kkt: Array,
     planned: Array | None = None,
+    free: Array | None = None,
 ) -> Plan:
     """The plan that moves a problem's robot through q (T, 2d + 2); meta tells how q was found.
 
     planned: the unknowns (T, n) meant, where q does not determine them: frames in which the robot, moved through
-    q, is elsewhere are marked as not solved.
+    q, is elsewhere are marked as not solved. free: the motion (T, 2d + 2) that was found without the wall.
     """
     robot, frames = problem.robot, problem.samples
     moved = simulated(robot, q, meta["model"])
@@ -182,12 +194,13 @@ def plan_from_configurations(
     alpha, beta, theta = robot.split(q)
     radii = [frame.radius for frame in frames]
     lumen = None if problem.lumen is None else Lumen.around(problem.lumen).table
+    target = np.array([frame.points for frame in frames])
     return Plan(
         time=np.arange(1.0, problem.frames + 1) * problem.dt,
         alpha=alpha,
         beta=beta,
         theta=theta,
-        target=np.array([frame.points for frame in frames]),
+        target=target,
         shape=moved.shape,
         target_direction=np.array([frame.tangents[-1] for frame in frames]),
         tip_direction=moved.tip_direction,
@@ -216,17 +229,31 @@ def plan_from_configurations(
                 "python": platform.python_version(),
             },
             "format": FORMAT,
+            "e3_free": _e3_free(robot, free, target, moved.shape, meta["model"]),
         },
         lumen_radius=None if any(radius is None for radius in radii) else np.array(radii),
         truth=problem.truth,
         lumen=lumen,
         clearance=_clearance(robot, lumen, beta, moved.shape),
+        free=free,
     )
 
 
 def _clearance(robot: Robot, lumen: Array | None, beta: Array, shape: Array) -> Array | None:
     """What is left (T, 101) mm where the lumen (N, 4) is known."""
     return None if lumen is None else Lumen(lumen).clearance(robot, beta, SIGMA, shape)
+
+
+def _e3_free(robot: Robot, free: Array | None, target: Array, shape: Array, model: str) -> float | None:
+    """e3 in mm of a motion free of the wall, over the frames of which a shape (T, 101, 3) is known.
+
+    None without such a motion, or where its shape is not known in all of them.
+    """
+    if free is None:
+        return None
+    e2 = rms_over_sigma(np.linalg.norm(simulated(robot, free, model).shape - target, axis=-1))
+    e2 = e2[np.isfinite(shape).all(axis=(1, 2))]
+    return root_mean_square(e2) if np.isfinite(e2).all() else None
 
 
 def elsewhere(x: Array, planned: Array, snaps: Sequence[Snap]) -> npt.NDArray[np.bool_]:

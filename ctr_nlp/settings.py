@@ -20,7 +20,8 @@ class Settings:
     clearance: mm that are to be kept between tubes and the lumen's wall, where that is known, by the joint
     formulation and the horizon. contact_weight: what a mm less of it costs in a frame, mm^2, as an exact penalty:
     all is kept where that costs less; 0 for no wall. clearance_cost: by what part of itself the error e3 may
-    grow for clearance; where it would grow by more, contact costs less.
+    grow for clearance; where it would grow by more, contact costs less. contact_allowed: mm that a place of the
+    robot may be beyond the wall before a plan is not within it: tissue gives a little.
     """
 
     motion_weight: float = 1e-6
@@ -30,6 +31,7 @@ class Settings:
     clearance: float = 0.05
     contact_weight: float = 30.0
     clearance_cost: float = 0.1
+    contact_allowed: float = 1.0
 
     def __post_init__(self) -> None:
         check_motion_weight(self.motion_weight)
@@ -39,7 +41,7 @@ class Settings:
             raise OptionError(f"seed is {self.seed}; it must be a whole number in [0, 2^32)")
         if self.stability_margin is not None and not 0 <= self.stability_margin < 1:
             raise OptionError(f"stability_margin is {self.stability_margin}; it must lie in [0, 1), or be None")
-        for name in ("clearance", "contact_weight", "clearance_cost"):
+        for name in ("clearance", "contact_weight", "clearance_cost", "contact_allowed"):
             value = getattr(self, name)
             if not value >= 0 or (math.isinf(value) and name != "clearance_cost"):
                 allowed = "a number >= 0, or inf" if name == "clearance_cost" else "a finite number >= 0"

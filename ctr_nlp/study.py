@@ -178,10 +178,12 @@ def _to_limits(chain: Chain, plan: Plan) -> Array:
 def row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
     """Errors in mm, steps in rad and mm, times in ms and s. seed_*: Table II's figures for the same method.
 
-    e3 and others are of the model planned on; dominant_*, elastic_* of the same motion on both.
+    e3 and others are of the model planned on; dominant_*, elastic_* of the same motion on both, *_no the matters
+    in which verdicts there are no.
     """
     found = summary(plan)
-    on = {model: found if model == plan.meta["model"] else summary(plan.on(model)) for model in MODELS}
+    plans = {model: plan if model == plan.meta["model"] else plan.on(model) for model in MODELS}
+    on = {model: summary(each) for model, each in plans.items()}
     e3, e4, t_c = (BASELINE if variant == "euclidean" else SEED).get(problem, (None, None, None))
     return {
         "problem": problem,
@@ -209,4 +211,6 @@ def row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
         **{f"{model}_{key}": on[model][key] for model in MODELS for key in ("e3", "e4")},
         "stability_between": on["elastic"]["stability_between_min"],
         "snaps": len(on["elastic"]["snaps"]),
+        "no": ", ".join(plan.verdicts.failed),
+        **{f"{model}_no": ", ".join(each.verdicts.failed) for model, each in plans.items()},
     }

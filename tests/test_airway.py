@@ -8,6 +8,7 @@ import pytest
 
 from ctr_nlp.anatomy import synthetic_airway
 from ctr_nlp.anatomy.airway import GENERATIONS
+from ctr_nlp.errors import OptionError
 
 SEEDS = range(100)
 STEP = 0.25
@@ -130,6 +131,23 @@ def test_a_seed_stands_for_one_airway():
     s = np.linspace(0, curves[0].length, 50)
     np.testing.assert_array_equal(*(curve.point(s) for curve in curves))
     np.testing.assert_array_equal(*(curve.radius(s) for curve in curves))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_airways_to_the_left_upper_lobe_bend_more(seed):
+    """What all corners turn by together: 145 to 245 degrees, however their planes are rolled."""
+    upper, lower = synthetic_airway(seed, "left upper"), synthetic_airway(seed)
+    s = np.arange(0.0, min(upper.length, lower.length), STEP)
+    turned = [np.arccos(np.clip((np.diff(curve.tangent(s), axis=0) ** 2).sum(1) / -2 + 1, -1, 1)).sum()
+              for curve in (upper, lower)]  # fmt: skip
+    assert turned[0] > turned[1]
+    assert np.radians(145) - 0.1 < turned[0] < np.radians(245) + 0.1
+    assert upper.radius(np.array([0.0, upper.length])) == pytest.approx([9, 3], abs=0.5)
+
+
+def test_a_lobe_that_does_not_exist_is_refused():
+    with pytest.raises(OptionError, match="right lower, left upper"):
+        synthetic_airway(0, "left lower")
 
 
 def test_the_airway_of_the_named_problem_stays_what_it_is():

@@ -76,6 +76,21 @@ def written(text, factory):
     return path
 
 
+def test_the_page_says_every_verdict_in_the_plans_own_words(walled, plain):
+    """The wall is left by up to 1.9 mm, the plain plan knows of none."""
+    text = page([walled, plain])
+    tables = re.findall(r'<table class="verdicts">(.*?)</table>', text, re.S)
+    assert len(tables) == 2
+    for plan, table in zip((walled, plain), tables, strict=True):
+        cells = [[html.unescape(cell) for cell in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row)]
+                 for row in table.splitlines() if "<tr" in row]  # fmt: skip
+        assert [(matter, word, why) for matter, word, _, why in cells] == [
+            (verdict.matter, verdict.word, verdict.why) for verdict in plan.verdicts
+        ]
+    assert walled.verdicts.within_wall.word == "no"
+    assert plain.verdicts.within_wall.word == "not asked"
+
+
 def data_of(text):
     return json.loads(re.search(r'<script id="data" type="application/json">(.*?)</script>', text, re.S)[1])
 

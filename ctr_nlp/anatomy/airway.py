@@ -1,4 +1,4 @@
-"""Synthetic airways: trachea to a right lower-lobe segmental bronchus, from published morphometry."""
+"""Synthetic airways: from the trachea to a segmental bronchus, with sizes from published morphometry."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from ctr_nlp.curve import Curve, curve_from_points
+from ctr_nlp.settings import check_choice
 
 Array = npt.NDArray[np.float64]
 
@@ -29,26 +30,47 @@ GENERATIONS = (
     Generation("segmental bronchus", (6, 8), (9, 15)),
 )
 BIFURCATION_DEG = (28.0, 40.0)
+LEFT_UPPER = (
+    Generation("trachea", (18, 18), (100, 100)),
+    Generation("left main bronchus", (12, 13), (40, 50)),
+    Generation("left upper-lobe bronchus", (9, 11), (10, 16)),
+    Generation("superior division", (8, 10), (8, 14)),
+    Generation("segmental bronchus", (5, 7), (9, 15)),
+)
+LEFT_UPPER_DEG = (40.0, 50.0), (50.0, 85.0), (30.0, 60.0), (25.0, 50.0)
+"""Bifurcation angles towards the left upper lobe, which bends back: wider ranges than measured ones."""
+LOBES = {
+    "right lower": (GENERATIONS, (BIFURCATION_DEG,) * (len(GENERATIONS) - 1)),
+    "left upper": (LEFT_UPPER, LEFT_UPPER_DEG),
+}
+"""Bronchi on the way to a lobe, and least and largest angle between each and the next."""
 ROLL_DEG = (40.0, 90.0)
 """Between the bending planes of consecutive corners, to either side."""
 ROUNDING_MM = (12.0, 25.0)
 """Radius at which a corner is rounded, the smaller where two corners share a short bronchus."""
 SPACING_MM = 0.5
+TINY_MM = 1e-6
+"""Corners that use up all of a bronchus leave no more of it straight."""
 
 
-def synthetic_airway(seed: int = 0) -> Curve:
-    """The centreline, lumen radius included, of the airway that a seed stands for; trachea downwards."""
+def synthetic_airway(seed: int = 0, lobe: str = "right lower") -> Curve:
+    """The centreline, lumen radius included, of the airway that a seed stands for, trachea downwards.
+
+    lobe: one of LOBES, whose segmental bronchus the airway ends in. Raises OptionError for others.
+    """
+    check_choice("lobe", lobe, LOBES)
+    generations, bifurcations = LOBES[lobe]
     random = np.random.default_rng(seed)
-    lengths = np.array([random.uniform(*generation.length) for generation in GENERATIONS])
-    diameters = np.array([random.uniform(*generation.diameter) for generation in GENERATIONS])
-    angles = np.radians(random.uniform(*BIFURCATION_DEG, len(GENERATIONS) - 1))
+    lengths = np.array([random.uniform(*generation.length) for generation in generations])
+    diameters = np.array([random.uniform(*generation.diameter) for generation in generations])
+    angles = np.radians(random.uniform(*np.transpose(bifurcations)))
     rolls = np.radians(random.uniform(*ROLL_DEG, len(angles))) * random.choice([-1, 1], len(angles))
     rolls[0] = random.uniform(-np.pi, np.pi)
     room = np.minimum(
         lengths[:-1] * np.where(np.arange(len(angles)) > 0, 0.5, 1), lengths[1:] * np.append(np.full(3, 0.5), 1)
     )
     widest = np.minimum(ROUNDING_MM[1], room / np.tan(angles / 2))
-    rounding = random.uniform(ROUNDING_MM[0], widest)
+    rounding = random.uniform(np.minimum(ROUNDING_MM[0], widest), widest)
     points, corners = _path(lengths, angles, rolls, rounding)
     walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     middles = np.concatenate([[0.0], (corners[1:] + corners[:-1]) / 2, [walked[-1]]])
@@ -64,7 +86,8 @@ def _path(lengths: Array, angles: Array, rolls: Array, rounding: Array) -> tuple
     straights = lengths - np.append(0.0, cut) - np.append(cut, 0.0)
     frame, pieces, corners, walked = Rotation.identity(), [np.zeros((1, 3))], [], 0.0
     for i, straight in enumerate(straights):
-        pieces.append(pieces[-1][-1] + np.outer(_steps(straight), frame.apply([0.0, 0.0, 1.0])))
+        if straight > TINY_MM:
+            pieces.append(pieces[-1][-1] + np.outer(_steps(straight), frame.apply([0.0, 0.0, 1.0])))
         walked += straight
         if i < len(angles):
             frame = frame * Rotation.from_euler("z", rolls[i])

@@ -84,11 +84,18 @@ def add_wall_options(parser: argparse.ArgumentParser) -> None:
         help="by what part of itself the error e3 may grow for clearance; where it would grow by more, contact "
         f"costs less; inf: contact always costs its full weight (default {defaults.clearance_cost:g})",
     )
+    group.add_argument(
+        "--contact-allowed",
+        metavar="MM",
+        type=float,
+        help="how far any place of the robot may be beyond the wall before the plan is not within it "
+        f"(default {defaults.contact_allowed:g}: tissue gives a little)",
+    )
 
 
 def walled(settings: Settings, arguments: argparse.Namespace, problem: Problem) -> Settings:
     """Settings with what add_wall_options' arguments say; raises OptionError, and ProblemError without a wall."""
-    names = "clearance", "contact_weight", "clearance_cost"
+    names = "clearance", "contact_weight", "clearance_cost", "contact_allowed"
     given = {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}
     if any(given.values()):
         check_radii(problem)

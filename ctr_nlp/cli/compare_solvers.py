@@ -43,6 +43,7 @@ COLUMNS = {
     "on elastic e3, e4": ("elastic_e3", "elastic_e4"),
     "stability": ("stability_between",),
     "snaps": ("snaps",),
+    "verdicts: no": ("no",),
 }
 """Columns of the printed table and of Markdown, and the keys of a row that each shows."""
 
@@ -65,7 +66,7 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
         prog="compare_solvers.py",
         description="Solve problems with every variant, one after the other, and print errors, steps and times "
         "beside the seed's Table II; write comparison.md, .csv and .json.",
-        epilog="Exit status: 0 every frame of ours solved, 1 some not, 2 bad input, 130 interrupted (what was "
+        epilog="Exit status: 0 no verdict on a plan of ours is no, 1 one is, 2 bad input, 130 interrupted (what was "
         "done goes into DIR/interrupted, and DIR's own files stay).",
     )
     names = ", ".join(problems.names(folder))
@@ -105,7 +106,7 @@ def _run(folder: Path, arguments: argparse.Namespace) -> int:
     console().print(f"wrote {place}: comparison.md, comparison.csv, comparison.json")
     if interrupted:
         return INTERRUPTED
-    return SOME_FAILED if any(row["failed"] for row in rows if ":" in row["variant"]) else SOLVED
+    return SOME_FAILED if any(row["no"] for row in rows if ":" in row["variant"]) else SOLVED
 
 
 def _agreements(found: Comparison) -> list[list[str]]:
@@ -142,7 +143,7 @@ def _write(found: Comparison, folder: Path) -> None:
 def _overview(rows: list[dict[str, Any]], model: str) -> str:
     """A row a problem, a column a variant: e3 in mm on a model; the seed's figures last.
 
-    A star: frames failed; an exclamation mark: the robot snaps.
+    An exclamation mark: the verdict on stability is no; a star: another one is.
     """
     figures = (SEED, BASELINE) if model == "dominant" else (SEED_ELASTIC, BASELINE_ELASTIC)
     variants = list(dict.fromkeys(row["variant"] for row in rows))
@@ -157,4 +158,5 @@ def _overview(rows: list[dict[str, Any]], model: str) -> str:
 
 
 def _cell(row: dict[str, Any], model: str) -> str:
-    return shown(row[f"{model}_e3"]) + "*" * (row["failed"] > 0) + "!" * (model == "elastic" and row["snaps"] > 0)
+    no = set(filter(None, row[f"{model}_no"].split(", ")))
+    return shown(row[f"{model}_e3"]) + "*" * bool(no - {"stable"}) + "!" * ("stable" in no)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -66,11 +66,15 @@ def progress_bar() -> Iterator[Callable[[str], Callable[[int, int, str], None]]]
         yield labelled
 
 
-def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
-    """A table with a left-aligned first column; numbers are cut to what is worth reading."""
+def print_table(
+    title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]], text: Collection[str] = ()
+) -> None:
+    """A table with a left-aligned first column and columns of text; numbers are cut to what is worth reading."""
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for i, column in enumerate(columns):
-        table.add_column(column, justify="left" if i == 0 else "right", no_wrap=i == 0, overflow="fold")
+        table.add_column(
+            column, justify="left" if i == 0 or column in text else "right", no_wrap=i == 0, overflow="fold"
+        )
     for row in rows:
         table.add_row(*(shown(cell) for cell in row))
     console().print(table)

@@ -35,19 +35,20 @@ def write_table(path: Path, columns: Mapping[str, Sequence[Any]]) -> None:
 
 
 def print_report(plan: Plan, folder: Path, files: Sequence[str]) -> None:
-    """The numbers of a plan, what is wrong with it, and where which files of it were written."""
+    """The verdicts on a plan, its numbers, what is wrong with it, and where which files of it were written."""
     found = summary(plan)
-    print_table(account.title(found), ("", "value", "unit"), account.rows(found))
+    print_table(account.title(found), account.VERDICTS, account.verdict_rows(found), text=("why",))
+    print_table("numbers", ("", "value", "unit"), account.rows(found))
     for remark in account.remarks(plan, found):
         console().print(remark)
     console().print(f"wrote {folder}: {', '.join(files)}")
 
 
 def exit_status(plan: Plan) -> int:
-    """0 every frame solved, 1 some not, 130 interrupted."""
+    """0 where no verdict is no, 1 where one is, 130 interrupted."""
     if plan.meta["interrupted"]:
         return INTERRUPTED
-    return SOLVED if plan.complete else SOME_FAILED
+    return SOME_FAILED if plan.verdicts.failed else SOLVED
 
 
 def write_front(points: Sequence[Point], problem: str, folder: Path) -> None:

@@ -47,8 +47,8 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
         prog="solve_horizon.py",
         description="Follow a target with the whole shape of the robot, all frames in one program; write "
         "plan.npz, errors.csv, summary.json and pictures.",
-        epilog="Exit status: 0 solved, 1 not, 2 bad input, 130 interrupted (the best motion so far goes into "
-        "DIR/interrupted, and DIR's own files stay).",
+        epilog="Exit status: 0 no verdict is no, 1 one is, 2 bad input, 130 interrupted (the best motion so far "
+        "goes into DIR/interrupted, and DIR's own files stay).",
     )
     parser.add_argument(
         "problem", metavar="PROBLEM", help=f"{', '.join(problems.names(folder))}, or a centreline file or a mask"

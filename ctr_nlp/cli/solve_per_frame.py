@@ -43,7 +43,7 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
         prog="solve_per_frame.py",
         description="Follow a target with the whole shape of the robot, frame by frame; write plan.npz, "
         "errors.csv, summary.json and pictures.",
-        epilog="Exit status: 0 every frame solved, 1 some not, 2 bad input, 130 interrupted (what was solved goes "
+        epilog="Exit status: 0 no verdict is no, 1 one is, 2 bad input, 130 interrupted (what was solved goes "
         "into DIR/interrupted, and DIR's own files stay).",
     )
     parser.add_argument(

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
 from matplotlib.ticker import MaxNLocator
 
+from ctr_nlp.account import failed
 from ctr_nlp.figures.palette import FAILED, UNREACHED
 from ctr_nlp.metrics import summary
 from ctr_nlp.plan import Plan
@@ -49,9 +50,10 @@ def head(figure: Figure, plan: Plan, title: str) -> None:
 
 
 def outcome(numbers: Mapping[str, Any]) -> str:
-    """The error over all frames, and how many failed; from a plan's summary."""
+    """The error over all frames, how many failed, and verdicts that are no; from a plan's summary."""
     e3 = "no frame reached" if numbers["e3"] is None else f"e3 = {numbers['e3']:.3g} mm"
-    return e3 + (f", {numbers['failed']} of {numbers['frames']} frames failed" if numbers["failed"] else "")
+    frames = f"{numbers['failed']} of {numbers['frames']} frames failed" if numbers["failed"] else ""
+    return ", ".join(filter(None, (e3, frames, failed(numbers))))
 
 
 def printable(text: str) -> str:

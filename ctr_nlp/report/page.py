@@ -76,6 +76,7 @@ def _told(plan: Plan, name: str) -> dict[str, Any]:
     return {
         "title": account.title(found),
         "name": name,
+        "verdicts": account.verdict_rows(found),
         "rows": [(row, account.shown(value), unit) for row, value, unit in account.rows(found)],
         "remarks": account.remarks(plan, found),
         "summary": json.dumps(found, indent=2, allow_nan=False, ensure_ascii=False),

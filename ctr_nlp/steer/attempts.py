@@ -180,7 +180,7 @@ def _kept(chain: Chain, solution: Solution, watch: Watch, start: float) -> Solut
 
 @dataclass(frozen=True)
 class Task:
-    """A chain and its solver, described so that another process can build them; near: to its wall."""
+    """A chain and its solver, described so that another process can build them."""
 
     robot: Robot
     frames: tuple[Frame, ...]
@@ -191,13 +191,11 @@ class Task:
     model: str = "dominant"
     stability_margin: float | None = None
     wall: Wall | None = None
-    near: bool = True
 
     def solve(self, motion: Array) -> Attempt:
         """Solve from a motion, in a process that attempt_in_processes has prepared."""
         at = self.robot, self.frames, self.dt, self.motion_weight, self.ends
         chain = horizon(*at, fastest, self.model, self.stability_margin, self.wall)
-        chain = chain if self.near else replace(chain, surroundings=None)
         return attempt(chain, CHAIN_SOLVERS[self.solver], motion, None, _stopping.is_set)
 
 

@@ -35,7 +35,7 @@ from ctr_nlp.steer.attempts import (
     within_limits,
 )
 from ctr_nlp.steer.forecast import Forecast
-from ctr_nlp.steer.inside import affordable, distinct, errors
+from ctr_nlp.steer.inside import Outcome, affordable, distinct
 from ctr_nlp.steer.interrupt import deferred_interrupt
 from ctr_nlp.steer.limits import check_ends, check_growth
 from ctr_nlp.steer.motions import per_frame_motions, wandered
@@ -109,11 +109,16 @@ class Horizon:
         self.ends = Ends(self._checked_end(start, "start"), self._checked_end(end, "end"))
         self._names = {"formulation": "horizon", "model": model, "solver": solver}
         self._settings, self._wall = settings, wall_of(problem.robot, problem.lumen, model, settings)
-        at = problem.robot, problem.samples, problem.dt, 1.0, self.ends
-        self._chain = horizon(*at, fastest, model, settings.stability_margin, self._wall)
-        if self.ends.start is not None and self.ends.end is not None and not self._chain.bent:
-            check_ends(problem, self._chain)
+        self._free = self._built(None)
+        self._inside = None if self._wall is None else self._built(self._wall)
+        if self.ends.start is not None and self.ends.end is not None and not self._free.bent:
+            check_ends(problem, self._free)
         self.build_seconds = time.perf_counter() - begin
+
+    def _built(self, wall: Wall | None) -> Chain:
+        """The chain of all frames, within a wall or free of any, with a motion weight of 1 s^2."""
+        at = self.problem.robot, self.problem.samples, self.problem.dt, 1.0, self.ends
+        return horizon(*at, fastest, self._names["model"], self._settings.stability_margin, wall)
 
     def solve(
         self,
@@ -138,12 +143,13 @@ class Horizon:
             between = time.perf_counter()
             weight = self.balanced_weight(found[0]) if motion_weight is None else motion_weight
             run = functools.partial(self._attempts, weight, jobs, progress, seen, interrupted)
-            wall: Wall | None = None
+            wall, free = None, None
             attempts: Sequence[Attempt] = []
             if not interrupted():
                 attempts = run(None, self._picked(weight, found, starts or len(found)))
             if self._wall is not None and not interrupted():
-                wall, attempts = self._inside(self._wall, run, attempts, given, interrupted)
+                free = self._q(best_of(attempts).motion)
+                wall, attempts = self._kept_inside(self._wall, run, attempts, given, interrupted)
             work = {"search_s": between - begin, "solve_s": time.perf_counter() - between}
             stopped = interrupted()
         options = strict_json(asdict(settings)) | {"motion_weight": weight, "starts": starts}
@@ -151,14 +157,14 @@ class Horizon:
             options[name] = None if q is None else q.tolist()
         meta = {**self._names, **work, "options": options, "build_s": self.build_seconds, "interrupted": stopped}
         meta["contact_weight"] = None if wall is None else wall.weight
-        return self._plan(self._near(wall, weight), found[0], attempts, meta)
+        return self._plan(self._near(wall, weight), found[0], attempts, free, meta)
 
-    def _inside(
+    def _kept_inside(
         self, wall: Wall, run: Run, free: Sequence[Attempt], given: Sequence[Array], stop: Callable[[], bool]
     ) -> tuple[Wall | None, Sequence[Attempt]]:
         """Attempts within a wall, from those free of it and from given motions, and the wall that they afford.
 
-        Those free of it where the robot makes no other.
+        Those free of it where none within the wall keeps e3 and its frames, as far as was tried.
         """
         motions, best = [*distinct(free), *given], best_of(free)
 
@@ -168,15 +174,19 @@ class Horizon:
             motions[:] = [best.motion, found.motion] if found.made else [best.motion]
             return attempts
 
-        def error(attempts: Sequence[Attempt]) -> float:
-            found = best_of(attempts)
-            if best.made and not found.made:
-                return np.inf
-            return float(np.linalg.norm(errors(wall, self.problem.samples, found.motion)))
+        def outcome(attempts: Sequence[Attempt]) -> Outcome:
+            one = best_of(attempts)
+            success = np.full(self.problem.frames, one.solution.success)
+            return Outcome.of(self.problem, wall.model, self._q(one.motion), one.motion, success)
 
-        limit = (1 + self._settings.clearance_cost) * error(free)
-        afforded = affordable(wall, limit, solve, error, stop)
-        return (None, free) if best.made and not best_of(afforded[1]).made else afforded
+        least, cost = outcome(free), self._settings.clearance_cost
+        kept = affordable(wall, solve, lambda attempts: outcome(attempts).affords(least, cost), stop)
+        return (None, free) if kept is None else kept
+
+    def _q(self, motion: Array) -> Array:
+        """The configurations (T, 2d + 2) of a motion's unknowns (T, n)."""
+        value = self._free.evaluate(motion.ravel())[1]
+        return self._free.configurations(value)[:, : len(self.problem.robot.axes)]
 
     def balanced_weight(self, motion: Array) -> float:
         """The lambda in s^2 at which a motion costs MOTION_SHARE of its shape errors."""
@@ -187,8 +197,9 @@ class Horizon:
 
     def _near(self, wall: Wall | None, weight: float) -> Chain:
         """The chain with a motion weight in s^2, near a wall, or far from any."""
-        chain = self._chain.with_cost(weight)
-        return replace(chain, surroundings=None if wall is None else wall.surroundings)
+        chain = self._free if wall is None or self._inside is None else self._inside
+        chain = chain.with_cost(weight)
+        return chain if wall is None else replace(chain, surroundings=wall.surroundings)
 
     def _picked(self, weight: float, motions: Sequence[Array], count: int) -> list[Array]:
         """The best of motions in the horizon's own objective, then random changes of the very best."""
@@ -215,7 +226,7 @@ class Horizon:
         chain, solver, count = self._near(wall, weight), CHAIN_SOLVERS[names["solver"]], len(motions)
         attempts = list[Attempt]()
         if jobs > 1 and count > 1:
-            own = names["solver"], names["model"], settings.stability_margin, wall or self._wall, wall is not None
+            own = names["solver"], names["model"], settings.stability_margin, wall
             task = Task(problem.robot, problem.samples, problem.dt, weight, self.ends, *own)
             attempts = attempt_in_processes(task, motions, jobs, progress, interrupted, seen)
         for number, motion in enumerate(() if attempts else motions, start=1):
@@ -227,7 +238,9 @@ class Horizon:
             return attempts
         return realised(problem.robot, chain, solver, attempts, settings.stability_margin, interrupted)
 
-    def _plan(self, chain: Chain, motion: Array, attempts: Sequence[Attempt], meta: dict[str, Any]) -> Plan:
+    def _plan(
+        self, chain: Chain, motion: Array, attempts: Sequence[Attempt], free: Array | None, meta: dict[str, Any]
+    ) -> Plan:
         """The best attempt as a plan; without any, the motion (T, n) to start from, not solved."""
         frames = self.problem.frames
         unknown = np.full(frames, np.nan)
@@ -245,13 +258,14 @@ class Horizon:
         meta["iterations"] = sum(one.solution.iterations for one in attempts)
         return plan_from_configurations(
             self.problem,
-            chain.configurations(chain.evaluate(x)[1])[:, : len(self.problem.robot.axes)],
+            self._q(motion),
             meta | {"failures": why},
             success=np.full(frames, solved),
             solve_time=unknown,
             objective=np.add(*chain.by_frame(x)),
             kkt=kkt,
             planned=motion if self._names["model"] == "elastic" else None,
+            free=free,
         )
 
     def _unknowns(self, motion: Array) -> list[Array]:

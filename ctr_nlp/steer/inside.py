@@ -1,26 +1,26 @@
-"""How much clearance is worth: the weight of contact at which errors grow by a given part."""
+"""How much clearance is worth: the largest weight of contact at which errors grow by no more than a given part."""
 
 from __future__ import annotations
 
 import math
-import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.formulations.contact import Wall
-from ctr_nlp.forward import points_of
-from ctr_nlp.metrics import rms_over_sigma
+from ctr_nlp.forward import simulated
+from ctr_nlp.metrics import rms_over_sigma, root_mean_square
+from ctr_nlp.plan import elsewhere
 from ctr_nlp.problem import Problem
 from ctr_nlp.steer.attempts import Attempt
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.passes import Pass
 from ctr_nlp.steer.realised import SAME, held
-from ctr_nlp.target import SIGMA, Frame
+from ctr_nlp.verdicts import largest_e3
 
 Array = npt.NDArray[np.float64]
 
@@ -34,35 +34,52 @@ Found = TypeVar("Found")
 
 
 def affordable(
-    wall: Wall,
-    limit: float,
-    solve: Callable[[Wall], Found],
-    error: Callable[[Found], float],
-    stop: Callable[[], bool],
-) -> tuple[Wall, Found]:
-    """What solve finds, and the wall with the weight that it was found with: the whole one where that keeps errors
-    within a limit; else the largest that does, by bisection. An error is inf where what was found will not do.
+    wall: Wall, solve: Callable[[Wall], Found], will_do: Callable[[Found], bool], stop: Callable[[], bool]
+) -> tuple[Wall, Found] | None:
+    """What solve finds, and the wall with the weight that it was found with: the whole one where that will do;
+    else the largest that does, by bisection. None where none of those tried will do.
     """
-    kept, limit = (wall, solve(wall)), min(limit, sys.float_info.max)
-    if stop() or error(kept[1]) <= limit:
-        return kept
-    low, high = math.log(LIGHTEST * wall.weight), math.log(wall.weight)
+    whole = solve(wall)
+    if will_do(whole):
+        return wall, whole
+    kept, low, high = None, math.log(LIGHTEST * wall.weight), math.log(wall.weight)
     for k in range(BISECTIONS + 1):
+        if stop() or (k == 1 and kept is None):
+            break
         tried = replace(wall, weight=math.exp((low + high) / 2 if k else low))
         found = solve(tried)
-        if k == 0 or error(found) <= limit:
+        if will_do(found):
             low, kept = math.log(tried.weight), (tried, found)
         else:
             high = math.log(tried.weight)
-        if stop():
-            break
     return kept
 
 
-def errors(wall: Wall, frames: Sequence[Frame], motion: Array) -> Array:
-    """The error e2 (T,) in mm of a motion (T, n)."""
-    away = points_of(wall.robot, motion, SIGMA, wall.model) - np.array([frame.points for frame in frames])
-    return rms_over_sigma(np.linalg.norm(away, axis=-1))
+@dataclass(frozen=True)
+class Outcome:
+    """What a plan would tell of a motion. failed: frames not solved, or in which the robot would be elsewhere.
+
+    e2: (T,) mm, NaN where no shape is known.
+    """
+
+    failed: int
+    e2: Array
+
+    @classmethod
+    def of(cls, problem: Problem, model: str, q: Array, x: Array, success: npt.NDArray[np.bool_]) -> Outcome:
+        """That of configurations q (T, 2d + 2) found with unknowns x (T, n) and success (T,)."""
+        moved = simulated(problem.robot, q, model)
+        away = moved.shape - np.array([frame.points for frame in problem.samples])
+        failed = ~success | elsewhere(moved.x, x, moved.snaps)
+        return cls(int(failed.sum()), rms_over_sigma(np.linalg.norm(away, axis=-1)))
+
+    def affords(self, free: Outcome, cost: float) -> bool:
+        """Whether no more frames fail than in a motion free of the wall, and e3 is at most larger by this part."""
+        known = np.isfinite(self.e2)
+        found, least = root_mean_square(self.e2), root_mean_square(free.e2[known])
+        if found is None or least is None or self.failed > free.failed:
+            return False
+        return found <= largest_e3(least, cost)
 
 
 def distinct(attempts: Sequence[Attempt]) -> list[Array]:
@@ -80,14 +97,14 @@ def distinct(attempts: Sequence[Attempt]) -> list[Array]:
 def kept_inside(problem: Problem, frames: NlpFrames, free: Pass, stop: Callable[[], bool]) -> Pass:
     """A run through all frames again, within the wall, from the first answer of one that is free of it.
 
-    That one where fewer frames are solved within the wall.
+    That one where none within the wall keeps e3 and its frames, as far as was tried.
     """
-    wall, first = frames.wall, free.order[0]
+    wall, first, margins = frames.wall, free.order[0], frames.margins
     if wall is None or first not in free.results:
         return free
 
     def solve(tried: Wall) -> Pass:
-        frames.near, begin = tried, time.perf_counter()
+        frames.near, frames.margins, begin = tried, margins, time.perf_counter()
         known = {} if free.before else {first: frames.again(first, free.results[first])}
         seconds = dict.fromkeys(known, time.perf_counter() - begin)
         one = Pass(free.direction, free.order, free.before, known, seconds)
@@ -96,13 +113,11 @@ def kept_inside(problem: Problem, frames: NlpFrames, free: Pass, stop: Callable[
                 return one
         return held(problem, frames, one, stop)
 
-    def error(one: Pass) -> float:
-        failed, square = one.badness(problem, wall.model)
-        return math.sqrt(square) if failed <= most else math.inf
+    def outcome(one: Pass) -> Outcome:
+        success = np.array([j in one.results and one.results[j].success for j in range(problem.frames)])
+        return Outcome.of(problem, wall.model, one.motion(problem), one.unknowns(problem), success)
 
-    most = free.badness(problem, wall.model)[0]
-    frames.near, found = affordable(wall, (1 + frames.clearance_cost) * error(free), solve, error, stop)
-    if math.isfinite(error(found)) or stop():
-        return found
-    frames.near = None
-    return free
+    least = outcome(free)
+    found = affordable(wall, solve, lambda one: outcome(one).affords(least, frames.clearance_cost), stop)
+    frames.near, kept = (None, free) if found is None else found
+    return kept

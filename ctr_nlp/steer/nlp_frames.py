@@ -65,8 +65,11 @@ class NlpFrames:
         self.near: Wall | None = None
         """The same, once frames are to be kept within it."""
         at = problem.robot, settings, model
-        self._stages = FORMULATIONS[formulation](*at) if self.wall is None else joint(*at, walled=True)
-        self._solvers = tuple(SOLVERS[solver](stage.nlp) for stage in self._stages)
+        self._stages = FORMULATIONS[formulation](*at)
+        walled = () if self.wall is None else joint(*at, walled=True)
+        self._free, self._inside = (
+            [(stage, SOLVERS[solver](stage.nlp)) for stage in stages] for stages in (self._stages, walled)
+        )
         self.build_seconds = time.perf_counter() - begin
         self.description: dict[str, Any] = {
             "formulation": formulation,
@@ -144,8 +147,8 @@ class NlpFrames:
         return np.append(low, tips - step), np.append(high, tips + step)
 
     def again(self, frame: int, known: FrameResult) -> FrameResult:
-        """The answer for a frame without a past, from a known one."""
-        return self._solve(frame, known, None)
+        """The answer for a frame without a past, from a known one that may be free of the wall."""
+        return self._solve(frame, replace(known, warm=None), None)
 
     def _solve(self, index: int, guess: FrameResult, before: FrameResult | None) -> FrameResult:
         """The answer from a guess; near a wall, solved again around itself until that needs the same slack."""
@@ -166,7 +169,7 @@ class NlpFrames:
         low, high = self._limits(before)
         solutions: list[Solution] = []
         iterations = 0
-        for k, (stage, solver) in enumerate(zip(self._stages, self._solvers, strict=True)):
+        for k, (stage, solver) in enumerate(self._free if self.near is None else self._inside):
             decides = stage.decides
             limited = np.append(decides, np.arange(len(q), len(low)))
             values = dict(stage.parameters(frame, q))
@@ -176,12 +179,9 @@ class NlpFrames:
             solution: Solution | None = guess.warm[k] if guess.warm else None
             x = stage.rest(q[decides]) if guess.x is None else guess.x
             x = x if solution is None else solution.x[: stage.nlp.x.numel() - stage.nlp.slacks]
-            if self.wall is not None:
-                described, slack = self.wall.away(), np.zeros(1)
-                if self.near is not None:
-                    parameters, slack = self.near.surroundings(x[None])
-                    described = {name: value[0] for name, value in parameters.items()}
-                values |= described
+            if self.near is not None:
+                parameters, slack = self.near.surroundings(x[None])
+                values |= {name: value[0] for name, value in parameters.items()}
                 x = np.append(x, slack)
             for step in stage.schedule:
                 packed = stage.nlp.pack({**values, **step})

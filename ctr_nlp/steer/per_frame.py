@@ -61,8 +61,10 @@ def march(
     with deferred_interrupt() as interrupted:
         passes, search_seconds = run_passes(problem, solver, direction, start, progress=progress)
         best = min(passes, key=lambda one: one.badness(problem, solver.description["model"]))
+        free: Array | None = None
         if isinstance(solver, NlpFrames) and not interrupted():
             best = held(problem, solver, best, interrupted)
+            free = None if solver.wall is None else best.motion(problem)
             best = kept_inside(problem, solver, best, interrupted)
         stopped = interrupted()
     options = {
@@ -70,7 +72,7 @@ def march(
         "passes": len(passes),
         "start": None if start is None else np.asarray(start, dtype=float).tolist(),
     }
-    return _plan(problem, solver, best, options, {"search_s": search_seconds, "interrupted": stopped})
+    return _plan(problem, solver, best, free, options, {"search_s": search_seconds, "interrupted": stopped})
 
 
 def _unknowns(results: Sequence[FrameResult]) -> Array | None:
@@ -82,7 +84,12 @@ def _unknowns(results: Sequence[FrameResult]) -> Array | None:
 
 
 def _plan(
-    problem: Problem, solver: FrameSolver, best: Pass, options: dict[str, Any], work: dict[str, Any]
+    problem: Problem,
+    solver: FrameSolver,
+    best: Pass,
+    free: Array | None,
+    options: dict[str, Any],
+    work: dict[str, Any],
 ) -> Plan:
     missing = FrameResult(np.zeros(0), success=False, status="not reached")
     results = [best.results.get(j, missing) for j in range(problem.frames)]
@@ -105,4 +112,5 @@ def _plan(
         objective=np.array([result.objective for result in results]),
         kkt=np.array([result.kkt for result in results]),
         planned=_unknowns(results),
+        free=free,
     )
