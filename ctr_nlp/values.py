@@ -76,7 +76,15 @@ def strict_json(value: Any) -> Any:
     return str(float(value)) if isinstance(value, float) and math.isinf(value) else value
 
 
-def frozen(array: Array) -> Array:
-    """The array, made read-only."""
-    array.flags.writeable = False
-    return array
+def frozen(array: npt.ArrayLike) -> Array:
+    """A read-only copy of an array of numbers, which nobody else holds."""
+    copy = np.array(array)
+    copy.flags.writeable = False
+    return copy
+
+
+def unchanging(value: Any) -> Any:
+    """Lists and arrays as tuples, all the way down; other values as they are."""
+    if isinstance(value, np.ndarray | np.generic):
+        return unchanging(value.tolist())
+    return tuple(unchanging(item) for item in value) if isinstance(value, list | tuple) else value

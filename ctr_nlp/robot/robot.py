@@ -1,9 +1,9 @@
-"""Tubes, and the one set of limits that every formulation, executor and check honours."""
+"""A robot: its tubes, and the one set of limits that every formulation, executor and check honours."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,138 +12,52 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.errors import RobotError
+from ctr_nlp.robot.limits import Limits
+from ctr_nlp.robot.strain import check_deployed
+from ctr_nlp.robot.tube import LENGTHS, Tube
+from ctr_nlp.robot.units import angle_meant, did_you_mean, in_other_units, length_meant
 from ctr_nlp.values import described, frozen, numbers, pairs, read_toml, strict_json
 
 Array = npt.NDArray[np.float64]
 
 MM_PER_RAD = 10.0
 """What one radian counts as in the motion term and the roughness, in mm: the W of the design."""
-
-
-@dataclass(frozen=True)
-class Tube:
-    """One pre-curved tube: a straight transmission, then a curved part that ends at its tip.
-
-    length, curved_length: mm. curvature: 1/mm, constant, or (root, tip) of the curved part and linear in
-    the distance from the tip between them. Diameters: mm. youngs_modulus: any unit, since only ratios
-    between tubes matter for an unloaded robot. Raises RobotError.
-    """
-
-    length: float
-    curved_length: float
-    curvature: float | tuple[float, float]
-    outer_diameter: float
-    inner_diameter: float
-    poisson_ratio: float = 0.3
-    youngs_modulus: float = 1.0
-
-    def __post_init__(self) -> None:
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if f.name == "curvature":
-                pair = tuple(numbers(f.name, value, 2).tolist())
-                object.__setattr__(self, "curvature", pair[0] if pair[0] == pair[1] else pair)
-            else:
-                object.__setattr__(self, f.name, float(numbers(f.name, value, 1)[0]))
-        if self.length <= 0:
-            raise RobotError(f"tube length is {self.length:g} mm; it must be positive")
-        if not 0 <= self.curved_length <= self.length:
-            raise RobotError(
-                f"tube curved_length is {self.curved_length:g} mm; it must lie in [0, length = {self.length:g}]"
-            )
-        if min(self.root_curvature, self.tip_curvature) < 0:
-            raise RobotError(f"tube curvature is {self.curvature}; it is unsigned (turn the tube instead)")
-        if not 0 <= self.inner_diameter < self.outer_diameter:
-            raise RobotError(
-                f"tube inner_diameter is {self.inner_diameter:g} mm; it must lie in "
-                f"[0, outer_diameter = {self.outer_diameter:g})"
-            )
-        if not -1 < self.poisson_ratio <= 0.5:
-            raise RobotError(f"tube poisson_ratio is {self.poisson_ratio:g}; it must lie in (-1, 0.5]")
-        if self.youngs_modulus <= 0:
-            raise RobotError(f"tube youngs_modulus is {self.youngs_modulus:g}; it must be positive")
-
-    @property
-    def root_curvature(self) -> float:
-        """Curvature where the curved part begins, 1/mm."""
-        return self.curvature[0] if isinstance(self.curvature, tuple) else self.curvature
-
-    @property
-    def tip_curvature(self) -> float:
-        """Curvature at the tip, 1/mm."""
-        return self.curvature[1] if isinstance(self.curvature, tuple) else self.curvature
-
-    @property
-    def bending_stiffness(self) -> float:
-        """EI, in units of youngs_modulus x mm^4."""
-        return self.youngs_modulus * math.pi / 64 * (self.outer_diameter**4 - self.inner_diameter**4)
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What the hardware allows: position, speed and acceleration of alpha, beta and theta.
-
-    Positions are (lower, upper), or one such pair a tube (theta: one for x, one for y); speeds and
-    accelerations are a number, or one a tube. beta = None means [0, curved_length] for every tube.
-    Units: rad, mm, s. carriage_gap: least (L_{i+1} - beta_{i+1}) - (L_i - beta_i) in mm, None for no such
-    limit. Steering frame by frame keeps positions and speeds; how much of the acceleration it uses is in the
-    plan's summary (acceleration_used, more than 1 where it is too much). The default speeds are 0.2 rad,
-    9 mm and 0.08 rad a frame for 100 frames in 10 s.
-    """
-
-    alpha: Any = (-math.inf, math.inf)
-    beta: Any = None
-    theta: Any = (-math.pi, math.pi)
-    alpha_speed: Any = 2.0
-    beta_speed: Any = 90.0
-    theta_speed: Any = 0.8
-    alpha_acceleration: Any = math.inf
-    beta_acceleration: Any = math.inf
-    theta_acceleration: Any = math.inf
-    carriage_gap: float | None = None
+TURN = {"alpha": 20 * math.pi, "theta": 2 * math.pi}
+"""Largest angles, rad: ten turns of a tube, beyond what any motor's cables bear, and one of the base."""
+KEYS = ("name", "tubes", "limits")
+"""Of a robot file."""
 
 
 @dataclass(frozen=True)
 class Robot:
     """d nested tubes, outermost first, and their limits; q = (alpha_1..d, beta_1..d, theta_x, theta_y), eq. (5).
 
-    lower, upper, speed, acceleration: (2d + 2,) in the order of q. Raises RobotError.
+    An inner tube may be as stiff as the one around it, or stiffer: only the dominant-stiffness model asks for an
+    order, and says so (models.check_model). lower, upper, speed, acceleration: (2d + 2,) in the order of q. Raises
+    RobotError.
     """
 
     tubes: tuple[Tube, ...]
     limits: Limits = field(default_factory=Limits)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "tubes", tuple(self.tubes))
-        if not self.tubes:
-            raise RobotError("a robot without tubes; give at least one")
+        object.__setattr__(self, "tubes", _sequence_of_tubes(self.tubes))
+        if not isinstance(self.limits, Limits):
+            raise RobotError(f"limits of a robot are {self.limits!r}; they must be Limits(...)")
         for i, (outer, inner) in enumerate(zip(self.tubes, self.tubes[1:], strict=False), start=1):
-            self._check_pair(i, outer, inner)
+            _check_pair(i, outer, inner)
         self._check_limits()
         self._check_extensions()
-
-    def _check_pair(self, i: int, outer: Tube, inner: Tube) -> None:
-        order = f"tubes {i} and {i + 1} are in the wrong order (outermost and stiffest first)"
-        if outer.inner_diameter < inner.outer_diameter:
-            if inner.inner_diameter >= outer.outer_diameter:
-                raise RobotError(order)
-            raise RobotError(
-                f"tubes {i} and {i + 1} do not nest: inner_diameter of tube {i} is {outer.inner_diameter:g} mm, "
-                f"outer_diameter of tube {i + 1} is {inner.outer_diameter:g} mm"
-            )
-        if outer.length > inner.length:
-            raise RobotError(
-                f"length of tube {i} is {outer.length:g} mm and of tube {i + 1} {inner.length:g} mm: "
-                "an inner tube must be at least as long as the one around it"
-            )
-        if outer.bending_stiffness < inner.bending_stiffness:
-            raise RobotError(f"{order}: EI is {outer.bending_stiffness:.3g} and {inner.bending_stiffness:.3g}")
+        check_deployed(self.tubes, self.deployed.tolist())
 
     def _check_limits(self) -> None:
         lower, upper = self.lower, self.upper
         for name, lo, hi in zip(self.axes, lower, upper, strict=True):
             if math.isnan(lo) or math.isnan(hi) or lo > hi:
                 raise RobotError(f"limits of {name} are [{lo:g}, {hi:g}]; the lower must not exceed the upper")
+            for end in (lo, hi):
+                if name.partition("_")[0] in TURN and math.isfinite(end):
+                    _check_angle(f"limits of {name} are [{lo:g}, {hi:g}] rad, and {end:g}", name, end)
         for name in ("speed", "acceleration"):
             for axis, value in zip(self.axes, getattr(self, name), strict=True):
                 if not value > 0:
@@ -159,6 +73,12 @@ class Robot:
                     f"limits of {name} are [{lo:g}, {hi:g}] mm; they must lie in [0, {tube.length:g}], "
                     "the tube's length"
                 )
+            if 0 < hi < LENGTHS[0]:
+                meant = length_meant(hi, lambda mm, most=tube.length: LENGTHS[0] <= mm <= most)
+                raise RobotError(
+                    f"the upper limit of {name} is {hi:g} mm; it must be 0, or at least {LENGTHS[0]:g} mm"
+                    f"{did_you_mean(meant)}"
+                )
             longer = tube.length - self.tubes[i - 1].length if i and gap is not None else math.inf
             if gap is not None and gap > longer:
                 raise RobotError(
@@ -171,6 +91,15 @@ class Robot:
                     f"limits of {name} leave no room: it must be at least {low:g} mm (order, lower limits) "
                     f"and at most {high:g} mm (upper limits and carriage gap)"
                 )
+
+    @cached_property
+    def deployed(self) -> Array:
+        """The largest beta (d,) mm that limits, order and carriage gap allow."""
+        beta, gap = self.split(self.upper)[1].copy(), self.carriage_gap
+        for i in range(1, self.d):
+            if gap is not None:
+                beta[i] = min(beta[i], beta[i - 1] + self.tubes[i].length - self.tubes[i - 1].length - gap)
+        return frozen(np.minimum.accumulate(beta[::-1])[::-1])
 
     @cached_property
     def carriage_gap(self) -> float | None:
@@ -258,11 +187,18 @@ class Robot:
 
     def check(self, q: Array, name: str = "q", tolerance: float = 1e-6) -> None:
         """Raise RobotError unless q (2d + 2,) is finite and keeps limits and order to tolerance (rad, mm)."""
+        q = configuration(name, q)
         if q.shape != (2 * self.d + 2,):
             raise RobotError(f"{name} has shape {q.shape}; it must be ({2 * self.d + 2},): {', '.join(self.axes)}")
         for axis, value, lo, hi in zip(self.axes, q, self.lower, self.upper, strict=True):
             if not (math.isfinite(value) and lo - tolerance <= value <= hi + tolerance):
-                raise RobotError(f"{axis} of {name} is {value:g}; it must lie in [{lo:g}, {hi:g}]")
+                turned = math.isfinite(value) and axis.partition("_")[0] in TURN
+                meant = angle_meant(value, lambda rad, lo=lo, hi=hi: lo <= rad <= hi) if turned else []
+                raise RobotError(
+                    f"{axis} of {name} is {value:g}; it must lie in [{lo:g}, {hi:g}]{did_you_mean(meant)}"
+                )
+            if axis.partition("_")[0] == "alpha":
+                _check_angle(f"{axis} of {name} is {value:g} rad, and it", axis, value)
         beta = self.split(q)[1]
         for i, growth in enumerate(np.diff(beta), start=1):
             if growth < -tolerance:
@@ -284,13 +220,18 @@ class Robot:
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Robot:
         """The robot that to_dict or a robot file describes; raises RobotError."""
-        unknown = set(data) - {"name", "tubes", "limits"}
+        if not isinstance(data, dict):
+            raise RobotError(f"a robot is {data!r}; it must be a table with the keys {', '.join(KEYS)}")
+        unknown = sorted(set(map(str, data)) - set(KEYS))
         if unknown:
-            raise RobotError(f"unknown key {sorted(unknown)[0]!r} in a robot; allowed are name, tubes, limits")
+            raise RobotError(f"unknown key {unknown[0]!r} in a robot; allowed are {', '.join(KEYS)}")
         tubes = data.get("tubes")
-        if not isinstance(tubes, list) or not all(isinstance(t, dict) for t in tubes):
+        if not isinstance(tubes, list | tuple) or not all(isinstance(t, dict) for t in tubes):
             raise RobotError("a robot needs a list of tubes, [[tubes]] in TOML")
-        return cls(tuple(described(Tube, t) for t in tubes), described(Limits, data.get("limits", {})))
+        return cls(
+            tuple(_numbered(number, tube) for number, tube in enumerate(tubes, start=1)),
+            described(Limits, data.get("limits", {})),
+        )
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Robot:
@@ -301,16 +242,57 @@ class Robot:
             raise RobotError(f"robot file {path}: {error}") from error
 
 
-def seed_robot(literal: bool = False) -> Robot:
-    """The seed's robot, Table I, read so that only curved parts are deployed: 50, 107 and 150 mm.
+def configuration(name: str, q: Any) -> Array:
+    """Numbers that are to be a configuration, or several, as an array of any shape; raises RobotError."""
+    try:
+        return np.asarray(q, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise RobotError(f"{name} is {q!r}; it must be numbers, in rad and mm") from error
 
-    literal=True takes the table at its word: those lengths are straight and 40, 95, 240 mm are curved.
-    """
-    curved = (40.0, 95.0, 240.0) if literal else (50.0, 107.0, 150.0)
-    return Robot(
-        (
-            Tube(90.0, curved[0], 1 / 130, outer_diameter=5.7, inner_diameter=4.3),
-            Tube(202.0, curved[1], 1 / 60, outer_diameter=3.7, inner_diameter=2.9),
-            Tube(390.0, curved[2], 1 / 80, outer_diameter=2.1, inner_diameter=1.0),
+
+def _sequence_of_tubes(tubes: Any) -> tuple[Tube, ...]:
+    found = tuple(tubes) if isinstance(tubes, list | tuple) else None
+    if found is None or not all(isinstance(tube, Tube) for tube in found):
+        raise RobotError(f"tubes of a robot are {tubes!r}; give a sequence of Tube(...), the outermost first")
+    if not found:
+        raise RobotError("a robot without tubes; give at least one")
+    return found
+
+
+def _check_pair(i: int, outer: Tube, inner: Tube) -> None:
+    """Raise RobotError unless tube i + 1 fits into tube i, from 1, and both are written in the same units."""
+    if outer.inner_diameter < inner.outer_diameter:
+        if inner.inner_diameter >= outer.outer_diameter:
+            raise RobotError(f"tubes {i} and {i + 1} are in the wrong order: the outermost must come first")
+        raise RobotError(
+            f"tubes {i} and {i + 1} do not nest: inner_diameter of tube {i} is {outer.inner_diameter:g} mm, "
+            f"outer_diameter of tube {i + 1} is {inner.outer_diameter:g} mm"
         )
-    )
+    if outer.length > inner.length:
+        raise RobotError(
+            f"length of tube {i} is {outer.length:g} mm and of tube {i + 1} {inner.length:g} mm: "
+            "an inner tube must be at least as long as the one around it"
+        )
+    off = in_other_units(outer.youngs_modulus, inner.youngs_modulus)
+    if off is not None:
+        raise RobotError(
+            f"youngs_modulus of tubes {i} and {i + 1} are {outer.youngs_modulus:g} and {inner.youngs_modulus:g}, "
+            f"about {off:.0e} apart; they must be in the same unit: is one in GPa and the other in MPa?"
+        )
+
+
+def _check_angle(what: str, axis: str, value: float) -> None:
+    """Raise RobotError where an angle is larger than any drive's; what: the message up to "must lie in"."""
+    most = TURN[axis.partition("_")[0]]
+    if abs(value) > most * (1 + 1e-9):
+        meant = angle_meant(value, lambda rad: abs(rad) <= most)
+        raise RobotError(f"{what} must lie in [{-most:.4g}, {most:.4g}] rad{did_you_mean(meant)}")
+
+
+def _numbered(number: int, data: dict[str, Any]) -> Tube:
+    """The tube of a number, from 1, that a table of a file describes."""
+    try:
+        tube: Tube = described(Tube, data)
+    except RobotError as error:
+        raise RobotError(f"tubes, number {number}: {error}") from error
+    return tube
