@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from ctr_nlp import tracking
 from ctr_nlp.curve import Curve
-from ctr_nlp.models import dominant
+from ctr_nlp.models import check_model, dominant
 from ctr_nlp.robot import Robot
 from ctr_nlp.target import SIGMA
 
@@ -49,6 +49,7 @@ class Simulation(NamedTuple):
 
 def simulated(robot: Robot, q: Array, model: str) -> Simulation:
     """The robot moved through q, frame by frame, on a model."""
+    check_model(robot, model)
     if model == "dominant":
         unknown = np.full(len(q), np.nan)
         return Simulation(shapes(robot, q), tangents(robot, q, np.ones(1))[:, 0], unknown, unknown, q, ())
@@ -64,6 +65,7 @@ def simulated(robot: Robot, q: Array, model: str) -> Simulation:
 
 
 def _backbone(robot: Robot, q: Array, sigma: Array) -> dominant.Backbone:
+    dominant.check_order(robot)
     return dominant.backbone(robot, dominant.columns_of(q), sigma, np)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.errors import RobotError
+from ctr_nlp.errors import CtrError, RobotError
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -39,6 +40,44 @@ def described(cls: type, data: Any) -> Any:
         return cls(**data)
     except TypeError as error:
         raise RobotError(f"{cls.__name__.lower()}: {error}; keys are {', '.join(allowed)}") from error
+
+
+def number(
+    error: type[CtrError], name: str, value: Any, holds: Callable[[float], bool], allowed: str, unit: str = ""
+) -> float:
+    """A number of which something holds; raises error, with what it must do in words."""
+    real = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if not real or not holds(float(value)):
+        raise error(f"{name} is {value if real else repr(value)}{unit}; it must {allowed}")
+    return float(value)
+
+
+def whole_number(error: type[CtrError], name: str, value: Any, least: int = 1) -> int:
+    """A whole number, or error."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise error(f"{name} is {value!r}; it must be a whole number of at least {least}")
+    return int(value)
+
+
+def instance(error: type[CtrError], name: str, value: Any, kind: type) -> None:
+    """Raise error unless a value is of a kind."""
+    if not isinstance(value, kind):
+        raise error(f"{name} is {value!r:.80}; it must be a {kind.__name__}")
+
+
+def floats(error: type[CtrError], name: str, value: Any, shape: tuple[int | None, ...], unit: str = "") -> Array:
+    """A read-only copy of finite numbers of a shape (None for any length), or error."""
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise error(f"{name} is {value!r:.80}; it must be numbers{unit}") from None
+    if len(array.shape) != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
+        wanted = ", ".join("n" if n is None else str(n) for n in shape) + "," * (len(shape) == 1)
+        raise error(f"{name} has shape {array.shape}; it must be ({wanted})")
+    if not np.isfinite(array).all():
+        place = np.argwhere(~np.isfinite(array))[0]
+        raise error(f"{name} has {array[tuple(place)]} at {[int(i) + 1 for i in place]}; all of it must be finite")
+    return frozen(array)
 
 
 def numbers(name: str, value: Any, size: int, infinite: bool = False) -> Array:

@@ -11,8 +11,9 @@ import numpy.typing as npt
 from ctr_nlp.anatomy.branch import Branches
 from ctr_nlp.anatomy.choose import checked_point, chosen, extent
 from ctr_nlp.anatomy.files import is_mask, read_branches
-from ctr_nlp.curve import SHORTEST_MM, Curve, curve_from_points
+from ctr_nlp.curve import Curve, curve_from_points
 from ctr_nlp.errors import CurveError, OptionError
+from ctr_nlp.points import SHORTEST_MM
 
 Array = npt.NDArray[np.float64]
 

@@ -16,9 +16,9 @@ class Limits:
     Positions are (lower, upper), or one such pair a tube (theta: one for x, one for y); speeds and
     accelerations are a number, or one a tube. beta = None means [0, curved_length] for every tube.
     Units: rad, mm, s. carriage_gap: least (L_{i+1} - beta_{i+1}) - (L_i - beta_i) in mm, None for no such
-    limit. Lists and arrays are kept as tuples. Steering frame by frame keeps positions and speeds; how much of the
-    acceleration it uses is in the plan's summary (acceleration_used, more than 1 where it is too much). The default
-    speeds are 0.2 rad, 9 mm and 0.08 rad a frame for 100 frames in 10 s.
+    limit. Lists and arrays are kept as tuples. Steering frame by frame keeps positions and speeds; how much of
+    the acceleration it uses is in the plan's summary (acceleration_used, more than 1 where it is too much). The
+    default speeds are 0.2 rad, 9 mm and 0.08 rad a frame for 100 frames in 10 s.
     """
 
     alpha: Any = (-math.inf, math.inf)

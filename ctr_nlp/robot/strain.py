@@ -2,8 +2,8 @@
 
 Where all tubes are turned alike, none twists another, and the balance of moments leaves them one curvature: the
 mean of their pre-curvatures, weighted with their bending stiffnesses (Dupont, Lock, Itkowitz, Butler, Design and
-control of concentric-tube robots, IEEE Transactions on Robotics 26(2), 2010). A tube's outer fibre is then strained
-by outer_diameter / 2 * |its own curvature - that common one|, beside what it was strained by when it was made.
+control of concentric-tube robots, IEEE Transactions on Robotics 26(2), 2010). Its own shape being the one in which
+a tube is free of strain, its outer fibre is then strained by outer_diameter / 2 * |its own curvature - that one|.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ INSIDE = 1e-9
 
 
 class Strain(NamedTuple):
-    """tube: which, from 1. place: arc length, mm. own, common: its pre-curvature and the robot's curvature, 1/mm."""
+    """tube: which, from 1. place: arc length, mm. own, common: its pre-curvature, and the robot's, 1/mm."""
 
     tube: int
     place: float
@@ -39,16 +39,16 @@ class Strain(NamedTuple):
 def check_deployed(tubes: Sequence[Tube], beta: Sequence[float]) -> None:
     """Raise RobotError where a tube of the aligned robot at beta (d,) mm is strained by more than 6 %.
 
-    6 % is the strain to which superelastic nitinol is loaded and unloaded when its plateaus and the elongation that
-    stays are measured (ASTM F2516): so much it is known to bear again and again.
+    6 % is the strain to which superelastic nitinol is loaded, and from which it must come back, where its
+    plateaus are measured (ASTM F2516).
     """
     worst = largest_strain(tubes, beta)
     if worst is not None and worst.strain > STRAIN_DEPLOYED * (1 + 1e-9):
         raise RobotError(
             f"tube {worst.tube} is strained by {100 * worst.strain:.3g} % at {worst.place:.1f} mm of the aligned, "
-            f"deployed robot, and nitinol bears {100 * STRAIN_DEPLOYED:g} % again and again: its own curvature is "
+            f"deployed robot, and nitinol bears {100 * STRAIN_DEPLOYED:g} % there: its own curvature is "
             f"{worst.own:.4g} per mm, that of all tubes together {worst.common:.4g}, its outer_diameter "
-            f"{tubes[worst.tube - 1].outer_diameter:g} mm. Curvatures must be closer to each other, or tubes thinner"
+            f"{tubes[worst.tube - 1].outer_diameter:g} mm. The curvatures must be closer to each other"
         )
 
 

@@ -12,7 +12,7 @@ from ctr_nlp.values import numbers
 STRAIN_MADE = 0.08
 """Largest strain of a tube's outer fibre by its pre-curvature."""
 CURVATURE = 0.5
-"""Largest curvature of any tube, 1/mm: a radius of 2 mm, what 0.32 mm of nitinol, the thinnest tubes in use, bear."""
+"""Largest curvature of any tube, 1/mm: a radius of 2 mm, which nitinol bears up to 0.32 mm thick."""
 LENGTHS = (1.0, 10_000.0)
 """Shortest and longest tube, mm. What is shorter was likely written in metres, what is longer in micrometres."""
 DIAMETERS = (0.1, 100.0)

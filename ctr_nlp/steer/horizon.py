@@ -17,7 +17,7 @@ from ctr_nlp.chain import Chain
 from ctr_nlp.errors import OptionError
 from ctr_nlp.formulations.contact import Wall, wall_of
 from ctr_nlp.formulations.horizon import Ends, horizon
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import check_model
 from ctr_nlp.plan import Plan, plan_from_configurations
 from ctr_nlp.problem import Problem
 from ctr_nlp.settings import Settings, check_choice, check_motion_weight
@@ -98,7 +98,7 @@ class Horizon:
         settings: Settings = DEFAULTS,
     ) -> None:
         """Build; raises OptionError, RobotError, and ProblemError where no motion can keep the limits."""
-        check_choice("model of a horizon", model, MODELS)
+        check_model(problem.robot, model, "model of a horizon")
         solver = default_chain_solver() if solver is None else solver
         check_choice("solver of a horizon", solver, CHAIN_SOLVERS)
         if problem.frames < 2:

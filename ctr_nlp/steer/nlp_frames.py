@@ -16,7 +16,7 @@ from ctr_nlp.formulations.contact import ROUNDS, SETTLED, Wall, wall_of
 from ctr_nlp.formulations.joint import joint, tip_steps
 from ctr_nlp.forward import other_way
 from ctr_nlp.frames import FrameResult, reachable, starts
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import check_model
 from ctr_nlp.problem import Problem
 from ctr_nlp.settings import Settings, check_choice
 from ctr_nlp.solvers import SOLVERS, Solution, default_solver
@@ -48,7 +48,7 @@ class NlpFrames:
     ) -> None:
         """Build the NLPs; raises OptionError for names that do not exist."""
         check_choice("formulation", formulation, FORMULATIONS)
-        check_choice("model", model, MODELS)
+        check_model(problem.robot, model)
         solver = default_solver() if solver is None else solver
         check_choice("solver", solver, SOLVERS)
         self.problem = problem

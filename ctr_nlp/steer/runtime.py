@@ -9,9 +9,9 @@ import numpy.typing as npt
 
 from ctr_nlp.errors import OptionError
 from ctr_nlp.formulations.joint import STRIDE, joint, tip_steps
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import check_model
 from ctr_nlp.robot import Robot
-from ctr_nlp.settings import Settings, check_choice
+from ctr_nlp.settings import Settings
 from ctr_nlp.solvers.adapter import FEASIBLE, OPTIMAL
 from ctr_nlp.solvers.sqp import Program
 from ctr_nlp.steer.nlp_frames import DEFAULTS
@@ -41,7 +41,7 @@ class Steerer:
         """
         if not (math.isfinite(dt) and dt > 0):
             raise OptionError(f"dt is {dt} s; it must be a finite number > 0")
-        check_choice("model", model, MODELS)
+        check_model(robot, model)
         self.q = np.array(q, dtype=float)
         robot.check(self.q, "q")
         (stage,) = joint(robot, settings, model)

@@ -1,0 +1,62 @@
+"""Points that are to be a path: which of them no curve can lead through."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.errors import CurveError
+from ctr_nlp.values import frozen
+
+Array = npt.NDArray[np.float64]
+
+LEAST_POINTS = 4
+SHORTEST_MM = 1.0
+"""A path shorter than this was almost surely written in metres."""
+LONGEST_MM = 1e5
+"""Nor was a longer one written in millimetres."""
+REPEATED_MM = 1e-6
+"""Neighbouring points closer than this are one point given twice."""
+
+
+def checked_points(points: npt.ArrayLike) -> Array:
+    """A read-only copy of points (n, 3) in mm that a curve can lead through; raises CurveError."""
+    try:
+        given = frozen(np.array(points, dtype=float))
+    except (TypeError, ValueError) as error:
+        raise CurveError(f"points are no array of numbers ({error}); a centreline is (n, 3) in mm") from error
+    if given.ndim != 2 or given.shape[1] != 3:
+        raise CurveError(f"points have shape {given.shape}; a centreline is (n, 3)")
+    if len(given) < LEAST_POINTS:
+        raise CurveError(f"{len(given)} points; a centreline needs at least {LEAST_POINTS}")
+    check_finite(given)
+    steps = np.linalg.norm(np.diff(given, axis=0), axis=1)
+    if steps.sum() < SHORTEST_MM:
+        raise CurveError(
+            f"the path is {steps.sum():.3g} long; coordinates must be in millimetres, and these look like metres"
+        )
+    if steps.sum() > LONGEST_MM:
+        raise CurveError(f"the path is {steps.sum():.3g} mm long; it must be at most {LONGEST_MM:g} mm")
+    repeated = np.flatnonzero(steps < REPEATED_MM)
+    if repeated.size:
+        i = repeated[0]
+        raise CurveError(f"points {i + 1} and {i + 2} are the same, {given[i].tolist()}; no point may be repeated")
+    return given
+
+
+def check_finite(points: Array) -> None:
+    """Raise CurveError unless all coordinates of points (n, 3) are finite."""
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if bad.size:
+        raise CurveError(f"point {bad[0] + 1} is {points[bad[0]].tolist()}; coordinates must be finite")
+
+
+def checked_radii(radius: npt.ArrayLike, count: int) -> Array:
+    """A read-only copy of the lumen's radii (count,) in mm; raises CurveError."""
+    try:
+        radii = frozen(np.array(radius, dtype=float))
+    except (TypeError, ValueError):
+        radii = np.empty(0)
+    if radii.shape != (count,) or not (np.isfinite(radii) & (radii > 0)).all():
+        raise CurveError(f"lumen radii must be {count} positive finite numbers in mm, one a point")
+    return radii
