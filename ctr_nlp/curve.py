@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scipy.interpolate import BSpline, CubicHermiteSpline, CubicSpline, PchipInterpolator, make_smoothing_spline
 
 from ctr_nlp.errors import CurveError
-from ctr_nlp.points import checked_points, checked_radii
+from ctr_nlp.points import checked_points, checked_radii, symbolic_point
 from ctr_nlp.smoothing import evened
 from ctr_nlp.values import floats, number
 
@@ -147,26 +147,12 @@ def curve_from_formula(formula: Callable[[Any], tuple[Any, Any, Any]], start: fl
     if not start < stop:
         raise CurveError(f"parameter range is [{start}, {stop}]; it must be finite and grow")
     u = ca.SX.sym("u")
-    x = _point(formula, u)
+    x = symbolic_point(formula, u)
     orders = [x, ca.jacobian(x, u)]
     orders.append(ca.jacobian(orders[1], u))
     functions = [ca.Function(f"d{i}", [u], [expression]) for i, expression in enumerate(orders)]
     breaks = np.linspace(start, stop, CELLS + 1)
     return _by_arc_length(lambda v, order: functions[order](v[None]).full().T, breaks)
-
-
-def _point(formula: Callable[[Any], tuple[Any, Any, Any]], u: ca.SX) -> ca.SX:
-    """The point (3, 1) that a formula gives for a symbol; raises CurveError where it does not."""
-    try:
-        x = ca.vertcat(*(ca.SX(c) for c in formula(u)))
-    except (TypeError, ValueError, NotImplementedError, RuntimeError, AttributeError) as error:
-        raise CurveError(
-            f"formula cannot be evaluated for a symbol of CasADi: {error}; write it with CasADi's "
-            "functions, such as casadi.cos"
-        ) from error
-    if x.shape != (3, 1) or not all(ca.is_equal(s, u) for s in ca.symvar(x)):
-        raise CurveError(f"formula gives {x}; it must give three coordinates that depend on its argument alone")
-    return x
 
 
 def curve_from_points(points: npt.ArrayLike, radius: npt.ArrayLike | None = None, smoothing: float = 0.0) -> Curve:

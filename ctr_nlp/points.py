@@ -1,7 +1,11 @@
-"""Points that are to be a path: which of them no curve can lead through."""
+"""Points that are to be a path, given or by a formula: which of them no curve can lead through."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
@@ -60,3 +64,17 @@ def checked_radii(radius: npt.ArrayLike, count: int) -> Array:
     if radii.shape != (count,) or not (np.isfinite(radii) & (radii > 0)).all():
         raise CurveError(f"lumen radii must be {count} positive finite numbers in mm, one a point")
     return radii
+
+
+def symbolic_point(formula: Callable[[Any], tuple[Any, Any, Any]], u: ca.SX) -> ca.SX:
+    """The point (3, 1) that a formula gives for a symbol; raises CurveError where it does not."""
+    try:
+        x = ca.vertcat(*(ca.SX(c) for c in formula(u)))
+    except (TypeError, ValueError, NotImplementedError, RuntimeError, AttributeError) as error:
+        raise CurveError(
+            f"formula cannot be evaluated for a symbol of CasADi: {error}; write it with CasADi's "
+            "functions, such as casadi.cos"
+        ) from error
+    if x.shape != (3, 1) or not all(ca.is_equal(s, u) for s in ca.symvar(x)):
+        raise CurveError(f"formula gives {x}; it must give three coordinates that depend on its argument alone")
+    return x

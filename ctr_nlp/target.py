@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -61,11 +62,9 @@ class Target:
             raise ProblemError(f"a target has {len(self.curves)} curves and {len(self.lengths)} lengths; one each")
         for frame, (curve, length) in enumerate(zip(self.curves, self.lengths, strict=True), start=1):
             instance(ProblemError, f"curve {frame} of a target", curve, Curve)
-            most = curve.length * (1 + ROUNDING)
             allowed = f"be a number of mm in (0, {curve.length:g}], the length of its curve"
-            number(
-                ProblemError, f"length {frame} of a target", length, lambda x, most=most: 0 < x <= most, allowed
-            )
+            within = functools.partial(_within, curve.length * (1 + ROUNDING))
+            number(ProblemError, f"length {frame} of a target", length, within, allowed)
 
     def __len__(self) -> int:
         return len(self.curves)
@@ -123,5 +122,15 @@ def _sampled(curve: Curve, length: float) -> Frame:
     middle = curve.curvature((fine[1:] + fine[:-1]) / 2)
     turning = np.concatenate([[0.0], np.cumsum(middle * np.diff(fine))])[::FINER]
     radius = None if curve.radius is None else curve.radius(s)
-    at = (frozen(values) for values in (curve.point(s), curve.tangent(s), curve.curvature(s), turning))
-    return Frame(*at, length, None if radius is None else frozen(radius))
+    return Frame(
+        frozen(curve.point(s)),
+        frozen(curve.tangent(s)),
+        frozen(curve.curvature(s)),
+        frozen(turning),
+        length,
+        None if radius is None else frozen(radius),
+    )
+
+
+def _within(most: float, length: float) -> bool:
+    return 0 < length <= most

@@ -65,6 +65,13 @@ def instance(error: type[CtrError], name: str, value: Any, kind: type) -> None:
         raise error(f"{name} is {value!r:.80}; it must be a {kind.__name__}")
 
 
+def checked_path(error: type[CtrError], path: Any) -> Path:
+    """A path, or error where it is none."""
+    if not isinstance(path, str | Path) or "\0" in str(path):
+        raise error(f"path is {path!r:.80}; it must be the path of a file")
+    return Path(path)
+
+
 def floats(error: type[CtrError], name: str, value: Any, shape: tuple[int | None, ...], unit: str = "") -> Array:
     """A read-only copy of finite numbers of a shape (None for any length), or error."""
     try:
@@ -115,7 +122,7 @@ def strict_json(value: Any) -> Any:
     return str(float(value)) if isinstance(value, float) and math.isinf(value) else value
 
 
-def frozen(array: npt.ArrayLike) -> Array:
+def frozen(array: npt.ArrayLike) -> Any:
     """A read-only copy of an array of numbers, which nobody else holds."""
     copy = np.array(array)
     copy.flags.writeable = False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -12,18 +13,17 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.errors import RobotError
+from ctr_nlp.robot.checks import TURN, check_angle, check_pair, sequence_of_tubes
 from ctr_nlp.robot.limits import Limits
 from ctr_nlp.robot.strain import check_deployed
 from ctr_nlp.robot.tube import LENGTHS, Tube
-from ctr_nlp.robot.units import angle_meant, did_you_mean, in_other_units, length_meant
+from ctr_nlp.robot.units import angle_meant, did_you_mean, length_meant
 from ctr_nlp.values import described, frozen, numbers, pairs, read_toml, strict_json
 
 Array = npt.NDArray[np.float64]
 
 MM_PER_RAD = 10.0
 """What one radian counts as in the motion term and the roughness, in mm: the W of the design."""
-TURN = {"alpha": 20 * math.pi, "theta": 2 * math.pi}
-"""Largest angles, rad: ten turns of a tube, beyond what any motor's cables bear, and one of the base."""
 KEYS = ("name", "tubes", "limits")
 """Of a robot file."""
 
@@ -41,11 +41,11 @@ class Robot:
     limits: Limits = field(default_factory=Limits)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "tubes", _sequence_of_tubes(self.tubes))
+        object.__setattr__(self, "tubes", sequence_of_tubes(self.tubes))
         if not isinstance(self.limits, Limits):
             raise RobotError(f"limits of a robot are {self.limits!r}; they must be Limits(...)")
         for i, (outer, inner) in enumerate(zip(self.tubes, self.tubes[1:], strict=False), start=1):
-            _check_pair(i, outer, inner)
+            check_pair(i, outer, inner)
         self._check_limits()
         self._check_extensions()
         check_deployed(self.tubes, self.deployed.tolist())
@@ -57,7 +57,7 @@ class Robot:
                 raise RobotError(f"limits of {name} are [{lo:g}, {hi:g}]; the lower must not exceed the upper")
             for end in (lo, hi):
                 if name.partition("_")[0] in TURN and math.isfinite(end):
-                    _check_angle(f"limits of {name} are [{lo:g}, {hi:g}] rad, and {end:g}", name, end)
+                    check_angle(f"limits of {name} are [{lo:g}, {hi:g}] rad, and {end:g}", name, end)
         for name in ("speed", "acceleration"):
             for axis, value in zip(self.axes, getattr(self, name), strict=True):
                 if not value > 0:
@@ -74,7 +74,7 @@ class Robot:
                     "the tube's length"
                 )
             if 0 < hi < LENGTHS[0]:
-                meant = length_meant(hi, lambda mm, most=tube.length: LENGTHS[0] <= mm <= most)
+                meant = length_meant(hi, functools.partial(_between, LENGTHS[0], tube.length))
                 raise RobotError(
                     f"the upper limit of {name} is {hi:g} mm; it must be 0, or at least {LENGTHS[0]:g} mm"
                     f"{did_you_mean(meant)}"
@@ -193,12 +193,12 @@ class Robot:
         for axis, value, lo, hi in zip(self.axes, q, self.lower, self.upper, strict=True):
             if not (math.isfinite(value) and lo - tolerance <= value <= hi + tolerance):
                 turned = math.isfinite(value) and axis.partition("_")[0] in TURN
-                meant = angle_meant(value, lambda rad, lo=lo, hi=hi: lo <= rad <= hi) if turned else []
+                meant = angle_meant(value, functools.partial(_between, lo, hi)) if turned else []
                 raise RobotError(
                     f"{axis} of {name} is {value:g}; it must lie in [{lo:g}, {hi:g}]{did_you_mean(meant)}"
                 )
             if axis.partition("_")[0] == "alpha":
-                _check_angle(f"{axis} of {name} is {value:g} rad, and it", axis, value)
+                check_angle(f"{axis} of {name} is {value:g} rad, and it", axis, value)
         beta = self.split(q)[1]
         for i, growth in enumerate(np.diff(beta), start=1):
             if growth < -tolerance:
@@ -250,43 +250,8 @@ def configuration(name: str, q: Any) -> Array:
         raise RobotError(f"{name} is {q!r}; it must be numbers, in rad and mm") from error
 
 
-def _sequence_of_tubes(tubes: Any) -> tuple[Tube, ...]:
-    found = tuple(tubes) if isinstance(tubes, list | tuple) else None
-    if found is None or not all(isinstance(tube, Tube) for tube in found):
-        raise RobotError(f"tubes of a robot are {tubes!r}; give a sequence of Tube(...), the outermost first")
-    if not found:
-        raise RobotError("a robot without tubes; give at least one")
-    return found
-
-
-def _check_pair(i: int, outer: Tube, inner: Tube) -> None:
-    """Raise RobotError unless tube i + 1 fits into tube i, from 1, and both are written in the same units."""
-    if outer.inner_diameter < inner.outer_diameter:
-        if inner.inner_diameter >= outer.outer_diameter:
-            raise RobotError(f"tubes {i} and {i + 1} are in the wrong order: the outermost must come first")
-        raise RobotError(
-            f"tubes {i} and {i + 1} do not nest: inner_diameter of tube {i} is {outer.inner_diameter:g} mm, "
-            f"outer_diameter of tube {i + 1} is {inner.outer_diameter:g} mm"
-        )
-    if outer.length > inner.length:
-        raise RobotError(
-            f"length of tube {i} is {outer.length:g} mm and of tube {i + 1} {inner.length:g} mm: "
-            "an inner tube must be at least as long as the one around it"
-        )
-    off = in_other_units(outer.youngs_modulus, inner.youngs_modulus)
-    if off is not None:
-        raise RobotError(
-            f"youngs_modulus of tubes {i} and {i + 1} are {outer.youngs_modulus:g} and {inner.youngs_modulus:g}, "
-            f"about {off:.0e} apart; they must be in the same unit: is one in GPa and the other in MPa?"
-        )
-
-
-def _check_angle(what: str, axis: str, value: float) -> None:
-    """Raise RobotError where an angle is larger than any drive's; what: the message up to "must lie in"."""
-    most = TURN[axis.partition("_")[0]]
-    if abs(value) > most * (1 + 1e-9):
-        meant = angle_meant(value, lambda rad: abs(rad) <= most)
-        raise RobotError(f"{what} must lie in [{-most:.4g}, {most:.4g}] rad{did_you_mean(meant)}")
+def _between(low: float, high: float, value: float) -> bool:
+    return low <= value <= high
 
 
 def _numbered(number: int, data: dict[str, Any]) -> Tube:

@@ -35,9 +35,9 @@ def curvature_meant(value: float, plausible: Plausible) -> list[str]:
 
 
 def angle_meant(value: float, plausible: Plausible) -> list[str]:
-    """The angle in rad that one in degrees was meant to be; no angle within a turn is taken for one in degrees."""
+    """The angle in rad that one in degrees was meant to be; within two turns none is taken for degrees."""
     radians = math.radians(value)
-    return [f"{radians:.4g} rad ({value:g} degrees)"] if abs(value) > 2 * math.pi and plausible(radians) else []
+    return [f"{radians:.4g} rad ({value:g} degrees)"] if abs(value) > 4 * math.pi and plausible(radians) else []
 
 
 def in_other_units(first: float, second: float) -> float | None:
