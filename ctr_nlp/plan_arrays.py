@@ -43,7 +43,7 @@ def check_meta(meta: Any) -> None:
     if not isinstance(meta["problem"].get("name"), str):
         raise OutputError(f"name of meta's problem is {meta['problem'].get('name')!r:.60}; it must be a str")
     for key in ("model", "evaluated"):
-        if meta.get(key, "dominant") not in MODELS:
+        if str(meta.get(key, "dominant")) not in MODELS:
             raise OutputError(f"{key} of meta is {meta[key]!r:.60}; it must be one of {', '.join(MODELS)}")
 
 

@@ -75,8 +75,8 @@ def checked_path(error: type[CtrError], path: Any) -> Path:
 def floats(error: type[CtrError], name: str, value: Any, shape: tuple[int | None, ...], unit: str = "") -> Array:
     """A read-only copy of finite numbers of a shape (None for any length), or error."""
     try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
+        array = plain_floats(value)
+    except (TypeError, ValueError, OverflowError):
         raise error(f"{name} is {value!r:.80}; it must be numbers{unit}") from None
     if len(array.shape) != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
         wanted = ", ".join("n" if n is None else str(n) for n in shape) + "," * (len(shape) == 1)
@@ -87,15 +87,30 @@ def floats(error: type[CtrError], name: str, value: Any, shape: tuple[int | None
     return frozen(array)
 
 
+def plain_floats(value: Any) -> Array:
+    """Numbers, or lists of them, as an array; raises TypeError or ValueError where some are none.
+
+    Words and truth values are no numbers, but "inf" and "-inf" are, as strict_json writes them.
+    """
+    if isinstance(value, list | tuple):
+        return np.array([plain_floats(item) for item in value])
+    if isinstance(value, str) and value not in ("inf", "-inf"):
+        raise ValueError(f"{value!r} is no number")
+    array = np.asarray(value)
+    if array.dtype.kind not in "iufU":
+        raise TypeError(f"{value!r:.60} is no number")
+    return array.astype(float)
+
+
 def numbers(name: str, value: Any, size: int, infinite: bool = False) -> Array:
     """A number, or size of them, as (size,)."""
     try:
-        array = np.broadcast_to(np.asarray(value, dtype=float), (size,))
+        array = np.broadcast_to(plain_floats(value), (size,))
     except (TypeError, ValueError) as error:
         raise RobotError(
             f"{name} is {value!r}; it must be a number" + (f" or {size} of them" * (size > 1))
         ) from error
-    if isinstance(value, bool) or np.isnan(array).any() or (not infinite and np.isinf(array).any()):
+    if np.isnan(array).any() or (not infinite and np.isinf(array).any()):
         raise RobotError(f"{name} is {value!r}; it must be a {'' if infinite else 'finite '}number")
     return array
 
@@ -103,7 +118,7 @@ def numbers(name: str, value: Any, size: int, infinite: bool = False) -> Array:
 def pairs(name: str, value: Any, size: int) -> Array:
     """A (lower, upper), or size of them, as (size, 2)."""
     try:
-        array = np.asarray(value, dtype=float)
+        array = plain_floats(value)
         if array.shape in ((2,), (size, 2)):
             return np.broadcast_to(array, (size, 2))
     except (TypeError, ValueError):
