@@ -215,7 +215,7 @@ def _by_arc_length(derivative: Derivative, breaks: Array, bending: Derivative | 
     speeds = np.linalg.norm(derivative(u, 1), axis=1).reshape(len(width), -1)
     s = np.concatenate([[0.0], np.cumsum(speeds @ weights * width / 2)])
     at_breaks = np.linalg.norm(derivative(breaks, 1), axis=1)
-    if not np.isfinite(s[-1]) or (at_breaks <= 0).any() or (np.diff(s) <= 0).any():
+    if not np.isfinite([s[-1], *at_breaks]).all() or (at_breaks <= 0).any() or (np.diff(s) <= 0).any():
         raise CurveError("the curve stands still or leaves the finite numbers somewhere in its range")
     bent = bending or derivative
     to_parameter = CubicHermiteSpline(s, breaks, 1 / at_breaks)

@@ -26,9 +26,12 @@ REPEATED_MM = 1e-6
 def checked_points(points: npt.ArrayLike) -> Array:
     """A read-only copy of points (n, 3) in mm that a curve can lead through; raises CurveError."""
     try:
-        given = frozen(np.array(points, dtype=float))
-    except (TypeError, ValueError) as error:
+        given = np.asarray(points)
+    except ValueError as error:
         raise CurveError(f"points are no array of numbers ({error}); a centreline is (n, 3) in mm") from error
+    if given.dtype.kind not in "iuf":
+        raise CurveError(f"points are no array of numbers but of {given.dtype}; a centreline is (n, 3) in mm")
+    given = frozen(given.astype(float))
     if given.ndim != 2 or given.shape[1] != 3:
         raise CurveError(f"points have shape {given.shape}; a centreline is (n, 3)")
     if len(given) < LEAST_POINTS:

@@ -25,8 +25,8 @@ Array = npt.NDArray[np.float64]
 def read_toml(path: str | Path) -> dict[str, Any]:
     """What a TOML file holds."""
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        return tomllib.loads(checked_path(RobotError, path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, RecursionError, tomllib.TOMLDecodeError) as error:
         raise RobotError(str(error)) from error
 
 
@@ -97,7 +97,7 @@ def plain_floats(value: Any) -> Array:
     if isinstance(value, str) and value not in ("inf", "-inf"):
         raise ValueError(f"{value!r} is no number")
     array = np.asarray(value)
-    if array.dtype.kind not in "iufU":
+    if array.dtype.kind not in ("U" if isinstance(value, str) else "iuf"):
         raise TypeError(f"{value!r:.60} is no number")
     return array.astype(float)
 

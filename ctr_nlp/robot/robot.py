@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -179,14 +179,18 @@ class Robot:
 
     def with_limits(self, **limits: Any) -> Robot:
         """The same robot with some of its Limits replaced; raises RobotError."""
+        allowed = [f.name for f in fields(Limits)]
+        unknown = sorted(set(limits) - set(allowed))
+        if unknown:
+            raise RobotError(f"unknown limit {unknown[0]!r}; allowed are {', '.join(allowed)}")
         return replace(self, limits=replace(self.limits, **limits))
 
     def with_locked_tilt(self) -> Robot:
         """The same robot without an arm: theta stays 0."""
         return self.with_limits(theta=(0.0, 0.0))
 
-    def check(self, q: Array, name: str = "q", tolerance: float = 1e-6) -> None:
-        """Raise RobotError unless q (2d + 2,) is finite and keeps limits and order to tolerance (rad, mm)."""
+    def check(self, q: npt.ArrayLike, name: str = "q", tolerance: float = 1e-6) -> Array:
+        """The array of q (2d + 2,); raises RobotError unless it keeps limits and order to tolerance (rad, mm)."""
         q = configuration(name, q)
         if q.shape != (2 * self.d + 2,):
             raise RobotError(f"{name} has shape {q.shape}; it must be ({2 * self.d + 2},): {', '.join(self.axes)}")
@@ -211,6 +215,7 @@ class Robot:
                 raise RobotError(
                     f"carriages {i} and {i + 1} of {name} are {clearance:g} mm apart; carriage_gap is {gap:g} mm"
                 )
+        return q
 
     def to_dict(self) -> dict[str, Any]:
         """Numbers, strings and lists as a robot file holds them, fit for strict JSON (no limit is "inf")."""

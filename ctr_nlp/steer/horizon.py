@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ctr_nlp import tracking
 from ctr_nlp.chain import Chain
-from ctr_nlp.errors import OptionError
+from ctr_nlp.errors import OptionError, ProblemError
 from ctr_nlp.formulations.contact import Wall, wall_of
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.models import check_model
@@ -42,7 +42,7 @@ from ctr_nlp.steer.motions import per_frame_motions, wandered
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.realised import realised
-from ctr_nlp.values import strict_json
+from ctr_nlp.values import floats, instance, strict_json, whole_number
 
 Array = npt.NDArray[np.float64]
 
@@ -98,6 +98,8 @@ class Horizon:
         settings: Settings = DEFAULTS,
     ) -> None:
         """Build; raises OptionError, RobotError, and ProblemError where no motion can keep the limits."""
+        instance(ProblemError, "problem", problem, Problem)
+        instance(OptionError, "settings", settings, Settings)
         check_model(problem.robot, model, "model of a horizon")
         solver = default_chain_solver() if solver is None else solver
         check_choice("solver of a horizon", solver, CHAIN_SOLVERS)
@@ -127,10 +129,12 @@ class Horizon:
         """The plan; as solve_horizon."""
         settings, model = self._settings, self._names["model"]
         for name, count in (("starts", starts), ("jobs", jobs)):
-            if count is not None and count < 1:
-                raise OptionError(f"{name} is {count}; it must be at least 1")
+            if count is not None:
+                whole_number(OptionError, name, count)
         if motion_weight is not None:
             check_motion_weight(motion_weight)
+        if not isinstance(initial, Sequence | np.ndarray) or isinstance(initial, str):
+            raise OptionError(f"initial is {initial!r:.80}; it must be a sequence of motions")
         given = [x for motion in initial for x in self._unknowns(self._checked_motion(motion))]
         with deferred_interrupt() as interrupted:
             begin = time.perf_counter()
@@ -262,15 +266,8 @@ class Horizon:
         return [tracking.follow(robot, motion).x, np.array([tracking.untwisted(robot, q) for q in motion])]
 
     def _checked_end(self, q: npt.ArrayLike | None, name: str) -> Array | None:
-        if q is None:
-            return None
-        found = np.asarray(q, dtype=float)
-        self.problem.robot.check(found, name)
-        return found
+        return None if q is None else self.problem.robot.check(q, name)
 
     def _checked_motion(self, motion: npt.ArrayLike) -> Array:
-        found = np.asarray(motion, dtype=float)
         expected = (self.problem.frames, len(self.problem.robot.axes))
-        if found.shape != expected or not np.isfinite(found).all():
-            raise OptionError(f"initial has a motion of shape {found.shape}; it must be {expected}, all finite")
-        return found
+        return floats(OptionError, "a motion of initial", motion, expected)

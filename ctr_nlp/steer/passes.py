@@ -15,6 +15,7 @@ from ctr_nlp.forward import simulated
 from ctr_nlp.frames import FrameResult, FrameSolver
 from ctr_nlp.metrics import rms_over_sigma
 from ctr_nlp.problem import Problem
+from ctr_nlp.settings import check_choice
 from ctr_nlp.steer.interrupt import deferred_interrupt
 
 Array = npt.NDArray[np.float64]
@@ -85,12 +86,9 @@ def run_passes(
     start: q at time 0; end: q of the last frame. A motion leads from the first forward, from the second
     backward. Ctrl-C, held back by the caller, ends each run after its next frame.
     """
-    if direction not in DIRECTIONS:
-        raise OptionError(f"direction is {direction!r}; it must be one of {', '.join(DIRECTIONS)}")
-    q0, q1 = (None if q is None else np.asarray(q, dtype=float) for q in (start, end))
-    for name, q in (("start", q0), ("end", q1)):
-        if q is not None:
-            problem.robot.check(q, name)
+    check_choice("direction", direction, DIRECTIONS)
+    ends = (("start", start), ("end", end))
+    q0, q1 = (None if q is None else problem.robot.check(q, name) for name, q in ends)
     if q0 is not None and direction == "backward":
         raise OptionError("direction is 'backward' and a start is given; a motion from a start goes forward")
     begin = time.perf_counter()
