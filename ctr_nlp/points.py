@@ -78,6 +78,10 @@ def symbolic_point(formula: Callable[[Any], tuple[Any, Any, Any]], u: ca.SX) -> 
             f"formula cannot be evaluated for a symbol of CasADi: {error}; write it with CasADi's "
             "functions, such as casadi.cos"
         ) from error
+    if any(c.is_constant() and not c.is_regular() for c in ca.vertsplit(x)):
+        raise CurveError(
+            f"formula gives {x}, which is not finite; write it with CasADi's functions, as casadi.cos"
+        )
     if x.shape != (3, 1) or not all(ca.is_equal(s, u) for s in ca.symvar(x)):
         raise CurveError(f"formula gives {x}; it must give three coordinates that depend on its argument alone")
     return x

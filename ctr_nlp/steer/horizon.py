@@ -14,13 +14,13 @@ import numpy.typing as npt
 
 from ctr_nlp import tracking
 from ctr_nlp.chain import Chain
-from ctr_nlp.errors import OptionError, ProblemError
+from ctr_nlp.errors import OptionError
 from ctr_nlp.formulations.contact import Wall, wall_of
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.models import check_model
 from ctr_nlp.plan import Plan, plan_from_configurations
 from ctr_nlp.problem import Problem
-from ctr_nlp.settings import Settings, check_choice, check_motion_weight
+from ctr_nlp.settings import Settings, check_choice
 from ctr_nlp.solvers import CHAIN_SOLVERS, default_chain_solver
 from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.steer.attempts import (
@@ -42,7 +42,8 @@ from ctr_nlp.steer.motions import per_frame_motions, wandered
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.realised import realised
-from ctr_nlp.values import floats, instance, strict_json, whole_number
+from ctr_nlp.steer.requests import check_described, check_search, checked_ends, checked_motions
+from ctr_nlp.values import strict_json
 
 Array = npt.NDArray[np.float64]
 
@@ -81,8 +82,11 @@ def solve_horizon(
     the work; the plan is then the best feasible one so far, marked as interrupted. Raises OptionError,
     ProblemError, RobotError.
     """
+    check_described(problem, settings)
+    check_search(motion_weight, starts, jobs)
+    motions = checked_motions(problem, initial)
     whole = Horizon(problem, model, solver, start, end, settings)
-    return whole.solve(initial, motion_weight, starts, jobs, progress, seen)
+    return whole.solve(motions, motion_weight, starts, jobs, progress, seen)
 
 
 class Horizon:
@@ -98,8 +102,6 @@ class Horizon:
         settings: Settings = DEFAULTS,
     ) -> None:
         """Build; raises OptionError, RobotError, and ProblemError where no motion can keep the limits."""
-        instance(ProblemError, "problem", problem, Problem)
-        instance(OptionError, "settings", settings, Settings)
         check_model(problem.robot, model, "model of a horizon")
         solver = default_chain_solver() if solver is None else solver
         check_choice("solver of a horizon", solver, CHAIN_SOLVERS)
@@ -108,7 +110,7 @@ class Horizon:
         check_growth(problem)
         begin = time.perf_counter()
         self.problem = problem
-        self.ends = Ends(self._checked_end(start, "start"), self._checked_end(end, "end"))
+        self.ends = Ends(*checked_ends(problem, "best", start, end))
         self._names = {"formulation": "horizon", "model": model, "solver": solver}
         self._settings, self._wall = settings, wall_of(problem.robot, problem.lumen, model, settings)
         at = problem.robot, problem.samples, problem.dt, 1.0, self.ends
@@ -128,14 +130,8 @@ class Horizon:
     ) -> Plan:
         """The plan; as solve_horizon."""
         settings, model = self._settings, self._names["model"]
-        for name, count in (("starts", starts), ("jobs", jobs)):
-            if count is not None:
-                whole_number(OptionError, name, count)
-        if motion_weight is not None:
-            check_motion_weight(motion_weight)
-        if not isinstance(initial, Sequence | np.ndarray) or isinstance(initial, str):
-            raise OptionError(f"initial is {initial!r:.80}; it must be a sequence of motions")
-        given = [x for motion in initial for x in self._unknowns(self._checked_motion(motion))]
+        check_search(motion_weight, starts, jobs)
+        given = [x for motion in checked_motions(self.problem, initial) for x in self._unknowns(motion)]
         with deferred_interrupt() as interrupted:
             begin = time.perf_counter()
             found = given or per_frame_motions(self.problem, self.ends, settings, progress, model)
@@ -264,10 +260,3 @@ class Horizon:
             return [motion]
         robot = self.problem.robot
         return [tracking.follow(robot, motion).x, np.array([tracking.untwisted(robot, q) for q in motion])]
-
-    def _checked_end(self, q: npt.ArrayLike | None, name: str) -> Array | None:
-        return None if q is None else self.problem.robot.check(q, name)
-
-    def _checked_motion(self, motion: npt.ArrayLike) -> Array:
-        expected = (self.problem.frames, len(self.problem.robot.axes))
-        return floats(OptionError, "a motion of initial", motion, expected)

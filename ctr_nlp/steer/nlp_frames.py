@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.errors import OptionError, ProblemError
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.contact import ROUNDS, SETTLED, Wall, wall_of
 from ctr_nlp.formulations.joint import joint, tip_steps
@@ -21,7 +20,7 @@ from ctr_nlp.models import check_model
 from ctr_nlp.problem import Problem
 from ctr_nlp.settings import Settings, check_choice
 from ctr_nlp.solvers import SOLVERS, Solution, default_solver
-from ctr_nlp.values import instance, strict_json
+from ctr_nlp.values import strict_json
 
 Array = npt.NDArray[np.float64]
 
@@ -48,8 +47,6 @@ class NlpFrames:
         settings: Settings = DEFAULTS,
     ) -> None:
         """Build the NLPs; raises OptionError, and ProblemError where the target is not known all along."""
-        instance(ProblemError, "problem", problem, Problem)
-        instance(OptionError, "settings", settings, Settings)
         check_choice("formulation", formulation, FORMULATIONS)
         check_model(problem.robot, model)
         solver = default_solver() if solver is None else solver
