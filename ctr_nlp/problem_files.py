@@ -83,7 +83,7 @@ def _tilting(robot: Robot, tilt: float | None) -> Robot:
     """The robot with its tilt within tilt rad about each axis too."""
     if tilt is None:
         return robot
-    if number(OptionError, "tilt", tilt, math.isfinite, "be a finite number", " rad") > math.pi or tilt < 0:
+    if not 0 <= number(OptionError, "tilt", tilt, lambda _: True, "be a number", " rad") <= math.pi:
         meant = did_you_mean(angle_meant(tilt, lambda rad: 0 <= rad <= math.pi))
         raise OptionError(
             f"tilt is {tilt:g} rad, {math.degrees(tilt):g} degrees; it must lie in [0, pi] rad{meant}"

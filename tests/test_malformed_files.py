@@ -30,7 +30,7 @@ ROBOT_FILES = [
     ("curved_length = 50 ", "curved_length = 95 ", r"curved_length is 95 mm; it must lie in \[0, length = 90\]"),
     ("curved_length = 50 ", "curved_length = 0.05 ", r"curved_length is 0\.05 mm.*did you mean 50 mm"),
     ("curvature = 0.016666666666667", "curvature = 66.7",
-     r"number 2: tube curvature 66\.7 per mm is a radius of 0\.015 mm; .*did you mean 1/66\.7 \(a radius of 66\.7"),
+     r"number 2: tube curvature 66\.7 per mm is a radius of 0\.015 mm; .*did you mean 1/66\.7"),
     ("curvature = 0.016666666666667", "curvature = 16.7",
      r"curvature 16\.7 per mm is a radius of 0\.06 mm.*did you mean 0\.0167 \(16\.7 per metre\)\?"),
     ("curvature = 0.0125", "curvature = 12.5",
