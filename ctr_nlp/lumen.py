@@ -47,6 +47,8 @@ class Lumen:
 
     def __init__(self, table: Array) -> None:
         self._table = floats(CurveError, "table of a lumen", table, (None, 4))
+        if (self._table[:, 3] <= 0).any():
+            raise CurveError(f"radius of a lumen is {self._table[:, 3].min():g} mm; it must be positive all along")
 
     @classmethod
     def around(cls, curve: Curve) -> Lumen:

@@ -73,6 +73,9 @@ class Plan:
             kept = read_only(given) if f.name == "meta" else None if given is None else frozen(given)
             object.__setattr__(self, f.name, kept)
 
+    def __reduce__(self) -> Any:
+        return Plan, tuple(getattr(self, f.name) for f in fields(self))
+
     @cached_property
     def robot(self) -> Robot:
         """The robot that the plan is for."""

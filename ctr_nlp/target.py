@@ -13,7 +13,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from ctr_nlp.curve import Curve
 from ctr_nlp.errors import ProblemError
-from ctr_nlp.values import frozen, instance, number, whole_number
+from ctr_nlp.values import floats, frozen, instance, number, whole_number
 
 Array = npt.NDArray[np.float64]
 
@@ -71,16 +71,8 @@ class Target:
 
     def sample(self) -> tuple[Frame, ...]:
         """The target at SIGMA, frame by frame; raises ProblemError where a curve is not known all along."""
-        frames = tuple(_sampled(curve, length) for curve, length in zip(self.curves, self.lengths, strict=True))
-        for number_of, frame in enumerate(frames, start=1):
-            for name, values in (
-                ("point", frame.points),
-                ("tangent", frame.tangents),
-                ("curvature", frame.curvature),
-            ):
-                if not np.isfinite(values).all():
-                    raise ProblemError(f"frame {number_of} of the target has a {name} that is not finite")
-        return frames
+        pairs = zip(self.curves, self.lengths, strict=True)
+        return tuple(_sampled(curve, length, frame) for frame, (curve, length) in enumerate(pairs, start=1))
 
 
 def growing(path: Curve, frames: int = 100) -> Target:
@@ -116,19 +108,21 @@ FINER = 8
 """Steps of the curvature's quadrature between two neighbours of SIGMA."""
 
 
-def _sampled(curve: Curve, length: float) -> Frame:
+def _sampled(curve: Curve, length: float, frame: int) -> Frame:
     s = SIGMA * length
     fine = np.linspace(0.0, length, FINER * (len(SIGMA) - 1) + 1)
-    middle = curve.curvature((fine[1:] + fine[:-1]) / 2)
-    turning = np.concatenate([[0.0], np.cumsum(middle * np.diff(fine))])[::FINER]
-    radius = None if curve.radius is None else curve.radius(s)
+
+    def known(name: str, values: Any, *shape: int) -> Array:
+        return floats(ProblemError, f"{name} of frame {frame} of the target", values, shape)
+
+    middle = known("curvature", curve.curvature((fine[1:] + fine[:-1]) / 2), len(fine) - 1)
     return Frame(
-        frozen(curve.point(s)),
-        frozen(curve.tangent(s)),
-        frozen(curve.curvature(s)),
-        frozen(turning),
+        known("point", curve.point(s), len(s), 3),
+        known("tangent", curve.tangent(s), len(s), 3),
+        known("curvature", curve.curvature(s), len(s)),
+        frozen(np.concatenate([[0.0], np.cumsum(middle * np.diff(fine))])[::FINER]),
         length,
-        None if radius is None else frozen(radius),
+        None if curve.radius is None else known("radius", curve.radius(s), len(s)),
     )
 
 

@@ -21,6 +21,9 @@ else:
 
 Array = npt.NDArray[np.float64]
 
+INFINITE = ("inf", "-inf")
+"""How strict JSON writes numbers that it has no word for."""
+
 
 def read_toml(path: str | Path) -> dict[str, Any]:
     """What a TOML file holds."""
@@ -94,7 +97,7 @@ def plain_floats(value: Any) -> Array:
     """
     if isinstance(value, list | tuple):
         return np.array([plain_floats(item) for item in value])
-    if isinstance(value, str) and value not in ("inf", "-inf"):
+    if isinstance(value, str) and value not in INFINITE:
         raise ValueError(f"{value!r} is no number")
     array = np.asarray(value)
     if array.dtype.kind not in ("U" if isinstance(value, str) else "iuf"):
@@ -145,7 +148,9 @@ def frozen(array: npt.ArrayLike) -> Any:
 
 
 def unchanging(value: Any) -> Any:
-    """Lists and arrays as tuples, all the way down; other values as they are."""
+    """Lists and arrays as tuples, all the way down, and "inf" of strict JSON as the number; others as they are."""
     if isinstance(value, np.ndarray | np.generic):
         return unchanging(value.tolist())
+    if isinstance(value, str) and value in INFINITE:
+        return float(value)
     return tuple(unchanging(item) for item in value) if isinstance(value, list | tuple) else value

@@ -50,6 +50,9 @@ class Robot:
         self._check_extensions()
         check_deployed(self.tubes, self.deployed.tolist())
 
+    def __reduce__(self) -> Any:
+        return Robot, (self.tubes, self.limits)
+
     def _check_limits(self) -> None:
         lower, upper = self.lower, self.upper
         for name, lo, hi in zip(self.axes, lower, upper, strict=True):
