@@ -19,6 +19,8 @@ SHORTEST_MM = 1.0
 """A path shorter than this was almost surely written in metres."""
 LONGEST_MM = 1e5
 """Nor was a longer one written in millimetres."""
+FARTHEST_MM = 1e6
+"""Largest coordinate."""
 REPEATED_MM = 1e-6
 """Neighbouring points closer than this are one point given twice."""
 
@@ -36,7 +38,7 @@ def checked_points(points: npt.ArrayLike) -> Array:
         raise CurveError(f"points have shape {given.shape}; a centreline is (n, 3)")
     if len(given) < LEAST_POINTS:
         raise CurveError(f"{len(given)} points; a centreline needs at least {LEAST_POINTS}")
-    check_finite(given)
+    check_coordinates(given)
     steps = np.linalg.norm(np.diff(given, axis=0), axis=1)
     if steps.sum() < SHORTEST_MM:
         raise CurveError(
@@ -51,11 +53,16 @@ def checked_points(points: npt.ArrayLike) -> Array:
     return given
 
 
-def check_finite(points: Array) -> None:
-    """Raise CurveError unless all coordinates of points (n, 3) are finite."""
+def check_coordinates(points: Array) -> None:
+    """Raise CurveError unless all coordinates of points (n, 3) in mm are finite and within a kilometre."""
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:
         raise CurveError(f"point {bad[0] + 1} is {points[bad[0]].tolist()}; coordinates must be finite")
+    far = np.flatnonzero(np.abs(points).max(axis=1, initial=0.0) > FARTHEST_MM)
+    if far.size:
+        raise CurveError(
+            f"point {far[0] + 1} is {points[far[0]].tolist()}; it must be within {FARTHEST_MM:g} mm of 0"
+        )
 
 
 def checked_radii(radius: npt.ArrayLike, count: int) -> Array:

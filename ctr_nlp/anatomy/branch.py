@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.errors import CurveError
-from ctr_nlp.points import LEAST_POINTS, LONGEST_MM, SHORTEST_MM, check_finite
+from ctr_nlp.points import LEAST_POINTS, LONGEST_MM, SHORTEST_MM, check_coordinates
 
 Array = npt.NDArray[np.float64]
 
@@ -61,7 +61,7 @@ def moved(points: npt.ArrayLike, transform: Array) -> Array:
 
 def check_points(points: Array) -> None:
     """Raise CurveError unless points (n, 3) are finite and can be coordinates in millimetres."""
-    check_finite(points)
+    check_coordinates(points)
     extent = float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
     if len(points) >= LEAST_POINTS and extent < SHORTEST_MM:
         raise CurveError(
