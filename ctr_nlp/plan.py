@@ -84,8 +84,7 @@ class Plan:
     @cached_property
     def q(self) -> Array:
         """Configurations (T, 2d + 2), eq. (5)."""
-        q: Array = frozen(np.concatenate([self.alpha, self.beta, self.theta], axis=1))
-        return q
+        return frozen(np.concatenate([self.alpha, self.beta, self.theta], axis=1))
 
     @property
     def dt(self) -> float:
@@ -105,8 +104,7 @@ class Plan:
     @cached_property
     def reached(self) -> npt.NDArray[np.bool_]:
         """Frames (T,) that have a shape, solved or not."""
-        known: npt.NDArray[np.bool_] = frozen(np.isfinite(self.shape).all(axis=(1, 2)))
-        return known
+        return frozen(np.asarray(np.isfinite(self.shape).all(axis=(1, 2))))
 
     @property
     def complete(self) -> bool:

@@ -18,7 +18,7 @@ from ctr_nlp.errors import CurveError, OptionError, RobotError
 from ctr_nlp.placing import placed, trimmed, unit
 from ctr_nlp.problem import Problem
 from ctr_nlp.robot import Robot, seed_robot
-from ctr_nlp.robot.units import angle_meant, did_you_mean
+from ctr_nlp.robot.units import angle_meant, between, did_you_mean
 from ctr_nlp.target import check_frames, growing
 from ctr_nlp.values import checked_path, instance, number
 
@@ -84,7 +84,7 @@ def _tilting(robot: Robot, tilt: float | None) -> Robot:
     if tilt is None:
         return robot
     if not 0 <= number(OptionError, "tilt", tilt, lambda _: True, "be a number", " rad") <= math.pi:
-        meant = did_you_mean(angle_meant(tilt, lambda rad: 0 <= rad <= math.pi))
+        meant = did_you_mean(angle_meant(tilt, between(0, math.pi)))
         raise OptionError(
             f"tilt is {tilt:g} rad, {math.degrees(tilt):g} degrees; it must lie in [0, pi] rad{meant}"
         )

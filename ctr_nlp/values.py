@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,7 @@ else:
     import tomli as tomllib
 
 Array = npt.NDArray[np.float64]
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 INFINITE = ("inf", "-inf")
 """How strict JSON writes numbers that it has no word for."""
@@ -75,12 +76,12 @@ def checked_path(error: type[CtrError], path: Any) -> Path:
     return Path(path)
 
 
-def floats(error: type[CtrError], name: str, value: Any, shape: tuple[int | None, ...], unit: str = "") -> Array:
+def floats(error: type[CtrError], name: str, value: Any, shape: tuple[int | None, ...]) -> Array:
     """A read-only copy of finite numbers of a shape (None for any length), or error."""
     try:
         array = plain_floats(value)
     except (TypeError, ValueError, OverflowError):
-        raise error(f"{name} is {value!r:.80}; it must be numbers{unit}") from None
+        raise error(f"{name} is {value!r:.80}; it must be numbers") from None
     if len(array.shape) != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
         wanted = ", ".join("n" if n is None else str(n) for n in shape) + "," * (len(shape) == 1)
         raise error(f"{name} has shape {array.shape}; it must be ({wanted})")
@@ -140,8 +141,8 @@ def strict_json(value: Any) -> Any:
     return str(float(value)) if isinstance(value, float) and math.isinf(value) else value
 
 
-def frozen(array: npt.ArrayLike) -> Any:
-    """A read-only copy of an array of numbers, which nobody else holds."""
+def frozen(array: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
+    """A read-only copy of an array, which nobody else holds."""
     copy = np.array(array)
     copy.flags.writeable = False
     return copy

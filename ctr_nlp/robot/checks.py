@@ -7,7 +7,7 @@ from typing import Any
 
 from ctr_nlp.errors import RobotError
 from ctr_nlp.robot.tube import Tube
-from ctr_nlp.robot.units import angle_meant, did_you_mean, in_other_units
+from ctr_nlp.robot.units import angle_meant, between, did_you_mean, in_other_units
 
 TURN = {"alpha": 20 * math.pi, "theta": 2 * math.pi}
 """Largest angles, rad: ten turns of a tube, beyond what any motor's cables bear, and one of the base."""
@@ -49,5 +49,5 @@ def check_angle(what: str, axis: str, value: float) -> None:
     """Raise RobotError where an angle is larger than any drive's; what: the message up to "must lie in"."""
     most = TURN[axis.partition("_")[0]]
     if abs(value) > most * (1 + 1e-9):
-        meant = angle_meant(value, lambda rad: abs(rad) <= most)
+        meant = angle_meant(value, between(-most, most))
         raise RobotError(f"{what} must lie in [{-most:.4g}, {most:.4g}] rad{did_you_mean(meant)}")

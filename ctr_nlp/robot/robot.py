@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
@@ -14,11 +13,12 @@ import numpy.typing as npt
 
 from ctr_nlp.errors import RobotError
 from ctr_nlp.robot.checks import TURN, check_angle, check_pair, sequence_of_tubes
+from ctr_nlp.robot.extensions import check_extensions, furthest
 from ctr_nlp.robot.limits import Limits
 from ctr_nlp.robot.strain import check_deployed
-from ctr_nlp.robot.tube import LENGTHS, Tube
-from ctr_nlp.robot.units import angle_meant, did_you_mean, length_meant
-from ctr_nlp.values import described, frozen, numbers, pairs, read_toml, strict_json
+from ctr_nlp.robot.tube import Tube
+from ctr_nlp.robot.units import angle_meant, between, did_you_mean
+from ctr_nlp.values import described, frozen, numbers, pairs, plain_floats, read_toml, strict_json
 
 Array = npt.NDArray[np.float64]
 
@@ -47,7 +47,8 @@ class Robot:
         for i, (outer, inner) in enumerate(zip(self.tubes, self.tubes[1:], strict=False), start=1):
             check_pair(i, outer, inner)
         self._check_limits()
-        self._check_extensions()
+        low, high = (self.split(ends)[1].tolist() for ends in (self.lower, self.upper))
+        check_extensions(self.tubes, low, high, self.carriage_gap)
         check_deployed(self.tubes, self.deployed.tolist())
 
     def __reduce__(self) -> Any:
@@ -66,43 +67,10 @@ class Robot:
                 if not value > 0:
                     raise RobotError(f"{name} of {axis} is {value:g}; it must be positive")
 
-    def _check_extensions(self) -> None:
-        """Some beta must keep limits, order and carriage gap; low to high is what those before leave to beta_i."""
-        gap, low, high = self.carriage_gap, 0.0, math.inf
-        for i, tube in enumerate(self.tubes):
-            name, lo, hi = f"beta_{i + 1}", self.lower[self.d + i], self.upper[self.d + i]
-            if lo < 0 or hi > tube.length:
-                raise RobotError(
-                    f"limits of {name} are [{lo:g}, {hi:g}] mm; they must lie in [0, {tube.length:g}], "
-                    "the tube's length"
-                )
-            if 0 < hi < LENGTHS[0]:
-                meant = length_meant(hi, functools.partial(_between, LENGTHS[0], tube.length))
-                raise RobotError(
-                    f"the upper limit of {name} is {hi:g} mm; it must be 0, or at least {LENGTHS[0]:g} mm"
-                    f"{did_you_mean(meant)}"
-                )
-            longer = tube.length - self.tubes[i - 1].length if i and gap is not None else math.inf
-            if gap is not None and gap > longer:
-                raise RobotError(
-                    f"carriage_gap is {gap:g} mm and tube {i + 1} only {longer:g} mm longer than tube {i}: with "
-                    f"beta_{i} <= {name}, it must be at most that"
-                )
-            low, high = max(low, lo), min(high + longer - (gap or 0.0), hi)
-            if low > high:
-                raise RobotError(
-                    f"limits of {name} leave no room: it must be at least {low:g} mm (order, lower limits) "
-                    f"and at most {high:g} mm (upper limits and carriage gap)"
-                )
-
     @cached_property
     def deployed(self) -> Array:
         """The largest beta (d,) mm that limits, order and carriage gap allow."""
-        beta, gap = self.split(self.upper)[1].copy(), self.carriage_gap
-        for i in range(1, self.d):
-            if gap is not None:
-                beta[i] = min(beta[i], beta[i - 1] + self.tubes[i].length - self.tubes[i - 1].length - gap)
-        return frozen(np.minimum.accumulate(beta[::-1])[::-1])
+        return furthest(self.tubes, self.split(self.upper)[1], self.carriage_gap)
 
     @cached_property
     def carriage_gap(self) -> float | None:
@@ -200,7 +168,7 @@ class Robot:
         for axis, value, lo, hi in zip(self.axes, q, self.lower, self.upper, strict=True):
             if not (math.isfinite(value) and lo - tolerance <= value <= hi + tolerance):
                 turned = math.isfinite(value) and axis.partition("_")[0] in TURN
-                meant = angle_meant(value, functools.partial(_between, lo, hi)) if turned else []
+                meant = angle_meant(value, between(lo, hi)) if turned else []
                 raise RobotError(
                     f"{axis} of {name} is {value:g}; it must lie in [{lo:g}, {hi:g}]{did_you_mean(meant)}"
                 )
@@ -253,13 +221,9 @@ class Robot:
 def configuration(name: str, q: Any) -> Array:
     """Numbers that are to be a configuration, or several, as an array of any shape; raises RobotError."""
     try:
-        return np.asarray(q, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise RobotError(f"{name} is {q!r}; it must be numbers, in rad and mm") from error
-
-
-def _between(low: float, high: float, value: float) -> bool:
-    return low <= value <= high
+        return plain_floats(q)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise RobotError(f"{name} is {q!r:.80}; it must be numbers, in rad and mm") from error
 
 
 def _numbered(number: int, data: dict[str, Any]) -> Tube:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, fields
 
 from ctr_nlp.errors import RobotError
-from ctr_nlp.robot.units import curvature_meant, did_you_mean, length_meant
+from ctr_nlp.robot.units import between, curvature_meant, did_you_mean, length_meant
 from ctr_nlp.values import numbers
 
 STRAIN_MADE = 0.08
@@ -86,7 +86,7 @@ class Tube:
             raise RobotError(f"tube curvature is {self.curvature}; it is unsigned (turn the tube instead)")
         largest, most = self.largest_curvature, min(CURVATURE, 2 * STRAIN_MADE / self.outer_diameter)
         if largest > CURVATURE:
-            meant = curvature_meant(largest, lambda curvature: curvature <= most)
+            meant = curvature_meant(largest, between(0, most))
             raise RobotError(
                 f"tube curvature {largest:g} per mm is a radius of {1 / largest:.2g} mm; it must be at most "
                 f"{most:.3g} per mm{did_you_mean(meant)}"
@@ -124,7 +124,7 @@ def _check_unit(name: str, value: float, allowed: tuple[float, float]) -> None:
     """Raise RobotError where a length in mm was likely written in another unit."""
     low, high = allowed
     if not low <= value <= high:
-        meant = length_meant(value, lambda mm: low <= mm <= high)
+        meant = length_meant(value, between(low, high))
         raise RobotError(
             f"tube {name} is {value:g} mm; it must lie in [{low:g}, {high:g}] mm{did_you_mean(meant)}"
         )

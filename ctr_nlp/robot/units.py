@@ -13,6 +13,11 @@ NEAR = 5.0
 """A ratio within this factor of a thousand, a million or a milliard is taken for a mistake of units."""
 
 
+def between(low: float, high: float) -> Plausible:
+    """Whether a number lies in [low, high]."""
+    return lambda value: low <= value <= high
+
+
 def did_you_mean(meant: Iterable[str]) -> str:
     """The end of a message that offers what was perhaps meant; nothing where there is nothing to offer."""
     offers = list(meant)
