@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
@@ -13,7 +14,9 @@ import numpy.typing as npt
 from scipy.interpolate import BSpline, CubicHermiteSpline, CubicSpline, PchipInterpolator, make_smoothing_spline
 
 from ctr_nlp.errors import CurveError
+from ctr_nlp.points import checked_points, checked_radii, symbolic_point
 from ctr_nlp.smoothing import evened
+from ctr_nlp.values import floats, number
 
 Array = npt.NDArray[np.float64]
 Field = Callable[[Array], Array]
@@ -21,15 +24,11 @@ Derivative = Callable[[Array, int], Array]
 
 CELLS = 2000
 """Cells of the table between a curve's parameter and its arc length."""
-SHORTEST_MM = 1.0
-"""A path shorter than this was almost surely written in metres."""
-LONGEST_MM = 1e5
-"""Nor was a longer one written in millimetres."""
-REPEATED_MM = 1e-6
-"""Neighbouring points closer than this are one point given twice."""
 SAMPLE_MM = 0.05
 """Places along a curve, at most so far apart, at which smoothing keeps its bound."""
 MOST_SAMPLES = 50_000
+RIGID = 1e-6
+"""By how much the axes of a rigid transform may miss being perpendicular and of length 1."""
 ROOM_SPENT = 0.5
 """How much of the lumen's radius smoothing may take at any place."""
 
@@ -53,12 +52,29 @@ class Curve:
     deviation: float = 0.0
     deviation_share: float = 0.0
 
+    def __post_init__(self) -> None:
+        number(
+            CurveError,
+            "length of a curve",
+            self.length,
+            lambda x: 0 < x < math.inf,
+            "be a finite number > 0",
+            " mm",
+        )
+        for name in ("point", "tangent", "curvature"):
+            if not callable(getattr(self, name)):
+                raise CurveError(
+                    f"{name} of a curve is {getattr(self, name)!r:.80}; it must be a function of arc length"
+                )
+
     def length_at(self, fraction: float) -> float:
         """Arc length in mm where the curve's own parameter has covered a fraction in [0, 1] of its range."""
         return self.length * fraction if self.by_parameter is None else self.by_parameter(fraction)
 
     def part(self, start: float, stop: float) -> Curve:
         """The piece from arc length start to stop, in mm, its own parameter being arc length."""
+        for name, end in (("start", start), ("stop", stop)):
+            number(CurveError, f"{name} of a piece", end, math.isfinite, "be a finite number of mm")
         if not 0 <= start < stop <= self.length:
             raise CurveError(f"piece [{start:g}, {stop:g}] mm of a curve: it must lie within [0, {self.length:g}]")
         return self._along(lambda s: s + start, stop - start)
@@ -82,7 +98,12 @@ class Curve:
 
     def moved(self, transform: Array) -> Curve:
         """The curve under a rigid transform (4, 4)."""
-        rotation, shift = transform[:3, :3], transform[:3, 3]
+        rigid = floats(CurveError, "transform of a curve", transform, (4, 4))
+        rotation, shift = rigid[:3, :3], rigid[:3, 3]
+        if abs(rotation @ rotation.T - np.eye(3)).max() > RIGID or (rigid[3] != [0, 0, 0, 1]).any():
+            raise CurveError(
+                f"transform of a curve is {rigid.tolist()}; it must be rigid: a turn and a shift in mm"
+            )
         return replace(
             self,
             point=lambda s: self.point(s) @ rotation.T + shift,
@@ -96,8 +117,7 @@ class Curve:
         that of the sphere around its own points inside the lumen's: what it was, less the way to there. 0 mm is
         the curve itself. Raises CurveError.
         """
-        if not (np.isfinite(allowed) and allowed >= 0):
-            raise CurveError(f"smoothing is {allowed} mm; it must be a finite number >= 0")
+        number(CurveError, "smoothing", allowed, lambda x: 0 <= x < math.inf, "be a finite number >= 0", " mm")
         if allowed == 0:
             return self
         spacing = max(min(SAMPLE_MM, allowed / 8), self.length / MOST_SAMPLES)
@@ -122,10 +142,12 @@ def curve_from_formula(formula: Callable[[Any], tuple[Any, Any, Any]], start: fl
 
     Derivatives are exact; curvature follows from them. Raises CurveError.
     """
-    if not (np.isfinite([start, stop]).all() and start < stop):
+    for name, end in (("start", start), ("stop", stop)):
+        number(CurveError, f"{name} of the parameter range", end, math.isfinite, "be a finite number")
+    if not start < stop:
         raise CurveError(f"parameter range is [{start}, {stop}]; it must be finite and grow")
     u = ca.SX.sym("u")
-    x = ca.vertcat(*(ca.SX(c) for c in formula(u)))
+    x = symbolic_point(formula, u)
     orders = [x, ca.jacobian(x, u)]
     orders.append(ca.jacobian(orders[1], u))
     functions = [ca.Function(f"d{i}", [u], [expression]) for i, expression in enumerate(orders)]
@@ -140,11 +162,8 @@ def curve_from_points(points: npt.ArrayLike, radius: npt.ArrayLike | None = None
     magnify the rounding of coordinates. smoothing: how far the curve may keep from that spline, mm; see
     Curve.smoothed. Raises CurveError.
     """
-    given = np.asarray(points, dtype=float)
-    _check_points(given)
-    radii = None if radius is None else np.asarray(radius, dtype=float)
-    if radii is not None and (radii.shape != given.shape[:1] or not (np.isfinite(radii) & (radii > 0)).all()):
-        raise CurveError(f"lumen radii must be {len(given)} positive finite numbers in mm, one a point")
+    given = checked_points(points)
+    radii = None if radius is None else checked_radii(radius, len(given))
     chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(given, axis=0), axis=1))])
     spline = CubicSpline(chord, given)
     bending = cache(lambda: _bending(chord, given, spline))
@@ -164,29 +183,6 @@ def _radius_along(lengths: Array, radii: Array) -> Field:
     """Radii (n,) at arc lengths (n,), and between them within their range."""
     between = PchipInterpolator(lengths, radii)
     return lambda s: np.asarray(between(np.clip(s, lengths[0], lengths[-1])))
-
-
-def _check_points(points: Array) -> None:
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise CurveError(f"points have shape {points.shape}; a centreline is (n, 3)")
-    if len(points) < 4:
-        raise CurveError(f"{len(points)} points; a centreline needs at least 4")
-    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
-    if bad.size:
-        raise CurveError(f"point {bad[0] + 1} is {points[bad[0]].tolist()}; coordinates must be finite")
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    if steps.sum() < SHORTEST_MM:
-        raise CurveError(
-            f"the path is {steps.sum():.3g} long; coordinates must be in millimetres, and these look like metres"
-        )
-    if steps.sum() > LONGEST_MM:
-        raise CurveError(f"the path is {steps.sum():.3g} mm long; it must be at most {LONGEST_MM:g} mm")
-    repeated = np.flatnonzero(steps < REPEATED_MM)
-    if repeated.size:
-        i = repeated[0]
-        raise CurveError(
-            f"points {i + 1} and {i + 2} are the same, {points[i].tolist()}; no point may be repeated"
-        )
 
 
 def _smoothing_spline(chord: Array, points: Array) -> BSpline:
@@ -219,7 +215,7 @@ def _by_arc_length(derivative: Derivative, breaks: Array, bending: Derivative | 
     speeds = np.linalg.norm(derivative(u, 1), axis=1).reshape(len(width), -1)
     s = np.concatenate([[0.0], np.cumsum(speeds @ weights * width / 2)])
     at_breaks = np.linalg.norm(derivative(breaks, 1), axis=1)
-    if not np.isfinite(s[-1]) or (at_breaks <= 0).any() or (np.diff(s) <= 0).any():
+    if not np.isfinite([s[-1], *at_breaks]).all() or (at_breaks <= 0).any() or (np.diff(s) <= 0).any():
         raise CurveError("the curve stands still or leaves the finite numbers somewhere in its range")
     bent = bending or derivative
     to_parameter = CubicHermiteSpline(s, breaks, 1 / at_breaks)

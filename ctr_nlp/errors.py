@@ -4,7 +4,10 @@ from typing import Any
 
 
 class CtrError(Exception):
-    """Base of every error that ctr_nlp raises itself."""
+    """Base of every error that ctr_nlp raises itself. Its message is one line, whatever it quotes from a file."""
+
+    def __str__(self) -> str:
+        return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in super().__str__())
 
 
 class RobotError(CtrError):

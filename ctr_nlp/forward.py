@@ -9,15 +9,21 @@ import numpy.typing as npt
 
 from ctr_nlp import tracking
 from ctr_nlp.curve import Curve
-from ctr_nlp.models import dominant
+from ctr_nlp.errors import RobotError
+from ctr_nlp.models import check_model, dominant
 from ctr_nlp.robot import Robot
+from ctr_nlp.robot.robot import configuration
 from ctr_nlp.target import SIGMA
+from ctr_nlp.values import floats, instance
 
 Array = npt.NDArray[np.float64]
 
 
 def shapes(robot: Robot, q: Array, sigma: Array = SIGMA) -> Array:
-    """Points (T, n, 3) in mm of the dominant model at q (T, 2d + 2) and sigma (n,) or (T, n)."""
+    """Points (T, n, 3) in mm of the dominant model at q (T, 2d + 2) and sigma (n,) or (T, n).
+
+    Raises RobotError, and OptionError where that model does not describe the robot.
+    """
     return _stacked(_backbone(robot, q, sigma).points)
 
 
@@ -49,6 +55,7 @@ class Simulation(NamedTuple):
 
 def simulated(robot: Robot, q: Array, model: str) -> Simulation:
     """The robot moved through q, frame by frame, on a model."""
+    check_model(robot, model)
     if model == "dominant":
         unknown = np.full(len(q), np.nan)
         return Simulation(shapes(robot, q), tangents(robot, q, np.ones(1))[:, 0], unknown, unknown, q, ())
@@ -64,6 +71,11 @@ def simulated(robot: Robot, q: Array, model: str) -> Simulation:
 
 
 def _backbone(robot: Robot, q: Array, sigma: Array) -> dominant.Backbone:
+    instance(RobotError, "robot", robot, Robot)
+    q = configuration("q", q)
+    if q.ndim != 2 or q.shape[1] != len(robot.axes):
+        raise RobotError(f"q has shape {q.shape}; it must be (n, {len(robot.axes)}): {', '.join(robot.axes)}")
+    dominant.check_order(robot)
     return dominant.backbone(robot, dominant.columns_of(q), sigma, np)
 
 
@@ -84,7 +96,10 @@ def other_way(robot: Robot, q: Array) -> Array:
 
 
 def shape_curve(robot: Robot, q: Array) -> Curve:
-    """The dominant model's shape at q (2d + 2,) as a curve with its exact curvature."""
+    """The dominant model's shape at q (2d + 2,) as a curve with its exact curvature; raises as `shapes`."""
+    instance(RobotError, "robot", robot, Robot)
+    dominant.check_order(robot)
+    q = floats(RobotError, "q", q, (len(robot.axes),))
     beta = robot.split(q)[1]
 
     def jump(x: Array) -> Array:

@@ -11,7 +11,9 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.spatial import cKDTree
 
 from ctr_nlp.curve import Curve
+from ctr_nlp.errors import CurveError
 from ctr_nlp.robot import Robot
+from ctr_nlp.values import floats
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.int_]
@@ -41,10 +43,12 @@ class Near(NamedTuple):
 
 
 class Lumen:
-    """A path and the radius of the lumen around it; table (N, 4): x, y, z and radius, mm."""
+    """A path and the radius of the lumen around it, from a table (N, 4): x, y, z and radius, mm."""
 
     def __init__(self, table: Array) -> None:
-        self.table = np.asarray(table, dtype=float)
+        self._table = floats(CurveError, "table of a lumen", table, (None, 4))
+        if (self._table[:, 3] <= 0).any():
+            raise CurveError(f"radius of a lumen is {self._table[:, 3].min():g} mm; it must be positive all along")
 
     @classmethod
     def around(cls, curve: Curve) -> Lumen:
@@ -52,6 +56,11 @@ class Lumen:
         assert curve.radius is not None
         s = np.linspace(0.0, curve.length, int(np.ceil(curve.length / SPACING)) + 1)
         return cls(np.column_stack([curve.point(s), curve.radius(s)]))
+
+    @property
+    def table(self) -> Array:
+        """(N, 4), read-only: x, y, z and radius, mm."""
+        return self._table
 
     @cached_property
     def _along(self) -> Array:

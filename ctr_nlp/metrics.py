@@ -8,8 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.contacts import contacts, depth, runs
+from ctr_nlp.errors import OptionError
 from ctr_nlp.limits_used import rate_parts
 from ctr_nlp.target import QUADRATURE
+from ctr_nlp.values import instance
 
 if TYPE_CHECKING:
     from ctr_nlp.plan import Plan
@@ -64,8 +66,11 @@ def tip_angle(plan: Plan) -> Array:
 def by_frame(plan: Plan) -> dict[str, Array]:
     """Columns (T,) of errors.csv: mm, s and rad. nearest is a root mean square over sigma, as e2.
 
-    clearance is the least over sigma, negative in contact.
+    clearance is the least over sigma, negative in contact. Raises OptionError where plan is none.
     """
+    from ctr_nlp.plan import Plan  # which imports formulas of this file
+
+    instance(OptionError, "plan", plan, Plan)
     distance, near = e1(plan), nearest(plan)
     return {
         "frame": np.arange(1, len(plan.time) + 1),

@@ -5,8 +5,6 @@ from __future__ import annotations
 import importlib.metadata
 import json
 import platform
-import zipfile
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -17,14 +15,17 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.errors import OutputError, RobotError
+from ctr_nlp.errors import CtrError, OutputError
 from ctr_nlp.forward import Simulation, simulated
 from ctr_nlp.lumen import Lumen
 from ctr_nlp.metrics import rms_over_sigma, root_mean_square
+from ctr_nlp.plan_arrays import check_arrays, check_meta
 from ctr_nlp.problem import Problem
+from ctr_nlp.read_only import read_only
 from ctr_nlp.robot import Robot
 from ctr_nlp.target import SIGMA
 from ctr_nlp.tracking import Snap
+from ctr_nlp.values import checked_path, frozen
 from ctr_nlp.verdicts import Verdicts, verdicts
 from ctr_nlp.whole_file import whole_file
 
@@ -45,7 +46,7 @@ class Plan:
     (4, 4), file to robot frame; where known, truth (T, 2d + 2), lumen_radius (T, 101) mm at the target's points,
     lumen (N, 4), the path and radius of the whole lumen, mm, clearance (T, 101) mm, what is left between tubes
     and its wall, and free (T, 2d + 2), the motion that was found without the wall. Frames that were never reached
-    hold NaN.
+    hold NaN. A plan keeps read-only copies of its arrays and of meta.
     """
 
     time: Array
@@ -70,15 +71,24 @@ class Plan:
     clearance: Array | None = None
     free: Array | None = None
 
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            given = getattr(self, f.name)
+            kept = read_only(given) if f.name == "meta" else None if given is None else frozen(given)
+            object.__setattr__(self, f.name, kept)
+
+    def __reduce__(self) -> Any:
+        return Plan, tuple(getattr(self, f.name) for f in fields(self))
+
     @cached_property
     def robot(self) -> Robot:
         """The robot that the plan is for."""
         return Robot.from_dict(self.meta["robot"])
 
-    @property
+    @cached_property
     def q(self) -> Array:
         """Configurations (T, 2d + 2), eq. (5)."""
-        return np.concatenate([self.alpha, self.beta, self.theta], axis=1)
+        return frozen(np.concatenate([self.alpha, self.beta, self.theta], axis=1))
 
     @property
     def dt(self) -> float:
@@ -98,7 +108,7 @@ class Plan:
     @cached_property
     def reached(self) -> npt.NDArray[np.bool_]:
         """Frames (T,) that have a shape, solved or not."""
-        return np.asarray(np.isfinite(self.shape).all(axis=(1, 2)))
+        return frozen(np.asarray(np.isfinite(self.shape).all(axis=(1, 2))))
 
     @property
     def complete(self) -> bool:
@@ -136,34 +146,46 @@ class Plan:
         """Write plan.npz, whole or not at all; raises OutputError."""
         arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "meta"}
         present = {name: array for name, array in arrays.items() if array is not None}
-        target = Path(path)
+        target, told = checked_path(OutputError, path), self._meta_as_json()
         try:
             with whole_file(target) as partial, open(partial, "wb") as file:
-                np.savez_compressed(file, meta=np.array(json.dumps(self.meta, allow_nan=False)), **present)
+                np.savez_compressed(file, meta=np.array(told), **present)
         except OSError as error:
             raise OutputError(f"plan cannot be written to {target}: {error}") from error
+
+    def _meta_as_json(self) -> str:
+        try:
+            return json.dumps(self.meta, allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise OutputError(f"meta of the plan cannot be written as JSON: {error}") from error
 
     @classmethod
     def load(cls, path: str | Path) -> Plan:
         """Read plan.npz without pickle; raises OutputError where it is not a plan."""
-        names = {f.name for f in fields(cls)}
+        path = checked_path(OutputError, path)
+        arrays, text = _stored(path)
         try:
-            with open(path, "rb") as file, np.load(file, allow_pickle=False) as data:
-                arrays = {name: data[name] for name in data.files if name in names}
-            meta = json.loads(str(arrays.pop("meta")))
-            if meta["format"] != FORMAT:
-                raise OutputError(f"{path} has format {meta['format']}; this version reads {FORMAT}")
-            plan = cls(meta=meta, **arrays)
-            d, frames = plan.robot.d, len(plan.time)
-        except (OSError, EOFError, ValueError, KeyError, TypeError, AttributeError, RobotError) as error:
+            meta = json.loads(text)
+            if isinstance(meta, dict) and meta.get("format") != FORMAT:
+                raise OutputError(f"it has format {meta.get('format')!r}; this version reads {FORMAT}")
+            check_meta(meta)
+            check_arrays(arrays, Robot.from_dict(meta["robot"]).d)
+            return cls(meta=meta, **arrays)
+        except (ValueError, TypeError, RecursionError, CtrError) as error:
             raise OutputError(f"{path} is not a plan: {error}") from error
-        except (zipfile.BadZipFile, zlib.error) as error:
-            raise OutputError(f"{path} is not a plan, or damaged: {error}") from error
-        for name, width in (("alpha", d), ("beta", d), ("theta", 2)):
-            if getattr(plan, name).shape != (frames, width):
-                shape = getattr(plan, name).shape
-                raise OutputError(f"{path} is not a plan: {name} has shape {shape}, not {(frames, width)}")
-        return plan
+
+
+def _stored(path: Path) -> tuple[dict[str, Any], str]:
+    """The arrays of a plan.npz that belong to a plan, and its meta as text; raises OutputError."""
+    names = {f.name for f in fields(Plan)}
+    try:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as data:
+            arrays = {name: data[name] for name in data.files if name in names}
+        return arrays, str(arrays.pop("meta"))
+    except KeyError as error:
+        raise OutputError(f"{path} is not a plan: it has no {error}") from error
+    except Exception as error:  # whatever the readers of zip archives and of arrays meet in a damaged file
+        raise OutputError(f"{path} is not a plan, or damaged: {error}") from error
 
 
 def plan_from_configurations(

@@ -13,6 +13,7 @@ from ctr_nlp.curve import Curve
 from ctr_nlp.errors import ProblemError
 from ctr_nlp.robot import Robot
 from ctr_nlp.target import Frame, Target
+from ctr_nlp.values import floats, instance, number
 
 Array = npt.NDArray[np.float64]
 
@@ -39,8 +40,10 @@ class Problem:
     lumen: Curve | None = None
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.duration, (int, float)) and math.isfinite(self.duration) and self.duration > 0):
-            raise ProblemError(f"duration is {self.duration!r} s; it must be a finite number > 0")
+        for name, kind in (("name", str), ("robot", Robot), ("target", Target)):
+            instance(ProblemError, f"{name} of a problem", getattr(self, name), kind)
+        number(ProblemError, "duration", self.duration, lambda x: 0 < x < math.inf, "be a finite number > 0", " s")
+        self._check_arrays()
         longest, reach = max(self.target.lengths), self.robot.reach
         if longest > reach * OVERLONG:
             raise ProblemError(
@@ -49,8 +52,14 @@ class Problem:
             )
         if self.lumen is None:
             object.__setattr__(self, "lumen", self._walled())
-        elif self.lumen.radius is None:
+        elif not isinstance(self.lumen, Curve) or self.lumen.radius is None:
             raise ProblemError("lumen is a curve without a radius; give one, or None where no wall is known")
+
+    def _check_arrays(self) -> None:
+        """Keep read-only copies of what was given as arrays."""
+        for name, shape in (("to_robot", (4, 4)), ("truth", (self.frames, 2 * self.robot.d + 2))):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, floats(ProblemError, name, getattr(self, name), shape))
 
     def _walled(self) -> Curve | None:
         """The one curve of all frames, where it has a radius."""

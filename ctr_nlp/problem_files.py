@@ -14,11 +14,13 @@ from ctr_nlp.anatomy.files import title
 from ctr_nlp.anatomy.table import read_table
 from ctr_nlp.anatomy.way import way_through
 from ctr_nlp.curve import Curve, curve_from_points
-from ctr_nlp.errors import CurveError, OptionError
+from ctr_nlp.errors import CurveError, OptionError, RobotError
 from ctr_nlp.placing import placed, trimmed, unit
 from ctr_nlp.problem import Problem
 from ctr_nlp.robot import Robot, seed_robot
+from ctr_nlp.robot.units import angle_meant, between, did_you_mean
 from ctr_nlp.target import check_frames, growing
+from ctr_nlp.values import checked_path, instance, number
 
 
 def problem_from_file(
@@ -45,9 +47,12 @@ def problem_from_file(
     reaches. tilt: how far the base may turn about each of its axes, rad, where the robot's limits allow more.
     The problem's lumen is the whole branch. Raises CurveError, ProblemError, RobotError, OptionError.
     """
+    path = checked_path(CurveError, path)
     check_frames(frames)
     if trim not in (None, "start", "end"):
         raise OptionError(f"trim is {trim!r}; it must be 'start' or 'end'")
+    if robot is not None:
+        instance(RobotError, "robot", robot, Robot)
     robot = _tilting(robot or seed_robot(), tilt)
     along = None if insertion is None else unit(insertion)
     way = way_through(path, branch, entry, target, reverse)
@@ -66,6 +71,7 @@ def problem_from_file(
 
 def read_csv(path: str | Path, smoothing: float = 0.0) -> Curve:
     """The curve of a CSV file with columns x_mm, y_mm, z_mm and optionally radius_mm; raises CurveError."""
+    path = checked_path(CurveError, path)
     (branch,) = checked(path, read_table(path)).branches
     try:
         return curve_from_points(branch.points, branch.radius, smoothing)
@@ -77,7 +83,10 @@ def _tilting(robot: Robot, tilt: float | None) -> Robot:
     """The robot with its tilt within tilt rad about each axis too."""
     if tilt is None:
         return robot
-    if not 0 <= tilt <= math.pi:
-        raise OptionError(f"tilt is {tilt:g} rad, {math.degrees(tilt):g} degrees; it must lie in [0, pi] rad")
+    if not 0 <= number(OptionError, "tilt", tilt, lambda _: True, "be a number", " rad") <= math.pi:
+        meant = did_you_mean(angle_meant(tilt, between(0, math.pi)))
+        raise OptionError(
+            f"tilt is {tilt:g} rad, {math.degrees(tilt):g} degrees; it must lie in [0, pi] rad{meant}"
+        )
     lower, upper = np.clip(robot.lower[-2:], -tilt, None), np.clip(robot.upper[-2:], None, tilt)
     return robot.with_limits(theta=tuple(zip(lower.tolist(), upper.tolist(), strict=True)))

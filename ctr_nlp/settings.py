@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from ctr_nlp.errors import OptionError
+from ctr_nlp.values import number, whole_number
 
 
 @dataclass(frozen=True)
@@ -35,27 +36,27 @@ class Settings:
 
     def __post_init__(self) -> None:
         check_motion_weight(self.motion_weight)
-        if not (math.isfinite(self.jump_width) and self.jump_width > 0):
-            raise OptionError(f"jump_width is {self.jump_width} mm; it must be a finite number > 0")
-        if not 0 <= self.seed < 2**32:
+        number(
+            OptionError, "jump_width", self.jump_width, lambda x: 0 < x < math.inf, "be a finite number > 0", " mm"
+        )
+        if whole_number(OptionError, "seed", self.seed, 0) >= 2**32:
             raise OptionError(f"seed is {self.seed}; it must be a whole number in [0, 2^32)")
-        if self.stability_margin is not None and not 0 <= self.stability_margin < 1:
-            raise OptionError(f"stability_margin is {self.stability_margin}; it must lie in [0, 1), or be None")
-        for name in ("clearance", "contact_weight", "clearance_cost", "contact_allowed"):
-            value = getattr(self, name)
-            if not value >= 0 or (math.isinf(value) and name != "clearance_cost"):
-                allowed = "a number >= 0, or inf" if name == "clearance_cost" else "a finite number >= 0"
-                raise OptionError(f"{name} is {value}; it must be {allowed}")
+        if self.stability_margin is not None:
+            allowed = "lie in [0, 1), or be None"
+            number(OptionError, "stability_margin", self.stability_margin, lambda x: 0 <= x < 1, allowed)
+        for name in ("clearance", "contact_weight", "contact_allowed"):
+            number(OptionError, name, getattr(self, name), lambda x: 0 <= x < math.inf, "be a finite number >= 0")
+        number(OptionError, "clearance_cost", self.clearance_cost, lambda x: x >= 0, "be a number >= 0, or inf")
 
 
 def check_motion_weight(weight: float) -> float:
     """Lambda of eq. (9) in s^2, or OptionError."""
-    if not (math.isfinite(weight) and weight >= 0):
-        raise OptionError(f"motion_weight is {weight} s^2; it must be a finite number >= 0")
-    return weight
+    return number(
+        OptionError, "motion_weight", weight, lambda x: 0 <= x < math.inf, "be a finite number >= 0", " s^2"
+    )
 
 
 def check_choice(name: str, value: str, allowed: Iterable[str]) -> None:
     """Raise OptionError, with the valid ones, unless a value is one of those allowed."""
-    if value not in allowed:
+    if not isinstance(value, str) or value not in allowed:
         raise OptionError(f"{name} is {value!r}; it must be one of {', '.join(allowed)}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -14,7 +15,7 @@ from ctr_nlp.errors import OptionError
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.metrics import summary
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import MODELS, check_model, suits
 from ctr_nlp.plan import Plan
 from ctr_nlp.problem import Problem
 from ctr_nlp.reference import METHODS, reference_frames
@@ -123,7 +124,11 @@ def compare(
 
     No wall of a lumen counts: not all methods know of one. All horizons of a problem start from the same motions.
     progress: (problem, variant) -> what is told how many frames are done. Ctrl-C leaves the rows that were begun.
+    Raises OptionError where the model of a variant does not describe a problem's robot.
     """
+    problems = list(problems)
+    for problem, variant in itertools.product(problems, variants):
+        check_model(problem.robot, variant.model, f"model of variant {variant.name}")
     chosen, rows = replace(settings or Settings(), contact_weight=0.0), []
     agreements: list[dict[str, Any]] = []
     with deferred_interrupt() as interrupted:
@@ -178,11 +183,13 @@ def _to_limits(chain: Chain, plan: Plan) -> Array:
 def row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
     """Errors in mm, steps in rad and mm, times in ms and s. seed_*: Table II's figures for the same method.
 
-    e3 and others are of the model planned on; dominant_*, elastic_* of the same motion on both, *_no the matters
-    in which verdicts there are no.
+    e3 and others are of the model planned on; dominant_*, elastic_* of the same motion on both, None where the
+    robot's tubes are balanced and the dominant model does not describe it; *_no the matters in which verdicts there
+    are no.
     """
     found = summary(plan)
-    plans = {model: plan if model == plan.meta["model"] else plan.on(model) for model in MODELS}
+    models = [model for model in MODELS if suits(plan.robot, model)]
+    plans = {model: plan if model == plan.meta["model"] else plan.on(model) for model in models}
     on = {model: summary(each) for model, each in plans.items()}
     e3, e4, t_c = (BASELINE if variant == "euclidean" else SEED).get(problem, (None, None, None))
     return {
@@ -208,9 +215,9 @@ def row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
         "seed_e3": e3,
         "seed_e4": e4,
         "seed_t_s": t_c,
-        **{f"{model}_{key}": on[model][key] for model in MODELS for key in ("e3", "e4")},
+        **{f"{model}_{key}": on[model][key] if model in on else None for model in MODELS for key in ("e3", "e4")},
         "stability_between": on["elastic"]["stability_between_min"],
         "snaps": len(on["elastic"]["snaps"]),
         "no": ", ".join(plan.verdicts.failed),
-        **{f"{model}_no": ", ".join(each.verdicts.failed) for model, each in plans.items()},
+        **{f"{model}_no": ", ".join(plans[model].verdicts.failed) if model in plans else None for model in MODELS},
     }

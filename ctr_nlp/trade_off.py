@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ctr_nlp.metrics import summary
+from ctr_nlp.models import suits
 from ctr_nlp.plan import Plan
 from ctr_nlp.settings import Settings
 from ctr_nlp.steer import Horizon
@@ -43,8 +44,8 @@ def trade_off(
 ) -> list[Point]:
     """The front over weights, of which each horizon starts from its neighbours', and the points beside it.
 
-    plan: any motion of the horizon, to start from. Ctrl-C, held back by the caller, leaves what was found.
-    Raises OptionError.
+    plan: any motion of the horizon, to start from. Methods whose model does not describe the robot are left out.
+    Ctrl-C, held back by the caller, leaves what was found. Raises OptionError.
     """
     with deferred_interrupt() as interrupted:
         plans = sweep(horizon, plan, weights, labelled)
@@ -54,7 +55,8 @@ def trade_off(
                 break
             variant = parse_variant(name)
             label = f"{horizon.problem.name}, {name}"
-            points.append(_point(name, variant.plan(horizon.problem, settings, (), labelled(label))))
+            if suits(horizon.problem.robot, variant.model):
+                points.append(_point(name, variant.plan(horizon.problem, settings, (), labelled(label))))
     return points
 
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.errors import RobotError
+from ctr_nlp.errors import CtrError, RobotError
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -19,13 +20,17 @@ else:
     import tomli as tomllib
 
 Array = npt.NDArray[np.float64]
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+INFINITE = ("inf", "-inf")
+"""How strict JSON writes numbers that it has no word for."""
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
     """What a TOML file holds."""
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        return tomllib.loads(checked_path(RobotError, path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, RecursionError, tomllib.TOMLDecodeError) as error:
         raise RobotError(str(error)) from error
 
 
@@ -41,15 +46,75 @@ def described(cls: type, data: Any) -> Any:
         raise RobotError(f"{cls.__name__.lower()}: {error}; keys are {', '.join(allowed)}") from error
 
 
+def number(
+    error: type[CtrError], name: str, value: Any, holds: Callable[[float], bool], allowed: str, unit: str = ""
+) -> float:
+    """A number of which something holds; raises error, with what it must do in words."""
+    real = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if not real or not holds(float(value)):
+        raise error(f"{name} is {value if real else repr(value)}{unit}; it must {allowed}")
+    return float(value)
+
+
+def whole_number(error: type[CtrError], name: str, value: Any, least: int = 1) -> int:
+    """A whole number, or error."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise error(f"{name} is {value!r}; it must be a whole number of at least {least}")
+    return int(value)
+
+
+def instance(error: type[CtrError], name: str, value: Any, kind: type) -> None:
+    """Raise error unless a value is of a kind."""
+    if not isinstance(value, kind):
+        raise error(f"{name} is {value!r:.80}; it must be a {kind.__name__}")
+
+
+def checked_path(error: type[CtrError], path: Any) -> Path:
+    """A path, or error where it is none."""
+    if not isinstance(path, str | Path) or "\0" in str(path):
+        raise error(f"path is {path!r:.80}; it must be the path of a file")
+    return Path(path)
+
+
+def floats(error: type[CtrError], name: str, value: Any, shape: tuple[int | None, ...]) -> Array:
+    """A read-only copy of finite numbers of a shape (None for any length), or error."""
+    try:
+        array = plain_floats(value)
+    except (TypeError, ValueError, OverflowError):
+        raise error(f"{name} is {value!r:.80}; it must be numbers") from None
+    if len(array.shape) != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
+        wanted = ", ".join("n" if n is None else str(n) for n in shape) + "," * (len(shape) == 1)
+        raise error(f"{name} has shape {array.shape}; it must be ({wanted})")
+    if not np.isfinite(array).all():
+        place = np.argwhere(~np.isfinite(array))[0]
+        raise error(f"{name} has {array[tuple(place)]} at {[int(i) + 1 for i in place]}; all of it must be finite")
+    return frozen(array)
+
+
+def plain_floats(value: Any) -> Array:
+    """Numbers, or lists of them, as an array; raises TypeError or ValueError where some are none.
+
+    Words and truth values are no numbers, but "inf" and "-inf" are, as strict_json writes them.
+    """
+    if isinstance(value, list | tuple):
+        return np.array([plain_floats(item) for item in value])
+    if isinstance(value, str) and value not in INFINITE:
+        raise ValueError(f"{value!r} is no number")
+    array = np.asarray(value)
+    if array.dtype.kind not in ("U" if isinstance(value, str) else "iuf"):
+        raise TypeError(f"{value!r:.60} is no number")
+    return array.astype(float)
+
+
 def numbers(name: str, value: Any, size: int, infinite: bool = False) -> Array:
     """A number, or size of them, as (size,)."""
     try:
-        array = np.broadcast_to(np.asarray(value, dtype=float), (size,))
+        array = np.broadcast_to(plain_floats(value), (size,))
     except (TypeError, ValueError) as error:
         raise RobotError(
             f"{name} is {value!r}; it must be a number" + (f" or {size} of them" * (size > 1))
         ) from error
-    if isinstance(value, bool) or np.isnan(array).any() or (not infinite and np.isinf(array).any()):
+    if np.isnan(array).any() or (not infinite and np.isinf(array).any()):
         raise RobotError(f"{name} is {value!r}; it must be a {'' if infinite else 'finite '}number")
     return array
 
@@ -57,7 +122,7 @@ def numbers(name: str, value: Any, size: int, infinite: bool = False) -> Array:
 def pairs(name: str, value: Any, size: int) -> Array:
     """A (lower, upper), or size of them, as (size, 2)."""
     try:
-        array = np.asarray(value, dtype=float)
+        array = plain_floats(value)
         if array.shape in ((2,), (size, 2)):
             return np.broadcast_to(array, (size, 2))
     except (TypeError, ValueError):
@@ -76,7 +141,17 @@ def strict_json(value: Any) -> Any:
     return str(float(value)) if isinstance(value, float) and math.isinf(value) else value
 
 
-def frozen(array: Array) -> Array:
-    """The array, made read-only."""
-    array.flags.writeable = False
-    return array
+def frozen(array: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
+    """A read-only copy of an array, which nobody else holds."""
+    copy = np.array(array)
+    copy.flags.writeable = False
+    return copy
+
+
+def unchanging(value: Any) -> Any:
+    """Lists and arrays as tuples, all the way down, and "inf" of strict JSON as the number; others as they are."""
+    if isinstance(value, np.ndarray | np.generic):
+        return unchanging(value.tolist())
+    if isinstance(value, str) and value in INFINITE:
+        return float(value)
+    return tuple(unchanging(item) for item in value) if isinstance(value, list | tuple) else value

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from ctr_nlp import Limits, Robot, Tube
 
-WALL_MM = 0.4
+WALL_MM = 0.1
 """Thickness of every drawn tube's wall and, on the radius, half of the room to the next."""
 
 
@@ -34,7 +34,7 @@ def robots(
 ) -> Robot:
     """Robots with least to most tubes; transmissions: whether beta may exceed the curved parts (None: either)."""
     d = draw(st.integers(least, most))
-    outer = 8 - 4 * WALL_MM * np.arange(d)
+    outer = 2 - 4 * WALL_MM * np.arange(d)
     curved = np.cumsum([draw(numbers(10, 45)) for _ in range(d)])
     lengths = np.maximum.accumulate(curved + [draw(numbers(0, 60)) for _ in range(d)])
     tubes = tuple(

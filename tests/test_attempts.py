@@ -209,8 +209,8 @@ def test_any_start_leads_to_a_solution(chain, solver, seed):
 def random_task(seed):
     """A random robot at random limits, before an arc it can reach, from one end at random; and a random motion."""
     rng = np.random.default_rng(seed)
-    d, wall = int(rng.integers(1, 5)), 0.4
-    outer, curved = 8 - 4 * wall * np.arange(d), np.cumsum(rng.uniform(10, 45, d))
+    d, wall = int(rng.integers(1, 5)), 0.1
+    outer, curved = 2 - 4 * wall * np.arange(d), np.cumsum(rng.uniform(10, 45, d))
     lengths = np.maximum.accumulate(curved + rng.uniform(0, 60, d))
     tubes = [
         Tube(lengths[i], curved[i], rng.uniform(0, 0.04), outer[i], outer[i] - 2 * wall)

@@ -98,7 +98,7 @@ def test_perpendicular_tubes_are_two_arcs_in_perpendicular_planes():
 def test_many_short_turned_tubes_approach_a_helix():
     """Tubes of one curvature whose angles advance with s form a curve of curvature k and torsion tau."""
     k, tau, n, step = 1 / 40, 1 / 60, 60, 1.0
-    tubes = [Tube((i + 1) * step, (i + 1) * step, k, 70 - i, 69.5 - i) for i in range(n)]
+    tubes = [Tube((i + 1) * step, (i + 1) * step, k, 6.3 - 0.1 * i, 6.25 - 0.1 * i) for i in range(n)]
     beta = np.arange(1, n + 1) * step
     q = np.concatenate([tau * (beta - step / 2), beta, [0, 0]])
     tip = shapes(Robot(tuple(tubes)), q[None], np.ones(1))[0, 0]

@@ -8,15 +8,14 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.curve import LONGEST_MM, SHORTEST_MM
 from ctr_nlp.errors import CurveError
+from ctr_nlp.points import LEAST_POINTS, LONGEST_MM, SHORTEST_MM, check_coordinates
 
 Array = npt.NDArray[np.float64]
 
 SPACES = {"LPS": np.eye(4), "RAS": np.diag([-1.0, -1.0, 1.0, 1.0])}
 """Patient coordinates by the directions in which x, y, z grow (left, posterior, superior or right, anterior,
 superior), and what takes them to LPS, the coordinates of DICOM."""
-LEAST_POINTS = 4
 
 
 @dataclass(frozen=True)
@@ -62,9 +61,7 @@ def moved(points: npt.ArrayLike, transform: Array) -> Array:
 
 def check_points(points: Array) -> None:
     """Raise CurveError unless points (n, 3) are finite and can be coordinates in millimetres."""
-    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
-    if bad.size:
-        raise CurveError(f"point {bad[0] + 1} is {points[bad[0]].tolist()}; coordinates must be finite")
+    check_coordinates(points)
     extent = float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
     if len(points) >= LEAST_POINTS and extent < SHORTEST_MM:
         raise CurveError(

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy.typing as npt
 
 from ctr_nlp.anatomy.branch import Branches, checked
+from ctr_nlp.anatomy.choose import checked_point
 from ctr_nlp.anatomy.images import NIFTI, NRRD
 from ctr_nlp.anatomy.slicer import read_slicer
 from ctr_nlp.anatomy.table import read_table
@@ -27,6 +28,9 @@ def read_branches(
     starts, if the file does not. A mask needs it and target, (3,) mm too. Raises CurveError, and OptionError where
     a mask lacks one of them or an extra is missing.
     """
+    for what, point in (("entry", entry), ("target", target)):
+        if point is not None:
+            checked_point(what, point)
     name = Path(path).name.lower()
     if name.endswith(MASKS):
         if entry is None or target is None:

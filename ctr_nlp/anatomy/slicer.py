@@ -37,7 +37,7 @@ def read_slicer(path: str | Path) -> Branches:
     """
     try:
         found = json.loads(Path(path).read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise CurveError(f"centreline {path} cannot be read: {error}") from error
     markups = found.get("markups") if isinstance(found, dict) else None
     if not (isinstance(markups, list) and markups and all(isinstance(markup, dict) for markup in markups)):
@@ -84,7 +84,10 @@ def _branch(name: str, markup: dict[str, Any]) -> Branch:
     controls = markup.get("controlPoints")
     if not (isinstance(controls, list) and all(isinstance(control, dict) for control in controls)):
         raise CurveError(f"controlPoints of {name!r} must be a list of control points")
-    placed = np.array([control.get("positionStatus", "defined") not in UNPLACED for control in controls], bool)
+    statuses = [control.get("positionStatus", "defined") for control in controls]
+    if wrong := [status for status in statuses if not isinstance(status, str)]:
+        raise CurveError(f"positionStatus of a control point of {name!r} is {wrong[0]!r}; it must be a word")
+    placed = np.array([status not in UNPLACED for status in statuses], bool)
     points = [_position(name, k, control) for k, control in enumerate(controls, start=1) if placed[k - 1]]
     radius = _radius(name, markup, len(controls))
     lps = moved(np.array(points).reshape(-1, 3), SPACES[markup["coordinateSystem"]])

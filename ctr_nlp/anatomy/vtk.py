@@ -83,7 +83,7 @@ def _read(path: str | Path) -> tuple[Any, str]:
         reason = f" ({errors[0]})" if errors else ""
         raise CurveError(f"centreline {path} cannot be read: it is damaged, or no VTK file of lines{reason}")
     mesh = pyvista.wrap(reader.GetOutput())
-    header = re.search(r"SPACE=(\w*)", reader.GetHeader() or "") if legacy else None
+    header = re.search(r"SPACE=(\w*)", _text(reader.GetHeader())) if legacy else None
     field = str(mesh.field_data["SPACE"][0]) if "SPACE" in mesh.field_data else ""
     return mesh.cast_to_unstructured_grid(), header[1] if header else field
 
@@ -99,7 +99,12 @@ def _overheard() -> Iterator[list[str]]:
         yield errors
     finally:
         common.vtkOutputWindow.SetInstance(usual)
-        errors += re.findall(r"^ERROR.*\n.*?\): (.*)", heard.GetOutput(), re.MULTILINE)[:1]
+        errors += re.findall(r"^ERROR.*\n.*?\): (.*)", _text(heard.GetOutput()), re.MULTILINE)[:1]
+
+
+def _text(said: str | bytes | None) -> str:
+    """What VTK says: bytes where it is no UTF-8."""
+    return said.decode(errors="replace") if isinstance(said, bytes) else said or ""
 
 
 def _radius(mesh: Any, count: int) -> Array | None:

@@ -9,10 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.anatomy.branch import Branches
-from ctr_nlp.anatomy.choose import checked_point, chosen, extent
+from ctr_nlp.anatomy.choose import chosen, extent
 from ctr_nlp.anatomy.files import is_mask, read_branches
-from ctr_nlp.curve import SHORTEST_MM, Curve, curve_from_points
+from ctr_nlp.curve import Curve, curve_from_points
 from ctr_nlp.errors import CurveError, OptionError
+from ctr_nlp.points import SHORTEST_MM
 
 Array = npt.NDArray[np.float64]
 
@@ -45,9 +46,6 @@ def way_through(
     lines run from the tip to the root. A mask has one branch, between the two points. Raises CurveError and
     OptionError.
     """
-    for name, point in (("entry", entry), ("target", target)):
-        if point is not None:
-            checked_point(name, point)
     if is_mask(path):
         for option, value in (("branch", branch), ("reverse", reverse or None)):
             if value is not None:

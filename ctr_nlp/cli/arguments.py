@@ -21,6 +21,7 @@ from ctr_nlp.models import MODELS
 from ctr_nlp.problem import Problem
 from ctr_nlp.settings import Settings
 from ctr_nlp.solvers.cache import SWITCH
+from ctr_nlp.values import floats
 
 Array = npt.NDArray[np.float64]
 
@@ -237,11 +238,11 @@ def read_start(path: str) -> Array:
 
     Raises OptionError.
     """
-    expected = 'a list of 2d + 2 numbers or {"alpha": [...], "beta": [...], "theta": [...]}, in rad and mm'
+    expected = 'JSON, a list of 2d + 2 numbers or {"alpha": [...], "beta": [...], "theta": [...]}, in rad and mm'
     try:
         data: Any = json.loads(Path(path).read_text(encoding="utf-8"))
         if isinstance(data, dict):
             data = [*data["alpha"], *data["beta"], *data["theta"]]
-        return np.array([float(value) for value in data])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise OptionError(f"start {path} cannot be read ({error}); it must be JSON, {expected}") from error
+        return floats(OptionError, "the configuration", data, (None,))
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, OptionError) as error:
+        raise OptionError(f"start {path} cannot be read ({error}); it must be {expected}") from error

@@ -12,6 +12,7 @@ from ctr_nlp.anatomy.files import CENTRELINES, MASKS
 from ctr_nlp.cli.arguments import FILE_OPTIONS
 from ctr_nlp.errors import OptionError
 from ctr_nlp.fit import notes
+from ctr_nlp.models import check_model
 from ctr_nlp.problem import Problem
 from ctr_nlp.problem_files import problem_from_file
 from ctr_nlp.robot import Robot
@@ -31,7 +32,18 @@ def named(
 
 
 def load(name: str, folder: Path, arguments: argparse.Namespace) -> Problem:
-    """The problem that a name in folder, or a file of anatomy, stands for; raises a CtrError."""
+    """The problem that a name in folder, or a file of anatomy, stands for; raises a CtrError.
+
+    Also where a model that is asked for does not describe its robot.
+    """
+    problem = _problem(name, folder, arguments)
+    for asked in (getattr(arguments, option, None) for option in ("model", "evaluate")):
+        if asked is not None:
+            check_model(problem.robot, asked)
+    return problem
+
+
+def _problem(name: str, folder: Path, arguments: argparse.Namespace) -> Problem:
     robot = None if arguments.robot is None else Robot.from_toml(arguments.robot)
     given = {key: getattr(arguments, key, None) for key in FILE_OPTIONS}
     options = {key: value for key, value in given.items() if value is not None}

@@ -34,6 +34,7 @@ from ctr_nlp.settings import Settings, check_motion_weight
 from ctr_nlp.solvers import CHAIN_SOLVERS
 from ctr_nlp.steer import Horizon
 from ctr_nlp.steer.interrupt import deferred_interrupt, end_if_interrupted
+from ctr_nlp.steer.requests import check_search, checked_motions
 from ctr_nlp.trade_off import WEIGHTS, Point, trade_off
 
 
@@ -145,7 +146,8 @@ def _solved(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan, list
     settings = Settings(seed=arguments.seed, stability_margin=arguments.stability_margin)
     settings = walled(settings, arguments, problem)
     start, end = (None if path is None else read_start(path) for path in (arguments.start, arguments.end))
-    initial = [Plan.load(path).q for path in arguments.initial]
+    check_search(arguments.motion_weight, arguments.starts, arguments.jobs)
+    initial = checked_motions(problem, [Plan.load(path).q for path in arguments.initial])
     points: list[Point] = []
     with live.solving(problem, arguments.model) if arguments.live else nullcontext() as seen:
         horizon = Horizon(problem, arguments.model, arguments.solver, start, end, settings)

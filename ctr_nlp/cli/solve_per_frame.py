@@ -31,6 +31,7 @@ from ctr_nlp.solvers import SOLVERS
 from ctr_nlp.steer import DIRECTIONS, march
 from ctr_nlp.steer.interrupt import end_if_interrupted
 from ctr_nlp.steer.nlp_frames import NlpFrames
+from ctr_nlp.steer.requests import checked_ends
 
 
 def main(folder: Path, argv: list[str] | None = None) -> int:
@@ -73,6 +74,7 @@ def _run(folder: Path, arguments: argparse.Namespace) -> int:
     if arguments.lock_tilt:
         problem = replace(problem, robot=problem.robot.with_locked_tilt())
     start = None if arguments.start is None else read_start(arguments.start)
+    checked_ends(problem, arguments.direction, start)
     default = f"runs/{path_component(problem.name)}-{arguments.formulation}-{arguments.model}"
     out = Path(arguments.out or default)
     film = film_file(arguments)

@@ -183,6 +183,7 @@ class Hardware:
             lower[i], upper[i] = max(lower[i], ends[0]), min(upper[i], ends[1])
             speed[i] = min(speed[i], self._fastest(axis) / abs(axis.scale))
             acceleration[i] = min(acceleration[i], axis.acceleration / abs(axis.scale))
+        self._check_ranges(robot, lower, upper)
         if self.arm is None:
             lower[-2:], upper[-2:] = np.maximum(lower[-2:], 0.0), np.minimum(upper[-2:], 0.0)
         else:
@@ -204,6 +205,28 @@ class Hardware:
         if self.connection.device != "grbl":
             return axis.speed
         return min(axis.speed, steady_speed(axis.acceleration, axis.unit == "mm"))
+
+    def _check_ranges(self, robot: Robot, lower: Array, upper: Array) -> None:
+        """Raise HardwareError unless every axis can move its joint within the robot's limits, tubes in order."""
+        for axis in self.axes:
+            i = robot.axes.index(axis.joint)
+            if lower[i] > upper[i] or (lower[i] == upper[i] and robot.lower[i] < robot.upper[i]):
+                raise HardwareError(
+                    f"this hardware cannot move the robot: limits of {axis.joint} are [{lower[i]:g}, {upper[i]:g}]"
+                    f", where axis {axis.letter} has the range [{axis.range[0]:g}, {axis.range[1]:g}] {axis.unit}"
+                    f", zero {axis.zero:g} and sign {axis.sign}, and the robot allows [{robot.lower[i]:g}, "
+                    f"{robot.upper[i]:g}]"
+                )
+        letters = {axis.joint: axis.letter for axis in self.axes}
+        least, most = (robot.split(ends)[1] for ends in (lower, upper))
+        for i in range(1, robot.d):
+            if most[i] < least[:i].max():
+                k = int(least[:i].argmax())
+                raise HardwareError(
+                    f"this hardware cannot hold the robot: axis {letters[f'beta_{i + 1}']} takes beta_{i + 1} to "
+                    f"at most {most[i]:g} mm, and axis {letters[f'beta_{k + 1}']} beta_{k + 1} to at least "
+                    f"{least[k]:g} mm, which must be less"
+                )
 
     def _check_joints(self, robot: Robot) -> None:
         wanted, moved = set(robot.axes[: 2 * robot.d]), {axis.joint for axis in self.axes}
@@ -243,7 +266,7 @@ class Hardware:
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Hardware:
-        """The hardware of a TOML file; raises HardwareError."""
+        """The hardware of a TOML file; raises HardwareError, also where it cannot move the robot that it names."""
         try:
             data = read_toml(path)
             unknown = set(data) - set(KEYS.split(", "))
@@ -251,17 +274,26 @@ class Hardware:
                 raise HardwareError(f"unknown key {min(unknown)!r}; use {KEYS}")
             if not isinstance(data.get("axes"), list):
                 raise HardwareError("hardware needs a list of axes, [[axes]] in TOML")
-            return cls(
+            hardware = cls(
                 tuple(described(Axis, axis) for axis in data["axes"]),
                 described(Arm, data["arm"]) if "arm" in data else None,
                 described(Connection, data.get("connection", {})),
                 data.get("approach", cls.approach),
-                Robot.from_toml(Path(path).parent / data["robot"]) if "robot" in data else None,
+                Robot.from_toml(Path(path).parent / _file(data["robot"])) if "robot" in data else None,
                 data.get("late", cls.late),
                 read_commissioned(path),
             )
+            if hardware.robot is not None:
+                hardware.tightened(hardware.robot)
+            return hardware
         except (RobotError, HardwareError) as error:
             raise HardwareError(f"hardware file {path}: {error}") from error
+
+
+def _file(name: Any) -> str:
+    if not isinstance(name, str):
+        raise HardwareError(f"robot is {name!r}; it must be the name of a robot file")
+    return name
 
 
 def bench(robot: Robot) -> Hardware:

@@ -6,14 +6,19 @@ One source for symbols and numbers: `xp` is casadi (fields are SX, samples run d
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ctr_nlp.errors import OptionError
 from ctr_nlp.robot import Robot, Tube
 
 Vector = tuple[Any, Any, Any]
+
+DOMINATES = 1 + 1e-9
+"""Least ratio of the bending stiffnesses of a tube and of the next one within it; rounding does not dominate."""
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 
@@ -31,6 +36,17 @@ class Arm(NamedTuple):
     side: Any
     along: Any
     angle: Any
+
+
+def check_order(robot: Robot) -> None:
+    """Raise OptionError unless every tube is stiffer than the one within it: then alone it sets the curvature."""
+    for i, (outer, inner) in enumerate(itertools.pairwise(robot.tubes), start=1):
+        if outer.bending_stiffness <= inner.bending_stiffness * DOMINATES:
+            raise OptionError(
+                f"model is 'dominant', and tube {i} is not stiffer than tube {i + 1} within it: their EI are "
+                f"{outer.bending_stiffness:.4g} and {inner.bending_stiffness:.4g}. Balanced tubes bend each "
+                "other: use the elastic model, --model elastic"
+            )
 
 
 def columns_of(q: Any) -> list[Any]:

@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict
 
-from ctr_nlp.errors import OptionError
+from ctr_nlp.models import check_model
 from ctr_nlp.problem import Problem
 from ctr_nlp.reference.descent import Method, ReferenceFrames
 from ctr_nlp.reference.euclidean import euclidean
 from ctr_nlp.reference.seed_two_stage import seed_two_stage
 from ctr_nlp.reference.tip_jacobian import tip_jacobian
-from ctr_nlp.settings import Settings
+from ctr_nlp.settings import Settings, check_choice
 
 METHODS: dict[str, Callable[[Problem, float], Method]] = {
     "seed-two-stage": seed_two_stage,
@@ -26,8 +26,8 @@ METHODS: dict[str, Callable[[Problem, float], Method]] = {
 
 def reference_frames(problem: Problem, name: str, settings: Settings) -> ReferenceFrames:
     """A reference method as a FrameSolver; raises OptionError where the name is unknown."""
-    if name not in METHODS:
-        raise OptionError(f"reference method is {name!r}; it must be one of {', '.join(METHODS)}")
+    check_choice("reference method", name, METHODS)
+    check_model(problem.robot, "dominant")
     method = METHODS[name](problem, settings.motion_weight / problem.dt**2)
     return ReferenceFrames(problem, name, method, asdict(settings))
 

@@ -17,10 +17,10 @@ from ctr_nlp.chain import Chain
 from ctr_nlp.errors import OptionError
 from ctr_nlp.formulations.contact import Wall, wall_of
 from ctr_nlp.formulations.horizon import Ends, horizon
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import check_model
 from ctr_nlp.plan import Plan, plan_from_configurations
 from ctr_nlp.problem import Problem
-from ctr_nlp.settings import Settings, check_choice, check_motion_weight
+from ctr_nlp.settings import Settings, check_choice
 from ctr_nlp.solvers import CHAIN_SOLVERS, default_chain_solver
 from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.steer.attempts import (
@@ -42,6 +42,7 @@ from ctr_nlp.steer.motions import per_frame_motions, wandered
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.realised import realised
+from ctr_nlp.steer.requests import check_described, check_search, checked_ends, checked_motions
 from ctr_nlp.values import strict_json
 
 Array = npt.NDArray[np.float64]
@@ -81,8 +82,11 @@ def solve_horizon(
     the work; the plan is then the best feasible one so far, marked as interrupted. Raises OptionError,
     ProblemError, RobotError.
     """
+    check_described(problem, settings)
+    check_search(motion_weight, starts, jobs)
+    motions = checked_motions(problem, initial)
     whole = Horizon(problem, model, solver, start, end, settings)
-    return whole.solve(initial, motion_weight, starts, jobs, progress, seen)
+    return whole.solve(motions, motion_weight, starts, jobs, progress, seen)
 
 
 class Horizon:
@@ -98,7 +102,7 @@ class Horizon:
         settings: Settings = DEFAULTS,
     ) -> None:
         """Build; raises OptionError, RobotError, and ProblemError where no motion can keep the limits."""
-        check_choice("model of a horizon", model, MODELS)
+        check_model(problem.robot, model, "model of a horizon")
         solver = default_chain_solver() if solver is None else solver
         check_choice("solver of a horizon", solver, CHAIN_SOLVERS)
         if problem.frames < 2:
@@ -106,7 +110,7 @@ class Horizon:
         check_growth(problem)
         begin = time.perf_counter()
         self.problem = problem
-        self.ends = Ends(self._checked_end(start, "start"), self._checked_end(end, "end"))
+        self.ends = Ends(*checked_ends(problem, "best", start, end))
         self._names = {"formulation": "horizon", "model": model, "solver": solver}
         self._settings, self._wall = settings, wall_of(problem.robot, problem.lumen, model, settings)
         self._free = self._built(None)
@@ -131,12 +135,8 @@ class Horizon:
     ) -> Plan:
         """The plan; as solve_horizon."""
         settings, model = self._settings, self._names["model"]
-        for name, count in (("starts", starts), ("jobs", jobs)):
-            if count is not None and count < 1:
-                raise OptionError(f"{name} is {count}; it must be at least 1")
-        if motion_weight is not None:
-            check_motion_weight(motion_weight)
-        given = [x for motion in initial for x in self._unknowns(self._checked_motion(motion))]
+        check_search(motion_weight, starts, jobs)
+        given = [x for motion in checked_motions(self.problem, initial) for x in self._unknowns(motion)]
         with deferred_interrupt() as interrupted:
             begin = time.perf_counter()
             found = given or per_frame_motions(self.problem, self.ends, settings, progress, model)
@@ -274,17 +274,3 @@ class Horizon:
             return [motion]
         robot = self.problem.robot
         return [tracking.follow(robot, motion).x, np.array([tracking.untwisted(robot, q) for q in motion])]
-
-    def _checked_end(self, q: npt.ArrayLike | None, name: str) -> Array | None:
-        if q is None:
-            return None
-        found = np.asarray(q, dtype=float)
-        self.problem.robot.check(found, name)
-        return found
-
-    def _checked_motion(self, motion: npt.ArrayLike) -> Array:
-        found = np.asarray(motion, dtype=float)
-        expected = (self.problem.frames, len(self.problem.robot.axes))
-        if found.shape != expected or not np.isfinite(found).all():
-            raise OptionError(f"initial has a motion of shape {found.shape}; it must be {expected}, all finite")
-        return found

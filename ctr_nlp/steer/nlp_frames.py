@@ -16,7 +16,7 @@ from ctr_nlp.formulations.contact import ROUNDS, SETTLED, Wall, wall_of
 from ctr_nlp.formulations.joint import joint, tip_steps
 from ctr_nlp.forward import other_way
 from ctr_nlp.frames import FrameResult, reachable, starts
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import check_model
 from ctr_nlp.problem import Problem
 from ctr_nlp.settings import Settings, check_choice
 from ctr_nlp.solvers import SOLVERS, Solution, default_solver
@@ -46,12 +46,12 @@ class NlpFrames:
         model: str = "dominant",
         settings: Settings = DEFAULTS,
     ) -> None:
-        """Build the NLPs; raises OptionError for names that do not exist."""
+        """Build the NLPs; raises OptionError, and ProblemError where the target is not known all along."""
         check_choice("formulation", formulation, FORMULATIONS)
-        check_choice("model", model, MODELS)
+        check_model(problem.robot, model)
         solver = default_solver() if solver is None else solver
         check_choice("solver", solver, SOLVERS)
-        self.problem = problem
+        self.problem, self._samples = problem, problem.samples
         self._seed = settings.seed
         self.margins = np.full(problem.frames, np.nan)
         """Least stability margins (T,) on the elastic model."""
@@ -80,7 +80,7 @@ class NlpFrames:
 
     def search(self, frame: int) -> list[FrameResult]:
         """Distinct answers for a frame without a past, best first; at least one."""
-        guesses = starts(self.problem.robot, self.problem.samples[frame], SEARCH_STARTS, self._seed)
+        guesses = starts(self.problem.robot, self._samples[frame], SEARCH_STARTS, self._seed)
         tried = [FrameResult(guess, x=self._unknowns(guess)) for guess in guesses]
         results = sorted(map(self._unwound, self._attempts(frame, tried, None)), key=lambda r: r.objective)
         distinct: list[FrameResult] = []
@@ -119,7 +119,7 @@ class NlpFrames:
         if result.success:
             return result
         low, high = reachable(self.problem.robot, before.q, self.problem.dt)
-        guesses = starts(self.problem.robot, self.problem.samples[frame], RETRY_STARTS, self._seed)
+        guesses = starts(self.problem.robot, self._samples[frame], RETRY_STARTS, self._seed)
         tried = [FrameResult(q, x=self._unknowns(q)) for q in np.clip(guesses, low, high)]
         attempts = self._attempts(frame, [replace(before, warm=None), *tried], before)
         best = min(attempts, key=lambda r: r.objective, default=None)
@@ -164,7 +164,7 @@ class NlpFrames:
         return min(tried, key=lambda one: one.objective, default=result)
 
     def _solved(self, index: int, guess: FrameResult, before: FrameResult | None) -> FrameResult:
-        frame, q = self.problem.samples[index], guess.q.copy()
+        frame, q = self._samples[index], guess.q.copy()
         previous = None if before is None else before.q
         low, high = self._limits(before)
         solutions: list[Solution] = []

@@ -5,24 +5,21 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.errors import OptionError
 from ctr_nlp.forward import simulated
 from ctr_nlp.frames import FrameResult, FrameSolver
 from ctr_nlp.metrics import rms_over_sigma
 from ctr_nlp.problem import Problem
 from ctr_nlp.steer.interrupt import deferred_interrupt
+from ctr_nlp.steer.requests import Direction, checked_ends
 
 Array = npt.NDArray[np.float64]
-Direction = Literal["forward", "backward", "best"]
 Progress = Callable[[int, int, str], None]
 """Called with (steps done, steps in all, what is being done)."""
 
-DIRECTIONS = ("forward", "backward", "best")
 CANDIDATES = 4
 """Distinct answers of the first frame from which a whole motion is tried, in each direction."""
 
@@ -85,14 +82,7 @@ def run_passes(
     start: q at time 0; end: q of the last frame. A motion leads from the first forward, from the second
     backward. Ctrl-C, held back by the caller, ends each run after its next frame.
     """
-    if direction not in DIRECTIONS:
-        raise OptionError(f"direction is {direction!r}; it must be one of {', '.join(DIRECTIONS)}")
-    q0, q1 = (None if q is None else np.asarray(q, dtype=float) for q in (start, end))
-    for name, q in (("start", q0), ("end", q1)):
-        if q is not None:
-            problem.robot.check(q, name)
-    if q0 is not None and direction == "backward":
-        raise OptionError("direction is 'backward' and a start is given; a motion from a start goes forward")
+    q0, q1 = checked_ends(problem, direction, start, end)
     begin = time.perf_counter()
     with deferred_interrupt() as interrupted:
         passes = _first_frames(problem, solver, direction, q0, q1)

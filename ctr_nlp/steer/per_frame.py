@@ -16,8 +16,9 @@ from ctr_nlp.solvers.sqp import FALLBACK
 from ctr_nlp.steer.inside import kept_inside
 from ctr_nlp.steer.interrupt import deferred_interrupt
 from ctr_nlp.steer.nlp_frames import DEFAULTS, NlpFrames
-from ctr_nlp.steer.passes import Direction, Pass, Progress, run_passes
+from ctr_nlp.steer.passes import Pass, Progress, run_passes
 from ctr_nlp.steer.realised import held
+from ctr_nlp.steer.requests import Direction, check_described, checked_ends
 
 Array = npt.NDArray[np.float64]
 
@@ -41,6 +42,8 @@ def solve_per_frame(
     marked in the plan. Ctrl-C ends the work; the plan then has what was solved and is marked as interrupted.
     Raises OptionError, RobotError.
     """
+    check_described(problem, settings)
+    checked_ends(problem, direction, start)
     return march(
         problem,
         NlpFrames(problem, formulation, solver, model, settings),

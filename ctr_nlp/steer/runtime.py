@@ -7,15 +7,16 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.errors import OptionError
+from ctr_nlp.errors import OptionError, RobotError
 from ctr_nlp.formulations.joint import STRIDE, joint, tip_steps
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import check_model
 from ctr_nlp.robot import Robot
-from ctr_nlp.settings import Settings, check_choice
+from ctr_nlp.settings import Settings
 from ctr_nlp.solvers.adapter import FEASIBLE, OPTIMAL
 from ctr_nlp.solvers.sqp import Program
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.target import SIGMA
+from ctr_nlp.values import instance, number
 
 Array = npt.NDArray[np.float64]
 
@@ -39,11 +40,11 @@ class Steerer:
         OptionError also where nothing can be compiled. On the elastic model the robot is taken to have been turned
         to q from where all its tubes were aligned.
         """
-        if not (math.isfinite(dt) and dt > 0):
-            raise OptionError(f"dt is {dt} s; it must be a finite number > 0")
-        check_choice("model", model, MODELS)
-        self.q = np.array(q, dtype=float)
-        robot.check(self.q, "q")
+        instance(RobotError, "robot", robot, Robot)
+        instance(OptionError, "settings", settings, Settings)
+        number(OptionError, "dt", dt, lambda x: 0 < x < math.inf, "be a finite number > 0", " s")
+        check_model(robot, model)
+        self.q = robot.check(q).copy()
         (stage,) = joint(robot, settings, model)
         self._program = Program(stage.nlp)
         self._picks, self._x = stage.nlp.configuration, stage.rest(self.q)
@@ -63,8 +64,8 @@ class Steerer:
 
         Raises OptionError where the target has another shape or numbers that are not finite.
         """
-        if target.shape != (len(SIGMA), 3):
-            raise OptionError(f"target has shape {target.shape}; it must be {(len(SIGMA), 3)}")
+        if np.shape(target) != (len(SIGMA), 3):
+            raise OptionError(f"target has shape {np.shape(target)}; it must be {(len(SIGMA), 3)}")
         if not np.isfinite(target).all():
             raise OptionError(f"target has {target[~np.isfinite(target)][0]} mm; all of it must be finite")
         at, (lower, upper, most), n = self._program, self._limits, len(self._x)

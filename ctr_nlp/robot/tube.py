@@ -1,0 +1,130 @@
+"""One tube: its numbers, and which of them no tube can have."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+from ctr_nlp.errors import RobotError
+from ctr_nlp.robot.units import between, curvature_meant, did_you_mean, length_meant
+from ctr_nlp.values import numbers
+
+STRAIN_MADE = 0.08
+"""Largest strain of a tube's outer fibre by its pre-curvature."""
+CURVATURE = 0.5
+"""Largest curvature of any tube, 1/mm: a radius of 2 mm, which nitinol bears up to 0.32 mm thick."""
+LENGTHS = (1.0, 10_000.0)
+"""Shortest and longest tube, mm. What is shorter was likely written in metres, what is longer in micrometres."""
+DIAMETERS = (0.1, 100.0)
+"""Least and largest outer diameter, mm."""
+
+
+@dataclass(frozen=True)
+class Tube:
+    """One pre-curved tube: a straight transmission, then a curved part that ends at its tip.
+
+    length, curved_length: mm. curvature: 1/mm, constant, or (root, tip) of the curved part and linear in
+    the distance from the tip between them. Diameters: mm. youngs_modulus: any unit, since only ratios
+    between tubes matter for an unloaded robot. Raises RobotError.
+
+    Bent into its pre-curvature, a straight tube is strained by curvature * outer_diameter / 2 at its outer fibre;
+    so it is again wherever the tubes around it or its own carriage hold it straight. More than 8 % is refused, the
+    strain up to which nitinol recovers (Duerig, Pelton, Stoeckel, An overview of nitinol medical applications,
+    Materials Science and Engineering A 273-275, 1999). However thin the tube, its curvature is at most 0.5 per mm,
+    its outer diameter from 0.1 to 100 mm and its length from 1 to 10,000 mm: beyond these a number was written in
+    another unit, which the message names.
+    """
+
+    length: float
+    curved_length: float
+    curvature: float | tuple[float, float]
+    outer_diameter: float
+    inner_diameter: float
+    poisson_ratio: float = 0.3
+    youngs_modulus: float = 1.0
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if f.name == "curvature":
+                pair = tuple(numbers(f.name, value, 2).tolist())
+                object.__setattr__(self, "curvature", pair[0] if pair[0] == pair[1] else pair)
+            else:
+                object.__setattr__(self, f.name, float(numbers(f.name, value, 1)[0]))
+        self._check_lengths()
+        self._check_diameters()
+        self._check_curvature()
+        if not -1 < self.poisson_ratio <= 0.5:
+            raise RobotError(f"tube poisson_ratio is {self.poisson_ratio:g}; it must lie in (-1, 0.5]")
+        if self.youngs_modulus <= 0:
+            raise RobotError(f"tube youngs_modulus is {self.youngs_modulus:g}; it must be positive")
+
+    def _check_lengths(self) -> None:
+        if self.length <= 0:
+            raise RobotError(f"tube length is {self.length:g} mm; it must be positive")
+        _check_unit("length", self.length, LENGTHS)
+        if not 0 <= self.curved_length <= self.length:
+            raise RobotError(
+                f"tube curved_length is {self.curved_length:g} mm; it must lie in [0, length = {self.length:g}]"
+            )
+        if self.curved_length:
+            _check_unit("curved_length", self.curved_length, LENGTHS)
+
+    def _check_diameters(self) -> None:
+        if not 0 <= self.inner_diameter < self.outer_diameter:
+            exchanged = 0 < self.outer_diameter < self.inner_diameter
+            raise RobotError(
+                f"tube inner_diameter is {self.inner_diameter:g} mm; it must lie in "
+                f"[0, outer_diameter = {self.outer_diameter:g})"
+                + "; are the two diameters exchanged, or in different units?"
+                * exchanged
+            )
+        _check_unit("outer_diameter", self.outer_diameter, DIAMETERS)
+
+    def _check_curvature(self) -> None:
+        if min(self.root_curvature, self.tip_curvature) < 0:
+            raise RobotError(f"tube curvature is {self.curvature}; it is unsigned (turn the tube instead)")
+        largest, most = self.largest_curvature, min(CURVATURE, 2 * STRAIN_MADE / self.outer_diameter)
+        if largest > CURVATURE:
+            meant = curvature_meant(largest, between(0, most))
+            raise RobotError(
+                f"tube curvature {largest:g} per mm is a radius of {1 / largest:.2g} mm; it must be at most "
+                f"{most:.3g} per mm{did_you_mean(meant)}"
+            )
+        strain = largest * self.outer_diameter / 2
+        if strain > STRAIN_MADE * (1 + 1e-9):
+            raise RobotError(
+                f"tube curvature is {largest:g} per mm, a radius of {1 / largest:.3g} mm, and outer_diameter "
+                f"{self.outer_diameter:g} mm: made so, the tube is strained by {100 * strain:.3g} %, and nitinol "
+                f"bears {100 * STRAIN_MADE:g} %; the curvature must be at most {most:.3g} per mm"
+            )
+
+    @property
+    def root_curvature(self) -> float:
+        """Curvature where the curved part begins, 1/mm."""
+        return self.curvature[0] if isinstance(self.curvature, tuple) else self.curvature
+
+    @property
+    def tip_curvature(self) -> float:
+        """Curvature at the tip, 1/mm."""
+        return self.curvature[1] if isinstance(self.curvature, tuple) else self.curvature
+
+    @property
+    def largest_curvature(self) -> float:
+        """The larger of the curvatures at root and tip, 1/mm."""
+        return max(self.root_curvature, self.tip_curvature)
+
+    @property
+    def bending_stiffness(self) -> float:
+        """EI, in units of youngs_modulus x mm^4."""
+        return self.youngs_modulus * math.pi / 64 * (self.outer_diameter**4 - self.inner_diameter**4)
+
+
+def _check_unit(name: str, value: float, allowed: tuple[float, float]) -> None:
+    """Raise RobotError where a length in mm was likely written in another unit."""
+    low, high = allowed
+    if not low <= value <= high:
+        meant = length_meant(value, between(low, high))
+        raise RobotError(
+            f"tube {name} is {value:g} mm; it must lie in [{low:g}, {high:g}] mm{did_you_mean(meant)}"
+        )
