@@ -103,9 +103,9 @@ def _contacts(plan: Plan, found: dict[str, Any]) -> list[str]:
             f"contact in {frames}: tube {contact['tube']} by up to {contact['depth']:.2f} mm, "
             f"{contact['path']:.0f} mm along the path in frame {contact['frame']}"
         )
-    weight, asked = found["weights"]["contact_mm"], plan.meta["options"].get("contact_weight")
+    weight, asked = found["weights"]["contact_mm"], plan.options.get("contact_weight")
     if told and weight is not None and weight < asked:
-        part = plan.meta["options"]["clearance_cost"]
+        part = plan.options["clearance_cost"]
         told.append(
             f"less contact would raise e3 by more than {part:.0%}: a mm of it was weighed {weight:.2g} and not "
             f"{asked:g} mm² (--clearance-cost)"

@@ -95,7 +95,7 @@ def _stability(plan: Plan) -> dict[str, Array]:
 
 def bound_by_stability(plan: Plan) -> list[tuple[int, int]]:
     """First and last frame, from 1, of the parts of a motion that the margin asked for holds back."""
-    margin = plan.meta["options"].get("stability_margin")
+    margin = plan.options.get("stability_margin")
     if margin is None or not np.isfinite(plan.stability).any():
         return []
     bound = np.fmin(plan.stability, plan.stability_between) < margin + BINDS
@@ -104,7 +104,7 @@ def bound_by_stability(plan: Plan) -> list[tuple[int, int]]:
 
 def missed_margin(plan: Plan) -> tuple[int, float] | None:
     """On the way to which frame, from 1, the margin is missed by most, and the one found; None where held."""
-    margin, found = plan.meta["options"].get("stability_margin"), plan.stability_between
+    margin, found = plan.options.get("stability_margin"), plan.stability_between
     if margin is None or not np.isfinite(found).any() or np.nanmin(found) >= margin - 2 * BINDS:
         return None
     frame = int(np.nanargmin(found))
@@ -160,7 +160,7 @@ def summary(plan: Plan) -> dict[str, Any]:
         "interrupted": bool(plan.meta.get("interrupted", False)),
         "kkt_max": _number(plan.kkt[plan.success].max(initial=-np.inf)),
         "weights": {
-            "motion_s2": plan.meta["options"].get("motion_weight"),
+            "motion_s2": plan.options.get("motion_weight"),
             "contact_mm": plan.meta.get("contact_weight"),
             "angle_mm_per_rad": float(robot.mm_per_unit[0]),
         },
@@ -170,7 +170,7 @@ def summary(plan: Plan) -> dict[str, Any]:
         "model": plan.meta["model"],
         "evaluated": plan.evaluated,
         "solver": plan.meta["solver"],
-        "direction": plan.meta["options"].get("direction"),
+        "direction": plan.options.get("direction"),
         "smoothing_deviation": plan.meta["problem"]["deviation"],
         "smoothing_share": plan.meta["problem"].get("deviation_share"),
     }

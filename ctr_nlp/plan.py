@@ -115,6 +115,11 @@ class Plan:
         """Whether every frame was solved."""
         return bool(self.success.all())
 
+    @property
+    def options(self) -> dict[str, Any]:
+        """What the plan was made with, by name; empty where whoever made it does not tell."""
+        return dict(self.meta.get("options", {}))
+
     @cached_property
     def verdicts(self) -> Verdicts:
         """Whether the plan does what was asked of it, one verdict a matter."""

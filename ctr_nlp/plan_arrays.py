@@ -28,7 +28,7 @@ SHAPES: dict[str, tuple[int | str, ...]] = {
 OPTIONAL = "lumen_radius", "clearance", "truth", "free", "lumen"
 REQUIRED = tuple(name for name in SHAPES if name not in OPTIONAL)
 META: dict[str, type] = {
-    **dict.fromkeys(("robot", "problem", "options"), dict),
+    **dict.fromkeys(("robot", "problem"), dict),
     **dict.fromkeys(("model", "formulation", "solver"), str),
 }
 """What meta must tell, and as what."""
@@ -41,6 +41,8 @@ def check_meta(meta: Any) -> None:
     for key, kind in META.items():
         if not isinstance(meta.get(key), kind):
             raise OutputError(f"{key} of meta is {meta.get(key)!r:.60}; it must be a {kind.__name__}")
+    if not isinstance(meta.get("options", {}), dict):
+        raise OutputError(f"options of meta is {meta['options']!r:.60}; it must be a dict")
     if not isinstance(meta["problem"].get("name"), str):
         raise OutputError(f"name of meta's problem is {meta['problem'].get('name')!r:.60}; it must be a str")
     for key in ("model", "evaluated"):

@@ -146,4 +146,4 @@ def _within_wall(plan: Plan) -> Judgement:
 
 def _option(plan: Plan, name: str) -> Any:
     """What was asked for, or by default is, where a plan was made before there was such an option."""
-    return plan.meta["options"].get(name, getattr(Settings(), name))
+    return plan.options.get(name, getattr(Settings(), name))
