@@ -184,8 +184,8 @@ def row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
     """Errors in mm, steps in rad and mm, times in ms and s. seed_*: Table II's figures for the same method.
 
     e3 and others are of the model planned on; dominant_*, elastic_* of the same motion on both, None where the
-    robot's tubes are balanced and the dominant model does not describe it; *_no the matters in which verdicts there
-    are no.
+    robot's tubes are balanced and the dominant model does not describe it; *_no the matters in which verdicts
+    there are no.
     """
     found = summary(plan)
     models = [model for model in MODELS if suits(plan.robot, model)]

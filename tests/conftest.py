@@ -22,7 +22,7 @@ settings.load_profile("quick")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Keep compiled code, and what is known of devices, in a folder of this session's own, for all its processes."""
+    """Keep compiled code, and what is known of devices, in a folder of this session and all its processes."""
     if hasattr(config, "workerinput"):
         return
     folder = tempfile.TemporaryDirectory(prefix="ctr_nlp-tests-", ignore_cleanup_errors=True)

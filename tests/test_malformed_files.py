@@ -188,7 +188,7 @@ PLANS = [
     ({"meta": changed(GOOD["meta"], "evaluated", ["elastic"])}, "evaluated of meta is .'elastic'."),
     ({"meta": changed(GOOD["meta"], "problem", "cos")}, "problem of meta is 'cos'; it must be a dict"),
     ({"meta": changed(GOOD["meta"], "problem.name", ...)}, "name of meta's problem is None"),
-    ({"meta": changed(GOOD["meta"], "options", [])}, "options of meta is []"),
+    ({"meta": changed(GOOD["meta"], "options", [])}, r"options of meta is \[\]"),
     ({"meta": changed(GOOD["meta"], "solver", 3)}, "solver of meta is 3"),
     ({"extra": np.zeros(3)}, None),
     ({"lumen": ..., "clearance": ..., "lumen_radius": ...}, None),

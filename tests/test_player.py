@@ -134,7 +134,7 @@ def test_homing_can_be_stopped(tmp_path: Path) -> None:
             player.abort()
 
     world.clock.sleep = sleep  # type: ignore[method-assign]
-    with pytest.raises(Stopped, match="stopped on request.* its position is not to be trusted") as stop:
+    with pytest.raises(Stopped, match=r"stopped on request.* its position is not to be trusted") as stop:
         player.connect(home=True)
     assert (stop.value.result.outcome, stop.value.result.trusted) == (Outcome.CANCELLED, False)
     assert world.clock.now() < began + 2.0 + ABORTED

@@ -1,4 +1,5 @@
-"""Pulling the tubes back: on the path that they came, or innermost first; checked, slow, and stopped like any motion."""
+"""Pulling the tubes back: on the path that they came, or innermost first; checked, slow, and stopped on
+request."""
 
 from __future__ import annotations
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -75,7 +77,7 @@ def tracked(folder: Path, plan: Plan) -> World:
 
 
 def ended(world: World, cause: str, at: float) -> tuple[float, float, Outcome | None]:
-    """Strike so many s after the motion of the plan began: how long and how far it went on, and the result, if any."""
+    """Strike so many s after the plan began: how long and how far motion went on, and the result, if any."""
     clock, after = world.clock, list[float]()
     assert isinstance(clock, Tracked)
 
@@ -98,10 +100,8 @@ def ended(world: World, cause: str, at: float) -> tuple[float, float, Outcome | 
             strike()
 
     outcome = None
-    try:
+    with suppress(Killed):
         outcome = world.begin(seen=seen).outcome
-    except Killed:
-        pass
     clock.sleep(6.0)
     seconds, travel = clock.motion()
     return seconds, travel, outcome
@@ -271,8 +271,6 @@ def test_what_a_link_sustains() -> None:
 
 def test_a_link_that_is_too_slow_is_told_before_anything_moves(tmp_path: Path) -> None:
     """A report takes 0.12 s at 9600 baud."""
-    from dataclasses import replace
-
     world = World(tmp_path, fast())
     world.hardware = replace(world.hardware, connection=replace(world.hardware.connection, baud=9600))
     result = world.begin()

@@ -48,7 +48,7 @@ def test_distrust_lasts_until_a_person_has_looked(world: World) -> None:
     world.latest.close()
     world.firmware.receive(b"$X\n")
     for _ in range(2):
-        with pytest.raises(DeviceFault, match="not to be trusted, since .*position-verified"):
+        with pytest.raises(DeviceFault, match=r"not to be trusted, since .*position-verified"):
             world.begin()
         assert world.latest.state is State.IDLE
         world.latest.close()
@@ -91,7 +91,7 @@ def test_a_power_cycle_is_seen_by_the_controllers_own_count(world: World) -> Non
 def test_nothing_is_played_where_nothing_can_be_remembered(tmp_path: Path) -> None:
     (tmp_path / "state").write_text("a file where a folder should be")
     world = World(tmp_path, sweep(12), state=tmp_path / "state")
-    with pytest.raises(DeviceFault, match="cannot be remembered in .*CTR_NLP_STATE names another folder"):
+    with pytest.raises(DeviceFault, match=r"cannot be remembered in .*CTR_NLP_STATE names another folder"):
         world.begin()
     assert world.firmware.executed == []
 

@@ -71,10 +71,10 @@ def _steps(rig: Commissioning, hardware: Hardware) -> None:
     """Move single axes as typed, until a line says something else or there are no more."""
     letters = " ".join(hardware.letters)
     console().print(
-        f"With the tubes taken out, type an axis ({letters}) and + or - to move it by {STEP:g} mm or degree, such as "
-        "X+; an empty line ends.\n"
-        "Each must move as far as a ruler shows, and + must go outwards, or anticlockwise seen from the tip, where "
-        "sign is 1.",
+        f"With the tubes taken out, type an axis ({letters}) and + or - to move it by {STEP:g} mm or degree, "
+        "such as X+; an empty line ends.\n"
+        "Each must move as far as a ruler shows, and + must go outwards, or anticlockwise seen from the tip, "
+        "where sign is 1.",
         markup=False,
     )
     with deferred_interrupt() as interrupted:

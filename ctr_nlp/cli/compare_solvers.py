@@ -66,8 +66,8 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
         prog="compare_solvers.py",
         description="Solve problems with every variant, one after the other, and print errors, steps and times "
         "beside the seed's Table II; write comparison.md, .csv and .json.",
-        epilog="Exit status: 0 no verdict on a plan of ours is no, 1 one is, 2 bad input, 130 interrupted (what was "
-        "done goes into DIR/interrupted, and DIR's own files stay).",
+        epilog="Exit status: 0 no verdict on a plan of ours is no, 1 one is, 2 bad input, 130 interrupted (what "
+        "was done goes into DIR/interrupted, and DIR's own files stay).",
     )
     names = ", ".join(problems.names(folder))
     parser.add_argument(

@@ -79,14 +79,14 @@ def _parsed(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--retract",
         action="store_true",
-        help="pull the tubes back slowly along the way that the last session in the journal came, or, where there is "
-        "no journal, innermost first; the motion is checked like a plan",
+        help="pull the tubes back slowly along the way that the last session in the journal came, or, where there "
+        "is no journal, innermost first; the motion is checked like a plan",
     )
     parser.add_argument(
         "--commission",
         action="store_true",
-        help="read a Grbl controller, tell which settings are wrong and what to set, move single axes by a small step "
-        "where asked to, and keep its settings beside the hardware file, to be compared at every start",
+        help="read a Grbl controller, tell which settings are wrong and what to set, move single axes by a small "
+        "step where asked to, and keep its settings beside the hardware file, to be compared at every start",
     )
     parser.add_argument(
         "--out",

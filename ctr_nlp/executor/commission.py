@@ -31,7 +31,7 @@ SHOWN = 0.1
 
 
 class Controller(NamedTuple):
-    """What was read. wrong: settings that go against safe playing; changed: since the last commissioning, if any."""
+    """What was read. wrong: settings that go against safe playing; changed: since the last commissioning."""
 
     identity: Identity
     wrong: list[Finding]
@@ -46,7 +46,7 @@ class Commissioning:
     def __init__(self, hardware: Hardware, opened: Callable[[], Link], clock: Clock) -> None:
         if hardware.connection.device != "grbl":
             raise HardwareError(
-                f"device of the connection is {hardware.connection.device!r}; only a grbl controller is commissioned"
+                f"device of the connection is {hardware.connection.device!r}; only grbl can be commissioned"
             )
         self._hardware, self._link, self._clock = hardware, opened(), clock
         self._talk = Talk(self._link, clock)

@@ -201,7 +201,7 @@ class Hardware:
             raise HardwareError(f"this hardware cannot move the robot: {error}") from error
 
     def _fastest(self, axis: Axis) -> float:
-        """The largest speed of an axis in its unit; lower where its controller could not stop soon enough from it."""
+        """The largest speed of an axis in its unit, from which its controller can still stop soon enough."""
         if self.connection.device != "grbl":
             return axis.speed
         return min(axis.speed, steady_speed(axis.acceleration, axis.unit == "mm"))

@@ -1,8 +1,9 @@
 """How much motion a controller may have in hand: nothing can call it back once the link or the player is gone.
 
-A controller plays what it was given to the end, whatever becomes of the host. So what it was given and has not done,
-counted from the position that it last confirmed, is bounded in time and in the travel of every slide. Too little
-of it would slow the motion down: a controller runs no faster than it can come to rest within what it was given.
+A controller plays what it was given to the end, whatever becomes of the host. So what it was given and has not
+done, counted from the position that it last confirmed, is bounded in time and in the travel of every slide. Too
+little of it would slow the motion down: a controller runs no faster than it can come to rest within what it was
+given.
 """
 
 from __future__ import annotations
@@ -35,22 +36,23 @@ ROUND_TRIP = 0.025
 
 
 class Link(NamedTuple):
-    """What a link can do. round_trip: s from a question to its answer. rate: bytes/s that it takes, inf if unknown."""
+    """What a link can do. round_trip: s from a question to its answer; rate: bytes/s that it takes."""
 
     round_trip: float = ROUND_TRIP
     rate: float = math.inf
 
     @property
     def delay(self) -> float:
-        """S of what a controller has in hand that it cannot use to brake: done, not yet told, or on the way to it."""
+        """Seconds of motion in hand that are of no use for braking: done but not told, or still on the way."""
         return PREPARED + LONGEST + POLL + 1.5 * self.round_trip
 
 
 def steady_speed(acceleration: float, slides: bool, link: Link | None = None) -> float:
-    """The largest speed that an axis keeps up with what a controller may have in hand; 0 where the link is too slow.
+    """The largest speed that an axis keeps up with so little motion in hand; 0 where the link is too slow.
 
     acceleration: of the axis, in unit/s^2. slides: whether its travel (mm) is bounded too. The room that is left
-    when everything late is taken off must do for braking: v / (2 a) + delay = AHEAD, v^2 / (2 a) + v delay = TRAVEL.
+    when everything late is taken off must do for braking: v / (2 a) + delay = AHEAD, v^2 / (2 a) + v delay =
+    TRAVEL.
     """
     delay = (link or Link()).delay
     by_time = max(0.0, 2.0 * acceleration * (AHEAD - delay))
@@ -61,7 +63,8 @@ def steady_speed(acceleration: float, slides: bool, link: Link | None = None) ->
 class Window:
     """Which of the pieces of a motion a controller may have been given.
 
-    ends (N + 1,) s and points (N + 1, m): when and where pieces begin and end; slides (m,): which axes count in mm.
+    ends (N + 1,) s and points (N + 1, m): when and where pieces begin and end; slides (m,): which axes count in
+    mm.
     """
 
     def __init__(self, ends: Array, points: Array, slides: npt.NDArray[np.bool_]) -> None:
@@ -85,7 +88,8 @@ def sustainable(
 ) -> float:
     """The part of its pace, at most 1, at which a motion can be kept supplied over a link; 0 for none.
 
-    speed (m,): largest of the axes in the motion; acceleration (m,): of the controller; rate: bytes/s of the motion.
+    speed (m,): largest of the axes in the motion; acceleration (m,): of the controller; rate: bytes/s of the
+    motion.
     """
     parts = [1.0, link.rate / rate if rate > 0 else 1.0]
     for fastest, change, slide in zip(speed, acceleration, slides, strict=True):

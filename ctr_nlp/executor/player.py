@@ -43,9 +43,9 @@ class Player:
 
     pause, resume and abort may be called from anywhere, also from the callback of play; the last word counts, but
     an abort is final, and works in every state. What is asked for while nothing plays holds for the next program.
-    After any stop nothing moves and nothing is sent until the next call. memory: of whether the device's position was
-    to be trusted when sessions before this one ended, None to forget. A call that the state does not allow raises
-    DeviceFault.
+    After any stop nothing moves and nothing is sent until the next call. memory: of whether the device's position
+    was to be trusted when sessions before this one ended, None to forget. A call that the state does not allow
+    raises DeviceFault.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class Player:
         return standing
 
     def _opened(self, stop_first: bool, home: bool) -> Standing:
-        """Where a device stands that was connected, and homed or stopped as wanted, unless an abort comes between."""
+        """Connect the device, home or stop it as wanted, and tell where it stands; an abort ends that."""
         homing = False
         try:
             self.device.connect(self._aborted)

@@ -34,9 +34,9 @@ def retract(
 ) -> Result:
     """Pull the tubes of a plan's robot back, as slowly as a first frame is gone to.
 
-    records: of the journal of the session that brought them where they are, None where there is none. A device that
-    still moves is stopped first. verified: a person has made sure that the axes are where the device says. Raises
-    ProgramError where the robot does not stand on that way, or the way back does not pass its check.
+    records: of the journal of the session that brought them where they are, None where there is none. A device
+    that still moves is stopped first. verified: a person has made sure that the axes are where the device says.
+    Raises ProgramError where the robot does not stand on that way, or the way back does not pass its check.
     """
     if records is not None:
         check_trusted(records, verified)
@@ -100,7 +100,7 @@ def _straight(program: Program, start: Array, end: Array, theta: Array) -> Progr
 
 
 def innermost_first(plan: Plan, hardware: Hardware, position: Array, theta: Array) -> Program:
-    """From positions (m,) of the axes at a tilt (2,): the innermost tube into the next, both into the next, and in.
+    """From positions (m,) and a tilt (2,): the innermost tube into the next, both into the next, and all in.
 
     Nothing is turned. Raises ProgramError where the tubes are in already.
     """

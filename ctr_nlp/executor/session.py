@@ -52,8 +52,9 @@ def begin(
 ) -> Result:
     """Play a plan from its first frame, to which the robot goes slowly and straight from where it stands.
 
-    home: let the device find its position before. verified: a person has made sure that the axes are where the device
-    says. Raises the errors of prepared before anything is sent, and DeviceFault where no program could be begun.
+    home: let the device find its position before. verified: a person has made sure that the axes are where the
+    device says. Raises the errors of prepared before anything is sent, and DeviceFault where no program could be
+    begun.
     """
     program, _ = prepared(plan, hardware, tempo)
     try:
@@ -131,7 +132,7 @@ def session_of(records: list[dict[str, Any]]) -> str:
 
 
 def check_trusted(records: list[dict[str, Any]], verified: bool) -> None:
-    """Raise ProgramError where a session ended with a position that was not to be trusted, and nobody looked since."""
+    """Raise ProgramError where a session ended with a position not to be trusted, and nobody has verified it."""
     results = [record for record in records if record["kind"] == "result"]
     if not verified and results and not results[-1]["trusted"]:
         raise ProgramError(f"the position was not to be trusted when the session ended: {REMEDY}")

@@ -1,4 +1,4 @@
-"""What is remembered of a device from one session to the next: whether its position is to be trusted, and where it was.
+"""What is remembered of a device between sessions: whether its position is to be trusted, and where it was.
 
 Steppers have no encoders. A session that ended badly, or without a word, leaves a position that only homing or a
 person can vouch for; so does a controller that was switched off, which is seen by its own count.
@@ -72,7 +72,7 @@ class Memory:
         self._lock = None
 
     def read(self, identity: str) -> Remembered | None:
-        """How the device was left, None where it has never been met; what cannot be read is no reason for trust."""
+        """How the device was left, None where it was never met; what cannot be read is no reason for trust."""
         path = self._path("json", identity)
         try:
             return Remembered(**json.loads(path.read_text(encoding="utf-8")))
@@ -114,7 +114,8 @@ def doubt(
 ) -> str:
     """Why a device at a position (m,) is not to be trusted, "" where nothing speaks against it.
 
-    resolution (m,): what it can tell apart. session: one that is being resumed, whose motion is looked for by itself.
+    resolution (m,): what it can tell apart. session: one that is being resumed, whose motion is looked for by
+    itself.
     """
     if left is None or (session and left.session == session):
         return ""
@@ -125,7 +126,7 @@ def doubt(
         there = ", ".join(f"{value:.4g}" for value in position)
         was = ", ".join(f"{value:.4g}" for value in known)
         return (
-            f"the device counts {there}, and was left at {was}: it was switched off or moved by somebody else, and "
-            f"its position is not to be trusted: {REMEDY}"
+            f"the device counts {there}, and was left at {was}: it was switched off or moved by somebody else, "
+            f"and its position is not to be trusted: {REMEDY}"
         )
     return ""

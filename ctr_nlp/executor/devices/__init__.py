@@ -26,9 +26,9 @@ class Standing(NamedTuple):
 class Signs(NamedTuple):
     """What a device shows beside its position; whether that is as it should be is decided by the supervision.
 
-    said: a sentence on what it said or did that no device does that plays as it should, "" for nothing. override: what
-    it scales all speeds by, in %, None where it does not tell. stalled: s in which it has done nothing although it
-    was given something to do.
+    said: a sentence on what it said or did that no device does that plays as it should, "" for nothing. override:
+    what it scales all speeds by, in %, None where it does not tell. stalled: s in which it has done nothing
+    although it was given something to do.
     """
 
     said: str = ""
@@ -59,7 +59,7 @@ Asked = Callable[[], bool]
 
 
 class Device(Protocol):
-    """Plays commands. Nothing here waits for a motion but home and abort, whose waits end; all raise DeviceFault."""
+    """Plays commands. Only home and abort wait for a motion, and their waits end; all raise DeviceFault."""
 
     def connect(self, stop: Asked) -> None:
         """Open the link and make sure of what answers; where a stop is asked for meanwhile, that is a fault."""
@@ -67,7 +67,7 @@ class Device(Protocol):
 
     @property
     def identity(self) -> str:
-        """What tells this device from others at the same address, once it is connected; "" where there is nothing."""
+        """What tells this device, once it is connected, from others at its address; "" where nothing does."""
         ...
 
     def standing(self) -> Standing:

@@ -1,6 +1,7 @@
 """The one way in which motion behind a Grbl controller is stopped, whatever the cause and the controller's state.
 
-The stop is sent first; what happened is asked afterwards. Every wait ends, and a stop during a stop changes nothing.
+The stop is sent first; what happened is asked afterwards. Every wait ends, and a stop during a stop changes
+nothing.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ RESTART = 3.0
 def stopped(talk: Talk, clock: Clock, homing: bool = False) -> Report:
     """Stop motion and let the controller forget the rest of it; returns what it reports at rest afterwards.
 
-    A feed hold, and for jogs, which know none, a cancellation are sent at once, and then, when the axes rest, a reset, which keeps the position. Where the hold is not
-    obeyed in time, and in a homing cycle, which knows no hold, the reset is sent all the same. Raises DeviceFault
-    where the position is not to be trusted afterwards.
+    A feed hold, and for jogs, which know none, a cancellation are sent at once, and then, when the axes rest, a
+    reset, which keeps the position. Where the hold is not obeyed in time, and in a homing cycle, which knows no
+    hold, the reset is sent all the same. Raises DeviceFault where the position is not to be trusted afterwards.
     """
     talk.link.write(HOLD + JOG_CANCEL)
     restarted = talk.lost
