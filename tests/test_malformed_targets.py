@@ -43,7 +43,7 @@ CURVES = [
     (lambda: curve_from_points(helix()[:2]), CurveError, "2 points; a centreline needs at least 4"),
     (lambda: curve_from_points(helix()[:1]), CurveError, "1 points; a centreline needs at least 4"),
     (lambda: curve_from_points(helix() / 1000), CurveError, "must be in millimetres, and these look like metres"),
-    (lambda: curve_from_points(helix() * 1e9), CurveError, "it must be at most 100000 mm"),
+    (lambda: curve_from_points(helix() * 1e4), CurveError, "it must be at most 100000 mm"),
     (lambda: curve_from_points(np.where(helix() == 0, np.nan, helix())), CurveError, "point 1 is .nan"),
     (lambda: curve_from_points(np.repeat(helix(), 2, axis=0)), CurveError, "points 1 and 2 are the same"),
     (lambda: curve_from_points(helix() + 1j), CurveError, "points are no array of numbers"),
@@ -82,6 +82,8 @@ CURVES = [
     (lambda: PATH.moved("left"), CurveError, "transform of a curve is 'left'; it must be numbers"),
     (lambda: Lumen(np.zeros((5, 3))), CurveError, r"table of a lumen has shape \(5, 3\); it must be \(n, 4\)"),
     (lambda: Lumen(np.zeros((5, 4))), CurveError, "radius of a lumen is 0 mm; it must be positive"),
+    (lambda: Lumen(np.ones((1, 4))), CurveError, "table of a lumen has 1 points"),
+    (lambda: Lumen(np.ones((5, 4))), CurveError, "table of a lumen has 5 points; .* none repeated"),
     (lambda: Lumen("wide"), CurveError, "table of a lumen is 'wide'; it must be numbers"),
     (lambda: Lumen(np.full((5, 4), np.nan)), CurveError, "table of a lumen has nan"),
 ]  # fmt: skip
