@@ -115,6 +115,8 @@ TARGETS = [
      r"curvature of frame 1 of the target has shape \(\); it must be \(800,\)"),
     (lambda: sequence([replace(PATH, radius=lambda s: np.nan * s)]).sample(), ProblemError,
      "radius of frame 1 of the target has nan"),
+    (lambda: sequence([replace(PATH, point=lambda s: 2 * PATH.point(s))]).sample(), ProblemError,
+     "frame 1 of the target has .* it turns back on itself"),
     (lambda: Problem("p", SEED, "cos"), ProblemError, "target of a problem is 'cos'; it must be a Target"),
     (lambda: Problem("p", SEED, PATH), ProblemError, "target of a problem is .*; it must be a Target"),
     (lambda: Problem("p", "seed", growing(PATH, 3)), ProblemError,

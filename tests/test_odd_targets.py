@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from malformed import helix, plan
 from strategies import numbers
@@ -55,7 +55,7 @@ def refused_or(make):
     return None
 
 
-@settings(max_examples=60)
+@settings(max_examples=60, phases=[Phase.explicit, Phase.generate])
 @given(odd_points(), st.sampled_from([0.0, 0.5, 20.0]), st.booleans(), st.integers(1, 4))
 def test_points_at_random_are_a_target_or_refused(points, smoothing, with_radius, frames):
     radius = np.full(len(points), 3.0) if with_radius else None
