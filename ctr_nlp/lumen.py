@@ -49,6 +49,10 @@ class Lumen:
         self._table = floats(CurveError, "table of a lumen", table, (None, 4))
         if (self._table[:, 3] <= 0).any():
             raise CurveError(f"radius of a lumen is {self._table[:, 3].min():g} mm; it must be positive all along")
+        if len(self._table) < 2 or (np.diff(self._along) <= 0).any():
+            raise CurveError(
+                f"table of a lumen has {len(self._table)} points; it must have two, and none repeated"
+            )
 
     @classmethod
     def around(cls, curve: Curve) -> Lumen:

@@ -19,7 +19,7 @@ from ctr_nlp.errors import CtrError, OutputError
 from ctr_nlp.forward import Simulation, simulated
 from ctr_nlp.lumen import Lumen
 from ctr_nlp.metrics import rms_over_sigma, root_mean_square
-from ctr_nlp.plan_arrays import check_arrays, check_meta
+from ctr_nlp.plan_arrays import FORMAT, check_arrays, check_meta, stored
 from ctr_nlp.problem import Problem
 from ctr_nlp.read_only import read_only
 from ctr_nlp.robot import Robot
@@ -31,7 +31,6 @@ from ctr_nlp.whole_file import whole_file
 
 Array = npt.NDArray[np.float64]
 
-FORMAT = 1
 ELSEWHERE = 0.05
 """rad: a robot whose tubes are turned by more from what was planned is in another equilibrium."""
 
@@ -168,29 +167,13 @@ class Plan:
     def load(cls, path: str | Path) -> Plan:
         """Read plan.npz without pickle; raises OutputError where it is not a plan."""
         path = checked_path(OutputError, path)
-        arrays, text = _stored(path)
         try:
-            meta = json.loads(text)
-            if isinstance(meta, dict) and meta.get("format") != FORMAT:
-                raise OutputError(f"it has format {meta.get('format')!r}; this version reads {FORMAT}")
+            arrays, meta = stored(path)
             check_meta(meta)
             check_arrays(arrays, Robot.from_dict(meta["robot"]).d)
             return cls(meta=meta, **arrays)
-        except (ValueError, TypeError, RecursionError, CtrError) as error:
+        except CtrError as error:
             raise OutputError(f"{path} is not a plan: {error}") from error
-
-
-def _stored(path: Path) -> tuple[dict[str, Any], str]:
-    """The arrays of a plan.npz that belong to a plan, and its meta as text; raises OutputError."""
-    names = {f.name for f in fields(Plan)}
-    try:
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as data:
-            arrays = {name: data[name] for name in data.files if name in names}
-        return arrays, str(arrays.pop("meta"))
-    except KeyError as error:
-        raise OutputError(f"{path} is not a plan: it has no {error}") from error
-    except Exception as error:  # whatever the readers of zip archives and of arrays meet in a damaged file
-        raise OutputError(f"{path} is not a plan, or damaged: {error}") from error
 
 
 def plan_from_configurations(

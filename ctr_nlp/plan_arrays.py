@@ -1,8 +1,10 @@
-"""What the arrays of a plan and its meta must be like, where they come from a file."""
+"""Plans in files: how arrays and meta are read, and what they must be like."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +13,7 @@ import numpy.typing as npt
 from ctr_nlp.errors import OutputError
 from ctr_nlp.models import MODELS
 
+FORMAT = 1
 SHAPES: dict[str, tuple[int | str, ...]] = {
     **dict.fromkeys(
         ("time", "solve_time", "success", "objective", "kkt", "stability", "stability_between"), ("T",)
@@ -34,10 +37,26 @@ META: dict[str, type] = {
 """What meta must tell, and as what."""
 
 
+def stored(path: Path) -> tuple[dict[str, npt.NDArray[Any]], Any]:
+    """The arrays of a plan.npz that belong to a plan, and its meta; raises OutputError."""
+    try:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as data:
+            if "meta" not in data.files:
+                raise OutputError("it has no meta")
+            arrays = {name: data[name] for name in data.files if name in SHAPES}
+            return arrays, json.loads(str(data["meta"]))
+    except OutputError:
+        raise
+    except Exception as error:  # whatever the readers of zip archives, arrays and JSON meet in a damaged file
+        raise OutputError(f"it is damaged, or another file: {error}") from error
+
+
 def check_meta(meta: Any) -> None:
     """Raise OutputError unless meta tells what every plan tells."""
     if not isinstance(meta, dict):
         raise OutputError(f"meta is {meta!r:.60}; it must be a JSON object")
+    if meta.get("format") != FORMAT:
+        raise OutputError(f"it has format {meta.get('format')!r}; this version reads {FORMAT}")
     for key, kind in META.items():
         if not isinstance(meta.get(key), kind):
             raise OutputError(f"{key} of meta is {meta.get(key)!r:.60}; it must be a {kind.__name__}")
@@ -66,8 +85,10 @@ def check_arrays(arrays: Mapping[str, npt.NDArray[Any]], tubes: int) -> None:
         wanted = tuple(sizes.get(size, size) if isinstance(size, str) else size for size in SHAPES[name])
         if array.shape != wanted:
             raise OutputError(f"{name} has shape {array.shape}, not {wanted}")
-        if array.dtype.kind not in "biuf":
-            raise OutputError(f"{name} holds {array.dtype}; it must be numbers")
+        if array.dtype.kind not in ("b" if name == "success" else "iuf"):
+            raise OutputError(
+                f"{name} holds {array.dtype}; it must be {'bool' if name == 'success' else 'numbers'}"
+            )
     if not frames:
         raise OutputError("it has no frames")
     time = arrays["time"]

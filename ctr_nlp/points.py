@@ -19,7 +19,7 @@ SHORTEST_MM = 1.0
 """A path shorter than this was almost surely written in metres."""
 LONGEST_MM = 1e5
 """Nor was a longer one written in millimetres."""
-FARTHEST_MM = 1e6
+FARTHEST_MM = 1e12
 """Largest coordinate."""
 REPEATED_MM = 1e-6
 """Neighbouring points closer than this are one point given twice."""
@@ -54,7 +54,7 @@ def checked_points(points: npt.ArrayLike) -> Array:
 
 
 def check_coordinates(points: Array) -> None:
-    """Raise CurveError unless all coordinates of points (n, 3) in mm are finite and within a kilometre."""
+    """Raise CurveError unless all coordinates of points (n, 3) in mm are finite, and such that can be squared."""
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:
         raise CurveError(f"point {bad[0] + 1} is {points[bad[0]].tolist()}; coordinates must be finite")

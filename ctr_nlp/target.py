@@ -104,6 +104,8 @@ def _listed(name: str, given: Any) -> tuple[Any, ...]:
 
 ROUNDING = 1e-9
 """Part of a curve by which a length may exceed it."""
+TURNED_BACK = 0.01
+"""Part by which straight lines between samples may exceed the arc length; on a smooth curve they never do."""
 FINER = 8
 """Steps of the curvature's quadrature between two neighbours of SIGMA."""
 
@@ -115,9 +117,16 @@ def _sampled(curve: Curve, length: float, frame: int) -> Frame:
     def known(name: str, values: Any, *shape: int) -> Array:
         return floats(ProblemError, f"{name} of frame {frame} of the target", values, shape)
 
+    points = known("point", curve.point(s), len(s), 3)
+    chords = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    if chords > length * (1 + TURNED_BACK):
+        raise ProblemError(
+            f"frame {frame} of the target has {chords:.2f} mm between points that should be {length:.2f} mm apart "
+            "along its curve: it turns back on itself and has no direction there"
+        )
     middle = known("curvature", curve.curvature((fine[1:] + fine[:-1]) / 2), len(fine) - 1)
     return Frame(
-        known("point", curve.point(s), len(s), 3),
+        points,
         known("tangent", curve.tangent(s), len(s), 3),
         known("curvature", curve.curvature(s), len(s)),
         frozen(np.concatenate([[0.0], np.cumsum(middle * np.diff(fine))])[::FINER]),

@@ -94,14 +94,12 @@ def floats(error: type[CtrError], name: str, value: Any, shape: tuple[int | None
 def plain_floats(value: Any) -> Array:
     """Numbers, or lists of them, as an array; raises TypeError or ValueError where some are none.
 
-    Words and truth values are no numbers, but "inf" and "-inf" are, as strict_json writes them.
+    Truth values are none, but text that reads as a number is: strict_json writes infinity as "inf".
     """
     if isinstance(value, list | tuple):
         return np.array([plain_floats(item) for item in value])
-    if isinstance(value, str) and value not in INFINITE:
-        raise ValueError(f"{value!r} is no number")
-    array = np.asarray(value)
-    if array.dtype.kind not in ("U" if isinstance(value, str) else "iuf"):
+    array = np.asarray(float(value) if isinstance(value, str) else value)
+    if array.dtype.kind not in "iuf":
         raise TypeError(f"{value!r:.60} is no number")
     return array.astype(float)
 

@@ -46,7 +46,7 @@ TABLES = [
     ("kilometres", table(helix() * 1e5), r"mm; at most 100000 mm are allowed"),
     ("a point twice", table(np.insert(helix(), 5, helix()[5], axis=0)), "points 6 and 7 are the same"),
     ("one point over and over", table(np.ones((9, 3))), "metres|are the same"),
-    ("closed", table(np.vstack([helix(), helix()[::-1][1:]])), None),
+    ("as long there as back", table(np.vstack([helix(), helix()[::-1][1:]])), None),
     ("a radius of 0", table(radius=0.0), "lumen radius at point 1 is 0; radii must be positive"),
     ("a negative radius", table(radius=-1.0), "lumen radius at point 1 is -1"),
     ("a radius of NaN", table(radius=math.nan), "lumen radius at point 1 is nan"),

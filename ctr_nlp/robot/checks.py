@@ -9,8 +9,8 @@ from ctr_nlp.errors import RobotError
 from ctr_nlp.robot.tube import Tube
 from ctr_nlp.robot.units import angle_meant, between, did_you_mean, in_other_units
 
-TURN = {"alpha": 20 * math.pi, "theta": 2 * math.pi}
-"""Largest angles, rad: ten turns of a tube, beyond what any motor's cables bear, and one of the base."""
+TURN = {"alpha": 20 * math.pi, "theta": 4 * math.pi}
+"""Largest angles, rad: ten turns of a tube, beyond what any motor's cables bear, and two of the base."""
 
 
 def sequence_of_tubes(tubes: Any) -> tuple[Tube, ...]:
