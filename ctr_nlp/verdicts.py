@@ -74,20 +74,18 @@ def _followed(plan: Plan) -> Judgement:
         return NO, number, "mm", f"{unsolved} of {frames} frames were not solved."
     if lost:
         return NO, number, "mm", f"The robot's shape is not known in {lost} of {frames} frames."
-    planned, free = plan.meta["model"], plan.meta.get("e3_free")
-    on, here = (
-        ("", "") if plan.evaluated == planned else (f" on the {planned} model", f"on the {plan.evaluated} one ")
-    )
+    on = "" if plan.evaluated == plan.meta["model"] else f" on the {plan.meta['model']} model"
     told = f"All {frames} frames were solved{on}"
     if plan.free is None or number is None:
         return YES, number, "mm", f"{told}."
+    free, cost = plan.meta["e3_free"], float(_option(plan, "clearance_cost"))
     if free is None:
         return NOT_KNOWN, number, "mm", f"{told}; how large e3 would be without the wall is not known."
-    cost = float(_option(plan, "clearance_cost"))
+    here = f"on the {plan.evaluated} one " if on else ""
     growth = number / free - 1 if number > free > 0 else 0.0
-    told += f"; {here}the wall makes e3 {growth:.1%} larger than {free:.3g} mm"
-    told += "" if math.isinf(cost) else f", {cost:.0%} is allowed"
-    return YES if number <= largest_e3(free, cost) else NO, number, "mm", f"{told}."
+    allowed = "" if math.isinf(cost) else f", {100 * cost:g}% is allowed"
+    told += f"; {here}the wall makes e3 {growth:.1%} larger than {free:.3g} mm{allowed}."
+    return YES if number <= largest_e3(free, cost) else NO, number, "mm", told
 
 
 def _stable(plan: Plan) -> Judgement:

@@ -7,6 +7,7 @@ import pytest
 from lumens import straight
 
 from ctr_nlp import Problem, Settings, growing, seed_robot, solve_horizon, solve_per_frame, summary
+from ctr_nlp.account import remarks
 from ctr_nlp.formulations.contact import Wall
 from ctr_nlp.lumen import Lumen
 from ctr_nlp.steer import horizon
@@ -117,6 +118,7 @@ def test_frames_that_are_lost_within_the_wall_lose_the_wall(problem, free, monke
     plan = solve_per_frame(problem, settings=Settings(clearance_cost=np.inf))
     assert plan.complete
     assert plan.meta["contact_weight"] is None
+    assert "this is the motion without the wall" in " ".join(remarks(plan, summary(plan)))
     np.testing.assert_array_equal(plan.q, free[solve_per_frame].q)
 
 

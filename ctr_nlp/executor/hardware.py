@@ -93,8 +93,9 @@ class Connection:
 
     device: "simulated", "grbl" or "ros2". url: a serial port, "socket://host:port", or for ros2 the controller's
     name. baud: of a serial port. homing: "cycle" lets the controller home itself and wants its soft limits,
-    "manual" takes the position that it reports for true. flow: "count" sends lines as long as
-    counted characters fit into the controller's buffer, "wait" sends a line when the one before was acknowledged. Raises HardwareError.
+    "manual" takes the position that it reports for true. flow: "count" sends lines as long as counted characters
+    fit into the controller's buffer, "wait" sends a line when the one before was acknowledged. Raises
+    HardwareError.
     """
 
     device: str = "simulated"

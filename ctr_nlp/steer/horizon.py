@@ -114,7 +114,7 @@ class Horizon:
         self._names = {"formulation": "horizon", "model": model, "solver": solver}
         self._settings, self._wall = settings, wall_of(problem.robot, problem.lumen, model, settings)
         self._free = self._built(None)
-        self._inside = None if self._wall is None else self._built(self._wall)
+        self._inside = self._free if self._wall is None else self._built(self._wall)
         if self.ends.start is not None and self.ends.end is not None and not self._free.bent:
             check_ends(problem, self._free)
         self.build_seconds = time.perf_counter() - begin
@@ -197,9 +197,9 @@ class Horizon:
 
     def _near(self, wall: Wall | None, weight: float) -> Chain:
         """The chain with a motion weight in s^2, near a wall, or far from any."""
-        chain = self._free if wall is None or self._inside is None else self._inside
-        chain = chain.with_cost(weight)
-        return chain if wall is None else replace(chain, surroundings=wall.surroundings)
+        if wall is None:
+            return self._free.with_cost(weight)
+        return replace(self._inside.with_cost(weight), surroundings=wall.surroundings)
 
     def _picked(self, weight: float, motions: Sequence[Array], count: int) -> list[Array]:
         """The best of motions in the horizon's own objective, then random changes of the very best."""
