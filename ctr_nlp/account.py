@@ -106,8 +106,8 @@ def _contacts(plan: Plan, found: dict[str, Any]) -> list[str]:
     weight, options = found["weights"]["contact_mm"], plan.options
     if told and weight is not None and weight < options["contact_weight"]:
         told.append(
-            f"contact was penalised with {weight:.2g} mm² per mm instead of {options['contact_weight']:g}, so that "
-            f"e3 grows by at most {options['clearance_cost']:.0%} (--clearance-cost)"
+            f"contact was penalised with {weight:.2g} mm² per mm instead of {options['contact_weight']:g}, so "
+            f"that e3 grows by at most {options['clearance_cost']:.0%} (--clearance-cost)"
         )
     if told and weight is None and plan.free is not None:
         told.append(

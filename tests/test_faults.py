@@ -107,7 +107,7 @@ def run(seed: int, folder: Path, monkeypatch: pytest.MonkeyPatch, kind: str = ""
     """One fault at a random moment, what it ended in, and whether it could be resumed."""
     draw = random.Random(seed)
     kind = kind or draw.choice(KINDS)
-    world = World(folder)
+    world = World(folder, state=folder / "state")
     start = world.clock.now()
     try:
         result = struck(world, kind, start + draw.uniform(0.0, 3.3), seed, monkeypatch)
@@ -115,8 +115,20 @@ def run(seed: int, folder: Path, monkeypatch: pytest.MonkeyPatch, kind: str = ""
         check_stop_before_motion(world)
         return kind, f"not begun: {error}", ""
     check_stop(world, result, kind)
+    world.latest.close()
+    if result is None or not result.trusted:
+        check_distrust(world)
     ended = "killed" if result is None else f"{result.outcome.value}, {'' if result.trusted else 'not '}trusted"
     return kind, ended, check_resume(world, kind)
+
+
+def check_distrust(world: World) -> None:
+    """A later session does not play: the controller is in no state for it, or remembered as not to be trusted."""
+    finished = len(world.firmware.executed)
+    with pytest.raises((DeviceFault, ProgramError)):
+        world.begin()
+    world.latest.close()
+    assert len(world.firmware.executed) == finished
 
 
 def check_stop_before_motion(world: World) -> None:
