@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 from bench import Killed, World, sweep
 
-from ctr_nlp.errors import DeviceFault
+from ctr_nlp.errors import DeviceFault, HardwareError, Stopped
 from ctr_nlp.executor.results import Outcome, State
 from ctr_nlp.executor.trust import Memory, Remembered, doubt, state_folder
 
@@ -55,6 +56,35 @@ def test_distrust_lasts_until_a_person_has_looked(world: World) -> None:
     assert world.begin(verified=True).outcome is Outcome.SUCCESS
     world.latest.close()
     assert world.begin().outcome is Outcome.SUCCESS
+
+
+def test_a_stop_while_it_connects_changes_nothing_of_what_is_remembered(world: World) -> None:
+    killed(world)
+    player = world.player()
+    player.abort()
+    with pytest.raises(Stopped) as stop:
+        player.connect()
+    assert (stop.value.result.outcome, stop.value.result.trusted) == (Outcome.CANCELLED, False)
+    player.close()
+    with pytest.raises(DeviceFault, match="a motion had begun, and its end was never told"):
+        world.begin()
+    world.latest.close()
+    assert world.begin(verified=True).outcome is Outcome.SUCCESS
+    world.latest.close()
+    player = world.player()
+    player.abort()
+    with pytest.raises(Stopped) as stop:
+        player.connect()
+    assert stop.value.result.trusted
+    player.close()
+    assert world.begin().outcome is Outcome.SUCCESS
+
+
+def test_homing_by_hand_cannot_be_asked_of_a_controller(world: World) -> None:
+    world.hardware = replace(world.hardware, connection=replace(world.hardware.connection, homing="manual"))
+    with pytest.raises(HardwareError, match="this hardware homes by hand"):
+        world.begin(home=True)
+    assert b"!" not in world.path.read_bytes()
 
 
 def test_homing_ends_distrust(world: World) -> None:

@@ -9,7 +9,7 @@ from queue import Empty, SimpleQueue
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.errors import DeviceFault, JournalError, ProgramError, Stopped
+from ctr_nlp.errors import DeviceFault, HardwareError, JournalError, ProgramError, Stopped
 from ctr_nlp.executor.clock import Clock, RealClock
 from ctr_nlp.executor.devices import Device, Progress, Standing
 from ctr_nlp.executor.devices.arms import ArmFollower
@@ -63,6 +63,8 @@ class Player:
         self.state = State.DISCONNECTED
         self.doubt = ""
         """Why the position of the connected device is not to be trusted, "" where nothing speaks against it."""
+        self._vouched = False
+        """Whether its memory, its homing or a person speaks for the position, so that what follows counts."""
 
     def connect(self, stop_first: bool = False, home: bool = False, session: str = "") -> Standing:
         """Open the device and the arm; where the axes stand. Raises DeviceFault.
@@ -78,9 +80,7 @@ class Player:
             standing = self._opened(stop_first, home)
             if self._arm is not None:
                 self._arm.connect()
-            if self._memory is not None and not home:
-                left = self._memory.read(self.device.identity)
-                self.doubt = doubt(left, standing.position, self.device.resolution, session)
+            self._look_back(standing, home, session)
             self._to(State.HOMED if standing.homed and not self.doubt else State.IDLE)
         return standing
 
@@ -97,7 +97,7 @@ class Player:
             if self._aborted() and isinstance(error, DeviceFault):
                 result = self._stopped(Outcome.CANCELLED, "stopped on request, before anything was played")
                 raise Stopped(result) from error
-            if homing:
+            if homing and not isinstance(error, HardwareError):
                 self._stopped(Outcome.DEVICE_FAULT, f"homing failed: {error!r}")
             raise
 
@@ -109,10 +109,17 @@ class Player:
             self._ended(Outcome.DEVICE_FAULT, str(error), None)
             raise
 
+    def _look_back(self, standing: Standing, homed: bool = False, session: str = "") -> None:
+        """Whether a device that stands somewhere can be trusted, by what is remembered of it."""
+        if self._memory is not None and not homed:
+            left = self._memory.read(self.device.identity)
+            self.doubt = doubt(left, standing.position, self.device.resolution, session)
+        self._vouched = not self.doubt
+
     def trust(self) -> None:
         """Take the position that the device tells for true, since a person has made sure of it."""
         self._expect("can be told to trust a position", State.IDLE, State.HOMED)
-        self.doubt = ""
+        self.doubt, self._vouched = "", True
         self._to(State.HOMED)
 
     def tilt(self) -> Array:
@@ -301,8 +308,11 @@ class Player:
 
     def _ended(self, outcome: Outcome, message: str, standing: Standing | None) -> Result:
         """The result, recorded if that is possible; what was asked for is done with."""
+        if standing is not None and not self._vouched:
+            self._look_back(standing)
         position = None if standing is None else standing.position
-        result = Result(outcome, message, self._frame, position, standing is not None and standing.homed)
+        trusted = standing is not None and standing.homed and not self.doubt
+        result = Result(outcome, message, self._frame, position, trusted)
         fine = result.trusted and outcome in (Outcome.SUCCESS, Outcome.INVALID_PLAN, Outcome.CANCELLED)
         with self.journal.forgiving():
             self.journal.record(
@@ -320,10 +330,14 @@ class Player:
         return result
 
     def _remembered(self, result: Result) -> None:
-        """How a session left the device; where that cannot be written, what was written before it distrusts it."""
-        position = None if result.position is None else tuple(result.position.tolist())
-        with suppress(DeviceFault):
-            self._remember(Remembered(result.trusted, "" if result.trusted else result.message, position))
+        """How a session left the device; where that cannot be written, what was written before it distrusts it.
+
+        A session that nobody vouched for leaves what is remembered as it is.
+        """
+        if self._vouched or result.position is None:
+            position = None if result.position is None else tuple(result.position.tolist())
+            with suppress(DeviceFault):
+                self._remember(Remembered(result.trusted, "" if result.trusted else result.message, position))
 
     def _expect(self, what: str, *states: State) -> None:
         if self.state not in states:

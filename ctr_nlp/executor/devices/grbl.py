@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.errors import DeviceFault, ProgramError
+from ctr_nlp.errors import DeviceFault, HardwareError, ProgramError
 from ctr_nlp.executor import lookahead
 from ctr_nlp.executor.clock import Clock
 from ctr_nlp.executor.devices import Asked, Progress, Signs, Standing
@@ -123,7 +123,7 @@ class Grbl:
     def home(self, stop: Asked) -> None:
         """Run the controller's homing cycle, which also ends an alarm."""
         if self._hardware.connection.homing != "cycle":
-            raise DeviceFault("this hardware homes by hand: connection.homing is not cycle")
+            raise HardwareError("this hardware homes by hand: connection.homing is not cycle")
         if self._talk.report().state == "Alarm":
             self._talk.link.write(RESET)
             self._talk.until("banner", GREETING)

@@ -19,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.errors import DeviceFault
+from ctr_nlp.errors import DeviceFault, HardwareError
 from ctr_nlp.executor.clock import Clock
 from ctr_nlp.executor.devices import Asked, Progress, Standing
 from ctr_nlp.executor.devices.ros2_joints import REST, SILENCE, Joints
@@ -101,7 +101,7 @@ class Ros2:
 
     def home(self, stop: Asked) -> None:
         """A controller in ROS 2 homes by itself."""
-        raise DeviceFault("a ROS 2 controller homes by its own means: connection.homing must be manual")
+        raise HardwareError("a ROS 2 controller homes by its own means: connection.homing must be manual")
 
     def _take(self) -> None:
         """Take the joint states that have come."""
