@@ -437,8 +437,10 @@ def test_a_plan_says_where_stability_limits_it(tmp_path, capsys):
 
 def test_a_plan_of_the_dominant_model_is_evaluated_on_the_elastic_one(tmp_path, capsys):
     out = tmp_path / "out"
-    assert run(solve_horizon_program, "arc", "--frames", 6, "--evaluate", "elastic", "--out", out) == 0
+    assert run(solve_horizon_program, "arc", "--frames", 6, "--evaluate", "elastic", "--out", out) == 1
     found = json.loads((out / "summary.json").read_text())
+    assert found["stability_between_min"] < 0
+    assert found["verdicts"]["stable"]["word"] == "no"
     assert (found["model"], found["evaluated"]) == ("dominant", "elastic")
     with open(out / "errors.csv", newline="") as file:
         rows = list(csv.DictReader(file))
