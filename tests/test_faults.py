@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -134,7 +135,7 @@ def check_distrust(world: World) -> None:
 def check_stop_before_motion(world: World) -> None:
     """A session that could not be begun has sent no motion."""
     world.clock.sleep(AFTERWARDS)
-    assert world.firmware.executed == []
+    assert [number for number, _ in world.firmware.executed if number is not None] == []  # others may have jogged
     assert world.within_limits()
 
 
@@ -148,7 +149,16 @@ def test_a_fault_at_a_random_moment_ends_cleanly(
 
 @pytest.mark.slow
 def test_a_thousand_faults_end_cleanly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ends: Counter[tuple[str, str]] = Counter()
+    wrong = []
     for seed in range(1000):
         folder = tmp_path / str(seed)
         folder.mkdir()
-        run(seed, folder, monkeypatch)
+        try:
+            kind, end, _ = run(seed, folder, monkeypatch)
+        except AssertionError as error:
+            wrong.append((seed, str(error)[:300]))
+        else:
+            ends[kind, end.partition(":")[0]] += 1
+    print(*(f"{count:4d} {kind}: {end}" for (kind, end), count in sorted(ends.items())), sep="\n")
+    assert not wrong

@@ -234,6 +234,45 @@ def test_killed_in_motion_it_goes_on_without_losing_or_doubling_a_frame(plan: Pa
         assert main(arguments) == 2
 
 
+@unix
+def test_killed_in_motion_it_is_not_played_anew_until_the_tubes_are_back_or_somebody_has_looked(
+    plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    firmware, out = Firmware({20: 1}, homed=True), tmp_path / "out"
+    start = firmware.position.copy()
+    with serving(firmware) as url:
+        arguments = [str(plan), "--hardware", str(rig(tmp_path, url)), "--out", str(out)]
+        with playing(*arguments) as process:
+            recorded(out, "frame", 4)
+            process.kill()
+            process.wait()
+        time.sleep(1.0)
+        stood = firmware.position.copy()
+        for _ in range(2):
+            assert main(arguments) == 1
+            said = capsys.readouterr().err
+            assert "not to be trusted, since a motion had begun, and its end was never told" in said
+            assert "--position-verified" in said
+        assert (firmware.position == stood).all()
+        assert main([*arguments, "--retract"]) == 0
+        np.testing.assert_allclose(firmware.position, start, atol=5e-3)
+        assert main([*arguments, "--resume"]) == 2
+        assert main(arguments) == 0
+
+
+@unix
+def test_a_second_player_is_refused(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    firmware, out = Firmware({20: 1}, homed=True), tmp_path / "out"
+    with serving(firmware) as url:
+        arguments = [str(plan), "--hardware", str(rig(tmp_path, url)), "--out"]
+        with playing(*arguments, out) as process:
+            recorded(out, "frame", 2)
+            assert main([*arguments, str(tmp_path / "second")]) == 1
+            assert f"another player is connected to {url}: only one may be" in capsys.readouterr().err
+            assert ended(process)[0] == 0
+    assert frames_played(firmware) == list(range(1, 11))
+
+
 def bad_plans(path: Path) -> dict[str, str]:
     """Ways to spoil a plan file, and what is said then."""
     whole = path.read_bytes()
