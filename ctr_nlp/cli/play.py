@@ -128,6 +128,9 @@ def _run(arguments: argparse.Namespace) -> int:
         return commission(Path(arguments.hardware), out / JOURNAL)
     plan = Plan.load(arguments.plan)
     hardware = bench(plan.robot) if arguments.hardware is None else Hardware.from_toml(arguments.hardware)
+    for verdict in plan.verdicts:
+        if verdict.word == "no":
+            sys.stderr.write(f"note: {verdict.matter}: no. {verdict.why}\n")
     if arguments.dry_run:
         title = f"{plan.meta['problem']['name']}: checked; nothing was sent"
         print_program(title, *prepared(plan, hardware, _tempo(arguments)))
