@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bench import sweep
+from bench import plan_of, sweep
 
 from ctr_nlp.emulator import Firmware, serving
 from ctr_nlp.errors import DeviceFault
@@ -25,6 +25,7 @@ from ctr_nlp.executor.journal import Journal, read_journal
 from ctr_nlp.executor.link import RecordedLink, SerialLink
 from ctr_nlp.executor.player import Player
 from ctr_nlp.executor.program import Program
+from ctr_nlp.executor.record import Recorder
 from ctr_nlp.executor.results import Outcome, State
 from ctr_nlp.executor.session import begin, resume
 from ctr_nlp.plan import Plan
@@ -122,6 +123,26 @@ def test_a_plan_is_played_to_its_last_step(rig: Rig, plan: Plan) -> None:
     assert passed == sorted(set(passed))
 
 
+@pytest.mark.parametrize("frames", [100, pytest.param(400, marks=pytest.mark.slow)])
+def test_the_pace_is_kept_with_little_in_the_controllers_hands(rig: Rig, frames: int) -> None:
+    """Frames of 0.05 s, within 2 %; whether the controller ran out of lines is asserted in virtual time."""
+    t = np.linspace(0.0, 1.0, frames)[:, None]
+    smooth = t**2 * (3 - 2 * t)
+    alpha = np.hstack([0.8 * smooth, -0.6 * np.sin(2.5 * smooth), 0.4 * smooth])
+    beta = np.hstack([2 + 10 * smooth, 4 + 16 * smooth, 8 + 20 * smooth])
+    plan = plan_of(np.hstack([alpha, beta, np.zeros((frames, 2))]), 0.05)
+    player, recorder = rig.player(), Recorder()
+    result = begin(player, plan, rig.hardware, seen=recorder)
+    rig.let_go(player)
+    assert result.outcome is Outcome.SUCCESS, result.message
+    tracking = recorder.tracking()
+    assert tracking is not None
+    took = tracking.time[-1] + tracking.late[-1]
+    off = abs(tracking.error).max(axis=0)
+    print(f"{frames} frames took {took:.2f} s, {off} off when due, {player.device.underruns} underruns")
+    assert took == pytest.approx(0.05 * (frames - 1), rel=0.02)
+
+
 def test_a_hold_keeps_the_position_and_the_rest_is_played(rig: Rig, plan: Plan) -> None:
     player = rig.player()
     held: list[np.ndarray] = []
@@ -158,10 +179,8 @@ def test_what_was_aborted_is_resumed_where_it_stood(rig: Rig, plan: Plan) -> Non
     assert first == 1 + passed.sum() > result.frame
 
 
-def test_a_controller_that_moves_is_left_alone_but_stopped_to_resume(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The process is gone, the controller plays what it has; nothing else is begun, and it is stopped to go on."""
+def test_a_controller_that_moves_is_left_alone_but_stopped_to_resume(rig: Rig, plan: Plan) -> None:
+    """The process is gone, and somebody jogs: nothing else is begun, and the jog is stopped to go on."""
 
     class Gone(BaseException):
         pass
@@ -169,21 +188,26 @@ def test_a_controller_that_moves_is_left_alone_but_stopped_to_resume(
     def gone() -> None:
         raise Gone
 
-    monkeypatch.setattr(Program.commands, "__defaults__", (0.3,))  # long lines: much motion lies in the controller
-    slow, player = sweep(15, 0.3), rig.player()
+    player = rig.player()
     player.device.abort = lambda: (_ for _ in ()).throw(DeviceFault("the process is gone"))  # type: ignore[method-assign]
     with pytest.raises(Gone):
-        begin(player, slow, rig.hardware, seen=at_frame(8, gone))
+        begin(player, plan, rig.hardware, seen=at_frame(8, gone))
     rig.let_go(player)
     records = [r for r in read_journal(rig.path) if r["kind"] != "result"]
+    rig.clock.sleep(1.0)
+    pendant = SerialLink(rig.url, 115200)
+    Talk(pendant, rig.clock).report(6.0, greeting=True)
+    pendant.write(b"$J=G91 G21 X0.2 F3\n")  # for 4 s
+    rig.clock.sleep(0.2)
+    pendant.close()
     other = rig.player()
-    with pytest.raises(DeviceFault, match=r"is Run; it must be Idle"):
+    with pytest.raises(DeviceFault, match=r"is Jog; it must be Idle"):
         other.connect()
     rig.let_go(other)
     player = rig.player()
-    result = resume(player, slow, rig.hardware, records)
+    result = resume(player, plan, rig.hardware, records)
     rig.let_go(player)
-    assert result.outcome is Outcome.SUCCESS
+    assert result.outcome is Outcome.SUCCESS, result.message
 
 
 def test_an_error_latch_is_cleared_by_the_next_session(rig: Rig, plan: Plan) -> None:

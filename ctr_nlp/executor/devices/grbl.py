@@ -29,7 +29,7 @@ AGAIN = 0.1
 FRESH = 0.15
 """s after which a position is too old for giving the controller more: this process may have been suspended."""
 
-SETTLING = 0.5
+SETTLING = 1.0
 """s in which an idle controller that is not quite at the end may still begin with the last line."""
 
 HOMING = 180.0
