@@ -64,7 +64,7 @@ def rows(found: dict[str, Any]) -> list[Row]:
         *_stability(found),
         *_clearance(found),
         *_effort(found),
-        ("frames, and of these not solved", f"{found['frames']} / {found['failed']}", ""),
+        ("frames", _frames(found["frames"], found["failed"]), ""),
     ]
 
 
@@ -124,6 +124,10 @@ def _failures(plan: Plan) -> list[str]:
     if plan.meta["interrupted"]:
         told.append("interrupted: the plan holds what was solved until then")
     return told
+
+
+def _frames(frames: int, failed: int) -> str:
+    return f"{frames}, {failed} not solved" if failed else f"{frames}, all solved"
 
 
 def _stability(found: dict[str, Any]) -> list[Row]:
