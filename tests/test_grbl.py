@@ -289,6 +289,13 @@ def test_a_controller_that_restarts_when_its_port_is_opened_does_not_go_on(tmp_p
         rig.resume((FAULTS["banner"](at=rig.firmware.time + 0.004, choice=0.0),))
 
 
+def test_half_a_line_that_a_lost_link_left_is_not_completed_by_the_next_session(tmp_path: Path) -> None:
+    rig = world(tmp_path)
+    rig.firmware.receive(b"G21 G90 G93 G1 X-30 F2")
+    assert rig.begin().outcome is Outcome.SUCCESS
+    assert all(number is not None for number, _ in rig.firmware.executed)
+
+
 def test_a_controller_that_reports_work_positions_is_refused(tmp_path: Path) -> None:
     rig = world(tmp_path)
     opened = WireLink.read

@@ -157,8 +157,10 @@ class Talk:
     def identify(self, stop: Asked = never) -> Identity:
         """Make sure that lines are answered, and read who answers; raises DeviceFault.
 
-        A link that is open at one end only may pass status on, but no lines.
+        A link that is open at one end only may pass status on, but no lines. The part of a line that was sent when
+        another link was lost is dropped first, lest the end of ours make a command of it.
         """
+        self.link.write(JOG_CANCEL)
         self.ask("", stop=stop)
         self.quiet()
         told = dict(
