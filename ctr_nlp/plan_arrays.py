@@ -30,11 +30,10 @@ SHAPES: dict[str, tuple[int | str, ...]] = {
 """Sizes of the arrays: T frames, d tubes, q = 2d + 2 joints, N points of a lumen."""
 OPTIONAL = "lumen_radius", "clearance", "truth", "free", "lumen"
 REQUIRED = tuple(name for name in SHAPES if name not in OPTIONAL)
-META: dict[str, type] = {
-    **dict.fromkeys(("robot", "problem"), dict),
-    **dict.fromkeys(("model", "formulation", "solver"), str),
-}
+META: dict[str, type] = {"robot": dict, "problem": dict, "model": str}
 """What meta must tell, and as what."""
+TOLD: dict[str, type] = {"options": dict, "formulation": str, "solver": str}
+"""What meta may tell, and as what."""
 
 
 def stored(path: Path) -> tuple[dict[str, npt.NDArray[Any]], Any]:
@@ -57,11 +56,9 @@ def check_meta(meta: Any) -> None:
         raise OutputError(f"meta is {meta!r:.60}; it must be a JSON object")
     if meta.get("format") != FORMAT:
         raise OutputError(f"it has format {meta.get('format')!r}; this version reads {FORMAT}")
-    for key, kind in META.items():
+    for key, kind in (META | {key: kind for key, kind in TOLD.items() if key in meta}).items():
         if not isinstance(meta.get(key), kind):
             raise OutputError(f"{key} of meta is {meta.get(key)!r:.60}; it must be a {kind.__name__}")
-    if not isinstance(meta.get("options", {}), dict):
-        raise OutputError(f"options of meta is {meta['options']!r:.60}; it must be a dict")
     if not isinstance(meta["problem"].get("name"), str):
         raise OutputError(f"name of meta's problem is {meta['problem'].get('name')!r:.60}; it must be a str")
     for key in ("model", "evaluated"):
