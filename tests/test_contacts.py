@@ -118,7 +118,7 @@ def printed(tmp_path, capsys):
     """What is printed about a plan, but where it was written."""
 
     def told(plan):
-        report.print_report(plan, tmp_path)
+        report.print_report(plan, tmp_path, [])
         return capsys.readouterr().out.partition("wrote ")[0]
 
     return told

@@ -129,7 +129,7 @@ def _run(arguments: argparse.Namespace) -> int:
     plan = Plan.load(arguments.plan)
     hardware = bench(plan.robot) if arguments.hardware is None else Hardware.from_toml(arguments.hardware)
     for verdict in plan.verdicts:
-        if verdict.word == "no":
+        if verdict.word == "no" and plan.complete:  # a plan with unsolved frames is refused anyhow
             sys.stderr.write(f"note: {verdict.matter}: no. {verdict.why}\n")
     if arguments.dry_run:
         title = f"{plan.meta['problem']['name']}: checked; nothing was sent"
