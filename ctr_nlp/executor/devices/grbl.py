@@ -39,7 +39,8 @@ SPARE = 128
 """Bytes of the controller's buffer that are left free, lest a doubled ok makes it run over."""
 
 IN_FLIGHT = 320
-"""Bytes that may be on their way unacknowledged: a hold waits behind them, 28 ms at 115200 baud."""
+"""Bytes that may be on their way unacknowledged, once the controller has been given all that it may have at first:
+a hold waits behind them, 28 ms at 115200 baud."""
 
 
 class Grbl:
@@ -146,7 +147,7 @@ class Grbl:
         self._lines = [text.encode("ascii") + b"\n" for text in texts]
         self._sent = self._planned = self.underruns = 0
         self._waiting.clear()
-        self._resumed = False
+        self._resumed = self._filled = False
         self._said = self._restarted = ""
         self._check_link(commands)
         self._talk.ask(MODES)
@@ -231,7 +232,7 @@ class Grbl:
         if (position != self._seen.position[self._columns]).any():
             self._moved = self._stamp
         empty = report.free is not None and self._known is not None and report.free >= self._known.blocks
-        if empty and self._sent < len(self._lines) and self._planned and not self._holding:
+        if empty and self._filled and self._sent < len(self._lines) and not self._holding:
             self.underruns += 1
         self._resumed = self._resumed and report.state == "Hold"  # told before the controller went on
         self._seen, self._held = report, report.stopped and not self._resumed
@@ -262,7 +263,9 @@ class Grbl:
     def _send(self, now: float) -> None:
         if now - self._stamp > FRESH:
             return
-        room = min(IN_FLIGHT, self._asked_who().receive - SPARE)
+        room = self._asked_who().receive - SPARE
+        if self._filled:
+            room = min(IN_FLIGHT, room)
         if self._hardware.connection.flow == "wait":
             room = 1
         done = min(self._place.time, now - self._schedule)  # a report that lies cannot hurry the motion
@@ -274,6 +277,7 @@ class Grbl:
             self._talk.link.write(line)
             self._waiting.append(len(line))
             self._sent, self._fed = self._sent + 1, now
+        self._filled = True
 
     def hold(self) -> None:
         """Ask for a feed hold; no line is sent until it is resumed."""
