@@ -125,7 +125,7 @@ def test_a_plan_is_played_to_its_last_step(rig: Rig, plan: Plan) -> None:
 
 @pytest.mark.parametrize("frames", [100, pytest.param(400, marks=pytest.mark.slow)])
 def test_the_pace_is_kept_with_little_in_the_controllers_hands(rig: Rig, frames: int) -> None:
-    """Frames of 0.05 s, within 2 %; in virtual time, where no machine is busy, also that it never runs out of lines."""
+    """Frames of 0.05 s, within 2 %; that it never runs out of lines is asserted in virtual time."""
     t = np.linspace(0.0, 1.0, frames)[:, None]
     smooth = t**2 * (3 - 2 * t)
     alpha = np.hstack([0.8 * smooth, -0.6 * np.sin(2.5 * smooth), 0.4 * smooth])
