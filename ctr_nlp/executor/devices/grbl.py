@@ -61,6 +61,7 @@ class Grbl:
         self._holding = self._held = self._homing = False
         self._restarted = ""
         self.underruns = 0
+        """How often the planner was found empty in a motion that had begun, and had not ended."""
 
     def connect(self, stop: Asked = never) -> None:
         """Open the link and make sure of who answers; unless idle, it is asked for no more than its status."""
@@ -232,7 +233,8 @@ class Grbl:
         if (position != self._seen.position[self._columns]).any():
             self._moved = self._stamp
         empty = report.free is not None and self._known is not None and report.free >= self._known.blocks
-        if empty and self._filled and self._sent < len(self._lines) and not self._holding:
+        begun = self._place.time > lookahead.AHEAD  # before, the controller is still being given its first lines
+        if empty and begun and self._sent < len(self._lines) and not self._holding:
             self.underruns += 1
         self._resumed = self._resumed and report.state == "Hold"  # told before the controller went on
         self._seen, self._held = report, report.stopped and not self._resumed
