@@ -141,12 +141,23 @@ def approach_to(program: Program, standing: Array, theta: Array) -> Program:
     hardware, start = program.hardware, program.knots[:1]
     robot = slowed(program.robot, hardware.approach)
     q = np.stack([hardware.joints(robot, standing, theta), program.motion.path(start[0])])
-    knots = np.array([0.0, max(1e-3, float((abs(q[1] - q[0]) / robot.speed).max()))])
     added = np.vstack([np.zeros(len(hardware.axes)), program.lash(start)])
-    lash = CubicHermiteSpline(knots, added, np.zeros_like(added))
     first = program.frames[0]
     frames = np.array([first - (program.knots[0] == program.motion.path.x[0]), first])
-    return along(robot, hardware, path_through(robot, knots, q), lash, knots, frames, program.digests, 1.0)
+    return through(robot, hardware, q, added, frames, program.digests)
+
+
+def through(
+    robot: Robot, hardware: Hardware, q: Array, added: Array, frames: npt.NDArray[np.int64], names: Digests
+) -> Program:
+    """The program through configurations q (K, 2d + 2), as fast as the robot may.
+
+    added (K, m): to the axes' positions there, for play in the drives. frames (K,): the numbers of these places.
+    """
+    seconds = np.maximum(1e-3, (abs(np.diff(q, axis=0)) / robot.speed).max(axis=1))
+    knots = np.append(0.0, np.cumsum(seconds))
+    lash = CubicHermiteSpline(knots, added, np.zeros_like(added))
+    return along(robot, hardware, path_through(robot, knots, q), lash, knots, frames, names, 1.0)
 
 
 def slowed(robot: Robot, part: float) -> Robot:

@@ -12,9 +12,8 @@ from ctr_nlp.errors import ProgramError, Stopped
 from ctr_nlp.executor.checks import checked
 from ctr_nlp.executor.devices import Standing
 from ctr_nlp.executor.hardware import Hardware
-from ctr_nlp.executor.path import path_through
 from ctr_nlp.executor.player import Player, Seen
-from ctr_nlp.executor.program import Digests, Program, along, digests, slowed
+from ctr_nlp.executor.program import Digests, Program, along, digests, slowed, through
 from ctr_nlp.executor.results import Outcome, Result
 from ctr_nlp.executor.session import RETRACTED, announced, as_told, check_trusted, place, ready, session_of
 from ctr_nlp.plan import Plan
@@ -119,9 +118,5 @@ def innermost_first(plan: Plan, hardware: Hardware, position: Array, theta: Arra
 
 
 def _through(robot: Robot, hardware: Hardware, q: Array, names: Digests) -> Program:
-    """The program through configurations q (K, 2d + 2), as fast as the robot may, without regard to backlash."""
-    seconds = np.maximum(1e-3, (abs(np.diff(q, axis=0)) / robot.speed).max(axis=1))
-    knots = np.append(0.0, np.cumsum(seconds))
-    none = np.zeros((len(knots), len(hardware.axes)))
-    lash = CubicHermiteSpline(knots, none, none)
-    return along(robot, hardware, path_through(robot, knots, q), lash, knots, np.arange(len(knots)), names, 1.0)
+    """The program through configurations q (K, 2d + 2), without regard to play in the drives."""
+    return through(robot, hardware, q, np.zeros((len(q), len(hardware.axes))), np.arange(len(q)), names)
