@@ -16,7 +16,7 @@ from ctr_nlp.emulator.faults import FAULTS
 from ctr_nlp.emulator.wire import VirtualClock
 from ctr_nlp.errors import CtrError
 from ctr_nlp.executor.devices import Progress
-from ctr_nlp.executor.lookahead import AHEAD, TRAVEL, Link, Window, steady_speed, sustainable
+from ctr_nlp.executor.lookahead import AHEAD, TRAVEL, LinkTiming, Window, steady_speed, sustainable
 from ctr_nlp.executor.program import Program
 from ctr_nlp.executor.results import Outcome
 from ctr_nlp.plan import Plan
@@ -251,22 +251,22 @@ def test_a_long_piece_is_given_once_the_one_before_is_done() -> None:
 
 
 def test_an_axis_is_as_fast_as_it_can_brake_within_what_is_in_hand() -> None:
-    link = Link(0.02)
+    link = LinkTiming(0.02)
     speed = steady_speed(200.0, True, link)
     assert speed**2 / 400.0 + speed * link.delay == pytest.approx(TRAVEL)
     turning = steady_speed(2000.0, False, link)
     assert turning / 4000.0 + link.delay == pytest.approx(AHEAD)
-    assert steady_speed(2000.0, False, Link(0.2)) == 0.0
+    assert steady_speed(2000.0, False, LinkTiming(0.2)) == 0.0
 
 
 def test_what_a_link_sustains() -> None:
     slides = np.array([True, False])
     fast, limits = np.array([30.0, 100.0]), np.array([200.0, 2000.0])
-    assert sustainable(fast, limits, slides, Link(0.01, 11520.0), 3000.0) == 1.0
-    assert sustainable(fast, limits, slides, Link(0.01, 1200.0), 3000.0) == pytest.approx(0.4)
-    assert sustainable(fast, limits, slides, Link(0.2, 11520.0), 3000.0) == 0.0
-    slow = sustainable(2 * fast, limits, slides, Link(0.02), 3000.0)
-    assert slow == pytest.approx(steady_speed(200.0, True, Link(0.02)) / 60.0)
+    assert sustainable(fast, limits, slides, LinkTiming(0.01, 11520.0), 3000.0) == 1.0
+    assert sustainable(fast, limits, slides, LinkTiming(0.01, 1200.0), 3000.0) == pytest.approx(0.4)
+    assert sustainable(fast, limits, slides, LinkTiming(0.2, 11520.0), 3000.0) == 0.0
+    slow = sustainable(2 * fast, limits, slides, LinkTiming(0.02), 3000.0)
+    assert slow == pytest.approx(steady_speed(200.0, True, LinkTiming(0.02)) / 60.0)
 
 
 def test_a_link_that_is_too_slow_is_told_before_anything_moves(tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ ROUND_TRIP = 0.025
 """s from such a question to its answer on an ordinary link: 9 ms are a report of 100 bytes at 115200 baud."""
 
 
-class Link(NamedTuple):
+class LinkTiming(NamedTuple):
     """What a link can do. round_trip: s from a question to its answer; rate: bytes/s that it takes."""
 
     round_trip: float = ROUND_TRIP
@@ -47,14 +47,14 @@ class Link(NamedTuple):
         return PREPARED + LONGEST + POLL + 1.5 * self.round_trip
 
 
-def steady_speed(acceleration: float, slides: bool, link: Link | None = None) -> float:
+def steady_speed(acceleration: float, slides: bool, link: LinkTiming | None = None) -> float:
     """The largest speed that an axis keeps up with so little motion in hand; 0 where the link is too slow.
 
     acceleration: of the axis, in unit/s^2. slides: whether its travel (mm) is bounded too. The room that is left
     when everything late is taken off must do for braking: v / (2 a) + delay = AHEAD, v^2 / (2 a) + v delay =
     TRAVEL.
     """
-    delay = (link or Link()).delay
+    delay = (link or LinkTiming()).delay
     by_time = max(0.0, 2.0 * acceleration * (AHEAD - delay))
     by_travel = acceleration * (math.sqrt(delay**2 + 2.0 * TRAVEL / acceleration) - delay)
     return min(by_time, by_travel) if slides else by_time
@@ -84,7 +84,7 @@ class Window:
 
 
 def sustainable(
-    speed: Array, acceleration: Array, slides: npt.NDArray[np.bool_], link: Link, rate: float
+    speed: Array, acceleration: Array, slides: npt.NDArray[np.bool_], link: LinkTiming, rate: float
 ) -> float:
     """The part of its pace, at most 1, at which a motion can be kept supplied over a link; 0 for none.
 

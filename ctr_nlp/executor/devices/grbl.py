@@ -166,7 +166,7 @@ class Grbl:
     def _check_link(self, commands: Commands) -> None:
         """Raise ProgramError where the link, as measured, cannot keep the motion supplied."""
         connection, seconds = self._hardware.connection, np.diff(self._way.ends)
-        link = lookahead.Link(self._talk.round_trip(), connection.baud / 10.0)
+        link = lookahead.LinkTiming(self._talk.round_trip(), connection.baud / 10.0)
         speed = abs(np.diff(self._way.points, axis=0) / seconds[:, None]).max(axis=0)
         rate = float(sum(map(len, self._lines)) / commands.time[-1])
         acceleration = self._asked_who().acceleration(self._hardware)
