@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import tempfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ import numpy.typing as npt
 
 from ctr_nlp.errors import DeviceFault
 from ctr_nlp.extras import needed
+from ctr_nlp.whole_file import whole_file
 
 FOLDER = "CTR_NLP_STATE"
 """Environment variable: a folder for what is remembered, instead of the user's own."""
@@ -86,12 +86,10 @@ class Memory:
         path = self._path("json", identity)
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryDirectory(dir=self._folder) as folder:
-                with open(Path(folder, "new"), "w", encoding="utf-8") as file:
-                    json.dump(asdict(left), file)
-                    file.flush()
-                    os.fsync(file.fileno())
-                os.replace(file.name, path)
+            with whole_file(path) as partial, open(partial, "w", encoding="utf-8") as file:
+                json.dump(asdict(left), file)
+                file.flush()
+                os.fsync(file.fileno())
         except OSError as error:
             raise self._unwritten(error) from error
 
