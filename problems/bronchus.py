@@ -2,7 +2,7 @@
 
 from ctr_nlp import Problem, Robot, growing, seed_robot
 from ctr_nlp.anatomy import synthetic_airway
-from ctr_nlp.placing import placed
+from ctr_nlp.target.placing import placed
 
 
 def problem(frames: int = 100, duration: float = 10.0, robot: Robot | None = None) -> Problem:

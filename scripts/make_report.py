@@ -1,4 +1,4 @@
-"""See ctr_nlp/cli/make_report.py, or run with --help."""
+"""See ctr_nlp/cli/commands/make_report.py, or run with --help."""
 
 import signal
 import sys
@@ -7,6 +7,6 @@ if __name__ == "__main__":
     if hasattr(signal, "pthread_sigmask"):  # Ctrl-C waits until the program can answer it
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
 
-    from ctr_nlp.cli.make_report import main
+    from ctr_nlp.cli.commands.make_report import main
 
     sys.exit(main())

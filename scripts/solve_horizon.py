@@ -1,4 +1,4 @@
-"""See ctr_nlp/cli/solve_horizon.py, or run with --help."""
+"""See ctr_nlp/cli/commands/solve_horizon.py, or run with --help."""
 
 import signal
 import sys
@@ -8,6 +8,6 @@ if __name__ == "__main__":
     if hasattr(signal, "pthread_sigmask"):  # Ctrl-C waits until the program can answer it
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
 
-    from ctr_nlp.cli.solve_horizon import main
+    from ctr_nlp.cli.commands.solve_horizon import main
 
     sys.exit(main(Path(__file__).resolve().parents[1] / "problems"))

@@ -10,22 +10,22 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp import seed_robot
-from ctr_nlp.emulator.faults import Fault
-from ctr_nlp.emulator.firmware import Firmware
-from ctr_nlp.emulator.wire import VirtualClock, Wire
-from ctr_nlp.errors import DeviceFault
-from ctr_nlp.executor.devices.grbl import Grbl
-from ctr_nlp.executor.hardware import Axis, Connection, Hardware
-from ctr_nlp.executor.journal import Journal, read_journal
-from ctr_nlp.executor.link import RecordedLink
-from ctr_nlp.executor.player import Player, Seen
-from ctr_nlp.executor.program import Program
-from ctr_nlp.executor.results import Result
-from ctr_nlp.executor.retract import retract
-from ctr_nlp.executor.session import begin, prepared, resume
-from ctr_nlp.executor.trust import Memory
-from ctr_nlp.forward import shapes, tangents
-from ctr_nlp.plan import Plan
+from ctr_nlp.exceptions import DeviceFault
+from ctr_nlp.hardware.description import Axis, Connection, Hardware
+from ctr_nlp.hardware.devices.grbl.device import Grbl
+from ctr_nlp.hardware.emulator.faults import Fault
+from ctr_nlp.hardware.emulator.firmware import Firmware
+from ctr_nlp.hardware.emulator.wire import VirtualClock, Wire
+from ctr_nlp.hardware.link import RecordedLink
+from ctr_nlp.hardware.motion.program import Program
+from ctr_nlp.hardware.playing.journal import Journal, read_journal
+from ctr_nlp.hardware.playing.player import Player, Seen
+from ctr_nlp.hardware.playing.results import Result
+from ctr_nlp.hardware.playing.retract import retract
+from ctr_nlp.hardware.playing.session import begin, prepared, resume
+from ctr_nlp.hardware.playing.trust import Memory
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.simulation.forward import shapes, tangents
 
 Array = npt.NDArray[np.float64]
 

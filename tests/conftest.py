@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from ctr_nlp import Problem, Robot, curve_from_formula, growing, seed_robot
-from ctr_nlp.pool import THREADS
+from ctr_nlp.support.pool import THREADS
 
 settings.register_profile(
     "quick", max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow], print_blob=True

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 
 from ctr_nlp import Plan, Problem, curve_from_points, growing, seed_robot
-from ctr_nlp.errors import CtrError
-from ctr_nlp.executor.hardware import Hardware
-from ctr_nlp.plan import plan_from_configurations
+from ctr_nlp.exceptions import CtrError
+from ctr_nlp.hardware.description import Hardware
+from ctr_nlp.plan.plan import plan_from_configurations
 from problems import FOLDER
 
 EXAMPLES = FOLDER.parent / "examples"

@@ -6,9 +6,9 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.chain import Chain
-from ctr_nlp.links import Link, differences
-from ctr_nlp.nlp import Constraint, Nlp, Residual
+from ctr_nlp.nlp.chain import Chain
+from ctr_nlp.nlp.links import Link, differences
+from ctr_nlp.nlp.nlp import Constraint, Nlp, Residual
 
 Array = npt.NDArray[np.float64]
 

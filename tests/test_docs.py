@@ -24,9 +24,9 @@ import pytest
 from pages import Block, Page
 
 from ctr_nlp.anatomy.files import read_branches
-from ctr_nlp.executor.arm.description import Arm
-from ctr_nlp.executor.hardware import Axis, Connection, Hardware
-from ctr_nlp.values import described, read_toml
+from ctr_nlp.hardware.arm.description import Arm
+from ctr_nlp.hardware.description import Axis, Connection, Hardware
+from ctr_nlp.support.values import described, read_toml
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -46,7 +46,7 @@ PIP = '''#!{python}
 import re
 import sys
 
-from ctr_nlp.values import read_toml
+from ctr_nlp.support.values import read_toml
 
 *options, wanted = sys.argv[1:]
 extras = set(read_toml("pyproject.toml")["project"]["optional-dependencies"])
@@ -249,7 +249,9 @@ def helps() -> dict[str, str]:
         )
         return done.stdout
 
-    programs = {name: [f"scripts/{name}"] for name in SCRIPTS} | {"ctr_nlp.emulator": ["-m", "ctr_nlp.emulator"]}
+    programs = {name: [f"scripts/{name}"] for name in SCRIPTS} | {
+        "ctr_nlp.hardware.emulator": ["-m", "ctr_nlp.hardware.emulator"]
+    }
     with ThreadPoolExecutor(2) as pool:
         return dict(zip(programs, pool.map(asked, programs.values()), strict=True))
 
@@ -315,7 +317,7 @@ def test_diagrams_are_of_a_kind_that_github_draws():
 
 def test_the_wiring_is_that_of_the_example_hardware():
     """Axis, joint, unit, range, speed and acceleration; the drives agree with the emulated machine's settings."""
-    from ctr_nlp.emulator.settings import DEFAULTS
+    from ctr_nlp.hardware.emulator.protocol.settings import DEFAULTS
 
     hardware = Hardware.from_toml(ROOT / "examples" / "hardware.toml")
     rows = [

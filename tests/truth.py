@@ -17,7 +17,7 @@ from scipy.optimize import fsolve
 from scipy.spatial.transform import Rotation
 
 from ctr_nlp import Limits, Robot, Tube, seed_robot
-from ctr_nlp.tracking import follow, untwisted
+from ctr_nlp.simulation.following import follow, untwisted
 
 CASES = 28
 TWO = Robot(

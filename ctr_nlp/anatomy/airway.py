@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from ctr_nlp.curve import Curve, curve_from_points
-from ctr_nlp.settings import check_choice
+from ctr_nlp.formulations.settings import check_choice
+from ctr_nlp.target.curve import Curve, curve_from_points
 
 Array = npt.NDArray[np.float64]
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.errors import CurveError
-from ctr_nlp.points import LEAST_POINTS, LONGEST_MM, SHORTEST_MM, check_coordinates
+from ctr_nlp.exceptions import CurveError
+from ctr_nlp.target.points import LEAST_POINTS, LONGEST_MM, SHORTEST_MM, check_coordinates
 
 Array = npt.NDArray[np.float64]
 

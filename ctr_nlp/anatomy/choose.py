@@ -9,8 +9,8 @@ import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
 from ctr_nlp.anatomy.branch import Branch, Branches, moved
-from ctr_nlp.curve import Curve
-from ctr_nlp.errors import CurveError
+from ctr_nlp.exceptions import CurveError
+from ctr_nlp.target.curve import Curve
 
 Array = npt.NDArray[np.float64]
 

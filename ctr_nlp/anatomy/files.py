@@ -8,11 +8,11 @@ import numpy.typing as npt
 
 from ctr_nlp.anatomy.branch import Branches, checked
 from ctr_nlp.anatomy.choose import checked_point
-from ctr_nlp.anatomy.images import NIFTI, NRRD
-from ctr_nlp.anatomy.slicer import read_slicer
-from ctr_nlp.anatomy.table import read_table
-from ctr_nlp.anatomy.vtk import read_vtk
-from ctr_nlp.errors import CurveError, OptionError
+from ctr_nlp.anatomy.formats.images import NIFTI, NRRD
+from ctr_nlp.anatomy.formats.slicer import read_slicer
+from ctr_nlp.anatomy.formats.table import read_table
+from ctr_nlp.anatomy.formats.vtk import read_vtk
+from ctr_nlp.exceptions import CurveError, OptionError
 
 TABLE, MARKUPS, LINES = (".csv",), (".mrk.json", ".json"), (".vtp", ".vtk", ".vtu")
 CENTRELINES, MASKS = (*TABLE, *MARKUPS, *LINES), (*NIFTI, *NRRD)
@@ -38,7 +38,7 @@ def read_branches(
                 f"{path} is a mask, which has no branches: its path is found between two points in the lumen, to "
                 "be given with --entry X Y Z and --target X Y Z where it is followed"
             )
-        from ctr_nlp.anatomy.mask import read_mask  # and with it scipy.ndimage: only where it is used
+        from ctr_nlp.anatomy.segmentation.mask import read_mask  # and with it scipy.ndimage: only where it is used
 
         return checked(path, read_mask(path, entry, target))
     if name.endswith(LINES):

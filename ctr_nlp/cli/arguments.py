@@ -13,15 +13,15 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.anatomy.files import CENTRELINES, MASKS
-from ctr_nlp.cli.output_file import check_file
-from ctr_nlp.errors import OptionError
+from ctr_nlp.cli.output.file import check_file
+from ctr_nlp.codegen.cache import SWITCH
+from ctr_nlp.exceptions import OptionError
 from ctr_nlp.figures.film import check_film
-from ctr_nlp.fit import check_radii
+from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import MODELS
-from ctr_nlp.problem import Problem
-from ctr_nlp.settings import Settings
-from ctr_nlp.solvers.cache import SWITCH
-from ctr_nlp.values import floats
+from ctr_nlp.support.values import floats
+from ctr_nlp.target.fit import check_radii
+from ctr_nlp.target.problem import Problem
 
 Array = npt.NDArray[np.float64]
 

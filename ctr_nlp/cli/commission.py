@@ -6,15 +6,15 @@ import sys
 from pathlib import Path
 
 from ctr_nlp.cli.console import SOLVED, SOME_FAILED, console, print_table
-from ctr_nlp.cli.output_file import write_text
-from ctr_nlp.errors import DeviceFault, HardwareError
-from ctr_nlp.executor.clock import RealClock
-from ctr_nlp.executor.commission import STEP, Commissioning, Controller
-from ctr_nlp.executor.commissioned import commissioned_file, commissioned_text
-from ctr_nlp.executor.devices.opening import memory_of, recorded_link
-from ctr_nlp.executor.hardware import Hardware
-from ctr_nlp.executor.journal import Journal
-from ctr_nlp.steer.interrupt import deferred_interrupt
+from ctr_nlp.cli.output.file import write_text
+from ctr_nlp.exceptions import DeviceFault, HardwareError
+from ctr_nlp.hardware.clock import RealClock
+from ctr_nlp.hardware.commission import STEP, Commissioning, Controller
+from ctr_nlp.hardware.commissioned import commissioned_file, commissioned_text
+from ctr_nlp.hardware.description import Hardware
+from ctr_nlp.hardware.devices.opening import memory_of, recorded_link
+from ctr_nlp.hardware.playing.journal import Journal
+from ctr_nlp.support.interrupt import deferred_interrupt
 
 WAYS = {"+": 1, "-": -1}
 

@@ -12,9 +12,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from ctr_nlp.account import shown
-from ctr_nlp.errors import CtrError
-from ctr_nlp.steer.interrupt import deferred_interrupt
+from ctr_nlp.exceptions import CtrError
+from ctr_nlp.plan.account import shown
+from ctr_nlp.support.interrupt import deferred_interrupt
 
 SOLVED, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 """Exit codes of every program."""

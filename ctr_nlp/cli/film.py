@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ctr_nlp.cli.console import progress_bar
-from ctr_nlp.cli.output import name_within
+from ctr_nlp.cli.output.folder import name_within
 from ctr_nlp.figures.film import film
-from ctr_nlp.plan import Plan
+from ctr_nlp.plan.plan import Plan
 
 
 def write_film(plans: Sequence[Plan], file: Path, out: Path, place: Path, staging: Path) -> Path:

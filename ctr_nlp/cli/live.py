@@ -8,13 +8,13 @@ from functools import partial
 
 import numpy as np
 
-from ctr_nlp.executor.devices import Progress
-from ctr_nlp.executor.program import Program
 from ctr_nlp.figures.live import Now, Playing, Solving, Stage, View
-from ctr_nlp.lumen import Lumen
-from ctr_nlp.plan import Plan
-from ctr_nlp.problem import Problem
+from ctr_nlp.hardware.devices import Progress
+from ctr_nlp.hardware.motion.program import Program
+from ctr_nlp.plan.plan import Plan
 from ctr_nlp.solvers import Iterate
+from ctr_nlp.target.lumen import Lumen
+from ctr_nlp.target.problem import Problem
 
 
 class Solved:

@@ -10,16 +10,16 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ctr_nlp.cli.console import console, print_table
-from ctr_nlp.cli.output import published
+from ctr_nlp.cli.output.folder import published
 from ctr_nlp.cli.report import write_table
-from ctr_nlp.errors import OutputError
-from ctr_nlp.executor.checks import Checked
-from ctr_nlp.executor.hardware import Hardware
-from ctr_nlp.executor.program import Program
-from ctr_nlp.executor.record import Tracking
-from ctr_nlp.executor.results import Result
+from ctr_nlp.exceptions import OutputError
 from ctr_nlp.figures import save, tracking
-from ctr_nlp.plan import Plan
+from ctr_nlp.hardware.description import Hardware
+from ctr_nlp.hardware.motion.program import Program
+from ctr_nlp.hardware.motion.record import Tracking
+from ctr_nlp.hardware.playing.checks import Checked
+from ctr_nlp.hardware.playing.results import Result
+from ctr_nlp.plan.plan import Plan
 
 JOURNAL = "journal.jsonl"
 """In the output folder: the record of all sessions, to which each adds its own."""

@@ -9,13 +9,13 @@ import sys
 from pathlib import Path
 
 from ctr_nlp.anatomy.files import CENTRELINES, MASKS
+from ctr_nlp.anatomy.problem_files import problem_from_file
 from ctr_nlp.cli.arguments import FILE_OPTIONS
-from ctr_nlp.errors import OptionError
-from ctr_nlp.fit import notes
+from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import check_model
-from ctr_nlp.problem import Problem
-from ctr_nlp.problem_files import problem_from_file
 from ctr_nlp.robot import Robot
+from ctr_nlp.target.fit import notes
+from ctr_nlp.target.problem import Problem
 
 
 def names(folder: Path) -> list[str]:

@@ -6,10 +6,10 @@ from ctr_nlp.figures.film import check_film, film
 from ctr_nlp.figures.frames import by_frame
 from ctr_nlp.figures.motion import configuration
 from ctr_nlp.figures.overlay import shapes
-from ctr_nlp.figures.pareto import pareto
 from ctr_nlp.figures.stability import stability
 from ctr_nlp.figures.tracking import tracking
 from ctr_nlp.figures.violins import errors
+from ctr_nlp.studies.pareto import pareto
 
 __all__ = [
     "by_frame",

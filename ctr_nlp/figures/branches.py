@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 
-from ctr_nlp.figures.page import STYLE, printable
-from ctr_nlp.figures.palette import BLACK, tube_colour, tube_width
+from ctr_nlp.figures.parts.page import STYLE, printable
+from ctr_nlp.figures.parts.palette import BLACK, tube_colour, tube_width
 
 Array = npt.NDArray[np.float64]
 

@@ -9,11 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 
-from ctr_nlp.contacts import contacts
-from ctr_nlp.figures.page import STYLE, curve, frame_axis, head, shade_failures
-from ctr_nlp.figures.palette import BLUE, CONTACT, ROOMY, VERMILLION, tube_colour, tube_width
-from ctr_nlp.plan import Plan
-from ctr_nlp.target import SIGMA
+from ctr_nlp.figures.parts.page import STYLE, curve, frame_axis, head, shade_failures
+from ctr_nlp.figures.parts.palette import BLUE, CONTACT, ROOMY, VERMILLION, tube_colour, tube_width
+from ctr_nlp.plan.contacts import contacts
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.target.target import SIGMA
 
 Array = npt.NDArray[np.float64]
 

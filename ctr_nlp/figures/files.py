@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from ctr_nlp.errors import OutputError
+from ctr_nlp.exceptions import OutputError
 from ctr_nlp.figures.clearance import clearance
 from ctr_nlp.figures.frames import by_frame
 from ctr_nlp.figures.motion import configuration
 from ctr_nlp.figures.overlay import shapes
-from ctr_nlp.figures.pareto import pareto
 from ctr_nlp.figures.stability import stability
 from ctr_nlp.figures.violins import errors
-from ctr_nlp.plan import Plan
-from ctr_nlp.trade_off import Point
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.studies.pareto import pareto
+from ctr_nlp.studies.trade_off import Point
 
 PICTURES = {"shapes": shapes, "errors": errors, "by_frame": by_frame, "configuration": configuration}
 """Of every plan, by the names of their files."""

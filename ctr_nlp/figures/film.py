@@ -14,15 +14,15 @@ import numpy.typing as npt
 from matplotlib.animation import FFMpegWriter, PillowWriter
 from matplotlib.figure import Figure
 
-from ctr_nlp import account, metrics
-from ctr_nlp.errors import OptionError, OutputError
+from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.figures.frames import CURVES
 from ctr_nlp.figures.overlay import TARGET
-from ctr_nlp.figures.page import STYLE, curve, frame_axis, outcome, printable, shade_failures
-from ctr_nlp.figures.palette import BLACK
-from ctr_nlp.figures.space import Body, frame, insertion_point, key, points_of_all, span, wall
-from ctr_nlp.plan import Plan
-from ctr_nlp.whole_file import whole_file
+from ctr_nlp.figures.parts.page import STYLE, curve, frame_axis, outcome, printable, shade_failures
+from ctr_nlp.figures.parts.palette import BLACK
+from ctr_nlp.figures.parts.space import Body, frame, insertion_point, key, points_of_all, span, wall
+from ctr_nlp.plan import account, metrics
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.support.whole_file import whole_file
 
 Array = npt.NDArray[np.float64]
 

@@ -10,11 +10,11 @@ import matplotlib
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from ctr_nlp import metrics
-from ctr_nlp.figures.page import STYLE, curve, frame_axis, head, shade_failures
-from ctr_nlp.figures.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, VERMILLION
-from ctr_nlp.figures.panels import panels, root_scale
-from ctr_nlp.plan import Plan
+from ctr_nlp.figures.parts.page import STYLE, curve, frame_axis, head, shade_failures
+from ctr_nlp.figures.parts.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, VERMILLION
+from ctr_nlp.figures.parts.panels import panels, root_scale
+from ctr_nlp.plan import metrics
+from ctr_nlp.plan.plan import Plan
 
 CURVES: dict[str, dict[str, Any]] = {
     "max": {"label": "maximum of e1", "color": VERMILLION, "lw": 1.6, "ls": "--"},

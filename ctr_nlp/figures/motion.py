@@ -11,10 +11,10 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ctr_nlp.figures.page import STYLE, at_least, curve, head, shade, shade_failures
-from ctr_nlp.figures.palette import AMBIGUOUS, TILT, tube_colour, tube_width
+from ctr_nlp.figures.parts.page import STYLE, at_least, curve, head, shade, shade_failures
+from ctr_nlp.figures.parts.palette import AMBIGUOUS, TILT, tube_colour, tube_width
 from ctr_nlp.figures.truth import error_from_truth, indistinct
-from ctr_nlp.plan import Plan
+from ctr_nlp.plan.plan import Plan
 
 Array = npt.NDArray[np.float64]
 

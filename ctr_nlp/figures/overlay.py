@@ -13,11 +13,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from ctr_nlp.errors import OptionError
-from ctr_nlp.figures.page import STYLE, head
-from ctr_nlp.figures.palette import BLACK, tube_colour, tube_width
-from ctr_nlp.plan import Plan
-from ctr_nlp.target import SIGMA
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.figures.parts.page import STYLE, head
+from ctr_nlp.figures.parts.palette import BLACK, tube_colour, tube_width
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.target.target import SIGMA
 
 Array = npt.NDArray[np.float64]
 

@@ -6,9 +6,9 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from ctr_nlp.figures.page import STYLE, curve, frame_axis, head, shade_failures
-from ctr_nlp.figures.palette import BLUE, ORANGE, VERMILLION
-from ctr_nlp.plan import Plan
+from ctr_nlp.figures.parts.page import STYLE, curve, frame_axis, head, shade_failures
+from ctr_nlp.figures.parts.palette import BLUE, ORANGE, VERMILLION
+from ctr_nlp.plan.plan import Plan
 
 
 @matplotlib.rc_context(STYLE)

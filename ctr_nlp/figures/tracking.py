@@ -9,8 +9,8 @@ import matplotlib
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
-from ctr_nlp.figures.page import STYLE, at_least, frame_axis, printable
-from ctr_nlp.figures.palette import tube_colour, tube_width
+from ctr_nlp.figures.parts.page import STYLE, at_least, frame_axis, printable
+from ctr_nlp.figures.parts.palette import tube_colour, tube_width
 
 
 @matplotlib.rc_context(STYLE)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.forward import other_way
-from ctr_nlp.plan import Plan
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.simulation.forward import other_way
 
 Array = npt.NDArray[np.float64]
 

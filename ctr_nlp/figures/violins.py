@@ -12,11 +12,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from ctr_nlp import metrics
-from ctr_nlp.figures.page import STYLE, head
-from ctr_nlp.figures.palette import BLACK, SKY, VERMILLION
-from ctr_nlp.figures.panels import panels, root_scale
-from ctr_nlp.plan import Plan
+from ctr_nlp.figures.parts.page import STYLE, head
+from ctr_nlp.figures.parts.palette import BLACK, SKY, VERMILLION
+from ctr_nlp.figures.parts.panels import panels, root_scale
+from ctr_nlp.plan import metrics
+from ctr_nlp.plan.plan import Plan
 
 Array = npt.NDArray[np.float64]
 

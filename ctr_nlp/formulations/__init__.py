@@ -3,10 +3,10 @@
 from collections.abc import Callable
 
 from ctr_nlp.formulations.joint import joint
+from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.stage import Stage
 from ctr_nlp.formulations.two_stage import two_stage, two_stage_exact
 from ctr_nlp.robot import Robot
-from ctr_nlp.settings import Settings
 
 FORMULATIONS: dict[str, Callable[[Robot, Settings, str], tuple[Stage, ...]]] = {
     "joint": joint,

@@ -15,15 +15,15 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp import terms
-from ctr_nlp.curve import Curve
-from ctr_nlp.forward import points_of
-from ctr_nlp.lumen import Lumen, outer_radius
+from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import Shape, dominant
 from ctr_nlp.models.symbolic import columns_of
-from ctr_nlp.nlp import Inner, Nlp
+from ctr_nlp.nlp import terms
+from ctr_nlp.nlp.nlp import Inner, Nlp
 from ctr_nlp.robot import Robot
-from ctr_nlp.settings import Settings
+from ctr_nlp.simulation.forward import points_of
+from ctr_nlp.target.curve import Curve
+from ctr_nlp.target.lumen import Lumen, outer_radius
 
 Array = npt.NDArray[np.float64]
 

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.chain import Chain
 from ctr_nlp.formulations.contact import Wall
 from ctr_nlp.formulations.joint import alone, target_of, tip_steps
-from ctr_nlp.links import Link, differences
-from ctr_nlp.nlp import FrameFunctions, Nlp
+from ctr_nlp.nlp.chain import Chain
+from ctr_nlp.nlp.links import Link, differences
+from ctr_nlp.nlp.nlp import FrameFunctions, Nlp
 from ctr_nlp.robot import Robot
-from ctr_nlp.target import Frame
-from ctr_nlp.tracking import settled
+from ctr_nlp.simulation.following import settled
+from ctr_nlp.target.target import Frame
 
 Array = npt.NDArray[np.float64]
 

@@ -11,15 +11,15 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp import terms
 from ctr_nlp.formulations import contact
+from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.stage import Stage
 from ctr_nlp.models import MODELS
-from ctr_nlp.nlp import Nlp
+from ctr_nlp.nlp import terms
+from ctr_nlp.nlp.nlp import Nlp
 from ctr_nlp.robot import Robot
-from ctr_nlp.settings import Settings
-from ctr_nlp.target import SIGMA, Frame
-from ctr_nlp.tracking import settled, untwisted
+from ctr_nlp.simulation.following import settled, untwisted
+from ctr_nlp.target.target import SIGMA, Frame
 
 Array = npt.NDArray[np.float64]
 

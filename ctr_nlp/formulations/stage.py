@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.nlp import Nlp
-from ctr_nlp.target import Frame
+from ctr_nlp.nlp.nlp import Nlp
+from ctr_nlp.target.target import Frame
 
 Array = npt.NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ctr_nlp.errors import OptionError
+from ctr_nlp.exceptions import OptionError
 from ctr_nlp.robot import Robot, Tube
 
 Vector = tuple[Any, Any, Any]

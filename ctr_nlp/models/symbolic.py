@@ -9,9 +9,11 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.models import dominant, elastic, stability, torsion
+from ctr_nlp.models import dominant
 from ctr_nlp.models.dominant import Vector
-from ctr_nlp.nlp import Inner
+from ctr_nlp.models.elastic import shape as elastic
+from ctr_nlp.models.elastic import stability, torsion
+from ctr_nlp.nlp.nlp import Inner
 from ctr_nlp.robot import Robot
 
 Array = npt.NDArray[np.float64]

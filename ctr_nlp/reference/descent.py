@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize
 
-from ctr_nlp.frames import FrameResult, starts
-from ctr_nlp.problem import Problem
+from ctr_nlp.formulations.frames import FrameResult, starts
 from ctr_nlp.robot import Robot
-from ctr_nlp.target import Frame
+from ctr_nlp.target.problem import Problem
+from ctr_nlp.target.target import Frame
 
 Array = npt.NDArray[np.float64]
 Method = Callable[[Frame, Array, Array | None], FrameResult]

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.frames import FrameResult
+from ctr_nlp.formulations.frames import FrameResult
 from ctr_nlp.models import dominant
-from ctr_nlp.problem import Problem
+from ctr_nlp.nlp.terms import lever
 from ctr_nlp.reference.descent import Method, descend, extensions, fractions, motion, shape_error
 from ctr_nlp.robot import Robot
-from ctr_nlp.target import SIGMA, Frame
-from ctr_nlp.terms import lever
+from ctr_nlp.target.problem import Problem
+from ctr_nlp.target.target import SIGMA, Frame
 
 Array = npt.NDArray[np.float64]
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.forward import shapes
-from ctr_nlp.frames import FrameResult
-from ctr_nlp.problem import Problem
+from ctr_nlp.formulations.frames import FrameResult
 from ctr_nlp.reference.descent import STEP, Method
 from ctr_nlp.robot import Robot
-from ctr_nlp.target import Frame
+from ctr_nlp.simulation.forward import shapes
+from ctr_nlp.target.problem import Problem
+from ctr_nlp.target.target import Frame
 
 Array = npt.NDArray[np.float64]
 

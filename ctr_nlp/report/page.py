@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp import account
-from ctr_nlp.errors import OptionError
-from ctr_nlp.extras import needed
-from ctr_nlp.figures.palette import tube_colour
-from ctr_nlp.metrics import by_frame, summary
-from ctr_nlp.plan import Plan
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.figures.parts.palette import tube_colour
+from ctr_nlp.plan import account
+from ctr_nlp.plan.metrics import by_frame, summary
+from ctr_nlp.plan.plan import Plan
 from ctr_nlp.report.plots import cursors, figures
 from ctr_nlp.report.scales import Scale, quantities, scales
 from ctr_nlp.report.scene import BY_TUBE, DATA, box, frame, scene
+from ctr_nlp.support.extras import needed
 
 READOUT = {"e2": "mm", "max": "mm", "clearance": "mm", "stability": ""}
 """Columns of errors.csv that are told of the frame that is shown, with their units."""

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.extras import needed
-from ctr_nlp.figures.page import alone
-from ctr_nlp.figures.palette import BLACK, BLUE, ORANGE, TILT, VERMILLION, tube_colour
-from ctr_nlp.metrics import by_frame
-from ctr_nlp.plan import Plan
+from ctr_nlp.figures.parts.page import alone
+from ctr_nlp.figures.parts.palette import BLACK, BLUE, ORANGE, TILT, VERMILLION, tube_colour
+from ctr_nlp.plan.metrics import by_frame
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.support.extras import needed
 
 Array = npt.NDArray[np.float64]
 

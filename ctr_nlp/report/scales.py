@@ -10,10 +10,10 @@ import numpy.typing as npt
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
-from ctr_nlp.figures.palette import CONTACT, ERROR
-from ctr_nlp.metrics import e1
-from ctr_nlp.plan import Plan
-from ctr_nlp.target import SIGMA
+from ctr_nlp.figures.parts.palette import CONTACT, ERROR
+from ctr_nlp.plan.metrics import e1
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.target.target import SIGMA
 
 Array = npt.NDArray[np.float64]
 

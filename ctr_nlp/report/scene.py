@@ -11,14 +11,14 @@ import numpy.typing as npt
 from matplotlib.colors import to_rgb
 from scipy.spatial.transform import Rotation
 
-from ctr_nlp.extras import needed
 from ctr_nlp.figures.overlay import tube_ends
-from ctr_nlp.figures.palette import BLACK, tube_colour
-from ctr_nlp.figures.space import points_of_all
-from ctr_nlp.lumen import outer_radius, rings
-from ctr_nlp.plan import Plan
+from ctr_nlp.figures.parts.palette import BLACK, tube_colour
+from ctr_nlp.figures.parts.space import points_of_all
+from ctr_nlp.plan.plan import Plan
 from ctr_nlp.report.scales import Scale, quantities
-from ctr_nlp.target import SIGMA
+from ctr_nlp.support.extras import needed
+from ctr_nlp.target.lumen import outer_radius, rings
+from ctr_nlp.target.target import SIGMA
 
 Array = npt.NDArray[np.float64]
 

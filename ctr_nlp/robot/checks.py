@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from ctr_nlp.errors import RobotError
+from ctr_nlp.exceptions import RobotError
 from ctr_nlp.robot.tube import Tube
 from ctr_nlp.robot.units import angle_meant, between, did_you_mean, in_other_units
 

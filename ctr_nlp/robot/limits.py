@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, fields
 from typing import Any
 
-from ctr_nlp.values import unchanging
+from ctr_nlp.support.values import unchanging
 
 
 @dataclass(frozen=True)

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.errors import RobotError
+from ctr_nlp.exceptions import RobotError
 from ctr_nlp.robot.checks import TURN, check_angle, check_pair, sequence_of_tubes
 from ctr_nlp.robot.extensions import check_extensions, furthest
 from ctr_nlp.robot.limits import Limits
 from ctr_nlp.robot.strain import check_deployed
 from ctr_nlp.robot.tube import Tube
 from ctr_nlp.robot.units import angle_meant, between, did_you_mean
-from ctr_nlp.values import described, frozen, numbers, pairs, plain_floats, read_toml, strict_json
+from ctr_nlp.support.values import described, frozen, numbers, pairs, plain_floats, read_toml, strict_json
 
 Array = npt.NDArray[np.float64]
 

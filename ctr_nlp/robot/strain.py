@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.errors import RobotError
+from ctr_nlp.exceptions import RobotError
 from ctr_nlp.robot.tube import Tube
 
 Array = npt.NDArray[np.float64]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
-from ctr_nlp.errors import RobotError
+from ctr_nlp.exceptions import RobotError
 from ctr_nlp.robot.units import between, curvature_meant, did_you_mean, length_meant
-from ctr_nlp.values import numbers
+from ctr_nlp.support.values import numbers
 
 STRAIN_MADE = 0.08
 """Largest strain of a tube's outer fibre by its pre-curvature."""

@@ -2,14 +2,14 @@
 
 from collections.abc import Callable
 
-from ctr_nlp.chain import Chain
-from ctr_nlp.nlp import Nlp
-from ctr_nlp.solvers import cache
-from ctr_nlp.solvers.adapter import FEASIBLE, Ipopt, NlpSolver, Solution
-from ctr_nlp.solvers.banded import BandedSolver
-from ctr_nlp.solvers.chain_ipopt import IpoptSolver
-from ctr_nlp.solvers.sqp import Sqp
-from ctr_nlp.solvers.watch import Iterate, Watch
+from ctr_nlp.codegen import cache
+from ctr_nlp.nlp.chain import Chain
+from ctr_nlp.nlp.nlp import Nlp
+from ctr_nlp.solvers.frame.adapter import FEASIBLE, Ipopt, NlpSolver, Solution
+from ctr_nlp.solvers.frame.sqp import Sqp
+from ctr_nlp.solvers.motion.banded import BandedSolver
+from ctr_nlp.solvers.motion.ipopt import IpoptSolver
+from ctr_nlp.solvers.motion.watch import Iterate, Watch
 
 SOLVERS: dict[str, Callable[[Nlp], NlpSolver]] = {"ipopt": Ipopt, "sqp": Sqp}
 """Every solver of a frame by the name that options use."""

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import casadi as ca
 
-from ctr_nlp import nlp as problems
-from ctr_nlp.nlp import FrameFunctions, Nlp
-from ctr_nlp.solvers import cache, vector
+from ctr_nlp.codegen import cache, vector
+from ctr_nlp.nlp import nlp as problems
+from ctr_nlp.nlp.nlp import FrameFunctions, Nlp
 
 
 def compiled(nlp: Nlp, lanes: int = vector.LANES) -> FrameFunctions:

@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.chain import Chain
 from ctr_nlp.formulations.contact import ROUNDS, SETTLED, Wall
 from ctr_nlp.formulations.horizon import Ends, horizon
+from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.robot import Robot
 from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, ChainSolver, Iterate, Solution, Watch, default_chain_solver
-from ctr_nlp.solvers.chains import NEAR, WIDE, judged
 from ctr_nlp.solvers.compiled import fastest
+from ctr_nlp.solvers.motion.judged import NEAR, WIDE, judged
 from ctr_nlp.steer.passes import Progress
-from ctr_nlp.target import Frame
+from ctr_nlp.target.target import Frame
 
 Array = npt.NDArray[np.float64]
 Report = Callable[[Iterate], None]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ctr_nlp.solvers import Iterate
-from ctr_nlp.solvers.banded import MOST_ITERATIONS, TOLERANCE
+from ctr_nlp.solvers.motion.banded import MOST_ITERATIONS, TOLERANCE
 from ctr_nlp.steer.passes import Progress
 
 WINDOW = 12

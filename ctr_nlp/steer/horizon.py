@@ -12,15 +12,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp import tracking
-from ctr_nlp.chain import Chain
-from ctr_nlp.errors import OptionError
+from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.contact import Wall, wall_of
 from ctr_nlp.formulations.horizon import Ends, horizon
+from ctr_nlp.formulations.settings import Settings, check_choice
 from ctr_nlp.models import check_model
-from ctr_nlp.plan import Plan, plan_from_configurations
-from ctr_nlp.problem import Problem
-from ctr_nlp.settings import Settings, check_choice
+from ctr_nlp.nlp.chain import Chain
+from ctr_nlp.plan.plan import Plan, plan_from_configurations
+from ctr_nlp.simulation import following as tracking
 from ctr_nlp.solvers import CHAIN_SOLVERS, default_chain_solver
 from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.steer.attempts import (
@@ -36,14 +35,15 @@ from ctr_nlp.steer.attempts import (
 )
 from ctr_nlp.steer.forecast import Forecast
 from ctr_nlp.steer.inside import Outcome, affordable, distinct
-from ctr_nlp.steer.interrupt import deferred_interrupt
 from ctr_nlp.steer.limits import check_ends, check_growth
 from ctr_nlp.steer.motions import per_frame_motions, wandered
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.realised import realised
 from ctr_nlp.steer.requests import check_described, check_search, checked_ends, checked_motions
-from ctr_nlp.values import strict_json
+from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.support.values import strict_json
+from ctr_nlp.target.problem import Problem
 
 Array = npt.NDArray[np.float64]
 

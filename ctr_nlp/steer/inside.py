@@ -12,15 +12,15 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.formulations.contact import Wall
-from ctr_nlp.forward import simulated
-from ctr_nlp.metrics import rms_over_sigma, root_mean_square
-from ctr_nlp.plan import elsewhere
-from ctr_nlp.problem import Problem
+from ctr_nlp.plan.metrics import rms_over_sigma, root_mean_square
+from ctr_nlp.plan.plan import elsewhere
+from ctr_nlp.plan.verdicts import largest_e3
+from ctr_nlp.simulation.forward import simulated
 from ctr_nlp.steer.attempts import Attempt
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.passes import Pass
 from ctr_nlp.steer.realised import SAME, held
-from ctr_nlp.verdicts import largest_e3
+from ctr_nlp.target.problem import Problem
 
 Array = npt.NDArray[np.float64]
 

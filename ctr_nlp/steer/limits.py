@@ -7,9 +7,9 @@ import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.optimize import linprog
 
-from ctr_nlp.chain import Chain
-from ctr_nlp.errors import ProblemError
-from ctr_nlp.problem import OVERLONG, Problem
+from ctr_nlp.exceptions import ProblemError
+from ctr_nlp.nlp.chain import Chain
+from ctr_nlp.target.problem import OVERLONG, Problem
 
 Array = npt.NDArray[np.float64]
 

@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.formulations.horizon import Ends
-from ctr_nlp.problem import Problem
+from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.robot import Robot
-from ctr_nlp.settings import Settings
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.passes import Progress, run_passes
-from ctr_nlp.target import Target
+from ctr_nlp.target.problem import Problem
+from ctr_nlp.target.target import Target
 
 Array = npt.NDArray[np.float64]
 

@@ -13,14 +13,14 @@ import numpy.typing as npt
 
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.contact import ROUNDS, SETTLED, Wall, wall_of
+from ctr_nlp.formulations.frames import FrameResult, reachable, starts
 from ctr_nlp.formulations.joint import joint, tip_steps
-from ctr_nlp.forward import other_way
-from ctr_nlp.frames import FrameResult, reachable, starts
+from ctr_nlp.formulations.settings import Settings, check_choice
 from ctr_nlp.models import check_model
-from ctr_nlp.problem import Problem
-from ctr_nlp.settings import Settings, check_choice
+from ctr_nlp.simulation.forward import other_way
 from ctr_nlp.solvers import SOLVERS, Solution, default_solver
-from ctr_nlp.values import strict_json
+from ctr_nlp.support.values import strict_json
+from ctr_nlp.target.problem import Problem
 
 Array = npt.NDArray[np.float64]
 

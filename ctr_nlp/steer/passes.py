@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.forward import simulated
-from ctr_nlp.frames import FrameResult, FrameSolver
-from ctr_nlp.metrics import rms_over_sigma
-from ctr_nlp.problem import Problem
-from ctr_nlp.steer.interrupt import deferred_interrupt
+from ctr_nlp.formulations.frames import FrameResult, FrameSolver
+from ctr_nlp.plan.metrics import rms_over_sigma
+from ctr_nlp.simulation.forward import simulated
 from ctr_nlp.steer.requests import Direction, checked_ends
+from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.target.problem import Problem
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[int, int, str], None]

@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.frames import FrameResult, FrameSolver
-from ctr_nlp.plan import Plan, plan_from_configurations
-from ctr_nlp.problem import Problem
-from ctr_nlp.settings import Settings
-from ctr_nlp.solvers.sqp import FALLBACK
+from ctr_nlp.formulations.frames import FrameResult, FrameSolver
+from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.plan.plan import Plan, plan_from_configurations
+from ctr_nlp.solvers.frame.sqp import FALLBACK
 from ctr_nlp.steer.inside import kept_inside
-from ctr_nlp.steer.interrupt import deferred_interrupt
 from ctr_nlp.steer.nlp_frames import DEFAULTS, NlpFrames
 from ctr_nlp.steer.passes import Pass, Progress, run_passes
 from ctr_nlp.steer.realised import held
 from ctr_nlp.steer.requests import Direction, check_described, checked_ends
+from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.target.problem import Problem
 
 Array = npt.NDArray[np.float64]
 

@@ -10,15 +10,15 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp import tracking
-from ctr_nlp.chain import Chain
-from ctr_nlp.plan import elsewhere
-from ctr_nlp.problem import Problem
+from ctr_nlp.nlp.chain import Chain
+from ctr_nlp.plan.plan import elsewhere
 from ctr_nlp.robot import Robot
+from ctr_nlp.simulation import following as tracking
 from ctr_nlp.solvers import FEASIBLE, ChainSolver
 from ctr_nlp.steer.attempts import Attempt, attempt
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.passes import Pass
+from ctr_nlp.target.problem import Problem
 
 Array = npt.NDArray[np.float64]
 

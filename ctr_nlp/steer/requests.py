@@ -8,10 +8,10 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.errors import OptionError, ProblemError
-from ctr_nlp.problem import Problem
-from ctr_nlp.settings import Settings, check_choice, check_motion_weight
-from ctr_nlp.values import floats, instance, whole_number
+from ctr_nlp.exceptions import OptionError, ProblemError
+from ctr_nlp.formulations.settings import Settings, check_choice, check_motion_weight
+from ctr_nlp.support.values import floats, instance, whole_number
+from ctr_nlp.target.problem import Problem
 
 Array = npt.NDArray[np.float64]
 Direction = Literal["forward", "backward", "best"]

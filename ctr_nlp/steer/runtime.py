@@ -7,16 +7,16 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.errors import OptionError, RobotError
+from ctr_nlp.exceptions import OptionError, RobotError
 from ctr_nlp.formulations.joint import STRIDE, joint, tip_steps
+from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import check_model
 from ctr_nlp.robot import Robot
-from ctr_nlp.settings import Settings
-from ctr_nlp.solvers.adapter import FEASIBLE, OPTIMAL
-from ctr_nlp.solvers.sqp import Program
+from ctr_nlp.solvers.frame.adapter import FEASIBLE, OPTIMAL
+from ctr_nlp.solvers.frame.sqp import Program
 from ctr_nlp.steer.nlp_frames import DEFAULTS
-from ctr_nlp.target import SIGMA
-from ctr_nlp.values import instance, number
+from ctr_nlp.support.values import instance, number
+from ctr_nlp.target.target import SIGMA
 
 Array = npt.NDArray[np.float64]
 

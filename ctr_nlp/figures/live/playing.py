@@ -10,14 +10,14 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from ctr_nlp import tracking
 from ctr_nlp.figures.overlay import TARGET
-from ctr_nlp.figures.page import printable
-from ctr_nlp.figures.palette import FAILED
-from ctr_nlp.figures.space import Body, frame, insertion_point, key, points_of_all, span, wall
-from ctr_nlp.forward import shapes
-from ctr_nlp.plan import Plan
+from ctr_nlp.figures.parts.page import printable
+from ctr_nlp.figures.parts.palette import FAILED
+from ctr_nlp.figures.parts.space import Body, frame, insertion_point, key, points_of_all, span, wall
+from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
+from ctr_nlp.simulation import following as tracking
+from ctr_nlp.simulation.forward import shapes
 
 Array = npt.NDArray[np.float64]
 

@@ -13,14 +13,14 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from ctr_nlp.figures.overlay import TARGET
-from ctr_nlp.figures.page import outcome, printable
-from ctr_nlp.figures.palette import BLACK, BLUE
-from ctr_nlp.figures.space import Body, frame, insertion_point, key, points_of_all, span, wall
-from ctr_nlp.forward import points_of
-from ctr_nlp.metrics import summary
-from ctr_nlp.plan import Plan
+from ctr_nlp.figures.parts.page import outcome, printable
+from ctr_nlp.figures.parts.palette import BLACK, BLUE
+from ctr_nlp.figures.parts.space import Body, frame, insertion_point, key, points_of_all, span, wall
+from ctr_nlp.plan.metrics import summary
+from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
-from ctr_nlp.target import SIGMA
+from ctr_nlp.simulation.forward import points_of
+from ctr_nlp.target.target import SIGMA
 
 Array = npt.NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 from matplotlib.figure import Figure
 
-from ctr_nlp.errors import OptionError
+from ctr_nlp.exceptions import OptionError
 
 WINDOW = "ctr_nlp.figures.live.window"
 """The module that runs in the window's process."""

@@ -16,7 +16,7 @@ from matplotlib.backend_bases import TimerBase
 from matplotlib.figure import Figure
 
 from ctr_nlp.figures.live.view import Picture
-from ctr_nlp.figures.page import STYLE
+from ctr_nlp.figures.parts.page import STYLE
 
 PACE_MS = 100
 """Between two looks at what there is to show."""

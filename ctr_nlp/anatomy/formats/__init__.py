@@ -1,0 +1,1 @@
+"""Readers of files of anatomy, one format a file. They know points and voxels, and no robot."""

@@ -1,0 +1,155 @@
+"""Lines through shared points, as centreline files hold them, to paths from a root to the tips.
+
+Lines that share an end and leave it to the same side are whole: each is a path already, and that end the root.
+VMTK writes centrelines so, and they need not meet on the trunk. Any other lines are pieces of trees, cut where
+branches part or anywhere else, down to two points a piece. A piece with nothing beside it runs as it is given.
+The root of a tree is the end whose first stretch, up to where branches part, is wider on average than any
+other's by a tenth; failing that, the end from which all pieces lead away, or to which all of them lead; failing
+that, the end nearest to where the caller enters. For a tree without branches the direction of its pieces counts
+first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components
+from scipy.spatial import cKDTree
+
+from ctr_nlp.exceptions import CurveError
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
+
+SAME_MM = 1e-3
+"""Points closer than this are one: files repeat a point where lines meet, rounded to single precision."""
+HEADING_MM = 5.0
+"""Lines that share an end are compared over this first length."""
+WIDER = 1.1
+"""How much wider a tree is at its root than at any other end, at least."""
+
+
+@dataclass(frozen=True)
+class Network:
+    """Points (n, 3) in mm, the lumen's radius (n,) in mm or None, and the lines over them, lists of indices."""
+
+    points: Array
+    radius: Array | None
+    lines: tuple[Indices, ...]
+
+    def paths(self, entry: Array | None = None) -> list[Indices]:
+        """The paths from each root to its tips, by the rules above; entry: (3,) mm. Raises CurveError."""
+        joined = self._joined()
+        if not joined.lines:
+            raise CurveError("it holds no line of two or more points")
+        return joined._whole() or [path for tree in joined._trees() for path in tree.to_tips(entry)]
+
+    def _joined(self) -> Network:
+        """With one index for points in the same place, and no line that stands still."""
+        pairs = cKDTree(self.points).query_pairs(SAME_MM, output_type="ndarray")
+        _, label = connected_components(_graph(pairs, len(self.points)), directed=False)
+        first = np.unique(label, return_index=True)[1][label]
+        lines = [first[line] for line in self.lines]
+        lines = [line[np.append(True, line[1:] != line[:-1])] for line in lines]
+        return Network(self.points, self.radius, tuple(line for line in lines if len(line) > 1))
+
+    def _whole(self) -> list[Indices]:
+        """The lines, turned to leave their common end; none where they are pieces."""
+        if any(line[0] == line[-1] for line in self.lines):
+            return []
+        if len(self.lines) == 1:
+            return list(self.lines)
+        shared = set.intersection(*({int(line[0]), int(line[-1])} for line in self.lines))
+        for root in sorted(shared, key=lambda end: -sum(line[0] == end for line in self.lines)):
+            away = [line if line[0] == root else line[::-1] for line in self.lines]
+            headings = np.array([self._heading(line) for line in away])
+            if (headings @ headings.T > 0).all():
+                return away
+        return []
+
+    def _heading(self, line: Indices) -> Array:
+        """Unit vector (3,) of a line over its first millimetres."""
+        offsets = self.points[line] - self.points[line[0]]
+        far = np.flatnonzero(np.linalg.norm(offsets, axis=1) >= HEADING_MM)
+        offset = offsets[far[0] if far.size else -1]
+        return np.asarray(offset / max(np.linalg.norm(offset), SAME_MM))
+
+    def _trees(self) -> list[Tree]:
+        edges: Indices = np.concatenate([np.column_stack([line[:-1], line[1:]]) for line in self.lines])
+        _, part = connected_components(_graph(edges, len(self.points)), directed=False)
+        found = dict.fromkeys(int(part[line[0]]) for line in self.lines)
+        return [Tree(self, edges[part[edges[:, 0]] == k]) for k in found]
+
+
+class Tree:
+    """Pieces that hang together: a network and those of its edges (m, 2), pointing as their lines do."""
+
+    def __init__(self, network: Network, edges: Indices) -> None:
+        self._network, self._edges = network, edges
+        between = np.unique(np.sort(self._edges, axis=1), axis=0)
+        nodes, degree = np.unique(between, return_counts=True)
+        if len(between) != len(nodes) - 1:
+            raise CurveError("its lines form a loop; they must form trees, with one way from a root to each tip")
+        self._graph = _graph(between, len(network.points))
+        self._ends = nodes[degree == 1]
+        self._degree = np.bincount(between.ravel(), minlength=len(network.points))
+
+    def to_tips(self, entry: Array | None) -> list[Indices]:
+        """The paths from the root to the other ends, these in the order of their points."""
+        root = self._root(entry)
+        return [self._way(root, int(tip)) for tip in self._ends if tip != root]
+
+    def _root(self, entry: Array | None) -> int:
+        rules: list[Callable[[], int | None]] = [self._widest, self._source]
+        for rule in rules if len(self._ends) > 2 else reversed(rules):
+            root = rule()
+            if root is not None:
+                return root
+        if entry is None:
+            raise CurveError(
+                f"where its lines start is not clear: none of their {len(self._ends)} ends is the widest by a "
+                "tenth, nor do all of them lead away from one end; give the point where the robot enters"
+            )
+        return int(self._ends[np.linalg.norm(self._network.points[self._ends] - entry, axis=1).argmin()])
+
+    def _widest(self) -> int | None:
+        """The end whose first stretch is clearly the widest; None where there is none or no radius."""
+        radius = self._network.radius
+        if radius is None:
+            return None
+        widths = np.array([radius[self._stretch(int(end))].mean() for end in self._ends])
+        order = widths.argsort()
+        return int(self._ends[order[-1]]) if widths[order[-1]] >= WIDER * widths[order[-2]] else None
+
+    def _source(self) -> int | None:
+        """The end from which all lines lead away, or to which all of them lead."""
+        for edges in (self._edges, self._edges[:, ::-1]):
+            starts = self._ends[np.isin(self._ends, edges[:, 0])]
+            if len(starts) == 1 and (self._before(int(starts[0]))[edges[:, 1]] == edges[:, 0]).all():
+                return int(starts[0])
+        return None
+
+    def _before(self, root: int) -> Indices:
+        """The point before each on the way from root."""
+        return np.asarray(breadth_first_order(self._graph, root, directed=False)[1])
+
+    def _way(self, root: int, tip: int) -> Indices:
+        before, way = self._before(root), [tip]
+        while way[-1] != root:
+            way.append(int(before[way[-1]]))
+        return np.array(way[::-1])
+
+    def _stretch(self, end: int) -> Indices:
+        """The points from an end to where branches part, or to the middle."""
+        way = self._way(end, int(self._ends[self._ends != end][0]))
+        parts = np.flatnonzero(self._degree[way] > 2)
+        return way[: parts[0] if parts.size else len(way) // 2]
+
+
+def _graph(edges: Indices, count: int) -> Any:
+    return coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count)).tocsr()

@@ -1,0 +1,153 @@
+"""Centrelines that VMTK, SlicerVMTK and other tools save as lines in VTK files.
+
+VTK files do not say what their coordinates are. 3D Slicer adds SPACE=LPS or SPACE=RAS, to the second line of a
+legacy .vtk file and to the field data of the others; without it they are taken as LPS, as Slicer does.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.anatomy.branch import SPACES, Branch, Branches, check_points, moved
+from ctr_nlp.anatomy.formats.network import SAME_MM, Network
+from ctr_nlp.exceptions import CurveError
+from ctr_nlp.support.extras import needed
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
+
+RADII = ("MaximumInscribedSphereRadius", "Radius", "radius")
+"""Point arrays with the lumen's radius in mm: of VMTK, of SlicerVMTK, of others."""
+TRACTS = ("CenterlineIds", "TractIds")
+"""Cell arrays of VMTK's branch extractor: of which centreline a line is a piece, and its place along it."""
+LEGACY = "vtkGenericDataObjectReader"
+READERS = {
+    ".vtk": ("vtkIOLegacy", LEGACY),
+    ".vtp": ("vtkIOXML", "vtkXMLPolyDataReader"),
+    ".vtu": ("vtkIOXML", "vtkXMLUnstructuredGridReader"),
+}
+"""Where VTK has its readers, by the end of a file's name."""
+LINE, POLYLINE = 3, 4
+"""VTK's types of cells that are read; others are not looked at."""
+
+
+def read_vtk(path: str | Path, entry: npt.ArrayLike | None = None) -> Branches:
+    """The paths from root to tips of the lines in a .vtp, .vtu or legacy .vtk file.
+
+    entry: (3,) mm in the file's coordinates, which settles where a tree starts when the file does not; see
+    anatomy/network.py. Points that repeat the one before them are left out. Raises CurveError, and OptionError
+    where pyvista is missing.
+    """
+    mesh, stated = _read(path)
+    space = stated or "LPS"
+    points = np.array(mesh.points, dtype=float)
+    try:
+        if space not in SPACES:
+            raise CurveError(f"SPACE is {space!r}; it must be one of {', '.join(SPACES)}")
+        check_points(points)
+        radius = _radius(mesh, len(points))
+        network = Network(points, radius, tuple(_lines(mesh)))
+        paths = network.paths(None if entry is None else np.asarray(entry, dtype=float))
+    except CurveError as error:
+        raise CurveError(f"{path}: {error}") from error
+    branches = [
+        Branch(f"branch {k}", moved(points[way], SPACES[space]), None if radius is None else radius[way])
+        for k, way in enumerate(paths, start=1)
+    ]
+    return Branches(tuple(branches), space, SPACES[space])
+
+
+def _read(path: str | Path) -> tuple[Any, str]:
+    """The unstructured grid that a file holds, and the coordinate system that it states, or nothing."""
+    if not Path(path).is_file():
+        raise CurveError(f"centreline {path} cannot be read: there is no such file")
+    pyvista = needed("pyvista")
+    room, kind = READERS[Path(path).suffix.lower()]
+    reader = getattr(needed(f"vtkmodules.{room}"), kind)()
+    reader.SetFileName(str(path))
+    legacy = kind == LEGACY
+    if legacy:
+        reader.ReadAllScalarsOn()
+        reader.ReadAllFieldsOn()
+    with pyvista.vtk_verbosity("off"), _overheard() as errors:
+        reader.Update()
+    if errors or not reader.GetOutput().IsA("vtkPointSet"):
+        reason = f" ({errors[0]})" if errors else ""
+        raise CurveError(f"centreline {path} cannot be read: it is damaged, or no VTK file of lines{reason}")
+    mesh = pyvista.wrap(reader.GetOutput())
+    header = re.search(r"SPACE=(\w*)", _text(reader.GetHeader())) if legacy else None
+    field = str(mesh.field_data["SPACE"][0]) if "SPACE" in mesh.field_data else ""
+    return mesh.cast_to_unstructured_grid(), header[1] if header else field
+
+
+@contextmanager
+def _overheard() -> Iterator[list[str]]:
+    """What VTK says of a bad file, in place of its own account on stderr: its first error."""
+    common = needed("vtkmodules.vtkCommonCore")
+    usual, heard = common.vtkOutputWindow.GetInstance(), common.vtkStringOutputWindow()
+    errors: list[str] = []
+    common.vtkOutputWindow.SetInstance(heard)
+    try:
+        yield errors
+    finally:
+        common.vtkOutputWindow.SetInstance(usual)
+        errors += re.findall(r"^ERROR.*\n.*?\): (.*)", _text(heard.GetOutput()), re.MULTILINE)[:1]
+
+
+def _text(said: str | bytes | None) -> str:
+    """What VTK says: bytes where it is no UTF-8."""
+    return said.decode(errors="replace") if isinstance(said, bytes) else said or ""
+
+
+def _radius(mesh: Any, count: int) -> Array | None:
+    for name in RADII:
+        if name in mesh.point_data:
+            values = np.array(mesh.point_data[name], dtype=float)
+            if values.size != count:
+                raise CurveError(f"{name} has shape {values.shape}; it must be one radius in mm a point")
+            return values.reshape(count)
+    return None
+
+
+def _lines(mesh: Any) -> list[Indices]:
+    """The points of each line, the tracts of VMTK's branch extractor put together again."""
+    cells = np.flatnonzero(np.isin(mesh.celltypes, (LINE, POLYLINE)))
+    if not cells.size:
+        raise CurveError("it holds no lines; centrelines are saved as lines, not as a surface or as points")
+    every = list(_cells(np.array(mesh.cells)))
+    lines = [every[i] for i in cells]
+    last = max(line.max(initial=0) for line in lines) + 1
+    if last > mesh.n_points:
+        raise CurveError(f"it is damaged: a line passes point {last} of {mesh.n_points}")
+    if not set(TRACTS) <= set(mesh.cell_data):
+        return lines
+    return _untracted(lines, mesh.points, *(np.array(mesh.cell_data[name])[cells] for name in TRACTS))
+
+
+def _cells(flat: Indices) -> Iterator[Indices]:
+    """The points of each cell, of all cells' counts and points in a row."""
+    at = 0
+    while at < len(flat):
+        yield flat[at + 1 : at + 1 + flat[at]]
+        at += 1 + flat[at]
+
+
+def _untracted(lines: list[Indices], points: Array, centreline: Indices, tract: Indices) -> list[Indices]:
+    """The centrelines whose consecutive tracts the lines are; the lines themselves where tracts do not meet."""
+    whole = []
+    for number in np.unique(centreline):
+        parts = np.flatnonzero(centreline == number)
+        parts = parts[tract[parts].argsort(kind="stable")]
+        for one, next_one in pairwise(parts):
+            if np.linalg.norm(points[lines[one][-1]] - points[lines[next_one][0]]) > SAME_MM:
+                return lines
+        whole.append(np.concatenate([lines[part] for part in parts]))
+    return whole

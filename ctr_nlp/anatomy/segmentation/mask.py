@@ -1,0 +1,138 @@
+"""From a segmented lumen, a mask of voxels, to the path along its middle."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.anatomy.branch import Branch, Branches, moved
+from ctr_nlp.anatomy.choose import checked_point
+from ctr_nlp.anatomy.formats.images import TO_LPS, Image, read_image
+from ctr_nlp.anatomy.segmentation.middle import centred, holds
+from ctr_nlp.anatomy.segmentation.route import cheapest_route, depths
+from ctr_nlp.exceptions import CurveError
+
+Array = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
+LEAST_VOXELS = 3.0
+"""Of a voxel's diagonal, at least, between entry and target."""
+LISTED = 10
+
+
+def read_mask(path: str | Path, entry: npt.ArrayLike, target: npt.ArrayLike) -> Branches:
+    """The path from entry to target along the middle of a lumen, with its radius, from a mask of the lumen.
+
+    path: NIfTI-1 or NRRD, 0 outside the lumen and one other value within it. entry, target: (3,) mm in the
+    file's own coordinates (RAS in NIfTI), in the lumen or at most a voxel's diagonal from it; the path begins and
+    stops where it is nearest to them. Its points are about 1 mm apart; its radius is the distance to the wall in
+    the cross-section, so that a lumen that ends or is cut open is not narrow there. The border of the image is no
+    wall. Raises CurveError, and OptionError where SimpleITK is missing.
+
+    The way is found by Dijkstra's algorithm at a cost that grows towards the wall (after Antiga and Steinman, IEEE
+    TMI 23(6), 2004), then centred in its cross-sections and smoothed.
+    """
+    image = read_image(path)
+    to_lps = TO_LPS[image.space]
+    try:
+        lumen, offset = _cropped(_lumen(image.voxels))
+        cropped = replace(image, voxels=lumen, affine=image.affine @ _shift(offset))
+        ends = np.array([_end(cropped, "entry", entry), _end(cropped, "target", target)])
+        tube = _tube(lumen, image.spacing, ends)
+    except CurveError as error:
+        raise CurveError(f"{path}: {error}") from error
+    points = moved(moved(tube[:, :3] / image.spacing, cropped.affine), to_lps)
+    return Branches((Branch(Path(path).name.partition(".")[0], points, tube[:, 3]),), image.space, to_lps)
+
+
+def _lumen(voxels: npt.NDArray[Any]) -> Flags:
+    """Where a mask is not 0; raises CurveError where it is no mask."""
+    lumen = voxels != 0
+    if not lumen.any():
+        raise CurveError("its voxels are all 0; those of the lumen must have another value")
+    inside = voxels[lumen]
+    if (inside != inside[0]).any():
+        labels = np.unique(inside)
+        more = f" and {len(labels) - LISTED} more" if len(labels) > LISTED else ""
+        listed = ", ".join(f"{label:g}" for label in labels[:LISTED])
+        raise CurveError(f"it has the labels {listed}{more}; a mask has one besides 0, that of the lumen")
+    if lumen.all():
+        raise CurveError(f"its voxels are all {inside[0]:g}; those outside the lumen must be 0")
+    return lumen
+
+
+def _cropped(lumen: Flags) -> tuple[Flags, Array]:
+    """The mask's box, a voxel of wall around it where the image has one, and the index (3,) of its first voxel."""
+    spans = []
+    for axis in range(3):
+        found = np.flatnonzero(lumen.any(axis=tuple({0, 1, 2} - {axis})))
+        spans.append((max(0, int(found[0]) - 1), min(lumen.shape[axis], int(found[-1]) + 2)))
+    box = tuple(slice(*span) for span in spans)
+    return np.ascontiguousarray(lumen[box]), np.array([float(first) for first, _ in spans])
+
+
+def _shift(offset: Array) -> Array:
+    transform = np.eye(4)
+    transform[:3, 3] = offset
+    return transform
+
+
+def _end(mask: Image, name: str, given: npt.ArrayLike) -> Array:
+    """The index (3,), not whole, of the lumen's point nearest to a given one; raises CurveError if that is far."""
+    point = checked_point(name, given)
+    to_index, one = np.asarray(np.linalg.inv(mask.affine), dtype=float), np.ones(3)
+    index = moved(point, to_index)
+    if holds(mask.voxels, one, index[None])[0]:
+        return index
+    nearest = _nearest(mask, index)
+    away = float(np.linalg.norm((nearest - index) * mask.spacing))
+    allowed = float(np.linalg.norm(mask.spacing))
+    if away <= allowed:
+        return nearest
+    turned = moved(point * [-1, -1, 1], to_index)
+    mixed = holds(mask.voxels, one, turned[None])[0]
+    hint = "; with x and y negated it does: is it in LPS instead of RAS, or the other way round?" if mixed else ""
+    raise CurveError(
+        f"{name} {point.tolist()} is {away:.3g} mm outside the mask; it must lie in it or within {allowed:.2g} mm "
+        f"of it, in mm in the file's coordinates, {mask.space}{hint}"
+    )
+
+
+def _nearest(mask: Image, index: Array) -> Array:
+    """The index (3,), not whole, of the point of the lumen's voxels that is nearest to an index."""
+    voxels = np.argwhere(mask.voxels)
+    there = np.clip(index, voxels - 0.49, voxels + 0.49)
+    return np.asarray(there[(((there - index) * mask.spacing) ** 2).sum(axis=1).argmin()])
+
+
+def _tube(lumen: Flags, spacing: Array, ends: Array) -> Array:
+    """Points and radius (n, 4) in mm along the axes of a lumen (l, m, n), between indices (2, 3)."""
+    voxel = float(np.linalg.norm(spacing))
+    apart = float(np.linalg.norm((ends[1] - ends[0]) * spacing))
+    if apart < LEAST_VOXELS * voxel:
+        least = f"they must be at least {LEAST_VOXELS * voxel:.3g} mm"
+        raise CurveError(f"entry and target are {apart:.3g} mm apart; {least}")
+    depth = depths(lumen, spacing)
+    voxels = cheapest_route(depth, spacing, np.rint(ends).astype(int))
+    if voxels is None:
+        raise CurveError("entry and target lie in separate parts of the mask; there is no path between them")
+    route, room = voxels * spacing, depth[tuple(voxels.T)].astype(float)
+    length, width = float(np.linalg.norm(np.diff(route, axis=0), axis=1).sum()), 2 * (room.max() + voxel)
+    if length < width:
+        raise CurveError(
+            f"the way from entry to target is {length:.3g} mm long; it must be longer than the lumen is wide, "
+            f"about {width:.3g} mm"
+        )
+    tube = centred(lumen, spacing, route, room, ends * spacing)
+    outside = ~holds(lumen, spacing, tube[:, :3])
+    astray = np.flatnonzero(outside[1:] & outside[:-1])
+    if astray.size:
+        raise CurveError(
+            f"a smooth path leaves the lumen {100 * astray[0] / len(tube):.0f} % of the way from entry to target: "
+            "the lumen is too narrow there for its voxels"
+        )
+    return tube

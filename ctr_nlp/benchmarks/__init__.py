@@ -1,5 +1,0 @@
-"""What is measured: pure functions from problems to records; ratios are taken within one run."""
-
-from ctr_nlp.benchmarks.records import Record, regressions
-
-__all__ = ["Record", "regressions"]

@@ -1,5 +1,0 @@
-"""What clearance costs and brings: plans without and with it, over many airways."""
-
-from ctr_nlp.clearance_study.cases import Case, Source, study
-
-__all__ = ["Case", "Source", "study"]

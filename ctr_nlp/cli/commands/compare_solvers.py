@@ -1,0 +1,154 @@
+"""The program behind scripts/compare_solvers.py."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from ctr_nlp.cli import problems
+from ctr_nlp.cli.arguments import add_compile_option, add_problem_options, add_settings, settings_from
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, console, guarded, print_table, progress_bar
+from ctr_nlp.cli.output.folder import check_folder, place_of, published
+from ctr_nlp.models import MODELS
+from ctr_nlp.plan.account import shown
+from ctr_nlp.reference.published import BASELINE, BASELINE_ELASTIC, SEED, SEED_ELASTIC
+from ctr_nlp.studies.comparison import VARIANTS, Comparison, compare, parse_variant, variants_here
+from ctr_nlp.support.interrupt import end_if_interrupted
+from ctr_nlp.support.tables import markdown, write_csv
+
+COLUMNS = {
+    "variant": ("variant",),
+    "e3 mm": ("e3",),
+    "e4 mm": ("e4",),
+    "max mm": ("e_max",),
+    "seed e3, e4": ("seed_e3", "seed_e4"),
+    "steps rad, mm, rad": ("step_alpha", "step_beta", "step_theta"),
+    "roughness mm²/s": ("roughness",),
+    "ms 50, 99 %": ("median_ms", "p99_ms"),
+    "total s": ("total_s",),
+    "seed s": ("seed_t_s",),
+    "build s": ("build_s",),
+    "failed": ("failed",),
+    "on dominant e3, e4": ("dominant_e3", "dominant_e4"),
+    "on elastic e3, e4": ("elastic_e3", "elastic_e4"),
+    "stability": ("stability_between",),
+    "snaps": ("snaps",),
+    "verdicts: no": ("no",),
+}
+"""Columns of the printed table and of Markdown, and the keys of a row that each shows."""
+
+
+AGREEMENT = ("problem", "objective mm²", "difference mm²", "limits that differ", "agree", "s")
+"""Columns of the table of agreements."""
+
+
+def _cells(row: dict[str, Any]) -> list[str]:
+    return [" / ".join(shown(row[key]) for key in keys if row[key] is not None) for keys in COLUMNS.values()]
+
+
+def main(folder: Path, argv: list[str] | None = None) -> int:
+    """Solve problems with every variant and print the results side by side; folder holds the named problems."""
+    return guarded(lambda: _run(folder, _parser(folder).parse_args(argv)))
+
+
+def _parser(folder: Path) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="compare_solvers.py",
+        description="Solve problems with every variant, one after the other, and print errors, steps and times "
+        "beside the seed's Table II; write comparison.md, .csv and .json.",
+        epilog="Exit status: 0 no verdict on a plan of ours is no, 1 one is, 2 bad input, 130 interrupted (what "
+        "was done goes into DIR/interrupted, and DIR's own files stay).",
+    )
+    names = ", ".join(problems.names(folder))
+    parser.add_argument(
+        "problems", metavar="PROBLEM", nargs="*", help=f"{names}, or centreline files (default all)"
+    )
+    parser.add_argument(
+        "--variants",
+        metavar="NAME",
+        nargs="+",
+        help=f"(default all that work here, of {', '.join(VARIANTS)})",
+    )
+    parser.add_argument("--out", metavar="DIR", default="runs/comparison", help="(default runs/comparison)")
+    add_problem_options(parser)
+    add_compile_option(parser)
+    add_settings(parser)
+    return parser
+
+
+def _run(folder: Path, arguments: argparse.Namespace) -> int:
+    settings, out = settings_from(arguments), Path(arguments.out)
+    variants = [parse_variant(name) for name in arguments.variants or variants_here()]
+    chosen = [problems.load(name, folder, arguments) for name in arguments.problems or problems.names(folder)]
+    check_folder(out, "comparison")
+    end_if_interrupted()
+    with progress_bar() as labelled:
+        found = compare(chosen, variants, settings, lambda problem, variant: labelled(f"{problem}, {variant}"))
+    rows = found.rows
+    interrupted = len(rows) < len(chosen) * len(variants) or any(row["interrupted"] for row in rows)
+    place = place_of(out, interrupted)
+    with published(place, "comparison") as staging:
+        _write(found, staging)
+    for name in dict.fromkeys(row["problem"] for row in rows):
+        print_table(name, list(COLUMNS), [_cells(row) for row in rows if row["problem"] == name])
+    if found.agreements:
+        print_table("do solvers of the horizon agree?", list(AGREEMENT), _agreements(found))
+    console().print(f"wrote {place}: comparison.md, comparison.csv, comparison.json")
+    if interrupted:
+        return INTERRUPTED
+    return SOME_FAILED if any(row["no"] for row in rows if ":" in row["variant"]) else SOLVED
+
+
+def _agreements(found: Comparison) -> list[list[str]]:
+    return [
+        [
+            row["problem"],
+            f"{row['first']} {row['first_objective']:.6f}, {row['second']} {row['second_objective']:.6f}",
+            f"{row['difference']:.1e}",
+            str(row["differing_limits"]),
+            "yes"
+            if row["agree"]
+            else f"no: {row['first' if row['first_objective'] < row['second_objective'] else 'second']} is better",
+            f"{row['first_s']:.2f} / {row['second_s']:.2f}",
+        ]
+        for row in found.agreements
+    ]
+
+
+def _write(found: Comparison, folder: Path) -> None:
+    rows = found.rows
+    for name, entries in (("comparison", rows), ("agreement", found.agreements)):
+        if entries:
+            text = json.dumps(entries, indent=1, allow_nan=False)
+            (folder / f"{name}.json").write_text(text + "\n", encoding="utf-8")
+    write_csv(folder / "comparison.csv", rows)
+    details = markdown(["problem", *COLUMNS], [[row["problem"], *_cells(row)] for row in rows])
+    halves = [f"e3 in mm on the {model} model:\n\n{_overview(rows, model)}\n" for model in MODELS]
+    page = f"{''.join(halves)}Everything:\n\n{details}"
+    if found.agreements:
+        page += f"\nWhether solvers of the horizon agree:\n\n{markdown(list(AGREEMENT), _agreements(found))}"
+    (folder / "comparison.md").write_text(page, encoding="utf-8")
+
+
+def _overview(rows: list[dict[str, Any]], model: str) -> str:
+    """A row a problem, a column a variant: e3 in mm on a model; the seed's figures last.
+
+    An exclamation mark: the verdict on stability is no; a star: another one is.
+    """
+    figures = (SEED, BASELINE) if model == "dominant" else (SEED_ELASTIC, BASELINE_ELASTIC)
+    variants = list(dict.fromkeys(row["variant"] for row in rows))
+    header = ["problem", *(f"`{variant}`" for variant in variants), "seed, published", "its baseline, published"]
+    body = []
+    for problem in dict.fromkeys(row["problem"] for row in rows):
+        found = {row["variant"]: row for row in rows if row["problem"] == problem}
+        cells = [_cell(found[v], model) if v in found else "" for v in variants]
+        published = (shown(each[problem][0]) if problem in each else "" for each in figures)
+        body.append([problem, *cells, *published])
+    return markdown(header, body)
+
+
+def _cell(row: dict[str, Any], model: str) -> str:
+    no = set(filter(None, row[f"{model}_no"].split(", ")))
+    return shown(row[f"{model}_e3"]) + "*" * bool(no - {"stable"}) + "!" * ("stable" in no)

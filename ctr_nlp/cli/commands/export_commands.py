@@ -1,0 +1,95 @@
+"""The program behind scripts/export_commands.py."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ctr_nlp.cli.console import SOLVED, console, guarded
+from ctr_nlp.cli.output.file import check_file, write_text
+from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.cli.play_report import print_program
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.hardware.description import Hardware, bench
+from ctr_nlp.hardware.exports import BAG, FORMATS, TEXTS
+from ctr_nlp.hardware.exports.rosbag2 import STORAGES, write_bag
+from ctr_nlp.hardware.motion.program import Program
+from ctr_nlp.hardware.playing.session import prepared
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.support.interrupt import deferred_interrupt
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Check a plan for some hardware and write it as commands."""
+    return guarded(lambda: _run(_parser().parse_args(argv)))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="export_commands.py",
+        description="Check a plan for some hardware, time it, and write it as commands that other machines play: "
+        "csv, a table; gcode, for Grbl and grblHAL, without the tilt; urscript, for the arm that tilts; rosbag2, "
+        "a folder with a joint trajectory and joint states.",
+        epilog="Exit status: 0 written, 2 bad input, nothing written.",
+    )
+    parser.add_argument("plan", metavar="PLAN.npz")
+    parser.add_argument("--to", choices=FORMATS, required=True, metavar="FORMAT", help=", ".join(FORMATS))
+    parser.add_argument("--hardware", metavar="FILE.toml", help="what it is for (default: a bench rig)")
+    parser.add_argument(
+        "--tempo", metavar="X", type=float, default=1.0, help="part of the plan's own pace, in (0, 1] (default 1)"
+    )
+    parser.add_argument(
+        "--storage",
+        choices=STORAGES,
+        help=f"of a bag (default {STORAGES[0]}; Humble reads sqlite3 without a plugin)",
+    )
+    parser.add_argument(
+        "--out",
+        metavar="FILE",
+        help="(default: beside the plan, under its name). A file or folder of ours is replaced, no other",
+    )
+    return parser
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    to, source = arguments.to, Path(arguments.plan)
+    if arguments.storage and to != BAG:
+        raise OptionError(f"--storage goes with --to {BAG}; a {to} file has none")
+    out = Path(arguments.out) if arguments.out else _beside(source, to)
+    _check_out(out, to)
+    plan = Plan.load(source)
+    title = str(plan.meta["problem"]["name"])
+    hardware = Hardware.from_toml(arguments.hardware) if arguments.hardware else bench(plan.robot)
+    with deferred_interrupt() as interrupted:
+        program, found = prepared(plan, hardware, arguments.tempo)
+        if interrupted():
+            raise KeyboardInterrupt
+    if to == BAG:
+        _write_bag(program, title, out, arguments.storage or STORAGES[0])
+    else:
+        write_text(out, TEXTS[to].of(program, title))
+    print_program(f"{title} for {len(program.hardware.axes)} axes", program, found)
+    console().print(f"wrote {out}")
+    return SOLVED
+
+
+def _beside(source: Path, to: str) -> Path:
+    return source.with_name(f"{source.stem}_bag") if to == BAG else source.with_suffix(TEXTS[to].suffix)
+
+
+def _check_out(out: Path, to: str) -> None:
+    if to != BAG:
+        check_file(out, TEXTS[to].opening)
+    elif out.suffix in (".mcap", ".db3"):
+        raise OptionError(f"--out is {out}, but a bag is a folder: {out.with_suffix('')} will hold such a file")
+    else:
+        check_folder(out, "bag")
+
+
+def _write_bag(program: Program, title: str, out: Path, storage: str) -> None:
+    with published(out, "bag") as staging:
+        made = staging / out.absolute().name  # the bag's file takes its name from the folder that it is made in
+        write_bag(program, title, made, storage)
+        for file in made.iterdir():
+            file.rename(staging / file.name)
+        made.rmdir()

@@ -1,0 +1,132 @@
+"""The program behind scripts/list_branches.py."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ctr_nlp.anatomy.branch import Branch, Branches, moved
+from ctr_nlp.anatomy.files import CENTRELINES, read_branches
+from ctr_nlp.cli.console import SOLVED, console, guarded, print_table, progress_bar
+from ctr_nlp.cli.output.file import check_file
+from ctr_nlp.exceptions import CurveError, OptionError, OutputError
+from ctr_nlp.figures import save
+from ctr_nlp.figures.branches import tree
+from ctr_nlp.support.whole_file import whole_file
+from ctr_nlp.target.curve import curve_from_points
+from ctr_nlp.target.fit import JAGGED, sharpest_bend
+
+PNG = b"\x89PNG"
+COLUMNS = ("branch", "name", "length", "tightest bend", "radius at start", "least", "at end", "tip", "remark")
+SPACING_MM = 0.1
+"""Places along a branch at which its bends and its lumen are looked at."""
+STRAIGHT = 1e-4
+"""A branch of a smaller curvature, in 1/mm, has no bend to speak of."""
+END_PART = 0.1
+"""The first and the last part of a branch whose mean radii are compared."""
+WIDENS = 1.2
+"""From root to tip a lumen narrows; one that widens so much runs the other way, surely."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """List the branches of a centreline file, and draw them."""
+    return guarded(lambda: _run(_parser().parse_args(argv)))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="list_branches.py",
+        description="List the branches of a centreline file, in mm, so that one can be chosen by its number, its "
+        "name or a point that it passes; and draw them.",
+        epilog="Exit status: 0 listed, 2 bad input, nothing written.",
+    )
+    parser.add_argument("file", metavar="FILE", help=f"centreline file ({', '.join(CENTRELINES)})")
+    parser.add_argument("--reverse", action="store_true", help="take each branch from its last point to its first")
+    parser.add_argument(
+        "--entry",
+        metavar=("X", "Y", "Z"),
+        nargs=3,
+        type=float,
+        help="where the robot enters, in the file's coordinates: the start of a tree whose file does not tell it",
+    )
+    parser.add_argument("--out", metavar="FILE.png", help="draw the branches; a picture of that name is replaced")
+    return parser
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    if arguments.out:
+        _check_out(Path(arguments.out))
+    branches = read_branches(arguments.file, arguments.entry)
+    if arguments.reverse:
+        branches = branches.reversed()
+    rows, count = [], len(branches.branches)
+    with progress_bar() as bar:
+        report = bar("branches")
+        for number in range(1, count + 1):
+            rows.append(_row(arguments.file, number, branches))
+            report(number, count, branches.branches[number - 1].name)
+    print_table(f"{arguments.file}, in mm; coordinates {branches.space}", COLUMNS, rows)
+    if arguments.out:
+        _draw(branches, Path(arguments.file).name, Path(arguments.out))
+        console().print(f"wrote {arguments.out}")
+    return SOLVED
+
+
+def _check_out(out: Path) -> None:
+    if out.suffix.lower() != ".png":
+        raise OptionError(f"--out is {out}; the picture's name must end in .png")
+    check_file(out, "")
+    if out.exists() and not out.read_bytes().startswith(PNG):
+        raise OutputError(f"output file {out} exists and is no picture of ours; name another with --out")
+
+
+def _row(file: str, number: int, branches: Branches) -> list[Any]:
+    branch = branches.branches[number - 1]
+    try:
+        curve = curve_from_points(branch.points, branch.radius)
+    except CurveError as error:
+        raise CurveError(f"{file}, {branch.name}: {error}") from error
+    s = np.linspace(0, curve.length, max(2, round(curve.length / SPACING_MM)))
+    sharpest = float(curve.curvature(s).max())
+    bend = 1 / sharpest if sharpest > STRAIGHT else None
+    radii: list[float | None] = [None] * 3
+    if curve.radius is not None:
+        radius = curve.radius(s)
+        radii = [float(radius[0]), float(radius.min()), float(radius[-1])]
+    tip = moved(branch.points[-1], branches.from_lps)
+    at = " ".join(f"{coordinate:.1f}" for coordinate in tip)
+    return [
+        number,
+        branch.name,
+        float(curve.length),
+        bend,
+        *radii,
+        at,
+        _remark(branch, sharpest_bend(curve, curve.length)[0]),
+    ]
+
+
+def _remark(branch: Branch, sharpest: float) -> str:
+    remarks = ["jagged: --smoothing helps"] if sharpest > JAGGED else []
+    if branch.radius is None:
+        return ", ".join([*remarks, "radius unknown"])
+    count = max(1, round(END_PART * len(branch.radius)))
+    if branch.radius[-count:].mean() > WIDENS * branch.radius[:count].mean():
+        remarks.append("widens, as if from tip to root")
+    return ", ".join(remarks)
+
+
+def _draw(branches: Branches, name: str, out: Path) -> None:
+    """Write the picture, whole or not at all."""
+    every = branches.branches
+    title = f"{name}\n{len(every)} {'branches' if len(every) > 1 else 'branch'}, in the file's coordinates"
+    paths = [moved(branch.points, branches.from_lps) for branch in every]
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(out) as partial:
+            save(tree(paths, [branch.name for branch in every], title, branches.space), partial)
+    except OSError as error:
+        raise OutputError(f"output file {out} cannot be written: {error}") from error

@@ -1,0 +1,50 @@
+"""The program behind scripts/make_report.py."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ctr_nlp.cli.arguments import add_film_option, film_file
+from ctr_nlp.cli.console import SOLVED, console, guarded
+from ctr_nlp.cli.film import write_film
+from ctr_nlp.cli.output.file import write_text
+from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.report import page
+
+PAGE = "report.html"
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Write plans as one page for a browser."""
+    return guarded(lambda: _run(_parser().parse_args(argv)))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="make_report.py",
+        description=f"Write {PAGE}: the moving robot in three dimensions, plots and numbers of a plan, or of "
+        "several side by side in step. It is one file, which opens in a browser without a network.",
+        epilog="Exit status: 0 written, 2 bad input, nothing written.",
+    )
+    parser.add_argument("plans", metavar="PLAN.npz", nargs="+")
+    parser.add_argument("--out", metavar="DIR", default="runs/report", help="(default runs/report)")
+    add_film_option(parser)
+    return parser
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    out = Path(arguments.out)
+    film = film_file(arguments)
+    check_folder(out, "report", film)
+    plans = [Plan.load(path) for path in arguments.plans]
+    text = page(plans, arguments.plans)
+    with published(out, "report") as staging:
+        write_text(staging / PAGE, text)
+        if film is not None:
+            write_film(plans, film, out, out, staging)
+    console().print(f"wrote {out / PAGE} ({len(text) / 1e6:.1f} MB); open it in a browser")
+    if film is not None:
+        console().print(f"wrote {film}")
+    return SOLVED

@@ -1,0 +1,265 @@
+"""The program behind scripts/play.py."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ctr_nlp.cli import live
+from ctr_nlp.cli.arguments import add_live_option
+from ctr_nlp.cli.commission import commission
+from ctr_nlp.cli.console import BAD_INPUT, INTERRUPTED, SOLVED, SOME_FAILED, guarded, progress_bar
+from ctr_nlp.cli.names import path_component
+from ctr_nlp.cli.output.file import check_file
+from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.cli.play_report import JOURNAL, print_program, report
+from ctr_nlp.exceptions import DeviceFault, OptionError
+from ctr_nlp.hardware.clock import RealClock
+from ctr_nlp.hardware.description import Hardware, bench
+from ctr_nlp.hardware.devices import Progress
+from ctr_nlp.hardware.devices.opening import arm_follower, device_of, memory_of
+from ctr_nlp.hardware.motion.program import Program
+from ctr_nlp.hardware.motion.record import Recorder
+from ctr_nlp.hardware.playing.journal import Journal, read_journal
+from ctr_nlp.hardware.playing.player import Player, Seen
+from ctr_nlp.hardware.playing.results import Outcome, Result
+from ctr_nlp.hardware.playing.retract import retract
+from ctr_nlp.hardware.playing.session import begin, prepared, resume
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.support.interrupt import deferred_interrupt
+
+WISHES = {"p": "pause", "r": "resume", "a": "abort"}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Check a plan for some hardware and play it there."""
+    return guarded(lambda: _run(_parsed(argv)))
+
+
+def _parsed(argv: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="play.py",
+        description="Check a plan for some hardware, go slowly to its first frame, and play it. While it plays, "
+        "lines on standard input are obeyed: p pauses, r resumes, a aborts; Ctrl-C aborts too.",
+        epilog="Exit status: 0 played to the end, 1 not, 2 bad input (nothing was sent), 130 interrupted.",
+    )
+    parser.add_argument("plan", metavar="PLAN.npz", nargs="?", help="not with --commission")
+    parser.add_argument("--hardware", metavar="FILE.toml", help="(default: a simulated bench rig)")
+    parser.add_argument("--dry-run", action="store_true", help="check everything; open no device")
+    parser.add_argument(
+        "--tempo", metavar="X", type=float, help="part of the plan's own pace, in (0, 1] (default 1)"
+    )
+    parser.add_argument("--home", action="store_true", help="run the controller's homing cycle before")
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help="go on where the last session in the journal ended, if the robot is there, at that session's tempo",
+    )
+    parser.add_argument(
+        "--position-verified",
+        action="store_true",
+        help="you have made sure that the axes stand where the controller says, after it was not to be trusted",
+    )
+    parser.add_argument(
+        "--retract",
+        action="store_true",
+        help="pull the tubes back slowly along the way that the last session in the journal came, or, where there "
+        "is no journal, innermost first; the motion is checked like a plan",
+    )
+    parser.add_argument(
+        "--commission",
+        action="store_true",
+        help="read a Grbl controller, tell which settings are wrong and what to set, move single axes by a small "
+        "step where asked to, and keep its settings beside the hardware file, to be compared at every start",
+    )
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        help=f"where {JOURNAL}, tracking.csv and tracking.png go (default runs/PROBLEM-play)",
+    )
+    add_live_option(parser, "the robot where its axes are, over where they should be (the tilt as commanded),")
+    arguments = parser.parse_args(argv)
+    _check_together(arguments)
+    return arguments
+
+
+EXCLUDED = {
+    "resume": ("home", "tempo", "dry_run"),
+    "retract": ("home", "tempo", "dry_run", "resume", "live"),
+    "commission": ("home", "tempo", "dry_run", "resume", "retract", "live", "position_verified", "plan"),
+    "dry_run": ("live", "position_verified"),
+}
+"""Option -> what does not go with it."""
+
+
+def _check_together(arguments: argparse.Namespace) -> None:
+    """Raise OptionError for options that do not go together, and for a plan or a hardware file that is missing."""
+    for option, others in EXCLUDED.items():
+        for other in others:
+            if getattr(arguments, option) and getattr(arguments, other) not in (None, False):
+                name = "PLAN.npz" if other == "plan" else f"--{other.replace('_', '-')}"
+                raise OptionError(f"{name} does not go with --{option.replace('_', '-')}")
+    if arguments.commission and arguments.hardware is None:
+        raise OptionError("--commission needs --hardware FILE.toml, beside which the settings are kept")
+    if arguments.plan is None and not arguments.commission:
+        raise OptionError("a plan is needed: play.py PLAN.npz")
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    if arguments.commission:
+        out = Path(arguments.out or "runs/commissioning")
+        _claim(out)
+        return commission(Path(arguments.hardware), out / JOURNAL)
+    plan = Plan.load(arguments.plan)
+    hardware = bench(plan.robot) if arguments.hardware is None else Hardware.from_toml(arguments.hardware)
+    for verdict in plan.verdicts:
+        if verdict.word == "no" and plan.complete:  # a plan with unsolved frames is refused anyhow
+            sys.stderr.write(f"note: {verdict.matter}: no. {verdict.why}\n")
+    if arguments.dry_run:
+        title = f"{plan.meta['problem']['name']}: checked; nothing was sent"
+        print_program(title, *prepared(plan, hardware, _tempo(arguments)))
+        return SOLVED
+    out = Path(arguments.out or f"runs/{path_component(str(plan.meta['problem']['name']))}-play")
+    known = arguments.resume or (arguments.retract and (out / JOURNAL).exists())
+    records = read_journal(out / JOURNAL) if known else None
+    with live.playing(plan) if arguments.live else nullcontext() as told:
+        return _played(arguments, plan, hardware, out, records, told)
+
+
+def _tempo(arguments: argparse.Namespace) -> float:
+    return 1.0 if arguments.tempo is None else float(arguments.tempo)
+
+
+def _played(
+    arguments: argparse.Namespace,
+    plan: Plan,
+    hardware: Hardware,
+    out: Path,
+    records: list[dict[str, Any]] | None,
+    told: live.Played | None,
+) -> int:
+    """Play, from the beginning or where records end, or retract; told, unless None, of all that is seen."""
+    _claim(out)
+    clock = RealClock()
+    journal = Journal(out / JOURNAL, clock)
+    arm = None if hardware.arm is None else arm_follower(hardware.arm, _tilt(plan, records), clock.now)
+    device = device_of(hardware, journal, clock, _stood(hardware, records))
+    player, recorder = Player(device, arm, journal, clock, memory_of(hardware.connection)), Recorder()
+    with deferred_interrupt() as interrupted, progress_bar() as labelled, _obeying(player, interrupted):
+        if interrupted():
+            player.abort()
+        seen = _seen(player, recorder, labelled(plan.meta["problem"]["name"]), told)
+        try:
+            result = _result(arguments, player, plan, hardware, records, seen)
+        except DeviceFault as error:
+            sys.stderr.write(f"error: {error}\nnothing was played; what was said is in {out / JOURNAL}\n")
+            return SOME_FAILED
+        finally:
+            player.close()
+            journal.close()
+    if told is not None:
+        told.ended(result.outcome.value)
+    report(plan, hardware, result, recorder.tracking(), out)
+    if result.outcome is Outcome.SUCCESS:
+        return SOLVED
+    if result.outcome is Outcome.INVALID_PLAN:
+        return BAD_INPUT
+    return INTERRUPTED if interrupted() else SOME_FAILED
+
+
+def _result(
+    arguments: argparse.Namespace,
+    player: Player,
+    plan: Plan,
+    hardware: Hardware,
+    records: list[dict[str, Any]] | None,
+    seen: Seen,
+) -> Result:
+    """What came of what was asked for."""
+    verified = arguments.position_verified
+    if arguments.retract:
+        return retract(player, plan, hardware, records, verified=verified, seen=seen)
+    if records is not None:
+        return resume(player, plan, hardware, records, verified=verified, seen=seen)
+    return begin(player, plan, hardware, _tempo(arguments), home=arguments.home, verified=verified, seen=seen)
+
+
+def _claim(out: Path) -> None:
+    """Make out a folder of ours; raises OutputError. Its journal is added to; what told of other sessions goes."""
+    check_file(out / JOURNAL, '{"t": ')
+    check_folder(out, "play")
+    with published(out, "play"):
+        pass
+
+
+def _stood(hardware: Hardware, records: list[dict[str, Any]] | None) -> Any:
+    """Where the axes of a simulated device stand: at their zeros, or where the journal saw them last."""
+    seen = [record["position"] for record in records or () if record.get("position") is not None]
+    return seen[-1] if seen else [axis.zero for axis in hardware.axes]
+
+
+def _tilt(plan: Plan, records: list[dict[str, Any]] | None) -> Any:
+    """Where a simulated arm stands: upright, or at the last frame that the journal tells of."""
+    frames = [record["frame"] for record in records or () if record["kind"] == "frame"]
+    return plan.theta[frames[-1] - 1] if frames else np.zeros(2)
+
+
+@contextmanager
+def _obeying(player: Player, interrupted: Callable[[], bool]) -> Iterator[None]:
+    """Within the block what is typed, and signals that end programs, are wishes of the player's.
+
+    Ctrl-C is one as often as it is pressed: a stop is never itself interrupted, and always ends.
+    """
+    threading.Thread(target=_listen, args=(player,), daemon=True).start()
+    signals = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = {number: signal.signal(number, lambda *_: player.abort()) for number in signals}
+    remember = signal.getsignal(signal.SIGINT)
+
+    def interrupt(number: int, frame: Any) -> None:
+        player.abort()
+        if callable(remember) and not interrupted():
+            remember(number, frame)
+
+    before[signal.SIGINT] = signal.signal(signal.SIGINT, interrupt)
+    if hasattr(signal, "SIGTTIN"):  # in the background, reading a terminal must fail and not stop the program
+        before[signal.SIGTTIN] = signal.signal(signal.SIGTTIN, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _listen(player: Player) -> None:
+    """Obey lines of standard input, past its buffer, whose lock would be in the way when the program ends."""
+    try:
+        while typed := os.read(sys.stdin.fileno(), 1024).decode(errors="replace"):
+            for line in typed.splitlines():
+                wish = WISHES.get(line.strip().lower()[:1])
+                if wish is not None:
+                    getattr(player, wish)()
+    except (OSError, ValueError, AttributeError):
+        return
+
+
+def _seen(
+    player: Player, recorder: Recorder, show: Callable[[int, int, str], None], told: live.Played | None
+) -> Seen:
+    """Record, and show progress."""
+
+    def seen(program: Program, progress: Progress) -> None:
+        recorder(program, progress)
+        show(program.passed(progress.time), int(program.frames[-1]), player.state.value)
+        if told is not None:
+            told(program, progress, player.state.value)
+
+    return seen

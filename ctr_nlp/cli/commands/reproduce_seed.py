@@ -1,0 +1,81 @@
+"""The program behind scripts/reproduce_seed.py."""
+
+from __future__ import annotations
+
+import argparse
+import functools
+from collections.abc import Sequence
+from pathlib import Path
+
+from ctr_nlp.cli import problems
+from ctr_nlp.cli.arguments import whole
+from ctr_nlp.cli.console import SOLVED, SOME_FAILED, console, guarded, print_table, progress_bar
+from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.studies.paper import SECTIONS, Found, study
+from ctr_nlp.studies.paper.page import part_seconds, write
+from ctr_nlp.studies.paper.section import Section
+from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.target.target import check_frames
+
+
+def main(folder: Path, argv: list[str] | None = None) -> int:
+    """Remake the seed's figures and Table II; folder holds the named problems."""
+    return guarded(lambda: _run(folder, _parser().parse_args(argv)))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="reproduce_seed.py",
+        description="Remake the seed's Figs. 3 to 8, 9 (d) and 10 and its Table II beside what it printed, and "
+        "write seed.md with pictures and the numbers behind them.",
+        epilog="Exit status: 0 every frame of our methods solved, 1 some not, 2 bad input, 130 interrupted "
+        "(nothing written).",
+    )
+    parser.add_argument(
+        "--only", metavar="NAME", nargs="+", choices=SECTIONS, help=f"of {', '.join(SECTIONS)} (default all)"
+    )
+    parser.add_argument("--frames", metavar="T", type=whole, default=100, help="number of frames (default 100)")
+    parser.add_argument("--jobs", metavar="N", type=whole, default=2, help="processes side by side (default 2)")
+    parser.add_argument("--out", metavar="DIR", default="runs/seed", help="(default runs/seed)")
+    return parser
+
+
+def _run(folder: Path, arguments: argparse.Namespace) -> int:
+    out, sections = (
+        Path(arguments.out),
+        [SECTIONS[name] for name in SECTIONS if name in (arguments.only or SECTIONS)],
+    )
+    check_frames(arguments.frames)
+    check_folder(out, "seed")
+    load = functools.partial(problems.named, folder=folder, frames=arguments.frames)
+    tasks = [task for section in sections for task in section.tasks]
+    with deferred_interrupt() as interrupted, progress_bar() as labelled:
+        found = study(load, tasks, arguments.frames, arguments.jobs, labelled("runs"))
+        report = labelled("pictures and tables")
+        with published(out, "seed") as staging:
+            for number, name in enumerate(write(found, sections, staging), 1):
+                report(number, len(sections), name)
+                if interrupted():
+                    raise KeyboardInterrupt
+            files = sorted(path.name for path in staging.iterdir())
+    _print(found, sections)
+    for failure in found.failures():
+        console().print(f"not solved: {failure}")
+    times = ", ".join(f"{section.name} {part_seconds(found, section):.0f}" for section in sections)
+    console().print(f"runs took {found.seconds:.0f} s; by part, in s of one process: {times}")
+    console().print(f"wrote {out}: {', '.join(files)}")
+    return SOME_FAILED if found.failures() else SOLVED
+
+
+def _print(found: Found, sections: Sequence[Section]) -> None:
+    """Table II, where it is among the sections, and what became of all statements; without marks of Markdown."""
+    for table in SECTIONS["table2"].tables(found) if SECTIONS["table2"] in sections else ():
+        lines = ([_plain(cell) for cell in line] for line in (table.header, *table.body))
+        print_table(f"Table II, {table.caption}", next(lines), list(lines))
+    for section in sections:
+        for check in section.checks(found):
+            console().print(_plain(f"{section.name}: {check.verdict}. {check.whose}: {check.says}"))
+
+
+def _plain(text: str) -> str:
+    return text.replace("**", "").replace("`", "")

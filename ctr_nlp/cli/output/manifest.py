@@ -1,0 +1,176 @@
+"""The manifest of an output folder: which of its files runs have written, and so which are the user's."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from ctr_nlp.exceptions import OutputError
+
+MARK = ".ctr_nlp"
+"""The manifest's name in its folder."""
+FORMAT = 1
+ABOUT = "Files that ctr_nlp wrote here. It leaves alone all others, and those of them that were changed since."
+
+STAGING = re.compile(r"\.ctr_nlp-[0-9a-f]{8}")
+"""Names of the hidden folders in which runs make their files."""
+
+STANDARD: Mapping[str, tuple[str, ...]] = {
+    "plan": (
+        *("plan.npz", "errors.csv", "summary.json", "pareto.csv", "pareto.png"),
+        *("shapes.png", "errors.png", "by_frame.png", "configuration.png", "stability.png", "clearance.png"),
+    ),
+    "play": ("tracking.csv", "tracking.png"),
+    "report": ("report.html",),
+    "bag": ("metadata.yaml", "{folder}.mcap", "{folder}.db3"),
+    "comparison": ("comparison.md", "comparison.csv", "comparison.json", "agreement.json"),
+    "clearance": ("clearance.md", "clearance.csv", "clearance.png"),
+    "seed": (
+        *("seed.md", "table2.csv", "fig9d.csv", "fig9d.png"),
+        *(f"fig{number}.{suffix}" for number in (3, 4, 5, 6, 7, 8, 10) for suffix in ("csv", "png")),
+    ),
+}
+"""For each kind of run, the files that it may write; {folder} stands for the name of their folder."""
+
+
+@dataclass(frozen=True)
+class Written:
+    """A file as a run of some kind, a key of STANDARD, has written it."""
+
+    kind: str
+    size: int
+    sha256: str
+
+    def is_at(self, place: Path) -> bool:
+        """Whether that file, unchanged, is what lies there."""
+        if place.is_symlink() or not place.is_file() or place.stat().st_size != self.size:
+            return False
+        return hashlib.sha256(place.read_bytes()).hexdigest() == self.sha256
+
+
+def written(kind: str, place: Path) -> Written:
+    """The file that lies there now, as one that a run of this kind has written."""
+    content = place.read_bytes()
+    return Written(kind, len(content), hashlib.sha256(content).hexdigest())
+
+
+@dataclass(frozen=True)
+class Publication:
+    """What a run is about to do: move files, out of a staging folder, and delete those that it supersedes."""
+
+    staging: str
+    files: Mapping[str, Written]
+    superseded: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """Files that runs have written, by names relative to the folder, and a publication that is not finished."""
+
+    files: Mapping[str, Written]
+    pending: Publication | None = None
+
+    def publishing(self, staging: str, kind: str, new: Mapping[str, Written]) -> Manifest:
+        """With new files pending, which supersede those of the same kind."""
+        old = (name for name, one in self.files.items() if one.kind == kind and name not in new)
+        return Manifest(self.files, Publication(staging, new, tuple(old)))
+
+    def settled(self, folder: Path) -> Manifest:
+        """With nothing pending, and with what lies in folder now under each name that was new or superseded."""
+        if self.pending is None:
+            return self
+        superseded = self.pending.superseded
+        files = {n: one for n, one in self.files.items() if n not in superseded or one.is_at(folder / n)}
+        for name, one in self.pending.files.items():
+            if one.is_at(folder / name):
+                files[name] = one
+            elif name in files and not files[name].is_at(folder / name):
+                del files[name]
+        return Manifest(files)
+
+    def owned(self, folder: Path, name: str) -> bool:
+        """Whether the file of that name is as a run has written it, in folders that are no links."""
+        return name in self.files and _blocked(folder, name) is None and self.files[name].is_at(folder / name)
+
+    def occupied(self, folder: Path, name: str) -> Path | None:
+        """What of the user's is in the way of a file of that name; None where there is nothing."""
+        place = folder / name
+        if (blocked := _blocked(folder, name)) is not None:
+            return blocked
+        return place if os.path.lexists(place) and not self.owned(folder, name) else None
+
+    def write(self, place: Path) -> None:
+        """Write the manifest to a file; it is on the disk afterwards."""
+        pending = {} if self.pending is None else {"pending": asdict(self.pending)}
+        files = {name: asdict(one) for name, one in self.files.items()}
+        data = {"format": FORMAT, "about": ABOUT, "files": files} | pending
+        with open(place, "w", encoding="utf-8") as file:
+            file.write(json.dumps(data, indent=1) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+
+
+def _blocked(folder: Path, name: str) -> Path | None:
+    """What stands where a folder between folder and the file of that name must be: a link or a file."""
+    parents = [folder / parent for parent in Path(name).parents]
+    return next((one for one in parents[:-1] if one.is_symlink() or (one.exists() and not one.is_dir())), None)
+
+
+def standard(kind: str, folder: Path) -> list[str]:
+    """The files that a run of this kind may write into folder, by name."""
+    return [name.replace("{folder}", folder.absolute().name) for name in STANDARD[kind]]
+
+
+def read(folder: Path) -> Manifest | None:
+    """The manifest of a folder, None where it has none; raises OutputError for one that cannot be understood.
+
+    Earlier versions marked a folder with a line of text instead: all files with standard names count as theirs.
+    """
+    try:
+        text = (folder / MARK).read_text(encoding="utf-8")
+        return _parsed(json.loads(text)) if text.startswith("{") else _from_a_mark(folder)
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise OutputError(
+            f"manifest {folder / MARK} cannot be read ({error}); name another folder with --out"
+        ) from error
+
+
+def _from_a_mark(folder: Path) -> Manifest:
+    found: dict[str, Written] = {}
+    for kind in STANDARD:
+        for name in standard(kind, folder):
+            if name not in found and (folder / name).is_file():
+                found[name] = written(kind, folder / name)
+    return Manifest(found)
+
+
+def _parsed(data: Any) -> Manifest:
+    if data["format"] != FORMAT:
+        raise ValueError(f"its format is {data['format']!r}, and this version reads {FORMAT}")
+    files, pending = _files(data["files"]), data.get("pending")
+    if pending is None:
+        return Manifest(files)
+    if STAGING.fullmatch(pending["staging"]) is None:
+        raise ValueError(f"{pending['staging']!r} is not the name of a staging folder")
+    superseded = tuple(_inner(name) for name in pending["superseded"])
+    return Manifest(files, Publication(pending["staging"], _files(pending["files"]), superseded))
+
+
+def _files(data: Mapping[str, Any]) -> dict[str, Written]:
+    return {_inner(name): Written(**entry) for name, entry in data.items()}
+
+
+def _inner(name: str) -> str:
+    """A name that stays within its folder; raises ValueError."""
+    path = Path(name)
+    if not path.parts or path.anchor or ".." in path.parts or path.as_posix() != name or "\0" in name:
+        raise ValueError(f"{name!r} is not a name of a file within the folder")
+    return name

@@ -1,0 +1,1 @@
+"""CasADi functions as machine code, compiled once and kept. Knows no robot and no nonlinear program."""

@@ -1,8 +1,0 @@
-"""An emulator of 6-axis grblHAL firmware: what an executor is tested against where there is no machine."""
-
-from ctr_nlp.emulator.faults import FAULTS, Fault, fault
-from ctr_nlp.emulator.firmware import Firmware
-from ctr_nlp.emulator.serve import serving
-from ctr_nlp.emulator.wire import VirtualClock, Wire
-
-__all__ = ["FAULTS", "Fault", "Firmware", "VirtualClock", "Wire", "fault", "serving"]

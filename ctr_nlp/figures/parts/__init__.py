@@ -1,0 +1,1 @@
+"""What pictures share: page, colours, panels and axes in space."""

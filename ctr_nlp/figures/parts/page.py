@@ -1,0 +1,105 @@
+"""What all pictures share: style, heading, and marks behind some of the frames."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties, findfont, get_font
+from matplotlib.ticker import MaxNLocator
+
+from ctr_nlp.figures.parts.palette import FAILED, UNREACHED
+from ctr_nlp.plan.account import failed
+from ctr_nlp.plan.metrics import summary
+from ctr_nlp.plan.plan import Plan
+
+STYLE: Any = {
+    "font.size": 9,
+    "axes.labelsize": 9,
+    "axes.titlesize": 9,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "grid.color": "0.9",
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "text.usetex": False,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+}
+"""Settings under which each picture is drawn, whatever the caller's own are."""
+
+
+def head(figure: Figure, plan: Plan, title: str) -> None:
+    """Title a picture with what it shows, the problem, how it was solved, and the error over all frames."""
+    numbers = summary(plan)
+    on = (
+        numbers["model"]
+        if numbers["evaluated"] == numbers["model"]
+        else f"{numbers['evaluated']} instead of {numbers['model']}"
+    )
+    how = f"{numbers['formulation']}, {on} model, {numbers['solver']}"
+    text = printable(f"{title}: {numbers['problem']}") + f"\n{how}; {outcome(numbers)}"
+    figure.suptitle(text, fontsize=10, parse_math=False)
+
+
+def outcome(numbers: Mapping[str, Any]) -> str:
+    """The error over all frames, how many failed, and verdicts that are no; from a plan's summary."""
+    e3 = "no frame reached" if numbers["e3"] is None else f"e3 = {numbers['e3']:.3g} mm"
+    frames = f"{numbers['failed']} of {numbers['frames']} frames failed" if numbers["failed"] else ""
+    return ", ".join(filter(None, (e3, frames, failed(numbers))))
+
+
+def printable(text: str) -> str:
+    """The text with "?" for what the font lacks: a file, and so a problem, may have any name."""
+    font = get_font(findfont(FontProperties()))
+    return "".join(c if font.get_char_index(ord(c)) else "?" for c in text)
+
+
+def shade(
+    axes: Axes, centres: npt.NDArray[Any], width: float, mask: npt.NDArray[np.bool_], colour: str, label: str
+) -> None:
+    """Colour the background of the frames in mask; centres and width are on the horizontal axis."""
+    for number, centre in enumerate(centres[mask]):
+        name = "_" if number else label
+        axes.axvspan(centre - width / 2, centre + width / 2, color=colour, lw=0, zorder=0, label=name)
+
+
+def shade_failures(axes: Axes, plan: Plan, centres: npt.NDArray[Any], width: float) -> None:
+    """Shade the frames that were not solved, lighter where there is no shape at all."""
+    shade(axes, centres, width, ~plan.success & plan.reached, FAILED, "failed frame")
+    shade(axes, centres, width, ~plan.reached, UNREACHED, "not reached")
+
+
+def curve(axes: Axes, x: npt.NDArray[Any], y: npt.NDArray[np.float64], **look: Any) -> None:
+    """Plot y over x, with a dot for each value that no line would show."""
+    axes.plot(x, y, **look)
+    single = alone(y)
+    axes.plot(x[single], y[single], color=look["color"], ls="", marker="o", ms=3)
+
+
+def alone(y: npt.NDArray[np.float64]) -> npt.NDArray[np.int_]:
+    """Indices of known values of y (n,) between two unknown ones."""
+    known = np.isfinite(np.concatenate([[np.nan], y, [np.nan]]))
+    return np.flatnonzero(known[1:-1] & ~known[:-2] & ~known[2:])
+
+
+def frame_axis(axes: Axes, frames: int) -> None:
+    """Frames, from 1, along the horizontal axis."""
+    axes.set_xlim(0.5, max(frames, 1) + 0.5)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    axes.set_xlabel("frame")
+
+
+def at_least(axes: Axes, span: float) -> None:
+    """Widen the vertical range to a span, so that rounding noise does not fill the picture."""
+    low, high = axes.get_ylim()
+    if high - low < span:
+        middle = (low + high) / 2
+        axes.set_ylim(middle - span / 2, middle + span / 2)

@@ -1,0 +1,120 @@
+"""Robots in three dimensions: axes to scale, the lumen's wall, and shapes that move."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.lines import Line2D
+
+from ctr_nlp.figures import overlay
+from ctr_nlp.figures.overlay import parts
+from ctr_nlp.figures.parts.palette import BLACK, tube_colour, tube_width
+from ctr_nlp.target.lumen import rings
+
+Array = npt.NDArray[np.float64]
+
+SLIM = 0.3
+"""Least side of the box as part of its longest."""
+MARGIN = 1.06
+"""The box by what it shows."""
+TICKS = 6
+"""Most intervals along the longest side; shorter ones have fewer."""
+ELEVATION, ASIDE = 14.0, 25.0
+"""Degrees by which a motion is seen from above, and by which it is turned from facing the reader."""
+ZOOM = 0.92
+"""With room for numbers along the axes."""
+RINGS, AROUND, MESHES = 4.0, 25, 8
+"""mm between rings of the wall, points of each, and lines along it."""
+GREY = "0.72"
+WALL: dict[str, Any] = {"color": GREY, "lw": 0.5}
+INSERTION: dict[str, Any] = {"marker": "o", "ls": "", "ms": 5, "mfc": "white", "mec": BLACK}
+
+
+def span(points: Array) -> Array:
+    """The sides (3,) in mm of a box that holds points (.., 3) and the insertion point; NaN is left out."""
+    low, high = _corners(points)
+    side = MARGIN * (high - low)
+    return np.asarray(np.maximum(side, SLIM * max(side.max(), 1.0)))
+
+
+def _corners(points: Array) -> tuple[Array, Array]:
+    known = points.reshape(-1, 3)
+    known = np.vstack([known[np.isfinite(known).all(axis=1)], np.zeros(3)])
+    return known.min(axis=0), known.max(axis=0)
+
+
+def frame(axes: Any, points: Array, side: Array) -> None:
+    """A box of sides (3,) mm around points (.., 3), to scale, seen so that a planar motion is seen as such.
+
+    Call it when everything that changes limits has been drawn.
+    """
+    low, high = _corners(points)
+    for name, middle, extent in zip("xyz", (low + high) / 2, side, strict=True):
+        getattr(axes, f"set_{name}lim")(middle - extent / 2, middle + extent / 2)
+        getattr(axes, f"set_{name}label")(f"{name} (mm)")
+        axes.locator_params(axis=name, nbins=max(2, round(TICKS * extent / side.max())))
+    axes.zaxis.labelpad = 9
+    axes.set_box_aspect(tuple(side), zoom=ZOOM)
+    axes.set_proj_type("ortho")
+    axes.computed_zorder = False
+    axes.view_init(ELEVATION, _facing(points) + ASIDE)
+
+
+def _facing(points: Array) -> float:
+    """The azimuth in degrees from which points (.., 3) are at their widest."""
+    flat = points.reshape(-1, 3)[:, :2]
+    flat = flat[np.isfinite(flat).all(axis=1)]
+    across, up = np.linalg.svd(flat - flat.mean(axis=0), full_matrices=False)[2][0]
+    return float((np.degrees(np.arctan2(up, across)) + 90.0) % 180.0 - 180.0)
+
+
+def wall(axes: Any, lumen: Array) -> None:
+    """The wall of a lumen (N, 4): x, y, z and radius in mm, as rings and lines along it."""
+    surface = rings(lumen, np.linspace(0.0, 2 * np.pi, AROUND))
+    along = np.append(0.0, np.linalg.norm(np.diff(lumen[:, :3], axis=0), axis=1).cumsum())
+    chosen = np.searchsorted(along, np.append(np.arange(0.0, along[-1], RINGS), along[-1]))
+    lines = [*surface[chosen], *surface.swapaxes(0, 1)[:: (AROUND - 1) // MESHES][:-1]]
+    apart = np.full((1, 3), np.nan)
+    axes.plot(*np.concatenate([part for line in lines for part in (line, apart)]).T, zorder=1, **WALL)
+
+
+def insertion_point(axes: Any) -> None:
+    """A circle at the origin."""
+    axes.plot([0.0], [0.0], [0.0], zorder=6, **INSERTION)
+
+
+class Body:
+    """A robot's tubes as lines in space, each where it is the outermost one; look: changes how they are drawn."""
+
+    def __init__(self, axes: Any, d: int, **look: Any) -> None:
+        self.lines = [
+            axes.plot(
+                [],
+                [],
+                [],
+                **{"color": tube_colour(i), "lw": tube_width(i, d), "solid_capstyle": "butt", "zorder": 4} | look,
+            )[0]
+            for i in range(d)
+        ]
+
+    def show(self, shape: Array, beta: Array) -> None:
+        """Draw a shape (101, 3) mm of a robot with tubes beta (d,) mm long; nothing where it is not known."""
+        for line, part in zip(self.lines, parts(shape, beta), strict=True):
+            line.set_data_3d(*part.T)
+
+
+def key(d: int, walled: bool) -> list[Line2D]:
+    """Entries of a legend for what is drawn here."""
+    known = [Line2D([], [], label="lumen's wall", color=GREY, lw=1.0)] if walled else []
+    return [*overlay.key(d), *known, Line2D([], [], label="insertion point", **INSERTION)]
+
+
+def points_of_all(shapes: Sequence[Array], lumen: Array | None) -> Array:
+    """All points (n, 3) mm of shapes (.., 3), and a box's worth of a lumen's wall (N, 4) where there is one."""
+    found = [shape.reshape(-1, 3) for shape in shapes]
+    if lumen is not None:
+        found += [lumen[:, :3] - lumen[:, 3:], lumen[:, :3] + lumen[:, 3:]]
+    return np.concatenate(found)

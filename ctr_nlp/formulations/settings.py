@@ -1,0 +1,62 @@
+"""Numbers a user may set for a frame formulation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.support.values import number, whole_number
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Options of the frame formulations; raises OptionError where one is out of its range.
+
+    motion_weight: lambda of eq. (9), s^2; with the default and 0.1 s a frame, a step of 1 mm costs as much
+    as a shape error of 0.01 mm. jump_width: of the smoothed jumps of curvature in the two-stage formulation,
+    mm, reached from wider ones by continuation. seed: of the random starts. stability_margin: the least that a
+    configuration of the elastic model may have, from 1 (no tube acts on another) down to 0 (snap); None for any.
+    clearance: mm that are to be kept between tubes and the lumen's wall, where that is known, by the joint
+    formulation and the horizon. contact_weight: what a mm less of it costs in a frame, mm^2, as an exact penalty:
+    all is kept where that costs less; 0 for no wall. clearance_cost: by what part of itself the error e3 may
+    grow for clearance; where it would grow by more, contact costs less. contact_allowed: mm that a place of the
+    robot may be beyond the wall before a plan is not within it: tissue gives a little.
+    """
+
+    motion_weight: float = 1e-6
+    jump_width: float = 1.5
+    seed: int = 0
+    stability_margin: float | None = 0.1
+    clearance: float = 0.05
+    contact_weight: float = 30.0
+    clearance_cost: float = 0.1
+    contact_allowed: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_motion_weight(self.motion_weight)
+        number(
+            OptionError, "jump_width", self.jump_width, lambda x: 0 < x < math.inf, "be a finite number > 0", " mm"
+        )
+        if whole_number(OptionError, "seed", self.seed, 0) >= 2**32:
+            raise OptionError(f"seed is {self.seed}; it must be a whole number in [0, 2^32)")
+        if self.stability_margin is not None:
+            allowed = "lie in [0, 1), or be None"
+            number(OptionError, "stability_margin", self.stability_margin, lambda x: 0 <= x < 1, allowed)
+        for name in ("clearance", "contact_weight", "contact_allowed"):
+            number(OptionError, name, getattr(self, name), lambda x: 0 <= x < math.inf, "be a finite number >= 0")
+        number(OptionError, "clearance_cost", self.clearance_cost, lambda x: x >= 0, "be a number >= 0, or inf")
+
+
+def check_motion_weight(weight: float) -> float:
+    """Lambda of eq. (9) in s^2, or OptionError."""
+    return number(
+        OptionError, "motion_weight", weight, lambda x: 0 <= x < math.inf, "be a finite number >= 0", " s^2"
+    )
+
+
+def check_choice(name: str, value: str, allowed: Iterable[str]) -> None:
+    """Raise OptionError, with the valid ones, unless a value is one of those allowed."""
+    if not isinstance(value, str) or value not in allowed:
+        raise OptionError(f"{name} is {value!r}; it must be one of {', '.join(allowed)}")

@@ -1,0 +1,138 @@
+"""Where an arm is mounted, where it inserts, and how fast it may move: the [arm] of a hardware file."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.exceptions import HardwareError, RobotError
+from ctr_nlp.support.values import frozen, numbers
+
+Array = npt.NDArray[np.float64]
+
+MODELS = (
+    *("ur3", "ur3e", "ur5", "ur5e", "ur7e", "ur8long", "ur10", "ur10e"),
+    *("ur12e", "ur15", "ur16e", "ur18", "ur20", "ur30"),
+)
+"""The arms that ur-analytic-ik knows."""
+DEVICES = ("simulated", "ur")
+JOINTS = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
+JOINT_LIMIT = 2 * math.pi
+"""rad: how far each joint of a UR turns either way."""
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A Universal Robots arm that holds the robot and tilts it: the [arm] of a hardware file.
+
+    model: one of MODELS. insertion_point: mm, in the arm's base frame. insertion_rotation_deg: the robot's base
+    frame at zero tilt, in the arm's base frame. mount_translation (mm), mount_rotation_deg: the robot's base
+    frame, which lies at the insertion point, in the arm's flange frame. A rotation is (roll, pitch, yaw) with
+    R = Rz(yaw) Ry(pitch) Rx(roll): about the fixed axes, x first. start_joints_deg: base to wrist 3, roughly
+    where the arm stands at zero tilt, which says the branch to be on; None for the best one of each motion.
+    joint_speed_deg, joint_acceleration_deg: limits in deg/s and deg/s^2, a number or one a joint; tilt_speed_deg,
+    tilt_acceleration_deg: those of the tilt, a number or one for x and one for y.
+    skew_tolerance: s that the arm may be behind the tubes or ahead of them. host: address of the controller,
+    None for this machine (a simulator). device: "simulated" or "ur".
+
+    The default is a UR3e on a table that inserts at 45 degrees, downwards and away from itself, 400 mm in front of
+    its base; its flange holds a carriage unit of 250 mm by the middle, 60 mm off its axis. Raises HardwareError.
+    """
+
+    model: str = "ur3e"
+    insertion_point: tuple[float, ...] = (400.0, 0.0, 300.0)
+    insertion_rotation_deg: tuple[float, ...] = (0.0, 135.0, 0.0)
+    mount_translation: tuple[float, ...] = (125.0, 0.0, 60.0)
+    mount_rotation_deg: tuple[float, ...] = (0.0, 90.0, 0.0)
+    start_joints_deg: tuple[float, ...] | None = None
+    joint_speed_deg: Any = 180.0
+    joint_acceleration_deg: Any = 800.0
+    tilt_speed_deg: Any = 30.0
+    tilt_acceleration_deg: Any = 120.0
+    skew_tolerance: float = 0.1
+    host: str | None = None
+    device: str = "simulated"
+
+    def __post_init__(self) -> None:
+        for name, value, allowed in (("model", self.model, MODELS), ("device", self.device, DEVICES)):
+            if value not in allowed:
+                raise HardwareError(f"{name} of the arm is {value!r}; it must be one of {', '.join(allowed)}")
+        if not (self.host is None or (isinstance(self.host, str) and self.host)):
+            raise HardwareError(f"host of the arm is {self.host!r}; it must be a name or an address")
+        for name in ("insertion_point", "insertion_rotation_deg", "mount_translation", "mount_rotation_deg"):
+            object.__setattr__(self, name, _listed(name, getattr(self, name), 3))
+        if self.start_joints_deg is not None:
+            start = _listed("start_joints_deg", self.start_joints_deg, 6)
+            if max(map(abs, start)) > 360:
+                raise HardwareError(
+                    f"start_joints_deg of the arm is {list(start)}; joints turn by at most 360 deg"
+                )
+            object.__setattr__(self, "start_joints_deg", start)
+        joints, tilts = ("joint_speed_deg", "joint_acceleration_deg"), ("tilt_speed_deg", "tilt_acceleration_deg")
+        for name, size in (*((n, 6) for n in joints), *((n, 2) for n in tilts), ("skew_tolerance", 1)):
+            if not (_numbers(name, getattr(self, name), size) > 0).all():
+                raise HardwareError(f"{name} of the arm is {getattr(self, name)!r}; it must be positive")
+
+    @cached_property
+    def address(self) -> str:
+        """Where the controller is."""
+        return self.host or "127.0.0.1"
+
+    @cached_property
+    def base(self) -> Array:
+        """The robot's base frame at zero tilt in the arm's base frame, (4, 4), mm."""
+        return frozen(_placed(self.insertion_point, self.insertion_rotation_deg))
+
+    @cached_property
+    def mount(self) -> Array:
+        """The robot's base frame in the flange's, (4, 4), mm."""
+        return frozen(_placed(self.mount_translation, self.mount_rotation_deg))
+
+    @cached_property
+    def joint_speed(self) -> Array:
+        """Largest joint speeds, (6,) rad/s."""
+        return frozen(np.radians(_numbers("joint_speed_deg", self.joint_speed_deg, 6)))
+
+    @cached_property
+    def joint_acceleration(self) -> Array:
+        """Largest joint accelerations, (6,) rad/s^2."""
+        return frozen(np.radians(_numbers("joint_acceleration_deg", self.joint_acceleration_deg, 6)))
+
+
+def rotations(theta: Array) -> Array:
+    """R = Ry(theta_y) Rx(theta_x), (.., 3, 3), of theta (.., 2) rad."""
+    (cx, cy), (sx, sy), zero = (
+        np.moveaxis(np.cos(theta), -1, 0),
+        np.moveaxis(np.sin(theta), -1, 0),
+        0 * theta[..., 0],
+    )
+    rows = [[cy, sy * sx, sy * cx], [zero, cx, -sx], [-sy, cy * sx, cy * cx]]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def _placed(translation: Any, rotation_deg: Any) -> Array:
+    """A frame (4, 4): mm, and (roll, pitch, yaw) in degrees."""
+    roll, pitch, yaw = np.radians(rotation_deg)
+    c, s, frame = math.cos(yaw), math.sin(yaw), np.eye(4)
+    frame[:3, :3] = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ rotations(np.array([roll, pitch]))
+    frame[:3, 3] = translation
+    return frame
+
+
+def _numbers(name: str, value: Any, size: int) -> Array:
+    try:
+        return numbers(name, value, size)
+    except RobotError as error:
+        raise HardwareError(f"{error} (arm)") from error
+
+
+def _listed(name: str, value: Any, size: int) -> tuple[float, ...]:
+    """Exactly size numbers: one does not stand for all here."""
+    if np.shape(value) != (size,):
+        raise HardwareError(f"{name} of the arm is {value!r}; it must be {size} numbers")
+    return tuple(_numbers(name, value, size).tolist())

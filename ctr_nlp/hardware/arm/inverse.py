@@ -1,0 +1,136 @@
+"""Inverse kinematics: the joint angles of a tilting motion, all on one branch of the solutions."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.exceptions import HardwareError
+from ctr_nlp.hardware.arm.description import JOINT_LIMIT, JOINTS, Arm, rotations
+from ctr_nlp.hardware.arm.forward import gains
+from ctr_nlp.support.extras import needed
+
+Array = npt.NDArray[np.float64]
+
+LARGEST_GAIN = 30.0
+"""Nearer to a singularity, joints would turn more than this many times as fast as the robot they hold."""
+SINGULAR = "singular: joints would turn {gain:.3g} times as fast as the robot"
+SUBSTEP = 0.01
+"""rad of tilt from one inverse kinematics to the next, so that branches cannot be mixed up."""
+JUMP = 0.5
+"""rad that a joint may turn over a substep: more than LARGEST_GAIN asks for, less than lies between branches."""
+
+
+class _Branch(NamedTuple):
+    """One way to hold the arm, as far as it goes; margin: to singularities and joint limits, 0 at them."""
+
+    joints: Array
+    margin: float
+    frame: int
+    complaint: str
+
+
+def joints(arm: Arm, theta: Array, start: Array | None = None) -> Array:
+    """Joint angles (T, 6) rad that tilt the robot by theta (T, 2) rad, linear in theta between frames.
+
+    All frames are on one branch of the inverse kinematics and continuous, within JOINT_LIMIT. start: (6,) rad,
+    where the arm stands at the first frame. Without it the branch of start_joints_deg at zero tilt is taken, or
+    if there is none, of the branches that go through all frames the one that stays furthest from singularities
+    and joint limits. Raises HardwareError that names the frame, counted from 1, where no branch goes on.
+    """
+    theta = _tilts(theta)
+    near, lead = start, 0
+    if start is None and arm.start_joints_deg is not None:
+        near, lead = np.radians(arm.start_joints_deg), 1
+        theta = np.concatenate([np.zeros((1, 2)), theta])
+    path, frames = _subdivided(theta)
+    solutions = [_solutions(arm.model, pose) for pose in poses(arm, path)]
+    first = solutions[0]
+    if near is not None and len(first):
+        first = first[[np.abs(_wrapped(first - near)).sum(axis=1).argmin()]]
+        first = near + _wrapped(first - near)
+    branches = [_followed(arm, q, solutions, frames, wound=near is not None) for q in first]
+    if not branches:
+        branches = [_Branch(first, 0.0, 0, "out of the arm's reach")]
+    best = max(branches, key=lambda b: (b.frame, b.margin))
+    if best.complaint:
+        frame = max(best.frame - lead, 0)
+        where = "zero tilt" if best.frame < lead else f"frame {frame + 1} of {len(theta) - lead}"
+        at = ", ".join(f"{value:.4g}" for value in theta[best.frame])
+        which = "the branch of the start" if near is not None else "every branch"
+        raise HardwareError(f"{arm.model} at {where}, theta = ({at}) rad: {which} ends: {best.complaint}")
+    return best.joints[frames][lead:]
+
+
+def poses(arm: Arm, theta: Array) -> Array:
+    """Flange poses in the arm's base frame, (T, 4, 4) in mm, that tilt the robot by theta (T, 2) rad."""
+    tilted = np.tile(np.eye(4), (len(theta), 1, 1))
+    tilted[:, :3, :3] = rotations(np.asarray(theta))
+    return np.asarray(arm.base @ tilted @ np.linalg.inv(arm.mount))
+
+
+def _followed(arm: Arm, q: Array, solutions: list[Array], frames: list[int], wound: bool) -> _Branch:
+    """The branch that begins with q (6,), over solutions [(n, 6)]; wound: q's whole turns are those of the arm."""
+    way, complaint = [q], ""
+    for found in solutions[1:]:
+        if not len(found):
+            complaint = "out of the arm's reach"
+            break
+        steps = _wrapped(found - way[-1])
+        step = steps[np.abs(steps).max(axis=1).argmin()]
+        if np.abs(step).max() > JUMP:
+            joint, gain = int(np.abs(step).argmax()), gains(arm, (way[-1] + step)[None])[0]
+            complaint = f"joint {joint + 1} ({JOINTS[joint]}) would jump by {abs(step[joint]):.3g} rad"
+            complaint = SINGULAR.format(gain=gain) if gain > LARGEST_GAIN else complaint
+            break
+        way.append(way[-1] + step)
+    path = np.array(way)
+    if not wound:
+        middle = (path.max(axis=0) + path.min(axis=0)) / 2
+        path = path - 2 * np.pi * np.round(middle / (2 * np.pi))
+    gain = gains(arm, path)
+    reached = len(path)
+    for bad, said in (
+        (gain > LARGEST_GAIN, SINGULAR),
+        (np.abs(path).max(axis=1) > JOINT_LIMIT + 1e-9, "joint {joint} would turn beyond 360 deg"),
+    ):
+        if bad[:reached].any():
+            reached = int(bad.argmax())
+            joint = int(np.abs(path[reached]).argmax())
+            complaint = said.format(gain=gain[reached], joint=f"{joint + 1} ({JOINTS[joint]})")
+    frame = len(frames) if not complaint else int(np.searchsorted(frames, reached))
+    margin = min(1 / gain.max(), 1 - np.abs(path).max() / JOINT_LIMIT)
+    return _Branch(path, float(margin), frame, complaint)
+
+
+def _subdivided(theta: Array) -> tuple[Array, list[int]]:
+    """Tilts (n, 2) at most SUBSTEP apart on the way through theta (T, 2), and where in them the frames are."""
+    path, frames = [theta[:1]], [0]
+    for a, b in pairwise(theta):
+        count = max(1, math.ceil(np.abs(b - a).max() / SUBSTEP))
+        path.append(a + (b - a) * np.linspace(0, 1, count + 1)[1:, None])
+        frames.append(frames[-1] + count)
+    return np.concatenate(path), frames
+
+
+def _solutions(model: str, pose: Array) -> Array:
+    """All joint angles (n, 6) rad within +-pi that hold the flange at a pose (4, 4) in mm."""
+    metres = pose.copy()
+    metres[:3, 3] /= 1000
+    return np.array(getattr(needed("ur_analytic_ik"), model).inverse_kinematics(metres)).reshape(-1, 6)
+
+
+def _wrapped(angles: Array) -> Array:
+    """The same angles within +-pi."""
+    return (angles + np.pi) % (2 * np.pi) - np.pi
+
+
+def _tilts(theta: Any) -> Array:
+    theta = np.asarray(theta, dtype=float)
+    if theta.ndim != 2 or theta.shape[1] != 2 or not len(theta) or not np.isfinite(theta).all():
+        raise HardwareError(f"theta has shape {theta.shape}; it must be finite (T, 2), with at least one frame")
+    return theta

@@ -1,0 +1,93 @@
+"""Commissioning a Grbl controller: what it is set to, one axis moved by a small step, and the record of both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.exceptions import DeviceFault, HardwareError
+from ctr_nlp.hardware.clock import Clock
+from ctr_nlp.hardware.description import Hardware
+from ctr_nlp.hardware.devices import Asked
+from ctr_nlp.hardware.devices.grbl.identity import Identity
+from ctr_nlp.hardware.devices.grbl.settings import Finding, changes, findings
+from ctr_nlp.hardware.devices.grbl.stop import stopped
+from ctr_nlp.hardware.devices.grbl.talk import GREETING, Talk
+from ctr_nlp.hardware.link import Link
+
+Array = npt.NDArray[np.float64]
+
+STEP = 1.0
+"""mm or degrees of a trial step."""
+
+PACE = 2.0
+"""mm/s or degrees/s of a trial step."""
+
+SHOWN = 0.1
+"""s between two looks at a trial step; it may take three times as long as planned."""
+
+
+class Controller(NamedTuple):
+    """What was read. wrong: settings that go against safe playing; changed: since the last commissioning."""
+
+    identity: Identity
+    wrong: list[Finding]
+    changed: list[Finding]
+    position: Array
+    round_trip: float
+
+
+class Commissioning:
+    """A connected Grbl controller that plays nothing; every wait ends. Raises DeviceFault, HardwareError."""
+
+    def __init__(self, hardware: Hardware, opened: Callable[[], Link], clock: Clock) -> None:
+        if hardware.connection.device != "grbl":
+            raise HardwareError(
+                f"device of the connection is {hardware.connection.device!r}; only grbl can be commissioned"
+            )
+        self._hardware, self._link, self._clock = hardware, opened(), clock
+        self._talk = Talk(self._link, clock)
+
+    def read(self) -> Controller:
+        """Everything that is told, with what is wrong in it."""
+        if (report := self._talk.report(GREETING, greeting=True)).state != "Idle":
+            raise DeviceFault(f"the controller is {report.state}; it must be Idle to be commissioned")
+        self._talk.quiet()
+        self._talk.lost = ""
+        identity = self._talk.identify()
+        self._columns = identity.columns(self._hardware)
+        self._acceleration = identity.acceleration(self._hardware)
+        wrong, changed = findings(identity, self._hardware), changes(identity, self._hardware)
+        position = self._talk.report().position[self._columns]
+        return Controller(identity, wrong, changed, position, self._talk.round_trip())
+
+    def step(self, letter: str, way: int, stop: Asked) -> tuple[float, float]:
+        """Move one axis by a small step up (1) or down (-1); its positions before and after, in its unit.
+
+        The axis stays in its range. Where a stop is asked for, or the axis does not arrive, it is stopped.
+        """
+        index = self._hardware.letters.index(letter)
+        axis = self._hardware.axes[index]
+        before = float(self._talk.report().position[self._columns][index])
+        goal = before + way * STEP
+        if not axis.range[0] - 1e-3 <= goal <= axis.range[1] + 1e-3:
+            raise HardwareError(
+                f"axis {letter} ({axis.joint}) stands at {before:.4g} {axis.unit} and would go to {goal:.4g}; it "
+                f"must stay in [{axis.range[0]:g}, {axis.range[1]:g}]"
+            )
+        self._talk.ask(f"$J=G90 G21 {letter}{goal:.4f} F{60 * PACE:g}")
+        end = self._clock.now() + 3.0 * STEP / PACE + 2.0 * PACE / self._acceleration[index]
+        while self._clock.now() < end and not stop():
+            report = self._talk.asked_report(SHOWN)
+            after = before if report is None else float(report.position[self._columns][index])
+            if report is not None and report.state == "Idle" and abs(after - goal) < 0.5 * STEP:
+                return before, after
+        stopped(self._talk, self._clock)
+        raise DeviceFault(f"axis {letter} was stopped before it had made its step of {STEP:g} {axis.unit}")
+
+    def close(self) -> None:
+        """Let go of the link; nothing is sent."""
+        self._link.close()

@@ -1,0 +1,1 @@
+"""Steppers behind a Grbl or grblHAL controller."""

@@ -1,0 +1,76 @@
+"""The one way in which motion behind a Grbl controller is stopped, whatever the cause and the controller's state.
+
+The stop is sent first; what happened is asked afterwards. Every wait ends, and a stop during a stop changes
+nothing.
+"""
+
+from __future__ import annotations
+
+from ctr_nlp.exceptions import DeviceFault
+from ctr_nlp.hardware.clock import Clock
+from ctr_nlp.hardware.devices.grbl.replies import Report
+from ctr_nlp.hardware.devices.grbl.talk import ANSWER, HOLD, JOG_CANCEL, RESET, Talk
+
+ASKING = 0.02
+"""s between status questions while it comes to rest."""
+
+OVERHEARD = 0.06
+"""s in which a controller must react to a hold; else it has not heard it, as happens just after a resume."""
+
+UNHEARD = 0.2
+"""s after which a controller that still runs, or says nothing, is reset without having come to rest."""
+
+RESTING = 1.0
+"""s that a hold may take to come to rest; the slowest of ordinary drives need 0.4 s."""
+
+RESTART = 3.0
+"""s for a restart."""
+
+
+def stopped(talk: Talk, clock: Clock, homing: bool = False) -> Report:
+    """Stop motion and let the controller forget the rest of it; returns what it reports at rest afterwards.
+
+    A feed hold, and for jogs, which know none, a cancellation are sent at once, and then, when the axes rest, a
+    reset, which keeps the position. Where the hold is not obeyed in time, and in a homing cycle, which knows no
+    hold, the reset is sent all the same. Raises DeviceFault where the position is not to be trusted afterwards.
+    """
+    talk.link.write(HOLD + JOG_CANCEL)
+    restarted = talk.lost
+    rested = None if homing else _rested(talk, clock)
+    talk.link.write(RESET)
+    said = [reply.kind for reply in talk.until("banner", RESTART) if reply.kind != "report"]
+    if "banner" not in said:
+        raise DeviceFault(f"the controller answers a reset with {said}: its position is not to be trusted")
+    alarmed, talk.lost = "alarm" in said, ""
+    if restarted:
+        raise DeviceFault(
+            f"the controller said {restarted!r} before it was stopped: its position is not to be trusted"
+        )
+    if rested is None or alarmed:
+        raise DeviceFault("the controller was reset in motion: its position is not to be trusted")
+    report = talk.report(ANSWER)
+    if (report.position != rested.position).any():
+        raise DeviceFault("the axes have moved after they were stopped: their position is not to be trusted")
+    return report
+
+
+def _rested(talk: Talk, clock: Clock) -> Report | None:
+    """The second of two reports in a row of axes at rest in one place, None where that does not come in time."""
+    begun = held = clock.now()
+    before: Report | None = None
+    heard = False
+    while clock.now() - begun < (RESTING if heard else UNHEARD):
+        report = talk.asked_report(ASKING)
+        if report is None:
+            continue
+        if report.state in ("Alarm", "Home"):
+            return None
+        heard = heard or report.state not in ("Run", "Jog")
+        at_rest = report.stopped or report.state == "Idle"
+        if at_rest and before is not None and (before.position == report.position).all():
+            return report
+        before = report if at_rest else None
+        if not at_rest and clock.now() - held > OVERHEARD and report.state in ("Run", "Jog"):
+            talk.link.write(HOLD + JOG_CANCEL)
+            held = clock.now()
+    return None

@@ -1,0 +1,178 @@
+"""Questions and answers with a Grbl controller: who it is, how it is set, where it stands."""
+
+from __future__ import annotations
+
+import re
+import statistics
+from collections.abc import Iterator
+
+from ctr_nlp.exceptions import DeviceFault
+from ctr_nlp.hardware.clock import Clock
+from ctr_nlp.hardware.devices import Asked
+from ctr_nlp.hardware.devices.grbl.identity import Identity
+from ctr_nlp.hardware.devices.grbl.replies import Reply, Report, reply_of, report_of
+from ctr_nlp.hardware.link import Link
+
+STATUS, HOLD, RESUME, RESET, JOG_CANCEL = b"?", b"!", b"~", b"\x18", b"\x85"
+
+GREETING = 6.0
+"""s for a controller that restarts when its port is opened."""
+
+ANSWER = 3.0
+"""s within which a line is answered while nothing moves."""
+
+RARELY = 32
+"""Reports among which one tells the overrides."""
+
+QUIET = 0.15
+"""s without a byte: nothing else is on its way."""
+
+TICK = 0.005
+"""s between two looks at the link while waiting."""
+
+
+def never() -> bool:
+    """No stop is asked for."""
+    return False
+
+
+class Talk:
+    """Replies as they come, and answers that are waited for."""
+
+    def __init__(self, link: Link, clock: Clock) -> None:
+        self.link, self._clock, self._rest = link, clock, b""
+        self.axes = 6
+        self.lost = ""
+        """What it said when it last restarted or stopped by itself: what it was told before is gone."""
+
+    def replies(self) -> Iterator[Reply]:
+        """Every whole line that has come."""
+        self._rest += self.link.read()
+        while b"\n" in self._rest:  # what is not asked for stays for the next time
+            line, _, self._rest = self._rest.partition(b"\n")
+            reply = reply_of(line.rstrip(b"\r").decode("latin-1"))
+            if reply.kind in ("alarm", "banner"):
+                self.lost = reply.text
+            yield reply
+
+    def waited(self, seconds: float, stop: Asked = never) -> Iterator[Reply]:
+        """Replies of so many s, or until a stop is asked for."""
+        end = self._clock.now() + seconds
+        while self._clock.now() < end and not stop():
+            yield from self.replies()
+            self._clock.sleep(TICK)
+
+    def until(self, kind: str, seconds: float) -> list[Reply]:
+        """Replies up to the first of a kind, or of so many s."""
+        heard: list[Reply] = []
+        for reply in self.waited(seconds):
+            heard.append(reply)
+            if reply.kind == kind:
+                break
+        return heard
+
+    def asked_report(self, seconds: float) -> Report | None:
+        """The status report that a question brings, None where none that can be read comes in so many s."""
+        self.link.write(STATUS)
+        reports = (report_of(reply.text, self.axes) for reply in self.waited(seconds) if reply.kind == "report")
+        return next((report for report in reports if report is not None), None)
+
+    def ask(self, line: str, seconds: float = ANSWER, stop: Asked = never) -> list[str]:
+        """Send a line and wait for its ok; what was said before it. Raises DeviceFault, also where it is stopped.
+
+        An empty line ends an error's latch, and errors of lines before it are none of its own.
+        """
+        self.link.write(line.encode("ascii") + b"\n")
+        said: list[str] = []
+        for reply in self.waited(seconds, stop):
+            if reply.kind == "ok":
+                return said
+            if reply.kind == "error" and line:
+                raise DeviceFault(f"the controller answers {reply.text!r} to {line!r}")
+            self.check()
+            said.append(reply.text)
+        if stop():
+            raise DeviceFault(f"a stop was asked for while the controller was to answer {line!r}")
+        raise DeviceFault(f"the controller does not answer {line!r} within {seconds:g} s, but for {said}")
+
+    def check(self) -> None:
+        """Raise DeviceFault where it restarted or stopped by itself."""
+        if self.lost:
+            raise DeviceFault(f"the controller said {self.lost!r}: its position is not to be trusted")
+
+    def report(self, seconds: float = ANSWER, greeting: bool = False, stop: Asked = never) -> Report:
+        """Its status; raises DeviceFault.
+
+        greeting: it may restart meanwhile, as many do when their port is opened.
+        """
+        end = self._clock.now() + seconds
+        while self._clock.now() < end and not stop():
+            self.link.write(STATUS)
+            for reply in self.waited(0.25, stop):
+                if not greeting:
+                    self.check()
+                if "|WPos:" in reply.text:
+                    raise DeviceFault("the controller reports work positions; it must report MPos: set $10=511")
+                found = report_of(reply.text, self.axes) if reply.kind == "report" else None
+                if found is not None:
+                    return found
+        if stop():
+            raise DeviceFault("a stop was asked for while the controller was to tell its status")
+        raise DeviceFault(f"the controller sends no status within {seconds:g} s")
+
+    def round_trip(self, times: int = 5) -> float:
+        """The median of some times from a status question to its answer, s; raises DeviceFault."""
+        taken = []
+        for _ in range(times):
+            asked = self._clock.now()
+            self.report()
+            taken.append(self._clock.now() - asked)
+        return float(statistics.median(taken))
+
+    def override(self) -> float:
+        """By what the feed is scaled, in %, which only some reports tell; raises DeviceFault."""
+        for _ in range(RARELY):
+            override = self.report().override
+            if override is not None:
+                return override
+        raise DeviceFault("the controller does not tell its feed override: set $10=511")
+
+    def offsets(self) -> dict[str, tuple[float, ...]]:
+        """Offsets between G-code and machine, and what has been homed, by name ($#); raises DeviceFault."""
+        pairs = [text.strip("[]").partition(":") for text in self.ask("$#") if text.startswith("[")]
+        try:
+            return {name: tuple(float(x) for x in re.split("[,:]", values)) for name, _, values in pairs}
+        except ValueError as error:
+            raise DeviceFault(f"the controller's offsets cannot be read: {pairs}") from error
+
+    def quiet(self) -> None:
+        """Let pass what is still on its way, such as the second ok that a status question before a line earns."""
+        end = self._clock.now() + ANSWER
+        last = self._clock.now()
+        while self._clock.now() < min(end, last + QUIET):
+            if list(self.replies()):
+                last = self._clock.now()
+            self._clock.sleep(TICK)
+
+    def identify(self, stop: Asked = never) -> Identity:
+        """Make sure that lines are answered, and read who answers; raises DeviceFault.
+
+        A link that is open at one end only may pass status on, but no lines. The part of a line that was sent when
+        another link was lost is dropped first, lest the end of ours make a command of it.
+        """
+        self.link.write(JOG_CANCEL)
+        self.ask("", stop=stop)
+        self.quiet()
+        told = dict(
+            text.strip("[]").partition(":")[::2] for text in self.ask("$I", stop=stop) if text.startswith("[")
+        )
+        settings = [text[1:].partition("=") for text in self.ask("$$", stop=stop) if text.startswith("$")]
+        settings += [text[1:].partition("=") for text in self.ask("$N", stop=stop) if text.startswith("$N")]
+        try:
+            count, _, letters = told["AXS"].partition(":")
+            _, blocks, receive, *_ = told["OPT"].split(",")
+            self.axes = int(count)
+            known = {name: value for name, _, value in settings}
+            return Identity(letters, int(receive), int(blocks), known, "; ".join(map(":".join, told.items())))
+        except (KeyError, ValueError) as error:
+            raise DeviceFault(f"the controller is no grblHAL that can be used: it tells {told}") from error

@@ -1,0 +1,51 @@
+"""The devices that a hardware file names."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.hardware.arm.description import Arm
+from ctr_nlp.hardware.clock import Clock
+from ctr_nlp.hardware.description import Connection, Hardware
+from ctr_nlp.hardware.devices import Device
+from ctr_nlp.hardware.devices.arms import ArmFollower, SimulatedArm
+from ctr_nlp.hardware.devices.grbl.device import Grbl
+from ctr_nlp.hardware.devices.ros2.device import Ros2
+from ctr_nlp.hardware.devices.simulated import Simulated
+from ctr_nlp.hardware.devices.ur import UrArm
+from ctr_nlp.hardware.link import Link, RecordedLink, SerialLink
+from ctr_nlp.hardware.playing.journal import Journal
+from ctr_nlp.hardware.playing.trust import Memory, state_folder
+
+Array = npt.NDArray[np.float64]
+
+
+def device_of(hardware: Hardware, journal: Journal, clock: Clock, position: Array) -> Device:
+    """The device, not connected yet; position (m,): where the axes of a simulated one stand."""
+    connection = hardware.connection
+    if connection.device == "grbl":
+        return Grbl(hardware, lambda: recorded_link(connection, journal), clock)
+    if connection.device == "ros2":
+        return Ros2(hardware, journal, clock)
+    return Simulated(position, clock)
+
+
+def recorded_link(connection: Connection, journal: Journal) -> Link:
+    """An open link to a Grbl controller, of which every byte is in a journal; raises DeviceFault."""
+    return RecordedLink(SerialLink(connection.url, connection.baud), journal)
+
+
+def memory_of(connection: Connection) -> Memory | None:
+    """What is remembered of the device there, None where it is simulated."""
+    return None if connection.device == "simulated" else Memory(state_folder(), connection.url)
+
+
+def arm_follower(
+    arm: Arm, theta: Sequence[float] = (0.0, 0.0), clock: Callable[[], float] = time.monotonic
+) -> ArmFollower:
+    """What the arm's device names; a simulated arm stands at a tilt theta (2,) rad."""
+    return SimulatedArm(arm, theta, clock=clock) if arm.device == "simulated" else UrArm(arm, clock=clock)

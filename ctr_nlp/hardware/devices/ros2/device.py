@@ -1,0 +1,246 @@
+"""Motors behind ROS 2: trajectories for a joint_trajectory_controller, followed on joint states; no ROS is needed.
+
+Not yet tried with a real ROS 2 controller: with one that does in tests what ros2_controllers' source does.
+
+Written for ros2_control's joint_trajectory_controller, which replaces what it plays by every trajectory that it
+gets on /<controller>/joint_trajectory, from where it is then. Its joint_state_broadcaster (use_local_topics:
+false, the default) tells on /joint_states, in the controller's namespace, where the joints are. The
+controller's joints must be the robot's, in any order, and all of them: alpha_i in rad, of type revolute
+(continuous ones would be wrapped), beta_i in m. The tilt is the arm's business.
+
+Nothing is sent to other machines, nor by multicast, unless the hardware file names a host. The controller's
+side must be found without multicast: ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST (ROS_LOCALHOST_ONLY=1 up to
+Humble), or ROS_STATIC_PEERS with this machine's address. DDS has no passwords: who reaches these ports can tell
+lies.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.exceptions import DeviceFault, HardwareError
+from ctr_nlp.hardware.clock import Clock
+from ctr_nlp.hardware.description import Hardware
+from ctr_nlp.hardware.devices import Asked, Progress, Standing
+from ctr_nlp.hardware.devices.ros2.joints import REST, SILENCE, Joints
+from ctr_nlp.hardware.devices.ros2.messages import Points, Topics, address_of
+from ctr_nlp.hardware.devices.ros2.track import FIRST, Track, stop_there
+from ctr_nlp.hardware.motion.program import Commands
+from ctr_nlp.hardware.motion.progress import Place, Way
+from ctr_nlp.hardware.playing.journal import Journal
+
+Array = npt.NDArray[np.float64]
+
+DISCOVERY = 5.0
+"""s in which a controller must have been found, and have said where its joints are."""
+
+STILL = 2.0
+"""s in which a stop must have come to rest."""
+
+BEHIND = 0.5
+"""s that the joints may be behind their commands."""
+
+SETTLE = 1.0
+"""s after the end of a motion in which the joints may still creep to their goal."""
+
+PARTS = 10.0
+"""Into how many parts the axes' tolerances are divided for what positions must agree by; ROS tells no steps."""
+
+
+class Ros2:
+    """A joint_trajectory_controller, at hardware.connection.url: "name", "name@host", "name?domain=7".
+
+    Axes stand where joint states say, and know it: homing is the controller's own. Raises HardwareError.
+    """
+
+    def __init__(self, hardware: Hardware, journal: Journal, clock: Clock) -> None:
+        self._hardware, self._journal, self._clock = hardware, journal, clock
+        self._address = address_of(hardware.connection.url)
+        self._acceleration = np.array([axis.acceleration for axis in hardware.axes])
+        self._topics: Topics | None = None
+        self._track: Track | None = None
+
+    def connect(self, stop: Asked = lambda: False) -> None:
+        """Open the topics; wait for a controller that listens, and for the first joint states."""
+        self.close()
+        self._topics = topics = Topics(self._address, self._journal)
+        self._track, self._holding = None, False
+        self._joints, self._stopped = Joints(self._hardware, self.resolution), -np.inf
+        end = self._clock.now() + DISCOVERY
+        while not (self._joints.known and topics.listeners()):
+            self._take()
+            if stop():
+                raise DeviceFault("a stop was asked for before the controller was found: nothing was sent")
+            if self._clock.now() > end:
+                raise DeviceFault(self._missing(topics.listeners()))
+            self._clock.sleep(0.01)
+
+    def _missing(self, listeners: int) -> str:
+        if not listeners:
+            return f"nothing listens on /{self._address.trajectories}: no controller was found in {DISCOVERY:g} s"
+        heard = self._joints.strangers
+        told = f"only {heard} can be heard there" if heard else "nothing can be heard there"
+        return f"no joint states of {', '.join(self._joints.names)} on /{self._address.states}: {told}"
+
+    @property
+    def identity(self) -> str:
+        """The joints that the controller moves."""
+        return ", ".join(self._joints.names)
+
+    @property
+    def resolution(self) -> Array:
+        """A tenth of the axes' tolerances (m,): ROS does not tell what they can tell apart."""
+        return np.asarray(self._hardware.tolerance / PARTS)
+
+    def standing(self) -> Standing:
+        """Where it stands."""
+        if not self._rested(self._clock.now() + SILENCE):
+            raise DeviceFault("the joints move; they must stand still before anything is played")
+        return Standing(self._joints.position, self._hardware.connection.homing == "manual")
+
+    def home(self, stop: Asked) -> None:
+        """A controller in ROS 2 homes by itself."""
+        raise HardwareError("a ROS 2 controller homes by its own means: connection.homing must be manual")
+
+    def _take(self) -> None:
+        """Take the joint states that have come."""
+        states = self._open().states()
+        self._joints.take(states, self._clock.now())
+
+    def _watch(self, now: float) -> None:
+        """Whether a controller is there and tells where its joints are."""
+        self._joints.check_fresh(now)
+        if not self._open().listeners():
+            raise DeviceFault(f"nothing listens on /{self._address.trajectories} any more: the controller is gone")
+
+    def _rested(self, end: float) -> bool:
+        """Wait until the joints are at rest, at most until the clock shows end; whether they are."""
+        while True:
+            self._take()
+            now = self._clock.now()
+            self._watch(now)
+            if now >= self._stopped and self._joints.still():
+                return True
+            if now > end:
+                return False
+            self._clock.sleep(0.005)
+
+    def start(self, commands: Commands) -> None:
+        """Begin to play commands from where it stands."""
+        self._take()
+        position = self._joints.position
+        self._way = Way(position, commands, self._hardware.tolerance)
+        self._place, self._holding = Place(0.0, 0.0, 0, 0.0), False
+        self._track = Track(position, commands)
+        self._track.begin(self._clock.now())
+        self._send(self._track.points())
+        self._track.begin(self._clock.now())
+
+    def _send(self, points: Points) -> None:
+        self._open().send(self._joints.names, self._joints.in_ros(points))
+
+    def update(self) -> Progress:
+        """Take what has come and find out how far it is."""
+        track = self._playing()
+        before = self._joints.stamp
+        self._take()
+        now = self._clock.now()
+        self._watch(now)
+        position = self._joints.position
+        if self._joints.stamp > before:
+            self._follow(track, position)
+        state = self._state(track, position, now)
+        time, _, line, away = self._place
+        if state == "done":
+            time, line = track.end, len(track.ends) - 1
+        return Progress(state, time, line, position, self._joints.stamp, away)
+
+    def feed(self) -> None:
+        """The controller has the whole trajectory."""
+
+    def _follow(self, track: Track, position: Array) -> None:
+        """Find where on its way the newest state shows it, and see that it is not left behind."""
+        due, _ = track.now(self._joints.stamp)
+        ahead = int(np.searchsorted(track.ends[1:], due + FIRST, "right")) + 1
+        last = min(ahead, len(track.ends) - 1)
+        place = self._way.nearest(position, max(self._place.line - 1, 0), last)
+        self._place = max(self._place, place, key=lambda known: known.time)._replace(away=place.away)
+        off = abs(position - track.position(due)) / self._hardware.tolerance
+        if due - self._place.time > BEHIND and off.max() > 1.0:
+            axis = self._hardware.axes[int(off.argmax())]
+            raise DeviceFault(
+                f"the controller does not follow: it is {due - self._place.time:.2g} s behind, axis {axis.letter} "
+                f"({axis.joint}) {off.max():.3g} tolerances from its command"
+            )
+
+    def _state(self, track: Track, position: Array, now: float) -> str:
+        time, _ = track.now(now)
+        if time >= track.end:
+            near = (abs(position - track.position(track.end)) <= self.resolution).all()
+            over = now - track.ramp.begun - float(track.ramp.when(np.array([track.end]))[0])
+            return "done" if self._joints.still() and (near or over > SETTLE) else "running"
+        if self._holding:
+            return "held" if track.rests(now) and self._joints.still() else "holding"
+        return "running"
+
+    def hold(self) -> None:
+        """Come to rest on the path, as fast as the axes' accelerations allow."""
+        self._turn(0.0)
+
+    def resume(self) -> None:
+        """Go on from there, from rest to the commands' pace."""
+        self._turn(1.0)
+
+    def _turn(self, pace: float) -> None:
+        """Let the rest be played at another pace."""
+        track, now = self._playing(), self._clock.now()
+        self._holding = pace == 0.0
+        if track.now(now)[0] < track.end and track.ramp.after != pace:
+            self._play_at(pace, track, now)
+            if track.ramp.before == 0.0:
+                track.ramp = track.ramp._replace(begun=self._clock.now())
+
+    def _play_at(self, pace: float, track: Track, now: float) -> None:
+        track.turn(now, pace, self._acceleration)
+        self._stopped = now + track.ramp.length
+        self._send(track.points())
+
+    def abort(self) -> Standing:
+        """Stop, on the path where it is on it, and wait for rest; raises DeviceFault where that is not sure."""
+        track, self._track = self._track, None
+        if track is None:
+            self._rested(self._clock.now() + 2 * REST)
+        now = self._clock.now()
+        if track is None or not self._on(track, now):
+            points = stop_there(self._joints.position, self._joints.speed, self._acceleration)
+            self._stopped = now + float(points.time[-1])
+            self._send(points)
+        elif not track.rests(now) and track.ramp.after != 0.0:
+            self._play_at(0.0, track, now)
+        if not self._rested(self._clock.now() + STILL):
+            raise DeviceFault(
+                f"the joints have not come to rest in {STILL:g} s: their position is not to be trusted"
+            )
+        return self.standing()
+
+    def _on(self, track: Track, now: float) -> bool:
+        """Whether the joints were last seen on their way, and not too far behind."""
+        due, _ = track.now(min(now, self._joints.stamp))
+        return self._place.away <= 1.0 and due - self._place.time <= BEHIND
+
+    def close(self) -> None:
+        """Leave; nothing is sent."""
+        if self._topics is not None:
+            self._topics.close()
+        self._topics = None
+
+    def _open(self) -> Topics:
+        if self._topics is None:
+            raise DeviceFault("the ROS 2 device is not connected")
+        return self._topics
+
+    def _playing(self) -> Track:
+        if self._track is None:
+            raise DeviceFault("the ROS 2 device plays nothing")
+        return self._track

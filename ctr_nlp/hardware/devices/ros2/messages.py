@@ -1,0 +1,254 @@
+"""ROS 2 messages without ROS: their types for CycloneDDS, and the two topics over which a controller is spoken to.
+
+Message and topic names are those of rmw_cyclonedds: "rt/" before topics, "::dds_::" and a final "_" in types.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import socket
+from functools import cache
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+from weakref import WeakValueDictionary
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.exceptions import DeviceFault, HardwareError
+from ctr_nlp.hardware.playing.journal import Journal
+from ctr_nlp.support.extras import needed
+
+Array = npt.NDArray[np.float64]
+
+LOOPBACK = "127.0.0.1"
+
+CONFIGURATION = """<CycloneDDS><Domain Id="any">
+<General>
+<Interfaces><NetworkInterface address="{own}"/></Interfaces>
+<AllowMulticast>false</AllowMulticast>
+</General>
+<Discovery>
+<ParticipantIndex>auto</ParticipantIndex>
+<MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>
+<Peers><Peer address="{peer}"/></Peers>
+</Discovery>
+</Domain></CycloneDDS>"""
+"""What CycloneDDS is told instead of what the environment says: one interface, no multicast, one peer."""
+
+LATEST = 100
+"""How many joint states are kept between two looks."""
+
+BLOCKED = 0.1
+"""s that a writer may wait for room."""
+
+DIGITS = 9
+"""After the decimal point of what is sent, in m, rad and s."""
+
+_domains: WeakValueDictionary[int, Any] = WeakValueDictionary()
+_configurations: dict[int, str] = {}
+
+
+class Address(NamedTuple):
+    """A controller's full name, without a leading slash, the host on which it runs ("" for this one), and its
+    ROS_DOMAIN_ID.
+    """
+
+    controller: str
+    host: str
+    domain: int
+
+    @property
+    def trajectories(self) -> str:
+        """The topic on which a joint_trajectory_controller takes trajectories."""
+        return f"{self.controller}/joint_trajectory"
+
+    @property
+    def states(self) -> str:
+        """The topic of the joint_state_broadcaster in the controller's namespace (use_local_topics: false)."""
+        return "/".join([*self.controller.split("/")[:-1], "joint_states"])
+
+
+class Points(NamedTuple):
+    """A trajectory: time (N,) s from its start; position and velocity (N, m), in rad and m, and per s."""
+
+    time: Array
+    position: Array
+    velocity: Array
+
+
+class JointStates(NamedTuple):
+    """A sensor_msgs/JointState, as it came: stamp in s; velocity may be empty."""
+
+    stamp: float
+    name: list[str]
+    position: list[float]
+    velocity: list[float]
+
+
+def address_of(url: str) -> Address:
+    """What "name", "name@host" or "name@host?domain=7" means; raises HardwareError."""
+    name = r"[A-Za-z_]\w*"
+    match = re.fullmatch(rf"/?({name}(?:/{name})*)(?:@([A-Za-z0-9.-]+))?(?:\?domain=(\d+))?", url)
+    if match is None or int(match[3] or 0) > 232:
+        raise HardwareError(
+            f"url of the connection is {url!r}; for ros2 it must be a controller's name, optionally with its host "
+            "and ROS domain (0 to 232): ctr_controller, ctr_controller@192.168.1.5, ctr_controller?domain=7"
+        )
+    return Address(match[1], match[2] or "", int(match[3] or 0))
+
+
+@cache
+def types() -> SimpleNamespace:
+    """The types of messages and their parts, by name; raises OptionError where cyclonedds is missing."""
+    idl, kinds = needed("cyclonedds.idl"), needed("cyclonedds.idl.types")
+
+    def struct(package: str, kind: str, /, **fields: Any) -> Any:
+        return idl.make_idl_struct(kind, f"{package}::msg::dds_::{kind}_", fields)
+
+    numbers, words = kinds.sequence[kinds.float64], kinds.sequence[str]
+    time = struct("builtin_interfaces", "Time", sec=kinds.int32, nanosec=kinds.uint32)
+    duration = struct("builtin_interfaces", "Duration", sec=kinds.int32, nanosec=kinds.uint32)
+    header = struct("std_msgs", "Header", stamp=time, frame_id=str)
+    point = struct(
+        "trajectory_msgs",
+        "JointTrajectoryPoint",
+        positions=numbers,
+        velocities=numbers,
+        accelerations=numbers,
+        effort=numbers,
+        time_from_start=duration,
+    )
+    trajectory = struct(
+        "trajectory_msgs", "JointTrajectory", header=header, joint_names=words, points=kinds.sequence[point]
+    )
+    states = struct(
+        "sensor_msgs", "JointState", header=header, name=words, position=numbers, velocity=numbers, effort=numbers
+    )
+    return SimpleNamespace(
+        Time=time,
+        Duration=duration,
+        Header=header,
+        JointTrajectoryPoint=point,
+        JointTrajectory=trajectory,
+        JointState=states,
+    )
+
+
+def trajectory_message(names: list[str], points: Points) -> Any:
+    """A JointTrajectory that starts when it arrives: its stamp is 0."""
+    known = types()
+    listed = [
+        known.JointTrajectoryPoint(position, velocity, [], [], known.Duration(*divmod(round(time * 1e9), 10**9)))
+        for time, position, velocity in zip(*(part.tolist() for part in points), strict=True)
+    ]
+    return known.JointTrajectory(known.Header(known.Time(0, 0), ""), names, listed)
+
+
+def configuration(host: str) -> str:
+    """CycloneDDS's configuration for a controller on a host ("" for this one); raises DeviceFault.
+
+    The interface is the one from which the host is reached. All that is sent leaves through it; what is bound to
+    loopback, the system sends nowhere else.
+    """
+    if not host:
+        return CONFIGURATION.format(own=LOOPBACK, peer=LOOPBACK)
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.connect((host, 7400))
+            return CONFIGURATION.format(own=probe.getsockname()[0], peer=probe.getpeername()[0])
+    except OSError as error:
+        raise DeviceFault(f"host {host} of the ROS 2 controller is not to be reached: {error}") from error
+
+
+def participant(address: Address) -> Any:
+    """A new participant, and the domain that it lives in as long as anything holds either; raises DeviceFault."""
+    module, failure = needed("cyclonedds.domain"), needed("cyclonedds.core").DDSException
+    number, text = address.domain, configuration(address.host)
+    domain = _domains.get(number)
+    if domain is not None and _configurations[number] != text:
+        raise DeviceFault(f"ROS domain {number} is open in this program already, by way of another interface")
+    try:
+        if domain is None:
+            domain = module.Domain(number, text)
+            _domains[number], _configurations[number] = domain, text
+        made = module.DomainParticipant(number)
+    except failure as error:
+        raise DeviceFault(f"ROS domain {number} cannot be opened: {error}") from error
+    made.lives_in = domain
+    return made
+
+
+def quality(reliable: bool, depth: int) -> Any:
+    """QoS of a writer or reader whose messages are XCDR1, as ROS's are."""
+    core = needed("cyclonedds.core")
+    policy, most = core.Policy, needed("cyclonedds.util").duration(seconds=BLOCKED)
+    return core.Qos(
+        policy.Reliability.Reliable(most) if reliable else policy.Reliability.BestEffort,
+        policy.Durability.Volatile,
+        policy.History.KeepLast(depth),
+        policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False),
+    )
+
+
+class Topics:
+    """One controller's topics, open; every message is in the journal. Raises DeviceFault and OptionError.
+
+    Trajectories are sent reliably. States are taken from reliable and from best-effort publishers: a lost one is
+    followed by the next.
+    """
+
+    def __init__(self, address: Address, journal: Journal) -> None:
+        self.address, self._journal = address, journal
+        topic, known = needed("cyclonedds.topic").Topic, types()
+        failure = needed("cyclonedds.core").DDSException
+        own = participant(address)
+        try:
+            commands = topic(own, f"rt/{address.trajectories}", known.JointTrajectory)
+            states = topic(own, f"rt/{address.states}", known.JointState)
+            self._writer = needed("cyclonedds.pub").DataWriter(own, commands, quality(True, 1))
+            self._reader = needed("cyclonedds.sub").DataReader(own, states, quality(False, LATEST))
+        except failure as error:
+            raise DeviceFault(f"topics of {address.controller} cannot be opened: {error}") from error
+        self._held = [own, commands, states]
+
+    def listeners(self) -> int:
+        """How many subscribers get trajectories."""
+        return len(self._call(self._writer.get_matched_subscriptions))
+
+    def send(self, names: list[str], points: Points) -> None:
+        """Record a trajectory of joints, then publish it, to be started at once."""
+        points = Points(*(np.round(part, DIGITS) for part in points))
+        listed = {name: part.tolist() for name, part in points._asdict().items()}
+        self._journal.record("sent", topic=f"/{self.address.trajectories}", joints=names, **listed)
+        self._call(self._writer.write, trajectory_message(names, points))
+
+    def states(self) -> list[JointStates]:
+        """What has come since the last call, recorded, oldest first."""
+        found = []
+        for sample in self._call(self._reader.take, LATEST):
+            if not isinstance(sample, types().JointState):
+                continue
+            stamp = sample.header.stamp.sec + 1e-9 * sample.header.stamp.nanosec
+            state = JointStates(stamp, list(sample.name), list(sample.position), list(sample.velocity))
+            told = {"name": state.name, "position": _finite(state.position), "velocity": _finite(state.velocity)}
+            self._journal.record("received", topic=f"/{self.address.states}", stamp=stamp, **told)
+            found.append(state)
+        return found
+
+    def _call(self, function: Any, *arguments: Any) -> Any:
+        """What DDS answers; whatever fails in it, or in reading what came, is the connection's fault."""
+        try:
+            return function(*arguments)
+        except Exception as error:
+            raise DeviceFault(f"the connection to {self.address.controller} failed: {error}") from error
+
+    def close(self) -> None:
+        """Leave the domain; nothing is sent on the topics."""
+        self._writer = self._reader = None
+        self._held.clear()
+
+
+def _finite(values: list[float]) -> list[float | None]:
+    return [round(value, DIGITS) if math.isfinite(value) else None for value in values]

@@ -1,0 +1,169 @@
+"""A Universal Robots arm that tilts the robot, over RTDE."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.exceptions import DeviceFault, HardwareError
+from ctr_nlp.hardware.arm.description import Arm
+from ctr_nlp.hardware.arm.forward import insertion_error, tilt
+from ctr_nlp.hardware.arm.inverse import joints
+from ctr_nlp.hardware.devices.arms import Now, Steps
+from ctr_nlp.support.extras import needed
+
+Array = npt.NDArray[np.float64]
+
+STALE = 0.2
+"""s without news from the controller after which the connection counts as lost."""
+START_TOLERANCE = 0.02
+"""rad by which joints may be off what holds the insertion point when an arm is connected."""
+RUNNING = 7
+"""The robot mode of a UR that is powered, with its brakes released."""
+
+
+class UrArm:
+    """A Universal Robots arm over RTDE, by ur_rtde's servoJ. Not yet tried on a robot.
+
+    period: s between commands, what the controller interpolates over. lookahead_time (s, 0.03 to 0.2) and gain
+    (100 to 2000) are servoj's: the arm is behind by about lookahead_time. Where commands stop coming, the
+    controller keeps to the last one. The speed slider of the pendant must be at 100 %: servoj gets slower with it.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        *,
+        period: float = 0.02,
+        lookahead_time: float = 0.05,
+        gain: float = 500.0,
+        clock: Now = time.monotonic,
+    ) -> None:
+        self._arm, self._clock = arm, clock
+        self._servo = (period, lookahead_time, gain)
+        self._receive: Any = None
+        self._control: Any = None
+        self._steps: Steps | None = None
+        self._news = (math.nan, 0.0)
+
+    def connect(self) -> None:
+        """Check that the arm is fit and holds the insertion point, then start the control program on it."""
+        receiving, controlling = needed("rtde_receive"), needed("rtde_control")
+        try:
+            with self._faults("cannot be reached"):
+                self._receive = receiving.RTDEReceiveInterface(self._arm.address)
+            self._news = (math.nan, self._clock())
+            start = self.joints()
+            self._check_start(start)
+            with self._faults("does not take commands"):
+                self._control = controlling.RTDEControlInterface(self._arm.address)
+        except DeviceFault:
+            self.close()
+            raise
+        self._steps = Steps(self._arm, start, self._clock())
+
+    def joints(self) -> Array:
+        """Measured joint angles now, (6,) rad; raises DeviceFault."""
+        self._check()
+        with self._faults("does not answer"):
+            return np.array(self._receive.getActualQ(), dtype=float)
+
+    def tilt(self) -> Array:
+        """Measured tilt now, (2,) rad; raises DeviceFault."""
+        return tilt(self._arm, self.joints()[None])[0]
+
+    def follow(self, theta: Array) -> None:
+        """Send the joints of a tilt (2,) rad; raises DeviceFault, and sends nothing, where they are too far."""
+        if self._steps is None:
+            raise DeviceFault("the arm was told to follow, but is not connected or was stopped")
+        self._check()
+        wanted = self._steps.to(theta, self._clock())
+        with self._faults("does not take commands"):
+            # servoJ has arguments for speed and acceleration and does not use them.
+            taken = self._control.servoJ(wanted.tolist(), 0.5, 0.5, *self._servo)
+        if not taken:
+            raise DeviceFault(
+                f"the arm at {self._arm.address} refused a position: its control program is not running; "
+                "was it stopped at the pendant?"
+            )
+
+    def hold(self) -> None:
+        """Slow down and stand still; following goes on from there. Raises DeviceFault."""
+        if self._steps is not None:
+            with self._faults("could not be told to hold"):
+                self._control.servoStop()
+            self._steps = Steps(self._arm, self.joints(), self._clock())
+
+    def stop(self) -> None:
+        """Slow down and end the control program; raises DeviceFault where the arm cannot be told."""
+        control, self._control, self._steps = self._control, None, None
+        if control is None:
+            return
+        try:
+            with self._faults("could not be told to stop; use the emergency stop"):
+                try:
+                    control.servoStop()
+                finally:
+                    control.stopScript()
+        finally:
+            with contextlib.suppress(RuntimeError):
+                control.disconnect()
+
+    def close(self) -> None:
+        """Stop and disconnect."""
+        with contextlib.suppress(DeviceFault):
+            self.stop()
+        if self._receive is not None:
+            with contextlib.suppress(RuntimeError):
+                self._receive.disconnect()
+            self._receive = None
+
+    def _check(self) -> None:
+        """Raise DeviceFault unless the arm is connected, powered and not stopped by its safety functions."""
+        if self._receive is None:
+            raise DeviceFault(f"the arm at {self._arm.address} is not connected")
+        with self._faults("does not answer"):
+            connected, stamp = self._receive.isConnected(), self._receive.getTimestamp()
+            protective, emergency = self._receive.isProtectiveStopped(), self._receive.isEmergencyStopped()
+            mode = self._receive.getRobotMode()
+        now = self._clock()
+        if stamp != self._news[0]:
+            self._news = (stamp, now)
+        # A pulled cable leaves the socket open: the controller's clock then stands still.
+        if not connected or now - self._news[1] > STALE:
+            raise DeviceFault(f"the connection to the arm at {self._arm.address} is lost")
+        if emergency or protective:
+            kind = "an emergency" if emergency else "a protective"
+            raise DeviceFault(f"the arm at {self._arm.address} is in {kind} stop; release it at the pendant")
+        if mode != RUNNING:
+            raise DeviceFault(
+                f"the arm at {self._arm.address} is in robot mode {mode}; it must be {RUNNING} (running)"
+            )
+
+    def _check_start(self, start: Array) -> None:
+        try:
+            held = joints(self._arm, tilt(self._arm, start[None]), start)[0]
+        except HardwareError as error:
+            raise DeviceFault(f"the arm stands where it cannot begin: {error}") from error
+        off, away = np.abs(held - start).max(), insertion_error(self._arm, start[None])[0]
+        if off > START_TOLERANCE:
+            raise DeviceFault(
+                f"the arm holds the robot {away:.3g} mm from the insertion point, its joints up to "
+                f"{math.degrees(off):.3g} deg off; move it to within {math.degrees(START_TOLERANCE):.3g} deg of "
+                f"({', '.join(f'{value:.4g}' for value in np.degrees(held))}) deg"
+            )
+
+    @contextlib.contextmanager
+    def _faults(self, what: str) -> Iterator[None]:
+        """What ur_rtde raises, as DeviceFault."""
+        try:
+            yield
+        except (RuntimeError, ValueError, OSError) as error:
+            remote = " Switch it to remote control at the pendant." if "remote control" in str(error) else ""
+            raise DeviceFault(f"the arm at {self._arm.address} {what}: {error}.{remote}") from error

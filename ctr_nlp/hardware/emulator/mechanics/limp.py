@@ -1,0 +1,22 @@
+"""Motors switched off when they stand still: the load moves them then, and the firmware does not see it."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.hardware.emulator.protocol.settings import Settings
+
+IDLE_DELAY, ENERGISED_AXES = 1, 37
+ALWAYS = 255
+"""The idle delay that never ends."""
+RELAXATION = 0.5
+"""How far the load pushes a motor that goes limp, in mm or deg."""
+
+
+def pushed(settings: Settings, before: float, still: float) -> npt.NDArray[np.float64]:
+    """(6,) mm and deg by which axes move as they stand still for longer: `still` s instead of `before`."""
+    delay, kept = settings[IDLE_DELAY], int(settings[ENERGISED_AXES])
+    if delay == ALWAYS or not before <= delay / 1000 < still:
+        return np.zeros(6)
+    return np.array([0.0 if kept >> i & 1 else RELAXATION for i in range(6)])

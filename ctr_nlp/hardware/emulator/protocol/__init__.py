@@ -1,0 +1,1 @@
+"""What the emulated firmware reads and answers: lines, real-time characters, settings, reports."""

@@ -1,0 +1,181 @@
+"""An in-process connection to the firmware, in virtual time."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.hardware.emulator.firmware import Firmware
+
+if TYPE_CHECKING:
+    from ctr_nlp.hardware.emulator.faults import Fault
+
+BAUD = 115200
+BITS_PER_BYTE = 10
+STEP_S = 0.001
+
+
+class VirtualClock:
+    """Time that passes only when somebody sleeps; the firmware on its lines moves along. Seconds."""
+
+    def __init__(self) -> None:
+        self._now = 0.0
+        self.lines: dict[Firmware, Line] = {}
+        """The latest line to each firmware."""
+
+    def now(self) -> float:
+        """Seconds since the clock was made."""
+        return self._now
+
+    def sleep(self, seconds: float) -> None:
+        """Let so many seconds pass, in steps of a millisecond for what is attached."""
+        end = self._now + max(seconds, 0.0)
+        while self._now < end:
+            later = end if end - self._now <= STEP_S else self._now + STEP_S
+            step, self._now = later - self._now, later
+            for line in list(self.lines.values()):
+                line.advance(step)
+
+
+class Line:
+    """The two directions of a serial line between a host and the firmware, with the faults on it.
+
+    Bytes take their time at a baud rate. Whoever owns it calls advance() and moves bytes in and out.
+    """
+
+    def __init__(self, firmware: Firmware, faults: tuple[Fault, ...] = (), baud: float = BAUD) -> None:
+        if baud <= 0:
+            raise OptionError(f"baud is {baud}; it must be positive")
+        self.firmware = firmware
+        self.byte_s = BITS_PER_BYTE / baud
+        self.time = 0.0
+        self.sent_bytes = 0
+        self.cut = False
+        self.outward: list[Callable[[bytes], bytes]] = []
+        """What faults do to bytes on their way to the firmware."""
+        self.inward: list[Callable[[bytes], list[tuple[float, bytes]]]] = []
+        """What faults do to each whole reply line: (delay in s, bytes) for what arrives in its place."""
+        self._waiting = list(faults)
+        self._to_device: list[tuple[float, int]] = []
+        self._to_host: list[tuple[float, int, bytes]] = []
+        self._order = itertools.count()
+        self._outbound_free = self._inbound_free = 0.0
+        self._part = b""
+
+    @property
+    def outbound(self) -> int:
+        """Bytes on their way to the firmware."""
+        return len(self._to_device)
+
+    def put(self, data: bytes) -> None:
+        """Bytes from the host start on their way."""
+        self._check()
+        self.sent_bytes += len(data)
+        self._trigger()
+        self._check()
+        for alter in list(self.outward):
+            data = alter(data)
+        start = max(self.time, self._outbound_free)
+        for i, byte in enumerate(data):
+            self._to_device.append((start + (i + 1) * self.byte_s, byte))
+        self._outbound_free = start + len(data) * self.byte_s
+
+    def get(self) -> bytes:
+        """Bytes that have arrived at the host."""
+        self._check()
+        data = b""
+        while self._to_host and self._to_host[0][0] <= self.time + 1e-12:
+            data += heapq.heappop(self._to_host)[2]
+        return data
+
+    def advance(self, seconds: float) -> None:
+        """Let time pass for the firmware and the bytes on the way."""
+        self.time += seconds
+        arrived = 0
+        while arrived < len(self._to_device) and self._to_device[arrived][0] <= self.time + 1e-12:
+            arrived += 1
+        if arrived:
+            data = bytes(byte for _, byte in self._to_device[:arrived])
+            del self._to_device[:arrived]
+            self.firmware.receive(data)
+        self.firmware.advance(seconds)
+        self._trigger()
+        self._collect()
+
+    def insert(self, line: bytes) -> None:
+        """A line that the firmware never sent is on its way to the host, between its own."""
+        if not self.cut:
+            self._send(0.0, line)
+
+    def drop(self) -> None:
+        """The link is lost, with whatever was on its way; the firmware does not notice."""
+        self.cut = True
+        self._to_device.clear()
+        self._to_host.clear()
+
+    def _check(self) -> None:
+        if self.cut:
+            raise ConnectionError("the link to the controller is lost")
+
+    def _trigger(self) -> None:
+        due = [fault for fault in self._waiting if fault.due(self.firmware.time, self.sent_bytes)]
+        for fault in due:
+            self._waiting.remove(fault)
+            fault.strike(self)
+
+    def _collect(self) -> None:
+        if self.cut:
+            self.firmware.take()
+            self._part = b""
+            return
+        *lines, self._part = (self._part + self.firmware.take()).split(b"\n")
+        for line in lines:
+            pieces = [(0.0, line + b"\n")]
+            for alter in self.inward:
+                pieces = [(wait + more, new) for wait, old in pieces for more, new in alter(old)]
+            for wait, piece in pieces:
+                self._send(wait, piece)
+
+    def _send(self, wait: float, piece: bytes) -> None:
+        self._inbound_free = max(self.time, self._inbound_free) + len(piece) * self.byte_s
+        heapq.heappush(self._to_host, (self._inbound_free + wait, next(self._order), piece))
+
+
+class Wire:
+    """A host's connection to the firmware. Opening one ends the one before; motion goes on without any.
+
+    faults: struck on this connection at their moments. baud: bits per second, ten to a byte.
+    """
+
+    def __init__(
+        self, firmware: Firmware, clock: VirtualClock, faults: tuple[Fault, ...] = (), baud: float = BAUD
+    ) -> None:
+        before = clock.lines.get(firmware)
+        if before is not None:
+            before.drop()
+            firmware.take()
+        self.line = clock.lines[firmware] = Line(firmware, faults, baud)
+        self.clock = clock
+
+    def write(self, data: bytes) -> None:
+        """Send bytes; they arrive one after the other. Raises ConnectionError where the link is lost."""
+        self.line.put(data)
+
+    def read(self, timeout: float) -> bytes:
+        """What has arrived, waiting for it up to timeout seconds of virtual time; b"" where nothing came.
+
+        Raises ConnectionError where the link is lost.
+        """
+        end = self.clock.now() + timeout
+        data = self.line.get()
+        while not data and self.clock.now() < end:
+            self.clock.sleep(min(STEP_S, end - self.clock.now()))
+            data = self.line.get()
+        return data
+
+    def close(self) -> None:
+        """End the connection; the firmware does not notice."""
+        self.line.drop()

@@ -1,0 +1,71 @@
+"""A program as a G-code file for Grbl and grblHAL, played without a computer beside it. The arm is not in it."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from ctr_nlp.hardware.motion import gcode
+from ctr_nlp.hardware.motion.program import Program
+
+OPENING = "(ctr_nlp"
+
+
+def gcode_text(program: Program, title: str) -> str:
+    """The file: a pause, the slow way to the first frame, another pause, and the program's numbered lines.
+
+    title: of the plan.
+    """
+    start, seconds, commands = program.positions(np.zeros(1))[0], approach_time(program), program.commands()
+    head = [
+        f"ctr_nlp: {title[:60]}",
+        f"digest {program.digests.plan}",
+        f"{len(program.frames)} frames in {program.duration:.3f} s from the second pause on",
+        *(f"{axis.letter} in {axis.unit} moves {axis.joint}" for axis in program.hardware.axes),
+        "positions are those of the machine: no work offset may be active",
+        "rates and accelerations of the controller: at least those of the hardware",
+        f"after the first pause: to the first frame in {seconds:.1f} s, all axes at once",
+        "after the second pause: the motion",
+    ]
+    if np.any(program.at(program.frame_time)[0][:, -2:]):
+        head += [
+            "THE TILT OF THE ARM IS NOT IN THIS FILE: export it with --to urscript",
+            "and end the second pause when the arm starts",
+        ]
+    return "\n".join(
+        [
+            *map(_comment, head),
+            gcode.MODES,
+            "M0",
+            gcode.line(0, program.hardware.letters, start, seconds),
+            "M0",
+            *gcode.lines(program.hardware.letters, start, commands.positions, commands.time),
+            "G94",
+            "M2",
+            "",
+        ]
+    )
+
+
+def approach_time(program: Program) -> float:
+    """Seconds that are enough to come from any place in the axes' ranges, at hardware.approach of their speeds.
+
+    As time, and not as a feed, this holds however a controller counts degrees beside millimetres.
+    """
+    robot, hardware = program.robot, program.hardware
+    start = program.positions(np.zeros(1))[0]
+    away = [
+        max(abs(position - end) for end in axis.range) for axis, position in zip(hardware.axes, start, strict=True)
+    ]
+    speed = [abs(axis.scale) * robot.speed[robot.axes.index(axis.joint)] for axis in hardware.axes]
+    return float(np.max(np.array(away) / (hardware.approach * np.array(speed))))
+
+
+def _comment(text: str) -> str:
+    """In parentheses, without what ends a comment or is obeyed within one.
+
+    Grbl takes ? ! ~ wherever they are; readers that do not know parentheses take G28 and M3.
+    """
+    harmless = re.sub(r"[^A-Za-z0-9 _.,:+=/-]", "_", text)
+    return "(" + re.sub(r"([GMNTgmnt])(?=[0-9])", r"\1_", harmless) + ")"

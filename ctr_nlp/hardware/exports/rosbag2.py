@@ -1,0 +1,120 @@
+"""A program as a ROS 2 bag: one trajectory for a joint_trajectory_controller, and its joint states over time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import BPoly, CubicHermiteSpline
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.hardware.motion.lookahead import LONGEST
+from ctr_nlp.hardware.motion.program import Program
+from ctr_nlp.support.extras import needed
+
+Array = npt.NDArray[np.float64]
+
+STORAGES = ("mcap", "sqlite3")
+"""What bags may be kept in: mcap is what ROS records since Iron, sqlite3 what Humble reads without a plugin."""
+
+TRAJECTORY, STATES = "/ctr/joint_trajectory", "/ctr/joint_states"
+
+VERSION = 8
+"""Of the bag's format: the last whose metadata Humble can read too."""
+
+TOLERANCE = 0.005
+"""mm, with angles counted as in the motion term: what interpolation between points may be off the program."""
+
+BETWEEN = np.linspace(0.0, 1.0, 9)[1:-1]
+
+
+def write_bag(program: Program, title: str, folder: Path, storage: str = "mcap") -> None:
+    """Make a bag, a folder that does not exist yet; raises OptionError.
+
+    The trajectory has the points of points(), the states come with the program's commands. Positions are joints,
+    rad and metres, not positions of axes: sign, zero and backlash are the driver's. Tilts are in it where the
+    hardware has an arm. Times count from the start of the motion, in stamps as in the bag.
+    """
+    if storage not in STORAGES:
+        raise OptionError(f"storage is {storage!r}; it must be {' or '.join(STORAGES)}")
+    bags, typesys = needed("rosbags.rosbag2"), needed("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.LATEST)
+    joints, scale = _joints(program)
+    n = len(joints)
+    make = store.types
+
+    def stamp(kind: str, time: float) -> Any:
+        seconds, rest = divmod(round(time * 1e9), 10**9)
+        return make[f"builtin_interfaces/msg/{kind}"](sec=seconds, nanosec=rest)
+
+    def header(time: float) -> Any:
+        return make["std_msgs/msg/Header"](stamp=stamp("Time", time), frame_id="")
+
+    nothing = np.zeros(0)
+    trajectory = make["trajectory_msgs/msg/JointTrajectory"](
+        header=header(0.0),
+        joint_names=joints,
+        points=[
+            make["trajectory_msgs/msg/JointTrajectoryPoint"](
+                positions=scale * q[:n],
+                velocities=scale * velocity[:n],
+                accelerations=scale * acceleration[:n],
+                effort=nothing,
+                time_from_start=stamp("Duration", time),
+            )
+            for time, q, velocity, acceleration in zip(*points(program), strict=True)
+        ],
+    )
+    with bags.Writer(folder, version=VERSION, storage_plugin=bags.StoragePlugin[storage.upper()]) as bag:
+        bag.set_custom_data("ctr_nlp.plan.plan", title)
+        bag.set_custom_data("ctr_nlp.digest", program.digests.plan)
+
+        def topic(name: str, kind: str) -> Any:
+            connection = bag.add_connection(name, kind, typestore=store)
+            return lambda time, message: bag.write(
+                connection, round(time * 1e9), store.serialize_cdr(message, kind)
+            )
+
+        topic(TRAJECTORY, "trajectory_msgs/msg/JointTrajectory")(0.0, trajectory)
+        state = topic(STATES, "sensor_msgs/msg/JointState")
+        times = np.append(0.0, program.commands().time)
+        for time, q, velocity in zip(times, *program.at(times)[:2], strict=True):
+            state(
+                time,
+                make["sensor_msgs/msg/JointState"](
+                    header=header(time),
+                    name=joints,
+                    position=scale * q[:n],
+                    velocity=scale * velocity[:n],
+                    effort=nothing,
+                ),
+            )
+
+
+def points(program: Program) -> tuple[Array, Array, Array, Array]:
+    """Times (N,), q, velocities and accelerations (N, 2d + 2), in s, rad, mm, with frames among them.
+
+    So dense that both cubic and quintic interpolation, what a controller does with velocities, and with
+    accelerations as well, stay within TOLERANCE of the program.
+    """
+    longest = float("inf")
+    while True:
+        time = np.append(0.0, program.commands(longest).time)
+        q, velocity, acceleration = program.at(time)
+        curves = (
+            CubicHermiteSpline(time, q, velocity),
+            BPoly.from_derivatives(time, np.stack([q, velocity, acceleration], axis=1)),
+        )
+        places = (time[:-1, None] + np.diff(time)[:, None] * BETWEEN).ravel()
+        true = program.at(places)[0]
+        if max(abs((curve(places) - true) * program.robot.mm_per_unit).max() for curve in curves) <= TOLERANCE:
+            return time, q, velocity, acceleration
+        longest = min(LONGEST, longest / 2)
+
+
+def _joints(program: Program) -> tuple[list[str], Array]:
+    """Names (n,) of the joints that the hardware moves, and what a ROS unit is per one of ours."""
+    names = list(program.robot.axes[: None if program.hardware.arm is not None else -2])
+    return names, np.array([1e-3 if name.startswith("beta") else 1.0 for name in names])

@@ -1,0 +1,39 @@
+"""A program as a table for spreadsheets and scripts: a row for where it starts, and one for every command."""
+
+from __future__ import annotations
+
+import csv
+import io
+
+import numpy as np
+
+from ctr_nlp.hardware.motion.program import Program
+
+DECIMALS = 9
+
+
+def csv_text(program: Program) -> str:
+    """The table, comma-separated, with names and units in its first row.
+
+    time_s; frame: the one on the way to which a row lies; at_frame: 1 where it is reached. Then joints, as in
+    alpha_1_rad, beta_1_mm, theta_x_rad, and positions of axes, backlash included, as in X_mm, A_deg.
+    """
+    commands, start = program.commands(), np.zeros(1)
+    frame = np.append(program.frames[0], commands.frame)
+    joints = [f"{name}_{'mm' if name.startswith('beta') else 'rad'}" for name in program.robot.axes]
+    axes = [f"{axis.letter}_{axis.unit}" for axis in program.hardware.axes]
+    values = np.hstack(
+        [
+            np.vstack([program.at(start)[0], commands.q]),
+            np.vstack([program.positions(start), commands.positions]),
+        ]
+    )
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(["time_s", "frame", "at_frame", *joints, *axes])
+    reached = np.append(np.diff(frame) > 0, True)
+    reached[0] = True
+    for t, number, there, row in zip(np.append(0.0, commands.time), frame, reached, values, strict=True):
+        numbers = [f"{value:.{DECIMALS}f}" for value in np.round(row, DECIMALS) + 0.0]  # no minus before a zero
+        writer.writerow([f"{t:.{DECIMALS}f}", number, int(there), *numbers])
+    return file.getvalue()

@@ -1,0 +1,99 @@
+"""A timed URScript program that plays sampled joint angles on a UR controller, without a computer beside it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ctr_nlp.exceptions import HardwareError, OptionError
+from ctr_nlp.hardware.arm.description import JOINT_LIMIT
+
+CYCLE = 0.002
+"""s: the controller's own cycle; 0.008 before the e-series."""
+SETTLE = 0.5
+"""s for which the last sample is kept, so that the arm, which is behind by the lookahead time, arrives."""
+DECIMALS = 7
+"""Of angles in rad: 0.1 micrometre at a metre."""
+
+
+def write_urscript(
+    time: Any,
+    joints: Any,
+    *,
+    period: float = 0.008,
+    lookahead_time: float = 0.1,
+    gain: float = 300.0,
+    approach_speed: float = 0.1,
+    name: str = "ctr_nlp_arm",
+) -> str:
+    """The program that plays joints (N, 6) rad sampled at time (N,) s, every period seconds.
+
+    It moves slowly (approach_speed, rad/s) from wherever the arm is to the first sample, waits for somebody to
+    confirm, plays, and stops. period: a multiple of the controller's cycle, 0.008 suits all; longer ones make
+    shorter programs. lookahead_time (s, 0.03 to 0.2), gain (100 to 2000): servoj's.
+
+    There is one servoj a sample and no table of samples: each lasts a period, so that the controller's watchdog
+    against programs that compute without moving stays quiet, and neither lists nor loops over lists, whose sizes
+    controllers limit, are involved. What is left is the length of the program: older controllers have refused
+    programs of some thousand lines that came in through a socket (visose/Robots #55,
+    ros-industrial/universal_robot #411). Load long ones from a USB stick or over SFTP, or use a longer period.
+
+    Raises OptionError, and HardwareError for times and joints that cannot be played.
+    """
+    for option, value, low, high in (
+        ("period", period, CYCLE, 0.1),
+        ("lookahead_time", lookahead_time, 0.03, 0.2),
+        ("gain", gain, 100.0, 2000.0),
+        ("approach_speed", approach_speed, 0.01, 1.0),
+    ):
+        if not low <= value <= high:
+            raise OptionError(f"{option} is {value!r}; it must lie in [{low:g}, {high:g}]")
+    if abs(period / CYCLE - round(period / CYCLE)) > 1e-9:
+        raise OptionError(f"period is {period:g} s; it must be a multiple of {CYCLE:g} s, the controller's cycle")
+    if not (name.isascii() and name.isidentifier()):
+        raise OptionError(f"name is {name!r}; it must be letters, digits and underscores")
+    samples = _samples(time, joints, period)
+    first, last = _listed(samples[0]), _listed(samples[-1])
+    how = f"t={period:g}, lookahead_time={lookahead_time:g}, gain={gain:g}"
+    lines = [
+        f"def {name}():",
+        f"  # {len(samples)} samples, {(len(samples) - 1) * period:.3f} s; speed slider at 100 %",
+        f"  movej({first}, a=0.5, v={approach_speed:g})",
+        '  popup("At the start. Continue to play, speed slider at 100 %.", title="ctr_nlp", blocking=True)',
+        *(f"  servoj({_listed(sample)}, {how})" for sample in samples),
+        "  i = 0",
+        f"  while i < {math.ceil(SETTLE / period)}:",
+        f"    servoj({last}, {how})",
+        "    i = i + 1",
+        "  end",
+        "  stopj(2)",
+        "end",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _samples(time: Any, joints: Any, period: float) -> Any:
+    time, joints = np.asarray(time, dtype=float), np.asarray(joints, dtype=float)
+    if time.ndim != 1 or not len(time) or joints.shape != (len(time), 6):
+        raise HardwareError(f"time has shape {time.shape} and joints {joints.shape}; give (N,) and (N, 6), N > 0")
+    finite = np.isfinite(time) & np.isfinite(joints).all(axis=1)
+    if not finite.all():
+        raise HardwareError(f"sample {int(np.argmin(finite)) + 1} of {len(time)} is not finite")
+    steps = np.diff(time)
+    uneven = np.abs(steps - period) > 1e-6
+    if uneven.any():
+        k = int(np.argmax(uneven))
+        raise HardwareError(
+            f"sample {k + 2} of {len(time)} comes {steps[k]:.6g} s after the one before; "
+            f"it must be one period, {period:g} s"
+        )
+    beyond = np.abs(joints).max(axis=1) > JOINT_LIMIT
+    if beyond.any():
+        raise HardwareError(f"sample {int(np.argmax(beyond)) + 1} of {len(time)} has a joint beyond 360 deg")
+    return joints
+
+
+def _listed(joints: Any) -> str:
+    return "[" + ", ".join(f"{value:.{DECIMALS}f}" for value in joints) + "]"

@@ -1,0 +1,1 @@
+"""Plans as timed motions of axes. Knows no device."""

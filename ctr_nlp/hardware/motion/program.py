@@ -1,0 +1,199 @@
+"""A plan as commands: a path through its frames, timed for hardware, as positions of axes and tilts of the arm."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicHermiteSpline
+
+from ctr_nlp.exceptions import OptionError, ProgramError
+from ctr_nlp.hardware.description import Hardware
+from ctr_nlp.hardware.motion.lookahead import LONGEST
+from ctr_nlp.hardware.motion.path import made_up, path_through
+from ctr_nlp.hardware.motion.timing import Motion, timed
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.robot import Robot
+
+Array = npt.NDArray[np.float64]
+
+AT = 1e-4
+"""Part of the way from frame to frame: what stands so little before a frame stands at it."""
+
+
+class Digests(NamedTuple):
+    """SHA-256 of a plan and of the hardware that it is played on."""
+
+    plan: str
+    hardware: str
+
+
+@dataclass(frozen=True)
+class Commands:
+    """Straight pieces of a motion, one after the other, from where it starts.
+
+    time (N,) s: when each ends, from the start; frame (N,): the frame on the way to which it lies, from 1; q (N,
+    2d + 2) and positions (N, m) of the axes, in their units, at its end.
+    """
+
+    time: Array
+    frame: npt.NDArray[np.int64]
+    q: Array
+    positions: Array
+
+
+@dataclass(frozen=True)
+class Program:
+    """A motion of a robot through numbered frames, at rest at both ends, on some hardware.
+
+    robot: with the limits of the hardware. knots (T,): parameters of the path (the plan's time) where frames are
+    passed, the first of which may be a place between frames; frames (T,): their numbers. lash: what is added to
+    the axes' positions (.., m) for play in the drives, a function of that parameter. digests: of what is played.
+    """
+
+    robot: Robot
+    hardware: Hardware
+    motion: Motion
+    lash: CubicHermiteSpline
+    knots: Array
+    frames: npt.NDArray[np.int64]
+    digests: Digests
+
+    @property
+    def duration(self) -> float:
+        """In s."""
+        return self.motion.duration
+
+    @cached_property
+    def frame_time(self) -> Array:
+        """When its frames are passed, (T,) s."""
+        return self.motion.when(self.knots)
+
+    def at(self, time: Array) -> tuple[Array, Array, Array]:
+        """Configurations q, velocities and accelerations (N, 2d + 2) at times (N,) s."""
+        return self.motion.at(time)
+
+    def positions(self, time: Array) -> Array:
+        """Positions (N, m) of the axes, in their units, at times (N,) s."""
+        joints = self.hardware.positions(self.robot, self.at(time)[0])
+        return np.asarray(joints + self.lash(self.motion.parameter(time)))
+
+    def joints(self, time: Array, positions: Array) -> Array:
+        """Configurations (N, 2d + 2) of axes that are found at positions (N, m) at times (N,) s.
+
+        The tilt is the one commanded then; what is added for play in the drives is taken out.
+        """
+        lengths = positions - self.lash(self.motion.parameter(time))
+        return self.hardware.joints(self.robot, lengths, self.at(time)[0][:, -2:])
+
+    def passed(self, time: float) -> int:
+        """The last frame that is passed by a time in s, 0 before the first."""
+        return int(self.frames[self.frame_time <= time].max(initial=0))
+
+    def commands(self, longest: float = LONGEST) -> Commands:
+        """The motion in straight pieces of at most so many s, with frames among their ends."""
+        counts = np.maximum(1, np.ceil(np.diff(self.frame_time) / longest - 1e-6)).astype(int)
+        pieces = [
+            np.linspace(start, end, count + 1)[1:]
+            for start, end, count in zip(self.frame_time[:-1], self.frame_time[1:], counts, strict=True)
+        ]
+        time = np.concatenate(pieces)
+        return Commands(time, np.repeat(self.frames[1:], counts), self.at(time)[0], self.positions(time))
+
+
+def program_of(plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: Array | None = None) -> Program:
+    """A plan's motion from its first frame on, at its own pace times tempo, slower where the hardware has to.
+
+    standing (m,): positions from which axes come to the first frame. Raises HardwareError, OptionError,
+    ProgramError; what is played must be checked before (checks.checked).
+    """
+    if isinstance(tempo, bool) or not 0 < tempo <= 1:
+        raise OptionError(f"tempo is {tempo!r}; it must lie in (0, 1]")
+    robot = hardware.tightened(plan.robot)
+    positions = hardware.positions(robot, plan.q)
+    before = np.zeros(len(hardware.axes))
+    if standing is not None:
+        before = np.where(standing > positions[0] + 0.01 * hardware.backlash, -hardware.backlash, 0.0)
+    lash = made_up(plan.time, positions, hardware.backlash, before)
+    path = path_through(robot, plan.time, plan.q)
+    frames = np.arange(1, len(plan.time) + 1)
+    return along(robot, hardware, path, lash, plan.time, frames, digests(plan, hardware), tempo)
+
+
+def rest_of(program: Program, s: float, tempo: float = 1.0) -> Program:
+    """What is left of a program when the robot stands on its path at the parameter s (the plan's time)."""
+    ahead = program.knots > s + AT * np.diff(program.knots, prepend=s)
+    if not ahead.any():
+        raise ProgramError("nothing is left of this program: it has reached its last frame")
+    knots = np.append(s, program.knots[ahead])
+    frames = np.append(program.frames[ahead][0] - 1, program.frames[ahead])
+    path = program.motion.path
+    return along(program.robot, program.hardware, path, program.lash, knots, frames, program.digests, tempo)
+
+
+def approach_to(program: Program, standing: Array, theta: Array) -> Program:
+    """The straight and slow way from positions (m,) of the axes and a tilt (2,) to where a program starts."""
+    hardware, start = program.hardware, program.knots[:1]
+    robot = slowed(program.robot, hardware.approach)
+    q = np.stack([hardware.joints(robot, standing, theta), program.motion.path(start[0])])
+    added = np.vstack([np.zeros(len(hardware.axes)), program.lash(start)])
+    first = program.frames[0]
+    frames = np.array([first - (program.knots[0] == program.motion.path.x[0]), first])
+    return through(robot, hardware, q, added, frames, program.digests)
+
+
+def through(
+    robot: Robot, hardware: Hardware, q: Array, added: Array, frames: npt.NDArray[np.int64], names: Digests
+) -> Program:
+    """The program through configurations q (K, 2d + 2), as fast as the robot may.
+
+    added (K, m): to the axes' positions there, for play in the drives. frames (K,): the numbers of these places.
+    """
+    seconds = np.maximum(1e-3, (abs(np.diff(q, axis=0)) / robot.speed).max(axis=1))
+    knots = np.append(0.0, np.cumsum(seconds))
+    lash = CubicHermiteSpline(knots, added, np.zeros_like(added))
+    return along(robot, hardware, path_through(robot, knots, q), lash, knots, frames, names, 1.0)
+
+
+def slowed(robot: Robot, part: float) -> Robot:
+    """A robot that moves at a part of its largest speeds."""
+    parts = zip(("alpha", "beta", "theta"), robot.split(part * robot.speed), strict=True)
+    return robot.with_limits(**{f"{name}_speed": speed.tolist() for name, speed in parts})
+
+
+def along(
+    robot: Robot,
+    hardware: Hardware,
+    path: CubicHermiteSpline,
+    lash: CubicHermiteSpline,
+    knots: Array,
+    frames: npt.NDArray[np.int64],
+    names: Digests,
+    tempo: float,
+) -> Program:
+    """The program along a path, whose limits are those of what the drives do."""
+
+    def driven(s: Array, order: int = 0) -> Array:
+        return np.asarray(path(s, order) + hardware.in_joints(robot, lash(s, order)))
+
+    motion = timed(path, driven, knots, robot.speed, robot.acceleration, tempo)
+    return Program(robot, hardware, motion, lash, knots, frames, names)
+
+
+def digests(plan: Plan, hardware: Hardware) -> Digests:
+    """Names for a plan and some hardware, which change with every number, word or limit in either."""
+    known = hashlib.sha256(json.dumps(plan.meta, sort_keys=True).encode())
+    for field in fields(plan):
+        array = getattr(plan, field.name)
+        if isinstance(array, np.ndarray):
+            known.update(
+                f"{field.name} {array.dtype} {array.shape}".encode() + np.ascontiguousarray(array).tobytes()
+            )
+    return Digests(
+        known.hexdigest(), hashlib.sha256(repr(replace(hardware, commissioned=None)).encode()).hexdigest()
+    )

@@ -1,0 +1,71 @@
+"""What was played beside what was commanded: measured positions at the times of frames."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.hardware.devices import Progress
+from ctr_nlp.hardware.motion.program import Program
+
+Array = npt.NDArray[np.float64]
+
+
+class Tracking(NamedTuple):
+    """frame (T,); time (T,) s: when each was due, without pauses; commanded and measured (T, m): positions there.
+
+    late (T,) s: how much later than due it was passed.
+    """
+
+    frame: npt.NDArray[np.int64]
+    time: Array
+    commanded: Array
+    measured: Array
+    late: Array
+
+    @property
+    def error(self) -> Array:
+        """Measured less commanded, (T, m)."""
+        return self.measured - self.commanded
+
+
+class Recorder:
+    """Collects the progress of the latest program; call it with every progress."""
+
+    def __init__(self) -> None:
+        self._program: Program | None = None
+
+    def __call__(self, program: Program, progress: Progress) -> None:
+        """Add what is new, but for pauses."""
+        if program is not self._program:
+            self._program, self._paused = program, 0.0
+            self._rows: list[tuple[float, float, Array]] = []
+            self._held: Progress | None = None
+        if progress.state in ("holding", "held"):
+            self._held = self._held or progress
+            return
+        if self._held is not None:
+            self._paused += progress.stamp - self._held.stamp - (progress.time - self._held.time)
+            self._held = None
+        time = progress.stamp - self._paused
+        if not self._rows or time > self._rows[-1][0]:
+            self._rows.append((time, progress.time, progress.position))
+
+    def tracking(self) -> Tracking | None:
+        """Positions at the times of frames, between reports linearly; None where too little was seen.
+
+        Times count from when the axes began to move, by the first report in which they had.
+        """
+        if self._program is None or len(self._rows) < 2:
+            return None
+        stamp, played, position = (np.array(column) for column in zip(*self._rows, strict=True))
+        began = int((played > 0).argmax())
+        stamp -= stamp[began] - played[began]
+        reached = self._program.frame_time <= played[-1] + 1e-9
+        due = self._program.frame_time[reached]
+        measured = np.stack([np.interp(due, stamp, column) for column in position.T], axis=1)
+        passed = np.interp(due, np.maximum.accumulate(played) + 1e-12 * np.arange(len(played)), stamp)
+        commanded = self._program.positions(due)
+        return Tracking(self._program.frames[reached], due, commanded, measured, passed - due)

@@ -1,0 +1,170 @@
+"""When a path is where: as planned, and later where the hardware cannot keep up. The time-scaling is toppra's."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.exceptions import ProgramError
+from ctr_nlp.support.extras import needed
+
+Array = npt.NDArray[np.float64]
+
+Path = Any
+"""(s, order) -> (.., n): a path's points, or derivatives of that order, at parameters s (..,)."""
+
+CELLS = 6
+"""Into how many cells toppra's grid divides the way between frames."""
+
+SIDES = 1e-3, 1e-2, 0.1
+"""Parts of a cell: limits hold on both sides of a frame, where accelerations may jump."""
+
+COARSER = 2.0, 16.0, 128.0
+"""Its linear programs are badly conditioned where paces are far from 1, and fail now and then: it tries again."""
+
+CLOCK = 100.0
+"""1/s: how fast the pace may change where no joint moves."""
+
+CHECKED = np.append(np.arange(40) / 40, 1.0 - 1e-6)
+"""At which parts of every cell limits are checked."""
+
+ROOM = 1.001
+"""What is left for places between them."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A path and its pace: the square of ds/dt is linear in s between grid points.
+
+    s, pace: (K,) the plan's time, and how fast it passes. Time starts at 0.
+    """
+
+    path: Path
+    s: Array
+    pace: Array
+
+    @cached_property
+    def time(self) -> Array:
+        """At grid points, (K,) s."""
+        return np.append(0.0, np.cumsum(2.0 * np.diff(self.s) / (self.pace[1:] + self.pace[:-1])))
+
+    @property
+    def duration(self) -> float:
+        """In s."""
+        return float(self.time[-1])
+
+    @cached_property
+    def change(self) -> Array:
+        """Of pace, constant within each cell, (K - 1,) 1/s."""
+        return np.diff(self.pace**2) / (2.0 * np.diff(self.s))
+
+    def parameter(self, time: Any) -> Array:
+        """Where on the path it is, s (..,), at a time (..,); the ends before and after."""
+        time = np.clip(time, 0.0, self.duration)
+        k = np.clip(np.searchsorted(self.time, time, "right") - 1, 0, len(self.change) - 1)
+        ahead = time - self.time[k]
+        return np.asarray(
+            np.minimum(self.s[k] + ahead * (self.pace[k] + 0.5 * self.change[k] * ahead), self.s[-1])
+        )
+
+    def when(self, s: Array) -> Array:
+        """The times (..,) at which parameters s (..,) are reached."""
+        k = np.clip(np.searchsorted(self.s, s, "right") - 1, 0, len(self.change) - 1)
+        ahead = np.clip(s - self.s[k], 0.0, None)
+        pace = np.sqrt(np.maximum(self.pace[k] ** 2 + 2.0 * self.change[k] * ahead, 0.0))
+        total = pace + self.pace[k]
+        return np.asarray(self.time[k] + np.where(total > 0, 2.0 * ahead / np.where(total > 0, total, 1.0), 0.0))
+
+    def at(self, time: Array) -> tuple[Array, Array, Array]:
+        """Positions, velocities and accelerations (N, n) at times (N,)."""
+        s = self.parameter(time)
+        k = np.clip(np.searchsorted(self.s, s, "right") - 1, 0, len(self.change) - 1)
+        squared = np.maximum(self.pace[k] ** 2 + 2.0 * self.change[k] * (s - self.s[k]), 0.0)[:, None]
+        tangent = self.path(s, 1)
+        return (
+            self.path(s),
+            tangent * np.sqrt(squared),
+            self.path(s, 2) * squared + tangent * self.change[k][:, None],
+        )
+
+
+def timed(path: Path, driven: Path, knots: Array, speed: Array, acceleration: Array, tempo: float) -> Motion:
+    """The motion from rest to rest that passes a path at its own pace times tempo, slower only where it must.
+
+    driven: the path that drives take, whose speed and acceleration (n,) are limited. knots: (T,) ascending
+    parameters between which both are smooth. The pace is a further joint of toppra's, whose speed is limited to
+    tempo. Raises ProgramError.
+    """
+    unit = _unit(abs(driven(knots, 1)).max(axis=0), speed, acceleration * (knots[-1] - knots[0]))
+    for side, coarser in itertools.product(SIDES, COARSER):
+        grid = _grid(knots, side)
+        pace = _fastest(driven, grid, speed, acceleration, tempo, max(unit / coarser, 1.0))
+        if pace is not None:
+            excess = _excess(Motion(driven, grid, pace), speed, acceleration)
+            return Motion(path, grid, pace / max(1.0, excess))
+    raise ProgramError("no timing of this motion keeps the hardware's speeds and accelerations")
+
+
+def _fastest(
+    driven: Path, grid: Array, speed: Array, acceleration: Array, tempo: float, unit: float
+) -> Array | None:
+    """The pace (K,) of the fastest motion, None where toppra, which counts in 1 / unit s, finds none."""
+    toppra = needed("toppra")
+    logging.getLogger("toppra").setLevel(logging.ERROR)
+    constraint, kind = toppra.constraint, toppra.constraint.DiscretizationType.Interpolation
+    fastest, hardest = np.append(speed, tempo * unit), np.append(np.minimum(acceleration, 1e9), CLOCK)
+    solver = toppra.algorithm.TOPPRA(
+        [
+            constraint.JointVelocityConstraint(np.stack([-fastest, fastest], axis=1)),
+            constraint.JointAccelerationConstraint(np.stack([-hardest, hardest], axis=1), kind),
+        ],
+        _clocked(driven, grid, len(fastest), unit),
+        gridpoints=grid * unit,
+    )
+    _, pace, _ = solver.compute_parameterization(0, 0)
+    found = pace is not None and np.isfinite(pace).all() and (pace[1:] + pace[:-1] > 0).all()
+    return pace / unit if found else None
+
+
+def _unit(tangent: Array, speed: Array, acceleration: Array) -> float:
+    """In which parts of a second toppra counts: its tolerances are for paces around 1, not for far smaller ones.
+
+    A power of two, so that knots stay where they are.
+    """
+    hurry = float(max((tangent / speed).max(), np.sqrt((tangent / acceleration).max())))
+    return float(2.0 ** np.ceil(np.log2(np.clip(hurry, 1.0, 1e3))))
+
+
+def _grid(knots: Array, side: float) -> Array:
+    """Every cell of toppra's, with a narrow one before every knot within."""
+    cell = np.diff(knots)[:, None] / CELLS
+    inner = knots[:-1, None] + cell * np.arange(CELLS)
+    return np.unique(np.concatenate([inner.ravel(), knots[-1:], knots[1:-1] - side * cell[:-1, 0]]))
+
+
+def _clocked(path: Path, grid: Array, joints: int, unit: float) -> Any:
+    """The path with its own parameter, in 1 / unit, as one more joint, as toppra wants it."""
+
+    class Clocked(needed("toppra").interpolator.AbstractGeometricPath):  # type: ignore[misc]
+        dof = joints
+        path_interval = grid[[0, -1]] * unit
+
+        def __call__(self, s: Any, order: int = 0) -> Array:
+            s = np.asarray(s, dtype=float)
+            clock = (s, np.ones_like(s), np.zeros_like(s))[order]
+            return np.concatenate([path(s / unit, order) / unit**order, clock[..., None]], axis=-1)
+
+    return Clocked()
+
+
+def _excess(motion: Motion, speed: Array, acceleration: Array) -> float:
+    """By which factor all must be slower: toppra keeps limits at grid points only."""
+    times = (motion.time[:-1, None] + np.diff(motion.time)[:, None] * CHECKED).ravel()
+    _, velocity, change = motion.at(times)
+    return ROOM * float(max((abs(velocity) / speed).max(), np.sqrt((abs(change) / acceleration).max())))

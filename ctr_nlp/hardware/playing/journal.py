@@ -1,0 +1,108 @@
+"""A line of JSON for every byte, state and frame of playing: what happened, and enough to go on after a crash."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from ctr_nlp.exceptions import JournalError
+from ctr_nlp.hardware.clock import Clock
+
+DURABLE = ("program", "state", "result")
+"""Kinds of records that are on the disk before anything else happens."""
+
+
+class Journal:
+    """An open file to which records are added, each whole; raises JournalError where that fails.
+
+    A record is {"t": s of the clock, "kind": ..., ...}. Bytes are latin-1 text. A file that is there is added to.
+    session: a name that no other session has.
+    """
+
+    def __init__(self, path: str | Path, clock: Clock) -> None:
+        self.path, self._clock, self._strict = Path(path), clock, True
+        self.session = uuid.uuid4().hex
+        with self._written():
+            self._file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+        try:
+            with self._written():
+                self._end = os.fstat(self._file).st_size
+                if self._end and not self.path.read_bytes().endswith(b"\n"):
+                    self._write(b"\n")
+            self.record("session", id=self.session, wall=time.time(), pid=os.getpid())
+        except JournalError:
+            self.close()
+            raise
+
+    def record(self, kind: str, **fields: Any) -> None:
+        """Add a record; a half-written one is taken back before JournalError is raised."""
+        line = json.dumps({"t": round(self._clock.now(), 6), "kind": kind} | fields, allow_nan=False)
+        with self._written():
+            self._write(line.encode() + b"\n")
+            if kind in DURABLE:
+                os.fsync(self._file)
+
+    @contextmanager
+    def forgiving(self) -> Iterator[None]:
+        """Within the block nothing is raised: what stops a robot must not fail for want of a journal."""
+        before, self._strict = self._strict, False
+        try:
+            yield
+        finally:
+            self._strict = before
+
+    @contextmanager
+    def _written(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            if self._strict:
+                raise JournalError(f"journal {self.path} cannot be written: {error}") from error
+
+    def _write(self, data: bytes) -> None:
+        written = os.write(self._file, data)
+        if written < len(data):
+            os.ftruncate(self._file, self._end)
+            raise OSError(f"only {written} of {len(data)} bytes fit")
+        self._end += written
+
+    def close(self) -> None:
+        """Nothing can be added afterwards."""
+        os.close(self._file)
+
+
+def read_journal(path: str | Path) -> list[dict[str, Any]]:
+    """The records since the session that played last began, oldest first; raises JournalError.
+
+    Sessions that came to nothing may have followed it. Lines that a crash cut short are left out.
+    """
+    try:
+        lines = Path(path).read_bytes().split(b"\n")
+    except OSError as error:
+        raise JournalError(f"journal {path} cannot be read: {error}") from error
+    sessions: list[list[dict[str, Any]]] = []
+    for number, line in enumerate(lines, start=1):
+        if not line:
+            continue
+        try:
+            record = json.loads(line)
+            kind = record["kind"]
+        except (ValueError, TypeError, KeyError) as error:
+            if number == len(lines) or b'"kind": "session"' in lines[number]:
+                continue
+            raise JournalError(f"journal {path}, line {number}: not a record ({error})") from error
+        if kind == "session":
+            sessions.append([])
+        if not sessions:
+            break
+        sessions[-1].append(record)
+    if not sessions:
+        raise JournalError(f"journal {path} holds no session")
+    played = [n for n, records in enumerate(sessions) if any(r["kind"] == "program" for r in records)]
+    return [record for records in sessions[played[-1] if played else -1 :] for record in records]

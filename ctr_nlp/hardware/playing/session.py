@@ -1,0 +1,206 @@
+"""From a plan to its last frame: check, connect, go to the first frame, play; or go on where a session ended."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.exceptions import DeviceFault, ProgramError, Stopped
+from ctr_nlp.hardware.description import Hardware
+from ctr_nlp.hardware.devices import Standing
+from ctr_nlp.hardware.motion.program import Program, approach_to, program_of, rest_of
+from ctr_nlp.hardware.motion.progress import Way
+from ctr_nlp.hardware.playing.checks import Checked, check_plan, checked
+from ctr_nlp.hardware.playing.player import Player, Seen
+from ctr_nlp.hardware.playing.results import Outcome, Result, State
+from ctr_nlp.hardware.playing.trust import REMEDY
+from ctr_nlp.plan.plan import Plan
+
+Array = npt.NDArray[np.float64]
+
+RETRACTED = "retraction"
+"""Kind of the journal's record of a retraction, after which no session before it can be resumed."""
+
+LEVEL = 1e-4
+"""rad by which the arm may be off where a program starts."""
+
+
+def prepared(
+    plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: Array | None = None
+) -> tuple[Program, Checked]:
+    """The program of a plan, and what was found when all of it was checked.
+
+    standing (m,): positions from which the axes come to the first frame. Raises HardwareError, OptionError,
+    ProgramError.
+    """
+    check_plan(plan, hardware.tightened(plan.robot))
+    program = program_of(plan, hardware, tempo, standing)
+    return program, checked(program, plan.elastic)
+
+
+def begin(
+    player: Player,
+    plan: Plan,
+    hardware: Hardware,
+    tempo: float = 1.0,
+    *,
+    home: bool = False,
+    verified: bool = False,
+    seen: Seen | None = None,
+) -> Result:
+    """Play a plan from its first frame, to which the robot goes slowly and straight from where it stands.
+
+    home: let the device find its position before. verified: a person has made sure that the axes are where the
+    device says. Raises the errors of prepared before anything is sent, and DeviceFault where no program could be
+    begun.
+    """
+    program, _ = prepared(plan, hardware, tempo)
+    try:
+        standing = ready(player, home=home, verified=verified)
+    except Stopped as stop:
+        return stop.result
+    if hardware.backlash.any():
+        program = program_of(plan, hardware, tempo, standing.position)
+        checked(program, plan.elastic)
+    _announce(player, program, tempo, standing.position, None)
+    return _go(player, program, standing, plan.elastic, seen)
+
+
+def ready(
+    player: Player, *, home: bool = False, verified: bool = False, stop_first: bool = False, session: str = ""
+) -> Standing:
+    """Connect a player whose device must know where it stands, or a person for it; raises DeviceFault, Stopped."""
+    standing = player.connect(stop_first, home, session)
+    if verified:
+        player.trust()
+    if player.state is not State.HOMED:
+        raise DeviceFault(player.doubt or "the device does not know where it stands: let it home first")
+    return standing
+
+
+def resume(
+    player: Player,
+    plan: Plan,
+    hardware: Hardware,
+    records: list[dict[str, Any]],
+    *,
+    verified: bool = False,
+    seen: Seen | None = None,
+) -> Result:
+    """Go on where a session (the records of its journal) ended, if the robot still stands on its way.
+
+    A device that still moves is stopped first. verified: a person has made sure that the axes are where the device
+    says. Raises ProgramError where the plan or the position is another, or nothing is left.
+    """
+    if any(record["kind"] == RETRACTED for record in records):
+        raise ProgramError("the tubes have been retracted since that session: begin anew")
+    told = announced(records)
+    program = as_told(plan, hardware, told)
+    frame = last_passed(records)
+    if frame < 1:
+        raise ProgramError("the journal's session did not reach its first frame: begin anew")
+    if frame == program.frames[-1]:
+        raise ProgramError(f"the journal's session reached frame {frame}, the last one: nothing is left")
+    check_trusted(records, verified)
+    try:
+        standing = ready(player, verified=verified, stop_first=True, session=session_of(records))
+    except Stopped as stop:
+        return stop.result
+    s = place(program, standing, player.device.resolution, frame)
+    _announce(player, program, told["tempo"], told["standing"], s)
+    return _go(player, rest_of(program, s, told["tempo"]), standing, plan.elastic, seen)
+
+
+def announced(records: list[dict[str, Any]]) -> dict[str, Any]:
+    """What a journal tells of the program that its session played; raises ProgramError."""
+    told = next((record for record in records if record["kind"] == "program"), None)
+    if told is None:
+        raise ProgramError("the journal's session played no program: begin anew")
+    return told
+
+
+def last_passed(records: list[dict[str, Any]]) -> int:
+    """The last frame that a session passed for certain, 0 for none."""
+    return max([int(announced(records)["first"]), *(int(r["frame"]) for r in records if r["kind"] == "frame")])
+
+
+def session_of(records: list[dict[str, Any]]) -> str:
+    """The name of the session that played, "" where the journal is too old to tell."""
+    return str(next((record.get("id", "") for record in records if record["kind"] == "session"), ""))
+
+
+def check_trusted(records: list[dict[str, Any]], verified: bool) -> None:
+    """Raise ProgramError where a session ended with a position not to be trusted, and nobody has verified it."""
+    results = [record for record in records if record["kind"] == "result"]
+    if not verified and results and not results[-1]["trusted"]:
+        raise ProgramError(f"the position was not to be trusted when the session ended: {REMEDY}")
+
+
+def _go(player: Player, program: Program, standing: Standing, elastic: bool, seen: Seen | None) -> Result:
+    """Play a program, after the slow way to its start where the robot is not there."""
+    start = program.positions(np.zeros(1))[0]
+    tilted = abs(player.tilt() - program.at(np.zeros(1))[0][0, -2:]).max() > LEVEL
+    if tilted or (abs(start - standing.position) > player.device.resolution).any():
+        approach = approach_to(program, standing.position, player.tilt())
+        checked(approach, elastic)
+        result = player.play(approach, seen)
+        if result.outcome is not Outcome.SUCCESS:
+            return result
+    return player.play(program, seen)
+
+
+def _announce(player: Player, program: Program, tempo: float, standing: Any, s: float | None) -> None:
+    """What resume and retract need to know."""
+    player.journal.record(
+        "program",
+        plan=program.digests.plan,
+        hardware=program.digests.hardware,
+        tempo=tempo,
+        standing=np.asarray(standing).tolist(),
+        parameter=s,
+        first=0 if s is None else int(program.frames[program.knots <= s][-1]),
+        last=int(program.frames[-1]),
+        duration=program.duration,
+    )
+
+
+def as_told(plan: Plan, hardware: Hardware, told: dict[str, Any]) -> Program:
+    """The program that a record tells of, made again; raises ProgramError where plan or hardware is another."""
+    program, _ = prepared(plan, hardware, told["tempo"], np.array(told["standing"]))
+    for what, digest in zip(("plan", "hardware"), program.digests, strict=True):
+        if told.get(what) != digest:
+            name = f"this {what} ({plan.meta['problem']['name']})" if what == "plan" else "this hardware file"
+            raise ProgramError(
+                f"the journal is of another {what}: its digest is {str(told.get(what))[:12]}, that of {name} "
+                f"{digest[:12]}; the robot cannot go on with what was changed since"
+            )
+    return program
+
+
+def place(program: Program, standing: Standing, resolution: Array, frame: int) -> float:
+    """Where on the way after a frame the axes stand, as a parameter of the path; raises ProgramError.
+
+    Where the way comes by the same place again, what the axes can tell apart (resolution, (m,)) decides for the
+    first time: a controller that was left alone plays no more than what it had in its buffer. A frame that they
+    cannot be told apart from has been passed.
+    """
+    commands, tolerance = program.commands(), program.hardware.tolerance
+    way = Way(program.positions(np.zeros(1))[0], commands, tolerance)
+    first = int(np.searchsorted(commands.frame, frame, "right"))
+    pieces = range(max(first - 1, 0), len(commands.time))
+    found = [way.nearest(standing.position, k, k + 1) for k in pieces]
+    away = np.array([place.away for place in found])
+    if away.min() > 1.0:
+        raise ProgramError(
+            f"the axes stand {away.min():.3g} tolerances from the way after frame {frame}: nothing jumps; bring "
+            "them back, or begin anew"
+        )
+    alike = np.append(away <= away.min() + 2 * (resolution / tolerance).max(), False)
+    first = int(alike.argmax())
+    last = first + int((~alike[first:]).argmax())
+    s = float(program.motion.parameter(found[first + int(away[first:last].argmin())].time))
+    ahead = np.flatnonzero(program.knots > s)[:1]
+    there = abs(program.positions(program.frame_time[ahead]) - standing.position) <= resolution
+    return float(program.knots[ahead[0]]) if ahead.size and there.all() else s

@@ -1,0 +1,1 @@
+"""The elastic model: how tubes twist each other, the shape that this gives, and whether it is stable."""

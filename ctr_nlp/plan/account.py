@@ -1,0 +1,179 @@
+"""What a plan's numbers say, in words: its title, a table, and remarks on what is wrong with it.
+
+found is the plan's summary, as in summary.json.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.verdicts import NO
+
+VERDICTS = ("", "verdict", "value", "why")
+"""Columns of the table of verdicts."""
+Row = tuple[str, Any, str]
+"""Of a table: name, value and unit."""
+
+MOST_REASONS = 10
+"""Failures that are told one by one; the plan holds them all."""
+
+
+def title(found: dict[str, Any]) -> str:
+    """Problem, formulation, model, solver and direction."""
+    on = [] if found["evaluated"] == "dominant" == found["model"] else [found["model"]]
+    how = [found["formulation"], *on, "by", found["solver"]] + [found["direction"]] * (
+        found["direction"] is not None
+    )
+    seen = "" if found["evaluated"] == found["model"] else f", on the {found['evaluated']} model"
+    return f"{found['problem']}, {' '.join(how)}{seen}"
+
+
+def verdict_rows(found: dict[str, Any]) -> list[tuple[str, str, str, str]]:
+    """Of every matter: its name, the verdict's word, its number with unit, and why."""
+    return [
+        (each["matter"], each["word"], _measured(each["number"], each["unit"]), each["why"])
+        for each in found["verdicts"].values()
+    ]
+
+
+def _measured(number: float | None, unit: str) -> str:
+    return "" if number is None else f"{shown(number)} {unit}".rstrip()
+
+
+def failed(found: Mapping[str, Any]) -> str:
+    """The matters whose verdict is no, after a colon; empty where there is none."""
+    matters = [each["matter"] for each in found["verdicts"].values() if each["word"] == NO]
+    return f"{NO}: {', '.join(matters)}" if matters else ""
+
+
+def rows(found: dict[str, Any]) -> list[Row]:
+    """The numbers that tell how good a plan is; lengths in mm."""
+    return [
+        ("e3, RMS over frames of e2", found["e3"], "mm"),
+        ("e4, median over frames of e2", found["e4"], "mm"),
+        ("largest error, at equal arc length", found["e_max"], "mm"),
+        ("largest distance to the target", found["nearest_max"], "mm"),
+        ("largest tip error", found["tip_max"], "mm"),
+        (
+            "largest step of alpha, beta, theta",
+            " / ".join(map(shown, found["max_step"].values())),
+            "rad / mm / rad",
+        ),
+        *_stability(found),
+        *_clearance(found),
+        *_effort(found),
+        ("frames", _frames(found["frames"], found["failed"]), ""),
+    ]
+
+
+def remarks(plan: Plan, found: dict[str, Any]) -> list[str]:
+    """Sentences on limits that bind or are exceeded, snaps, contacts and failures; none where all is well."""
+    return [*_limits(plan, found), *_snaps(found), *_contacts(plan, found), *_failures(plan)]
+
+
+def _limits(plan: Plan, found: dict[str, Any]) -> list[str]:
+    told = []
+    if found["acceleration_used"] > 1:
+        told.append(f"the motion needs {found['acceleration_used']:.1f} times the acceleration that limits allow")
+    if found["stability_binds"]:
+        parts = ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in found["stability_binds"])
+        told.append(f"stability (margin {plan.meta['options']['stability_margin']:g}) limits frames {parts}")
+    if found["stability_missed"]:
+        frame, least = found["stability_missed"]
+        told.append(f"the margin is missed between frames: {least:.3f} on the way to frame {frame}")
+    return told
+
+
+def _snaps(found: dict[str, Any]) -> list[str]:
+    return [
+        f"snap on the way to frame {snap['frame']}: tips of tubes {', '.join(map(str, snap['tubes']))} turn by "
+        f"{snap['jump']:.2f} rad"
+        for snap in found["snaps"]
+    ]
+
+
+def _contacts(plan: Plan, found: dict[str, Any]) -> list[str]:
+    told = []
+    for contact in found["contacts"]:
+        first, last = contact["first"], contact["last"]
+        frames = f"frame {first}" if first == last else f"frames {first} to {last}"
+        told.append(
+            f"contact in {frames}: tube {contact['tube']} by up to {contact['depth']:.2f} mm, "
+            f"{contact['path']:.0f} mm along the path in frame {contact['frame']}"
+        )
+    weight, options = found["weights"]["contact_mm"], plan.options
+    if told and weight is not None and weight < options["contact_weight"]:
+        told.append(
+            f"contact was penalised with {weight:.2g} mm² per mm instead of {options['contact_weight']:g}, so "
+            f"that e3 grows by at most {options['clearance_cost']:.0%} (--clearance-cost)"
+        )
+    if told and weight is None and plan.free is not None:
+        told.append(
+            "this is the motion without the wall: within it, every motion that was found raised e3 by more than "
+            "--clearance-cost allows, or lost more frames"
+        )
+    return told
+
+
+def _failures(plan: Plan) -> list[str]:
+    reasons = list(plan.meta["failures"].items())
+    told = [f"{'' if frame == 'all' else 'frame '}{frame} not solved: {why}" for frame, why in reasons]
+    told[MOST_REASONS:] = [f"and {len(reasons) - MOST_REASONS} more"] * (len(reasons) > MOST_REASONS)
+    if plan.meta["interrupted"]:
+        told.append("interrupted: the plan holds what was solved until then")
+    return told
+
+
+def _frames(frames: int, failed: int) -> str:
+    return f"{frames}, {failed} not solved" if failed else f"{frames}, all solved"
+
+
+def _stability(found: dict[str, Any]) -> list[Row]:
+    """The least margins, where the model has any."""
+    if found["stability_min"] is None:
+        return []
+    margins = f"{found['stability_min']:.3f} / {found['stability_between_min']:.3f}"
+    return [("least stability margin, at and between frames", margins, "")]
+
+
+def _clearance(found: dict[str, Any]) -> list[Row]:
+    """What is left to the lumen's wall, where that is known."""
+    if found["clearance_min"] is None:
+        return []
+    rows: list[Row] = [("least clearance from the lumen's wall", found["clearance_min"], "mm")]
+    if found["contacts"]:
+        frames = sum(contact["last"] - contact["first"] + 1 for contact in found["contacts"])
+        rows.append(
+            ("frames in contact, and depths summed", f"{frames} / {shown(found['contact_depth'])}", "/ mm")
+        )
+    return rows
+
+
+def _effort(found: dict[str, Any]) -> list[Row]:
+    """What the plan took: a time a frame, or the times of a start and a horizon."""
+    times = found["solve_ms"]
+    if times["median"] is not None:
+        return [("time a frame, median and 99 %", f"{shown(times['median'])} / {shown(times['p99'])}", "ms")]
+    return [
+        (
+            "roughness, and its weight in the objective",
+            f"{found['roughness']:.0f} / {found['weights']['motion_s2']:.2g}",
+            "mm²/s / s²",
+        ),
+        (
+            "time for the start, and for the horizon",
+            f"{shown(found['search_s'])} / {shown(times['total'] / 1e3)}",
+            "s",
+        ),
+    ]
+
+
+def shown(cell: Any) -> str:
+    """A cell as text: three decimals, two above 1, one above 10; nothing for None."""
+    if cell is None:
+        return ""
+    if isinstance(cell, float):
+        return f"{cell:.{3 - (abs(cell) >= 1) - (abs(cell) >= 10)}f}"
+    return str(cell)

@@ -1,0 +1,185 @@
+"""Errors of a plan, section IV of the seed, always against the target itself."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.plan.contacts import contacts, depth, runs
+from ctr_nlp.plan.limits_used import rate_parts
+from ctr_nlp.support.values import instance
+from ctr_nlp.target.target import QUADRATURE
+
+if TYPE_CHECKING:
+    from ctr_nlp.plan.plan import Plan
+
+Array = npt.NDArray[np.float64]
+
+
+BINDS = 0.005
+"""A frame whose margin exceeds the one asked for by less is held back by it."""
+
+
+def rms_over_sigma(distance: Array) -> Array:
+    """Root mean square over sigma of (.., 101) distances in mm, with trapezoidal weights."""
+    return np.sqrt(distance**2 @ QUADRATURE)
+
+
+def e1(plan: Plan) -> Array:
+    """Distance (T, 101) in mm between shape and target at the same sigma."""
+    return np.linalg.norm(plan.shape - plan.target, axis=-1)
+
+
+def nearest(plan: Plan) -> Array:
+    """Distance (T, 101) in mm from each point of the shape to the nearest point of its frame's target."""
+    return np.array([_to_polyline(shape, target) for shape, target in zip(plan.shape, plan.target, strict=True)])
+
+
+def _to_polyline(points: Array, line: Array) -> Array:
+    """Distance (n,) from points (n, 3) to the polyline through line (m, 3)."""
+    start, span = line[:-1], np.diff(line, axis=0)
+    offset = points[:, None] - start
+    along = np.clip((offset * span).sum(-1) / np.maximum((span**2).sum(-1), 1e-30), 0.0, 1.0)
+    return np.linalg.norm(offset - along[..., None] * span, axis=-1).min(axis=1)
+
+
+def e3(plan: Plan) -> float | None:
+    """Root mean square over frames of e2, mm, of those whose shape is known; None without any."""
+    return root_mean_square(rms_over_sigma(e1(plan)))
+
+
+def root_mean_square(values: Array) -> float | None:
+    """That of those among (T,) values that are known; None without any."""
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else None
+
+
+def tip_angle(plan: Plan) -> Array:
+    """Angle (T,) in rad between the tip's direction and the target's."""
+    cross = np.linalg.norm(np.cross(plan.tip_direction, plan.target_direction), axis=-1)
+    return np.arctan2(cross, (plan.tip_direction * plan.target_direction).sum(-1))
+
+
+def by_frame(plan: Plan) -> dict[str, Array]:
+    """Columns (T,) of errors.csv: mm, s and rad. nearest is a root mean square over sigma, as e2.
+
+    clearance is the least over sigma, negative in contact. Raises OptionError where plan is none.
+    """
+    from ctr_nlp.plan.plan import Plan  # which imports formulas of this file
+
+    instance(OptionError, "plan", plan, Plan)
+    distance, near = e1(plan), nearest(plan)
+    return {
+        "frame": np.arange(1, len(plan.time) + 1),
+        "time": plan.time,
+        "e2": rms_over_sigma(distance),
+        "max": distance.max(axis=1),
+        "tip": distance[:, -1],
+        "nearest": rms_over_sigma(near),
+        "nearest_max": near.max(axis=1),
+        "tip_angle": tip_angle(plan),
+        **_stability(plan),
+        **({} if plan.clearance is None else {"clearance": plan.clearance.min(axis=1)}),
+        "success": plan.success.astype(int),
+    }
+
+
+def _stability(plan: Plan) -> dict[str, Array]:
+    """Margins (T,), where the model has any."""
+    found = {"stability": plan.stability, "stability_between": plan.stability_between}
+    return found if np.isfinite(plan.stability).any() else {}
+
+
+def bound_by_stability(plan: Plan) -> list[tuple[int, int]]:
+    """First and last frame, from 1, of the parts of a motion that the margin asked for holds back."""
+    margin = plan.options.get("stability_margin")
+    if margin is None or not np.isfinite(plan.stability).any():
+        return []
+    bound = np.fmin(plan.stability, plan.stability_between) < margin + BINDS
+    return [(first + 1, stop) for first, stop in runs(bound)]
+
+
+def missed_margin(plan: Plan) -> tuple[int, float] | None:
+    """On the way to which frame, from 1, the margin is missed by most, and the one found; None where held."""
+    margin, found = plan.options.get("stability_margin"), plan.stability_between
+    if margin is None or not np.isfinite(found).any() or np.nanmin(found) >= margin - 2 * BINDS:
+        return None
+    frame = int(np.nanargmin(found))
+    return frame + 1, float(found[frame])
+
+
+def summary(plan: Plan) -> dict[str, Any]:
+    """What summary.json holds: errors in mm over frames whose shape is known, motion, times, failures.
+
+    Numbers that do not exist (no frame solved, a single frame) are None.
+    """
+    columns = by_frame(plan)
+    known = np.isfinite(columns["e2"])
+    rms = columns["e2"][known]
+    steps = np.diff(plan.q[known], axis=0)
+    robot = plan.robot
+    seconds = plan.solve_time[np.isfinite(plan.solve_time)]
+    largest = np.abs(steps).max(axis=0, initial=0.0)
+    alpha, beta, theta = robot.split(largest)
+    return {
+        "e3": e3(plan),
+        "e3_free": plan.meta.get("e3_free"),
+        "e4": _number(np.median(rms) if rms.size else np.nan),
+        "e_max": _number(columns["max"][known].max(initial=-np.inf)),
+        "tip_max": _number(columns["tip"][known].max(initial=-np.inf)),
+        "tip_angle_max_deg": _number(np.degrees(columns["tip_angle"][known].max(initial=-np.inf))),
+        "nearest_max": _number(columns["nearest_max"][known].max(initial=-np.inf)),
+        "roughness": _number(((steps * robot.mm_per_unit) ** 2).sum() / plan.dt),
+        "max_step": {
+            "alpha": float(alpha.max()),
+            "beta": float(beta.max()),
+            "theta": float(theta.max()),
+        },
+        "acceleration_used": float(rate_parts(plan, 2).max(initial=0.0)),
+        "stability_min": _least(plan.stability),
+        "stability_between_min": _least(plan.stability_between),
+        "stability_binds": bound_by_stability(plan),
+        "stability_missed": missed_margin(plan),
+        "snaps": plan.meta.get("snaps", []),
+        "clearance_min": None if plan.clearance is None else _least(plan.clearance),
+        "contact_depth": None if plan.clearance is None else float(np.nansum(depth(plan))),
+        "contacts": [contact._asdict() for contact in contacts(plan)],
+        "solve_ms": {
+            "median": _number(1e3 * np.median(seconds) if seconds.size else np.nan),
+            "p99": _number(1e3 * np.quantile(seconds, 0.99) if seconds.size else np.nan),
+            "total": _number(1e3 * plan.meta.get("solve_s", seconds.sum())),
+        },
+        "objective": _number(plan.objective.mean()),
+        "search_s": plan.meta.get("search_s"),
+        "build_s": plan.meta.get("build_s"),
+        "frames": len(plan.time),
+        "failed": int((~plan.success).sum()),
+        "interrupted": bool(plan.meta.get("interrupted", False)),
+        "kkt_max": _number(plan.kkt[plan.success].max(initial=-np.inf)),
+        "weights": {
+            "motion_s2": plan.options.get("motion_weight"),
+            "contact_mm": plan.meta.get("contact_weight"),
+            "angle_mm_per_rad": float(robot.mm_per_unit[0]),
+        },
+        "verdicts": {name: verdict._asdict() for name, verdict in plan.verdicts._asdict().items()},
+        "problem": plan.meta["problem"]["name"],
+        "formulation": plan.meta["formulation"],
+        "model": plan.meta["model"],
+        "evaluated": plan.evaluated,
+        "solver": plan.meta["solver"],
+        "direction": plan.options.get("direction"),
+        "smoothing_deviation": plan.meta["problem"]["deviation"],
+        "smoothing_share": plan.meta["problem"].get("deviation_share"),
+    }
+
+
+def _least(values: Array) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(known.min()) if known.size else None
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,147 @@
+"""Verdicts on a plan, one a matter: what each of them needs, found from what the plan itself holds."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.plan.contacts import depth
+from ctr_nlp.plan.limits_used import most_used
+from ctr_nlp.plan.metrics import e3
+
+if TYPE_CHECKING:
+    from ctr_nlp.plan.plan import Plan
+
+YES, NO, NOT_ASKED, NOT_KNOWN = "yes", "no", "not asked", "not known"
+"""The words of a verdict."""
+ROUNDING = 1e-6
+"""mm by which e3 may exceed its limit: rounding."""
+
+
+class Verdict(NamedTuple):
+    """word: YES, NO, NOT_ASKED or NOT_KNOWN. number: in unit, None where there is none. why: one sentence."""
+
+    matter: str
+    word: str
+    number: float | None
+    unit: str
+    why: str
+
+
+class Verdicts(NamedTuple):
+    """Those on one plan."""
+
+    followed: Verdict
+    stable: Verdict
+    within_limits: Verdict
+    within_wall: Verdict
+    survives_draws: Verdict
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """The matters whose verdict is no."""
+        return tuple(verdict.matter for verdict in self if verdict.word == NO)
+
+
+def verdicts(plan: Plan) -> Verdicts:
+    """Those on a plan, with the shapes and margins of the model that it is evaluated on."""
+    return Verdicts(
+        Verdict("followed", *_followed(plan)),
+        Verdict("stable", *_stable(plan)),
+        Verdict("within limits", *_within_limits(plan)),
+        Verdict("within the wall", *_within_wall(plan)),
+        Verdict("survives its draws", NOT_ASKED, None, "", "Only tubes exactly as described were looked at."),
+    )
+
+
+def largest_e3(free: float, cost: float) -> float:
+    """What e3 may be at most, mm, where it is free without the wall and clearance may cost this part of it."""
+    return math.inf if math.isinf(cost) else (1 + cost) * free + ROUNDING
+
+
+Judgement = tuple[str, float | None, str, str]
+"""Word, number, unit and sentence of a verdict."""
+
+
+def _followed(plan: Plan) -> Judgement:
+    """Whether every frame was solved and has a shape, and clearance raised e3 by no more than it may; e3, mm."""
+    frames, number = len(plan.time), e3(plan)
+    unsolved, lost = int((~plan.success).sum()), int((~plan.reached).sum())
+    if unsolved:
+        return NO, number, "mm", f"{unsolved} of {frames} frames were not solved."
+    if lost:
+        return NO, number, "mm", f"The robot's shape is not known in {lost} of {frames} frames."
+    on = "" if plan.evaluated == plan.meta["model"] else f" on the {plan.meta['model']} model"
+    told = f"All {frames} frames were solved{on}"
+    if plan.free is None or number is None:
+        return YES, number, "mm", f"{told}."
+    free, cost = plan.meta["e3_free"], float(_option(plan, "clearance_cost"))
+    if free is None:
+        return NOT_KNOWN, number, "mm", f"{told}; how large e3 would be without the wall is not known."
+    here = f"on the {plan.evaluated} one " if on else ""
+    growth = number / free - 1 if number > free > 0 else 0.0
+    allowed = "" if math.isinf(cost) else f", {100 * cost:g}% is allowed"
+    told += f"; {here}the wall makes e3 {growth:.1%} larger than {free:.3g} mm{allowed}."
+    return YES if number <= largest_e3(free, cost) else NO, number, "mm", told
+
+
+def _stable(plan: Plan) -> Judgement:
+    """Whether the robot never snaps on the elastic model; the least margin at frames and between them."""
+    if not plan.elastic:
+        return NOT_ASKED, None, "", "The dominant model knows no snaps."
+    margins, snaps = np.minimum(plan.stability, plan.stability_between), plan.meta.get("snaps", [])
+    known = np.isfinite(margins)
+    least = float(margins[known].min()) if known.any() else None
+    if snaps:
+        more = f", and {len(snaps) - 1} times more" if len(snaps) > 1 else ""
+        return NO, least, "", f"The robot snaps on the way to frame {snaps[0]['frame']}{more}."
+    if least is not None and least <= 0:
+        return NO, least, "", f"The robot is unstable in frame {np.nanargmin(margins) + 1} or on the way to it."
+    if not known.all():
+        return NOT_KNOWN, least, "", f"The stability margin is not known in {(~known).sum()} frames."
+    return YES, least, "", f"The robot does not snap; its margin is least around frame {margins.argmin() + 1}."
+
+
+def _within_limits(plan: Plan) -> Judgement:
+    """Whether positions, their order, carriages, speeds and accelerations are allowed; the largest part used."""
+    if not plan.reached.any():
+        return NOT_KNOWN, None, "of a limit", "No frame was reached."
+    most = most_used(plan)
+    if most is None:
+        return YES, 0.0, "of a limit", "The robot does not move."
+    if not most.exceeded:
+        return YES, most.part, "of a limit", f"No limit is exceeded; the {most.what} uses most of its own."
+    hint = "acceleration" in most.what and plan.meta["formulation"] != "horizon"
+    return (
+        NO,
+        most.part,
+        "of a limit",
+        f"The {most.what} exceeds what is allowed" + ("; only a horizon keeps accelerations." if hint else "."),
+    )
+
+
+def _within_wall(plan: Plan) -> Judgement:
+    """Whether no place of the robot is further beyond the lumen's wall than allowed; the deepest contact, mm."""
+    if plan.clearance is None:
+        return NOT_ASKED, None, "mm", "No wall of a lumen is known."
+    deep, allowed = depth(plan), float(_option(plan, "contact_allowed"))
+    known = np.isfinite(deep)
+    if not known.any():
+        return NOT_KNOWN, None, "mm", "No frame was reached."
+    deepest, frame = float(deep[known].max()), int(np.nanargmax(deep)) + 1
+    told = f"The deepest contact is in frame {frame}" if deepest > 0 else "The robot does not touch the wall"
+    if not _option(plan, "contact_weight"):
+        return NOT_ASKED, deepest, "mm", f"{told}; the wall was not to count."
+    if deepest > allowed:
+        return NO, deepest, "mm", f"{told}; {allowed:g} mm is allowed."
+    if not known.all():
+        return NOT_KNOWN, deepest, "mm", f"{told}, of those reached; {(~known).sum()} were not."
+    return YES, deepest, "mm", f"{told}; {allowed:g} mm is allowed."
+
+
+def _option(plan: Plan, name: str) -> Any:
+    """What was asked for, or by default is, where a plan was made before there was such an option."""
+    return plan.options.get(name, getattr(Settings(), name))

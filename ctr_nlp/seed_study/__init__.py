@@ -1,6 +1,0 @@
-"""The seed's figures and its Table II remade from one run, beside what the seed printed."""
-
-from ctr_nlp.seed_study.runs import Found, study
-from ctr_nlp.seed_study.sections import SECTIONS
-
-__all__ = ["SECTIONS", "Found", "study"]

@@ -1,0 +1,1 @@
+"""Robots moved through configurations, as numbers: shapes, margins, snaps. Knows no program."""

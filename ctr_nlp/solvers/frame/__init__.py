@@ -1,0 +1,1 @@
+"""Solvers of one Nlp after another."""

@@ -1,0 +1,159 @@
+"""Chains by IPOPT, with the same exact derivatives as every other solver of chains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+
+from ctr_nlp.nlp.chain import Chain
+from ctr_nlp.solvers.frame.adapter import COMMON, Solution, outcome
+from ctr_nlp.solvers.motion.judged import WIDE, judged
+from ctr_nlp.solvers.motion.watch import Iterate, Watch
+
+Array = npt.NDArray[np.float64]
+
+OPTIONS: dict[str, Any] = {
+    "sb": "yes",
+    "print_level": 0,
+    "max_iter": 500,
+    "tol": 1e-6,
+    "bound_relax_factor": 1e-10,
+}
+
+
+class IpoptSolver:
+    """Solves any chain, from any start, feasible or not."""
+
+    def __init__(self, chain: Chain, follow: bool = True) -> None:
+        """Build; follow=False saves the time that following every iterate takes: the Watch is not called."""
+        self.chain = chain
+        self._callback = _Callback(chain)
+        self._options = COMMON | _derivatives(chain) | {"no_nlp_grad": True}
+        if follow:
+            self._options["iteration_callback"] = self._callback
+        self._built: dict[float, ca.Function] = {}
+
+    def _solver(self, barrier: float) -> ca.Function:
+        if barrier not in self._built:
+            options = self._options | {"ipopt": OPTIONS | {"mu_init": barrier}}
+            self._built[barrier] = ca.nlpsol("ipopt", "ipopt", _problem(self.chain), options)
+        return self._built[barrier]
+
+    def __call__(self, x0: Array, watch: Watch, barrier: float = WIDE) -> Solution:
+        """Solve from x0 (T n,)."""
+        chain, size = self.chain, x0.size
+        low, high = chain.bounds
+        self._callback.watch, self._callback.number = watch, 0
+        x0 = np.clip(x0, low[:size], high[:size])
+        solve = self._solver(barrier)
+        lbg, ubg = np.where(chain.reached, low, -np.inf)[size:], np.where(chain.reached, high, np.inf)[size:]
+        result = solve(x0=x0, lbx=low[:size], ubx=high[:size], lbg=lbg, ubg=ubg)
+        x, lam_x, lam_g = (result[key].full().ravel() for key in ("x", "lam_x", "lam_g"))
+        x = np.clip(x, low[:size], high[:size])
+        return judged(chain, x, np.concatenate([lam_x, lam_g]), *outcome(solve))
+
+
+class _Callback(ca.Callback):
+    """Hands every iterate of IPOPT to a Watch. CasADi holds no reference: the solver must."""
+
+    def __init__(self, chain: Chain) -> None:
+        super().__init__()
+        self._chain = chain
+        self.watch = Watch()
+        self.number = 0
+        self.construct("iteration", {})
+
+    def get_n_in(self) -> int:
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        rows = self._chain.lower.size
+        g = self._chain.bounds[0].size - rows
+        return ca.Sparsity.dense({"x": rows, "lam_x": rows, "f": 1, "g": g, "lam_g": g}.get(ca.nlpsol_out(i), 0))
+
+    def eval(self, values: Sequence[ca.DM]) -> list[float]:
+        found = dict(zip(ca.nlpsol_out(), values, strict=True))
+        x, g, lam_x, lam_g = (found[key].full().ravel() for key in ("x", "g", "lam_x", "lam_g"))
+        violation = self._chain.violation(np.concatenate([x, g]))
+        error = float(self._chain.kkt(x, np.concatenate([lam_x, lam_g])).max())
+        stop = self.watch(Iterate(self.number, float(found["f"]), violation, error, x))
+        self.number += 1
+        return [float(stop)]
+
+
+def _problem(chain: Chain) -> dict[str, ca.MX]:
+    x = ca.MX.sym("x", chain.lower.size)
+    f, g = _values(chain, x)
+    return {"x": x, "f": f, "g": g}
+
+
+def _mapped(chain: Chain, function: ca.Function, *columns: ca.MX) -> list[ca.MX]:
+    """A function of the frame over all frames; what has a column a frame is filled up to whole calls."""
+    lanes = chain.functions.lanes
+    calls = -(-chain.frames // lanes)
+    more = calls * lanes - chain.frames
+    filled = (ca.horzcat(each, ca.repmat(each[:, -1], 1, more)) for each in columns)
+    found = function.map(calls)(*filled)
+    return [each[:, : each.shape[1] // (calls * lanes) * chain.frames] for each in found]
+
+
+def _columns(chain: Chain, x: ca.MX) -> ca.MX:
+    return ca.reshape(x, chain.unknowns, chain.frames)
+
+
+def _values(chain: Chain, x: ca.MX) -> tuple[ca.MX, ca.MX]:
+    f, g = _mapped(chain, chain.functions.value, _columns(chain, x), ca.MX(chain.parameters))
+    own = ca.vertcat(x, ca.vec(g))
+    linked = _dm(chain.linking) @ own + ca.DM(chain.offset)
+    return ca.sum2(f) + ca.dot(ca.DM(chain.weight), linked**2), ca.vertcat(ca.vec(g), linked)
+
+
+def _derivatives(chain: Chain) -> dict[str, ca.Function]:
+    """Gradient, Jacobian and Hessian as nlpsol asks for them."""
+    x, p, lam_f = ca.MX.sym("x", chain.lower.size), ca.MX.sym("p", 0, 0), ca.MX.sym("lam_f")
+    lam_g = ca.MX.sym("lam_g", chain.bounds[0].size - chain.lower.size)
+    frames, n, m = chain.frames, chain.unknowns, chain.frame.g.numel()
+    weight, end = 2 * ca.DM(chain.weight), frames * m
+    f, g = _values(chain, x)
+    at = _columns(chain, x), ca.MX(chain.parameters)
+    _, gradient, _, jacobian = _mapped(chain, chain.functions.slopes, *at)
+    jacobian = _diagonal(jacobian, m, n, frames)
+    on_x, on_g = ca.horzsplit(_dm(chain.linking), [0, chain.lower.size, chain.linking.shape[1]])
+    links = on_x + on_g @ jacobian if chain.bent else on_x
+    gradient = ca.vec(gradient) + links.T @ (weight * g[end:])
+    pulled = lam_g[:end] + on_g.T @ (lam_g[end:] + lam_f * weight * g[end:])
+    lam = ca.repmat(lam_f, 1, frames), ca.reshape(pulled, m, frames)
+    *_, hessian = _mapped(chain, chain.functions.expansion, *at, *lam)
+    hessian = ca.triu(_diagonal(hessian, n, n, frames) + lam_f * (links.T @ ca.diag(weight) @ links))
+    jacobian = ca.vertcat(jacobian, links)
+    return {
+        "grad_f": ca.Function("nlp_grad_f", [x, p], [f, gradient], ["x", "p"], ["f", "grad_f_x"]),
+        "jac_g": ca.Function("nlp_jac_g", [x, p], [g, jacobian], ["x", "p"], ["g", "jac_g_x"]),
+        "hess_lag": ca.Function(
+            "nlp_hess_l",
+            [x, p, lam_f, lam_g],
+            [hessian],
+            ["x", "p", "lam_f", "lam_g"],
+            ["triu_hess_gamma_x_x"],
+        ),
+    }
+
+
+def _dm(matrix: Any) -> ca.DM:
+    columns = sp.csc_matrix(matrix)
+    columns.sort_indices()
+    return ca.DM(columns)
+
+
+def _diagonal(blocks: ca.MX, rows: int, columns: int, frames: int) -> ca.MX:
+    """Dense blocks side by side (rows, columns * frames), on a diagonal instead."""
+    pattern = ca.diagcat(*[ca.Sparsity.dense(rows, columns)] * frames)
+    return ca.MX(pattern, ca.vec(blocks))

@@ -1,0 +1,185 @@
+"""What an interior-point method computes row by row over a chain: one loop of C for tens of numpy's.
+
+Slacks turn every row into an equation, and the log barrier keeps slacks within their bounds. Without slacks and
+multipliers, the Newton system has the frames' Hessians and what the rows add to them: a symmetric matrix with a
+band as wide as the links reach.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.codegen import cache
+from ctr_nlp.nlp.chain import Chain
+
+Array = npt.NDArray[np.float64]
+
+RELAX = 1e-9
+"""How far bounds are moved outwards, so that bounds that meet still have an interior, rad or mm."""
+INFINITE = 1e20
+"""A bound this far away has no weight, and needs no case of its own."""
+
+
+class _Point(ctypes.Structure):
+    _fields_ = [(name, ctypes.c_void_p) for name in ("x", "slack", "at_lower", "at_upper")]
+
+
+class _Chain(ctypes.Structure):
+    _fields_ = [
+        *((name, ctypes.c_long) for name in ("frames", "unknowns", "constraints", "links", "width")),
+        *((name, ctypes.c_long) for name in ("bent", "curved")),
+        *((name, ctypes.c_void_p) for name in ("lower", "upper", "low", "high", "free")),
+        *((name, ctypes.c_void_p) for name in ("starts", "columns", "entries", "offset", "weight")),
+        *((name, ctypes.c_void_p) for name in ("gradient", "jacobian")),
+        *(
+            (name, ctypes.c_void_p)
+            for name in ("slope", "value", "band", "right", "rows", "per_lower", "per_upper")
+        ),
+        *((name, _Point) for name in ("at", "step", "trial")),
+    ]
+
+
+class Measures(NamedTuple):
+    """Of a point. objective: mm^2; violation: of bounds as given; gap: largest difference of a row from its slack;
+    stationarity: of the Lagrangian, mm^2 per unit of x; least, most: products of multipliers and slacks, mm^2.
+    """
+
+    objective: float
+    violation: float
+    gap: float
+    stationarity: float
+    least: float
+    most: float
+
+    def error(self, barrier: float) -> float:
+        """KKT residual of the barrier problem; with barrier 0, of the problem itself."""
+        parts = self.stationarity, self.gap, abs(self.least - barrier), abs(self.most - barrier)
+        return float(np.max(parts))
+
+
+class Step(NamedTuple):
+    """Of a Newton step. multiplier: the largest after it; primal, dual: the parts of it that keep slacks and
+    multipliers positive; slope: of the merit function along it, less the penalty times gap; gap: the sum of all.
+    """
+
+    multiplier: float
+    primal: float
+    dual: float
+    slope: float
+    gap: float
+
+
+class Rows:
+    """A point of a chain's barrier problem, a step from it, and a trial along that step."""
+
+    def __init__(self, chain: Chain) -> None:
+        """Prepare; raises OptionError where nothing can be compiled."""
+        self._chain = chain
+        self._loops = cache.loaded(__package__, "rows.c")
+        self._loops.merit.restype = ctypes.c_double
+        size, rows = chain.lower.size, chain.bounds[0].size
+        lower, upper = chain.bounds
+        still = ~chain.reached
+        self.low = np.where(still | np.isinf(lower), -INFINITE, lower - RELAX)
+        self.high = np.where(still | np.isinf(upper), INFINITE, upper + RELAX)
+        links, width = chain.linking, _width(chain)
+        own = links.shape[1]
+        self._band = np.zeros((size, width + 1))
+        self._at, self._step, self._trial = ([np.zeros(size), *np.zeros((3, rows))] for _ in range(3))
+        _, gradient, _, jacobian, _ = chain.frame_expansion(self.x, self.multipliers)
+        self._arrays = [
+            *(lower, upper, self.low, self.high, chain.free.astype(float)),
+            *(links.indptr.astype(np.intc), links.indices.astype(np.intc), links.data, chain.offset, chain.weight),
+            *(gradient, jacobian, np.zeros(own), np.zeros(rows), self._band, np.zeros(own), *np.zeros((3, rows))),
+        ]
+        m = chain.frame.g.numel()
+        sizes = chain.frames, chain.unknowns, m, len(chain.offset), width, chain.bent, chain.curved
+        points = (_Point(*map(_address, point)) for point in (self._at, self._step, self._trial))
+        self._chain_in_c = ctypes.byref(_Chain(*sizes, *map(_address, self._arrays), *points))
+        self._found = (ctypes.c_double * 6)()
+        self._out = [ctypes.byref(self._found, 8 * i) for i in range(6)]
+
+    @property
+    def x(self) -> Array:
+        """The point's x (T n,)."""
+        return self._at[0]
+
+    @property
+    def multipliers(self) -> Array:
+        """Of all rows at the point, positive at upper bounds."""
+        return self._at[3] - self._at[2]
+
+    def start(self, x: Array, barrier: float, push: float) -> None:
+        """Put the point at x, with slacks at least push within their bounds where these leave room."""
+        _, value = self._chain.evaluate(x)
+        within = np.minimum(push, 0.1 * (self.high - self.low))
+        slack = np.clip(value, self.low + within, self.high - within)
+        for array, values in zip(
+            self._at, (x, slack, barrier / (slack - self.low), barrier / (self.high - slack)), strict=True
+        ):
+            array[:] = values
+
+    def expand(self) -> tuple[Measures, Array]:
+        """Derivatives at the point: its measures, and the frames' Hessians (T, n, n) of the Lagrangian."""
+        f, _, g, _, hessian = self._chain.frame_expansion(self.x, self.multipliers)
+        self._f, self._g = f, g
+        self._loops.assess(self._chain_in_c, f.ctypes, g.ctypes, *self._out)
+        n = self._chain.unknowns
+        return Measures(*self._found), hessian.reshape(-1, n, n)
+
+    def newton(self, hessian: Array, barrier: float, damping: float) -> Step | None:
+        """The step to a zero of the barrier problem's KKT conditions, linearised at the point, just expanded; None
+        where the Hessian, with damping on its diagonal, is not positive definite there.
+        """
+        barrier_in_c = ctypes.c_double(barrier)
+        self._loops.assemble(self._chain_in_c, hessian.ctypes, barrier_in_c, ctypes.c_double(damping))
+        if not self._loops.solve(self._chain_in_c):
+            return None
+        self._loops.complete(self._chain_in_c, barrier_in_c, *self._out[:5])
+        return Step(*self._found[:5])
+
+    def convex(self, hessian: Array) -> Array:
+        """Hessians (T, n, n) with the absolute values of their eigenvalues."""
+        frames, n, _ = hessian.shape
+        found = np.empty_like(hessian)
+        self._loops.convex(ctypes.c_long(frames), ctypes.c_long(n), hessian.ctypes, found.ctypes)
+        return found
+
+    def merit(self, barrier: float, penalty: float) -> float:
+        """The l1 merit function of the barrier problem at the point, which has been expanded."""
+        return self._merit(0, self._f, self._g, barrier, penalty)
+
+    def advance(self, primal: float, dual: float, barrier: float, penalty: float) -> float:
+        """Put the trial at parts of the step; the merit function there."""
+        self._loops.advance(self._chain_in_c, ctypes.c_double(primal), ctypes.c_double(dual))
+        f, g = self._chain.frame_values(self._trial[0])
+        return self._merit(1, f, g, barrier, penalty)
+
+    def _merit(self, of_trial: int, f: Array, g: Array, barrier: float, penalty: float) -> float:
+        weights = ctypes.c_double(barrier), ctypes.c_double(penalty)
+        return float(self._loops.merit(self._chain_in_c, of_trial, f.ctypes, g.ctypes, *weights))
+
+    def accept(self) -> None:
+        """The trial becomes the point."""
+        self._loops.accept(self._chain_in_c)
+        self._at, self._trial = self._trial, self._at
+
+
+def _width(chain: Chain) -> int:
+    """How far apart unknowns are that meet in a frame or a link, where constraints may depend on a whole frame."""
+    links, n, size = chain.linking, chain.unknowns, chain.lower.size
+    if not len(chain.offset):
+        return n - 1
+    constraint, rows = links.indices >= size, links.indptr[:-1]
+    first = np.where(constraint, (links.indices - size) // max(1, chain.frame.g.numel()) * n, links.indices)
+    last = np.where(constraint, first + n - 1, first)
+    return max(n - 1, int((np.maximum.reduceat(last, rows) - np.minimum.reduceat(first, rows)).max()))
+
+
+def _address(array: Array) -> int:
+    assert array.flags.c_contiguous
+    return array.ctypes.data

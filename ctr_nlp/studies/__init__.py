@@ -1,0 +1,1 @@
+"""Many plans beside each other: comparisons, trade-offs, benchmarks, clearance, and the paper remade."""

@@ -1,0 +1,47 @@
+"""How a frame grows with samples and with tubes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import numpy as np
+
+from ctr_nlp.formulations.joint import alone
+from ctr_nlp.robot import Robot, Tube, seed_robot
+from ctr_nlp.solvers.frame.sqp import Program
+from ctr_nlp.studies.benchmarks.frames import evaluation
+from ctr_nlp.studies.benchmarks.records import Record
+
+STRIDES = (20, 10, 5, 2, 1)
+TUBES = (2, 3, 4, 5, 6)
+
+
+def sizes() -> Iterator[Record]:
+    """Operations and compiled time of a frame's first derivatives, and the time of its build."""
+    robot = seed_robot()
+    for stride in STRIDES:
+        yield from _measured(robot, stride, f"{100 // stride + 1} samples")
+    for count in TUBES:
+        yield from _measured(_nested(count), 5, f"{count} tubes")
+
+
+def _measured(robot: Robot, stride: int, which: str) -> Iterator[Record]:
+    nlp = alone(robot, stride=stride)
+    begin = time.perf_counter()
+    program = Program(nlp)
+    built = time.perf_counter() - begin
+    program.x[:] = np.clip(np.linspace(0.1, 100, len(program.x)), nlp.lower, nlp.upper)
+    operations = [function.n_instructions() for function in nlp.functions[:3]]
+    yield Record(f"{which}: build, or load where it was built before", built, "s", "less")
+    yield Record(f"{which}: operations of first derivatives", operations[1], "", "less", 0.1)
+    yield Record(f"{which}: operations with the Hessian", operations[2], "", "less", 0.1)
+    yield Record(f"{which}: first derivatives once", 1e6 * evaluation(program), "us", "less")
+
+
+def _nested(count: int) -> Robot:
+    """Tubes like the seed's, each inside the one before and longer."""
+    tubes = (
+        Tube(90.0 + 60 * i, 50.0 + 20 * i, 0.006 + 0.001 * i, 6.0 - 0.9 * i, 5.3 - 0.9 * i) for i in range(count)
+    )
+    return Robot(tuple(tubes))

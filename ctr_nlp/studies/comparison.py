@@ -1,0 +1,224 @@
+"""Many plans side by side: every variant on every problem, from one run."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.codegen import cache
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.formulations import FORMULATIONS
+from ctr_nlp.formulations.horizon import Ends, horizon
+from ctr_nlp.formulations.settings import Settings, check_choice
+from ctr_nlp.models import MODELS, check_model, suits
+from ctr_nlp.nlp.chain import Chain
+from ctr_nlp.plan.metrics import summary
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.reference import METHODS, reference_frames
+from ctr_nlp.reference.published import BASELINE, SEED
+from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS, default_chain_solver, default_solver
+from ctr_nlp.steer import Horizon, march
+from ctr_nlp.steer.motions import per_frame_motions
+from ctr_nlp.steer.nlp_frames import NlpFrames
+from ctr_nlp.steer.passes import Progress
+from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.target.problem import Problem
+
+Array = npt.NDArray[np.float64]
+
+SAME = 1e-4, 1e-6
+"""Two objectives are the same where they differ by this part, or by so many mm^2."""
+TOUCHED, MISSED = 1e-5, 1e-2
+"""A limit is touched within the first and missed by more than the second, rad or mm."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A way to solve a problem: formulation:solver[:model], or the name of a reference method.
+
+    plan: (problem, settings, initial, progress) -> Plan, with motions that a horizon starts from.
+    """
+
+    name: str
+    formulation: str
+    model: str
+    plan: Callable[[Problem, Settings, Sequence[Array], Progress | None], Plan]
+
+
+VARIANTS = (
+    *(f"horizon:{solver}" for solver in CHAIN_SOLVERS),
+    *(f"{formulation}:{solver}" for formulation in FORMULATIONS for solver in SOLVERS),
+    *METHODS,
+)
+"""Every variant on the default model."""
+
+
+def variants_here() -> list[str]:
+    """Those that work here: without a C compiler, IPOPT's and the reference methods; also on the elastic model."""
+    compiled = {"banded", "sqp"} if cache.missing() else set()
+    elastic = f"horizon:{default_chain_solver()}:elastic", f"joint:{default_solver()}:elastic"
+    return [*elastic, *(name for name in VARIANTS if name.split(":")[-1] not in compiled)]
+
+
+def parse_variant(name: str) -> Variant:
+    """The variant of a name; raises OptionError with the valid ones.
+
+    Reference methods go forward, as published; frame formulations in the better direction.
+    """
+    if name in METHODS:
+        return Variant(
+            name,
+            name,
+            "dominant",
+            lambda problem, settings, initial, progress: march(
+                problem, reference_frames(problem, name, settings), "forward", progress=progress
+            ),
+        )
+    parts = name.split(":")
+    if len(parts) not in (2, 3):
+        raise OptionError(f"variant is {name!r}; it must be one of {', '.join(VARIANTS)}")
+    formulation, solver, model = (*parts, "dominant")[:3]
+    for kind, value, allowed in (
+        ("formulation", formulation, ("horizon", *FORMULATIONS)),
+        ("solver", solver, CHAIN_SOLVERS if formulation == "horizon" else SOLVERS),
+        ("model", model, MODELS),
+    ):
+        check_choice(f"{kind} of variant {name!r}", value, allowed)
+    if formulation == "horizon":
+        return Variant(
+            name,
+            formulation,
+            model,
+            lambda problem, settings, initial, progress: Horizon(problem, model, solver, settings=settings).solve(
+                initial, progress=progress
+            ),
+        )
+    return Variant(
+        name,
+        formulation,
+        model,
+        lambda problem, settings, initial, progress: march(
+            problem, NlpFrames(problem, formulation, solver, model, settings), progress=progress
+        ),
+    )
+
+
+class Comparison(NamedTuple):
+    """rows: one a problem and variant. agreements: one a problem on which several solvers solved the horizon."""
+
+    rows: list[dict[str, Any]]
+    agreements: list[dict[str, Any]]
+
+
+def compare(
+    problems: Iterable[Problem],
+    variants: Sequence[Variant],
+    settings: Settings | None = None,
+    progress: Callable[[str, str], Progress] | None = None,
+) -> Comparison:
+    """Every variant on every problem, with the seed's published figures beside; one solve at a time.
+
+    No wall of a lumen counts: not all methods know of one. All horizons of a problem start from the same motions.
+    progress: (problem, variant) -> what is told how many frames are done. Ctrl-C leaves the rows that were begun.
+    Raises OptionError where the model of a variant does not describe a problem's robot.
+    """
+    problems = list(problems)
+    for problem, variant in itertools.product(problems, variants):
+        check_model(problem.robot, variant.model, f"model of variant {variant.name}")
+    chosen, rows = replace(settings or Settings(), contact_weight=0.0), []
+    agreements: list[dict[str, Any]] = []
+    with deferred_interrupt() as interrupted:
+        for problem in problems:
+            initial: Sequence[Array] = ()
+            horizons: list[Plan] = []
+            for variant in variants:
+                report = None if progress is None else progress(problem.name, variant.name)
+                if variant.formulation == "horizon" and variant.model == "dominant" and not initial:
+                    initial = per_frame_motions(problem, Ends(), chosen, report)
+                plan = variant.plan(problem, chosen, initial, report)
+                rows.append(row(problem.name, variant.name, plan))
+                if variant.formulation == "horizon" and variant.model == "dominant":
+                    horizons.append(plan)
+                if interrupted():
+                    return Comparison(rows, agreements)
+            agreements += [agreement(problem, horizons[0], other) for other in horizons[1:]]
+    return Comparison(rows, agreements)
+
+
+def agreement(problem: Problem, first: Plan, second: Plan) -> dict[str, Any]:
+    """Whether two horizons of a problem are one solution: objectives within SAME, the same active limits."""
+    robot = problem.robot
+    chain = horizon(robot, problem.samples, problem.dt, first.meta["options"]["motion_weight"], Ends())
+    objectives = [float(plan.objective.mean()) for plan in (first, second)]
+    difference = abs(objectives[0] - objectives[1])
+    distances = [_to_limits(chain, plan) for plan in (first, second)]
+    touched, missed = ([part < TOUCHED for part in distances], [part > MISSED for part in distances])
+    differing = int(((touched[0] & missed[1]) | (touched[1] & missed[0])).sum())
+    same = difference <= max(SAME[0] * min(objectives), SAME[1]) and differing == 0
+    return {
+        "problem": problem.name,
+        "first": first.meta["solver"],
+        "second": second.meta["solver"],
+        "first_objective": objectives[0],
+        "second_objective": objectives[1],
+        "difference": difference,
+        "differing_limits": differing,
+        "agree": same,
+        "first_s": first.meta["solve_s"],
+        "second_s": second.meta["solve_s"],
+    }
+
+
+def _to_limits(chain: Chain, plan: Plan) -> Array:
+    """Distance of every row from its nearer bound, rad or mm."""
+    low, high = chain.bounds
+    value = chain.evaluate(plan.q.ravel())[1]
+    return np.minimum(value - low, high - value)
+
+
+def row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
+    """Errors in mm, steps in rad and mm, times in ms and s. seed_*: Table II's figures for the same method.
+
+    e3 and others are of the model planned on; dominant_*, elastic_* of the same motion on both, None where the
+    robot's tubes are balanced and the dominant model does not describe it; *_no the matters in which verdicts
+    there are no.
+    """
+    found = summary(plan)
+    models = [model for model in MODELS if suits(plan.robot, model)]
+    plans = {model: plan if model == plan.meta["model"] else plan.on(model) for model in models}
+    on = {model: summary(each) for model, each in plans.items()}
+    e3, e4, t_c = (BASELINE if variant == "euclidean" else SEED).get(problem, (None, None, None))
+    return {
+        "problem": problem,
+        "variant": variant,
+        "e3": found["e3"],
+        "e4": found["e4"],
+        "e_max": found["e_max"],
+        "tip_max": found["tip_max"],
+        "step_alpha": found["max_step"]["alpha"],
+        "step_beta": found["max_step"]["beta"],
+        "step_theta": found["max_step"]["theta"],
+        "roughness": found["roughness"],
+        "objective": found["objective"],
+        "median_ms": found["solve_ms"]["median"],
+        "p99_ms": found["solve_ms"]["p99"],
+        "total_s": found["solve_ms"]["total"] / 1e3,
+        "build_s": found["build_s"],
+        "search_s": found["search_s"],
+        "iterations": plan.meta["iterations"],
+        "failed": found["failed"],
+        "interrupted": found["interrupted"],
+        "seed_e3": e3,
+        "seed_e4": e4,
+        "seed_t_s": t_c,
+        **{f"{model}_{key}": on[model][key] if model in on else None for model in MODELS for key in ("e3", "e4")},
+        "stability_between": on["elastic"]["stability_between_min"],
+        "snaps": len(on["elastic"]["snaps"]),
+        "no": ", ".join(plan.verdicts.failed),
+        **{f"{model}_no": ", ".join(plans[model].verdicts.failed) if model in plans else None for model in MODELS},
+    }

@@ -1,0 +1,6 @@
+"""The seed's figures and its Table II remade from one run, beside what the seed printed."""
+
+from ctr_nlp.studies.paper.runs import Found, study
+from ctr_nlp.studies.paper.sections import SECTIONS
+
+__all__ = ["SECTIONS", "Found", "study"]

@@ -1,0 +1,139 @@
+"""Fig. 10: tubes whose curvature varies, along a path whose curvature does."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import matplotlib
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ctr_nlp.figures.parts.page import STYLE
+from ctr_nlp.figures.parts.palette import BLACK, tube_colour, tube_width
+from ctr_nlp.models import dominant
+from ctr_nlp.plan.account import shown
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.studies.paper.checks import Check, number
+from ctr_nlp.studies.paper.clips import FOOT, LEFT, WIDTH, Group, clips
+from ctr_nlp.studies.paper.runs import BASELINE, HORIZON, NAMES, SEED, Found
+from ctr_nlp.studies.paper.section import Section, Table, errors, motions
+
+Array = npt.NDArray[np.float64]
+
+PROBLEMS = {"euler": "(a) three Euler curves", "euler_mixed": "(b) a line, an arc and an Euler curve"}
+METHODS = HORIZON, SEED, BASELINE
+PANEL = 2.3
+"""Inches for the curvatures and what is around them."""
+STEP = 1.0
+"""mm along the robot at which curvatures are computed."""
+
+
+def tables(found: Found) -> list[Table]:
+    """Errors of all methods; the seed prints none."""
+    header = ["problem", "the seed (published)", *(NAMES[m] for m in METHODS)]
+    body = [[f"`{p}`", "none", *(errors(found, p, m) for m in METHODS)] for p in PROBLEMS]
+    return [Table("e3 / e4 in mm on the stiffness-dominant model", header, body)]
+
+
+def checks(found: Found) -> list[Check]:
+    """How well the path is followed; the seed gives no number to hold it against."""
+    parts = []
+    for problem in PROBLEMS:
+        plan, e3 = found.plan(problem, HORIZON), number(found.row(problem, HORIZON)["e3"])
+        length = float(np.linalg.norm(np.diff(plan.target[-1], axis=0), axis=1).sum())
+        parts.append(f"`{problem}`: e3 of {shown(e3)} mm over targets of up to {length:.0f} mm, {e3 / length:.2%}")
+    return [
+        Check(
+            "robots of tubes with varying curvature follow the path well",
+            f"ours, {'; '.join(parts)}. The seed prints no error to compare with",
+            0,
+            0,
+        )
+    ]
+
+
+def curvatures(plan: Plan) -> dict[str, Array]:
+    """Along the robot in the last frame: s in mm, and k_1 .. k_d, of the robot and of the target in 1/mm.
+
+    A tube's is NaN beyond its tip.
+    """
+    robot, beta = plan.robot, plan.beta[-1]
+    s = np.arange(0.0, beta[-1], STEP)
+    tubes = {}
+    for i, tube in enumerate(robot.tubes):
+        from_tip = np.minimum(beta[i] - s, tube.curved_length)
+        tubes[f"k_{i + 1}"] = np.where(s <= beta[i], tube.tip_curvature + dominant.slope(tube) * from_tip, np.nan)
+    whole = dominant.curvature(robot, list(beta), s, lambda x: np.heaviside(x, 0.0), np)
+    return {"s": s, **tubes, "robot": whole, "target": np.interp(s, *of_target(plan.target[-1]))}
+
+
+def of_target(points: Array) -> tuple[Array, Array]:
+    """Arc length in mm and curvature in 1/mm at the inner ones of points (n, 3) of a smooth curve."""
+    chords = np.diff(points, axis=0)
+    lengths = np.linalg.norm(chords, axis=1)
+    crossed = np.linalg.norm(np.cross(chords[:-1], chords[1:]), axis=1)
+    angle = np.arctan2(crossed, (chords[:-1] * chords[1:]).sum(axis=1))
+    return np.cumsum(lengths)[:-1], 2 * angle / (lengths[:-1] + lengths[1:])
+
+
+def rows(found: Found) -> list[dict[str, Any]]:
+    """A line for each problem and mm along the robot in the last frame; 1/mm, nothing beyond a tube's tip."""
+    result: list[dict[str, Any]] = []
+    for problem in PROBLEMS:
+        columns = curvatures(found.plan(problem, HORIZON))
+        for values in zip(*(column.tolist() for column in columns.values()), strict=True):
+            line = {name: "" if np.isnan(value) else value for name, value in zip(columns, values, strict=True)}
+            result.append({"problem": problem, **line})
+    return result
+
+
+@matplotlib.rc_context(STYLE)
+def draw(found: Found) -> Figure:
+    """Clips of both robots, and curvatures along them in the last frame."""
+    plans = {title: found.plan(problem, HORIZON) for problem, title in PROBLEMS.items()}
+    figure = clips([[Group(title, plan) for title, plan in plans.items()]], PANEL)
+    height, wide = figure.get_figheight(), (WIDTH - 2 * LEFT - 0.5) / 2
+    first: Axes | None = None
+    for k, (title, plan) in enumerate(plans.items()):
+        left = LEFT + 0.15 + k * (wide + LEFT)
+        box = (left / WIDTH, (FOOT + 0.45) / height, wide / WIDTH, (PANEL - 0.75) / height)
+        axes = figure.add_axes(box, sharey=first)
+        first = first or axes
+        _curvatures(axes, plan)
+        axes.set_title(f"{title[:3]} curvatures, last frame", loc="left")
+        if k == 0:
+            axes.set_ylabel("curvature (1/mm)")
+    return figure
+
+
+def _curvatures(axes: Axes, plan: Plan) -> None:
+    columns = curvatures(plan)
+    s, start = columns["s"], 0.0
+    for i in range(plan.robot.d):
+        value, end = columns[f"k_{i + 1}"], plan.beta[-1, i]
+        seen = (s >= start) & (s <= end)
+        axes.plot(s, value, color=tube_colour(i), lw=0.9, ls=":")
+        axes.plot(s[seen], value[seen], color=tube_colour(i), lw=tube_width(i, plan.robot.d))
+        start = end
+    axes.plot(s, columns["target"], color=BLACK, lw=0.8, ls=(0, (4, 2)))
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel("s (mm)")
+
+
+SECTION = Section(
+    "fig10",
+    "Fig. 10: tubes of varying curvature",
+    motions(tuple(PROBLEMS), METHODS),
+    "Ours, all frames at once. Below, pre-curvatures k_i(s) of the tubes along the robot when it is all out, "
+    "thick where a tube is the outermost one, so that it sets the robot's curvature, dotted where it lies "
+    "within another; and the target's, dashed.",
+    "The seed gives no numbers of these tubes and of this path: those of `problems/euler.py` and "
+    "`problems/euler_mixed.py` are ours, with the seed's kinds of curves. So no error here can be held against "
+    "it.",
+    tables,
+    checks,
+    rows,
+    draw,
+)

@@ -1,0 +1,100 @@
+"""Fig. 4: clips of motions along primitive shapes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from ctr_nlp.figures.parts.page import STYLE
+from ctr_nlp.plan.account import shown as written
+from ctr_nlp.plan.metrics import by_frame
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.studies.paper.checks import Check, number
+from ctr_nlp.studies.paper.clips import Group, clips, shown
+from ctr_nlp.studies.paper.runs import HORIZON, NAMES, SEED, Found
+from ctr_nlp.studies.paper.section import PRIMITIVE, Section, Table, beside, motions
+
+TOLERANCE = 1e-6
+"""rad or mm by which a step may exceed what speeds allow."""
+
+
+def tables(found: Found) -> list[Table]:
+    """Errors beside published ones, and what the motion asks of the motors."""
+    header = ["problem", "largest e1, mm", "largest step of alpha, rad", "of beta, mm", "of theta, rad"]
+    body = []
+    for problem in PRIMITIVE:
+        row = found.row(problem, HORIZON)
+        keys = ("e_max", "step_alpha", "step_beta", "step_theta")
+        body.append([f"`{problem}`", *(written(row[key]) for key in keys)])
+    steps = Table("Ours: the largest distance, and the largest steps from frame to frame", header, body)
+    return [beside(found, PRIMITIVE, (HORIZON, SEED)), steps]
+
+
+def checks(found: Found) -> list[Check]:
+    """That all frames are reached, and that the line is the hardest."""
+    followed = [found.row(p, HORIZON)["failed"] == 0 and within_speed(found.plan(p, HORIZON)) for p in PRIMITIVE]
+    hardest = {m: max(PRIMITIVE, key=lambda p: number(found.row(p, m)["e3"])) for m in (HORIZON, SEED)}
+    failed = sum(found.row(p, HORIZON)["failed"] for p in PRIMITIVE)
+    total = len(PRIMITIVE) * found.frames
+    return [
+        Check(
+            "the robot is steered along all four paths, in a smooth continuous motion",
+            f"ours solves {total - failed} of {total} frames, and keeps the robot's limits of speed in "
+            f"{sum(within_speed(found.plan(p, HORIZON)) for p in PRIMITIVE)} of {len(PRIMITIVE)} motions",
+            sum(followed),
+            len(followed),
+        ),
+        Check(
+            "a straight line, which pre-curved tubes cannot form, has the largest error",
+            "the largest e3 of the four is that of "
+            + " and ".join(f"`{hardest[m]}` for {NAMES[m]}" for m in (HORIZON, SEED)),
+            sum(name == "line" for name in hardest.values()),
+            len(hardest),
+        ),
+    ]
+
+
+def within_speed(plan: Plan) -> bool:
+    """Whether no step from frame to frame is larger than the robot's speeds allow."""
+    return bool((np.abs(np.diff(plan.q, axis=0)) <= plan.robot.speed * plan.dt + TOLERANCE).all())
+
+
+def rows(found: Found) -> list[dict[str, Any]]:
+    """A line for each clip."""
+    result = []
+    for problem in PRIMITIVE:
+        columns = by_frame(found.plan(problem, HORIZON))
+        for frame in shown(found.frames):
+            numbers = {f"{key}_mm": float(columns[key][frame - 1]) for key in ("e2", "max", "tip")}
+            result.append({"problem": problem, "frame": frame, **numbers})
+    return result
+
+
+@matplotlib.rc_context(STYLE)
+def draw(found: Found) -> Figure:
+    """Four clips of each of the four, to one scale; the arc, which is wide, below the others."""
+
+    def group(letter: str, problem: str) -> Group:
+        return Group(f"({letter}) {problem}", found.plan(problem, HORIZON))
+
+    return clips([[group("a", "cos"), group("c", "line"), group("d", "line_arc")], [group("b", "arc")]])
+
+
+SECTION = Section(
+    "fig4",
+    "Fig. 4: following primitive shapes",
+    motions(PRIMITIVE, (HORIZON, SEED)),
+    "Ours, all frames at once. Each tube is drawn where it is the outermost one, the target as a thin dashed line "
+    "upon it. The seed's xy-plane lies in the robot's zx-plane, with the insertion direction z upwards; all clips "
+    "are to one scale.",
+    "Which frames the seed shows. Its formula of the arc, y = sqrt(1 - x²) - 100, has no real values on its "
+    "range: read as sqrt(100² - x²) - 100. Line and arc of `line_arc` are joined here with a common tangent, 75 "
+    "mm of each; the seed says only that they are connected.",
+    tables,
+    checks,
+    rows,
+    draw,
+)

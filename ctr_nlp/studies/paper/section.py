@@ -1,0 +1,103 @@
+"""What every remade figure is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from ctr_nlp.plan.account import shown
+from ctr_nlp.plan.metrics import by_frame
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.reference.published import BASELINE as BASELINE_PRINTED
+from ctr_nlp.reference.published import SEED as SEED_PRINTED
+from ctr_nlp.studies.paper.checks import Check
+from ctr_nlp.studies.paper.runs import BASELINE, HORIZON, NAMES, SEED, Found, Motion, Task
+
+PRIMITIVE = "cos", "arc", "line", "line_arc"
+ALL = *PRIMITIVE, "synthesis", "bronchus"
+"""Problems of Table II."""
+COMPARABLE = ALL[:-1]
+"""Those whose targets are the seed's own: its bronchus is not public."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with what it shows, in a sentence."""
+
+    caption: str
+    header: Sequence[str]
+    body: Sequence[Sequence[str]]
+
+
+@dataclass(frozen=True)
+class Section:
+    """A figure or table of the seed: what it takes, its picture, what is said of it.
+
+    name: of its files. about: what is shown and how to read it. unknown: what could not be known. rows: the
+    numbers behind it, for its CSV file.
+    """
+
+    name: str
+    title: str
+    tasks: tuple[Task, ...]
+    about: str
+    unknown: str
+    tables: Callable[[Found], list[Table]]
+    checks: Callable[[Found], list[Check]]
+    rows: Callable[[Found], list[dict[str, Any]]]
+    draw: Callable[[Found], Figure] | None = None
+
+
+def motions(problems: Sequence[str], methods: Sequence[str]) -> tuple[Task, ...]:
+    """All methods on all problems."""
+    return tuple(Motion(problem, method) for problem in problems for method in methods)
+
+
+def by_frames(plan: Plan, keys: Sequence[str]) -> list[dict[str, Any]]:
+    """A line for each frame with columns of errors.csv, in mm."""
+    columns = by_frame(plan)
+    numbers = zip(*(columns[key].tolist() for key in keys), strict=True)
+    return [
+        {"frame": frame} | {f"{key}_mm": value for key, value in zip(keys, line, strict=True)}
+        for frame, line in enumerate(numbers, 1)
+    ]
+
+
+def errors(found: Found, problem: str, method: str, model: str = "dominant") -> str:
+    """e3 and e4 of a run, as text; a star where frames failed."""
+    row = found.row(problem, method)
+    numbers = " / ".join(mm(row[f"{model}_{key}"]) for key in ("e3", "e4"))
+    return numbers + "*" * (row["failed"] > 0)
+
+
+def mm(value: float | None) -> str:
+    """A length as text; what three decimals would show as nothing is below the last of them."""
+    text = shown(value)
+    return "<0.001" if text == "0.000" and value else text
+
+
+def beside(found: Found, problems: Sequence[str], methods: Sequence[str] = (HORIZON, SEED, BASELINE)) -> Table:
+    """What the seed printed of problems, and what methods of this run have."""
+    header = [
+        "problem",
+        "the seed (published)",
+        "its baseline (published)",
+        *(NAMES[method] for method in methods),
+    ]
+    body = [
+        [
+            f"`{problem}`",
+            *(printed(each, problem) for each in (SEED_PRINTED, BASELINE_PRINTED)),
+            *(errors(found, problem, method) for method in methods),
+        ]
+        for problem in problems
+    ]
+    return Table("e3 / e4 in mm on the stiffness-dominant model", header, body)
+
+
+def printed(table: dict[str, Any], problem: str) -> str:
+    """e3 and e4 as the seed printed them; nothing where it did not."""
+    return " / ".join(f"{value:.2f}" for value in table[problem][:2]) if problem in table else ""

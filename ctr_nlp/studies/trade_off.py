@@ -1,0 +1,90 @@
+"""Error against roughness: the Pareto front of horizons, and other methods' points beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.models import suits
+from ctr_nlp.plan.metrics import summary
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.steer import Horizon
+from ctr_nlp.steer.passes import Progress
+from ctr_nlp.studies.comparison import parse_variant
+from ctr_nlp.support.interrupt import deferred_interrupt
+
+WEIGHTS = tuple(10.0 ** (k / 2 - 8) for k in range(13))
+"""Default lambdas of a sweep, s^2."""
+BESIDE = ("joint:ipopt", "two-stage:ipopt", "seed-two-stage", "euclidean")
+"""The variants whose points stand beside the front."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """A plan in the plane of error and roughness. motion_weight: s^2; e3: mm; roughness: mm^2/s.
+
+    solved: every frame was.
+    """
+
+    method: str
+    motion_weight: float
+    e3: float
+    roughness: float
+    solved: bool
+
+
+def trade_off(
+    horizon: Horizon,
+    plan: Plan,
+    weights: Sequence[float],
+    settings: Settings,
+    labelled: Callable[[str], Progress],
+) -> list[Point]:
+    """The front over weights, of which each horizon starts from its neighbours', and the points beside it.
+
+    plan: any motion of the horizon, to start from. Methods whose model does not describe the robot are left out.
+    Ctrl-C, held back by the caller, leaves what was found. Raises OptionError.
+    """
+    with deferred_interrupt() as interrupted:
+        plans = sweep(horizon, plan, weights, labelled)
+        points = [_point("horizon", found) for found in plans]
+        for name in BESIDE:
+            if interrupted():
+                break
+            variant = parse_variant(name)
+            label = f"{horizon.problem.name}, {name}"
+            if suits(horizon.problem.robot, variant.model):
+                points.append(_point(name, variant.plan(horizon.problem, settings, (), labelled(label))))
+    return points
+
+
+def sweep(
+    horizon: Horizon, plan: Plan, weights: Sequence[float], labelled: Callable[[str], Progress]
+) -> list[Plan]:
+    """A plan for every weight, in ascending order: the better of one started from below and one from above."""
+    ascending = sorted(set(weights))
+    best: dict[float, Plan] = {}
+    with deferred_interrupt() as interrupted:
+        for order in (ascending, ascending[::-1]):
+            motion = plan.q
+            for weight in order:
+                found = horizon.solve(
+                    [motion], weight, progress=labelled(f"{horizon.problem.name}, λ = {weight:.1e} s²")
+                )
+                if interrupted():
+                    return [best[weight] for weight in ascending if weight in best]
+                motion = found.q
+                if weight not in best or _badness(found) < _badness(best[weight]):
+                    best[weight] = found
+    return [best[weight] for weight in ascending]
+
+
+def _badness(plan: Plan) -> tuple[bool, float]:
+    return not plan.complete, float(plan.objective.mean())
+
+
+def _point(method: str, plan: Plan) -> Point:
+    found: dict[str, Any] = summary(plan)
+    return Point(method, found["weights"]["motion_s2"], found["e3"], found["roughness"], plan.complete)

@@ -1,0 +1,1 @@
+"""Checks, files and processes that any room may use. Knows no robot, no curve and no program."""

@@ -1,0 +1,36 @@
+"""Libraries that only some users need, imported when they are used."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from ctr_nlp.exceptions import OptionError
+
+EXTRAS = {
+    "toppra": "hardware",
+    "serial": "hardware",
+    "filelock": "hardware",
+    "platformdirs": "hardware",
+    "ur_analytic_ik": "hardware",
+    "rosbags": "hardware",
+    "rtde_control": "ur",
+    "rtde_receive": "ur",
+    "cyclonedds": "ros2",
+    "SimpleITK": "anatomy",
+    "pyvista": "anatomy",
+    "vtkmodules": "anatomy",
+    "k3d": "report",
+    "bokeh": "report",
+    "jinja2": "report",
+}
+"""Which extra of this package brings a module."""
+
+
+def needed(module: str) -> Any:
+    """The module; raises OptionError, which names the command that installs it, where it is missing."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        extra = EXTRAS[module.partition(".")[0]]
+        raise OptionError(f'{module} is not installed; pip install -e ".[{extra}]" brings it ({error})') from error

@@ -1,0 +1,77 @@
+"""Work on many things in several processes, until Ctrl-C."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
+from multiprocessing import get_context
+from signal import SIG_IGN, SIGINT, signal
+from typing import TypeVar
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.support.interrupt import deferred_interrupt
+
+Thing = TypeVar("Thing")
+Found = TypeVar("Found")
+
+POLL = 0.2
+"""Seconds between two looks at whether Ctrl-C was pressed."""
+THREADS = "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"
+"""What says how many threads linear algebra may take."""
+
+
+def side_by_side(
+    work: Callable[[Thing], Found], things: Sequence[Thing], jobs: int
+) -> Iterator[tuple[int, Found]]:
+    """What work makes of things, each with its number in their order, as they are done.
+
+    jobs: in how many processes; with 1 in this one. work and things must be fit for pickling where there are more.
+    After Ctrl-C nothing new is begun. Raises OptionError, and what work raises.
+    """
+    if jobs < 1:
+        raise OptionError(f"jobs is {jobs}; it must be at least 1")
+    with deferred_interrupt() as interrupted:
+        yield from (_here if jobs == 1 else _elsewhere)(work, things, jobs, interrupted)
+
+
+def _here(
+    work: Callable[[Thing], Found], things: Sequence[Thing], _: int, interrupted: Callable[[], bool]
+) -> Iterator[tuple[int, Found]]:
+    for number, thing in enumerate(things):
+        if interrupted():
+            return
+        yield number, work(thing)
+
+
+def _elsewhere(
+    work: Callable[[Thing], Found], things: Sequence[Thing], jobs: int, interrupted: Callable[[], bool]
+) -> Iterator[tuple[int, Found]]:
+    with _one_thread_each(), ProcessPoolExecutor(jobs, get_context("spawn"), signal, (SIGINT, SIG_IGN)) as pool:
+        tasks: dict[Future[Found], int] = {pool.submit(work, thing): number for number, thing in enumerate(things)}
+        waiting = set(tasks)
+        try:
+            while waiting:
+                finished, waiting = wait(waiting, timeout=POLL, return_when=FIRST_COMPLETED)
+                for task in finished:
+                    yield tasks[task], task.result()
+                if interrupted():
+                    waiting = {task for task in waiting if not task.cancel()}
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Processes that are started within the block keep to one thread: more of them wait for each other.
+
+    Small problems then take up to ten times as long. What the user has set counts.
+    """
+    added = [name for name in THREADS if name not in os.environ]
+    os.environ.update(dict.fromkeys(added, "1"))
+    try:
+        yield
+    finally:
+        for name in added:
+            del os.environ[name]

@@ -1,0 +1,155 @@
+"""Values of described things, checked; complaints are RobotErrors that name field, value and what is allowed."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.exceptions import CtrError, RobotError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+Array = npt.NDArray[np.float64]
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+INFINITE = ("inf", "-inf")
+"""How strict JSON writes numbers that it has no word for."""
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """What a TOML file holds."""
+    try:
+        return tomllib.loads(checked_path(RobotError, path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, RecursionError, tomllib.TOMLDecodeError) as error:
+        raise RobotError(str(error)) from error
+
+
+def described(cls: type, data: Any) -> Any:
+    """The dataclass that a table of a file describes."""
+    allowed = [f.name for f in fields(cls)]
+    if not isinstance(data, dict) or set(data) - set(allowed):
+        wrong = sorted(set(data) - set(allowed))[0] if isinstance(data, dict) else data
+        raise RobotError(f"unknown key {wrong!r} in {cls.__name__.lower()}; allowed are {', '.join(allowed)}")
+    try:
+        return cls(**data)
+    except TypeError as error:
+        raise RobotError(f"{cls.__name__.lower()}: {error}; keys are {', '.join(allowed)}") from error
+
+
+def number(
+    error: type[CtrError], name: str, value: Any, holds: Callable[[float], bool], allowed: str, unit: str = ""
+) -> float:
+    """A number of which something holds; raises error, with what it must do in words."""
+    real = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if not real or not holds(float(value)):
+        raise error(f"{name} is {value if real else repr(value)}{unit}; it must {allowed}")
+    return float(value)
+
+
+def whole_number(error: type[CtrError], name: str, value: Any, least: int = 1) -> int:
+    """A whole number, or error."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise error(f"{name} is {value!r}; it must be a whole number of at least {least}")
+    return int(value)
+
+
+def instance(error: type[CtrError], name: str, value: Any, kind: type) -> None:
+    """Raise error unless a value is of a kind."""
+    if not isinstance(value, kind):
+        raise error(f"{name} is {value!r:.80}; it must be a {kind.__name__}")
+
+
+def checked_path(error: type[CtrError], path: Any) -> Path:
+    """A path, or error where it is none."""
+    if not isinstance(path, str | Path) or "\0" in str(path):
+        raise error(f"path is {path!r:.80}; it must be the path of a file")
+    return Path(path)
+
+
+def floats(error: type[CtrError], name: str, value: Any, shape: tuple[int | None, ...]) -> Array:
+    """A read-only copy of finite numbers of a shape (None for any length), or error."""
+    try:
+        array = plain_floats(value)
+    except (TypeError, ValueError, OverflowError):
+        raise error(f"{name} is {value!r:.80}; it must be numbers") from None
+    if len(array.shape) != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
+        wanted = ", ".join("n" if n is None else str(n) for n in shape) + "," * (len(shape) == 1)
+        raise error(f"{name} has shape {array.shape}; it must be ({wanted})")
+    if not np.isfinite(array).all():
+        place = np.argwhere(~np.isfinite(array))[0]
+        raise error(f"{name} has {array[tuple(place)]} at {[int(i) + 1 for i in place]}; all of it must be finite")
+    return frozen(array)
+
+
+def plain_floats(value: Any) -> Array:
+    """Numbers, or lists of them, as an array; raises TypeError or ValueError where some are none.
+
+    Truth values are none, but text that reads as a number is: strict_json writes infinity as "inf".
+    """
+    if isinstance(value, list | tuple):
+        return np.array([plain_floats(item) for item in value])
+    array = np.asarray(float(value) if isinstance(value, str) else value)
+    if array.dtype.kind not in "iuf":
+        raise TypeError(f"{value!r:.60} is no number")
+    return array.astype(float)
+
+
+def numbers(name: str, value: Any, size: int, infinite: bool = False) -> Array:
+    """A number, or size of them, as (size,)."""
+    try:
+        array = np.broadcast_to(plain_floats(value), (size,))
+    except (TypeError, ValueError) as error:
+        raise RobotError(
+            f"{name} is {value!r}; it must be a number" + (f" or {size} of them" * (size > 1))
+        ) from error
+    if np.isnan(array).any() or (not infinite and np.isinf(array).any()):
+        raise RobotError(f"{name} is {value!r}; it must be a {'' if infinite else 'finite '}number")
+    return array
+
+
+def pairs(name: str, value: Any, size: int) -> Array:
+    """A (lower, upper), or size of them, as (size, 2)."""
+    try:
+        array = plain_floats(value)
+        if array.shape in ((2,), (size, 2)):
+            return np.broadcast_to(array, (size, 2))
+    except (TypeError, ValueError):
+        pass
+    raise RobotError(f"limits of {name} are {value!r}; give (lower, upper), or {size} of them")
+
+
+def strict_json(value: Any) -> Any:
+    """Lists, strings and numbers for strict JSON; infinity becomes "inf", which pairs and numbers can read."""
+    if isinstance(value, dict):
+        return {key: strict_json(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return strict_json(value.tolist())
+    if isinstance(value, list | tuple):
+        return [strict_json(item) for item in value]
+    return str(float(value)) if isinstance(value, float) and math.isinf(value) else value
+
+
+def frozen(array: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
+    """A read-only copy of an array, which nobody else holds."""
+    copy = np.array(array)
+    copy.flags.writeable = False
+    return copy
+
+
+def unchanging(value: Any) -> Any:
+    """Lists and arrays as tuples, all the way down, and "inf" of strict JSON as the number; others as they are."""
+    if isinstance(value, np.ndarray | np.generic):
+        return unchanging(value.tolist())
+    if isinstance(value, str) and value in INFINITE:
+        return float(value)
+    return tuple(unchanging(item) for item in value) if isinstance(value, list | tuple) else value

@@ -1,0 +1,135 @@
+"""The lumen around a path: how much room a robot has in it, and what the wall is like near to it."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.spatial import cKDTree
+
+from ctr_nlp.exceptions import CurveError
+from ctr_nlp.robot import Robot
+from ctr_nlp.support.values import floats
+from ctr_nlp.target.curve import Curve
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.int_]
+
+SPACING = 0.5
+"""mm between the points of a lumen's table."""
+NEWTON = 4
+"""Steps from the nearest point of the table to the nearest point of the path."""
+
+
+class Near(NamedTuple):
+    """Places (..,) of a path nearest to points: distance and lumen radius there, mm, and the path around them.
+
+    centre, tangent, bend (.., 3): the path's point, mm, its derivative by arc length and its second, 1/mm.
+    taper: by how much the radius grows a mm that a point moves along the tangent. behind, ahead: what there is of
+    the path before and after, mm.
+    """
+
+    distance: Array
+    radius: Array
+    centre: Array
+    tangent: Array
+    bend: Array
+    taper: Array
+    behind: Array
+    ahead: Array
+
+
+class Lumen:
+    """A path and the radius of the lumen around it, from a table (N, 4): x, y, z and radius, mm."""
+
+    def __init__(self, table: Array) -> None:
+        self._table = floats(CurveError, "table of a lumen", table, (None, 4))
+        if (self._table[:, 3] <= 0).any():
+            raise CurveError(f"radius of a lumen is {self._table[:, 3].min():g} mm; it must be positive all along")
+        if len(self._table) < 2 or (np.diff(self._along) <= 0).any():
+            raise CurveError(
+                f"table of a lumen has {len(self._table)} points; it must have two, and none repeated"
+            )
+
+    @classmethod
+    def around(cls, curve: Curve) -> Lumen:
+        """That of a whole curve with a radius."""
+        assert curve.radius is not None
+        s = np.linspace(0.0, curve.length, int(np.ceil(curve.length / SPACING)) + 1)
+        return cls(np.column_stack([curve.point(s), curve.radius(s)]))
+
+    @property
+    def table(self) -> Array:
+        """(N, 4), read-only: x, y, z and radius, mm."""
+        return self._table
+
+    @cached_property
+    def _along(self) -> Array:
+        steps = np.linalg.norm(np.diff(self.table[:, :3], axis=0), axis=1)
+        return np.concatenate([[0.0], np.cumsum(steps)])
+
+    @cached_property
+    def _path(self) -> CubicSpline:
+        return CubicSpline(self._along, self.table[:, :3])
+
+    @cached_property
+    def _radius(self) -> PchipInterpolator:
+        return PchipInterpolator(self._along, self.table[:, 3])
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.table[:, :3])
+
+    def near(self, points: Array) -> Near:
+        """The path and the wall near to points (.., 3) in mm; everything is NaN for points that are."""
+        known = np.isfinite(points).all(axis=-1, keepdims=True)
+        points = np.where(known, points, 0.0)
+        s = self._along[self._tree.query(points)[1]]
+        for _ in range(NEWTON):
+            away, tangent = points - self._path(s), self._path(s, 1)
+            stretch = (tangent**2).sum(axis=-1) - (away * self._path(s, 2)).sum(axis=-1)
+            step = (away * tangent).sum(axis=-1) / np.maximum(stretch, 0.1)
+            s = np.clip(s + np.clip(step, -SPACING, SPACING), 0.0, self._along[-1])
+        centre, tangent, bend = (np.where(known, self._path(s, order), np.nan) for order in range(3))
+        away = points - centre
+        taper = self._radius(s, 1) / np.maximum(1.0 - (away * bend).sum(axis=-1), 0.1)
+        distance = np.linalg.norm(away, axis=-1)
+        return Near(distance, self._radius(s), centre, tangent, bend, taper, s, self._along[-1] - s)
+
+    def clearance(self, robot: Robot, beta: Array, sigma: Array, shape: Array) -> Array:
+        """What is left between tubes and the wall, (T, n) mm, negative in contact.
+
+        The lumen's radius at the place nearest to a sample, less the distance to it, less the radius of the
+        outermost tube there. beta (T, d); sigma (n,) or (T, n); shape (T, n, 3) mm.
+        """
+        near = self.near(shape)
+        return np.asarray(near.radius - near.distance - outer_radius(robot)[outermost(beta, sigma)])
+
+
+def rings(table: Array, angle: Array) -> Array:
+    """Points (N, n, 3) mm of the wall around a table (N, 4), at angles (n,) in rotation-minimising frames."""
+    centre, radius = table[:, :3], table[:, 3]
+    steps = np.linalg.norm(np.diff(centre, axis=0), axis=1)
+    tangents = np.gradient(centre, np.append(0.0, steps.cumsum()), axis=0)
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    side, sides = np.eye(3)[abs(tangents[0]).argmin()], np.empty_like(tangents)
+    for j, tangent in enumerate(tangents):
+        side = side - (side @ tangent) * tangent
+        side /= np.linalg.norm(side)
+        sides[j] = side
+    across = np.cos(angle)[:, None] * sides[:, None] + np.sin(angle)[:, None] * np.cross(tangents, sides)[:, None]
+    return np.asarray(centre[:, None] + radius[:, None, None] * across)
+
+
+def outer_radius(robot: Robot) -> Array:
+    """Of every tube, (d,) mm."""
+    return np.array([tube.outer_diameter / 2 for tube in robot.tubes])
+
+
+def outermost(beta: Array, sigma: Array) -> Index:
+    """The outermost tube (T, n), from 0, at normalised arc lengths sigma (n,) or (T, n) of robots beta (T, d)."""
+    s = sigma * beta[:, -1:]
+    return np.asarray((s[..., None] > beta[:, None, :-1] + 1e-9).sum(axis=-1))

@@ -1,0 +1,94 @@
+"""Points that are to be a path, given or by a formula: which of them no curve can lead through."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.exceptions import CurveError
+from ctr_nlp.support.values import frozen
+
+Array = npt.NDArray[np.float64]
+
+LEAST_POINTS = 4
+SHORTEST_MM = 1.0
+"""A path shorter than this was almost surely written in metres."""
+LONGEST_MM = 1e5
+"""Nor was a longer one written in millimetres."""
+FARTHEST_MM = 1e12
+"""Largest coordinate."""
+REPEATED_MM = 1e-6
+"""Neighbouring points closer than this are one point given twice."""
+
+
+def checked_points(points: npt.ArrayLike) -> Array:
+    """A read-only copy of points (n, 3) in mm that a curve can lead through; raises CurveError."""
+    try:
+        given = np.asarray(points)
+    except ValueError as error:
+        raise CurveError(f"points are no array of numbers ({error}); a centreline is (n, 3) in mm") from error
+    if given.dtype.kind not in "iuf":
+        raise CurveError(f"points are no array of numbers but of {given.dtype}; a centreline is (n, 3) in mm")
+    given = frozen(given.astype(float))
+    if given.ndim != 2 or given.shape[1] != 3:
+        raise CurveError(f"points have shape {given.shape}; a centreline is (n, 3)")
+    if len(given) < LEAST_POINTS:
+        raise CurveError(f"{len(given)} points; a centreline needs at least {LEAST_POINTS}")
+    check_coordinates(given)
+    steps = np.linalg.norm(np.diff(given, axis=0), axis=1)
+    if steps.sum() < SHORTEST_MM:
+        raise CurveError(
+            f"the path is {steps.sum():.3g} long; coordinates must be in millimetres, and these look like metres"
+        )
+    if steps.sum() > LONGEST_MM:
+        raise CurveError(f"the path is {steps.sum():.3g} mm long; it must be at most {LONGEST_MM:g} mm")
+    repeated = np.flatnonzero(steps < REPEATED_MM)
+    if repeated.size:
+        i = repeated[0]
+        raise CurveError(f"points {i + 1} and {i + 2} are the same, {given[i].tolist()}; no point may be repeated")
+    return given
+
+
+def check_coordinates(points: Array) -> None:
+    """Raise CurveError unless all coordinates of points (n, 3) in mm are finite, and such that can be squared."""
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if bad.size:
+        raise CurveError(f"point {bad[0] + 1} is {points[bad[0]].tolist()}; coordinates must be finite")
+    far = np.flatnonzero(np.abs(points).max(axis=1, initial=0.0) > FARTHEST_MM)
+    if far.size:
+        raise CurveError(
+            f"point {far[0] + 1} is {points[far[0]].tolist()}; it must be within {FARTHEST_MM:g} mm of 0"
+        )
+
+
+def checked_radii(radius: npt.ArrayLike, count: int) -> Array:
+    """A read-only copy of the lumen's radii (count,) in mm; raises CurveError."""
+    try:
+        radii = frozen(np.array(radius, dtype=float))
+    except (TypeError, ValueError):
+        radii = np.empty(0)
+    if radii.shape != (count,) or not (np.isfinite(radii) & (radii > 0)).all():
+        raise CurveError(f"lumen radii must be {count} positive finite numbers in mm, one a point")
+    return radii
+
+
+def symbolic_point(formula: Callable[[Any], tuple[Any, Any, Any]], u: ca.SX) -> ca.SX:
+    """The point (3, 1) that a formula gives for a symbol; raises CurveError where it does not."""
+    try:
+        x = ca.vertcat(*(ca.SX(c) for c in formula(u)))
+    except (TypeError, ValueError, NotImplementedError, RuntimeError, AttributeError) as error:
+        raise CurveError(
+            f"formula cannot be evaluated for a symbol of CasADi: {error}; write it with CasADi's "
+            "functions, such as casadi.cos"
+        ) from error
+    if any(c.is_constant() and not c.is_regular() for c in ca.vertsplit(x)):
+        raise CurveError(
+            f"formula gives {x}, which is not finite; write it with CasADi's functions, as casadi.cos"
+        )
+    if x.shape != (3, 1) or not all(ca.is_equal(s, u) for s in ca.symvar(x)):
+        raise CurveError(f"formula gives {x}; it must give three coordinates that depend on its argument alone")
+    return x

@@ -1,0 +1,139 @@
+"""What the robot is to follow: a curve and a length for every frame, sampled once for all users."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicHermiteSpline
+
+from ctr_nlp.exceptions import ProblemError
+from ctr_nlp.support.values import floats, frozen, instance, number, whole_number
+from ctr_nlp.target.curve import Curve
+
+Array = npt.NDArray[np.float64]
+
+SIGMA = np.linspace(0.0, 1.0, 101)
+"""Normalised arc lengths at which targets and shapes are sampled and errors measured."""
+SIGMA.flags.writeable = False
+QUADRATURE = np.full(101, 0.01)
+"""Trapezoidal weights on SIGMA; they sum to 1."""
+QUADRATURE[[0, -1]] = 0.005
+QUADRATURE.flags.writeable = False
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The target of one frame at SIGMA.
+
+    points (101, 3) mm; tangents (101, 3); curvature (101,) 1/mm; turning (101,) rad, the integral of
+    curvature over arc length from 0; length mm; radius (101,) mm of the lumen, or None. Arrays are read-only.
+    """
+
+    points: Array
+    tangents: Array
+    curvature: Array
+    turning: Array
+    length: float
+    radius: Array | None
+
+    def at(self, sigma: Array) -> Array:
+        """Points (n, 3) in mm at any sigma (n,), by the cubic through points and tangents."""
+        return CubicHermiteSpline(SIGMA, self.points, self.tangents * self.length)(sigma)
+
+
+@dataclass(frozen=True)
+class Target:
+    """For frame j = 1..T a curve and the arc length in mm to which it is to be followed."""
+
+    curves: tuple[Curve, ...]
+    lengths: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        for name in ("curves", "lengths"):
+            object.__setattr__(self, name, _listed(name, getattr(self, name)))
+        if not self.curves:
+            raise ProblemError("a target with 0 frames; give at least 1")
+        if len(self.curves) != len(self.lengths):
+            raise ProblemError(f"a target has {len(self.curves)} curves and {len(self.lengths)} lengths; one each")
+        for frame, (curve, length) in enumerate(zip(self.curves, self.lengths, strict=True), start=1):
+            instance(ProblemError, f"curve {frame} of a target", curve, Curve)
+            allowed = f"be a number of mm in (0, {curve.length:g}], the length of its curve"
+            within = functools.partial(_within, curve.length * (1 + ROUNDING))
+            number(ProblemError, f"length {frame} of a target", length, within, allowed)
+
+    def __len__(self) -> int:
+        return len(self.curves)
+
+    def sample(self) -> tuple[Frame, ...]:
+        """The target at SIGMA, frame by frame; raises ProblemError where a curve is not known all along."""
+        pairs = zip(self.curves, self.lengths, strict=True)
+        return tuple(_sampled(curve, length, frame) for frame, (curve, length) in enumerate(pairs, start=1))
+
+
+def growing(path: Curve, frames: int = 100) -> Target:
+    """A path followed as it grows, eq. (7): frame j has the part with parameter <= j / frames of its range."""
+    instance(ProblemError, "path", path, Curve)
+    check_frames(frames)
+    lengths = tuple(path.length_at(j / frames) for j in range(1, frames + 1))
+    return Target((path,) * frames, lengths)
+
+
+def sequence(shapes: Sequence[Curve]) -> Target:
+    """A target whose frames are whole curves, one each."""
+    shapes = _listed("shapes", shapes)
+    for frame, shape in enumerate(shapes, start=1):
+        instance(ProblemError, f"shape {frame}", shape, Curve)
+    return Target(shapes, tuple(shape.length for shape in shapes))
+
+
+def check_frames(frames: int) -> None:
+    """Raise ProblemError unless frames is a whole number of at least 1."""
+    whole_number(ProblemError, "frames", frames)
+
+
+def _listed(name: str, given: Any) -> tuple[Any, ...]:
+    if not isinstance(given, Sequence) or isinstance(given, str):
+        raise ProblemError(f"{name} of a target is {given!r:.80}; give a sequence, one a frame")
+    return tuple(given)
+
+
+ROUNDING = 1e-9
+"""Part of a curve by which a length may exceed it."""
+TURNED_BACK = 0.01
+"""Part by which straight lines between samples may exceed the arc length; on a smooth curve they never do."""
+FINER = 8
+"""Steps of the curvature's quadrature between two neighbours of SIGMA."""
+
+
+def _sampled(curve: Curve, length: float, frame: int) -> Frame:
+    s = SIGMA * length
+    fine = np.linspace(0.0, length, FINER * (len(SIGMA) - 1) + 1)
+
+    def known(name: str, values: Any, *shape: int) -> Array:
+        return floats(ProblemError, f"{name} of frame {frame} of the target", values, shape)
+
+    points = known("point", curve.point(s), len(s), 3)
+    chords = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    if chords > length * (1 + TURNED_BACK):
+        raise ProblemError(
+            f"frame {frame} of the target has {chords:.2f} mm between points that should be {length:.2f} mm apart "
+            "along its curve: it turns back on itself and has no direction there"
+        )
+    middle = known("curvature", curve.curvature((fine[1:] + fine[:-1]) / 2), len(fine) - 1)
+    return Frame(
+        points,
+        known("tangent", curve.tangent(s), len(s), 3),
+        known("curvature", curve.curvature(s), len(s)),
+        frozen(np.concatenate([[0.0], np.cumsum(middle * np.diff(fine))])[::FINER]),
+        length,
+        None if curve.radius is None else known("radius", curve.radius(s), len(s)),
+    )
+
+
+def _within(most: float, length: float) -> bool:
+    return 0 < length <= most

@@ -1,0 +1,115 @@
+"""Commissioning, as a person does it: on the emulated controller in real time, over TCP, with lines typed."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from bench import sweep
+
+from ctr_nlp.cli.commands.play import main
+from ctr_nlp.exceptions import HardwareError
+from ctr_nlp.hardware.commissioned import commissioned_file, read_commissioned
+from ctr_nlp.hardware.description import Hardware
+from ctr_nlp.hardware.emulator import Firmware, serving
+
+pytestmark = pytest.mark.real_time
+
+AXIS = '[[axes]]\njoint = "{}"\nletter = "{}"\nunit = "{}"\nrange = {}\nspeed = {}\nacceleration = {}\n'
+
+
+class Rig:
+    """A controller that is served, and its hardware file."""
+
+    def __init__(self, url: str, firmware: Firmware, folder: Path) -> None:
+        self.firmware, self.folder, self.file = firmware, folder, folder / "rig.toml"
+        axes = [AXIS.format(f"beta_{i + 1}", "XYZ"[i], "mm", "[0, 150]", 50.0, 200.0) for i in range(3)]
+        axes += [AXIS.format(f"alpha_{i + 1}", "ABC"[i], "deg", "[-360, 360]", 600.0, 2000.0) for i in range(3)]
+        self.file.write_text(f'[connection]\ndevice = "grbl"\nurl = "{url}"\n' + "".join(axes))
+
+    def commission(self, typed: str, monkeypatch: pytest.MonkeyPatch) -> int:
+        """The exit status."""
+        monkeypatch.setattr("sys.stdin", io.StringIO(typed))
+        return main(["--commission", "--hardware", str(self.file), "--out", str(self.folder / "out")])
+
+    def play(self) -> int:
+        """The exit status."""
+        sweep(12).save(self.folder / "plan.npz")
+        return main(
+            [str(self.folder / "plan.npz"), "--hardware", str(self.file), "--out", str(self.folder / "play")]
+        )
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Iterator[Rig]:
+    firmware = Firmware()
+    with serving(firmware, "tcp") as url:
+        yield Rig(url, firmware, tmp_path)
+
+
+def test_axes_move_as_asked_and_the_settings_are_kept_and_compared(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert rig.commission("z+\nA-\nQ+\nY-\n\nX+\n", monkeypatch) == 0
+    out = capsys.readouterr().out
+    assert "Z went from 0.000 to 1.000" in out
+    assert "A went from 0.000 to -1.000" in out
+    assert "'Q+' is no axis and way" in out
+    assert "axis Y (beta_2) stands at 0 mm and would go to -1; it must stay in [0, 150]" in out
+    assert rig.firmware.position.tolist() == [0.0, 0.0, 1.0, -1.0, 0.0, 0.0]
+    known = json.loads(commissioned_file(rig.file).read_text())
+    assert known["settings"]["110"] == "3000.000"
+    assert "grblHAL" in known["controller"]
+    assert rig.play() == 0
+    capsys.readouterr()
+    rig.firmware.settings[3] = 1
+    assert rig.play() == 1
+    said = capsys.readouterr().err
+    assert "the controller's $3 is 1, and was 0 when the rig was commissioned: set $3=0" in said
+    assert rig.commission("", monkeypatch) == 0
+    assert "settings that have changed since the rig was commissioned" in capsys.readouterr().out
+    assert rig.play() == 0
+
+
+def test_settings_that_are_wrong_are_explained_and_nothing_is_moved_or_kept(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig.firmware.settings.update({1: 25, 13: 1, 122: 100.0})
+    assert rig.commission("X+\n", monkeypatch) == 1
+    out = capsys.readouterr().out
+    for text in ("$1=255", "go limp after 25 ms", "$13=0", "$122=200", "Nothing was moved or kept"):
+        assert text in out
+    assert rig.firmware.executed == []
+    assert not commissioned_file(rig.file).exists()
+
+
+def test_a_controller_in_alarm_is_not_commissioned(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig.firmware.hard_limit()
+    assert rig.commission("X+\n", monkeypatch) == 1
+    assert "the controller is Alarm; it must be Idle to be commissioned" in capsys.readouterr().err
+
+
+def test_only_a_grbl_controller_is_commissioned(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig.file.write_text(rig.file.read_text().replace('"grbl"', '"simulated"'))
+    assert rig.commission("", monkeypatch) == 2
+    assert "device of the connection is 'simulated'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"settings": []}', "\xff"])
+def test_a_record_that_cannot_be_read_is_named(text: str, tmp_path: Path) -> None:
+    file = tmp_path / "rig.toml"
+    assert read_commissioned(file) is None
+    commissioned_file(file).write_text(text, encoding="latin-1")
+    with pytest.raises(
+        HardwareError, match=r"rig.commissioned.json is no record of a commissioning .*: delete it"
+    ):
+        read_commissioned(file)
+    with pytest.raises(HardwareError):
+        Hardware.from_toml(file)

@@ -1,0 +1,90 @@
+"""Balanced pairs, of equal stiffness or with the inner tube the stiffer one, are planned on the elastic model."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from ctr_nlp import (
+    Plan,
+    Problem,
+    Robot,
+    Settings,
+    Tube,
+    curve_from_formula,
+    growing,
+    shape_curve,
+    shapes,
+    solve_horizon,
+    solve_per_frame,
+    summary,
+)
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.models import suits
+from ctr_nlp.reference import METHODS, reference_frames
+from ctr_nlp.simulation.following import follow
+from ctr_nlp.studies.comparison import compare, parse_variant
+
+OUTER = Tube(90, 60, 0.008, outer_diameter=2.4, inner_diameter=2.2)
+STIFFER = Robot((OUTER, Tube(150, 100, 0.012, 2.0, 1.0)))
+EQUAL = Robot((OUTER, Tube(150, 100, 0.012, 1.9, (1.9**4 - 2.4**4 + 2.2**4) ** 0.25)))
+
+
+def problem(robot):
+    path = curve_from_formula(lambda u: (100 - 100 * ca.cos(u), 0, 100 * ca.sin(u)), 0.0, 0.9)
+    return Problem("balanced", robot, growing(path, 4), duration=4.0)
+
+
+@pytest.mark.parametrize("robot", [STIFFER, EQUAL], ids=["the inner stiffer", "equal"])
+def test_a_balanced_pair_is_planned_on_the_elastic_model_from_end_to_end(robot, tmp_path):
+    """An aligned pair bends to between its pre-curvatures, 1/125 and 1/83 mm: an arc of 100 mm is well within."""
+    plan = solve_per_frame(problem(robot), model="elastic", direction="backward")
+    assert plan.complete
+    assert summary(plan)["e3"] < 0.5
+    assert plan.stability_between.min() >= Settings().stability_margin - 0.01
+    np.testing.assert_allclose(follow(robot, plan.q).x, follow(robot, plan.on("elastic").q).x)
+    plan.save(tmp_path / "plan.npz")
+    again = Plan.load(tmp_path / "plan.npz")
+    assert again.robot == robot
+    with pytest.raises(OptionError, match=r"tube 1 is not stiffer than tube 2 .*--model elastic"):
+        again.on("dominant")
+
+
+def test_a_balanced_pair_is_planned_over_a_horizon():
+    plan = solve_horizon(problem(STIFFER), model="elastic")
+    assert plan.complete
+    assert summary(plan)["e3"] < 0.5
+
+
+@pytest.mark.parametrize("robot", [STIFFER, EQUAL], ids=["the inner stiffer", "equal"])
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda robot: shapes(robot, np.zeros((1, 6))),
+        lambda robot: shape_curve(robot, np.array([0, 0, 10, 20, 0, 0.0])),
+        lambda robot: solve_per_frame(problem(robot)),
+        lambda robot: solve_per_frame(problem(robot), "two-stage"),
+        lambda robot: solve_horizon(problem(robot)),
+        *(lambda robot, name=name: reference_frames(problem(robot), name, Settings()) for name in METHODS),
+        lambda robot: compare([problem(robot)], [parse_variant("joint:ipopt")]),
+    ],
+)
+def test_whatever_rests_on_the_dominant_model_refuses_it_by_name(robot, ask):
+    with pytest.raises(OptionError, match=r"dominant.*stiffer than tube 2.*elastic"):
+        ask(robot)
+
+
+def test_a_comparison_on_the_elastic_model_leaves_the_dominant_figures_out():
+    found = compare([problem(STIFFER)], [parse_variant("joint:ipopt:elastic")])
+    (row,) = found.rows
+    assert row["dominant_e3"] is None
+    assert row["elastic_e3"] == row["e3"] < 0.5
+
+
+def test_the_seed_and_a_lone_tube_suit_both_models(robot):
+    for each in (robot, Robot(robot.tubes[:1])):
+        assert suits(each, "dominant")
+        assert suits(each, "elastic")
+    assert not suits(STIFFER, "dominant")
+    assert not suits(STIFFER, "rigid")

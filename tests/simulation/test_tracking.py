@@ -1,0 +1,181 @@
+"""Equilibria along motions: the branch that a robot is on, and where it snaps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import truth
+from hypothesis import given
+from strategies import numbers, robots_with_q
+
+from ctr_nlp import Robot, Tube, seed_robot
+from ctr_nlp.models.elastic import equilibria as branches
+from ctr_nlp.models.elastic import stability
+from ctr_nlp.simulation.following import configuration, follow, settled, shapes, tangents, untwisted
+
+LONG = Robot((Tube(90, 70, 0.02, 4.0, 3.2), Tube(150, 90, 0.02, 2.6, 1.6)))
+BETA = 60.0, 80.0
+
+
+@pytest.fixture(autouse=True)
+def _interpreted(monkeypatch, request):
+    """Robots of one test each are not worth compiling."""
+    if "compiled" not in request.fixturenames:
+        monkeypatch.setenv("CTR_NLP_COMPILE", "0")
+        branches._equilibrium.cache_clear()
+
+
+@pytest.fixture
+def compiled():
+    branches._equilibrium.cache_clear()
+
+
+def branch(count=20001):
+    """Angles of LONG's outer tube between the tips, and those between the motors: the whole S-shaped curve."""
+    phi = np.linspace(0, 2 * np.pi, count)
+    x = np.column_stack([phi, 0 * phi, np.tile([*BETA, 0, 0], (count, 1))])
+    alpha = configuration(LONG, x)[:, :2]
+    return x, alpha[:, 0] - alpha[:, 1]
+
+
+def turning(start, end, frames=81):
+    """LONG with its outer tube turned against the inner one."""
+    q = np.zeros((frames, 6))
+    q[:, 0], q[:, 2:4] = np.linspace(start, end, frames), BETA
+    return q
+
+
+@pytest.mark.parametrize("number", range(0, truth.CASES, 3))
+def test_settled_is_where_the_motors_are(shared_data, number):
+    case = truth.case(shared_data, number)
+    x = settled(case.robot, case.q)
+    np.testing.assert_allclose(configuration(case.robot, x[None])[0], case.q, atol=1e-10)
+    assert stability.margins(case.robot, x[None])[0] > 0
+
+
+def test_the_margin_is_zero_where_the_branch_turns_back():
+    x, alpha = branch()
+    fold = np.argmax(alpha[: len(alpha) // 2])
+    assert alpha[fold] > np.pi + 0.5
+    margins = stability.margins(LONG, x[[fold - 50, fold, fold + 50]])
+    assert margins[0] > 1e-3
+    assert abs(margins[1]) < 2e-3
+    assert margins[2] < -1e-3
+
+
+def test_a_robot_snaps_where_its_branch_ends_and_elsewhere_on_the_way_back():
+    """What is asked of the snap is read off the S-shaped curve of all equilibria, which takes no Newton steps."""
+    x, alpha = branch()
+    half = len(alpha) // 2
+    fold, back = alpha[:half].max(), alpha[half:].min()
+    q = turning(0.0, fold + 1)
+    there = follow(LONG, q)
+    (snap,) = there.snaps
+    assert snap.frame == 1 + np.argmax(q[:, 0] > fold)
+    assert snap.tubes == (1, 2)
+    after = x[half:][np.argmin(abs(alpha[half:] - fold))]
+    assert there.x[snap.frame - 2, 0] < np.pi < there.x[snap.frame - 1, 0]
+    assert there.x[-1, 0] > after[0]
+    assert np.nanmin(there.stability) > 0
+    assert there.stability_between[snap.frame - 1] <= 0
+    assert np.delete(there.stability_between, snap.frame - 1).min() > 0
+    np.testing.assert_allclose(configuration(LONG, there.x), q, atol=1e-9)
+    again = follow(LONG, q[::-1], there.x[-1])
+    (other,) = again.snaps
+    assert other.frame == 1 + np.argmax(q[::-1, 0] < back)
+    assert q[::-1][other.frame - 1, 0] < q[snap.frame - 1, 0] - 0.5
+    np.testing.assert_allclose(again.x[-1], there.x[0], atol=1e-9)
+
+
+def test_where_a_robot_falls_is_the_other_end_of_the_jump():
+    x, alpha = branch()
+    half = len(alpha) // 2
+    fold = np.argmax(alpha[:half])
+    after = half + np.argmin(abs(alpha[half:] - alpha[fold]))
+    (snap,) = follow(LONG, turning(0.0, alpha[fold] + 0.2)).snaps
+    inner = -configuration(LONG, x[[fold, after]])[:, 1]
+    jumps = np.diff(inner + x[[fold, after], 0]), np.diff(inner)
+    assert snap.jump == pytest.approx(np.abs(jumps).max(), abs=0.01)
+
+
+def test_a_shape_after_a_snap_is_the_mirror_image_of_that_on_the_way_back():
+    q = turning(0.0, 2 * np.pi, 41)
+    points = shapes(LONG, follow(LONG, q).x)
+    np.testing.assert_allclose(points[-1], points[0], atol=1e-6)
+    assert np.linalg.norm(np.diff(points[:, -1], axis=0), axis=1).max() > 10
+
+
+def test_unstable_equilibria_are_called_so_and_followed():
+    q = turning(np.pi, np.pi, 3)
+    found = follow(LONG, q, untwisted(LONG, q[0]))
+    np.testing.assert_allclose(found.x[:, 0], np.pi, atol=1e-9)
+    assert (found.stability < 0).all()
+    assert (found.stability_between < 0).all()
+    assert found.snaps == ()
+
+
+def test_opposed_tubes_that_are_pushed_out_leave_their_plane_before_they_are_unstable():
+    q = turning(np.pi, np.pi, 41)
+    q[:, 2:4] = np.linspace(0, 1, 41)[:, None] * BETA
+    found = follow(LONG, q)
+    assert found.snaps == ()
+    assert found.stability.min() > 0
+    assert abs(found.x[-1, 0] - np.pi) > 0.5
+    assert stability.margins(LONG, untwisted(LONG, q[-1:]))[0] < 0
+
+
+def test_a_motion_goes_on_after_frames_that_are_not_known():
+    q = turning(0.0, 2.0, 6)
+    q[[0, 3]] = np.nan
+    found = follow(LONG, q, q[1])
+    assert np.isnan(found.x[[0, 3]]).all()
+    for value in (found.stability, found.stability_between):
+        np.testing.assert_array_equal(np.isnan(value), [True, False, False, True, False, False])
+    np.testing.assert_allclose(found.x[4], settled(LONG, q[4]), atol=1e-9)
+    assert found.stability_between[4] == found.stability[4]
+
+
+def test_nothing_but_unknown_frames():
+    found = follow(LONG, np.full((2, 6), np.nan))
+    assert np.isnan(found.x).all()
+    assert np.isnan(found.stability_between).all()
+
+
+@given(robots_with_q(most=1))
+def test_one_tube_follows_its_motor(case):
+    robot, q = case
+    motion = np.linspace(0 * q, q, 3)
+    found = follow(robot, motion)
+    np.testing.assert_allclose(found.x, motion, atol=1e-12)
+    np.testing.assert_array_equal(found.stability_between, 1)
+
+
+@given(numbers(-3, 3), numbers(-3, 3), numbers(0.2, 1), numbers(0.2, 1))
+def test_motions_without_a_snap_end_where_a_robot_settles(first, second, part, other):
+    robot = seed_robot()
+    goal = np.array([first, second, 0, 40 * part, 60 * part + 30 * other, 120, 0.3, -0.2])
+    start = goal.copy()
+    start[:3] = goal[2]
+    found = follow(robot, np.linspace(start, goal, 5))
+    if not found.snaps:
+        np.testing.assert_allclose(found.x[-1], settled(robot, goal), atol=1e-8)
+    assert found.stability.min() > 0
+    assert (found.stability_between <= found.stability).all()
+
+
+def test_compiled_code_finds_the_same(compiled, monkeypatch):
+    q = turning(0.0, 6.0, 31)
+    fast = follow(LONG, q)
+    monkeypatch.setenv("CTR_NLP_COMPILE", "0")
+    branches._equilibrium.cache_clear()
+    slow = follow(LONG, q)
+    np.testing.assert_allclose(fast.x, slow.x, atol=1e-9)
+    assert [snap.frame for snap in fast.snaps] == [snap.frame for snap in slow.snaps]
+    assert len(fast.snaps) == 1
+
+
+def test_tangents_are_differences_of_points():
+    x = settled(LONG, turning(2.0, 2.0, 1)[0])[None]
+    sigma, h = np.linspace(0.1, 0.9, 9), 1e-6
+    ahead, behind = shapes(LONG, x, sigma + h), shapes(LONG, x, sigma - h)
+    np.testing.assert_allclose((ahead - behind) / (2 * h * BETA[1]), tangents(LONG, x, sigma), atol=1e-4)

@@ -1,0 +1,54 @@
+"""Error against roughness: a front that nothing of ours lies below."""
+
+import numpy as np
+import pytest
+
+from ctr_nlp import problem_from_file
+from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.steer import Horizon
+from ctr_nlp.studies.trade_off import BESIDE, WEIGHTS, sweep, trade_off
+from problems import NAMES, named
+
+
+def quiet(label):
+    return lambda done, total, note: None
+
+
+def on_the_front(points, roughness):
+    """The least e3 in mm that the front reaches at a roughness or less, along straight lines as drawn."""
+    front = sorted((p.roughness, p.e3) for p in points if p.method == "horizon" and p.solved)
+    rough, errors = np.array(front).T
+    return float(np.interp(roughness, rough, np.minimum.accumulate(errors)))
+
+
+def test_heavier_weights_give_smoother_motions_of_no_less_objective():
+    horizon = Horizon(named("cos", 8))
+    plans = sweep(horizon, horizon.solve(), (1e-3, 1e-5, 1e-4), quiet)
+    weights = [plan.meta["options"]["motion_weight"] for plan in plans]
+    assert weights == [1e-5, 1e-4, 1e-3]
+    assert all(plan.complete for plan in plans)
+    steps = [float(((np.diff(plan.q, axis=0) * plan.robot.mm_per_unit) ** 2).sum()) for plan in plans]
+    assert steps == sorted(steps, reverse=True)
+    objectives = [plan.objective.mean() for plan in plans]
+    assert objectives == sorted(objectives)
+
+
+def test_the_methods_beside_the_front_lie_above_it():
+    horizon = Horizon(named("cos", 10))
+    points = trade_off(horizon, horizon.solve(), WEIGHTS[::3], Settings(), quiet)
+    assert [p.method for p in points[-len(BESIDE) :]] == list(BESIDE)
+    for point in points[-len(BESIDE) :]:
+        assert on_the_front(points, point.roughness) <= point.e3 + 1e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", [*NAMES, "chaste_ts002_RLL", "chaste_ts002_LLL", "chaste_ts002_RML", "hra_vhm_left_main"]
+)
+def test_neither_per_frame_methods_nor_the_seeds_lie_below_the_front(shared_data, name):
+    problem = named(name) if name in NAMES else problem_from_file(shared_data / "airways" / f"{name}.csv")
+    horizon = Horizon(problem)
+    points = trade_off(horizon, horizon.solve(), WEIGHTS, Settings(), quiet)
+    for point in points[-len(BESIDE) :]:
+        if point.method != "euclidean":  # which knows no limits of speed, and may gain by that
+            assert on_the_front(points, point.roughness) <= point.e3 + 1e-6, point
