@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp import seed_robot
 from ctr_nlp.exceptions import DeviceFault
@@ -26,8 +25,7 @@ from ctr_nlp.hardware.playing.session import begin, prepared, resume
 from ctr_nlp.hardware.playing.trust import Memory
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.simulation.forward import shapes, tangents
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 
 def plan_of(q: Array, dt: float, robot: Any = None) -> Plan:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.nlp.links import Link, differences
 from ctr_nlp.nlp.nlp import Constraint, Nlp, Residual
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 
 def times(chain: Chain, jacobian: Array, x: Array) -> Array:

@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from ctr_nlp.formulations.settings import check_choice
+from ctr_nlp.support.values import check_choice
 from ctr_nlp.target.curve import Curve, curve_from_points
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 
 class Generation(NamedTuple):

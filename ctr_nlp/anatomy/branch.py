@@ -10,8 +10,7 @@ import numpy.typing as npt
 
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.target.points import LEAST_POINTS, LONGEST_MM, SHORTEST_MM, check_coordinates
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 SPACES = {"LPS": np.eye(4), "RAS": np.diag([-1.0, -1.0, 1.0, 1.0])}
 """Patient coordinates by the directions in which x, y, z grow (left, posterior, superior or right, anterior,

@@ -11,8 +11,7 @@ from scipy.optimize import minimize_scalar
 from ctr_nlp.anatomy.branch import Branch, Branches, moved
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.target.curve import Curve
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 UNKNOWN_LUMEN_MM = 5.0
 """How far from a branch without a radius a point may lie."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.anatomy.branch import Branches
@@ -14,8 +13,7 @@ from ctr_nlp.anatomy.files import is_mask, read_branches
 from ctr_nlp.exceptions import CurveError, OptionError
 from ctr_nlp.target.curve import Curve, curve_from_points
 from ctr_nlp.target.points import SHORTEST_MM
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from ctr_nlp.anatomy.files import CENTRELINES, MASKS
 from ctr_nlp.cli.output.file import check_file
 from ctr_nlp.codegen.cache import SWITCH
@@ -22,8 +19,7 @@ from ctr_nlp.models import MODELS
 from ctr_nlp.support.values import floats
 from ctr_nlp.target.fit import check_radii
 from ctr_nlp.target.problem import Problem
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 FILE_OPTIONS = ("branch", "entry", "target", "insertion", "tilt", "reverse", "smoothing", "trim")
 """What add_file_options adds."""

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 
 class Mapped:

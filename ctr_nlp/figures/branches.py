@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import matplotlib
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -15,8 +14,7 @@ from matplotlib.patheffects import withStroke
 
 from ctr_nlp.figures.parts.page import STYLE, printable
 from ctr_nlp.figures.parts.palette import BLACK, tube_colour, tube_width
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 SPACE = 6.5
 """Inches that the larger of width and height of all panels may take."""

@@ -14,8 +14,7 @@ from ctr_nlp.figures.parts.palette import BLUE, CONTACT, ROOMY, VERMILLION, tube
 from ctr_nlp.plan.contacts import contacts
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.target.target import SIGMA
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 SPREAD = 0.5
 """Power of the scale of colours: the last millimetre has more shades than others."""

@@ -10,7 +10,6 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-import numpy.typing as npt
 from matplotlib.animation import FFMpegWriter, PillowWriter
 from matplotlib.figure import Figure
 
@@ -23,8 +22,7 @@ from ctr_nlp.figures.parts.space import Body, frame, insertion_point, key, point
 from ctr_nlp.plan import account, metrics
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.support.whole_file import whole_file
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 WRITERS: dict[str, Any] = {".gif": PillowWriter, ".mp4": FFMpegWriter}
 """What writes a film, by the suffix of its file."""

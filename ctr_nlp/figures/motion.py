@@ -15,8 +15,7 @@ from ctr_nlp.figures.parts.page import STYLE, at_least, curve, head, shade, shad
 from ctr_nlp.figures.parts.palette import AMBIGUOUS, TILT, tube_colour, tube_width
 from ctr_nlp.figures.truth import error_from_truth, indistinct
 from ctr_nlp.plan.plan import Plan
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 NAMES = ("α (rad)", "β (mm)", "θ (rad)")
 LEAST_SPAN = (0.1, 1.0, 0.1)

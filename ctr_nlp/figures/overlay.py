@@ -18,8 +18,7 @@ from ctr_nlp.figures.parts.page import STYLE, head
 from ctr_nlp.figures.parts.palette import BLACK, tube_colour, tube_width
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.target.target import SIGMA
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 SHOWN = 6
 """Frames in the picture where the caller names none."""

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.simulation.forward import other_way
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array, Flags
 
 
 def error_from_truth(plan: Plan) -> Array:
@@ -39,7 +37,7 @@ def without_whole_turns(angle: Array) -> Array:
     return result
 
 
-def indistinct(plan: Plan) -> npt.NDArray[np.bool_]:
+def indistinct(plan: Plan) -> Flags:
     """Frames (T,) whose known theta_x is within 0.05 rad of +-pi/2, where alpha and theta_y are one rotation."""
     assert plan.truth is not None
     return np.abs(np.cos(plan.truth[:, -2])) < np.sin(0.05)

@@ -17,8 +17,7 @@ from ctr_nlp.figures.parts.palette import BLACK, SKY, VERMILLION
 from ctr_nlp.figures.parts.panels import panels, root_scale
 from ctr_nlp.plan import metrics
 from ctr_nlp.plan.plan import Plan
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 GROUPS = 10
 """Violins in the picture; fewer where there are fewer frames."""

@@ -13,7 +13,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import Shape, dominant
@@ -24,8 +23,7 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.simulation.forward import points_of
 from ctr_nlp.target.curve import Curve
 from ctr_nlp.target.lumen import Lumen, outer_radius
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 PLACES = 12
 """On every tube; the last is its tip."""

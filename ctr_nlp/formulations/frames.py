@@ -6,13 +6,11 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import qmc
 
 from ctr_nlp.robot import Robot
 from ctr_nlp.target.target import Frame
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 
 @dataclass(frozen=True)

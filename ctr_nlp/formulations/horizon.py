@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.formulations.contact import Wall
 from ctr_nlp.formulations.joint import alone, target_of, tip_steps
@@ -16,8 +15,7 @@ from ctr_nlp.nlp.nlp import FrameFunctions, Nlp
 from ctr_nlp.robot import Robot
 from ctr_nlp.simulation.following import settled
 from ctr_nlp.target.target import Frame
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 
 @dataclass(frozen=True)

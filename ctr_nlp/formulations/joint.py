@@ -9,7 +9,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.formulations import contact
 from ctr_nlp.formulations.settings import Settings
@@ -20,8 +19,7 @@ from ctr_nlp.nlp.nlp import Nlp
 from ctr_nlp.robot import Robot
 from ctr_nlp.simulation.following import settled, untwisted
 from ctr_nlp.target.target import SIGMA, Frame
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 STRIDE = 5
 """Every STRIDE-th of the target's 101 samples enters the NLP, 21 in all."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 from ctr_nlp.exceptions import OptionError
@@ -54,9 +53,3 @@ def check_motion_weight(weight: float) -> float:
     return number(
         OptionError, "motion_weight", weight, lambda x: 0 <= x < math.inf, "be a finite number >= 0", " s^2"
     )
-
-
-def check_choice(name: str, value: str, allowed: Iterable[str]) -> None:
-    """Raise OptionError, with the valid ones, unless a value is one of those allowed."""
-    if not isinstance(value, str) or value not in allowed:
-        raise OptionError(f"{name} is {value!r}; it must be one of {', '.join(allowed)}")

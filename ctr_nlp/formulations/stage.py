@@ -11,8 +11,7 @@ import numpy.typing as npt
 
 from ctr_nlp.nlp.nlp import Nlp
 from ctr_nlp.target.target import Frame
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.settings import Settings
@@ -17,8 +16,7 @@ from ctr_nlp.nlp import terms
 from ctr_nlp.nlp.nlp import Nlp
 from ctr_nlp.robot import Robot
 from ctr_nlp.target.target import SIGMA, Frame
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 TIGHTENING = (6.0, 2.5, 1.0)
 """Widths of the smoothed jumps of curvature, in units of the last, solved for one after the other."""

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.description import Hardware
@@ -17,8 +14,7 @@ from ctr_nlp.hardware.devices.grbl.settings import Finding, changes, findings
 from ctr_nlp.hardware.devices.grbl.stop import stopped
 from ctr_nlp.hardware.devices.grbl.talk import GREETING, Talk
 from ctr_nlp.hardware.link import Link
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 STEP = 1.0
 """mm or degrees of a trial step."""

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.exceptions import HardwareError, RobotError
 from ctr_nlp.hardware.arm.description import Arm
@@ -17,8 +16,7 @@ from ctr_nlp.hardware.commissioned import read_commissioned
 from ctr_nlp.hardware.motion.lookahead import steady_speed
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.values import described, numbers, read_toml
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 UNITS = {"beta": {"mm": 1.0}, "alpha": {"deg": math.degrees(1.0), "rad": 1.0}}
 """What an axis may count in, by what it moves, and how much of that a mm or a rad is."""

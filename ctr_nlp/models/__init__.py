@@ -1,10 +1,10 @@
 """Models of the robot: configuration to backbone."""
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.settings import check_choice
 from ctr_nlp.models.dominant import check_order
 from ctr_nlp.models.symbolic import Shape, dominant_shape, elastic_shape
 from ctr_nlp.robot import Robot
+from ctr_nlp.support.values import check_choice
 
 MODELS = {"dominant": dominant_shape, "elastic": elastic_shape}
 """What a model gives a formulation, by the name that options use."""

@@ -14,8 +14,7 @@ import numpy as np
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.robot import Robot, Tube
-
-Vector = tuple[Any, Any, Any]
+from ctr_nlp.typing import Vector
 
 DOMINATES = 1 + 1e-9
 """Least ratio of the bending stiffnesses of a tube and of the next one within it; rounding does not dominate."""

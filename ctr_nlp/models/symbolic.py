@@ -7,16 +7,14 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.models import dominant
-from ctr_nlp.models.dominant import Vector
 from ctr_nlp.models.elastic import shape as elastic
 from ctr_nlp.models.elastic import stability, torsion
 from ctr_nlp.nlp.nlp import Inner
 from ctr_nlp.robot import Robot
+from ctr_nlp.typing import Array, Vector
 
-Array = npt.NDArray[np.float64]
 Places = Callable[[Sequence[ca.SX]], ca.SX]
 """Arc lengths (n, 1) of samples, mm, for beta."""
 

@@ -9,15 +9,12 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse as sp
 
 from ctr_nlp.codegen.mapped import Mapped
 from ctr_nlp.nlp.links import Link
 from ctr_nlp.nlp.nlp import FrameFunctions, Nlp, Residual
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.int_]
+from ctr_nlp.typing import Array, Flags, Index
 
 
 class Slopes(NamedTuple):
@@ -292,12 +289,12 @@ class Chain:
         return found
 
     @cached_property
-    def free(self) -> npt.NDArray[np.bool_]:
+    def free(self) -> Flags:
         """Which entries of x (T n,) are not fixed."""
         return (self.lower < self.upper).ravel()
 
     @cached_property
-    def reached(self) -> npt.NDArray[np.bool_]:
+    def reached(self) -> Flags:
         """Which rows some free unknown changes; solvers leave the others alone."""
         of_frames = (self.free.reshape(self.frames, -1) @ self.frame.g_depends.T).ravel()
         own = np.concatenate([self.free, of_frames])

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse as sp
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.int_]
+from ctr_nlp.typing import Array, Index
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,8 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.int_]
+from ctr_nlp.typing import Array, Flags, Index
 
 
 @dataclass(frozen=True)
@@ -165,13 +163,13 @@ class Nlp:
         return low[self.configuration], high[self.configuration]
 
     @cached_property
-    def g_depends(self) -> npt.NDArray[np.bool_]:
+    def g_depends(self) -> Flags:
         """Which x each entry of g may depend on, (m, n)."""
         pattern = ca.jacobian_sparsity(self.g, self.x)
         return np.asarray(ca.DM(pattern, 1).full() > 0)
 
     @cached_property
-    def g_nonlinear(self) -> npt.NDArray[np.bool_]:
+    def g_nonlinear(self) -> Flags:
         """Which entries of g are not linear in x, (m,)."""
         return np.array(ca.which_depends(self.g, self.x, 2, True), dtype=bool)
 

@@ -7,16 +7,14 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.models import dominant
 from ctr_nlp.nlp.nlp import Constraint, Cost, Residual
 from ctr_nlp.robot import Robot
+from ctr_nlp.typing import Array, Vector
 
-Array = npt.NDArray[np.float64]
 
-
-def shape(points: dominant.Vector, target: dominant.Vector, quadrature: Any) -> Residual:
+def shape(points: Vector, target: Vector, quadrature: Any) -> Residual:
     """Distance from the robot to its target at equal sigma, eq. (8).
 
     points, target: x, y, z, each (n, 1) mm. quadrature: (n,), non-negative, sums to 1.
@@ -54,9 +52,7 @@ CENTRED = 0.01
 """mm: what rounds off the distance to the path where that is 0."""
 
 
-def clearance(
-    points: dominant.Vector, path: Sequence[dominant.Vector], wall: Sequence[ca.SX], slack: ca.SX
-) -> Constraint:
+def clearance(points: Vector, path: Sequence[Vector], wall: Sequence[ca.SX], slack: ca.SX) -> Constraint:
     """Distance from the robot to a path within the room that the lumen leaves it, or that and a slack, mm.
 
     points: x, y, z, each (n, 1) mm. path: its point near to each, its tangent and its bend, 1/mm, in the same

@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ctr_nlp.support.runs import runs
 from ctr_nlp.target.lumen import Lumen, outermost
 from ctr_nlp.target.target import SIGMA
+from ctr_nlp.typing import Array
 
 if TYPE_CHECKING:
     from ctr_nlp.plan.plan import Plan
-
-Array = npt.NDArray[np.float64]
 
 
 class Contact(NamedTuple):
@@ -37,12 +36,6 @@ def depth(plan: Plan) -> Array:
     if plan.clearance is None:
         return np.full(len(plan.time), np.nan)
     return np.maximum(0.0, -plan.clearance.min(axis=1))
-
-
-def runs(flags: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """The first index of each run of flags that are set, and the one after its last."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
-    return [(first, stop) for first, stop in edges.reshape(-1, 2).tolist()]
 
 
 def contacts(plan: Plan) -> list[Contact]:

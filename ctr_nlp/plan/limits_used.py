@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+
+from ctr_nlp.typing import Array
 
 if TYPE_CHECKING:
     from ctr_nlp.plan.plan import Plan
 
-Array = npt.NDArray[np.float64]
 
 SLACK = 1e-5
 """rad or mm by which positions, and steps from frame to frame, may exceed their limits: what solvers leave."""

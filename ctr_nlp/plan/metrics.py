@@ -5,18 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.plan.contacts import contacts, depth, runs
+from ctr_nlp.plan.contacts import contacts, depth
 from ctr_nlp.plan.limits_used import rate_parts
+from ctr_nlp.support.runs import runs
 from ctr_nlp.support.values import instance
 from ctr_nlp.target.target import QUADRATURE
+from ctr_nlp.typing import Array
 
 if TYPE_CHECKING:
     from ctr_nlp.plan.plan import Plan
-
-Array = npt.NDArray[np.float64]
 
 
 BINDS = 0.005

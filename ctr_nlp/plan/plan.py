@@ -13,7 +13,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.exceptions import CtrError, OutputError
 from ctr_nlp.plan.metrics import rms_over_sigma, root_mean_square
@@ -28,8 +27,7 @@ from ctr_nlp.support.whole_file import whole_file
 from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import SIGMA
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array, Flags
 
 ELSEWHERE = 0.05
 """rad: a robot whose tubes are turned by more from what was planned is in another equilibrium."""
@@ -57,7 +55,7 @@ class Plan:
     target_direction: Array
     tip_direction: Array
     solve_time: Array
-    success: npt.NDArray[np.bool_]
+    success: Flags
     objective: Array
     kkt: Array
     stability: Array
@@ -105,7 +103,7 @@ class Plan:
         return self.evaluated == "elastic"
 
     @cached_property
-    def reached(self) -> npt.NDArray[np.bool_]:
+    def reached(self) -> Flags:
         """Frames (T,) that have a shape, solved or not."""
         return frozen(np.asarray(np.isfinite(self.shape).all(axis=(1, 2))))
 
@@ -181,7 +179,7 @@ def plan_from_configurations(
     q: Array,
     meta: dict[str, Any],
     *,
-    success: npt.NDArray[np.bool_],
+    success: Flags,
     solve_time: Array,
     objective: Array,
     kkt: Array,
@@ -266,7 +264,7 @@ def _e3_free(robot: Robot, free: Array | None, target: Array, shape: Array, mode
     return root_mean_square(e2) if np.isfinite(e2).all() else None
 
 
-def elsewhere(x: Array, planned: Array, snaps: Sequence[Snap]) -> npt.NDArray[np.bool_]:
+def elsewhere(x: Array, planned: Array, snaps: Sequence[Snap]) -> Flags:
     """In which frames (T,) a robot with unknowns x (T, n) is not where it was planned to be, or just snapped."""
     away = ~(np.abs(x - planned).max(axis=1) < ELSEWHERE)
     away[[snap.frame - 1 for snap in snaps]] = True

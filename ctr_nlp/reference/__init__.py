@@ -8,12 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict
 
-from ctr_nlp.formulations.settings import Settings, check_choice
+from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import check_model
 from ctr_nlp.reference.descent import Method, ReferenceFrames
 from ctr_nlp.reference.euclidean import euclidean
 from ctr_nlp.reference.seed_two_stage import seed_two_stage
 from ctr_nlp.reference.tip_jacobian import tip_jacobian
+from ctr_nlp.support.values import check_choice
 from ctr_nlp.target.problem import Problem
 
 METHODS: dict[str, Callable[[Problem, float], Method]] = {

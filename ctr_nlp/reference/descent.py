@@ -6,15 +6,14 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import minimize
 
 from ctr_nlp.formulations.frames import FrameResult, starts
 from ctr_nlp.robot import Robot
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import Frame
+from ctr_nlp.typing import Array
 
-Array = npt.NDArray[np.float64]
 Method = Callable[[Frame, Array, Array | None], FrameResult]
 """(frame, guess q, previous q or None) -> result."""
 

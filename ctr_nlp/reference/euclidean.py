@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.formulations.frames import FrameResult
 from ctr_nlp.models import dominant
 from ctr_nlp.reference.descent import Method, descend, extensions, fractions, motion, shape_error
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import QUADRATURE, SIGMA, Frame
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 
 def euclidean(problem: Problem, motion_weight: float) -> Method:

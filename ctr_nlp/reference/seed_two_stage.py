@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.formulations.frames import FrameResult
 from ctr_nlp.models import dominant
@@ -12,8 +11,7 @@ from ctr_nlp.reference.descent import Method, descend, extensions, fractions, mo
 from ctr_nlp.robot import Robot
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import SIGMA, Frame
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 SAMPLES = 20
 """Midpoints per segment of the integral (11); they move with the segment, so that the sum has a gradient."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.formulations.frames import FrameResult
 from ctr_nlp.reference.descent import STEP, Method
@@ -11,8 +10,7 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.simulation.forward import shapes
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import Frame
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 DAMPING = 1.0
 """mu of the damped inverse J^T (J J^T + mu^2 I)^-1, in mm/mm."""

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.figures.parts.page import alone
 from ctr_nlp.figures.parts.palette import BLACK, BLUE, ORANGE, TILT, VERMILLION, tube_colour
 from ctr_nlp.plan.metrics import by_frame
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.support.extras import needed
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 ERROR, CLEARANCE, STABILITY = "error (mm)", "clearance (mm)", "stability margin"
 CONFIGURATION = ("α (rad)", "β (mm)", "θ (rad)")

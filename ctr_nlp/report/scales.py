@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
@@ -14,8 +13,7 @@ from ctr_nlp.figures.parts.palette import CONTACT, ERROR
 from ctr_nlp.plan.metrics import e1
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.target.target import SIGMA
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 SHADES = np.linspace(0.0, 1.0, 17)
 BELOW = 1 / 8

@@ -19,8 +19,7 @@ from ctr_nlp.report.scales import Scale, quantities
 from ctr_nlp.support.extras import needed
 from ctr_nlp.target.lumen import outer_radius, rings
 from ctr_nlp.target.target import SIGMA
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 BY_TUBE = "tube"
 """Colouring that is always there: every tube in its own colour."""

@@ -6,14 +6,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.exceptions import RobotError
 from ctr_nlp.robot.tube import LENGTHS, Tube
 from ctr_nlp.robot.units import between, did_you_mean, length_meant
 from ctr_nlp.support.values import frozen
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 
 def check_extensions(

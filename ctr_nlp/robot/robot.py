@@ -19,8 +19,7 @@ from ctr_nlp.robot.strain import check_deployed
 from ctr_nlp.robot.tube import Tube
 from ctr_nlp.robot.units import angle_meant, between, did_you_mean
 from ctr_nlp.support.values import described, frozen, numbers, pairs, plain_floats, read_toml, strict_json
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 MM_PER_RAD = 10.0
 """What one radian counts as in the motion term and the roughness, in mm: the W of the design."""

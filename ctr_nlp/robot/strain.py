@@ -13,12 +13,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.exceptions import RobotError
 from ctr_nlp.robot.tube import Tube
-
-Array = npt.NDArray[np.float64]
 
 STRAIN_DEPLOYED = 0.06
 """Largest strain of a tube's outer fibre, relative to its own pre-curved shape, by the other tubes."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.models import dominant
 from ctr_nlp.models.elastic import shape as elastic
@@ -13,8 +12,7 @@ from ctr_nlp.models.elastic import stability, torsion
 from ctr_nlp.models.elastic.equilibria import Branches, State
 from ctr_nlp.robot import Robot
 from ctr_nlp.target.target import SIGMA
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array, Vector
 
 SUBSTEPS = 10
 JUMP = 0.1
@@ -75,7 +73,7 @@ def tangents(robot: Robot, x: Array, sigma: Array = SIGMA) -> Array:
     return _stacked(elastic.backbone(robot, dominant.columns_of(x), sigma, np).tangents, len(x), len(sigma))
 
 
-def _stacked(vector: dominant.Vector, *shape: int) -> Array:
+def _stacked(vector: Vector, *shape: int) -> Array:
     return np.stack([np.broadcast_to(part, shape) for part in vector], axis=-1)
 
 

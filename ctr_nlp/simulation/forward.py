@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.exceptions import RobotError
 from ctr_nlp.models import check_model, dominant
@@ -15,8 +14,7 @@ from ctr_nlp.simulation import following as tracking
 from ctr_nlp.support.values import floats, instance
 from ctr_nlp.target.curve import Curve
 from ctr_nlp.target.target import SIGMA
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array, Vector
 
 
 def shapes(robot: Robot, q: Array, sigma: Array = SIGMA) -> Array:
@@ -79,7 +77,7 @@ def _backbone(robot: Robot, q: Array, sigma: Array) -> dominant.Backbone:
     return dominant.backbone(robot, dominant.columns_of(q), sigma, np)
 
 
-def _stacked(vector: dominant.Vector) -> Array:
+def _stacked(vector: Vector) -> Array:
     return np.stack(np.broadcast_arrays(*vector), axis=-1)
 
 

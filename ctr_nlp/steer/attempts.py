@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.formulations.contact import ROUNDS, SETTLED, Wall
 from ctr_nlp.formulations.horizon import Ends, horizon
@@ -23,8 +22,8 @@ from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.solvers.motion.judged import NEAR, WIDE, judged
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.target.target import Frame
+from ctr_nlp.typing import Array
 
-Array = npt.NDArray[np.float64]
 Report = Callable[[Iterate], None]
 
 TIE = 1e-9

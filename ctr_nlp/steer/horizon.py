@@ -15,7 +15,7 @@ import numpy.typing as npt
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.contact import Wall, wall_of
 from ctr_nlp.formulations.horizon import Ends, horizon
-from ctr_nlp.formulations.settings import Settings, check_choice
+from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import check_model
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
@@ -42,10 +42,9 @@ from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.realised import realised
 from ctr_nlp.steer.requests import check_described, check_search, checked_ends, checked_motions
 from ctr_nlp.support.interrupt import deferred_interrupt
-from ctr_nlp.support.values import strict_json
+from ctr_nlp.support.values import check_choice, strict_json
 from ctr_nlp.target.problem import Problem
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 Run = Callable[[Wall | None, Sequence[Array]], list[Attempt]]
 """Attempts near a wall, or far from any, from motions."""

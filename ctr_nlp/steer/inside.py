@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.formulations.contact import Wall
 from ctr_nlp.plan.metrics import rms_over_sigma, root_mean_square
@@ -21,8 +20,7 @@ from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.passes import Pass
 from ctr_nlp.steer.realised import SAME, held
 from ctr_nlp.target.problem import Problem
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array, Flags
 
 LIGHTEST = 1e-3
 """Least weight of contact that is tried, as a part of the one asked for."""
@@ -66,7 +64,7 @@ class Outcome:
     e2: Array
 
     @classmethod
-    def of(cls, problem: Problem, model: str, q: Array, x: Array, success: npt.NDArray[np.bool_]) -> Outcome:
+    def of(cls, problem: Problem, model: str, q: Array, x: Array, success: Flags) -> Outcome:
         """That of configurations q (T, 2d + 2) found with unknowns x (T, n) and success (T,)."""
         moved = simulated(problem.robot, q, model)
         away = moved.shape - np.array([frame.points for frame in problem.samples])

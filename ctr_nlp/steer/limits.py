@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.optimize import linprog
 
 from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.target.problem import OVERLONG, Problem
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 SLACK = 1e-6
 """Limits may be exceeded by this part before a motion counts as impossible."""

@@ -15,8 +15,7 @@ from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.passes import Progress, run_passes
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import Target
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 MOST_FRAMES = 200
 """Frames solved one by one for a start; of more, every second, third, ... is solved and the rest interpolated."""

@@ -9,20 +9,18 @@ from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.contact import ROUNDS, SETTLED, Wall, wall_of
 from ctr_nlp.formulations.frames import FrameResult, reachable, starts
 from ctr_nlp.formulations.joint import joint, tip_steps
-from ctr_nlp.formulations.settings import Settings, check_choice
+from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import check_model
 from ctr_nlp.simulation.forward import other_way
 from ctr_nlp.solvers import SOLVERS, Solution, default_solver
-from ctr_nlp.support.values import strict_json
+from ctr_nlp.support.values import check_choice, strict_json
 from ctr_nlp.target.problem import Problem
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 SEARCH_STARTS = 32
 """Starts of a search without a past."""

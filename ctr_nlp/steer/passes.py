@@ -15,8 +15,8 @@ from ctr_nlp.simulation.forward import simulated
 from ctr_nlp.steer.requests import Direction, checked_ends
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.target.problem import Problem
+from ctr_nlp.typing import Array
 
-Array = npt.NDArray[np.float64]
 Progress = Callable[[int, int, str], None]
 """Called with (steps done, steps in all, what is being done)."""
 

@@ -19,8 +19,7 @@ from ctr_nlp.steer.realised import held
 from ctr_nlp.steer.requests import Direction, check_described, checked_ends
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.target.problem import Problem
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 
 def solve_per_frame(

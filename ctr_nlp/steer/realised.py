@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.plan.plan import elsewhere
@@ -19,8 +18,7 @@ from ctr_nlp.steer.attempts import Attempt, attempt
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.passes import Pass
 from ctr_nlp.target.problem import Problem
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 TRIED = 3
 """Best attempts that are looked at; more where none of them is made."""

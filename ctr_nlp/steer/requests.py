@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.exceptions import OptionError, ProblemError
-from ctr_nlp.formulations.settings import Settings, check_choice, check_motion_weight
-from ctr_nlp.support.values import floats, instance, whole_number
+from ctr_nlp.formulations.settings import Settings, check_motion_weight
+from ctr_nlp.support.values import check_choice, floats, instance, whole_number
 from ctr_nlp.target.problem import Problem
+from ctr_nlp.typing import Array
 
-Array = npt.NDArray[np.float64]
 Direction = Literal["forward", "backward", "best"]
 
 DIRECTIONS = ("forward", "backward", "best")

@@ -17,8 +17,7 @@ from ctr_nlp.solvers.frame.sqp import Program
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.support.values import instance, number
 from ctr_nlp.target.target import SIGMA
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 
 class Steerer:

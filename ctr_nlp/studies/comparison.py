@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.horizon import Ends, horizon
-from ctr_nlp.formulations.settings import Settings, check_choice
+from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import MODELS, check_model, suits
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.plan.metrics import summary
@@ -27,9 +26,9 @@ from ctr_nlp.steer.motions import per_frame_motions
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.support.values import check_choice
 from ctr_nlp.target.problem import Problem
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 SAME = 1e-4, 1e-6
 """Two objectives are the same where they differ by this part, or by so many mm^2."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,14 +12,14 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.exceptions import CtrError, RobotError
+from ctr_nlp.exceptions import CtrError, OptionError, RobotError
+from ctr_nlp.typing import Array
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
 
-Array = npt.NDArray[np.float64]
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 INFINITE = ("inf", "-inf")
@@ -153,3 +153,9 @@ def unchanging(value: Any) -> Any:
     if isinstance(value, str) and value in INFINITE:
         return float(value)
     return tuple(unchanging(item) for item in value) if isinstance(value, list | tuple) else value
+
+
+def check_choice(name: str, value: str, allowed: Iterable[str]) -> None:
+    """Raise OptionError, with the valid ones, unless a value is one of those allowed."""
+    if not isinstance(value, str) or value not in allowed:
+        raise OptionError(f"{name} is {value!r}; it must be one of {', '.join(allowed)}")

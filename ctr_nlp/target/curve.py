@@ -17,8 +17,8 @@ from ctr_nlp.exceptions import CurveError
 from ctr_nlp.support.values import floats, number
 from ctr_nlp.target.points import checked_points, checked_radii, symbolic_point
 from ctr_nlp.target.smoothing import evened
+from ctr_nlp.typing import Array
 
-Array = npt.NDArray[np.float64]
 Field = Callable[[Array], Array]
 Derivative = Callable[[Array, int], Array]
 

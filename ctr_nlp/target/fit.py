@@ -7,16 +7,14 @@ from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.exceptions import ProblemError
-from ctr_nlp.plan.contacts import runs
 from ctr_nlp.robot import Robot
+from ctr_nlp.support.runs import runs
 from ctr_nlp.target.curve import Curve
 from ctr_nlp.target.lumen import Lumen, outer_radius
 from ctr_nlp.target.problem import Problem
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 SPACING_MM = 0.1
 """Between places along a path that are looked at."""

@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.spatial import cKDTree
 
@@ -14,9 +13,7 @@ from ctr_nlp.exceptions import CurveError
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.values import floats
 from ctr_nlp.target.curve import Curve
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.int_]
+from ctr_nlp.typing import Array, Index
 
 SPACING = 0.5
 """mm between the points of a lumen's table."""

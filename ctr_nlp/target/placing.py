@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from ctr_nlp.exceptions import CurveError, OptionError
 from ctr_nlp.target.curve import Curve
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 HEADING_MM = 10.0
 """The mean direction over this first length becomes the insertion direction."""

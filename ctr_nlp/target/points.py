@@ -11,8 +11,7 @@ import numpy.typing as npt
 
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.support.values import frozen
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 LEAST_POINTS = 4
 SHORTEST_MM = 1.0

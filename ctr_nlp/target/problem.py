@@ -6,16 +6,12 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import numpy as np
-import numpy.typing as npt
-
 from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.values import floats, instance, number
 from ctr_nlp.target.curve import Curve
 from ctr_nlp.target.target import Frame, Target
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 OVERLONG = 1.005
 """A target up to this many times longer than the robot reaches is accepted; beta_d then stays at its bound."""

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import solveh_banded
 
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 WEAKEST, STRONGEST = -4.0, 13.0
 """Powers of ten between which the penalty on bending is looked for; beyond, double precision ends."""

@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.interpolate import CubicHermiteSpline
 
 from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.support.values import floats, frozen, instance, number, whole_number
 from ctr_nlp.target.curve import Curve
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 SIGMA = np.linspace(0.0, 1.0, 101)
 """Normalised arc lengths at which targets and shapes are sampled and errors measured."""

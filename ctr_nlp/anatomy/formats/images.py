@@ -16,8 +16,7 @@ from scipy.spatial.transform import Rotation
 from ctr_nlp.anatomy.branch import SPACES
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.support.extras import needed
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 TO_LPS = SPACES | {"LAS": np.diag([1.0, -1.0, 1.0, 1.0])}
 """Coordinate systems that an image may be written in, and what takes each to LPS."""

@@ -22,8 +22,8 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 from scipy.spatial import cKDTree
 
 from ctr_nlp.exceptions import CurveError
+from ctr_nlp.typing import Array
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 
 SAME_MM = 1e-3

@@ -10,12 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.anatomy.branch import SPACES, Branch, Branches, moved
 from ctr_nlp.exceptions import CurveError
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 WIDTHS = {
     "radius": 1.0,

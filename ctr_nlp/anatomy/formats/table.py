@@ -5,12 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.anatomy.branch import Branch, Branches
 from ctr_nlp.exceptions import CurveError
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 COLUMNS = ("x_mm", "y_mm", "z_mm")
 EXPECTED = "expected a header x_mm,y_mm,z_mm and optionally radius_mm, then one point a line"

@@ -20,8 +20,8 @@ from ctr_nlp.anatomy.branch import SPACES, Branch, Branches, check_points, moved
 from ctr_nlp.anatomy.formats.network import SAME_MM, Network
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.support.extras import needed
+from ctr_nlp.typing import Array
 
-Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 
 RADII = ("MaximumInscribedSphereRadius", "Radius", "radius")

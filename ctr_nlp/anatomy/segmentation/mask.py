@@ -15,9 +15,9 @@ from ctr_nlp.anatomy.formats.images import TO_LPS, Image, read_image
 from ctr_nlp.anatomy.segmentation.middle import centred, holds
 from ctr_nlp.anatomy.segmentation.route import cheapest_route, depths
 from ctr_nlp.exceptions import CurveError
+from ctr_nlp.typing import Array, Flags
 
-Array = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
+Flags = Flags
 
 LEAST_VOXELS = 3.0
 """Of a voxel's diagonal, at least, between entry and target."""

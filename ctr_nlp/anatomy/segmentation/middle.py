@@ -15,8 +15,9 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 from scipy.sparse.linalg import spsolve
 
-Array = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
+from ctr_nlp.typing import Array, Flags
+
+Flags = Flags
 
 STEP_MM = 1.0
 """Between neighbouring cross-sections, and between points of the result."""

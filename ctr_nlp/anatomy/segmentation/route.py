@@ -11,9 +11,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from ctr_nlp.support.extras import needed
+from ctr_nlp.typing import Array, Flags
 
-Array = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
+Flags = Flags
 Index = npt.NDArray[np.integer[Any]]
 
 POWER = 3.0

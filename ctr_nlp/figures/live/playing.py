@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -18,8 +17,7 @@ from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
 from ctr_nlp.simulation import following as tracking
 from ctr_nlp.simulation.forward import shapes
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 COMMANDED: dict[str, Any] = {"color": FAILED, "lw": 8.0, "zorder": 3}
 """A broad light band, which the robot is to lie in."""

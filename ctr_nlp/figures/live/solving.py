@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -21,8 +20,7 @@ from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
 from ctr_nlp.simulation.forward import points_of
 from ctr_nlp.target.target import SIGMA
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 SHOWN = 5
 """Frames whose shapes are drawn."""

@@ -16,6 +16,7 @@ from ctr_nlp.figures.parts.palette import FAILED, UNREACHED
 from ctr_nlp.plan.account import failed
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.typing import Flags
 
 STYLE: Any = {
     "font.size": 9,
@@ -62,9 +63,7 @@ def printable(text: str) -> str:
     return "".join(c if font.get_char_index(ord(c)) else "?" for c in text)
 
 
-def shade(
-    axes: Axes, centres: npt.NDArray[Any], width: float, mask: npt.NDArray[np.bool_], colour: str, label: str
-) -> None:
+def shade(axes: Axes, centres: npt.NDArray[Any], width: float, mask: Flags, colour: str, label: str) -> None:
     """Colour the background of the frames in mask; centres and width are on the horizontal axis."""
     for number, centre in enumerate(centres[mask]):
         name = "_" if number else label

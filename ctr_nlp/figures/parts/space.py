@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.lines import Line2D
 
 from ctr_nlp.figures import overlay
 from ctr_nlp.figures.overlay import parts
 from ctr_nlp.figures.parts.palette import BLACK, tube_colour, tube_width
 from ctr_nlp.target.lumen import rings
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 SLIM = 0.3
 """Least side of the box as part of its longest."""

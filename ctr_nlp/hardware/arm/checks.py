@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.exceptions import HardwareError
 from ctr_nlp.hardware.arm.description import JOINTS, Arm
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 
 def check_joints(arm: Arm, time: Array, joints: Array) -> None:

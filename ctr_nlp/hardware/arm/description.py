@@ -8,12 +8,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.exceptions import HardwareError, RobotError
 from ctr_nlp.support.values import frozen, numbers
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 MODELS = (
     *("ur3", "ur3e", "ur5", "ur5e", "ur7e", "ur8long", "ur10", "ur10e"),

@@ -5,12 +5,10 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.hardware.arm.description import Arm
 from ctr_nlp.support.extras import needed
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 LENGTH = 100.0
 """mm that count as one radian where turning and moving are compared."""

@@ -7,14 +7,12 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.exceptions import HardwareError
 from ctr_nlp.hardware.arm.description import JOINT_LIMIT, JOINTS, Arm, rotations
 from ctr_nlp.hardware.arm.forward import gains
 from ctr_nlp.support.extras import needed
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 LARGEST_GAIN = 30.0
 """Nearer to a singularity, joints would turn more than this many times as fast as the robot they hold."""

@@ -5,12 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
-import numpy as np
-import numpy.typing as npt
-
 from ctr_nlp.hardware.motion.program import Commands
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 
 class Standing(NamedTuple):

@@ -9,14 +9,13 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.arm.description import JOINTS, Arm
 from ctr_nlp.hardware.arm.forward import tilt
 from ctr_nlp.hardware.arm.inverse import joints
+from ctr_nlp.typing import Array
 
-Array = npt.NDArray[np.float64]
 Now = Callable[[], float]
 
 LONGEST_STEP = 0.1

@@ -5,9 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
-import numpy as np
-import numpy.typing as npt
-
 from ctr_nlp.hardware.arm.description import Arm
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.description import Connection, Hardware
@@ -20,8 +17,7 @@ from ctr_nlp.hardware.devices.ur import UrArm
 from ctr_nlp.hardware.link import Link, RecordedLink, SerialLink
 from ctr_nlp.hardware.playing.journal import Journal
 from ctr_nlp.hardware.playing.trust import Memory, state_folder
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 
 def device_of(hardware: Hardware, journal: Journal, clock: Clock, position: Array) -> Device:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.devices import Asked, Progress, Standing
 from ctr_nlp.hardware.motion.program import Commands
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 STOPPING = 0.1
 """s in which a hold takes its pace to nothing, and resuming back."""

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.arm.description import Arm
@@ -17,8 +16,7 @@ from ctr_nlp.hardware.arm.forward import insertion_error, tilt
 from ctr_nlp.hardware.arm.inverse import joints
 from ctr_nlp.hardware.devices.arms import Now, Steps
 from ctr_nlp.support.extras import needed
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 STALE = 0.2
 """s without news from the controller after which the connection counts as lost."""

@@ -6,15 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.interpolate import BPoly, CubicHermiteSpline
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.hardware.motion.lookahead import LONGEST
 from ctr_nlp.hardware.motion.program import Program
 from ctr_nlp.support.extras import needed
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 STORAGES = ("mcap", "sqlite3")
 """What bags may be kept in: mcap is what ROS records since Iron, sqlite3 what Humble reads without a plugin."""

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 MEANING = "G21 G90 G93"
 """Millimetres, absolute positions, and F as 1 / (minutes that a line takes)."""

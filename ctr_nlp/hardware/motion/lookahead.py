@@ -12,9 +12,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array, Flags
 
 AHEAD = 0.3
 """s of motion that a controller may have in hand; coming to rest within it takes up to a half longer."""
@@ -67,7 +66,7 @@ class Window:
     mm.
     """
 
-    def __init__(self, ends: Array, points: Array, slides: npt.NDArray[np.bool_]) -> None:
+    def __init__(self, ends: Array, points: Array, slides: Flags) -> None:
         self._ends = ends
         gone = abs(np.diff(points[:, slides], axis=0, prepend=points[:1, slides]))
         self._travel = np.cumsum(gone, axis=0)
@@ -83,9 +82,7 @@ class Window:
         return min(len(self._ends) - 1, max(begun, min([in_time, *allowed])))
 
 
-def sustainable(
-    speed: Array, acceleration: Array, slides: npt.NDArray[np.bool_], link: LinkTiming, rate: float
-) -> float:
+def sustainable(speed: Array, acceleration: Array, slides: Flags, link: LinkTiming, rate: float) -> float:
     """The part of its pace, at most 1, at which a motion can be kept supplied over a link; 0 for none.
 
     speed (m,): largest of the axes in the motion; acceleration (m,): of the controller; rate: bytes/s of the

@@ -6,13 +6,11 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 from scipy.interpolate import CubicHermiteSpline
 
 from ctr_nlp.exceptions import ProgramError
 from ctr_nlp.robot import Robot
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 OPTIONS: dict[str, Any] = {
     "print_time": False,

@@ -19,8 +19,7 @@ from ctr_nlp.hardware.motion.path import made_up, path_through
 from ctr_nlp.hardware.motion.timing import Motion, timed
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 AT = 1e-4
 """Part of the way from frame to frame: what stands so little before a frame stands at it."""

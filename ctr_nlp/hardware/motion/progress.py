@@ -5,12 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.hardware.motion.program import Commands
-
-Array = npt.NDArray[np.float64]
-
+from ctr_nlp.typing import Array
 
 AT = 0.02
 """Parts of tolerances within which a device is at a place."""

@@ -9,8 +9,7 @@ import numpy.typing as npt
 
 from ctr_nlp.hardware.devices import Progress
 from ctr_nlp.hardware.motion.program import Program
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 
 class Tracking(NamedTuple):

@@ -9,12 +9,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.exceptions import ProgramError
 from ctr_nlp.support.extras import needed
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 Path = Any
 """(s, order) -> (.., n): a path's points, or derivatives of that order, at parameters s (..,)."""

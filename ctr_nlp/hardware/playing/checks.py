@@ -16,8 +16,7 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.simulation import following as tracking
 from ctr_nlp.simulation.forward import shapes
 from ctr_nlp.target.target import SIGMA
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 SAMPLES = 10
 """Places at which a program is checked on the way from frame to frame."""

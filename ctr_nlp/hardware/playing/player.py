@@ -7,7 +7,6 @@ from contextlib import contextmanager, suppress
 from queue import Empty, SimpleQueue
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.exceptions import DeviceFault, HardwareError, JournalError, ProgramError, Stopped
 from ctr_nlp.hardware.clock import Clock, RealClock
@@ -18,8 +17,7 @@ from ctr_nlp.hardware.playing.journal import Journal
 from ctr_nlp.hardware.playing.results import Outcome, Result, State
 from ctr_nlp.hardware.playing.supervision import Supervisor, Tolerances
 from ctr_nlp.hardware.playing.trust import Memory, Remembered, doubt
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 TICK = 0.005
 """s between two looks at the device."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.interpolate import CubicHermiteSpline
 
 from ctr_nlp.exceptions import ProgramError, Stopped
@@ -18,8 +17,7 @@ from ctr_nlp.hardware.playing.results import Outcome, Result
 from ctr_nlp.hardware.playing.session import RETRACTED, announced, as_told, check_trusted, place, ready, session_of
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 
 def retract(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.exceptions import DeviceFault, ProgramError, Stopped
 from ctr_nlp.hardware.description import Hardware
@@ -17,8 +16,7 @@ from ctr_nlp.hardware.playing.player import Player, Seen
 from ctr_nlp.hardware.playing.results import Outcome, Result, State
 from ctr_nlp.hardware.playing.trust import REMEDY
 from ctr_nlp.plan.plan import Plan
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 RETRACTED = "retraction"
 """Kind of the journal's record of a retraction, after which no session before it can be resumed."""

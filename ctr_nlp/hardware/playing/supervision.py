@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-import numpy.typing as npt
-
 from ctr_nlp.hardware.devices import Progress
 from ctr_nlp.hardware.playing.results import Outcome
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 SILENCE = 0.5
 """s without news from the device."""

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import lapack
 
 from ctr_nlp.codegen import cache, vector
@@ -21,8 +20,7 @@ from ctr_nlp.models.dominant import shows_transmission
 from ctr_nlp.models.elastic import stability, torsion
 from ctr_nlp.models.elastic.stability import Energy
 from ctr_nlp.robot import Limits, Robot, Tube
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 STRIDE = 0.2
 """rad that tubes are turned by at once on the way from the aligned robot."""

@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.models.dominant import Arm, Backbone, Vector, base_frame, combined, planar, shows_transmission
+from ctr_nlp.models.dominant import Arm, Backbone, base_frame, combined, planar, shows_transmission
 from ctr_nlp.models.elastic.torsion import STEPS, Node, Section, Twist, bending, sections, twist
 from ctr_nlp.robot import Robot
+from ctr_nlp.typing import Vector
 
 Frame = tuple[Vector, Vector, Vector]
 

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numpy.polynomial import Legendre
 
 from ctr_nlp.models.dominant import columns_of
@@ -27,8 +26,7 @@ from ctr_nlp.models.elastic.torsion import (
     twist,
 )
 from ctr_nlp.robot import Robot
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 DEGREE = 3
 """Of the polynomials that the tubes' angles are in every section, in Galerkin's method."""

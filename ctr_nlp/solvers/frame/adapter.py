@@ -8,11 +8,9 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.nlp.nlp import Nlp, kkt_residual
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 FEASIBLE = 1e-6
 """A point that leaves bounds or constraints by more than this (rad, mm) is no solution, whatever a solver says."""

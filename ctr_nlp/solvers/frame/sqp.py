@@ -12,14 +12,12 @@ import ctypes
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.codegen import cache
 from ctr_nlp.nlp.nlp import FrameFunctions, Nlp
 from ctr_nlp.solvers import compiled
 from ctr_nlp.solvers.frame.adapter import FEASIBLE, OPTIMAL, Ipopt, NlpSolver, Solution
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 TOLERANCE = 1e-6
 """Largest KKT residual at a solution, mm^2 per unit of x."""

@@ -9,7 +9,6 @@ Math. Program. 106 (2006); where constraints are curved, slacks follow their val
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.nlp.chain import Chain
@@ -17,8 +16,7 @@ from ctr_nlp.solvers.frame.adapter import FEASIBLE, Solution
 from ctr_nlp.solvers.motion.judged import WIDE, judged
 from ctr_nlp.solvers.motion.rows import Rows, Step
 from ctr_nlp.solvers.motion.watch import Iterate, Watch
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 TOLERANCE = 1e-6
 """Largest stationarity (mm^2 per unit of x) and complementarity (mm^2) at a solution."""

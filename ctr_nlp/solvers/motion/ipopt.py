@@ -7,15 +7,13 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse as sp
 
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.solvers.frame.adapter import COMMON, Solution, outcome
 from ctr_nlp.solvers.motion.judged import WIDE, judged
 from ctr_nlp.solvers.motion.watch import Iterate, Watch
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 OPTIONS: dict[str, Any] = {
     "sb": "yes",

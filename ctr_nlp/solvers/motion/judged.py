@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.solvers.frame.adapter import FEASIBLE, OPTIMAL, Solution
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 WIDE, NEAR = 1e-2, 1e-6
 """First barriers, mm^2: one that lets the objective decide which limits become active, and one that stays in the

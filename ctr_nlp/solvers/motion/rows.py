@@ -11,12 +11,10 @@ import ctypes
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.codegen import cache
 from ctr_nlp.nlp.chain import Chain
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 RELAX = 1e-9
 """How far bounds are moved outwards, so that bounds that meet still have an interior, rad or mm."""

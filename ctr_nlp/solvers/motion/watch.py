@@ -6,11 +6,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.solvers.frame.adapter import FEASIBLE
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 
 class Iterate(NamedTuple):

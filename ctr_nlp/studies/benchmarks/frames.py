@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.formulations.frames import FrameResult, reachable
 from ctr_nlp.formulations.joint import joint
@@ -26,8 +25,8 @@ from ctr_nlp.steer import solve_per_frame
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.studies.benchmarks.records import RATIO, Record
 from ctr_nlp.target.problem import Problem
+from ctr_nlp.typing import Array
 
-Array = npt.NDArray[np.float64]
 Found = TypeVar("Found", Solution, FrameResult)
 
 EVERY = 5

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.formulations.settings import Settings
@@ -23,8 +22,7 @@ from ctr_nlp.steer import Horizon
 from ctr_nlp.steer.motions import per_frame_motions
 from ctr_nlp.studies.benchmarks.records import RATIO, Record
 from ctr_nlp.target.problem import Problem
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 REPEATS = 5
 SAME = 1e-4, 1e-6

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.formulations.contact import ROUNDS, SETTLED, Wall
 from ctr_nlp.formulations.frames import starts
@@ -16,8 +15,7 @@ from ctr_nlp.solvers.frame.sqp import Program
 from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import SIGMA, Frame
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 WEIGHT = 1e3
 """mm^2 a mm of contact: so much that the shape hardly counts beside it."""

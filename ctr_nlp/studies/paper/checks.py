@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 PRINTED = 2
 """Decimals of the seed's tables: closer numbers are the same."""

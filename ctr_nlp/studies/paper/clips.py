@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from ctr_nlp.figures.overlay import draw, key
 from ctr_nlp.plan.plan import Plan
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 QUARTERS = (0.25, 0.5, 0.75, 1.0)
 """Parts of a motion at which it is shown."""

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.formulations.joint import alone
 from ctr_nlp.plan.metrics import rms_over_sigma
@@ -15,8 +14,7 @@ from ctr_nlp.reference.seed_two_stage import seed_two_stage
 from ctr_nlp.simulation.forward import shapes
 from ctr_nlp.solvers import SOLVERS
 from ctr_nlp.target.problem import Problem
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 ON_SEGMENT = (1, 2, 3, 4, 6, 8, 12)
 """Points on each tube's segment for the seed's method; the last at its end."""

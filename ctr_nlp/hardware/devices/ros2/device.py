@@ -17,7 +17,6 @@ lies.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.clock import Clock
@@ -29,8 +28,7 @@ from ctr_nlp.hardware.devices.ros2.track import FIRST, Track, stop_there
 from ctr_nlp.hardware.motion.program import Commands
 from ctr_nlp.hardware.motion.progress import Place, Way
 from ctr_nlp.hardware.playing.journal import Journal
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 DISCOVERY = 5.0
 """s in which a controller must have been found, and have said where its joints are."""

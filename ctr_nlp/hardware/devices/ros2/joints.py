@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices.ros2.messages import JointStates, Points
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 SILENCE = 0.5
 """s without fresh joint states after which the controller counts as gone, or by which they may come late."""

@@ -14,13 +14,11 @@ from typing import Any, NamedTuple
 from weakref import WeakValueDictionary
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.playing.journal import Journal
 from ctr_nlp.support.extras import needed
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 LOOPBACK = "127.0.0.1"
 

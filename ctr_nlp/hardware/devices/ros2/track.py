@@ -10,13 +10,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from ctr_nlp.hardware.devices.ros2.messages import Points
 from ctr_nlp.hardware.motion.program import Commands
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 FIRST = 0.1
 """s until the first point of a trajectory that is begun in motion: when it arrives, the controller is not quite

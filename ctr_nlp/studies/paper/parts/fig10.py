@@ -6,7 +6,6 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -19,8 +18,7 @@ from ctr_nlp.studies.paper.checks import Check, number
 from ctr_nlp.studies.paper.clips import FOOT, LEFT, WIDTH, Group, clips
 from ctr_nlp.studies.paper.runs import BASELINE, HORIZON, NAMES, SEED, Found
 from ctr_nlp.studies.paper.section import Section, Table, errors, motions
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 PROBLEMS = {"euler": "(a) three Euler curves", "euler_mixed": "(b) a line, an arc and an Euler curve"}
 METHODS = HORIZON, SEED, BASELINE

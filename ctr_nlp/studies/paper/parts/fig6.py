@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from ctr_nlp.figures.frames import by_frame_compared
@@ -14,8 +13,7 @@ from ctr_nlp.plan.metrics import by_frame
 from ctr_nlp.studies.paper.checks import Check, part
 from ctr_nlp.studies.paper.runs import BASELINE, HORIZON, NAMES, SEED, Found
 from ctr_nlp.studies.paper.section import Section, Table, beside, by_frames, motions
-
-Array = npt.NDArray[np.float64]
+from ctr_nlp.typing import Array
 
 PROBLEMS = "cos", "arc", "synthesis", "bronchus"
 METHODS = HORIZON, SEED, BASELINE

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from ctr_nlp.figures.motion import configuration_errors
@@ -16,8 +15,6 @@ from ctr_nlp.reference.published import SEED as PRINTED
 from ctr_nlp.studies.paper.checks import Check, number, order
 from ctr_nlp.studies.paper.runs import BASELINE, HORIZON, NAMES, SEED, Found
 from ctr_nlp.studies.paper.section import Section, Table, beside, by_frames, mm, motions
-
-Array = npt.NDArray[np.float64]
 
 NAME = "synthesis"
 METHODS = HORIZON, SEED
