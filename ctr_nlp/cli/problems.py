@@ -12,7 +12,7 @@ from ctr_nlp.anatomy.files import CENTRELINES, MASKS
 from ctr_nlp.anatomy.problem_files import problem_from_file
 from ctr_nlp.cli.arguments import FILE_OPTIONS
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.models import check_model
+from ctr_nlp.models import model_named
 from ctr_nlp.robot import Robot
 from ctr_nlp.target.fit import notes
 from ctr_nlp.target.problem import Problem
@@ -39,7 +39,7 @@ def load(name: str, folder: Path, arguments: argparse.Namespace) -> Problem:
     problem = _problem(name, folder, arguments)
     for asked in (getattr(arguments, option, None) for option in ("model", "evaluate")):
         if asked is not None:
-            check_model(problem.robot, asked)
+            model_named(asked).check(problem.robot)
     return problem
 
 

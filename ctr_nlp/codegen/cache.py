@@ -66,13 +66,14 @@ def missing() -> str | None:
     try:
         library(TRIAL, lambda: TRIAL)
     except OptionError as error:
-        _say(f"{error}; everything is solved without compiled code, several times slower")
+        say(f"{error}; everything is solved without compiled code, several times slower")
         return str(error)
     return None
 
 
 @functools.cache
-def _say(text: str) -> None:
+def say(text: str) -> None:
+    """Tell a user, once a process."""
     logging.getLogger("ctr_nlp").warning(text)
 
 
@@ -92,21 +93,33 @@ def library(key: str, code: Callable[[], str]) -> Path:
     their own, which takes its name in one step: whatever is there is whole, and what does not match its digest or
     belongs to another user is made anew. A library that this process made itself it loads from a place of its own.
     """
+    name, chosen = _named(key)
+    place = folder() / name
+    if name not in _made:
+        if _whole(place):
+            return place / "library.so"
+        _made[name] = _build(code(), chosen)
+    if not _whole(place):
+        _keep(_made[name], place)
+    return _made[name]
+
+
+def kept(key: str) -> Path | None:
+    """The library of a key where it has been made before, else None; raises OptionError as library."""
+    name, _ = _named(key)
+    place = folder() / name
+    return _made.get(name) or (place / "library.so" if _whole(place) else None)
+
+
+def _named(key: str) -> tuple[str, Compiler]:
+    """The name of a key's folder, and the compiler."""
     if os.environ.get(SWITCH) == "0":
         raise OptionError(f"nothing is compiled: {SWITCH} is 0")
     chosen = compiler()
     if chosen is None:
         raise OptionError("no C compiler was found; install gcc or clang")
     parts = [key, *chosen.command, *map(" ".join, LIBRARIES), chosen.identity]
-    name = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
-    kept = folder() / name
-    if name not in _made:
-        if _whole(kept):
-            return kept / "library.so"
-        _made[name] = _build(code(), chosen)
-    if not _whole(kept):
-        _keep(_made[name], kept)
-    return _made[name]
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32], chosen
 
 
 @functools.cache
@@ -156,7 +169,7 @@ def _keep(made: Path, kept: Path) -> None:
             with contextlib.suppress(OSError):
                 good.rename(kept)
     except OSError as error:
-        _say(f"compiled code cannot be kept in {place}: {error.strerror}")
+        say(f"compiled code cannot be kept in {place}: {error.strerror}")
 
 
 def _sweep(place: Path) -> None:

@@ -36,9 +36,13 @@ class FrameResult:
 class FrameSolver(Protocol):
     """Solves single frames of one problem; frames count from 0."""
 
-    build_seconds: float
-    description: dict[str, Any]
-    """Goes into a plan's meta: formulation, model, solver, options."""
+    @property
+    def build_seconds(self) -> float:
+        """What building it took, s."""
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """For a plan's meta: formulation, model, solver, options."""
 
     def search(self, frame: int) -> list[FrameResult]:
         """Distinct answers for a frame without a past, best first; at least one."""

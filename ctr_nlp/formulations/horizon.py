@@ -7,13 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ctr_nlp.formulations.contact import Wall
-from ctr_nlp.formulations.joint import alone, target_of, tip_steps
+from ctr_nlp.formulations.frame import filled, program
+from ctr_nlp.formulations.joint import terms_of, tip_steps
+from ctr_nlp.formulations.terms import Term
+from ctr_nlp.formulations.wall import Wall
+from ctr_nlp.models import Model
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.nlp.links import Link, differences
 from ctr_nlp.nlp.nlp import FrameFunctions, Nlp
 from ctr_nlp.robot import Robot
-from ctr_nlp.simulation.following import settled
 from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
@@ -35,24 +37,29 @@ def horizon(
     dt: float,
     motion_weight: float,
     ends: Ends,
+    model: Model,
     functions: Callable[[Nlp], FrameFunctions] = lambda nlp: nlp.functions,
-    model: str = "dominant",
     margin: float | None = None,
     wall: Wall | None = None,
+    extra: Sequence[Term] = (),
 ) -> Chain:
     """The motion through frames, dt s apart, as a chain; functions: how a frame is evaluated.
 
     The objective is J / dt = sum_j shape_j + lambda sum_j |W (q_{j+1} - q_j)|^2 / dt^2 in mm^2, with shape_j the
-    distance (8) of frame j and lambda = motion_weight in s^2. margin: least stability margin on the elastic model.
-    wall: of the lumen that the robot is kept in; a chain holds near a motion then (Chain.around).
+    distance (8) of frame j and lambda = motion_weight in s^2. margin: least stability margin on models that can
+    snap. wall: of the lumen that the robot is kept in; a chain holds near a motion then (Chain.around). extra:
+    further terms.
     """
-    margin = margin if model == "elastic" else None
-    frame = alone(robot, model, margin is not None, walled=wall is not None)
-    away = {} if wall is None else wall.away()
-    columns = [frame.pack(target_of(at, margin) | away) for at in frames]
-    lower, upper = (np.tile(bound, (len(frames), 1)) for bound in (frame.lower, frame.upper))
-    tips = tip_steps(robot, dt) if model == "elastic" else np.zeros(0)
-    rest = [None if q is None or not len(tips) else settled(robot, q) for q in (ends.start, ends.end)]
+    terms = terms_of(robot, model, margin, extra, walled=wall is not None)
+    frame = program("frame", robot.structure, model, terms)
+    columns = [frame.pack(filled(robot, terms, at)) for at in frames]
+    tips = tip_steps(robot, dt) if model.several_equilibria else np.zeros(0)
+    free = np.full(len(tips), np.inf)
+    rows = frame.row_bounds(np.append(robot.lower, -free), np.append(robot.upper, free))
+    (lower, least), (upper, most) = (
+        np.split(np.tile(row, (len(frames), 1)), [frame.x.numel()], axis=1) for row in rows
+    )
+    rest = [None if q is None or not len(tips) else model.rest(robot, q) for q in (ends.start, ends.end)]
     if ends.end is not None:
         robot_only = frame.x.numel() - frame.slacks
         lower[-1, :robot_only] = upper[-1, :robot_only] = ends.end if rest[1] is None else rest[1]
@@ -67,6 +74,8 @@ def horizon(
         np.column_stack(columns),
         lower,
         upper,
+        least,
+        most,
         _links(robot, len(frames), dt, motion_weight, before, after, tips),
         functions(frame),
         None if wall is None else wall.surroundings,

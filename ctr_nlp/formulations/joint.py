@@ -1,65 +1,35 @@
-"""Joint formulation: all of q in one NLP, eq. (9) with the distance (8) at equal sigma."""
+"""Joint formulation: all of q in one program, eq. (9) with the distance (8) at equal sigma."""
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
 
-import casadi as ca
 import numpy as np
 
-from ctr_nlp.formulations import contact
+from ctr_nlp.formulations.frame import filled, program
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.stage import Stage
-from ctr_nlp.models import MODELS
-from ctr_nlp.nlp import terms
-from ctr_nlp.nlp.nlp import Nlp
+from ctr_nlp.formulations.terms import Lumen, Margin, Motion, Order, ShapeDistance, Term
+from ctr_nlp.models import Model
 from ctr_nlp.robot import Robot
-from ctr_nlp.simulation.following import settled, untwisted
-from ctr_nlp.target.target import SIGMA, Frame
 from ctr_nlp.typing import Array
 
-STRIDE = 5
-"""Every STRIDE-th of the target's 101 samples enters the NLP, 21 in all."""
 TIP_STEP, TIP_SPEED = 0.5, 2.0
-"""On the elastic model tips may turn by the first, rad, from frame to frame, or by this times what motors may."""
+"""Where there are several equilibria, tips may turn by the first, rad, from frame to frame, or by this times what
+motors may."""
 
 
-def alone(
-    robot: Robot, model: str = "dominant", stable: bool = False, stride: int = STRIDE, walled: bool = False
-) -> Nlp:
-    """One frame without neighbours: its unknowns with all limits, and the distance (8) to the target.
+def terms_of(
+    robot: Robot, model: Model, margin: float | None, extra: Sequence[Term] = (), walled: bool = False
+) -> tuple[Term, ...]:
+    """The terms of a frame without neighbours, and those given; one of these may take the place of the shape's.
 
-    stable: with the least stability margin on the elastic model as a parameter, margin. stride: every so many-th
-    of the target's samples is used. walled: kept within a lumen, as far as that goes.
+    margin: the least stability margin, on models that can snap. walled: kept within a lumen, as far as that goes.
     """
-    sigma = ca.DM(SIGMA[::stride])
-    weights = np.full(sigma.numel(), 1 / (sigma.numel() - 1))
-    weights[[0, -1]] /= 2
-    parameters = {"target": ca.SX.sym("target", sigma.numel(), 3)}
-    if stable:
-        parameters["margin"] = ca.SX.sym("margin")
-
-    def places(beta: Sequence[ca.SX]) -> ca.SX:
-        return ca.vertcat(sigma * beta[-1], *(contact.arc_lengths(beta) if walled else ()))
-
-    shape = MODELS[model](robot, places, parameters.get("margin"))
-    motors = () if shape.picks is None else (terms.motors(robot, shape.alpha),)
-    x, y, z = (axis[: sigma.numel()] for axis in shape.points)
-    frame = Nlp(
-        "frame",
-        shape.x,
-        shape.lower,
-        shape.upper,
-        parameters,
-        residuals=(terms.shape((x, y, z), shape.seen(parameters["target"]), ca.DM(weights)),),
-        constraints=(*motors, *map(terms.stability, shape.stability), *terms.order(robot, shape.beta)),
-        inner=(shape.inner,),
-        picks=shape.picks,
-    )
-    return contact.walled(frame, shape) if walled else frame
+    own: list[Term] = [] if any(isinstance(term, ShapeDistance) for term in extra) else [ShapeDistance()]
+    held: list[Term] = [Margin(margin)] if margin is not None and model.can_snap else []
+    wall: list[Term] = [Lumen(robot.d)] if walled else []
+    return (*own, *extra, *held, Order(robot.carriage_gap), *wall)
 
 
 def tip_steps(robot: Robot, dt: float) -> Array:
@@ -67,24 +37,10 @@ def tip_steps(robot: Robot, dt: float) -> Array:
     return np.maximum(TIP_STEP, TIP_SPEED * robot.speed[: robot.d] * dt)
 
 
-def target_of(frame: Frame, margin: float | None = None) -> dict[str, Any]:
-    """The parameters of `alone` for a frame; margin where it is stable."""
-    return {"target": frame.points[::STRIDE]} | ({} if margin is None else {"margin": margin})
-
-
-def joint(robot: Robot, settings: Settings, model: str = "dominant", walled: bool = False) -> tuple[Stage, ...]:
-    """One stage that decides all of q, so that bounds and step limits are bounds of the NLP; walled: as alone."""
-    margin = settings.stability_margin if model == "elastic" else None
-    frame = alone(robot, model, margin is not None, walled=walled)
-    previous, root = ca.SX.sym("previous", len(robot.axes)), ca.SX.sym("motion_root")
-    nlp = replace(
-        frame,
-        name="joint",
-        parameters={**frame.parameters, "previous": previous, "motion_root": root},
-        residuals=(*frame.residuals, terms.motion(frame.q[: len(robot.axes)], previous, robot.mm_per_unit, root)),
-    )
-    stage = Stage(nlp, np.arange(len(robot.axes)), lambda at, q: target_of(at, margin))
-    if model == "elastic":
-        rest, guess = (functools.partial(start, robot) for start in (settled, untwisted))
-        stage = replace(stage, rest=rest, guess=guess)
-    return (stage,)
+def joint(
+    robot: Robot, settings: Settings, model: Model, extra: Sequence[Term] = (), walled: bool = False
+) -> tuple[Stage, ...]:
+    """One stage that decides all of q, so that bounds and step limits are bounds of the program; as terms_of."""
+    terms = (*terms_of(robot, model, settings.stability_margin, extra, walled), Motion(robot.d))
+    nlp = program("joint", robot.structure, model, terms)
+    return (Stage(nlp, np.arange(len(robot.axes)), lambda frame, q: filled(robot, terms, frame)),)

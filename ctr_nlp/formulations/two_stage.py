@@ -1,20 +1,31 @@
-"""The seed's two stages: curvature to extensions, eqs. (10)-(11), then extensions to rotations, eq. (12)."""
+"""The paper's two stages: curvature to extensions, eqs. (10)-(11), then extensions to rotations, eq. (12)."""
 
 from __future__ import annotations
 
+import functools
 import itertools
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.formulations import curvature
+from ctr_nlp.formulations.frame import KEPT, robot_values
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.stage import Stage
-from ctr_nlp.models import dominant
-from ctr_nlp.nlp import terms
+from ctr_nlp.formulations.terms import Term
+from ctr_nlp.formulations.terms.feasible import order
+from ctr_nlp.formulations.terms.motion import change
+from ctr_nlp.formulations.terms.shape import distance
+from ctr_nlp.models import MODELS, Model
+from ctr_nlp.models.dominant import shape
+from ctr_nlp.models.protocol import columns_of, symbolic_tubes
 from ctr_nlp.nlp.nlp import Nlp
 from ctr_nlp.robot import Robot
+from ctr_nlp.robot.robot import mm_per_unit
+from ctr_nlp.robot.structure import NUMBERS, Structure
 from ctr_nlp.target.target import SIGMA, Frame
 from ctr_nlp.typing import Array
 
@@ -24,93 +35,103 @@ LENGTH_WEIGHT = 100.0
 """Weight of (beta_d - length)^2 in stage one: eq. (11) does not see how far the robot is out."""
 
 
-def two_stage(robot: Robot, settings: Settings, model: str = "dominant") -> tuple[Stage, ...]:
+def two_stage(robot: Robot, settings: Settings, model: Model, extra: Sequence[Term] = ()) -> tuple[Stage, ...]:
     """Extension with smoothed jumps of curvature, tightened to settings.jump_width; then rotation."""
-    _check_model(model)
+    _check(model, extra)
     return _extension(robot, tuple(factor * settings.jump_width for factor in TIGHTENING)), _rotation(robot)
 
 
-def two_stage_exact(robot: Robot, settings: Settings, model: str = "dominant") -> tuple[Stage, ...]:
+def two_stage_exact(
+    robot: Robot, settings: Settings, model: Model, extra: Sequence[Term] = ()
+) -> tuple[Stage, ...]:
     """Extension with the integral (11) itself, through the target's cumulative integrals; then rotation."""
-    _check_model(model)
+    _check(model, extra)
     return _extension(robot, None), _rotation(robot)
 
 
-def _check_model(model: str) -> None:
-    if model != "dominant":
+def _check(model: Model, extra: Sequence[Term]) -> None:
+    if not model.bends_by_extension:
+        allowed = ", ".join(repr(name) for name, each in MODELS.items() if each.bends_by_extension)
         raise OptionError(
-            f"model is {model!r}; two-stage formulations need 'dominant', where alpha does not change curvatures"
+            f"model is {model.name!r}; two-stage formulations need one where alpha does not change curvatures: "
+            f"{allowed}"
+        )
+    if extra:
+        raise OptionError(
+            f"the term {extra[0].name} is given; two-stage formulations have terms of their own; use the joint "
+            "formulation, or a horizon"
         )
 
 
 def _extension(robot: Robot, widths: tuple[float, ...] | None) -> Stage:
     """Stage one decides beta; widths = None takes the exact form."""
-    beta, previous = ca.SX.sym("beta", robot.d), ca.SX.sym("previous", robot.d)
-    length, root, width = ca.SX.sym("length"), ca.SX.sym("motion_root"), ca.SX.sym("width")
-    kappa, turning = ca.SX.sym("kappa", len(SIGMA)), ca.SX.sym("turning", len(SIGMA))
-    entries = ca.vertsplit(beta)
-    decides = np.arange(robot.d, 2 * robot.d)
-    parameters = {"turning": turning, "length": length, "previous": previous, "motion_root": root}
-    residuals = (
-        terms.length(entries[-1], length, LENGTH_WEIGHT),
-        terms.motion(beta, previous, robot.mm_per_unit[decides], root),
-    )
-    if widths is None:
-        parameters["kappa"] = kappa
-        curvature = terms.curvature_exact(robot, entries, kappa, turning, length)
-    else:
-        parameters["width"] = width
-        curvature = terms.curvature(robot, entries, turning, length, width)
+    gap = robot.carriage_gap
 
     def fill(frame: Frame, q: Array) -> dict[str, Any]:
-        values = {"turning": frame.turning, "length": frame.length}
+        values = robot_values(robot) | {"reach": robot.reach, "turning": frame.turning, "length": frame.length}
+        values |= {} if gap is None else {"gap": gap}
         return values | {"kappa": frame.curvature} if widths is None else values
 
-    nlp = Nlp(
-        "extension",
-        beta,
-        robot.lower[decides],
-        robot.upper[decides],
-        parameters,
-        residuals,
-        (curvature,),
-        terms.order(robot, entries),
+    schedule = ({},) if widths is None else tuple({"width": width} for width in widths)
+    nlp = _extension_program(robot.structure, widths is None)
+    return Stage(nlp, np.arange(robot.d, 2 * robot.d), fill, schedule)
+
+
+@functools.lru_cache(maxsize=KEPT)
+def _extension_program(structure: Structure, exact: bool) -> Nlp:
+    d = structure.d
+    sizes: dict[str, Any] = {"tubes": (d, len(NUMBERS)), "reach": 1, "turning": len(SIGMA), "length": 1}
+    sizes |= {"gap": 1} if structure.gap else {}
+    sizes |= {"previous": d, "motion_root": 1} | ({"kappa": len(SIGMA)} if exact else {"width": 1})
+    p = {name: ca.SX.sym(name, *np.atleast_1d(size).tolist()) for name, size in sizes.items()}
+    beta, tubes = ca.SX.sym("beta", d), symbolic_tubes(structure, p["tubes"])
+    entries, target = ca.vertsplit(beta), (p["turning"], p["length"])
+    if exact:
+        cost = curvature.curvature_exact(tubes, entries, p["reach"], p["kappa"], *target)
+    else:
+        cost = curvature.curvature(tubes, entries, p["reach"], *target, p["width"])
+    residuals = (
+        curvature.length(entries[-1], p["length"], LENGTH_WEIGHT),
+        change(beta, p["previous"], mm_per_unit(d)[d : 2 * d], p["motion_root"]),
     )
-    return Stage(nlp, decides, fill, ({},) if widths is None else tuple({"width": w} for w in widths))
+    free = np.full(d, np.inf)
+    return Nlp("extension", beta, -free, free, p, residuals, (cost,), order(tubes, entries, p.get("gap")))
 
 
 def _rotation(robot: Robot) -> Stage:
-    """Stage two decides alpha and theta at given beta, sampled at the ends and midpoint of every segment.
-
-    Simpson's rule over these samples is the distance (8); each stands opposite the target's point of the
-    same sigma.
-    """
+    """Stage two decides alpha and theta at given beta, sampled at the ends and midpoint of every segment."""
     d = robot.d
-    decides = np.concatenate([np.arange(d), np.arange(2 * d, 2 * d + 2)])
-    x, previous = ca.SX.sym("alpha_theta", d + 2), ca.SX.sym("previous", d + 2)
-    beta, root, target = ca.SX.sym("beta", d), ca.SX.sym("motion_root"), ca.SX.sym("target", 2 * d, 3)
-    entries = ca.vertsplit(ca.vertcat(x[:d], beta, x[d:]))
-    sigma, quadrature = _samples(ca.vertsplit(beta), ca)
-    points = dominant.backbone(robot, entries, ca.vertcat(*sigma), ca).points
-    x_target, y_target, z_target = ca.horzsplit(target)
-    nlp = Nlp(
-        "rotation",
-        x,
-        robot.lower[decides],
-        robot.upper[decides],
-        {"beta": beta, "target": target, "previous": previous, "motion_root": root},
-        residuals=(
-            terms.shape(points, (x_target, y_target, z_target), ca.vertcat(*quadrature)),
-            terms.motion(x, previous, robot.mm_per_unit[decides], root),
-        ),
-    )
 
     def fill(frame: Frame, q: Array) -> dict[str, Any]:
         extensions = robot.split(q)[1]
         sigma, _ = _samples(extensions, np)
-        return {"beta": extensions, "target": frame.at(np.array(sigma))}
+        return robot_values(robot) | {"beta": extensions, "target": frame.at(np.array(sigma))}
 
-    return Stage(nlp, decides, fill)
+    return Stage(_rotation_program(robot.structure), np.r_[0:d, 2 * d : 2 * d + 2], fill)
+
+
+@functools.lru_cache(maxsize=KEPT)
+def _rotation_program(structure: Structure) -> Nlp:
+    """Simpson's rule over the samples is the distance (8); each is opposite the target's point of equal sigma."""
+    d = structure.d
+    numbers, beta = ca.SX.sym("tubes", d, len(NUMBERS)), ca.SX.sym("beta", d)
+    x, previous = ca.SX.sym("alpha_theta", d + 2), ca.SX.sym("previous", d + 2)
+    root, target = ca.SX.sym("motion_root"), ca.SX.sym("target", 2 * d, 3)
+    entries = ca.vertsplit(ca.vertcat(x[:d], beta, x[d:]))
+    sigma, quadrature = _samples(ca.vertsplit(beta), ca)
+    points = shape.backbone(symbolic_tubes(structure, numbers), entries, ca.vertcat(*sigma), ca).points
+    scale, free = mm_per_unit(d)[np.r_[0:d, 2 * d : 2 * d + 2]], np.full(d + 2, np.inf)
+    return Nlp(
+        "rotation",
+        x,
+        -free,
+        free,
+        {"tubes": numbers, "beta": beta, "target": target, "previous": previous, "motion_root": root},
+        residuals=(
+            distance(points, columns_of(target), ca.sqrt(ca.vertcat(*quadrature))),
+            change(x, previous, scale, root),
+        ),
+    )
 
 
 def _samples(beta: Any, xp: Any) -> tuple[list[Any], list[Any]]:

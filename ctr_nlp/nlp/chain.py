@@ -42,7 +42,8 @@ class Chain:
 
     frame: the Nlp of every frame, with n unknowns x and m constraint values g, from which it picks a configuration
     q of k entries. axes: names of these; scale (k,): what a unit of each counts as, mm.
-    parameters (p, T): packed, a column a frame. lower, upper (T, n): equal where an unknown is fixed.
+    parameters (p, T): packed, a column a frame. lower, upper (T, n): equal where an unknown is fixed. least, most
+    (T, m): bounds of the frames' constraints.
     functions: the frame's, as symbols or compiled. surroundings: where some parameters hold near a motion only,
     these (T, ..), by name, of the robot's unknowns (T, n - slacks), and the slacks (T,) that they need there.
 
@@ -56,6 +57,8 @@ class Chain:
     parameters: Array
     lower: Array
     upper: Array
+    least: Array
+    most: Array
     links: tuple[Link, ...]
     functions: FrameFunctions
     surroundings: Callable[[Array], tuple[Mapping[str, Array], Array]] | None = None
@@ -171,10 +174,9 @@ class Chain:
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds of all rows."""
-        low, high = (np.tile(bound, self.frames) for bound in self.frame.g_bounds)
         return (
-            np.concatenate([self.lower.ravel(), low, self._linked(lambda link: link.lower)]),
-            np.concatenate([self.upper.ravel(), high, self._linked(lambda link: link.upper)]),
+            np.concatenate([self.lower.ravel(), self.least.ravel(), self._linked(lambda link: link.lower)]),
+            np.concatenate([self.upper.ravel(), self.most.ravel(), self._linked(lambda link: link.upper)]),
         )
 
     @cached_property

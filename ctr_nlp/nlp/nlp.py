@@ -80,13 +80,13 @@ class FrameFunctions(NamedTuple):
     lanes: int = 1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Nlp:
     """Minimise sum |residual|^2 + sum cost over x, subject to constraints and bounds.
 
-    x (n, 1); lower, upper (n,), which a caller may tighten from solve to solve for what the configuration is;
-    parameters by name. picks: which of x's entries and then g's are the configuration; None where x itself is.
-    slacks: how many of x's last entries only tell by how much soft constraints are missed.
+    x (n, 1); lower, upper (n,): bounds of those x that are not the configuration, whose bounds come with every
+    solve; parameters by name. picks: which of x's entries and then g's are the configuration; None where x itself
+    is, but for slacks. slacks: how many of x's last entries only tell by how much soft constraints are missed.
     """
 
     name: str
@@ -140,7 +140,7 @@ class Nlp:
     @cached_property
     def configuration(self) -> Index:
         """Where the configuration's entries stand among x's entries and then g's."""
-        return np.arange(self.x.numel()) if self.picks is None else np.array(self.picks)
+        return np.arange(self.x.numel() - self.slacks) if self.picks is None else np.array(self.picks)
 
     @property
     def q(self) -> ca.SX:
@@ -149,18 +149,10 @@ class Nlp:
 
     def row_bounds(self, lower: Array, upper: Array) -> tuple[Array, Array]:
         """Lower and upper bounds of x and then g, (n + m,), where those of the configuration are given."""
-        found = []
-        for own, of_g, given in zip((self.lower, self.upper), self.g_bounds, (lower, upper), strict=True):
-            rows = np.concatenate([own, of_g])
-            rows[self.configuration] = given
-            found.append(rows)
-        return found[0], found[1]
-
-    @cached_property
-    def limits(self) -> tuple[Array, Array]:
-        """Lower and upper bounds of the configuration."""
-        low, high = (np.concatenate(pair) for pair in zip((self.lower, self.upper), self.g_bounds, strict=True))
-        return low[self.configuration], high[self.configuration]
+        rows = [np.concatenate(pair) for pair in zip((self.lower, self.upper), self.g_bounds, strict=True)]
+        for row, given in zip(rows, (lower, upper), strict=True):
+            row[self.configuration] = given
+        return rows[0], rows[1]
 
     @cached_property
     def g_depends(self) -> Flags:
@@ -257,7 +249,7 @@ class Nlp:
 def kkt_residual(nlp: Nlp, x: Array, p: Array, lower: Array, upper: Array, lam_x: Array, lam_g: Array) -> float:
     """How far x is from a KKT point, computed from the problem alone and not from what a solver says.
 
-    lower, upper: of the configuration, which is x itself unless the problem says otherwise.
+    lower, upper: of the configuration.
     The largest of: stationarity (mm^2 per unit of x), infeasibility (units of x and g) and complementarity
     (mm^2). CasADi's sign: positive multipliers belong to upper bounds.
     """

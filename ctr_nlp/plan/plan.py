@@ -15,11 +15,11 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.exceptions import CtrError, OutputError
+from ctr_nlp.models import Snap
 from ctr_nlp.plan.metrics import rms_over_sigma, root_mean_square
 from ctr_nlp.plan.stored import FORMAT, check_arrays, check_meta, stored
 from ctr_nlp.plan.verdicts import Verdicts, verdicts
 from ctr_nlp.robot import Robot
-from ctr_nlp.simulation.following import Snap
 from ctr_nlp.simulation.forward import Simulation, simulated
 from ctr_nlp.support.read_only import read_only
 from ctr_nlp.support.values import checked_path, frozen

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.models import check_model
+from ctr_nlp.models import MODELS
 from ctr_nlp.reference.descent import Method, ReferenceFrames
 from ctr_nlp.reference.euclidean import euclidean
 from ctr_nlp.reference.seed_two_stage import seed_two_stage
@@ -28,7 +28,7 @@ METHODS: dict[str, Callable[[Problem, float], Method]] = {
 def reference_frames(problem: Problem, name: str, settings: Settings) -> ReferenceFrames:
     """A reference method as a FrameSolver; raises OptionError where the name is unknown."""
     check_choice("reference method", name, METHODS)
-    check_model(problem.robot, "dominant")
+    MODELS["dominant"].check(problem.robot)
     method = METHODS[name](problem, settings.motion_weight / problem.dt**2)
     return ReferenceFrames(problem, name, method, asdict(settings))
 

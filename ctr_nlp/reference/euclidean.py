@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ctr_nlp.formulations.frames import FrameResult
-from ctr_nlp.models import dominant
+from ctr_nlp.models.dominant import shape as dominant
 from ctr_nlp.reference.descent import Method, descend, extensions, fractions, motion, shape_error
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import QUADRATURE, SIGMA, Frame
@@ -25,7 +25,7 @@ def euclidean(problem: Problem, motion_weight: float) -> Method:
     def solve(frame: Frame, guess: Array, previous: Array | None) -> FrameResult:
         def cost(x: Array) -> Array:
             q = configured(x)
-            points = dominant.backbone(robot, list(q.T[..., None]), SIGMA, np).points
+            points = dominant.backbone(robot.tube_numbers, list(q.T[..., None]), SIGMA, np).points
             return shape_error(points, frame.points, QUADRATURE) + motion(robot, q, previous, motion_weight)
 
         start = np.concatenate([guess[:d], fractions(robot, guess[d : 2 * d]), guess[2 * d :]])

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ctr_nlp.formulations.curvature import lever
 from ctr_nlp.formulations.frames import FrameResult
-from ctr_nlp.models import dominant
-from ctr_nlp.nlp.terms import lever
+from ctr_nlp.models.dominant import shape as dominant
 from ctr_nlp.reference.descent import Method, descend, extensions, fractions, motion, shape_error
 from ctr_nlp.robot import Robot
 from ctr_nlp.target.problem import Problem
@@ -47,11 +47,13 @@ def _extend(
         edges = np.concatenate([np.zeros((len(x), 1)), beta], axis=1)
         widths = np.diff(edges, axis=1)
         s = (edges[:, :-1, None] + widths[..., None] * middles).reshape(len(x), -1)
-        k = dominant.curvature(robot, [b[:, None] for b in beta.T], s, lambda v: np.heaviside(v, 0.0), np)
+        k = dominant.curvature(
+            robot.tube_numbers, [b[:, None] for b in beta.T], s, lambda v: np.heaviside(v, 0.0), np
+        )
         kappa = np.interp(s / last, SIGMA, frame.curvature)
         squares = ((k - kappa) ** 2).reshape(len(x), d, SAMPLES).mean(axis=2)
         change = 0.0 if previous is None else weight * ((beta - robot.split(previous)[1]) ** 2).sum(axis=1)
-        return lever(robot) ** 2 * (squares * widths).sum(axis=1) / last + change
+        return lever(robot.reach) ** 2 * (squares * widths).sum(axis=1) / last + change
 
     start = fractions(robot, np.append(robot.split(guess)[1][:-1], last))[: d - 1]
     if d == 1:
@@ -73,7 +75,7 @@ def _rotate(
 
     def cost(x: Array) -> Array:
         q = configured(x)
-        shape = dominant.backbone(robot, list(q.T[..., None]), sigma, np).points
+        shape = dominant.backbone(robot.tube_numbers, list(q.T[..., None]), sigma, np).points
         return shape_error(shape, target, even) + motion(robot, q, previous, weight)
 
     angles = np.r_[0:d, 2 * d : 2 * d + 2]

@@ -16,6 +16,7 @@ from ctr_nlp.robot.checks import TURN, check_angle, check_pair, sequence_of_tube
 from ctr_nlp.robot.extensions import check_extensions, furthest
 from ctr_nlp.robot.limits import Limits
 from ctr_nlp.robot.strain import check_deployed
+from ctr_nlp.robot.structure import Structure, TubeNumbers, kind_of, numbers_of, tubes_of
 from ctr_nlp.robot.tube import Tube
 from ctr_nlp.robot.units import angle_meant, between, did_you_mean
 from ctr_nlp.support.values import described, frozen, numbers, pairs, plain_floats, read_toml, strict_json
@@ -81,6 +82,31 @@ class Robot:
             raise RobotError(f"carriage_gap is {gap:g} mm; it must be at least 0, or None")
         return gap
 
+    @cached_property
+    def structure(self) -> Structure:
+        """What must be compiled for the robot."""
+        low, high = self.d, 2 * self.d
+        ends = zip(self.tubes, self.upper[low:high], strict=True)
+        shown = tuple(bool(end > tube.curved_length) for tube, end in ends)
+        return Structure(tuple(map(kind_of, self.tubes)), shown, self.carriage_gap is not None)
+
+    @cached_property
+    def numbers(self) -> Array:
+        """What models need to know of the tubes, (d, 6), in the order of structure.NUMBERS."""
+        return frozen(np.array(numbers_of(self.tubes)))
+
+    @cached_property
+    def tube_numbers(self) -> tuple[TubeNumbers, ...]:
+        """The tubes as models take them."""
+        return tubes_of(self.structure, self.numbers.tolist())
+
+    @cached_property
+    def most_growth(self) -> Array:
+        """The largest beta_{i+1} - beta_i (d - 1,) mm that the carriage gap allows; inf without one."""
+        if self.carriage_gap is None:
+            return frozen(np.full(self.d - 1, np.inf))
+        return frozen(np.diff([tube.length for tube in self.tubes]) - self.carriage_gap)
+
     @property
     def d(self) -> int:
         """Number of tubes."""
@@ -136,7 +162,7 @@ class Robot:
     @cached_property
     def mm_per_unit(self) -> Array:
         """W, (2d + 2,): what a unit of q counts as in the motion term, mm/rad for angles and 1 for beta."""
-        return frozen(np.concatenate([np.full(self.d, MM_PER_RAD), np.ones(self.d), np.full(2, MM_PER_RAD)]))
+        return frozen(mm_per_unit(self.d))
 
     @property
     def reach(self) -> float:
@@ -215,6 +241,11 @@ class Robot:
             return cls.from_dict(read_toml(path))
         except RobotError as error:
             raise RobotError(f"robot file {path}: {error}") from error
+
+
+def mm_per_unit(d: int) -> Array:
+    """W of d tubes, (2d + 2,), as Robot.mm_per_unit."""
+    return np.concatenate([np.full(d, MM_PER_RAD), np.ones(d), np.full(2, MM_PER_RAD)])
 
 
 def configuration(name: str, q: Any) -> Array:

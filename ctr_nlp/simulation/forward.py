@@ -7,14 +7,16 @@ from typing import NamedTuple
 import numpy as np
 
 from ctr_nlp.exceptions import RobotError
-from ctr_nlp.models import check_model, dominant
+from ctr_nlp.models import Model, Snap, model_named
+from ctr_nlp.models.dominant import Dominant, shape
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.robot import configuration
-from ctr_nlp.simulation import following as tracking
 from ctr_nlp.support.values import floats, instance
 from ctr_nlp.target.curve import Curve
 from ctr_nlp.target.target import SIGMA
-from ctr_nlp.typing import Array, Vector
+from ctr_nlp.typing import Array
+
+DOMINANT = Dominant()
 
 
 def shapes(robot: Robot, q: Array, sigma: Array = SIGMA) -> Array:
@@ -22,17 +24,16 @@ def shapes(robot: Robot, q: Array, sigma: Array = SIGMA) -> Array:
 
     Raises RobotError, and OptionError where that model does not describe the robot.
     """
-    return _stacked(_backbone(robot, q, sigma).points)
+    q = _checked(robot, q)
+    DOMINANT.check(robot)
+    return DOMINANT.points(robot, q, sigma)
 
 
 def tangents(robot: Robot, q: Array, sigma: Array = SIGMA) -> Array:
     """Unit tangents (T, n, 3) of the dominant model at q (T, 2d + 2) and sigma (n,)."""
-    return _stacked(_backbone(robot, q, sigma).tangents)
-
-
-def points_of(robot: Robot, x: Array, sigma: Array, model: str) -> Array:
-    """Points (T, n, 3) in mm of a model with unknowns x (T, 2d + 2) at sigma (n,) or (T, n)."""
-    return (shapes if model == "dominant" else tracking.shapes)(robot, x, sigma)
+    q = _checked(robot, q)
+    DOMINANT.check(robot)
+    return DOMINANT.tangents(robot, q, sigma)
 
 
 class Simulation(NamedTuple):
@@ -48,19 +49,17 @@ class Simulation(NamedTuple):
     stability: Array
     stability_between: Array
     x: Array
-    snaps: tuple[tracking.Snap, ...]
+    snaps: tuple[Snap, ...]
 
 
-def simulated(robot: Robot, q: Array, model: str) -> Simulation:
+def simulated(robot: Robot, q: Array, model: str | Model) -> Simulation:
     """The robot moved through q, frame by frame, on a model."""
-    check_model(robot, model)
-    if model == "dominant":
-        unknown = np.full(len(q), np.nan)
-        return Simulation(shapes(robot, q), tangents(robot, q, np.ones(1))[:, 0], unknown, unknown, q, ())
-    found = tracking.follow(robot, q)
+    described = model_named(model)
+    described.check(robot)
+    found = described.follow(robot, _checked(robot, q))
     return Simulation(
-        tracking.shapes(robot, found.x, SIGMA),
-        tracking.tangents(robot, found.x, np.ones(1))[:, 0],
+        described.points(robot, found.x, SIGMA),
+        described.tangents(robot, found.x, np.ones(1))[:, 0],
         found.stability,
         found.stability_between,
         found.x,
@@ -68,17 +67,12 @@ def simulated(robot: Robot, q: Array, model: str) -> Simulation:
     )
 
 
-def _backbone(robot: Robot, q: Array, sigma: Array) -> dominant.Backbone:
+def _checked(robot: Robot, q: Array) -> Array:
     instance(RobotError, "robot", robot, Robot)
     q = configuration("q", q)
     if q.ndim != 2 or q.shape[1] != len(robot.axes):
         raise RobotError(f"q has shape {q.shape}; it must be (n, {len(robot.axes)}): {', '.join(robot.axes)}")
-    dominant.check_order(robot)
-    return dominant.backbone(robot, dominant.columns_of(q), sigma, np)
-
-
-def _stacked(vector: Vector) -> Array:
-    return np.stack(np.broadcast_arrays(*vector), axis=-1)
+    return q
 
 
 def other_way(robot: Robot, q: Array) -> Array:
@@ -96,7 +90,7 @@ def other_way(robot: Robot, q: Array) -> Array:
 def shape_curve(robot: Robot, q: Array) -> Curve:
     """The dominant model's shape at q (2d + 2,) as a curve with its exact curvature; raises as `shapes`."""
     instance(RobotError, "robot", robot, Robot)
-    dominant.check_order(robot)
+    DOMINANT.check(robot)
     q = floats(RobotError, "q", q, (len(robot.axes),))
     beta = robot.split(q)[1]
 
@@ -107,5 +101,5 @@ def shape_curve(robot: Robot, q: Array) -> Curve:
         float(beta[-1]),
         lambda s: shapes(robot, q[None], s / beta[-1])[0],
         lambda s: tangents(robot, q[None], s / beta[-1])[0],
-        lambda s: dominant.curvature(robot, beta, s, jump, np),
+        lambda s: shape.curvature(robot.tube_numbers, beta, s, jump, np),
     )

@@ -13,8 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.formulations.contact import ROUNDS, SETTLED, Wall
 from ctr_nlp.formulations.horizon import Ends, horizon
+from ctr_nlp.formulations.terms import Term
+from ctr_nlp.formulations.wall import ROUNDS, SETTLED, Wall
+from ctr_nlp.models import Model
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.robot import Robot
 from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, ChainSolver, Iterate, Solution, Watch, default_chain_solver
@@ -187,14 +189,15 @@ class Task:
     motion_weight: float
     ends: Ends
     solver: str
-    model: str = "dominant"
+    model: Model
     stability_margin: float | None = None
     wall: Wall | None = None
+    terms: tuple[Term, ...] = ()
 
     def solve(self, motion: Array) -> Attempt:
         """Solve from a motion, in a process that attempt_in_processes has prepared."""
-        at = self.robot, self.frames, self.dt, self.motion_weight, self.ends
-        chain = horizon(*at, fastest, self.model, self.stability_margin, self.wall)
+        at = self.robot, self.frames, self.dt, self.motion_weight, self.ends, self.model
+        chain = horizon(*at, fastest, self.stability_margin, self.wall, self.terms)
         return attempt(chain, CHAIN_SOLVERS[self.solver], motion, None, _stopping.is_set)
 
 

@@ -13,13 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.contact import Wall, wall_of
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.models import check_model
+from ctr_nlp.formulations.terms import Term
+from ctr_nlp.formulations.wall import Wall, wall_of
+from ctr_nlp.models import Model, model_named
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
-from ctr_nlp.simulation import following as tracking
 from ctr_nlp.solvers import CHAIN_SOLVERS, default_chain_solver
 from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.steer.attempts import (
@@ -40,7 +40,7 @@ from ctr_nlp.steer.motions import per_frame_motions, wandered
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.realised import realised
-from ctr_nlp.steer.requests import check_described, check_search, checked_ends, checked_motions
+from ctr_nlp.steer.requests import check_described, check_search, checked_ends, checked_motions, checked_terms
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.values import check_choice, strict_json
 from ctr_nlp.target.problem import Problem
@@ -57,7 +57,7 @@ LEAST_MOTION_WEIGHT = 1e-9
 def solve_horizon(
     problem: Problem,
     *,
-    model: str = "dominant",
+    model: str | Model = "dominant",
     solver: str | None = None,
     start: npt.ArrayLike | None = None,
     end: npt.ArrayLike | None = None,
@@ -66,6 +66,7 @@ def solve_horizon(
     starts: int | None = None,
     jobs: int = 1,
     settings: Settings = DEFAULTS,
+    terms: Sequence[Term] = (),
     progress: Progress | None = None,
     seen: Report | None = None,
 ) -> Plan:
@@ -76,7 +77,8 @@ def solve_horizon(
     the start costs a tenth of its shape errors. initial: motions (T, 2d + 2) to start from; without any, those of
     per_frame_motions. starts: how many are tried: the best of those, then smooth random changes of the best
     (settings.seed); None tries those alone. jobs: in how many processes. settings: of the frames run one by one.
-    seen: told of every iterate, or where processes are several of every attempt that is the best until then.
+    terms: further ones of the objective (formulations.terms). seen: told of every iterate, or where processes are
+    several of every attempt that is the best until then.
     The plan is never worse than the best motion it started from, and marked where it is no solution. Ctrl-C ends
     the work; the plan is then the best feasible one so far, marked as interrupted. Raises OptionError,
     ProblemError, RobotError.
@@ -84,7 +86,7 @@ def solve_horizon(
     check_described(problem, settings)
     check_search(motion_weight, starts, jobs)
     motions = checked_motions(problem, initial)
-    whole = Horizon(problem, model, solver, start, end, settings)
+    whole = Horizon(problem, model, solver, start, end, settings, terms)
     return whole.solve(motions, motion_weight, starts, jobs, progress, seen)
 
 
@@ -94,14 +96,16 @@ class Horizon:
     def __init__(
         self,
         problem: Problem,
-        model: str = "dominant",
+        model: str | Model = "dominant",
         solver: str | None = None,
         start: npt.ArrayLike | None = None,
         end: npt.ArrayLike | None = None,
         settings: Settings = DEFAULTS,
+        terms: Sequence[Term] = (),
     ) -> None:
         """Build; raises OptionError, RobotError, and ProblemError where no motion can keep the limits."""
-        check_model(problem.robot, model, "model of a horizon")
+        self._model = model_named(model, "model of a horizon")
+        self._model.check(problem.robot)
         solver = default_chain_solver() if solver is None else solver
         check_choice("solver of a horizon", solver, CHAIN_SOLVERS)
         if problem.frames < 2:
@@ -110,8 +114,9 @@ class Horizon:
         begin = time.perf_counter()
         self.problem = problem
         self.ends = Ends(*checked_ends(problem, "best", start, end))
-        self._names = {"formulation": "horizon", "model": model, "solver": solver}
-        self._settings, self._wall = settings, wall_of(problem.robot, problem.lumen, model, settings)
+        self._names = {"formulation": "horizon", "model": self._model.name, "solver": solver}
+        self._settings, self._terms = settings, checked_terms(terms)
+        self._wall = wall_of(problem.robot, problem.lumen, self._model, settings)
         self._free = self._built(None)
         self._inside = self._free if self._wall is None else self._built(self._wall)
         if self.ends.start is not None and self.ends.end is not None and not self._free.bent:
@@ -120,8 +125,8 @@ class Horizon:
 
     def _built(self, wall: Wall | None) -> Chain:
         """The chain of all frames, within a wall or free of any, with a motion weight of 1 s^2."""
-        at = self.problem.robot, self.problem.samples, self.problem.dt, 1.0, self.ends
-        return horizon(*at, fastest, self._names["model"], self._settings.stability_margin, wall)
+        at = self.problem.robot, self.problem.samples, self.problem.dt, 1.0, self.ends, self._model
+        return horizon(*at, fastest, self._settings.stability_margin, wall, self._terms)
 
     def solve(
         self,
@@ -133,12 +138,12 @@ class Horizon:
         seen: Report | None = None,
     ) -> Plan:
         """The plan; as solve_horizon."""
-        settings, model = self._settings, self._names["model"]
+        settings, model = self._settings, self._model
         check_search(motion_weight, starts, jobs)
         given = [x for motion in checked_motions(self.problem, initial) for x in self._unknowns(motion)]
         with deferred_interrupt() as interrupted:
             begin = time.perf_counter()
-            found = given or per_frame_motions(self.problem, self.ends, settings, progress, model)
+            found = given or per_frame_motions(self.problem, self.ends, settings, progress, model, self._terms)
             between = time.perf_counter()
             weight = self.balanced_weight(found[0]) if motion_weight is None else motion_weight
             run = functools.partial(self._attempts, weight, jobs, progress, seen, interrupted)
@@ -152,6 +157,7 @@ class Horizon:
             work = {"search_s": between - begin, "solve_s": time.perf_counter() - between}
             stopped = interrupted()
         options = strict_json(asdict(settings)) | {"motion_weight": weight, "starts": starts}
+        options["terms"] = [repr(term) for term in self._terms]
         for name, q in (("start", self.ends.start), ("end", self.ends.end)):
             options[name] = None if q is None else q.tolist()
         meta = {**self._names, **work, "options": options, "build_s": self.build_seconds, "interrupted": stopped}
@@ -196,9 +202,8 @@ class Horizon:
 
     def _near(self, wall: Wall | None, weight: float) -> Chain:
         """The chain with a motion weight in s^2, near a wall, or far from any."""
-        if wall is None:
-            return self._free.with_cost(weight)
-        return replace(self._inside.with_cost(weight), surroundings=wall.surroundings)
+        chain = self._free if wall is None else replace(self._inside, surroundings=wall.surroundings)
+        return replace(chain.with_cost(weight), functions=fastest(chain.frame))
 
     def _picked(self, weight: float, motions: Sequence[Array], count: int) -> list[Array]:
         """The best of motions in the horizon's own objective, then random changes of the very best."""
@@ -225,7 +230,7 @@ class Horizon:
         chain, solver, count = self._near(wall, weight), CHAIN_SOLVERS[names["solver"]], len(motions)
         attempts = list[Attempt]()
         if jobs > 1 and count > 1:
-            own = names["solver"], names["model"], settings.stability_margin, wall
+            own = names["solver"], self._model, settings.stability_margin, wall, self._terms
             task = Task(problem.robot, problem.samples, problem.dt, weight, self.ends, *own)
             attempts = attempt_in_processes(task, motions, jobs, progress, interrupted, seen)
         for number, motion in enumerate(() if attempts else motions, start=1):
@@ -233,9 +238,11 @@ class Horizon:
                 break
             forecast = None if progress is None else Forecast(progress, problem.frames, number, count)
             attempts.append(attempt(chain, solver, motion, together(seen, forecast), interrupted))
-        if names["model"] == "dominant" or interrupted():
+        if not self._model.several_equilibria or interrupted():
             return attempts
-        return realised(problem.robot, chain, solver, attempts, settings.stability_margin, interrupted)
+        return realised(
+            problem.robot, self._model, chain, solver, attempts, settings.stability_margin, interrupted
+        )
 
     def _plan(
         self, chain: Chain, motion: Array, attempts: Sequence[Attempt], free: Array | None, meta: dict[str, Any]
@@ -263,13 +270,13 @@ class Horizon:
             solve_time=unknown,
             objective=np.add(*chain.by_frame(x)),
             kkt=kkt,
-            planned=motion if self._names["model"] == "elastic" else None,
+            planned=motion if self._model.several_equilibria else None,
             free=free,
         )
 
     def _unknowns(self, motion: Array) -> list[Array]:
         """What to start from where a motion (T, 2d + 2) is given."""
-        if self._names["model"] == "dominant":
+        if not self._model.several_equilibria:
             return [motion]
         robot = self.problem.robot
-        return [tracking.follow(robot, motion).x, np.array([tracking.untwisted(robot, q) for q in motion])]
+        return [self._model.follow(robot, motion).x, self._model.guess(robot, motion)]

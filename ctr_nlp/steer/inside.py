@@ -10,7 +10,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from ctr_nlp.formulations.contact import Wall
+from ctr_nlp.formulations.wall import Wall
+from ctr_nlp.models import Model
 from ctr_nlp.plan.metrics import rms_over_sigma, root_mean_square
 from ctr_nlp.plan.plan import elsewhere
 from ctr_nlp.plan.verdicts import largest_e3
@@ -64,7 +65,7 @@ class Outcome:
     e2: Array
 
     @classmethod
-    def of(cls, problem: Problem, model: str, q: Array, x: Array, success: Flags) -> Outcome:
+    def of(cls, problem: Problem, model: Model, q: Array, x: Array, success: Flags) -> Outcome:
         """That of configurations q (T, 2d + 2) found with unknowns x (T, n) and success (T,)."""
         moved = simulated(problem.robot, q, model)
         away = moved.shape - np.array([frame.points for frame in problem.samples])
@@ -92,30 +93,30 @@ def distinct(attempts: Sequence[Attempt]) -> list[Array]:
     return found[:MOST]
 
 
-def kept_inside(problem: Problem, frames: NlpFrames, free: Pass, stop: Callable[[], bool]) -> Pass:
-    """A run through all frames again, within the wall, from the first answer of one that is free of it.
+def kept_inside(frames: NlpFrames, free: Pass, stop: Callable[[], bool]) -> tuple[Pass, Wall | None]:
+    """A run through all frames again, within the wall, from the first answer of one that is free of it; the wall.
 
-    That one where none within the wall keeps e3 and its frames, as far as was tried.
+    That one, and None, where none within the wall keeps e3 and its frames, as far as was tried.
     """
-    wall, first, margins = frames.wall, free.order[0], frames.margins
+    problem, wall, first = frames.problem, frames.wall, free.order[0]
     if wall is None or first not in free.results:
-        return free
+        return free, None
 
     def solve(tried: Wall) -> Pass:
-        frames.near, frames.margins, begin = tried, margins, time.perf_counter()
-        known = {} if free.before else {first: frames.again(first, free.results[first])}
+        within, begin = replace(frames, near=tried), time.perf_counter()
+        known = {} if free.before else {first: within.again(first, free.results[first])}
         seconds = dict.fromkeys(known, time.perf_counter() - begin)
         one = Pass(free.direction, free.order, free.before, known, seconds)
-        for _ in one.run(frames):
+        for _ in one.run(within):
             if stop():
                 return one
-        return held(problem, frames, one, stop)
+        return held(within, one, stop)[0]
 
     def outcome(one: Pass) -> Outcome:
         success = np.array([j in one.results and one.results[j].success for j in range(problem.frames)])
         return Outcome.of(problem, wall.model, one.motion(problem), one.unknowns(problem), success)
 
     least = outcome(free)
-    found = affordable(wall, solve, lambda one: outcome(one).affords(least, frames.clearance_cost), stop)
-    frames.near, kept = (None, free) if found is None else found
-    return kept
+    cost = frames.settings.clearance_cost
+    found = affordable(wall, solve, lambda one: outcome(one).affords(least, cost), stop)
+    return (free, None) if found is None else (found[1], found[0])

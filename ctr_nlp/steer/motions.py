@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +10,8 @@ import numpy.typing as npt
 
 from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.formulations.terms import Term
+from ctr_nlp.models import Model
 from ctr_nlp.robot import Robot
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.passes import Progress, run_passes
@@ -26,7 +28,12 @@ SPREAD = 1.0, 25.0, 0.2
 
 
 def per_frame_motions(
-    problem: Problem, ends: Ends, settings: Settings, progress: Progress | None = None, model: str = "dominant"
+    problem: Problem,
+    ends: Ends,
+    settings: Settings,
+    progress: Progress | None,
+    model: Model,
+    terms: Sequence[Term] = (),
 ) -> list[Array]:
     """Unknowns (T, 2d + 2) of the joint formulation, far from any wall, run forwards and backwards, best first.
 
@@ -41,7 +48,7 @@ def per_frame_motions(
         duration=problem.dt * stride * len(picked),
         truth=None,
     )
-    solver = NlpFrames(coarse, model=model, settings=replace(settings, contact_weight=0.0))
+    solver = NlpFrames.of(coarse, model=model, settings=replace(settings, contact_weight=0.0), terms=terms)
     passes, _ = run_passes(coarse, solver, "best", ends.start, ends.end, progress)
     passes.sort(key=lambda one: one.badness(coarse, model))
     return [_filled(one.unknowns(coarse), picked, problem.frames) for one in passes]

@@ -1,23 +1,25 @@
-"""Frames of a problem solved as NLPs, stage after stage."""
+"""Frames of a problem solved as programs, stage after stage."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable
-from dataclasses import asdict, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from ctr_nlp.formulations import FORMULATIONS
-from ctr_nlp.formulations.contact import ROUNDS, SETTLED, Wall, wall_of
+from ctr_nlp.formulations import FORMULATIONS, Stage
 from ctr_nlp.formulations.frames import FrameResult, reachable, starts
 from ctr_nlp.formulations.joint import joint, tip_steps
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.models import check_model
+from ctr_nlp.formulations.terms import Term
+from ctr_nlp.formulations.wall import ROUNDS, SETTLED, Wall, wall_of
+from ctr_nlp.models import Model, model_named
 from ctr_nlp.simulation.forward import other_way
-from ctr_nlp.solvers import SOLVERS, Solution, default_solver
+from ctr_nlp.solvers import SOLVERS, NlpSolver, Solution, default_solver
+from ctr_nlp.steer.requests import checked_terms
 from ctr_nlp.support.values import check_choice, strict_json
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
@@ -32,53 +34,71 @@ DISTINCT = 1e-3
 """Two answers are distinct where their objectives differ by more than this part."""
 DEFAULTS = Settings()
 
+Built = Sequence[tuple[Stage, NlpSolver]]
+"""Stages and their solvers."""
 
+
+@dataclass(frozen=True)
 class NlpFrames:
-    """A FrameSolver: the stages of a formulation, built once and solved for any frame."""
+    """A FrameSolver: the stages of a formulation, built once and solved for any frame.
 
-    def __init__(
-        self,
+    margins (T,): least stability margins, NaN where none is asked for. near: the wall that frames are kept within,
+    None for none. Others with other margins or another wall are made by dataclasses.replace, and share what has
+    been built. wall: that of the lumen, None where none is known or counts.
+    """
+
+    problem: Problem
+    model: Model
+    settings: Settings
+    free: Built
+    inside: Built
+    margins: Array
+    wall: Wall | None
+    near: Wall | None
+    build_seconds: float
+    description: dict[str, Any]
+
+    @classmethod
+    def of(
+        cls,
         problem: Problem,
         formulation: str = "joint",
         solver: str | None = None,
-        model: str = "dominant",
+        model: str | Model = "dominant",
         settings: Settings = DEFAULTS,
-    ) -> None:
-        """Build the NLPs; raises OptionError, and ProblemError where the target is not known all along."""
+        terms: Sequence[Term] = (),
+    ) -> NlpFrames:
+        """Build the programs; raises OptionError, and ProblemError where the target is not known all along.
+
+        terms: further ones of the objective, on formulations that take them.
+        """
         check_choice("formulation", formulation, FORMULATIONS)
-        check_model(problem.robot, model)
+        described, terms = model_named(model), checked_terms(terms)
+        described.check(problem.robot)
         solver = default_solver() if solver is None else solver
         check_choice("solver", solver, SOLVERS)
-        self.problem, self._samples = problem, problem.samples
-        self._seed = settings.seed
-        self.margins = np.full(problem.frames, np.nan)
-        """Least stability margins (T,) on the elastic model."""
-        if settings.stability_margin is not None:
-            self.margins[:] = settings.stability_margin
-        self._root = math.sqrt(settings.motion_weight) / problem.dt
+        assert problem.samples
         begin = time.perf_counter()
-        self.wall = wall_of(problem.robot, problem.lumen, model, settings) if formulation == "joint" else None
-        """That of the lumen, None where none is known or counts."""
-        self.clearance_cost = settings.clearance_cost
-        self.near: Wall | None = None
-        """The same, once frames are to be kept within it."""
-        at = problem.robot, settings, model
-        self._stages = FORMULATIONS[formulation](*at)
-        walled = () if self.wall is None else joint(*at, walled=True)
-        self._free, self._inside = (
-            [(stage, SOLVERS[solver](stage.nlp)) for stage in stages] for stages in (self._stages, walled)
+        wall = wall_of(problem.robot, problem.lumen, described, settings) if formulation == "joint" else None
+        at = problem.robot, settings, described, terms
+        walled = () if wall is None else joint(*at, walled=True)
+        free, inside = (
+            [(stage, SOLVERS[solver](stage.nlp)) for stage in stages]
+            for stages in (FORMULATIONS[formulation](*at), walled)
         )
-        self.build_seconds = time.perf_counter() - begin
-        self.description: dict[str, Any] = {
+        margin = math.nan if settings.stability_margin is None else settings.stability_margin
+        description = {
             "formulation": formulation,
-            "model": model,
+            "model": described.name,
             "solver": solver,
-            "options": strict_json(asdict(settings)),
+            "options": strict_json(asdict(settings)) | {"terms": [repr(term) for term in terms]},
         }
+        margins, seconds = np.full(problem.frames, margin), time.perf_counter() - begin
+        return cls(problem, described, settings, free, inside, margins, wall, None, seconds, description)
 
     def search(self, frame: int) -> list[FrameResult]:
         """Distinct answers for a frame without a past, best first; at least one."""
-        guesses = starts(self.problem.robot, self._samples[frame], SEARCH_STARTS, self._seed)
+        guesses = starts(self.problem.robot, self.problem.samples[frame], SEARCH_STARTS, self.settings.seed)
         tried = [FrameResult(guess, x=self._unknowns(guess)) for guess in guesses]
         results = sorted(map(self._unwound, self._attempts(frame, tried, None)), key=lambda r: r.objective)
         distinct: list[FrameResult] = []
@@ -111,13 +131,13 @@ class NlpFrames:
 
     def step(self, frame: int, before: FrameResult) -> FrameResult:
         """The answer for a frame within speed limits of the one before; other starts are tried on failure."""
-        if before.x is None and self._stages[0].guess is not None:
-            before = replace(before, x=self._stages[0].rest(before.q))
+        if before.x is None and self.model.several_equilibria:
+            before = replace(before, x=self.model.rest(self.problem.robot, before.q))
         result = self._solve(frame, before, before)
         if result.success:
             return result
         low, high = reachable(self.problem.robot, before.q, self.problem.dt)
-        guesses = starts(self.problem.robot, self._samples[frame], RETRY_STARTS, self._seed)
+        guesses = starts(self.problem.robot, self.problem.samples[frame], RETRY_STARTS, self.settings.seed)
         tried = [FrameResult(q, x=self._unknowns(q)) for q in np.clip(guesses, low, high)]
         attempts = self._attempts(frame, [replace(before, warm=None), *tried], before)
         best = min(attempts, key=lambda r: r.objective, default=None)
@@ -125,7 +145,7 @@ class NlpFrames:
 
     def _unknowns(self, q: Array) -> Array | None:
         """Roughly those of a model whose q does not determine them."""
-        return None if self._stages[0].guess is None else self._stages[0].guess(q)
+        return self.model.guess(self.problem.robot, q) if self.model.several_equilibria else None
 
     def _attempts(
         self, frame: int, guesses: Iterable[FrameResult], before: FrameResult | None
@@ -137,7 +157,7 @@ class NlpFrames:
         """Of q, and where q does not determine the unknowns also of the tips' angles."""
         robot, dt = self.problem.robot, self.problem.dt
         low, high = reachable(robot, None if before is None else before.q, dt)
-        if self._stages[0].guess is None:
+        if not self.model.several_equilibria:
             return low, high
         tips, step = np.zeros(robot.d), np.full(robot.d, np.inf)
         if before is not None and before.x is not None:
@@ -162,36 +182,53 @@ class NlpFrames:
         return min(tried, key=lambda one: one.objective, default=result)
 
     def _solved(self, index: int, guess: FrameResult, before: FrameResult | None) -> FrameResult:
-        frame, q = self._samples[index], guess.q.copy()
-        previous = None if before is None else before.q
-        low, high = self._limits(before)
-        solutions: list[Solution] = []
-        iterations = 0
-        for k, (stage, solver) in enumerate(self._free if self.near is None else self._inside):
-            decides = stage.decides
-            limited = np.append(decides, np.arange(len(q), len(low)))
-            values = dict(stage.parameters(frame, q))
-            values |= {"margin": self.margins[index]} if "margin" in values else {}
-            values["previous"] = (q if previous is None else previous)[decides]
-            values["motion_root"] = 0.0 if previous is None else self._root
-            solution: Solution | None = guess.warm[k] if guess.warm else None
-            x = stage.rest(q[decides]) if guess.x is None else guess.x
-            x = x if solution is None else solution.x[: stage.nlp.x.numel() - stage.nlp.slacks]
-            if self.near is not None:
-                parameters, slack = self.near.surroundings(x[None])
-                values |= {name: value[0] for name, value in parameters.items()}
-                x = np.append(x, slack)
-            for step in stage.schedule:
-                packed = stage.nlp.pack({**values, **step})
-                solution = solver(x, packed, low[limited], high[limited], solution)
-                x, q[decides] = solution.x, solution.q[: len(decides)]
-                iterations += solution.iterations
-            assert solution is not None
+        """The answer from a guess, stage after stage."""
+        q, solutions, iterations = guess.q.copy(), list[Solution](), 0
+        for k, (stage, solver) in enumerate(self.free if self.near is None else self.inside):
+            warm: Solution | None = guess.warm[k] if guess.warm else None
+            solution, more = self._staged(stage, solver, index, q, guess, before, warm)
+            iterations += more
             if not solution.success:
                 failure = f"{stage.nlp.name}: {solution.status}, KKT residual {solution.kkt:.1e}"
                 return FrameResult(guess.q, False, iterations=iterations, status=failure)
+            q[stage.decides] = solution.q[: len(stage.decides)]
             solutions.append(solution)
         kkt = max(solution.kkt for solution in solutions)
         status = ", ".join(solution.status for solution in solutions)
-        unknowns = None if stage.guess is None else x[: stage.nlp.x.numel() - stage.nlp.slacks]
-        return FrameResult(q, True, solutions[-1].objective, kkt, iterations, status, tuple(solutions), unknowns)
+        x = solutions[-1].x[: stage.nlp.x.numel() - stage.nlp.slacks] if self.model.several_equilibria else None
+        return FrameResult(q, True, solutions[-1].objective, kkt, iterations, status, tuple(solutions), x)
+
+    def _staged(
+        self,
+        stage: Stage,
+        solver: NlpSolver,
+        index: int,
+        q: Array,
+        guess: FrameResult,
+        before: FrameResult | None,
+        warm: Solution | None,
+    ) -> tuple[Solution, int]:
+        """The solution of one stage at q (2d + 2,), and its iterations."""
+        low, high = self._limits(before)
+        limited = np.append(stage.decides, np.arange(len(q), len(low)))
+        values = dict(stage.fill(self.problem.samples[index], q))
+        if "margin" in values:
+            values["margin"] = self.margins[index]
+        values["previous"] = (q if before is None else before.q)[stage.decides]
+        if before is not None:
+            values["motion_root"] = math.sqrt(self.settings.motion_weight) / self.problem.dt
+        else:
+            values["motion_root"] = 0.0
+        x = q[stage.decides] if guess.x is None else guess.x
+        x = x if warm is None else warm.x[: stage.nlp.x.numel() - stage.nlp.slacks]
+        if self.near is not None:
+            parameters, slack = self.near.surroundings(x[None])
+            values |= {name: value[0] for name, value in parameters.items()}
+            x = np.append(x, slack)
+        iterations = 0
+        for further in stage.schedule:
+            packed = stage.nlp.pack({**values, **further})
+            warm = solver(x, packed, low[limited], high[limited], warm)
+            x, iterations = warm.x, iterations + warm.iterations
+        assert warm is not None
+        return warm, iterations

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.formulations.frames import FrameResult, FrameSolver
+from ctr_nlp.models import Model
 from ctr_nlp.plan.metrics import rms_over_sigma
 from ctr_nlp.simulation.forward import simulated
 from ctr_nlp.steer.requests import Direction, checked_ends
@@ -58,7 +59,7 @@ class Pass:
             found[j] = found[j] if result.x is None else result.x
         return found
 
-    def badness(self, problem: Problem, model: str) -> tuple[int, float]:
+    def badness(self, problem: Problem, model: str | Model) -> tuple[int, float]:
         """Frames not solved, then the mean square error of the others in mm^2."""
         solved = [j for j, result in self.results.items() if result.success]
         if not solved:

@@ -10,6 +10,9 @@ import numpy.typing as npt
 
 from ctr_nlp.formulations.frames import FrameResult, FrameSolver
 from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.formulations.terms import Term
+from ctr_nlp.formulations.wall import Wall
+from ctr_nlp.models import Model
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
 from ctr_nlp.solvers.frame.sqp import FALLBACK
 from ctr_nlp.steer.inside import kept_inside
@@ -26,18 +29,20 @@ def solve_per_frame(
     problem: Problem,
     formulation: str = "joint",
     *,
-    model: str = "dominant",
+    model: str | Model = "dominant",
     solver: str | None = None,
     direction: Direction = "best",
     start: npt.ArrayLike | None = None,
     settings: Settings = DEFAULTS,
+    terms: Sequence[Term] = (),
     progress: Progress | None = None,
 ) -> Plan:
     """The plan that follows a problem's target frame by frame.
 
     formulation: joint, two-stage or two-stage-exact. solver: sqp or ipopt; None takes sqp where there is a C
     compiler. direction: in which order frames are solved; best tries both. start: q (2d + 2,) at time 0, from
-    which the motion then leads forward. settings: weights, widths and seeds. Frames that could not be solved are
+    which the motion then leads forward. settings: weights, widths and seeds. terms: further
+    ones of the objective (formulations.terms), on the joint formulation. Frames that could not be solved are
     marked in the plan. Ctrl-C ends the work; the plan then has what was solved and is marked as interrupted.
     Raises OptionError, RobotError.
     """
@@ -45,7 +50,7 @@ def solve_per_frame(
     checked_ends(problem, direction, start)
     return march(
         problem,
-        NlpFrames(problem, formulation, solver, model, settings),
+        NlpFrames.of(problem, formulation, solver, model, settings, terms),
         direction,
         start,
         progress,
@@ -64,17 +69,20 @@ def march(
         passes, search_seconds = run_passes(problem, solver, direction, start, progress=progress)
         best = min(passes, key=lambda one: one.badness(problem, solver.description["model"]))
         free: Array | None = None
+        wall: Wall | None = None
         if isinstance(solver, NlpFrames) and not interrupted():
-            best = held(problem, solver, best, interrupted)
+            best, solver = held(solver, best, interrupted)
             free = None if solver.wall is None else best.motion(problem)
-            best = kept_inside(problem, solver, best, interrupted)
+            best, wall = kept_inside(solver, best, interrupted)
         stopped = interrupted()
     options = {
         "direction": best.direction,
         "passes": len(passes),
         "start": None if start is None else np.asarray(start, dtype=float).tolist(),
     }
-    return _plan(problem, solver, best, free, options, {"search_s": search_seconds, "interrupted": stopped})
+    weight = None if wall is None else wall.weight
+    work = {"search_s": search_seconds, "interrupted": stopped, "contact_weight": weight}
+    return _plan(problem, solver, best, free, options, work)
 
 
 def _unknowns(results: Sequence[FrameResult]) -> Array | None:
@@ -99,7 +107,6 @@ def _plan(
         **solver.description,
         **work,
         "options": solver.description["options"] | options,
-        "contact_weight": solver.near.weight if isinstance(solver, NlpFrames) and solver.near else None,
         "build_s": solver.build_seconds,
         "iterations": sum(result.iterations for result in results),
         "failures": {str(j + 1): r.status for j, r in enumerate(results) if not r.success},

@@ -9,15 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ctr_nlp.models import Model
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.plan.plan import elsewhere
 from ctr_nlp.robot import Robot
-from ctr_nlp.simulation import following as tracking
 from ctr_nlp.solvers import FEASIBLE, ChainSolver
 from ctr_nlp.steer.attempts import Attempt, attempt
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.passes import Pass
-from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
 TRIED = 3
@@ -43,6 +42,7 @@ class Made(NamedTuple):
 
 def realised(
     robot: Robot,
+    model: Model,
     chain: Chain,
     solver: Callable[[Chain], ChainSolver],
     attempts: Sequence[Attempt],
@@ -62,7 +62,7 @@ def realised(
         if stop() or (made and len(tried) >= TRIED):
             break
         tried.append(objective)
-        found = _made(robot, chain, solver, one, margin, stop)
+        found = _made(robot, model, chain, solver, one, margin, stop)
         made += [] if found is None else [found]
     if not made:
         return [replace(one, made=False) for one in attempts]
@@ -71,6 +71,7 @@ def realised(
 
 def _made(
     robot: Robot,
+    model: Model,
     chain: Chain,
     solver: Callable[[Chain], ChainSolver],
     one: Attempt,
@@ -79,10 +80,10 @@ def _made(
 ) -> Made | None:
     """An attempt changed until its motion is made and the margin held between frames, or as nearly as it goes."""
     margins, best = np.full(chain.frames, np.nan if margin is None else margin), None
-    one = _found(robot, chain, one)
+    one = _found(robot, model, chain, one)
     for _ in range(ROUNDS + 1):
         q = one.solution.q.reshape(chain.frames, -1)[:, : len(robot.axes)]
-        missing, lost = _missing(robot, q, one.motion, margin)
+        missing, lost = _missing(robot, model, q, one.motion, margin)
         if not lost and (best is None or missing.max() < best.missing):
             best = Made(one, float(missing.max()))
         if margin is None or stop() or not (lost or missing.max() > SHORT):
@@ -95,12 +96,12 @@ def _made(
     return best
 
 
-def _found(robot: Robot, chain: Chain, one: Attempt) -> Attempt:
+def _found(robot: Robot, model: Model, chain: Chain, one: Attempt) -> Attempt:
     """The same motion with tubes turned by whole turns, so that the robot is found where it begins."""
     chain = replace(chain, parameters=one.parameters)
     x = one.solution.x.reshape(chain.frames, -1).copy()
     q = one.solution.q.reshape(chain.frames, -1)[0, : len(robot.axes)]
-    turns = _turns(robot, q, one.motion[0])
+    turns = _turns(robot, model, q, one.motion[0])
     x[:, : robot.d - 1] += turns
     value = chain.evaluate(x.ravel())[1]
     if not turns.any() or chain.violation(value) > FEASIBLE:
@@ -109,34 +110,37 @@ def _found(robot: Robot, chain: Chain, one: Attempt) -> Attempt:
     return replace(one, solution=solution, motion=chain.robot_of(x.ravel()))
 
 
-def held(problem: Problem, frames: NlpFrames, one: Pass, stop: Callable[[], bool]) -> Pass:
-    """A run through all frames, on the elastic model repeated until the margin is held between frames too."""
-    if frames.description["model"] == "dominant":
-        return one
-    robot, margin = problem.robot, None if np.isnan(frames.margins[0]) else float(frames.margins[0])
+def held(frames: NlpFrames, one: Pass, stop: Callable[[], bool]) -> tuple[Pass, NlpFrames]:
+    """A run through all frames, repeated until the margin is held between frames too; frames with their margins.
+
+    As it is on models of which nothing can be unstable.
+    """
+    if not frames.model.can_snap:
+        return one, frames
+    problem, margin = frames.problem, None if np.isnan(frames.margins[0]) else float(frames.margins[0])
     best, least = one, np.inf
     for _ in range(ROUNDS + 1):
         if any(j not in one.results or not one.results[j].success for j in one.order):
             break
-        one = _found_pass(problem, one)
+        one = _found_pass(frames, one)
         q, x = one.motion(problem), one.unknowns(problem)
-        missing, lost = _missing(robot, q, x, margin)
+        missing, lost = _missing(problem.robot, frames.model, q, x, margin)
         if not lost and missing.max() < least:
             best, least = one, float(missing.max())
         if margin is None or stop() or not (lost or missing.max() > SHORT):
             break
-        frames.margins = _raised(frames.margins, missing)
+        frames = replace(frames, margins=_raised(frames.margins, missing))
         first = one.order[0]
         known = {} if one.before else {first: one.results[first]}
         one = Pass(one.direction, one.order, one.before, known, {first: one.seconds[first]})
         for _ in one.run(frames):
             pass
-    return best
+    return best, frames
 
 
-def _found_pass(problem: Problem, one: Pass) -> Pass:
+def _found_pass(frames: NlpFrames, one: Pass) -> Pass:
     """As _found, for a run without a given start."""
-    turns = _turns(problem.robot, one.results[0].q, one.unknowns(problem)[0])
+    turns = _turns(frames.problem.robot, frames.model, one.results[0].q, one.unknowns(frames.problem)[0])
     if one.before is not None or not turns.any():
         return one
     turned = {}
@@ -153,16 +157,16 @@ def _raised(margins: Array, missing: Array) -> Array:
     return np.where(more > SHORT, np.maximum(margins, np.minimum(margins + more, MOST)), margins)
 
 
-def _missing(robot: Robot, q: Array, x: Array, margin: float | None) -> tuple[Array, bool]:
+def _missing(robot: Robot, model: Model, q: Array, x: Array, margin: float | None) -> tuple[Array, bool]:
     """What the margin is missed by on the way to every frame (T,); whether the robot, moved by q, is elsewhere."""
-    moved = tracking.follow(robot, q)
+    moved = model.follow(robot, q)
     away = elsewhere(moved.x, x, moved.snaps)
     missing = np.maximum((margin or 0.0) - moved.stability_between, 0.0)
     missing[away.argmax()] += GIVEN * away.any()
     return missing, bool(away.any())
 
 
-def _turns(robot: Robot, q: Array, x: Array) -> Array:
+def _turns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
     """Whole turns (d - 1,) of outer tubes, rad, with which the robot settled at q has the unknowns x; or none."""
     d = robot.d
     outer = slice(d - 1)
@@ -172,6 +176,6 @@ def _turns(robot: Robot, q: Array, x: Array) -> Array:
         there[outer] += turn
         to[outer] += turn
         allowed = (robot.lower[outer] <= there[outer]).all() and (there[outer] <= robot.upper[outer]).all()
-        if allowed and not elsewhere(tracking.settled(robot, there)[None], to[None], ()).any():
+        if allowed and not elsewhere(model.rest(robot, there)[None], to[None], ()).any():
             return turn
     return np.zeros(d - 1)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from ctr_nlp.exceptions import OptionError, ProblemError
 from ctr_nlp.formulations.settings import Settings, check_motion_weight
+from ctr_nlp.formulations.terms import Term
 from ctr_nlp.support.values import check_choice, floats, instance, whole_number
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
@@ -51,3 +52,10 @@ def checked_motions(problem: Problem, initial: Sequence[npt.ArrayLike]) -> list[
         raise OptionError(f"initial is {initial!r:.80}; it must be a sequence of motions")
     expected = (problem.frames, len(problem.robot.axes))
     return [floats(OptionError, "a motion of initial", motion, expected) for motion in initial]
+
+
+def checked_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
+    """Further terms of the objective; raises OptionError unless they are terms."""
+    for term in terms if isinstance(terms, Sequence) else [terms]:
+        instance(OptionError, "a term", term, Term)
+    return tuple(terms)

@@ -8,12 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.exceptions import OptionError, RobotError
-from ctr_nlp.formulations.joint import STRIDE, joint, tip_steps
+from ctr_nlp.formulations.joint import joint, tip_steps
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.models import check_model
+from ctr_nlp.formulations.terms import ShapeDistance
+from ctr_nlp.formulations.terms.shape import STRIDE
+from ctr_nlp.models import Model, model_named
 from ctr_nlp.robot import Robot
 from ctr_nlp.solvers.frame.adapter import FEASIBLE, OPTIMAL
-from ctr_nlp.solvers.frame.sqp import Program
+from ctr_nlp.solvers.frame.program import Program
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.support.values import instance, number
 from ctr_nlp.target.target import SIGMA
@@ -32,7 +34,12 @@ class Steerer:
     """
 
     def __init__(
-        self, robot: Robot, q: npt.ArrayLike, dt: float, settings: Settings = DEFAULTS, model: str = "dominant"
+        self,
+        robot: Robot,
+        q: npt.ArrayLike,
+        dt: float,
+        settings: Settings = DEFAULTS,
+        model: str | Model = "dominant",
     ) -> None:
         """Build for a robot that stands at q and moves every dt s; raises OptionError, RobotError.
 
@@ -42,15 +49,20 @@ class Steerer:
         instance(RobotError, "robot", robot, Robot)
         instance(OptionError, "settings", settings, Settings)
         number(OptionError, "dt", dt, lambda x: 0 < x < math.inf, "be a finite number > 0", " s")
-        check_model(robot, model)
+        described = model_named(model)
+        described.check(robot)
         self.q = robot.check(q).copy()
-        (stage,) = joint(robot, settings, model)
-        self._program = Program(stage.nlp)
-        self._picks, self._x = stage.nlp.configuration, stage.rest(self.q)
+        (stage,) = joint(robot, settings, described)
+        self._program = Program(stage.nlp, wait=True)
+        self._picks, self._x = stage.nlp.configuration, described.rest(robot, self.q)
         self._tips = len(self._picks) - len(self.q)
-        most = np.append(robot.speed * dt, tip_steps(robot, dt)[: self._tips])
-        self._limits = *stage.nlp.limits, most
+        free, most = np.full(self._tips, np.inf), np.append(robot.speed * dt, tip_steps(robot, dt)[: self._tips])
+        self._limits = np.append(robot.lower, -free), np.append(robot.upper, free), most
         places = {name: self._program.p[stage.nlp.place(name)] for name in stage.nlp.parameters}
+        places["tubes"][:] = robot.numbers.ravel(order="F")
+        places["shape_roots"][:] = ShapeDistance().roots
+        if "gap" in places:
+            places["gap"][:] = robot.carriage_gap
         self._target = places["target"].reshape(3, -1)
         self._previous = places["previous"]
         places["motion_root"][:] = math.sqrt(settings.motion_weight) / dt

@@ -14,7 +14,7 @@ from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.models import MODELS, check_model, suits
+from ctr_nlp.models import MODELS, model_named, suits
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
@@ -102,7 +102,7 @@ def parse_variant(name: str) -> Variant:
         formulation,
         model,
         lambda problem, settings, initial, progress: march(
-            problem, NlpFrames(problem, formulation, solver, model, settings), progress=progress
+            problem, NlpFrames.of(problem, formulation, solver, model, settings), progress=progress
         ),
     )
 
@@ -128,7 +128,7 @@ def compare(
     """
     problems = list(problems)
     for problem, variant in itertools.product(problems, variants):
-        check_model(problem.robot, variant.model, f"model of variant {variant.name}")
+        model_named(variant.model, f"model of variant {variant.name}").check(problem.robot)
     chosen, rows = replace(settings or Settings(), contact_weight=0.0), []
     agreements: list[dict[str, Any]] = []
     with deferred_interrupt() as interrupted:
@@ -138,7 +138,7 @@ def compare(
             for variant in variants:
                 report = None if progress is None else progress(problem.name, variant.name)
                 if variant.formulation == "horizon" and variant.model == "dominant" and not initial:
-                    initial = per_frame_motions(problem, Ends(), chosen, report)
+                    initial = per_frame_motions(problem, Ends(), chosen, report, MODELS["dominant"])
                 plan = variant.plan(problem, chosen, initial, report)
                 rows.append(row(problem.name, variant.name, plan))
                 if variant.formulation == "horizon" and variant.model == "dominant":
@@ -152,7 +152,8 @@ def compare(
 def agreement(problem: Problem, first: Plan, second: Plan) -> dict[str, Any]:
     """Whether two horizons of a problem are one solution: objectives within SAME, the same active limits."""
     robot = problem.robot
-    chain = horizon(robot, problem.samples, problem.dt, first.meta["options"]["motion_weight"], Ends())
+    weight = first.meta["options"]["motion_weight"]
+    chain = horizon(robot, problem.samples, problem.dt, weight, Ends(), MODELS["dominant"])
     objectives = [float(plan.objective.mean()) for plan in (first, second)]
     difference = abs(objectives[0] - objectives[1])
     distances = [_to_limits(chain, plan) for plan in (first, second)]

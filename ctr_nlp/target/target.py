@@ -29,7 +29,8 @@ class Frame:
     """The target of one frame at SIGMA.
 
     points (101, 3) mm; tangents (101, 3); curvature (101,) 1/mm; turning (101,) rad, the integral of
-    curvature over arc length from 0; length mm; radius (101,) mm of the lumen, or None. Arrays are read-only.
+    curvature over arc length from 0; length mm; radius (101,) mm of the lumen, or None; number: from 0, in its
+    target. Arrays are read-only.
     """
 
     points: Array
@@ -38,6 +39,7 @@ class Frame:
     turning: Array
     length: float
     radius: Array | None
+    number: int = 0
 
     def at(self, sigma: Array) -> Array:
         """Points (n, 3) in mm at any sigma (n,), by the cubic through points and tangents."""
@@ -130,6 +132,7 @@ def _sampled(curve: Curve, length: float, frame: int) -> Frame:
         frozen(np.concatenate([[0.0], np.cumsum(middle * np.diff(fine))])[::FINER]),
         length,
         None if curve.radius is None else known("radius", curve.radius(s), len(s)),
+        frame - 1,
     )
 
 

@@ -79,7 +79,7 @@ def _run(folder: Path, arguments: argparse.Namespace) -> int:
     out = Path(arguments.out or default)
     film = film_file(arguments)
     check_folder(out, "plan", film)
-    solver = NlpFrames(problem, arguments.formulation, arguments.solver, arguments.model, settings)
+    solver = NlpFrames.of(problem, arguments.formulation, arguments.solver, arguments.model, settings)
     problems.tell(problem)
     end_if_interrupted()
     with progress_bar() as labelled:

@@ -13,10 +13,10 @@ from ctr_nlp.figures.overlay import TARGET
 from ctr_nlp.figures.parts.page import printable
 from ctr_nlp.figures.parts.palette import FAILED
 from ctr_nlp.figures.parts.space import Body, frame, insertion_point, key, points_of_all, span, wall
+from ctr_nlp.models import MODELS
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
-from ctr_nlp.simulation import following as tracking
-from ctr_nlp.simulation.forward import shapes
+from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
 
 COMMANDED: dict[str, Any] = {"color": FAILED, "lw": 8.0, "zorder": 3}
@@ -50,8 +50,8 @@ class Playing:
         if plan.lumen is not None:
             wall(axes, plan.lumen)
         insertion_point(axes)
-        self._commanded = Body(axes, plan.robot.d, **COMMANDED), Shapes(plan.robot, plan.elastic)
-        self._measured = Body(axes, plan.robot.d), Shapes(plan.robot, plan.elastic)
+        self._commanded = Body(axes, plan.robot.d, **COMMANDED), Shapes(plan.robot, plan.evaluated)
+        self._measured = Body(axes, plan.robot.d), Shapes(plan.robot, plan.evaluated)
         self._target = axes.plot([], [], [], zorder=5, **TARGET)[0]
         points = points_of_all([plan.shape, plan.target], plan.lumen)
         frame(axes, points, span(points))
@@ -73,15 +73,15 @@ class Playing:
 class Shapes:
     """Shapes of one robot at one configuration after the other, each equilibrium from the one before."""
 
-    def __init__(self, robot: Robot, elastic: bool) -> None:
-        self._robot, self._elastic = robot, elastic
+    def __init__(self, robot: Robot, model: str) -> None:
+        self._robot, self._model = robot, MODELS[model]
         self._before: tuple[Array, Array] | None = None
 
     def __call__(self, q: Array) -> Array:
         """The shape (101, 3) mm at q (2d + 2,); NaN where no equilibrium is found."""
-        if not self._elastic:
-            return shapes(self._robot, q[None])[0]
-        way, x0 = (q[None], None) if self._before is None else (np.stack([self._before[0], q]), self._before[1])
-        x = tracking.follow(self._robot, way, x0).x[-1]
+        passage, x0 = (
+            (q[None], None) if self._before is None else (np.stack([self._before[0], q]), self._before[1])
+        )
+        x = self._model.follow(self._robot, passage, x0).x[-1]
         self._before = (q, x) if np.isfinite(x).all() else None
-        return tracking.shapes(self._robot, x[None])[0]
+        return self._model.points(self._robot, x[None], SIGMA)[0]

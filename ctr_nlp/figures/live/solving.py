@@ -15,10 +15,10 @@ from ctr_nlp.figures.overlay import TARGET
 from ctr_nlp.figures.parts.page import outcome, printable
 from ctr_nlp.figures.parts.palette import BLACK, BLUE
 from ctr_nlp.figures.parts.space import Body, frame, insertion_point, key, points_of_all, span, wall
+from ctr_nlp.models import MODELS
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
-from ctr_nlp.simulation.forward import points_of
 from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
 
@@ -85,7 +85,7 @@ class Solving:
             self._tell(f"the plan: {outcome(summary(state))}")
             return
         motion = state.motion[self._frames]
-        self._draw(points_of(self.robot, motion, SIGMA, self.model), self.robot.split(motion)[1])
+        self._draw(MODELS[self.model].points(self.robot, motion, SIGMA), self.robot.split(motion)[1])
         for (panel, line), values in zip(self._curves, (state.objective, state.error), strict=True):
             line.set_data(np.arange(len(values)), np.where(values > 0, values, np.nan))
             panel.relim()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,10 +12,10 @@ from ctr_nlp.exceptions import HardwareError, ProgramError, RobotError
 from ctr_nlp.hardware.arm.checks import check_joints
 from ctr_nlp.hardware.arm.inverse import joints
 from ctr_nlp.hardware.motion.program import Program
+from ctr_nlp.models import MODELS, Snap
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
-from ctr_nlp.simulation import following as tracking
-from ctr_nlp.simulation.forward import shapes
+from ctr_nlp.simulation.forward import simulated
 from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
 
@@ -84,9 +85,9 @@ def _check_limits(robot: Robot, q: Array, name: str) -> None:
         raise ProgramError(f"{error} on this hardware{hint}") from error
 
 
-def _check_snaps(found: tracking.Followed, frame: npt.NDArray[Any]) -> None:
+def _check_snaps(snaps: Sequence[Snap], frame: npt.NDArray[Any]) -> None:
     """Frame (T,): on the way to which the places lie that were followed."""
-    for snap in found.snaps:
+    for snap in snaps:
         raise ProgramError(f"frame {frame[snap.frame - 1]}: the robot would snap on the way, tubes {snap.tubes}")
 
 
@@ -104,13 +105,9 @@ def _check_steps(plan: Plan) -> None:
 
 def _check_shapes(plan: Plan) -> None:
     """Shapes belong to configurations; on the elastic model where the motion leads to them."""
-    if plan.elastic:
-        known = tracking.follow(plan.robot, plan.q)
-        _check_snaps(known, np.arange(1, len(plan.time) + 1))
-        made = tracking.shapes(plan.robot, known.x)
-    else:
-        made = shapes(plan.robot, plan.q)
-    away = np.nan_to_num(np.linalg.norm(made - plan.shape, axis=-1).max(axis=1), nan=np.inf)
+    moved = simulated(plan.robot, plan.q, plan.evaluated)
+    _check_snaps(moved.snaps, np.arange(1, len(plan.time) + 1))
+    away = np.nan_to_num(np.linalg.norm(moved.shape - plan.shape, axis=-1).max(axis=1), nan=np.inf)
     if away.max() > SAME_SHAPE:
         j = int(away.argmax())
         raise ProgramError(
@@ -170,8 +167,8 @@ def _most(name: str, used: Array, program: Program, frame: Array) -> float:
 
 def _least_margin(program: Program, frame: Array, q: Array) -> float:
     """The least margin of the robot moved through q, which must be stable everywhere."""
-    found = tracking.follow(program.robot, q, substeps=1)
-    _check_snaps(found, frame)
+    found = MODELS["elastic"].follow(program.robot, q, substeps=1)
+    _check_snaps(found.snaps, frame)
     least = np.nan_to_num(found.stability_between, nan=-np.inf)
     if not least.min() > 0:
         raise ProgramError(f"frame {frame[least.argmin()]}: on the way the robot would be unstable")

@@ -1,4 +1,4 @@
-"""Branches of equilibria of the elastic model, one configuration after the other.
+"""Equilibria of the elastic model, one configuration after the other.
 
 alpha(x) is solved for phi by Newton's method, from a prediction along the tangent. A step that turns far from its
 prediction, or passes a singular d alpha / d phi, is halved until it is clear that the stable branch ends there;
@@ -16,10 +16,11 @@ from scipy.linalg import lapack
 
 from ctr_nlp.codegen import cache, vector
 from ctr_nlp.codegen.mapped import Mapped
-from ctr_nlp.models.dominant import shows_transmission
 from ctr_nlp.models.elastic import stability, torsion
 from ctr_nlp.models.elastic.stability import Energy
-from ctr_nlp.robot import Limits, Robot, Tube
+from ctr_nlp.models.protocol import symbolic_tubes
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.structure import NUMBERS, Structure
 from ctr_nlp.typing import Array
 
 STRIDE = 0.2
@@ -57,13 +58,13 @@ class State(NamedTuple):
         return np.append(self.x[: d - 1] + self.x[d - 1], self.x[d - 1])
 
 
-class Branches:
+class Equilibria:
     """Follows a robot's equilibria; one object a thread."""
 
     def __init__(self, robot: Robot) -> None:
-        self.robot = robot
-        shown = tuple(shows_transmission(robot, i) for i in range(robot.d))
-        self._motors = Mapped(_equilibrium(robot.tubes, shown), 1, 1)
+        self.robot, self._tubes = robot, robot.tube_numbers
+        self._motors = Mapped(_motors(robot.structure), 1, 1)
+        self._motors.inputs[1][0] = robot.numbers.ravel(order="F")
 
     def settled(self, q: Array) -> State | None:
         """The equilibrium at q that all tubes are turned to from alpha_d."""
@@ -141,7 +142,7 @@ class Branches:
         return None
 
     def _holds(self, state: State) -> bool:
-        return bool(stability.margins(self.robot, state.x[None])[0] > 0)
+        return bool(stability.margins(self._tubes, state.x[None])[0] > 0)
 
     def _fallen(self, state: State, goal: Array) -> State | None:
         """A stable equilibrium that a robot falls into where its branch ends on the way to goal; just past it."""
@@ -156,9 +157,9 @@ class Branches:
     def _settling(self, state: State, past: Array) -> Array:
         """About the equilibrium at `past` that a robot falls into from one nearby."""
         d, on = self.robot.d, self._predicted(state, past) - state.x
-        (energy,) = stability.energies(self.robot, past[None])
+        (energy,) = stability.energies(self._tubes, past[None])
         step = 1e-4 * on / max(abs(on[:d]).max(), 1e-300)
-        here, ahead = stability.differences(self.robot, np.stack([state.x, state.x + step]))
+        here, ahead = stability.differences(self._tubes, np.stack([state.x, state.x + step]))
         tips = past[:d] + energy.ends @ _fall(energy, energy.couples @ past[:d], here, ahead - here)
         return np.concatenate([tips[:-1] - tips[-1], tips[-1:], past[d:]])
 
@@ -199,16 +200,16 @@ def _decay(rates: Array, time: float) -> Array:
     return found
 
 
-@functools.lru_cache
-def _equilibrium(tubes: tuple[Tube, ...], shown: tuple[bool, ...]) -> ca.Function:
-    """From x to alpha and its slopes, compiled where possible; shown: which tubes can show their transmissions."""
-    reach = [(0.0, tube.length if out else tube.curved_length) for tube, out in zip(tubes, shown, strict=True)]
-    robot, d = Robot(tubes, Limits(beta=reach)), len(tubes)
-    x = ca.SX.sym("x", 2 * d + 2)
-    entries = ca.vertsplit(x)
-    twisted = torsion.twist(robot, entries, torsion.sections(robot, entries[d : 2 * d], ca), ca)
-    alpha = ca.densify(ca.vertcat(*torsion.motors(robot, entries, twisted)))
-    function = ca.Function("equilibrium", [x], [alpha, ca.densify(ca.jacobian(alpha, x))], {"cse": True})
+@functools.lru_cache(maxsize=64)
+def _motors(structure: Structure) -> ca.Function:
+    """(x, numbers of the tubes (d, 6)) -> alpha and its slopes over x, compiled where possible."""
+    d = structure.d
+    x, numbers = ca.SX.sym("x", 2 * d + 2), ca.SX.sym("numbers", d, len(NUMBERS))
+    tubes, entries = symbolic_tubes(structure, numbers), ca.vertsplit(x)
+    twisted = torsion.twist(tubes, entries, torsion.sections(tubes, entries[d : 2 * d], ca), ca)
+    alpha = ca.densify(ca.vertcat(*torsion.motors(tubes, entries, twisted)))
+    outputs = [alpha, ca.densify(ca.jacobian(alpha, x))]
+    function = ca.Function("equilibrium", [x, numbers], outputs, {"cse": True})
     if cache.missing():
         return function
     code = vector.vector_code((function,), 1)

@@ -8,17 +8,18 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from ctr_nlp.models.dominant import Arm, Backbone, base_frame, combined, planar, shows_transmission
+from ctr_nlp.models.dominant.shape import Backbone, Travel, base_frame, combined, planar
 from ctr_nlp.models.elastic.torsion import STEPS, Node, Section, Twist, bending, sections, twist
-from ctr_nlp.robot import Robot
+from ctr_nlp.models.protocol import combination
+from ctr_nlp.robot.structure import Tubes
 from ctr_nlp.typing import Vector
 
-Frame = tuple[Vector, Vector, Vector]
+Axes = tuple[Vector, Vector, Vector]
+"""Three unit vectors."""
 
 TINY = 1e-4
 """mm: sections shorter than this count as none."""
@@ -26,49 +27,49 @@ SERIES = 7
 """Terms of the series of sin(a)/a and (1 - cos(a))/a^2, where a is the angle turned from node to node."""
 
 
-def backbone(robot: Robot, x: Sequence[Any], sigma: Any, xp: Any, steps: int = STEPS) -> Backbone:
+def backbone(tubes: Tubes, x: Sequence[Any], sigma: Any, xp: Any, steps: int = STEPS) -> Backbone:
     """The shape at s = sigma beta_d; x: the 2d + 2 unknowns of torsion.py."""
-    beta = x[robot.d : 2 * robot.d]
-    parts = sections(robot, beta, xp)
-    vectors = curves(robot, x, parts, twist(robot, x, parts, xp, steps), xp)
-    lengths, turns = arms(robot, beta, parts, sigma * beta[-1], xp, steps)
-    base = turned_base(robot, x, xp)
+    beta = x[len(tubes) : 2 * len(tubes)]
+    parts = sections(tubes, beta, xp)
+    vectors = curves(tubes, x, parts, twist(tubes, x, parts, xp, steps), xp)
+    lengths, turns = travels(tubes, beta, parts, sigma * beta[-1], xp, steps)
+    base = turned_base(tubes, x, xp)
     tangent = combination([1.0, *turns], [(0.0, 0.0, 1.0), *vectors])
     return Backbone(combination(combination(lengths, vectors), base), combination(tangent, base))
 
 
-def curves(robot: Robot, x: Sequence[Any], parts: Sequence[Section], twisted: Twist, xp: Any) -> list[Vector]:
+def curves(tubes: Tubes, x: Sequence[Any], parts: Sequence[Section], twisted: Twist, xp: Any) -> list[Vector]:
     """The vectors that a shape is made of, section by section.
 
     Of a plane section: where it bends to, and its tangent at the beginning. Of another: the coefficients of powers
     of the fraction of its length in the polynomial through the tangents at all nodes.
     """
-    beta, found = x[robot.d : 2 * robot.d], list[Vector]()
-    frame: Frame = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+    beta, found = x[len(tubes) : 2 * len(tubes)], list[Vector]()
+    axes: Axes = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
     for part, nodes in zip(parts, twisted.nodes, strict=True):
         if part.plane:
             psi = sum(nodes[0].angles[i] for i in part.active)
             cos, sin = xp.cos(psi), xp.sin(psi)
-            found += [combined(cos, frame[0], sin, frame[1]), frame[2]]
-            angle = _arc(robot, beta, part, part.length, xp).angle
-            frame = _turned(frame, (-angle * sin, angle * cos, 0.0))
+            found += [combined(cos, axes[0], sin, axes[1]), axes[2]]
+            angle = _arc(tubes, beta, part, part.length, xp).angle
+            axes = _turned(axes, (-angle * sin, angle * cos, 0.0))
         else:
-            frames = _frames(frame, part, nodes, xp)
+            triads = _triads(axes, part, nodes, xp)
             to_powers = np.linalg.inv(np.vander(np.linspace(0.0, 1.0, len(nodes)), increasing=True))
-            found += [combination(row, [tangent for _, _, tangent in frames]) for row in to_powers]
-            frame = frames[-1]
+            found += [combination(row, [tangent for _, _, tangent in triads]) for row in to_powers]
+            axes = triads[-1]
     return found
 
 
-def arms(
-    robot: Robot, beta: Sequence[Any], parts: Sequence[Section], s: Any, xp: Any, steps: int = STEPS
+def travels(
+    tubes: Tubes, beta: Sequence[Any], parts: Sequence[Section], s: Any, xp: Any, steps: int = STEPS
 ) -> tuple[list[Any], list[Any]]:
     """For each of these vectors: travel along it to arc lengths s, mm, and how much of it the tangent gains."""
     lengths, turns, before = list[Any](), list[Any](), 0 * s
     for part in parts:
         here = xp.fmin(s, part.start + part.length)
         if part.plane:
-            side, along, angle = _arc(robot, beta, part, here - before, xp)
+            side, along, angle = _arc(tubes, beta, part, here - before, xp)
             lengths += [side, along]
             turns += [xp.sin(angle), xp.cos(angle) - 1]
         else:
@@ -80,33 +81,33 @@ def arms(
     return lengths, turns
 
 
-def turned_base(robot: Robot, x: Sequence[Any], xp: Any) -> Frame:
+def turned_base(tubes: Tubes, x: Sequence[Any], xp: Any) -> Axes:
     """The axes of `curves` in the base frame: R of eq. (4), turned by phi_d about the insertion direction."""
-    theta_x, theta_y = x[2 * robot.d :]
+    theta_x, theta_y = x[2 * len(tubes) :]
     d1, d2, t = base_frame(theta_x, theta_y, xp)
-    cos, sin = xp.cos(x[robot.d - 1]), xp.sin(x[robot.d - 1])
+    cos, sin = xp.cos(x[len(tubes) - 1]), xp.sin(x[len(tubes) - 1])
     return combined(cos, d1, sin, d2), combined(-sin, d1, cos, d2), t
 
 
-def _arc(robot: Robot, beta: Sequence[Any], part: Section, length: Any, xp: Any) -> Arm:
+def _arc(tubes: Tubes, beta: Sequence[Any], part: Section, length: Any, xp: Any) -> Travel:
     """Travel over a length from the beginning of a plane section."""
     if not part.active:
-        return Arm(0 * length, length, 0 * length)
+        return Travel(0 * length, length, 0 * length)
     (i,) = part.active
-    tube, share = robot.tubes[i], part.shares[i]
-    bent = replace(tube, curvature=(share * tube.root_curvature, share * tube.tip_curvature))
+    tube, share = tubes[i], part.shares[i]
+    bent = tube._replace(root_curvature=share * tube.root_curvature, tip_curvature=share * tube.tip_curvature)
     x_from, straight = beta[i] - part.start, 0.0
     x_to = x_from - length
-    if shows_transmission(robot, i):
+    if tubes[i].shown:
         x_from, x_to = xp.fmin(x_from, tube.curved_length), xp.fmin(x_to, tube.curved_length)
         straight = length - (x_from - x_to)
     side, along, angle = planar(bent, x_from, x_to, xp)
-    return Arm(side, straight + along, angle)
+    return Travel(side, straight + along, angle)
 
 
-def _frames(frame: Frame, part: Section, nodes: Sequence[Node], xp: Any) -> list[Frame]:
+def _triads(axes: Axes, part: Section, nodes: Sequence[Node], xp: Any) -> list[Axes]:
     """The Bishop frames at a section's nodes, turned from node to node by Magnus' series to order 4."""
-    u, h, found = [bending(part, node, xp) for node in nodes], part.length / (len(nodes) - 1), [frame]
+    u, h, found = [bending(part, node, xp) for node in nodes], part.length / (len(nodes) - 1), [axes]
     for k in range(0, len(nodes) - 1, 2):
         a, b, c = u[k : k + 3]
         found.append(_turned(found[-1], _turn(h, a, b, c, a, b)))
@@ -120,8 +121,8 @@ def _turn(h: Any, near: Any, middle: Any, far: Any, first: Any, last: Any) -> Ve
     return -y, x, h**2 / 12 * (first[0] * last[1] - first[1] * last[0])
 
 
-def _turned(frame: Frame, turn: Vector) -> Frame:
-    """A frame after a turn about a vector in its own axes, rad, by Rodrigues' formula."""
+def _turned(axes: Axes, turn: Vector) -> Axes:
+    """Axes after a turn about a vector in its own axes, rad, by Rodrigues' formula."""
     x, y, z = turn
     square, s, c = x * x + y * y + z * z, 1.0, 1.0
     for n in range(SERIES, 0, -1):
@@ -129,13 +130,7 @@ def _turned(frame: Frame, turn: Vector) -> Frame:
         c = 1 - square / ((2 * n + 1) * (2 * n + 2)) * c
     c = c / 2
     return (
-        combination((1 - c * (y * y + z * z), c * x * y + s * z, c * x * z - s * y), frame),
-        combination((c * x * y - s * z, 1 - c * (x * x + z * z), c * y * z + s * x), frame),
-        combination((c * x * z + s * y, c * y * z - s * x, 1 - c * (x * x + y * y)), frame),
+        combination((1 - c * (y * y + z * z), c * x * y + s * z, c * x * z - s * y), axes),
+        combination((c * x * y - s * z, 1 - c * (x * x + z * z), c * y * z + s * x), axes),
+        combination((c * x * z + s * y, c * y * z - s * x, 1 - c * (x * x + y * y)), axes),
     )
-
-
-def combination(weights: Sequence[Any], vectors: Sequence[Vector]) -> Vector:
-    """The sum of weights times vectors."""
-    x, y, z = (sum(w * v[i] for w, v in zip(weights, vectors, strict=True)) for i in range(3))
-    return x, y, z

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.polynomial import Legendre
 
-from ctr_nlp.models.dominant import columns_of
+from ctr_nlp.models.dominant.shape import columns_of
 from ctr_nlp.models.elastic.torsion import (
     STEPS,
     Node,
@@ -25,7 +25,7 @@ from ctr_nlp.models.elastic.torsion import (
     stepped,
     twist,
 )
-from ctr_nlp.robot import Robot
+from ctr_nlp.robot.structure import Tubes
 from ctr_nlp.typing import Array
 
 DEGREE = 3
@@ -37,7 +37,7 @@ ANGLES = [np.sqrt(2 * n + 1) * Legendre.basis(n, domain=(0, 1)).integ(lbnd=0)(NO
 
 
 def responses(
-    robot: Robot, x: Sequence[Any], parts: Sequence[Section], twisted: Twist, margin: Any, xp: Any
+    tubes: Tubes, x: Sequence[Any], parts: Sequence[Section], twisted: Twist, margin: Any, xp: Any
 ) -> list[list[list[Any]]]:
     """How angles relative to the innermost tube's follow those at the tips, on tubes of (1 - margin) GJ.
 
@@ -46,7 +46,7 @@ def responses(
     Jacobi's condition, in steps that let one eigenvalue pass at a time, the margin exceeds the one given as long
     as no determinant on the way loses its sign.
     """
-    d = robot.d
+    d = len(tubes)
     columns = [[1.0 if i == j else 0.0 for i in range(d)] for j in range(d - 1)]
     rates: list[list[Any]] = [[0.0] * d for _ in columns]
     found = []
@@ -55,7 +55,7 @@ def responses(
             columns = [moved(y, (-part.length, rate)) for y, rate in zip(columns, rates, strict=True)]
             continue
         h = -2 * part.length / (len(nodes) - 1)
-        stiff = [_stiffness(robot, part, node, 1 / (1 - margin), xp) for node in nodes]
+        stiff = [_stiffness(tubes, part, node, 1 / (1 - margin), xp) for node in nodes]
         for k in range(len(nodes) - 1, 0, -2):
             for j, (y, rate) in enumerate(zip(columns, rates, strict=True)):
                 a = _times(stiff[k], y)
@@ -63,18 +63,18 @@ def responses(
                 c = _times(stiff[k - 2], moved(y, (h, rate), (h**2 / 2, b)))
                 columns[j], rates[j] = stepped(y, rate, h, a, b, c)
         found.append(_relative(columns))
-    for i, tube in enumerate(robot.tubes):
+    for i, tube in enumerate(tubes):
         for y, rate in zip(columns, rates, strict=True):
             y[i] = y[i] - rate[i] * (tube.length - x[d + i])
         found.append(_relative(columns))
     return found
 
 
-def _stiffness(robot: Robot, part: Section, node: Node, factor: float, xp: Any) -> list[list[Any]]:
+def _stiffness(tubes: Tubes, part: Section, node: Node, factor: float, xp: Any) -> list[list[Any]]:
     """The derivatives [tube][tube] of factor psi'', 1/mm^2."""
-    found: list[list[Any]] = [[0.0] * robot.d for _ in robot.tubes]
+    found: list[list[Any]] = [[0.0] * len(tubes) for _ in tubes]
     for i in part.active:
-        own = factor * (1 + robot.tubes[i].poisson_ratio) * node.curvatures[i]
+        own = factor * tubes[i].torsional_ratio * node.curvatures[i]
         for j in part.active:
             if j != i:
                 pull = own * part.shares[j] * node.curvatures[j] * xp.cos(node.angles[i] - node.angles[j])
@@ -121,35 +121,35 @@ class Energy(NamedTuple):
         return np.eye(self.turns.shape[1]) + (self.strength * np.cos(angles) * self.turns.T) @ self.turns
 
 
-def margins(robot: Robot, x: Array) -> Array:
+def margins(tubes: Tubes, x: Array) -> Array:
     """The margin (T,) of every x (T, 2d + 2), by Galerkin's method; NaN where x is."""
     found, known = np.full(len(x), np.nan), np.isfinite(x).all(axis=1)
-    pairs = zip(energies(robot, x[known]), differences(robot, x[known]), strict=True)
+    pairs = zip(energies(tubes, x[known]), differences(tubes, x[known]), strict=True)
     found[known] = [np.linalg.eigvalsh(energy.hessian(angles)).min(initial=1.0) for energy, angles in pairs]
     return found
 
 
-def differences(robot: Robot, x: Array) -> Array:
+def differences(tubes: Tubes, x: Array) -> Array:
     """The angles (T, rows) of Energy at every x (T, 2d + 2)."""
     columns = columns_of(x)
-    parts = sections(robot, columns[robot.d : 2 * robot.d], np)
-    nodes = twist(robot, columns, parts, np).nodes
+    parts = sections(tubes, columns[len(tubes) : 2 * len(tubes)], np)
+    nodes = twist(tubes, columns, parts, np).nodes
     found = [node.angles[i] - node.angles[j] for k, i, j in _couples(parts) for node in nodes[k]]
     return np.hstack([np.zeros((len(x), 0)), *np.broadcast_arrays(*found, columns[0])[:-1]])
 
 
-def energies(robot: Robot, x: Array) -> Iterator[Energy]:
+def energies(tubes: Tubes, x: Array) -> Iterator[Energy]:
     """The Energy at the beta of every x (T, 2d + 2)."""
     columns = columns_of(x)
-    parts = sections(robot, columns[robot.d : 2 * robot.d], np)
-    twists = _twists(robot, columns, parts)
+    parts = sections(tubes, columns[len(tubes) : 2 * len(tubes)], np)
+    twists = _twists(tubes, columns, parts)
     couples = _couples(parts)
     pattern = [one.angles(k, i) - one.angles(k, j) for one in twists for k, i, j in couples]
     turns = np.reshape(pattern, (len(twists), len(couples) * len(NODES))).T
-    signs = np.array([np.eye(robot.d)[i] - np.eye(robot.d)[j] for _, i, j in couples for _ in NODES])
-    ends = np.array([[one.end * (one.tube == i) for one in twists] for i in range(robot.d)])
+    signs = np.array([np.eye(len(tubes))[i] - np.eye(len(tubes))[j] for _, i, j in couples for _ in NODES])
+    ends = np.array([[one.end * (one.tube == i) for one in twists] for i in range(len(tubes))])
     scale = np.hstack([one.scale for one in twists] or [np.zeros((len(x), 0))])
-    strength = [_strength(robot, columns, parts[k], i, j) for k, i, j in couples]
+    strength = [_strength(tubes, columns, parts[k], i, j) for k, i, j in couples]
     for of_rows, of_twists in zip(np.hstack(strength or [np.zeros((len(x), 0))]), scale, strict=True):
         there = of_twists > 0
         yield Energy(of_rows, signs, *(each[:, there] * of_twists[there] for each in (turns, ends)))
@@ -175,14 +175,14 @@ class _Twist(NamedTuple):
         return ANGLES[self.degree] if section == self.section else np.full(len(NODES), self.end)
 
 
-def _twists(robot: Robot, columns: Sequence[Array], parts: Sequence[Section]) -> list[_Twist]:
+def _twists(tubes: Tubes, columns: Sequence[Array], parts: Sequence[Section]) -> list[_Twist]:
     """Of the transmissions, and up to DEGREE of every tube where others act on it."""
     acting = {k: part.active for k, part in enumerate(parts) if not part.plane}
     found = []
     for i in sorted({i for active in acting.values() for i in active}):
-        tube = robot.tubes[i]
-        compliance = (1 + tube.poisson_ratio) / tube.bending_stiffness
-        lengths = {-1: tube.length - columns[robot.d + i]}
+        tube = tubes[i]
+        compliance = tube.torsional_ratio / tube.bending_stiffness
+        lengths = {-1: tube.length - columns[len(tubes) + i]}
         lengths |= {k: parts[k].length for k, active in acting.items() if i in active}
         for k, length in lengths.items():
             scale = np.sqrt(compliance * np.maximum(length, 0.0))
@@ -200,9 +200,9 @@ def _couples(parts: Sequence[Section]) -> list[tuple[int, int, int]]:
     ]
 
 
-def _strength(robot: Robot, columns: Sequence[Array], part: Section, i: int, j: int) -> Array:
+def _strength(tubes: Tubes, columns: Sequence[Array], part: Section, i: int, j: int) -> Array:
     """How strongly two tubes act on each other at a section's nodes, (T, nodes), by Simpson's rule."""
     weights = np.array([1.0, *[4.0, 2.0] * (STEPS - 1), 4.0, 1.0]) / (6 * STEPS)
-    k = curvatures_at(robot, columns, part, part.start + part.length * NODES)
-    found: Array = part.shares[i] * robot.tubes[j].bending_stiffness * k[i] * k[j] * part.length * weights
+    k = curvatures_at(tubes, columns, part, part.start + part.length * NODES)
+    found: Array = part.shares[i] * tubes[j].bending_stiffness * k[i] * k[j] * part.length * weights
     return found

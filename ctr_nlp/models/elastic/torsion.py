@@ -19,8 +19,7 @@ import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from ctr_nlp.models.dominant import shows_transmission, slope
-from ctr_nlp.robot import Robot, Tube
+from ctr_nlp.robot.structure import Tubes
 
 STEPS = 4
 """Steps of integration a section. Errors fall with their fourth power, those of shapes only up to about 6."""
@@ -59,15 +58,14 @@ class Twist(NamedTuple):
     rates: list[Any]
 
 
-def sections(robot: Robot, beta: Sequence[Any], xp: Any) -> list[Section]:
+def sections(tubes: Tubes, beta: Sequence[Any], xp: Any) -> list[Section]:
     """Between neighbouring ends of tubes, and within these of straight parts that can be pushed out.
 
     The last tube, where it is alone, bends in a plane, its straight part included: it needs no division.
     """
-    d, found = robot.d, list[Section]()
+    d, found = len(tubes), list[Section]()
     starts = [
-        xp.fmax(beta[i] - tube.curved_length, 0.0) if shows_transmission(robot, i) else None
-        for i, tube in enumerate(robot.tubes)
+        xp.fmax(beta[i] - tube.curved_length, 0.0) if tubes[i].shown else None for i, tube in enumerate(tubes)
     ]
     for i, (low, high) in enumerate(itertools.pairwise([0 * beta[0], *beta])):
         present, edges = (0.0,) * i + (1.0,) * (d - i), [low, high]
@@ -80,37 +78,33 @@ def sections(robot: Robot, beta: Sequence[Any], xp: Any) -> list[Section]:
                 here if start is None or i == d - 1 else here * ((a + b) / 2 >= start)
                 for here, start in zip(present, starts, strict=True)
             ]
-            found.append(_section(robot, a, b, present, curved))
+            found.append(_section(tubes, a, b, present, curved))
     return found
 
 
-def _section(robot: Robot, a: Any, b: Any, present: Sequence[float], curved: Sequence[Any]) -> Section:
-    stiffness = [here * tube.bending_stiffness for here, tube in zip(present, robot.tubes, strict=True)]
+def _section(tubes: Tubes, a: Any, b: Any, present: Sequence[float], curved: Sequence[Any]) -> Section:
+    stiffness = [here * tube.bending_stiffness for here, tube in zip(present, tubes, strict=True)]
     shares = tuple(EI / sum(stiffness) for EI in stiffness)
-    active = tuple(i for i, tube in enumerate(robot.tubes) if _bent(tube) and present[i])
+    active = tuple(i for i, tube in enumerate(tubes) if tube.kind != "straight" and present[i])
     return Section(a, b - a, shares, tuple(curved), active, len(active) <= 1)
 
 
-def _bent(tube: Tube) -> bool:
-    return max(tube.root_curvature, tube.tip_curvature) > 0
-
-
-def twist(robot: Robot, x: Sequence[Any], parts: Sequence[Section], xp: Any, steps: int = STEPS) -> Twist:
+def twist(tubes: Tubes, x: Sequence[Any], parts: Sequence[Section], xp: Any, steps: int = STEPS) -> Twist:
     """The tubes' angles, integrated from their tips to the base by Nystroem's method of order 4."""
-    d = robot.d
+    d = len(tubes)
     angles, rates, nodes = [*x[: d - 1], 0.0], [0.0] * d, []
     for part in reversed(parts):
         if part.plane:
             angles = moved(angles, (-part.length, rates))
-            nodes.append([Node(angles, curvatures_at(robot, x, part, part.start))])
+            nodes.append([Node(angles, curvatures_at(tubes, x, part, part.start))])
             continue
         h, found = -part.length / steps, list[Node]()
         places = (part.start + part.length * (k / (2 * steps)) for k in range(2 * steps + 1))
-        curvatures = [curvatures_at(robot, x, part, s) for s in places]
+        curvatures = [curvatures_at(tubes, x, part, s) for s in places]
         for k in range(2 * steps, 0, -2):
-            a = _moments(robot, part, Node(angles, curvatures[k]), xp)
-            b = _moments(robot, part, Node(moved(angles, (h / 2, rates), (h**2 / 8, a)), curvatures[k - 1]), xp)
-            c = _moments(robot, part, Node(moved(angles, (h, rates), (h**2 / 2, b)), curvatures[k - 2]), xp)
+            a = _moments(tubes, part, Node(angles, curvatures[k]), xp)
+            b = _moments(tubes, part, Node(moved(angles, (h / 2, rates), (h**2 / 8, a)), curvatures[k - 1]), xp)
+            c = _moments(tubes, part, Node(moved(angles, (h, rates), (h**2 / 2, b)), curvatures[k - 2]), xp)
             middle = moved(angles, (h / 2, rates), (h**2 * 7 / 96, a), (h**2 / 16, b), (-(h**2) / 96, c))
             found += [Node(angles, curvatures[k]), Node(middle, curvatures[k - 1])]
             angles, rates = stepped(angles, rates, h, a, b, c)
@@ -118,10 +112,10 @@ def twist(robot: Robot, x: Sequence[Any], parts: Sequence[Section], xp: Any, ste
     return Twist(nodes[::-1], angles, rates)
 
 
-def motors(robot: Robot, x: Sequence[Any], twisted: Twist) -> list[Any]:
+def motors(tubes: Tubes, x: Sequence[Any], twisted: Twist) -> list[Any]:
     """alpha_i = psi_i(0) - psi_i'(0) (L_i - beta_i), rad."""
-    d = robot.d
-    ends = zip(twisted.angles, twisted.rates, robot.tubes, x[d : 2 * d], strict=True)
+    d = len(tubes)
+    ends = zip(twisted.angles, twisted.rates, tubes, x[d : 2 * d], strict=True)
     return [x[d - 1] + angle - rate * (tube.length - beta) for angle, rate, tube, beta in ends]
 
 
@@ -131,20 +125,20 @@ def bending(part: Section, node: Node, xp: Any) -> tuple[Any, Any]:
     return sum(k * xp.cos(psi) for k, psi in here), sum(k * xp.sin(psi) for k, psi in here)
 
 
-def curvatures_at(robot: Robot, x: Sequence[Any], part: Section, s: Any) -> list[Any]:
+def curvatures_at(tubes: Tubes, x: Sequence[Any], part: Section, s: Any) -> list[Any]:
     """Pre-curvature of every tube at s of a section, 1/mm; 0.0 where not active."""
-    found: list[Any] = [0.0] * robot.d
+    found: list[Any] = [0.0] * len(tubes)
     for i in part.active:
-        tube = robot.tubes[i]
-        found[i] = part.curved[i] * (tube.tip_curvature + slope(tube) * (x[robot.d + i] - s))
+        tube = tubes[i]
+        found[i] = part.curved[i] * (tube.tip_curvature + tube.slope * (x[len(tubes) + i] - s))
     return found
 
 
-def _moments(robot: Robot, part: Section, node: Node, xp: Any) -> list[Any]:
+def _moments(tubes: Tubes, part: Section, node: Node, xp: Any) -> list[Any]:
     """The psi'' of every tube, rad/mm^2."""
-    (x, y), found = bending(part, node, xp), [0.0] * robot.d
+    (x, y), found = bending(part, node, xp), [0.0] * len(tubes)
     for i in part.active:
-        psi, k = node.angles[i], (1 + robot.tubes[i].poisson_ratio) * node.curvatures[i]
+        psi, k = node.angles[i], tubes[i].torsional_ratio * node.curvatures[i]
         found[i] = k * (x * xp.sin(psi) - y * xp.cos(psi))
     return found
 

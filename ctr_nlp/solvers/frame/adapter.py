@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import threading
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +18,9 @@ FEASIBLE = 1e-6
 """A point that leaves bounds or constraints by more than this (rad, mm) is no solution, whatever a solver says."""
 OPTIMAL = 1e-2
 """Nor is one with a larger KKT residual (mm^2 per rad or mm); most solves reach 1e-6."""
+
+KEPT = 16
+"""Programs for which a process keeps IPOPT."""
 
 
 @dataclass(frozen=True)
@@ -45,24 +50,20 @@ class NlpSolver(ABC):
         """Build."""
         self.nlp = nlp
 
+    @abstractmethod
     def __call__(
         self,
         x0: Array,
         p: Array,
-        lower: Array | None = None,
-        upper: Array | None = None,
+        lower: Array,
+        upper: Array,
         warm: Solution | None = None,
     ) -> Solution:
-        """Solve from x0 (n,) for packed parameters p, with bounds that default to the Nlp's own.
+        """Solve from x0 (n,), which may lie outside the bounds, for packed parameters p (len(nlp.p),).
 
-        warm: the solution of a neighbouring problem, whose multipliers to start from.
+        lower, upper: bounds of the configuration. warm: the solution of a neighbouring problem, whose multipliers
+        to start from.
         """
-        low, high = self.nlp.limits
-        return self.solve(x0, p, low if lower is None else lower, high if upper is None else upper, warm)
-
-    @abstractmethod
-    def solve(self, x0: Array, p: Array, low: Array, high: Array, warm: Solution | None) -> Solution:
-        """As __call__; x0 may lie outside the bounds."""
 
 
 class Ipopt(NlpSolver):
@@ -75,32 +76,38 @@ class Ipopt(NlpSolver):
     def __init__(self, nlp: Nlp) -> None:
         """Build."""
         super().__init__(nlp)
-        problem = {"x": nlp.x, "p": nlp.p, "f": nlp.objective, "g": nlp.g}
-        self._solve = ca.nlpsol("ipopt", "ipopt", problem, COMMON | {"ipopt": OPTIONS})
+        self._solve = _ipopt(nlp, threading.get_ident())
 
-    def solve(self, x0: Array, p: Array, low: Array, high: Array, warm: Solution | None) -> Solution:
+    def __call__(self, x0: Array, p: Array, lower: Array, upper: Array, warm: Solution | None = None) -> Solution:
         """As NlpSolver."""
-        n, (lower, upper) = len(x0), self.nlp.row_bounds(low, high)
+        n, (low, high) = len(x0), self.nlp.row_bounds(lower, upper)
         arguments: dict[str, Any] = {
             "p": p,
-            "lbx": lower[:n],
-            "ubx": upper[:n],
-            "lbg": lower[n:],
-            "ubg": upper[n:],
+            "lbx": low[:n],
+            "ubx": high[:n],
+            "lbg": low[n:],
+            "ubg": high[n:],
         }
         if warm is not None:
             arguments |= {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
-        result = self._solve(x0=np.clip(x0, lower[:n], upper[:n]), **arguments)
+        result = self._solve(x0=np.clip(x0, low[:n], high[:n]), **arguments)
         status, iterations = outcome(self._solve)
         x, lam_x, lam_g = (result[key].full().ravel() for key in ("x", "lam_x", "lam_g"))
         g = result["g"].full().ravel()
         rows = np.concatenate([x, g])
-        violation = np.maximum(lower - rows, rows - upper).max()
-        x = np.clip(x, lower[:n], upper[:n])
-        kkt = kkt_residual(self.nlp, x, p, low, high, lam_x, lam_g)
+        violation = np.maximum(low - rows, rows - high).max()
+        x = np.clip(x, low[:n], high[:n])
+        kkt = kkt_residual(self.nlp, x, p, lower, upper, lam_x, lam_g)
         success = bool(violation <= FEASIBLE) and kkt <= OPTIMAL
         q = np.concatenate([x, g])[self.nlp.configuration]
         return Solution(x, float(result["f"]), kkt, success, status, iterations, lam_x, lam_g, q)
+
+
+@functools.lru_cache(maxsize=KEPT)
+def _ipopt(nlp: Nlp, thread: int) -> ca.Function:
+    """IPOPT for a program; two threads must not share one."""
+    problem = {"x": nlp.x, "p": nlp.p, "f": nlp.objective, "g": nlp.g}
+    return ca.nlpsol("ipopt", "ipopt", problem, COMMON | {"ipopt": OPTIONS})
 
 
 def outcome(solve: ca.Function) -> tuple[str, int]:

@@ -8,15 +8,19 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ctr_nlp.formulations.frame import filled
+from ctr_nlp.formulations.frame import program as built
 from ctr_nlp.formulations.frames import FrameResult
-from ctr_nlp.formulations.joint import alone
-from ctr_nlp.simulation import following as tracking
-from ctr_nlp.solvers.frame.sqp import Program
+from ctr_nlp.formulations.terms import Order, ShapeDistance
+from ctr_nlp.models import MODELS
+from ctr_nlp.models.protocol import SUBSTEPS
+from ctr_nlp.solvers.frame.program import Program
 from ctr_nlp.steer import solve_horizon
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.studies.benchmarks.frames import evaluation
 from ctr_nlp.studies.benchmarks.records import RATIO, Record
 from ctr_nlp.target.problem import Problem
+from ctr_nlp.target.target import SIGMA
 
 EVERY = 5
 """Every so many-th frame is also solved by interpreted IPOPT."""
@@ -25,7 +29,7 @@ ROUNDS = 5
 
 def planned(problem: Problem) -> Iterator[Record]:
     """Times of an elastic frame by compiled SQP and by interpreted IPOPT, each from where SQP stood before."""
-    solvers = {name: NlpFrames(problem, "joint", name, "elastic") for name in ("sqp", "ipopt")}
+    solvers = {name: NlpFrames.of(problem, "joint", name, "elastic") for name in ("sqp", "ipopt")}
     seconds: dict[str, list[float]] = {name: [] for name in solvers}
     failed = dict.fromkeys(solvers, 0)
     before = solvers["sqp"].search(0)[0]
@@ -49,14 +53,16 @@ def planned(problem: Problem) -> Iterator[Record]:
 def forward(problem: Problem) -> Iterator[Record]:
     """A forward solution with margin and shape along a motion, beside the dominant model's compiled shape."""
     robot, q = problem.robot, solve_horizon(problem, model="elastic").q
-    elastic, rigid = [], []
-    program = Program(alone(robot, stride=1))
+    model, elastic, rigid = MODELS["elastic"], [], []
+    terms = ShapeDistance(stride=1), Order(robot.carriage_gap)
+    program = Program(built("frame", robot.structure, MODELS["dominant"], terms), wait=True)
+    program.p[:] = program.nlp.pack(filled(robot, terms, problem.samples[-1]))
     program.x[:] = q[-1]
     for _ in range(ROUNDS):
         begin = time.perf_counter()
-        found = tracking.follow(robot, q)
-        tracking.shapes(robot, np.repeat(found.x, tracking.SUBSTEPS, axis=0))
-        elastic.append((time.perf_counter() - begin) / (len(q) * tracking.SUBSTEPS))
+        found = model.follow(robot, q)
+        model.points(robot, np.repeat(found.x, SUBSTEPS, axis=0), SIGMA)
+        elastic.append((time.perf_counter() - begin) / (len(q) * SUBSTEPS))
         rigid.append(evaluation(program, "value"))
     times = min(elastic), min(rigid)
     yield Record(f"{problem.name}, elastic: a forward solution, margin and shape", 1e6 * times[0], "us", "less")

@@ -17,10 +17,11 @@ from ctr_nlp.formulations.frames import FrameResult, reachable
 from ctr_nlp.formulations.joint import joint
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.stage import Stage
+from ctr_nlp.models import MODELS
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.reference import reference_frames
 from ctr_nlp.solvers import SOLVERS, NlpSolver, Solution
-from ctr_nlp.solvers.frame.sqp import Program
+from ctr_nlp.solvers.frame.program import Program
 from ctr_nlp.steer import solve_per_frame
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.studies.benchmarks.records import RATIO, Record
@@ -80,7 +81,7 @@ def frames(problem: Problem) -> Iterator[Record]:
 def race(problem: Problem) -> dict[str, Times]:
     """Every method in turn on the same frames of a problem, each from where compiled SQP stood before it."""
     settings = Settings()
-    (stage,) = joint(problem.robot, settings)
+    (stage,) = joint(problem.robot, settings, MODELS["dominant"])
     solvers: dict[str, NlpSolver] = {name: SOLVERS[name](stage.nlp) for name in ("sqp", "ipopt")}
     path = _path(problem, stage, solvers["sqp"])
     times = {name: Times() for name in (*solvers, *REFERENCES)}
@@ -100,11 +101,11 @@ def _path(problem: Problem, stage: Stage, solve: NlpSolver) -> list[tuple[Array,
     """Start, parameters and bounds of the frames' NLPs after the first, each from the solution before it."""
     settings, warm = Settings(), None
     path: list[tuple[Array, Array, Array, Array]] = []
-    q = NlpFrames(problem, settings=settings).search(0)[0].q
+    q = NlpFrames.of(problem, settings=settings).search(0)[0].q
     for frame in problem.samples[1:]:
         given = {"previous": q, "motion_root": math.sqrt(settings.motion_weight) / problem.dt}
         path.append(
-            (q, stage.nlp.pack({**stage.parameters(frame, q), **given}), *reachable(problem.robot, q, problem.dt))
+            (q, stage.nlp.pack({**stage.fill(frame, q), **given}), *reachable(problem.robot, q, problem.dt))
         )
         warm = solve(*path[-1], warm)
         q = warm.x
@@ -113,8 +114,10 @@ def _path(problem: Problem, stage: Stage, solve: NlpSolver) -> list[tuple[Array,
 
 def _floor(problem: Problem, taken: Times, median: float) -> Iterator[Record]:
     """How near a frame is to the time of its evaluations of residuals and Jacobian alone."""
-    (stage,) = joint(problem.robot, Settings())
-    one = evaluation(Program(stage.nlp))
+    (stage,) = joint(problem.robot, Settings(), MODELS["dominant"])
+    program = Program(stage.nlp, wait=True)
+    program.p[:] = stage.nlp.pack(stage.fill(problem.samples[-1], np.zeros(0)))
+    one = evaluation(program)
     needed = one * (statistics.median(taken.iterations) + 1)
     yield Record(f"{problem.name}: first derivatives once, in C", 1e6 * one, "us", "less")
     yield Record(f"{problem.name}, a frame, sqp: median over these", median / needed, "", "less", RATIO)

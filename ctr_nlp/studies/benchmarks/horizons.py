@@ -13,6 +13,7 @@ import numpy as np
 
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.models import MODELS
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.solvers import ChainSolver, Iterate, Solution, Watch
 from ctr_nlp.solvers.compiled import compiled
@@ -31,9 +32,10 @@ SAME = 1e-4, 1e-6
 
 def chain_of(problem: Problem) -> tuple[Chain, Array]:
     """A compiled horizon with its default weight, and the best motion to start from."""
-    motions = per_frame_motions(problem, Ends(), Settings())
+    motions = per_frame_motions(problem, Ends(), Settings(), None, MODELS["dominant"])
     weight = Horizon(problem, settings=Settings(contact_weight=0.0)).balanced_weight(motions[0])
-    return horizon(problem.robot, problem.samples, problem.dt, weight, Ends(), compiled), motions[0].ravel()
+    at = problem.robot, problem.samples, problem.dt, weight, Ends(), MODELS["dominant"], compiled
+    return horizon(*at), motions[0].ravel()
 
 
 def horizons(problem: Problem) -> Iterator[Record]:

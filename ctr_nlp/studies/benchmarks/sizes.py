@@ -7,9 +7,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ctr_nlp.formulations.joint import alone
+from ctr_nlp.formulations.frame import program
+from ctr_nlp.formulations.terms import Order, ShapeDistance
+from ctr_nlp.models import MODELS
 from ctr_nlp.robot import Robot, Tube, seed_robot
-from ctr_nlp.solvers.frame.sqp import Program
+from ctr_nlp.solvers.frame.program import Program
 from ctr_nlp.studies.benchmarks.frames import evaluation
 from ctr_nlp.studies.benchmarks.records import Record
 
@@ -27,16 +29,18 @@ def sizes() -> Iterator[Record]:
 
 
 def _measured(robot: Robot, stride: int, which: str) -> Iterator[Record]:
-    nlp = alone(robot, stride=stride)
+    terms = ShapeDistance(stride=stride), Order(robot.carriage_gap)
+    nlp = program("frame", robot.structure, MODELS["dominant"], terms)
     begin = time.perf_counter()
-    program = Program(nlp)
+    frame = Program(nlp, wait=True)
     built = time.perf_counter() - begin
-    program.x[:] = np.clip(np.linspace(0.1, 100, len(program.x)), nlp.lower, nlp.upper)
+    frame.x[:] = np.clip(np.linspace(0.1, 100, len(frame.x)), robot.lower, robot.upper)
+    frame.p[nlp.place("tubes")] = robot.numbers.ravel(order="F")
     operations = [function.n_instructions() for function in nlp.functions[:3]]
     yield Record(f"{which}: build, or load where it was built before", built, "s", "less")
     yield Record(f"{which}: operations of first derivatives", operations[1], "", "less", 0.1)
     yield Record(f"{which}: operations with the Hessian", operations[2], "", "less", 0.1)
-    yield Record(f"{which}: first derivatives once", 1e6 * evaluation(program), "us", "less")
+    yield Record(f"{which}: first derivatives once", 1e6 * evaluation(frame), "us", "less")
 
 
 def _nested(count: int) -> Robot:

@@ -6,12 +6,13 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from ctr_nlp.formulations.contact import ROUNDS, SETTLED, Wall
 from ctr_nlp.formulations.frames import starts
-from ctr_nlp.formulations.joint import joint, target_of
+from ctr_nlp.formulations.joint import joint
 from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.formulations.wall import ROUNDS, SETTLED, Wall
+from ctr_nlp.models import MODELS
 from ctr_nlp.simulation.forward import shapes
-from ctr_nlp.solvers.frame.sqp import Program
+from ctr_nlp.solvers.frame.program import Program
 from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import SIGMA, Frame
@@ -35,10 +36,13 @@ class Alone:
         """Build; the problem's lumen must be known. Raises OptionError where nothing can be compiled."""
         assert problem.lumen is not None
         robot = problem.robot
-        self.problem, self._wall = problem, Wall(robot, Lumen.around(problem.lumen), "dominant", WEIGHT, 0.0)
-        (stage,) = joint(robot, Settings(), walled=True)
-        self._nlp = stage.nlp
-        self._program = Program(self._nlp)
+        self.problem, self._wall = (
+            problem,
+            Wall(robot, Lumen.around(problem.lumen), MODELS["dominant"], WEIGHT, 0.0),
+        )
+        (self._stage,) = joint(robot, Settings(), MODELS["dominant"], walled=True)
+        self._nlp = self._stage.nlp
+        self._program = Program(self._nlp, wait=True)
 
     def least(self, motions: Sequence[Array], frames: Iterable[int]) -> Array:
         """The least contact found in each of some frames, mm; 0 where it is below CLEAR.
@@ -70,7 +74,7 @@ class Alone:
     def _around(self, frame: Frame, q: Array) -> Iterator[Array]:
         """What comes of a guess, solved again around itself until that needs no more slack."""
         at, n = self._program, len(q)
-        fixed = {**target_of(frame), "previous": q, "motion_root": 0.0}
+        fixed = self._stage.fill(frame, q)
         at.lower[:n], at.upper[:n] = self._out(frame.length)
         for _ in range(ROUNDS):
             q = np.clip(q, at.lower[:n], at.upper[:n])

@@ -7,7 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ctr_nlp.formulations.joint import alone
+from ctr_nlp.formulations.frame import filled, program
+from ctr_nlp.formulations.terms import Order, ShapeDistance
+from ctr_nlp.models import MODELS
 from ctr_nlp.plan.metrics import rms_over_sigma
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.reference.seed_two_stage import seed_two_stage
@@ -50,11 +52,11 @@ def _two_stage(problem: Problem, q: Array) -> Iterator[tuple[int, Array, int]]:
 def _joint(problem: Problem, q: Array) -> Iterator[tuple[int, Array, int]]:
     robot = problem.robot
     for points in ALONG:
-        stride = 100 // points
-        nlp = alone(robot, stride=stride)
+        terms = ShapeDistance(stride=100 // points), Order(robot.carriage_gap)
+        nlp = program("frame", robot.structure, MODELS["dominant"], terms)
         solve = SOLVERS["ipopt"](nlp)  # to compile each size would take longer than to solve it
         results = [
-            solve(guess, nlp.pack({"target": frame.points[::stride]}), robot.lower, robot.upper, None)
+            solve(guess, nlp.pack(filled(robot, terms, frame)), robot.lower, robot.upper)
             for frame, guess in zip(problem.samples, q, strict=True)
         ]
         yield points, np.array([r.q for r in results]), sum(not r.success for r in results)

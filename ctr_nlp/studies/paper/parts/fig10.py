@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from ctr_nlp.figures.parts.page import STYLE
 from ctr_nlp.figures.parts.palette import BLACK, tube_colour, tube_width
-from ctr_nlp.models import dominant
+from ctr_nlp.models.dominant import shape as dominant
 from ctr_nlp.plan.account import shown
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.studies.paper.checks import Check, number
@@ -60,10 +60,10 @@ def curvatures(plan: Plan) -> dict[str, Array]:
     robot, beta = plan.robot, plan.beta[-1]
     s = np.arange(0.0, beta[-1], STEP)
     tubes = {}
-    for i, tube in enumerate(robot.tubes):
+    for i, tube in enumerate(robot.tube_numbers):
         from_tip = np.minimum(beta[i] - s, tube.curved_length)
-        tubes[f"k_{i + 1}"] = np.where(s <= beta[i], tube.tip_curvature + dominant.slope(tube) * from_tip, np.nan)
-    whole = dominant.curvature(robot, list(beta), s, lambda x: np.heaviside(x, 0.0), np)
+        tubes[f"k_{i + 1}"] = np.where(s <= beta[i], tube.tip_curvature + tube.slope * from_tip, np.nan)
+    whole = dominant.curvature(robot.tube_numbers, list(beta), s, lambda x: np.heaviside(x, 0.0), np)
     return {"s": s, **tubes, "robot": whole, "target": np.interp(s, *of_target(plan.target[-1]))}
 
 

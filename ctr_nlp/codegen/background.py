@@ -1,0 +1,87 @@
+"""Libraries made by a process of its own, so that nobody waits for a compiler.
+
+The process outlives the program that started it: what was begun is there for the next one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import casadi as ca
+
+from ctr_nlp.codegen import cache, vector
+
+NOTE = (
+    "the programs of this kind of robot are being compiled in the background, once for all robots of its kind; "
+    "until that is done they are interpreted, several times slower. `ctr-nlp warm` compiles beforehand"
+)
+CLAIMED = 900.0
+"""s after which a build that has not ended is given up."""
+
+
+def library(key: str, functions: Callable[[], Sequence[ca.Function]], lanes: int) -> Path | None:
+    """The library of functions, by key; None while it is being made, which this call begins.
+
+    Raises OptionError where nothing can be compiled.
+    """
+    found = cache.kept(key)
+    if found is None and _claimed(key):
+        cache.say(NOTE)
+        _begin(key, functions(), lanes)
+    return found
+
+
+def _claimed(key: str) -> bool:
+    """Whether nobody makes the library yet, so that this process is the one to begin."""
+    claim = cache.folder() / f"claim-{hashlib.sha256(key.encode()).hexdigest()[:32]}"
+    with contextlib.suppress(OSError):
+        if claim.exists() and time.time() - claim.stat().st_mtime > CLAIMED:
+            claim.unlink()
+        claim.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        claim.touch(exist_ok=False)
+        return True
+    return False
+
+
+def _begin(key: str, functions: Sequence[ca.Function], lanes: int) -> None:
+    work = Path(tempfile.mkdtemp(prefix="ctr_nlp-build-"))
+    (work / "key").write_text(key, encoding="utf-8")
+    (work / "lanes").write_text(str(lanes), encoding="ascii")
+    for number, function in enumerate(functions):
+        (work / f"{number}.casadi").write_text(function.serialize(), encoding="ascii")
+    path = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])])
+    with contextlib.suppress(OSError):
+        subprocess.Popen(
+            [sys.executable, "-m", "ctr_nlp.codegen.background", str(work)],
+            env=os.environ | {"PYTHONPATH": path, "PYTHONWARNINGS": "ignore"},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+
+
+def main(work: Path) -> None:
+    """Make the library that a folder describes, and remove the folder."""
+    with contextlib.suppress(OSError, AttributeError):
+        os.nice(5)
+    key, lanes = (work / "key").read_text(encoding="utf-8"), int((work / "lanes").read_text(encoding="ascii"))
+    texts = [path.read_text(encoding="ascii") for path in sorted(work.glob("*.casadi"))]
+    functions = tuple(ca.Function.deserialize(text) for text in texts)
+    try:
+        cache.library(key, lambda: vector.vector_code(functions, lanes))
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,123 @@
+"""A frame's program from a model and terms, built once for robots that differ in numbers alone."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Hashable, Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.formulations.terms import Body, Margin, Parts, Term
+from ctr_nlp.models import Model, Shape
+from ctr_nlp.models.protocol import symbolic_tubes
+from ctr_nlp.nlp.nlp import Constraint, Inner, Nlp
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.structure import NUMBERS, Structure
+from ctr_nlp.target.target import Frame
+
+KEPT = 64
+"""Programs kept in a process."""
+
+
+def program(name: str, structure: Structure, model: Model, terms: Sequence[Term]) -> Nlp:
+    """The program of one frame: the model's unknowns, the motors' angles as rows, and what the terms add.
+
+    Raises OptionError where two terms have parameters of one name.
+    """
+    return _program(name, structure, model, _Keyed(terms))
+
+
+def robot_values(robot: Robot) -> dict[str, Any]:
+    """The parameters of every program that describe the robot."""
+    return {"tubes": robot.numbers}
+
+
+def filled(robot: Robot, terms: Sequence[Term], frame: Frame) -> dict[str, Any]:
+    """All parameters of a program, by name, for a target frame."""
+    return robot_values(robot) | {key: value for term in terms for key, value in term.fill(frame).items()}
+
+
+class _Keyed(tuple[Term, ...]):
+    """Terms that are equal where their keys are."""
+
+    @property
+    def keys(self) -> tuple[Hashable, ...]:
+        return tuple(term.key for term in self)
+
+    def __hash__(self) -> int:
+        return hash(self.keys)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Keyed) and self.keys == other.keys
+
+
+@functools.lru_cache(maxsize=KEPT)
+def _program(name: str, structure: Structure, model: Model, terms: _Keyed) -> Nlp:
+    numbers = ca.SX.sym("tubes", structure.d, len(NUMBERS))
+    parameters = {"tubes": numbers} | _parameters(structure, terms)
+    tubes = symbolic_tubes(structure, numbers)
+    counts = list[int]()
+
+    def places(beta: Sequence[ca.SX]) -> ca.SX:
+        found = [ca.SX(term.places(beta)) for term in terms]
+        counts[:] = [each.numel() for each in found]
+        return ca.vertcat(*found)
+
+    margin = parameters["margin"] if any(isinstance(term, Margin) for term in terms) else None
+    tangents = any(term.tangents for term in terms)
+    shape = model.frame(structure, tubes, places, margin, tangents)
+    q = _configuration(shape, structure.d)
+    stops = list(itertools.accumulate(counts))
+    bodies = (Body(q, tubes, shape, slice(stop - count, stop)) for count, stop in zip(counts, stops, strict=True))
+    parts = [term.build(body, parameters) for term, body in zip(terms, bodies, strict=True)]
+    return _joined(name, shape, parameters, parts)
+
+
+def _parameters(structure: Structure, terms: Sequence[Term]) -> dict[str, ca.SX]:
+    found = dict[str, ca.SX]()
+    for term in terms:
+        for name, size in term.parameters(structure).items():
+            if name in found or name == "tubes":
+                raise OptionError(f"terms have the parameter {name} twice; the second is of {term.name}")
+            found[name] = ca.SX.sym(name, *size)
+    return found
+
+
+def _configuration(shape: Shape, d: int) -> ca.SX:
+    """Q (2d + 2, 1)."""
+    if shape.picks is None:
+        return shape.x
+    return ca.vertcat(shape.x, shape.alpha)[list(shape.picks[: 2 * d + 2])]
+
+
+def _joined(name: str, shape: Shape, parameters: Mapping[str, ca.SX], parts: Sequence[Parts]) -> Nlp:
+    """Slacks come after the model's unknowns, and the motors' angles first among the rows, where they are rows."""
+    slacks = [part.slack for part in parts if part.slack is not None]
+    motors = list[Constraint]()
+    n, picks = shape.x.numel(), shape.picks
+    if picks is not None:
+        free = np.full(shape.alpha.numel(), np.inf)
+        motors = [Constraint("alpha", shape.alpha, -free, free)]
+        picks = tuple(pick + (pick >= n) * len(slacks) for pick in picks)
+    own = np.full(n, np.inf)
+    return Nlp(
+        name,
+        ca.vertcat(shape.x, *slacks),
+        np.concatenate([-own, np.zeros(len(slacks))]),
+        np.concatenate([own, np.full(len(slacks), np.inf)]),
+        parameters,
+        residuals=tuple(each for part in parts for each in part.residuals),
+        costs=tuple(each for part in parts for each in part.costs),
+        constraints=(*motors, *(each for part in parts for each in part.constraints)),
+        inner=(shape.inner, *_layers(parts)),
+        picks=picks,
+        slacks=len(slacks),
+    )
+
+
+def _layers(parts: Sequence[Parts]) -> list[Inner]:
+    return [part.inner for part in parts if part.inner is not None]

@@ -1,0 +1,89 @@
+"""What a robot can do: the order of its tubes and carriages, eq. (2), and the stability margin."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ctr_nlp.formulations.terms.term import Body, Parts, Symbols, Term
+from ctr_nlp.nlp.nlp import Constraint
+from ctr_nlp.robot.structure import Structure, Tubes
+from ctr_nlp.target.target import Frame
+
+CLEAR = 0.05
+"""What determinants before the last keep from 0: where two vanish together, an unstable shape looks stable."""
+
+
+def order(tubes: Tubes, beta: Sequence[ca.SX], gap: ca.SX | None) -> tuple[Constraint, ...]:
+    """beta_i <= beta_{i+1}, eq. (2), and the least gap between carriages, mm, where the robot has one."""
+    if len(tubes) == 1:
+        return ()
+    growth = ca.diff(ca.vertcat(*beta))
+    constraints = [_positive("order", growth)]
+    if gap is not None:
+        room = ca.diff(ca.vertcat(*(tube.length for tube in tubes))) - gap - growth
+        constraints.append(_positive("carriage gap", room))
+    return tuple(constraints)
+
+
+def _positive(name: str, value: ca.SX) -> Constraint:
+    return Constraint(name, value, np.zeros(value.numel()), np.full(value.numel(), np.inf))
+
+
+@dataclass(frozen=True)
+class Order(Term):
+    """Eq. (2), and the carriages' gap."""
+
+    gap: float | None
+    name = "order"
+
+    @property
+    def key(self) -> Hashable:
+        """The gap is a parameter."""
+        return type(self), self.gap is None
+
+    def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
+        """gap: mm."""
+        return {} if self.gap is None else {"gap": (1, 1)}
+
+    def build(self, body: Body, parameters: Symbols) -> Parts:
+        """Eq. (2)."""
+        return Parts(constraints=order(body.tubes, body.beta, parameters.get("gap")))
+
+    def fill(self, frame: Frame) -> Mapping[str, Any]:
+        """The robot's gap."""
+        return {} if self.gap is None else {"gap": self.gap}
+
+
+@dataclass(frozen=True)
+class Margin(Term):
+    """The least stability margin, on models that can snap; a step may ask for more than fill gives."""
+
+    least: float
+    name = "margin"
+
+    @property
+    def key(self) -> Hashable:
+        """The margin is a parameter."""
+        return type(self)
+
+    def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
+        """margin: from 0, the snap, to 1, where no tube acts on another."""
+        return {"margin": (1, 1)}
+
+    def build(self, body: Body, parameters: Symbols) -> Parts:
+        """Determinants that are positive as long as the margin is held; none where nothing twists."""
+        value = body.shape.stability
+        if value is None:
+            return Parts()
+        count = value.numel()
+        lower = np.append(np.full(count - 1, CLEAR), 0.0)
+        return Parts(constraints=(Constraint("stability", value, lower, np.full(count, np.inf)),))
+
+    def fill(self, frame: Frame) -> Mapping[str, Any]:
+        """The least margin."""
+        return {"margin": self.least}

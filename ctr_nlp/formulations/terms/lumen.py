@@ -1,0 +1,100 @@
+"""The lumen's wall as a soft constraint."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ctr_nlp.formulations.terms.term import Body, Parts, Symbols, Term
+from ctr_nlp.models.protocol import columns_of
+from ctr_nlp.nlp.nlp import Constraint, Cost, Inner
+from ctr_nlp.robot.structure import Structure
+from ctr_nlp.target.target import Frame
+from ctr_nlp.typing import Array, Vector
+
+PLACES = 12
+"""On every tube's visible part; the last is its tip."""
+COLUMNS = 13
+"""Numbers that describe the wall at a place: centre, tangent, bend, room, taper, behind and ahead."""
+ROOM = 9
+"""Which of them the room is."""
+FAR = 1e3
+"""mm: room enough."""
+FIRM = 1e-3
+"""What keeps Hessians definite, where contact costs nothing too."""
+CENTRED = 0.01
+"""mm: what rounds off the distance to the path where that is 0."""
+
+
+def clearance(points: Vector, path: Sequence[Vector], wall: Sequence[ca.SX], slack: ca.SX) -> Constraint:
+    """Distance from the robot to a path within the room that the lumen leaves it, or that and a slack, mm.
+
+    points: x, y, z, each (n, 1) mm. path: its point near to each, its tangent and its bend, 1/mm, in the same
+    axes. wall, each (n, 1): the room there, mm, how much more there is a mm further, and how far the path goes on
+    behind and ahead, mm.
+    """
+    (centre, tangent, bend), (room, taper, behind, ahead) = path, wall
+    away = [points[i] - centre[i] for i in range(3)]
+    further = ca.fmax(ca.fmin(sum(away[i] * tangent[i] for i in range(3)), ahead), -behind)
+    across = [away[i] - further * tangent[i] - further**2 / 2 * bend[i] for i in range(3)]
+    distance = ca.sqrt(sum(part**2 for part in across) + CENTRED**2)
+    value = room + taper * further + slack - distance
+    return Constraint("clearance", value, np.zeros(value.numel()), np.full(value.numel(), np.inf))
+
+
+def contact(slack: Any, weight: Any) -> Any:
+    """An exact penalty on the depth of contact, mm^2; slack: mm; weight: mm^2 a mm."""
+    return weight * slack + FIRM * slack**2
+
+
+def arc_lengths(beta: Sequence[Any], count: int = PLACES) -> list[Any]:
+    """Arc lengths, mm, of so many places on every tube's visible part, the last of which is its tip."""
+    starts = [0 * beta[0], *(beta[i] for i in range(len(beta) - 1))]
+    fractions = np.arange(1.0, count + 1) / count
+    return [start + fractions * (end - start) for start, end in zip(starts, beta, strict=True)]
+
+
+def far_away(d: int) -> dict[str, Any]:
+    """Parameters of a frame of d tubes that no wall is near to."""
+    wall = np.zeros((d * PLACES, COLUMNS))
+    wall[:, ROOM] = FAR
+    return {"wall": wall, "contact_weight": 0.0}
+
+
+@dataclass(frozen=True)
+class Lumen(Term):
+    """Clearance at PLACES places of every tube's visible part, and what contact costs; d: number of tubes.
+
+    A step gives what the wall is like near to the robot (wall.py); without that, none is near.
+    """
+
+    d: int
+    name = "lumen"
+
+    def places(self, beta: Sequence[ca.SX]) -> ca.SX:
+        """On every tube."""
+        return ca.vertcat(*arc_lengths(beta))
+
+    def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
+        """wall: a row of COLUMNS a place. contact_weight: mm^2 a mm."""
+        return {"wall": (self.d * PLACES, COLUMNS), "contact_weight": (1, 1)}
+
+    def build(self, body: Body, parameters: Symbols) -> Parts:
+        """One smooth row a place, and one slack."""
+        wall, slack = parameters["wall"], ca.SX.sym("slack")
+        points = Inner.of([ca.SX(ca.horzcat(*body.points))])
+        at, *path = (columns_of(each) for each in (points.symbols[0], wall[:, :3], wall[:, 3:6], wall[:, 6:9]))
+        return Parts(
+            costs=(Cost("contact", contact(slack, parameters["contact_weight"])),),
+            constraints=(clearance(at, path, ca.horzsplit(wall[:, ROOM:]), slack),),
+            inner=points,
+            slack=slack,
+        )
+
+    def fill(self, frame: Frame) -> Mapping[str, Array]:
+        """No wall near."""
+        return far_away(self.d)

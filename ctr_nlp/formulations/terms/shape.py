@@ -1,0 +1,83 @@
+"""The distance between the robot's shape and its target, eq. (8)."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.formulations.terms.term import Body, Parts, Symbols, Term
+from ctr_nlp.nlp.nlp import Residual
+from ctr_nlp.robot.structure import Structure
+from ctr_nlp.support.values import floats
+from ctr_nlp.target.target import SIGMA, Frame
+from ctr_nlp.typing import Array, Vector
+
+STRIDE = 5
+"""By default every so many-th of the target's 101 samples enters a program, 21 in all."""
+
+
+def distance(points: Vector, target: Vector, root: Any) -> Residual:
+    """Distance from the robot to its target at equal sigma, eq. (8).
+
+    points, target: x, y, z, each (n, 1) mm. root: square roots (n, 1) of quadrature weights.
+    """
+    return Residual("shape", ca.vertcat(*(root * (points[i] - target[i]) for i in range(3))))
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeDistance(Term):
+    """The mean over sigma of |C - C_target|^2, mm^2, eq. (8).
+
+    depth_weights (101,): how much each of the uniform sigma counts, >= 0; they are scaled to mean 1. None: all
+    alike. stride: every so many-th of the 101 samples counts. Raises OptionError.
+    """
+
+    depth_weights: Array | None = None
+    stride: int = STRIDE
+    name = "shape"
+
+    def __post_init__(self) -> None:
+        if self.depth_weights is not None:
+            weights = floats(OptionError, "depth_weights", self.depth_weights, (len(SIGMA),))
+            if weights.min() < 0 or weights.max() <= 0:
+                raise OptionError("depth_weights has numbers below 0, or none above; give weights >= 0")
+            object.__setattr__(self, "depth_weights", weights)
+
+    @property
+    def key(self) -> Hashable:
+        """The weights are parameters."""
+        return type(self), self.stride
+
+    def places(self, beta: Sequence[ca.SX]) -> ca.SX:
+        """Every stride-th of the uniform sigma."""
+        return ca.DM(SIGMA[:: self.stride]) * beta[-1]
+
+    def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
+        """target: points, mm, in the base frame. shape_roots: square roots of the quadrature's weights."""
+        count = len(SIGMA[:: self.stride])
+        return {"target": (count, 3), "shape_roots": (count, 1)}
+
+    def build(self, body: Body, parameters: Symbols) -> Parts:
+        """Eq. (8), in the model's own axes."""
+        seen = body.shape.seen(parameters["target"])
+        return Parts(residuals=(distance(body.own_points, seen, parameters["shape_roots"]),))
+
+    def fill(self, frame: Frame) -> Mapping[str, Any]:
+        """The frame's points."""
+        return {"target": frame.points[:: self.stride], "shape_roots": self.roots}
+
+    @property
+    def roots(self) -> Array:
+        """Square roots (n,) of trapezoidal weights times depth weights; the squares sum to 1."""
+        weights = np.full(len(SIGMA[:: self.stride]), self.stride / (len(SIGMA) - 1))
+        weights[[0, -1]] /= 2
+        if self.depth_weights is not None:
+            weights = weights * self.depth_weights[:: self.stride]
+            weights = weights / weights.sum()
+        roots: Array = np.sqrt(weights)
+        return roots

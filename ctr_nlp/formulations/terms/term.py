@@ -1,0 +1,105 @@
+"""What a term is, and the part of a robot's shape that it is given."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from ctr_nlp.models import Shape
+from ctr_nlp.nlp.nlp import Constraint, Cost, Inner, Residual
+from ctr_nlp.robot.structure import Structure, Tubes
+from ctr_nlp.target.target import Frame
+from ctr_nlp.typing import Vector
+
+Symbols = Mapping[str, ca.SX]
+
+
+@dataclass(frozen=True)
+class Body:
+    """The robot as a term sees it, in symbols: its configuration, and its shape at the term's own places.
+
+    q (2d + 2, 1). tubes: with symbols for numbers. margin: the symbol of the least stability margin, or None.
+    """
+
+    q: ca.SX
+    tubes: Tubes
+    shape: Shape
+    span: slice
+
+    @property
+    def beta(self) -> tuple[ca.SX, ...]:
+        """The extensions, mm."""
+        return self.shape.beta
+
+    @property
+    def points(self) -> Vector:
+        """x, y, z of the places, each (n, 1) mm, in the base frame."""
+        return self.shape.placed(self.own_points)
+
+    @property
+    def tangents(self) -> Vector:
+        """x, y, z of the unit tangents at the places, each (n, 1), in the base frame."""
+        return self.shape.placed(self.own_tangents)
+
+    @property
+    def own_points(self) -> Vector:
+        """The same points in the model's own axes, in which it needs fewer operations; see Shape.seen."""
+        return self._spanned(self.shape.points)
+
+    @property
+    def own_tangents(self) -> Vector:
+        """The same tangents in the model's own axes."""
+        assert self.shape.tangents is not None
+        return self._spanned(self.shape.tangents)
+
+    def _spanned(self, vectors: Vector) -> Vector:
+        x, y, z = (axis[self.span] for axis in vectors)
+        return x, y, z
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What a term adds to a program. inner: quantities between shape and term. slack: one more unknown, >= 0."""
+
+    residuals: tuple[Residual, ...] = ()
+    costs: tuple[Cost, ...] = ()
+    constraints: tuple[Constraint, ...] = ()
+    inner: Inner | None = None
+    slack: ca.SX | None = None
+
+
+class Term(ABC):
+    """A residual, cost or constraint on a frame's shape. Numbers that vary from frame to frame are parameters.
+
+    A new term is a frozen dataclass with a name, and with build; the other methods have defaults. What it holds is
+    part of what is compiled, unless key leaves it out and it enters as a parameter. tangents: whether build needs
+    the tangents at its places.
+    """
+
+    name: str
+    tangents = False
+
+    @property
+    def key(self) -> Hashable:
+        """What build depends on: terms of equal keys share a compiled program."""
+        return self
+
+    def places(self, beta: Sequence[ca.SX]) -> ca.SX:
+        """Arc lengths (n, 1), mm, at which the term looks at the robot; none by default."""
+        return ca.SX(0, 1)
+
+    def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
+        """The shapes of the term's parameters, by name; names of two terms must differ."""
+        return {}
+
+    @abstractmethod
+    def build(self, body: Body, parameters: Symbols) -> Parts:
+        """What the term adds, as symbols."""
+
+    def fill(self, frame: Frame) -> Mapping[str, Any]:
+        """Values of the parameters for a target frame, by name."""
+        return {}

@@ -1,0 +1,119 @@
+"""Where the robot's tip is to be, and where it is to point."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.formulations.terms.term import Body, Parts, Symbols, Term
+from ctr_nlp.nlp.nlp import Residual
+from ctr_nlp.robot.structure import Structure
+from ctr_nlp.support.values import floats
+from ctr_nlp.target.target import Frame
+from ctr_nlp.typing import Array
+
+ROUNDED = 1e-12
+"""Added to the squared distance of two directions, so that their angle has a slope where it is 0."""
+OPPOSITE = 0.999
+"""sin(angle / 2) is taken for no more than this: at opposite directions the slope of the angle is infinite."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Tip(Term):
+    """weight: a number >= 0, or one a frame (T,). wanted: (3,), or (T, 3), or None for the target's own."""
+
+    weight: float | Array = 1.0
+    wanted: Array | None = None
+
+    def __post_init__(self) -> None:
+        weight = floats(OptionError, f"weight of {self.name}", np.atleast_1d(self.weight), (None,))
+        if weight.min() < 0:
+            raise OptionError(f"weight of {self.name} is {weight.min():g}; it must be at least 0")
+        object.__setattr__(self, "weight", weight)
+        if self.wanted is not None:
+            object.__setattr__(self, "wanted", self._checked(np.atleast_2d(self.wanted)))
+
+    def _checked(self, wanted: npt.ArrayLike) -> Array:
+        return floats(OptionError, f"wanted {self.name}", wanted, (None, 3))
+
+    @property
+    def key(self) -> Hashable:
+        """Weights and what is wanted are parameters."""
+        return type(self)
+
+    def places(self, beta: Sequence[ca.SX]) -> ca.SX:
+        """The tip."""
+        return beta[-1]
+
+    def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
+        """What is wanted, and the square root of the weight."""
+        return {f"{self.name}_wanted": (1, 3), f"{self.name}_root": (1, 1)}
+
+    def fill(self, frame: Frame) -> Mapping[str, Any]:
+        """What is wanted in this frame."""
+        wanted = self._of(frame) if self.wanted is None else self._at(self.wanted, frame)
+        root = float(np.sqrt(self._at(np.asarray(self.weight), frame)))
+        return {f"{self.name}_wanted": wanted[None], f"{self.name}_root": root}
+
+    def _at(self, values: Array, frame: Frame) -> Any:
+        if len(values) == 1:
+            return values[0]
+        if frame.number >= len(values):
+            raise OptionError(f"{self.name} has {len(values)} rows and frame {frame.number + 1} is asked for")
+        return values[frame.number]
+
+    def _of(self, frame: Frame) -> Array:
+        raise NotImplementedError
+
+    def _difference(self, at: Any, parameters: Symbols) -> ca.SX:
+        wanted = parameters[f"{self.name}_wanted"]
+        return ca.vertcat(*(at[i] - wanted[i] for i in range(3)))
+
+
+@dataclass(frozen=True, eq=False)
+class TipPosition(_Tip):
+    """weight |p - wanted|^2, mm^2, where p is the tip and wanted (mm) by default the target's end."""
+
+    name = "tip_position"
+
+    def build(self, body: Body, parameters: Symbols) -> Parts:
+        """The distance from the tip to where it is wanted."""
+        value = parameters[f"{self.name}_root"] * self._difference(body.points, parameters)
+        return Parts(residuals=(Residual(self.name, value),))
+
+    def _of(self, frame: Frame) -> Array:
+        return frame.points[-1]
+
+
+@dataclass(frozen=True, eq=False)
+class TipDirection(_Tip):
+    """weight angle^2, mm^2, with the angle (rad) from the tip's tangent to a wanted direction.
+
+    The weight is in mm^2/rad^2; the direction is by default that of the target's end.
+    """
+
+    name = "tip_direction"
+    tangents = True
+
+    def _checked(self, wanted: npt.ArrayLike) -> Array:
+        wanted = super()._checked(wanted)
+        lengths = np.linalg.norm(wanted, axis=1)
+        if lengths.min() == 0:
+            raise OptionError(f"wanted {self.name} has the row (0, 0, 0), which has no direction")
+        return wanted / lengths[:, None]
+
+    def build(self, body: Body, parameters: Symbols) -> Parts:
+        """The angle, as a vector along the difference of the two directions."""
+        difference = self._difference(body.tangents, parameters)
+        half = ca.fmin(ca.sqrt(ca.sumsqr(difference) + ROUNDED) / 2, OPPOSITE)
+        value = parameters[f"{self.name}_root"] * (ca.asin(half) / half) * difference
+        return Parts(residuals=(Residual(self.name, value),))
+
+    def _of(self, frame: Frame) -> Array:
+        return frame.tangents[-1]

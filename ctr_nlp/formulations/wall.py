@@ -1,0 +1,74 @@
+"""Where on the robot the lumen's wall is looked at, and what it is like there.
+
+Every tube's visible part is looked at in terms.lumen.PLACES places, each with the path near to it to second order
+and the wall to first. Where there is less room between two places, the room at the second is made as much less.
+This holds near a configuration only: a solution is looked at again, and the program solved again, until nothing
+changes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.formulations.terms.lumen import CENTRED, PLACES, arc_lengths, contact
+from ctr_nlp.models import Model
+from ctr_nlp.models.dominant.shape import columns_of
+from ctr_nlp.robot import Robot
+from ctr_nlp.target.curve import Curve
+from ctr_nlp.target.lumen import Lumen, outer_radius
+from ctr_nlp.typing import Array
+
+FINER = 5
+"""Samples a place, between it and the one before."""
+ROUNDS = 12
+"""Times that a program is solved around its own solution."""
+SETTLED = 0.01
+"""mm by which the slack of a solution may differ from what it needs."""
+TINY = 1e-9
+"""mm, 1/mm: what stands for nothing in a denominator."""
+
+
+def wall_of(robot: Robot, lumen: Curve | None, model: Model, settings: Settings) -> Wall | None:
+    """That of a path with radii, None where there is none or it does not count."""
+    if lumen is None or not settings.contact_weight:
+        return None
+    return Wall(robot, Lumen.around(lumen), model, settings.contact_weight, settings.clearance)
+
+
+@dataclass(frozen=True)
+class Wall:
+    """That of a lumen around a robot on a model.
+
+    weight: what a mm of contact costs, mm^2. clearance: mm that are to be kept.
+    """
+
+    robot: Robot
+    lumen: Lumen
+    model: Model
+    weight: float
+    clearance: float
+
+    def cost(self, slack: Array) -> Array:
+        """Of slacks, mm^2."""
+        return np.asarray(contact(slack, self.weight))
+
+    def surroundings(self, x: Array) -> tuple[dict[str, Array], Array]:
+        """Parameters (T, ..) of frames near to unknowns x (T, n) of the model, and slacks (T,) needed, mm.
+
+        Bends sharper than the lumen is wide are noise of the path's points.
+        """
+        beta = columns_of(self.model.extensions(self.robot, x))
+        sigma = np.hstack(arc_lengths(beta, PLACES * FINER)) / np.maximum(beta[-1], TINY)
+        near = self.lumen.near(self.model.points(self.robot, x, sigma))
+        room = near.radius - np.repeat(outer_radius(self.robot), PLACES * FINER) - self.clearance
+        left = room - np.hypot(near.distance, CENTRED)
+        room -= left - np.repeat(left.reshape(len(x), -1, FINER).min(axis=-1), FINER, axis=-1)
+        numbers = np.stack([room, near.taper, near.behind, near.ahead], axis=-1)
+        sharpest = 1.0 / near.radius / np.maximum(np.linalg.norm(near.bend, axis=-1), TINY)
+        bend = near.bend * np.minimum(sharpest, 1.0)[..., None]
+        wall = np.concatenate([near.centre, near.tangent, bend, numbers], axis=-1)
+        described = {"wall": wall[:, FINER - 1 :: FINER], "contact_weight": np.full(len(x), self.weight)}
+        return described, np.maximum(-left.min(axis=1), 0.0)

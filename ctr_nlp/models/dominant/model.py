@@ -1,0 +1,77 @@
+"""The dominant-stiffness model as a Model: its unknowns are q, and nothing can be unstable."""
+
+from __future__ import annotations
+
+import itertools
+
+import casadi as ca
+import numpy as np
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.models.dominant import shape
+from ctr_nlp.models.protocol import Model, Places, Shape, combination, matrix_of, vectors_of
+from ctr_nlp.nlp.nlp import Inner
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.structure import Structure, Tubes
+from ctr_nlp.typing import Array, Vector
+
+DOMINATES = 1 + 1e-9
+"""Least ratio of the bending stiffnesses of a tube and of the next one within it; rounding does not dominate."""
+
+
+class Dominant(Model):
+    """Eqs. (1)-(4)."""
+
+    name = "dominant"
+    bends_by_extension = True
+
+    def check(self, robot: Robot) -> None:
+        """Raise OptionError unless every tube is stiffer than the one within it: alone it sets the curvature."""
+        for i, (outer, inner) in enumerate(itertools.pairwise(robot.tubes), start=1):
+            if outer.bending_stiffness <= inner.bending_stiffness * DOMINATES:
+                raise OptionError(
+                    f"model is 'dominant', and tube {i} is not stiffer than tube {i + 1} within it: their EI are "
+                    f"{outer.bending_stiffness:.4g} and {inner.bending_stiffness:.4g}. Balanced tubes bend each "
+                    "other: use the elastic model, --model elastic"
+                )
+
+    def frame(
+        self,
+        structure: Structure,
+        tubes: Tubes,
+        places: Places,
+        margin: ca.SX | None = None,
+        tangents: bool = False,
+    ) -> Shape:
+        """As Model.frame."""
+        x, d = ca.SX.sym("q", 2 * structure.d + 2), structure.d
+        q = ca.vertsplit(x)
+        beta = q[d : 2 * d]
+        lengths, turns = list[ca.SX](), list[ca.SX]()
+        for side, along, angle in shape.travels(tubes, beta, places(beta), ca):
+            lengths.append(ca.horzcat(side, along))
+            turns += [ca.horzcat(ca.sin(angle), ca.cos(angle) - 1)] if tangents else []
+        planes = [matrix_of(plane) for plane in shape.directions(tubes, q, ca)]
+        inner = Inner.of([*lengths, *planes, *turns])
+        travelled, directed, turned = (inner.symbols[k * d : (k + 1) * d] for k in range(3))
+        bends = [vector for plane in directed for vector in vectors_of(plane)]
+        points = combination([column for each in travelled for column in ca.horzsplit(each)], bends)
+        found = None
+        if tangents:
+            found = combination([1.0, *(c for each in turned for c in ca.horzsplit(each))], [bends[1], *bends])
+        return Shape(x, x[:d], tuple(beta), points, inner, found)
+
+    def points(self, robot: Robot, x: Array, sigma: Array) -> Array:
+        """As Model.points."""
+        return _stacked(self._backbone(robot, x, sigma).points)
+
+    def tangents(self, robot: Robot, x: Array, sigma: Array) -> Array:
+        """As Model.tangents."""
+        return _stacked(self._backbone(robot, x, sigma).tangents)
+
+    def _backbone(self, robot: Robot, q: Array, sigma: Array) -> shape.Backbone:
+        return shape.backbone(robot.tube_numbers, shape.columns_of(q), sigma, np)
+
+
+def _stacked(vector: Vector) -> Array:
+    return np.stack(np.broadcast_arrays(*vector), axis=-1)

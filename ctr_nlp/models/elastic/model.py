@@ -1,0 +1,117 @@
+"""The elastic model as a Model: its unknowns are x = (phi, beta, theta) of torsion.py, every x an equilibrium."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from ctr_nlp.models.dominant.shape import columns_of
+from ctr_nlp.models.elastic import shape, stability, torsion
+from ctr_nlp.models.elastic.following import follow, settled
+from ctr_nlp.models.protocol import SUBSTEPS, Followed, Model, Places, Shape, combination, matrix_of, vectors_of
+from ctr_nlp.nlp.nlp import Inner
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.structure import Structure, Tubes
+from ctr_nlp.typing import Array, Vector
+
+STEPS = 2
+"""Steps of integration a section in a nonlinear program: 0.02 mm, where a forward solution has 0.002."""
+
+
+class Elastic(Model):
+    """Torsionally compliant tubes (Dupont 2010, Rucker 2010), unloaded and frictionless."""
+
+    name = "elastic"
+    several_equilibria = True
+    can_snap = True
+
+    def frame(
+        self,
+        structure: Structure,
+        tubes: Tubes,
+        places: Places,
+        margin: ca.SX | None = None,
+        tangents: bool = False,
+    ) -> Shape:
+        """As Model.frame."""
+        d, x = structure.d, ca.SX.sym("x", 2 * structure.d + 2)
+        entries = ca.vertsplit(x)
+        beta = entries[d : 2 * d]
+        parts = torsion.sections(tubes, beta, ca)
+        twisted = torsion.twist(tubes, entries, parts, ca, STEPS)
+        lengths, turns = shape.travels(tubes, beta, parts, places(beta), ca, STEPS)
+        values = [
+            ca.horzcat(*lengths),
+            matrix_of(shape.curves(tubes, entries, parts, twisted, ca)),
+            matrix_of(shape.turned_base(tubes, entries, ca)),
+            ca.vertcat(*torsion.motors(tubes, entries, twisted)),
+        ]
+        if margin is not None and d > 1:
+            responses = stability.responses(tubes, entries, parts, twisted, margin, ca)
+            values.append(ca.vertcat(*(stability.determinant(response) for response in responses)))
+        stable = len(values) > 4
+        if tangents:
+            values.append(ca.horzcat(*(lengths[0] * 0 + turn for turn in turns)))
+        inner = Inner.of(values)
+        travelled, directions, axes, alpha, *others = inner.symbols
+        vectors = vectors_of(directions)
+        first, second, third = vectors_of(axes)
+        points = combination(ca.horzsplit(travelled), vectors)
+        found = None
+        if tangents:
+            found = combination([1.0, *ca.horzsplit(others[-1])], [(0.0, 0.0, 1.0), *vectors])
+        picks = (*range(2 * d + 2, 3 * d + 2), *range(d, 2 * d + 2), *range(d))
+        margins = others[0] if stable else None
+        return Shape(x, alpha, tuple(beta), points, inner, found, (first, second, third), margins, picks)
+
+    def points(self, robot: Robot, x: Array, sigma: Array) -> Array:
+        """As Model.points."""
+        tubes, columns, d = robot.tube_numbers, columns_of(x), robot.d
+        beta = columns[d : 2 * d]
+        parts = torsion.sections(tubes, beta, np)
+        lengths, _ = shape.travels(tubes, beta, parts, sigma * beta[-1], np)
+        vectors = shape.curves(tubes, columns, parts, torsion.twist(tubes, columns, parts, np), np)
+        size = len(x), np.shape(sigma)[-1]
+        travelled = np.stack([np.broadcast_to(length, size) for length in lengths], axis=-1)
+        directions, base = (
+            np.concatenate([_stacked(vector, len(x), 1) for vector in some], axis=1)
+            for some in (vectors, shape.turned_base(tubes, columns, np))
+        )
+        return np.asarray(travelled @ (directions @ base))
+
+    def tangents(self, robot: Robot, x: Array, sigma: Array) -> Array:
+        """As Model.tangents."""
+        found = shape.backbone(robot.tube_numbers, columns_of(x), sigma, np).tangents
+        return _stacked(found, len(x), np.shape(sigma)[-1])
+
+    def margins(self, robot: Robot, x: Array) -> Array:
+        """As Model.margins: by Galerkin's method, stability.py."""
+        return stability.margins(robot.tube_numbers, x)
+
+    def rest(self, robot: Robot, q: Array) -> Array:
+        """The equilibrium that all tubes are turned to together from alpha_d; NaN where none is found."""
+        return settled(robot, q)
+
+    def guess(self, robot: Robot, q: Array) -> Array:
+        """As if tubes had their motors' angles all along."""
+        x = np.array(q, dtype=float)
+        x[..., : robot.d - 1] -= x[..., robot.d - 1 : robot.d]
+        return x
+
+    def configuration(self, robot: Robot, x: Array) -> Array:
+        """As Model.configuration; alpha is explicit in x."""
+        tubes, columns, d = robot.tube_numbers, columns_of(x), robot.d
+        twisted = torsion.twist(tubes, columns, torsion.sections(tubes, columns[d : 2 * d], np), np)
+        return np.hstack([*torsion.motors(tubes, columns, twisted), *columns[d:]])
+
+    def extensions(self, robot: Robot, x: Array) -> Array:
+        """As Model.extensions; x holds them where q does."""
+        return x[:, robot.d : 2 * robot.d]
+
+    def follow(self, robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBSTEPS) -> Followed:
+        """As Model.follow; following.py."""
+        return follow(robot, q, x0, substeps)
+
+
+def _stacked(vector: Vector, *shape: int) -> Array:
+    return np.stack([np.broadcast_to(part, shape) for part in vector], axis=-1)

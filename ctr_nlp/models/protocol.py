@@ -1,0 +1,194 @@
+"""What a model is: symbols of a frame for programs, and numbers in batch for everything else."""
+
+from __future__ import annotations
+
+import functools
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from ctr_nlp.nlp.nlp import Inner
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.structure import NUMBERS, Structure, Tubes, tubes_of
+from ctr_nlp.typing import Array, Vector
+
+SUBSTEPS = 10
+"""Steps from frame to frame in which margins are looked at."""
+Places = Callable[[Sequence[ca.SX]], ca.SX]
+"""Arc lengths (n, 1) of samples, mm, for beta."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A robot's shape at some samples, as symbols; everything but x is written in the symbols of inner.
+
+    x (n, 1): the unknowns. alpha (d, 1): the motors' angles; beta: d extensions. points: x, y, z of the samples,
+    mm, and tangents there, where asked for, in axes whose directions are base (None: the base frame itself).
+    stability: determinants (k, 1) that are positive where the margin asked for is held, or None. picks: where the
+    configuration stands among x's entries and then alpha's, and after it further entries that say in which of
+    several equilibria the robot is; None where x is q.
+    """
+
+    x: ca.SX
+    alpha: ca.SX
+    beta: tuple[ca.SX, ...]
+    points: Vector
+    inner: Inner
+    tangents: Vector | None = None
+    base: tuple[Vector, Vector, Vector] | None = None
+    stability: ca.SX | None = None
+    picks: tuple[int, ...] | None = None
+
+    def seen(self, vectors: ca.SX) -> Vector:
+        """Vectors (n, 3) of the base frame in the axes of `points`."""
+        if self.base is None:
+            return columns_of(vectors)
+        x, y, z = (sum(vectors[:, i] * axis[i] for i in range(3)) for axis in self.base)
+        return x, y, z
+
+    def placed(self, vectors: Vector) -> Vector:
+        """Points or tangents in the base frame."""
+        return vectors if self.base is None else combination(vectors, self.base)
+
+
+class Snap(NamedTuple):
+    """frame: on the way to which, from 1. tubes: whose tips jump, from 1. jump: of the one furthest, rad."""
+
+    frame: int
+    tubes: tuple[int, ...]
+    jump: float
+
+
+class Followed(NamedTuple):
+    """A robot's unknowns x (T, n) along a motion; NaN where its configuration is, or where none are found.
+
+    stability (T,): margins at frames; stability_between (T,): least margins on the way from the frame before, at
+    most 0 where the robot snaps; NaN where nothing can be unstable.
+    """
+
+    x: Array
+    stability: Array
+    stability_between: Array
+    snaps: tuple[Snap, ...] = ()
+
+
+class Model(ABC):
+    """Configuration to backbone. A new model defines name and frame; register makes it known under its name.
+
+    The defaults suit a model whose unknowns are the configuration q (2d + 2,) itself and whose robot has one shape
+    for each. several_equilibria: whether q alone does not determine the unknowns x: then x has d tips' angles
+    first, and rest, guess, configuration and follow must be defined. can_snap: whether an equilibrium can become
+    unstable. bends_by_extension: whether curvatures depend on beta alone, which two-stage formulations need.
+    """
+
+    name: str
+    several_equilibria = False
+    can_snap = False
+    bends_by_extension = False
+
+    def check(self, robot: Robot) -> None:  # noqa: B027 - most models describe any robot
+        """Raise OptionError unless the model describes a robot."""
+
+    @abstractmethod
+    def frame(
+        self,
+        structure: Structure,
+        tubes: Tubes,
+        places: Places,
+        margin: ca.SX | None = None,
+        tangents: bool = False,
+    ) -> Shape:
+        """The shape of one frame at places, as symbols; tubes: with symbols for numbers.
+
+        margin: the least stability margin that Shape.stability is for. tangents: whether these are wanted too.
+        """
+
+    def points(self, robot: Robot, x: Array, sigma: Array) -> Array:
+        """Points (T, n, 3) in mm at unknowns x (T, n_x) and sigma (n,) or (T, n)."""
+        return self._sampled(robot, x, sigma)[0]
+
+    def tangents(self, robot: Robot, x: Array, sigma: Array) -> Array:
+        """Unit tangents (T, n, 3) at unknowns x (T, n_x) and sigma (n,) or (T, n)."""
+        return self._sampled(robot, x, sigma)[1]
+
+    def _sampled(self, robot: Robot, x: Array, sigma: Array) -> tuple[Array, Array]:
+        sigma = np.broadcast_to(sigma, (len(x), np.shape(sigma)[-1]))
+        function = samples(self, robot.structure, sigma.shape[1])
+        numbers = robot.numbers
+        found = [function(row, at, numbers) for row, at in zip(x, sigma, strict=True)]
+        points, tangents = (np.array([each[k].full() for each in found]) for k in range(2))
+        return points, tangents
+
+    def margins(self, robot: Robot, x: Array) -> Array:
+        """Stability margins (T,) at unknowns x (T, n_x); NaN where nothing can be unstable."""
+        return np.full(len(x), np.nan)
+
+    def rest(self, robot: Robot, q: Array) -> Array:
+        """The unknowns (n_x,) of a robot that stands at q (2d + 2,) and has no history."""
+        return np.copy(q)
+
+    def guess(self, robot: Robot, q: Array) -> Array:
+        """Roughly the unknowns (.., n_x) at q (.., 2d + 2), found fast: to start a solver from."""
+        return np.copy(q)
+
+    def configuration(self, robot: Robot, x: Array) -> Array:
+        """The configurations q (T, 2d + 2) of unknowns x (T, n_x)."""
+        return np.copy(x)
+
+    def extensions(self, robot: Robot, x: Array) -> Array:
+        """The extensions beta (T, d) of unknowns x (T, n_x), mm."""
+        return self.configuration(robot, x)[:, robot.d : 2 * robot.d]
+
+    def follow(self, robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBSTEPS) -> Followed:
+        """The unknowns of a robot moved through frames q (T, 2d + 2), linearly and in substeps between them.
+
+        x0 (n_x,): where it is in the first frame; None for one that comes to rest there. After frames that are NaN
+        it comes to rest anew.
+        """
+        unknown = np.full(len(q), np.nan)
+        return Followed(np.array([self.rest(robot, each) for each in q]), unknown, unknown)
+
+
+@functools.lru_cache(maxsize=64)
+def samples(model: Model, structure: Structure, count: int) -> ca.Function:
+    """(x, sigma (count,), numbers (d, 6)) -> points and tangents (count, 3), mm, in the base frame."""
+    sigma, numbers = ca.SX.sym("sigma", count), ca.SX.sym("numbers", structure.d, len(NUMBERS))
+    tubes = symbolic_tubes(structure, numbers)
+    shape = model.frame(structure, tubes, lambda beta: sigma * beta[-1], tangents=True)
+    assert shape.tangents is not None
+    written = [ca.SX(ca.horzcat(*shape.placed(vectors))) for vectors in (shape.points, shape.tangents)]
+    symbols, values = shape.inner.columns
+    found = ca.substitute(written, [symbols], [values])
+    return ca.Function("samples", [shape.x, sigma, numbers], found, {"cse": True})
+
+
+def symbolic_tubes(structure: Structure, numbers: ca.SX) -> Tubes:
+    """Tubes whose numbers are the entries of a symbol (d, 6)."""
+    return tubes_of(structure, [[numbers[i, k] for k in range(len(NUMBERS))] for i in range(structure.d)])
+
+
+def combination(weights: Sequence[object], vectors: Sequence[Vector]) -> Vector:
+    """The sum of weights times vectors."""
+    x, y, z = (sum(w * v[i] for w, v in zip(weights, vectors, strict=True)) for i in range(3))
+    return x, y, z
+
+
+def columns_of(vectors: ca.SX) -> Vector:
+    """x, y and z of vectors (n, 3)."""
+    x, y, z = ca.horzsplit(vectors)
+    return x, y, z
+
+
+def matrix_of(vectors: Sequence[Vector]) -> ca.SX:
+    """Vectors side by side, (3, n)."""
+    return ca.horzcat(*(ca.vertcat(ca.SX(0, 1), *vector) for vector in vectors))
+
+
+def vectors_of(matrix: ca.SX) -> list[Vector]:
+    """The columns of a matrix (3, n)."""
+    columns = (ca.vertsplit(column) for column in ca.horzsplit(matrix))
+    return [(x, y, z) for x, y, z in columns]

@@ -1,0 +1,74 @@
+"""The models that there are, by name: ours, those that a user registers, those that installed packages bring."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Iterator, Mapping
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.models.dominant import Dominant
+from ctr_nlp.models.elastic import Elastic
+from ctr_nlp.models.protocol import Model
+from ctr_nlp.robot import Robot
+from ctr_nlp.support.values import check_choice
+
+GROUP = "ctr_nlp.models"
+"""The entry points under which a package offers models: name = "module:object", a Model."""
+
+
+class Registry(Mapping[str, Model]):
+    """Models by name."""
+
+    def __init__(self, *models: Model) -> None:
+        self._known = {model.name: model for model in models}
+        self._searched = False
+
+    def register(self, model: Model) -> Model:
+        """Make a model known under its name; raises OptionError where another one has it."""
+        name = getattr(model, "name", None)
+        if not isinstance(model, Model) or not isinstance(name, str) or not name:
+            raise OptionError(f"a model to register is {model!r:.80}; it must be a Model with a name")
+        if type(self._known.get(name, model)) is not type(model):
+            raise OptionError(f"name of a model is {name!r}, which {self._known[name]!r} has already")
+        self._known[name] = model
+        return model
+
+    def _all(self) -> dict[str, Model]:
+        if not self._searched:
+            self._searched = True
+            for entry in importlib.metadata.entry_points(group=GROUP):
+                if entry.name not in self._known:
+                    self.register(entry.load())
+        return self._known
+
+    def __getitem__(self, name: str) -> Model:
+        return self._all()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._all())
+
+    def __len__(self) -> int:
+        return len(self._all())
+
+
+MODELS = Registry(Dominant(), Elastic())
+"""Every model by the name that options use."""
+
+register = MODELS.register
+
+
+def model_named(model: str | Model, name: str = "model") -> Model:
+    """The model of a name, or the one given; name: of the option. Raises OptionError."""
+    if isinstance(model, Model):
+        return model
+    check_choice(name, model, MODELS)
+    return MODELS[model]
+
+
+def suits(robot: Robot, model: str | Model) -> bool:
+    """Whether a model describes a robot."""
+    try:
+        model_named(model).check(robot)
+    except OptionError:
+        return False
+    return True

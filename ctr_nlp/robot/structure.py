@@ -1,0 +1,87 @@
+"""What of a robot must be compiled, and the numbers of its tubes, which are parameters of every program."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+from ctr_nlp.robot.tube import Tube
+
+Kind = Literal["straight", "arc", "linear"]
+"""Of a tube's curved part: without curvature, of one curvature, or with one that is linear in arc length."""
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What must be compiled for a robot: robots that differ in numbers alone share every compiled program.
+
+    kinds: of the tubes' curved parts, outermost first. shown: which tubes can be pushed out so far that their
+    straight transmissions show. gap: whether carriages keep a least distance.
+    """
+
+    kinds: tuple[Kind, ...]
+    shown: tuple[bool, ...]
+    gap: bool = False
+
+    @property
+    def d(self) -> int:
+        """Number of tubes."""
+        return len(self.kinds)
+
+
+class TubeNumbers(NamedTuple):
+    """One tube as models take it: numbers, columns of numbers (T, 1) for T robots at once, or symbols.
+
+    length, curved_length: mm. root_curvature, tip_curvature: 1/mm, equal unless kind is linear.
+    bending_stiffness: EI, in any unit. torsional_ratio: EI / GJ = 1 + Poisson's ratio.
+    """
+
+    kind: Kind
+    shown: bool
+    length: Any
+    curved_length: Any
+    root_curvature: Any
+    tip_curvature: Any
+    bending_stiffness: Any
+    torsional_ratio: Any
+
+    @property
+    def slope(self) -> Any:
+        """Growth of the pre-curvature from the tip to the root, 1/mm^2."""
+        return (self.root_curvature - self.tip_curvature) / self.curved_length if self.kind == "linear" else 0.0
+
+
+Tubes = Sequence[TubeNumbers]
+"""The tubes of a robot, outermost first."""
+
+NUMBERS = TubeNumbers._fields[2:]
+"""The names of a tube's numbers, in the order in which programs take them as parameters."""
+
+
+def tubes_of(structure: Structure, numbers: Sequence[Sequence[Any]]) -> tuple[TubeNumbers, ...]:
+    """The tubes of a structure whose numbers are given tube by tube, in the order of NUMBERS."""
+    rows = zip(structure.kinds, structure.shown, numbers, strict=True)
+    return tuple(TubeNumbers(kind, shown, *row) for kind, shown, row in rows)
+
+
+def numbers_of(tubes: Iterable[Tube]) -> list[list[float]]:
+    """Of every tube, in the order of NUMBERS."""
+    return [
+        [
+            tube.length,
+            tube.curved_length,
+            tube.root_curvature,
+            tube.tip_curvature,
+            tube.bending_stiffness,
+            1 + tube.poisson_ratio,
+        ]
+        for tube in tubes
+    ]
+
+
+def kind_of(tube: Tube) -> Kind:
+    """That of a tube's curved part."""
+    if tube.largest_curvature == 0:
+        return "straight"
+    return "linear" if tube.root_curvature != tube.tip_curvature and tube.curved_length else "arc"

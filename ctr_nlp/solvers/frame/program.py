@@ -1,0 +1,134 @@
+"""An Nlp in C: the SQP of sqp.c around its functions, which are compiled, or interpreted until they are."""
+
+from __future__ import annotations
+
+import ctypes
+import time
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ctr_nlp.codegen import cache
+from ctr_nlp.nlp.nlp import FrameFunctions, Nlp
+from ctr_nlp.solvers import compiled
+from ctr_nlp.typing import Array
+
+TOLERANCE = 1e-6
+"""Largest KKT residual at a solution, mm^2 per unit of x."""
+POLL = 0.5
+"""s between two looks at whether the functions have been compiled meanwhile."""
+NAMES = FrameFunctions._fields[:3]
+
+_Numbers = ctypes.POINTER(ctypes.c_double)
+_Called = ctypes.CFUNCTYPE(
+    ctypes.c_int,
+    ctypes.POINTER(_Numbers),
+    ctypes.POINTER(_Numbers),
+    ctypes.c_void_p,
+    ctypes.c_void_p,
+    ctypes.c_int,
+)
+
+
+class Outcome(ctypes.Structure):
+    """What sqp.c is given and finds: the struct of the same fields there."""
+
+    objective: float
+    kkt: float
+    violation: float
+    iterations: int
+    expansions: int
+    evaluations: int
+    status: int
+    _fields_ = [
+        *((name, ctypes.c_long) for name in ("n", "m")),
+        *((name, ctypes.c_void_p) for name in (*NAMES, "p", "lower", "upper")),
+        ("tolerance", ctypes.c_double),
+        *((name, ctypes.c_void_p) for name in ("x", "multipliers", "rows")),
+        *((name, ctypes.c_double) for name in ("objective", "kkt", "violation")),
+        *((name, ctypes.c_long) for name in ("iterations", "expansions", "evaluations", "status")),
+    ]
+
+
+class Program:
+    """A program whose arrays are filled, and read again after a run; not from two threads at once.
+
+    x (n,): the start, then the solution. p: packed parameters. lower, upper (n + m,): bounds of x and of the
+    constraints. multipliers (n + m,): of these, positive at upper bounds; rows (n + m,): their values at the
+    solution. functions: their addresses, by name.
+    """
+
+    def __init__(self, nlp: Nlp, wait: bool = False) -> None:
+        """Build; wait: until the functions are compiled. Raises OptionError where nothing can be compiled."""
+        n, m = nlp.x.numel(), nlp.g.numel()
+        low, high = nlp.g_bounds
+        self.nlp = nlp
+        self.lower, self.upper = np.concatenate([nlp.lower, low]), np.concatenate([nlp.upper, high])
+        self.p, self.x, self.multipliers = np.zeros(nlp.p.numel()), np.zeros(n), np.zeros(n + m)
+        self.rows = np.zeros(n + m)
+        given = (array.ctypes.data for array in (self.p, self.lower, self.upper))
+        found = (array.ctypes.data for array in (self.x, self.multipliers, self.rows))
+        self._program = Outcome(n, m, None, None, None, *given, TOLERANCE, *found)
+        self._run, self._reference = cache.loaded(__package__, "sqp.c").sqp, ctypes.byref(self._program)
+        self._keep: Any = None
+        self.functions = dict[str, int]()
+        self.compiled = self._load(compiled.library(nlp, 1) if wait else compiled.library_soon(nlp, 1))
+        if not self.compiled:
+            self._interpret()
+        self._looked = time.monotonic()
+
+    def _load(self, path: Any) -> bool:
+        """Take the functions from a library, where there is one."""
+        if path is None:
+            return False
+        self._keep = ctypes.CDLL(str(path))
+        self._point({name: ctypes.cast(self._keep[name], ctypes.c_void_p).value or 0 for name in NAMES})
+        return True
+
+    def _interpret(self) -> None:
+        self._keep = [_callback(function) for function in self.nlp.functions[:3]]
+        addresses = (ctypes.cast(each, ctypes.c_void_p).value or 0 for each in self._keep)
+        self._point(dict(zip(NAMES, addresses, strict=True)))
+
+    def _point(self, addresses: dict[str, int]) -> None:
+        self.functions = addresses
+        for name, address in addresses.items():
+            setattr(self._program, name, address)
+
+    def run(self) -> Outcome:
+        """Solve; what was found beside x and multipliers is overwritten by the next run."""
+        if not self.compiled and time.monotonic() - self._looked > POLL:
+            self.compiled = self._load(compiled.library_soon(self.nlp, 1))
+            self._looked = time.monotonic()
+        self._run(self._reference)
+        return self._program
+
+
+def _callback(function: ca.Function) -> Any:
+    """A CasADi function behind the address of a C function, as casadi.external's are."""
+    buffer, evaluate = function.buffer()
+    inputs = [np.zeros(function.numel_in(i)) for i in range(function.n_in())]
+    outputs = [np.zeros(function.numel_out(i)) for i in range(function.n_out())]
+    for i, array in enumerate(inputs):
+        buffer.set_arg(i, array.data)  # type: ignore[call-arg]
+    for i, array in enumerate(outputs):
+        buffer.set_res(i, array.data)  # type: ignore[call-arg]
+
+    def called(given: Any, wanted: Any, *_: Any) -> int:
+        for i, array in enumerate(inputs):
+            _copied(array, given[i], array.ctypes.data, given[i])
+        evaluate()
+        for i, array in enumerate(outputs):
+            _copied(array, wanted[i], wanted[i], array.ctypes.data)
+        return 0
+
+    call = _Called(called)
+    call.buffer = buffer, inputs, outputs  # type: ignore[attr-defined]
+    return call
+
+
+def _copied(array: Array, pointer: Any, to: Any, source: Any) -> None:
+    """Copy between an array and a pointer of C, unless that is null."""
+    if pointer:
+        ctypes.memmove(to, source, array.nbytes)
