@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
+from frames import follow, untwisted
 from scipy.integrate import OdeSolution, solve_ivp
 from scipy.optimize import fsolve
 from scipy.spatial.transform import Rotation
 
 from ctr_nlp import Limits, Robot, Tube, seed_robot
-from ctr_nlp.simulation.following import follow, untwisted
 
 CASES = 28
 TWO = Robot(

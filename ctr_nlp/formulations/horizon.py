@@ -31,6 +31,11 @@ class Ends:
     end: Array | None = None
 
 
+def interpreted(nlp: Nlp) -> Callable[[], FrameFunctions]:
+    """A frame's functions as they are."""
+    return lambda: nlp.functions
+
+
 def horizon(
     robot: Robot,
     frames: Sequence[Frame],
@@ -38,12 +43,12 @@ def horizon(
     motion_weight: float,
     ends: Ends,
     model: Model,
-    functions: Callable[[Nlp], FrameFunctions] = lambda nlp: nlp.functions,
+    functions: Callable[[Nlp], Callable[[], FrameFunctions]] = interpreted,
     margin: float | None = None,
     wall: Wall | None = None,
     extra: Sequence[Term] = (),
 ) -> Chain:
-    """The motion through frames, dt s apart, as a chain; functions: how a frame is evaluated.
+    """The motion through frames, dt s apart, as a chain; functions: gives how a frame is evaluated.
 
     The objective is J / dt = sum_j shape_j + lambda sum_j |W (q_{j+1} - q_j)|^2 / dt^2 in mm^2, with shape_j the
     distance (8) of frame j and lambda = motion_weight in s^2. margin: least stability margin on models that can

@@ -28,6 +28,25 @@ class Slopes(NamedTuple):
     jacobian: Array
 
 
+class _Evaluators:
+    """Value, slopes and expansion of all frames, for parameters (p, T); anew where other functions are given."""
+
+    def __init__(self, functions: Callable[[], FrameFunctions], parameters: Array) -> None:
+        self._functions, self._parameters = functions, parameters
+        self._of: FrameFunctions | None = None
+        self._mapped = list[Mapped]()
+
+    def __call__(self) -> list[Mapped]:
+        """What the functions that are given now are for all frames."""
+        found = self._functions()
+        if found is not self._of:
+            self._of = found
+            self._mapped = [Mapped(each, self._parameters.shape[1], found.lanes) for each in found[:3]]
+            for mapped in self._mapped:
+                mapped.inputs[1][:] = self._parameters.T
+        return self._mapped
+
+
 class Excess(NamedTuple):
     """By how much a point leaves what is allowed: amount in units of the row, frame from 1."""
 
@@ -44,8 +63,8 @@ class Chain:
     q of k entries. axes: names of these; scale (k,): what a unit of each counts as, mm.
     parameters (p, T): packed, a column a frame. lower, upper (T, n): equal where an unknown is fixed. least, most
     (T, m): bounds of the frames' constraints.
-    functions: the frame's, as symbols or compiled. surroundings: where some parameters hold near a motion only,
-    these (T, ..), by name, of the robot's unknowns (T, n - slacks), and the slacks (T,) that they need there.
+    functions: gives the frame's, as symbols or, once they are, compiled. surroundings: where some parameters hold
+    near a motion only, these (T, ..), by name, of the robot's unknowns (T, n - slacks), and the slacks (T,) that they need there.
 
     x is (T n,), frame by frame. Rows are, in this order: x itself; the frames' constraints, frame by frame;
     the links, one after the other.
@@ -60,7 +79,7 @@ class Chain:
     least: Array
     most: Array
     links: tuple[Link, ...]
-    functions: FrameFunctions
+    functions: Callable[[], FrameFunctions]
     surroundings: Callable[[Array], tuple[Mapping[str, Array], Array]] | None = None
 
     @property
@@ -115,7 +134,7 @@ class Chain:
             picks=own.picks,
         )
         parameters = np.vstack([self.parameters, x.reshape(self.frames, self.unknowns).T])
-        return replace(self.with_cost(0.0), frame=frame, parameters=parameters, functions=frame.functions)
+        return replace(self.with_cost(0.0), frame=frame, parameters=parameters, functions=lambda: frame.functions)
 
     @cached_property
     def difference(self) -> sp.csr_array:
@@ -180,16 +199,12 @@ class Chain:
         )
 
     @cached_property
-    def _mapped(self) -> tuple[Mapped, Mapped, Mapped]:
-        *functions, lanes = self.functions
-        value, slopes, expansion = (Mapped(function, self.frames, lanes) for function in functions)
-        for mapped in (value, slopes, expansion):
-            mapped.inputs[1][:] = self.parameters.T
-        return value, slopes, expansion
+    def _evaluators(self) -> _Evaluators:
+        return _Evaluators(self.functions, self.parameters)
 
     def frame_values(self, x: Array) -> list[Array]:
         """Objectives (T, 1) and constraints (T, m) of the frames at x; the next call overwrites them."""
-        return self._mapped[0](x)
+        return self._evaluators()[0](x)
 
     def frame_expansion(self, x: Array, multipliers: Array) -> list[Array]:
         """Second-order expansions of the frames at x; the next call overwrites them.
@@ -203,7 +218,7 @@ class Chain:
         if self.bent:
             _, linked = self._rows(x, self.frame_values(x)[1])
             of_frames = of_frames + (self._transposed @ (multipliers[end:] + 2 * self.weight * linked))[x.size :]
-        return self._mapped[2](x, np.ones(self.frames), of_frames)
+        return self._evaluators()[2](x, np.ones(self.frames), of_frames)
 
     def evaluate(self, x: Array) -> tuple[float, Array]:
         """The objective in mm^2 and the rows' values at x."""
@@ -225,7 +240,7 @@ class Chain:
 
     def slopes(self, x: Array) -> Slopes:
         """First derivatives at x."""
-        f, gradient, g, columns = self._mapped[1](x)
+        f, gradient, g, columns = self._evaluators()[1](x)
         value, linked = self._rows(x, g)
         jacobian = columns.reshape(self.frames, self.unknowns, -1).transpose(0, 2, 1).copy()
         pulls = np.concatenate([np.zeros(x.size + g.size), 2 * self.weight * linked])

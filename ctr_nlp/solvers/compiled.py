@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import functools
 import inspect
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import casadi as ca
@@ -12,6 +14,8 @@ from ctr_nlp.codegen import background, cache, vector
 from ctr_nlp.nlp import nlp as programs
 from ctr_nlp.nlp.nlp import FrameFunctions, Nlp
 
+POLL = 0.5
+"""s between two looks at whether a program has been compiled meanwhile."""
 KEPT = 64
 """Programs whose libraries a process remembers."""
 
@@ -31,10 +35,23 @@ def library_soon(nlp: Nlp, lanes: int) -> Path | None:
     return background.library(_key(nlp, lanes), lambda: nlp.functions[:3], lanes)
 
 
-def fastest(nlp: Nlp) -> FrameFunctions:
-    """A program's functions, compiled where that has been done; else they are interpreted."""
-    path = None if cache.missing() else library_soon(nlp, vector.LANES)
-    return nlp.functions if path is None else _external(str(path), vector.LANES)
+def fastest(nlp: Nlp) -> Callable[[], FrameFunctions]:
+    """What gives a program's functions: compiled as soon as that has been done, and interpreted until then."""
+    return (lambda: nlp.functions) if cache.missing() else _Fastest(nlp)
+
+
+class _Fastest:
+    def __init__(self, nlp: Nlp) -> None:
+        self._nlp = nlp
+        self._found: FrameFunctions | None = None
+        self._looked = -POLL
+
+    def __call__(self) -> FrameFunctions:
+        if self._found is None and time.monotonic() - self._looked > POLL:
+            path = library_soon(self._nlp, vector.LANES)
+            self._found = None if path is None else _external(str(path), vector.LANES)
+            self._looked = time.monotonic()
+        return self._found or self._nlp.functions
 
 
 @functools.lru_cache(maxsize=KEPT)

@@ -203,7 +203,7 @@ class Horizon:
     def _near(self, wall: Wall | None, weight: float) -> Chain:
         """The chain with a motion weight in s^2, near a wall, or far from any."""
         chain = self._free if wall is None else replace(self._inside, surroundings=wall.surroundings)
-        return replace(chain.with_cost(weight), functions=fastest(chain.frame))
+        return chain.with_cost(weight)
 
     def _picked(self, weight: float, motions: Sequence[Array], count: int) -> list[Array]:
         """The best of motions in the horizon's own objective, then random changes of the very best."""

@@ -13,11 +13,11 @@ import time
 from pathlib import Path
 
 import pytest
+from frames import alone
 
 from ctr_nlp import seed_robot
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.joint import alone
 from ctr_nlp.solvers import default_chain_solver
 from ctr_nlp.solvers.compiled import compiled, fastest
 

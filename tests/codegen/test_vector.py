@@ -6,12 +6,12 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from frames import alone
 
 from ctr_nlp import Limits, Robot, curve_from_formula, growing, seed_robot
 from ctr_nlp.codegen import cache, vector
 from ctr_nlp.codegen.vector import LANES, vector_code
 from ctr_nlp.formulations.horizon import Ends, horizon
-from ctr_nlp.formulations.joint import alone
 from ctr_nlp.nlp.nlp import Nlp, Residual
 from ctr_nlp.solvers import CHAIN_SOLVERS, Watch, compiled
 

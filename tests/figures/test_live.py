@@ -10,6 +10,7 @@ import time
 from importlib.util import find_spec
 from pathlib import Path
 
+import frames as tracking
 import numpy as np
 import pytest
 from bench import homing_hardware, plan_of, sweep
@@ -28,7 +29,6 @@ from ctr_nlp.figures.parts.palette import TUBES
 from ctr_nlp.hardware.description import bench
 from ctr_nlp.hardware.devices import Progress
 from ctr_nlp.hardware.playing.session import prepared
-from ctr_nlp.simulation import following as tracking
 from ctr_nlp.simulation.forward import shapes
 from ctr_nlp.target.lumen import Lumen
 from problems import FOLDER
@@ -291,7 +291,7 @@ def test_equilibria_are_followed_from_moment_to_moment():
     """Tubes that are turned against each other: settled alone, a later moment would be elsewhere."""
     robot, turned = seed_robot(), np.linspace(0.0, 4.0, 9)
     q = np.array([[angle, 0, -angle, 10, 60, 80, 0, 0] for angle in turned])
-    followed = tracking.shapes(robot, tracking.follow(robot, q).x)
+    followed = tracking.elastic_shapes(robot, tracking.follow(robot, q).x)
     shape = Shapes(robot, elastic=True)
     np.testing.assert_allclose([shape(each) for each in q], followed, atol=1e-9)
     assert np.isnan(shape(np.full(8, np.nan))).all()
@@ -337,7 +337,7 @@ def test_a_motion_on_the_elastic_model_is_drawn_by_its_own_unknowns():
     picture.begin(figure)
     picture.show(Stage(np.ones(1), np.ones(1), x))
     tips = [line[-1] for line in lines_of(figure, lambda line: line.get_color() == TUBES[2])]
-    np.testing.assert_allclose(tips, tracking.shapes(robot, x)[:, -1])
+    np.testing.assert_allclose(tips, tracking.elastic_shapes(robot, x)[:, -1])
 
 
 # On a display

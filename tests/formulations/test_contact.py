@@ -5,8 +5,10 @@ import itertools
 from dataclasses import replace
 
 import casadi as ca
+import frames as tracking
 import numpy as np
 import pytest
+from frames import alone
 from lumens import brute, straight, wandering
 from rows import central
 
@@ -26,16 +28,14 @@ from ctr_nlp import (
     summary,
 )
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.contact import COLUMNS, FINER, PLACES, SETTLED, Wall
-from ctr_nlp.formulations.joint import alone
-from ctr_nlp.nlp.terms import CENTRED, FIRM
-from ctr_nlp.simulation import following as tracking
+from ctr_nlp.formulations.terms.lumen import CENTRED, COLUMNS, FIRM, PLACES
+from ctr_nlp.formulations.wall import FINER, SETTLED, Wall
 from ctr_nlp.simulation import forward
 from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.target.target import SIGMA
 
 ROBOT = seed_robot()
-SHAPES = {"dominant": forward.shapes, "elastic": tracking.shapes}
+SHAPES = {"dominant": forward.shapes, "elastic": tracking.elastic_shapes}
 EVERY_MODEL = pytest.mark.parametrize("model", SHAPES)
 BOTH = pytest.mark.parametrize("solve", [solve_horizon, solve_per_frame])
 NO_WALL = Settings(contact_weight=0.0)

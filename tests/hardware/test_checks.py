@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import frames as tracking
 import numpy as np
 import pytest
 from bench import homing_hardware, plan_of, sweep
@@ -16,7 +17,6 @@ from ctr_nlp.hardware.motion.program import program_of
 from ctr_nlp.hardware.playing.checks import SAMPLES, check_plan, checked
 from ctr_nlp.hardware.playing.session import prepared
 from ctr_nlp.models.elastic import equilibria as branches
-from ctr_nlp.simulation import following as tracking
 
 
 def changed(name, frame, value, column=None):
@@ -176,9 +176,9 @@ LONG = Robot((Tube(90, 70, 0.02, 4.0, 3.2), Tube(150, 90, 0.02, 2.6, 1.6)))
 def _interpreted(monkeypatch):
     """A robot of two tests is not worth compiling."""
     monkeypatch.setenv("CTR_NLP_COMPILE", "0")
-    branches._equilibrium.cache_clear()
+    branches._motors.cache_clear()
     yield
-    branches._equilibrium.cache_clear()
+    branches._motors.cache_clear()
 
 
 def elastic_plan(turn, frames=30):
@@ -187,7 +187,9 @@ def elastic_plan(turn, frames=30):
     q[:, 0], q[:, 2:4] = np.linspace(0, turn, frames), (60, 80)
     plan = plan_of(q, 1.0, LONG)
     known = tracking.follow(LONG, q)
-    return replace(plan, shape=tracking.shapes(LONG, known.x), meta=plan.meta | {"model": "elastic"}), known
+    return replace(
+        plan, shape=tracking.elastic_shapes(LONG, known.x), meta=plan.meta | {"model": "elastic"}
+    ), known
 
 
 @pytest.mark.usefixtures("_interpreted")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from frames import follow
 
 from ctr_nlp import (
     Plan,
@@ -23,7 +24,6 @@ from ctr_nlp import (
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import suits
 from ctr_nlp.reference import METHODS, reference_frames
-from ctr_nlp.simulation.following import follow
 from ctr_nlp.studies.comparison import compare, parse_variant
 
 OUTER = Tube(90, 60, 0.008, outer_diameter=2.4, inner_diameter=2.2)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from strategies import numbers, robots, robots_with_q
 
 from ctr_nlp import Limits, Robot, Tube, seed_robot, shape_curve, shapes
-from ctr_nlp.models import dominant
+from ctr_nlp.models.dominant import shape as dominant
 from ctr_nlp.simulation.forward import tangents
 
 SIGMA = np.linspace(0, 1, 41)
@@ -141,7 +141,7 @@ def test_vanishing_curvature_is_the_straight_tube(k):
 def test_gradient_stays_finite_where_tubes_are_straight_or_hidden(k):
     robot = Robot((Tube(50, 50, k, 4, 3), Tube(100, 100, k, 2, 1)))
     q = ca.SX.sym("q", 6)
-    points = dominant.backbone(robot, ca.vertsplit(q), ca.DM(SIGMA), ca).points
+    points = dominant.backbone(robot.tube_numbers, ca.vertsplit(q), ca.DM(SIGMA), ca).points
     jacobian = ca.Function("j", [q], [ca.jacobian(ca.vertcat(*points), q)])
     for beta in ([0, 0], [0, 50], [50, 50]):
         assert np.isfinite(jacobian([0, 0, *beta, 0, 0]).full()).all()
@@ -182,7 +182,7 @@ def test_tilt_turns_the_bending_plane_with_the_base():
 def test_symbols_and_numbers_agree(case):
     robot, q = case
     symbol = ca.SX.sym("q", len(q))
-    shape = dominant.backbone(robot, ca.vertsplit(symbol), ca.DM(SIGMA), ca)
+    shape = dominant.backbone(robot.tube_numbers, ca.vertsplit(symbol), ca.DM(SIGMA), ca)
     function = ca.Function("f", [symbol], [ca.horzcat(*shape.points), ca.horzcat(*shape.tangents)])
     points, directions = (value.full() for value in function(q))
     np.testing.assert_allclose(points, shapes(robot, q[None], SIGMA)[0], atol=1e-10)
@@ -255,7 +255,7 @@ def test_stepped_curvature_is_that_of_the_outermost_tube_present(case):
     corners = [*beta, *(b - tube.curved_length for b, tube in zip(beta, robot.tubes, strict=True))]
     s = np.linspace(0, beta[-1], 97)[1:-1]
     s = s[np.abs(s[:, None] - corners).min(axis=1) > 1e-6]
-    found = dominant.curvature(robot, beta, s, heaviside, np)
+    found = dominant.curvature(robot.tube_numbers, beta, s, heaviside, np)
     np.testing.assert_allclose(found, [profile(robot, beta, x) for x in s], atol=1e-14)
 
 
@@ -269,7 +269,7 @@ def test_stepped_curvature_is_that_of_the_outermost_tube_present(case):
     ],
 )
 def test_hidden_tubes_show_no_curvature(robot, beta, expected):
-    found = dominant.curvature(robot, beta, np.array([25.0, 75, 125]), heaviside, np)
+    found = dominant.curvature(robot.tube_numbers, beta, np.array([25.0, 75, 125]), heaviside, np)
     np.testing.assert_allclose(found, expected, rtol=1e-14)
 
 

@@ -8,6 +8,9 @@ import casadi as ca
 import numpy as np
 import pytest
 import truth
+from frames import configuration
+from frames import elastic_shapes as shapes
+from frames import elastic_tangents as tangents
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -17,7 +20,6 @@ from ctr_nlp import Limits, Robot, Tube
 from ctr_nlp.models.elastic import shape as elastic
 from ctr_nlp.models.elastic import stability, torsion
 from ctr_nlp.simulation import forward as dominant_shapes
-from ctr_nlp.simulation.following import configuration, shapes, tangents
 
 SIGMA = np.linspace(0, 1, 31)
 
@@ -25,8 +27,8 @@ SIGMA = np.linspace(0, 1, 31)
 def motors(robot, x, steps):
     """Alpha (d,) at x (2d + 2,)."""
     x = list(map(float, x))
-    parts = torsion.sections(robot, x[robot.d : 2 * robot.d], np)
-    return np.array(torsion.motors(robot, x, torsion.twist(robot, x, parts, np, steps)))
+    parts = torsion.sections(robot.tube_numbers, x[robot.d : 2 * robot.d], np)
+    return np.array(torsion.motors(robot.tube_numbers, x, torsion.twist(robot.tube_numbers, x, parts, np, steps)))
 
 
 def tips(robot, x):
@@ -57,7 +59,7 @@ def test_errors_fall_with_the_fourth_power_of_the_steps():
     x, finest = shot.x, motors(shot.robot, shot.x, 24)
     of_motors = [abs(motors(shot.robot, x, steps) - finest).max() for steps in (2, 4, 8)]
     tip = shot.at(shot.q[3])[-3:]
-    found = [elastic.backbone(shot.robot, list(x), 1.0, np, steps).tangents for steps in (1, 2, 4)]
+    found = [elastic.backbone(shot.robot.tube_numbers, list(x), 1.0, np, steps).tangents for steps in (1, 2, 4)]
     of_tangents = np.abs(np.array(found) - tip).max(axis=1)
     for errors in (np.array(of_motors), of_tangents):
         orders = np.log2(errors[:-1] / errors[1:])
@@ -69,9 +71,9 @@ def test_symbols_and_numbers_agree(case):
     robot, x = case
     symbol = ca.SX.sym("x", len(x))
     entries, d = ca.vertsplit(symbol), robot.d
-    shape = elastic.backbone(robot, entries, ca.DM(SIGMA), ca)
-    parts = torsion.sections(robot, entries[d : 2 * d], ca)
-    alpha = torsion.motors(robot, entries, torsion.twist(robot, entries, parts, ca))
+    shape = elastic.backbone(robot.tube_numbers, entries, ca.DM(SIGMA), ca)
+    parts = torsion.sections(robot.tube_numbers, entries[d : 2 * d], ca)
+    alpha = torsion.motors(robot.tube_numbers, entries, torsion.twist(robot.tube_numbers, entries, parts, ca))
     values = ca.horzcat(*shape.points), ca.horzcat(*shape.tangents), ca.vertcat(*alpha)
     points, directions, angles = (value.full() for value in ca.Function("f", [symbol], values)(x))
     np.testing.assert_allclose(points, shapes(robot, x[None], SIGMA)[0], atol=1e-8)
@@ -86,12 +88,12 @@ def test_derivatives_stay_finite_where_tubes_end_together_or_are_hidden(beta, tr
     robot = Robot(tubes, Limits(beta=[(0, tube.length) for tube in tubes]) if transmissions else Limits())
     symbol = ca.SX.sym("x", 8)
     entries = ca.vertsplit(symbol)
-    parts = torsion.sections(robot, entries[3:6], ca)
-    twisted = torsion.twist(robot, entries, parts, ca)
-    shape = elastic.backbone(robot, entries, ca.DM(SIGMA), ca)
-    responses = stability.responses(robot, entries, parts, twisted, 0.1, ca)
+    parts = torsion.sections(robot.tube_numbers, entries[3:6], ca)
+    twisted = torsion.twist(robot.tube_numbers, entries, parts, ca)
+    shape = elastic.backbone(robot.tube_numbers, entries, ca.DM(SIGMA), ca)
+    responses = stability.responses(robot.tube_numbers, entries, parts, twisted, 0.1, ca)
     minors = [stability.determinant(response) for response in responses]
-    alpha = torsion.motors(robot, entries, twisted)
+    alpha = torsion.motors(robot.tube_numbers, entries, twisted)
     values = ca.vertcat(*shape.points, *shape.tangents, *alpha, *minors)
     jacobian = ca.Function("j", [symbol], [values, ca.jacobian(values, symbol)])
     for value in jacobian([2.0, -1.0, 0.3, *beta, 0.1, 0.2]):
@@ -155,7 +157,7 @@ def test_tubes_that_cannot_twist_have_their_motors_angles_all_along(case):
     robot, x = case
     stiff = Robot(tuple(replace(tube, poisson_ratio=-1 + 1e-9) for tube in robot.tubes), robot.limits)
     np.testing.assert_allclose(configuration(stiff, x[None])[0], tips(robot, x), atol=1e-4)
-    assert stability.margins(stiff, x[None])[0] > 1 - 1e-4
+    assert stability.margins(stiff.tube_numbers, x[None])[0] > 1 - 1e-4
 
 
 @given(robots(), st.data())

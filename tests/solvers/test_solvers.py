@@ -25,7 +25,8 @@ from ctr_nlp.nlp.nlp import Constraint, Cost, Nlp, Residual, kkt_residual
 from ctr_nlp.solvers import FEASIBLE, SOLVERS, Solution
 from ctr_nlp.solvers.frame import sqp
 from ctr_nlp.solvers.frame.adapter import OPTIMAL
-from ctr_nlp.solvers.frame.sqp import STATUS, TOLERANCE, Program, Sqp
+from ctr_nlp.solvers.frame.program import TOLERANCE, Program
+from ctr_nlp.solvers.frame.sqp import STATUS, Sqp
 from ctr_nlp.steer.nlp_frames import NlpFrames
 
 INF = np.inf
@@ -181,7 +182,7 @@ def test_both_solvers_agree_on_a_frame(arc_problem):
 
 def test_an_unknown_solver_is_refused_with_the_names_of_the_known(arc_problem):
     with pytest.raises(OptionError, match=r"'snopt'.*ipopt, sqp"):
-        NlpFrames(arc_problem, solver="snopt")
+        NlpFrames.of(arc_problem, solver="snopt")
 
 
 # Sequential quadratic programming

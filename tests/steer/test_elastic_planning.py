@@ -8,9 +8,12 @@ import json
 from dataclasses import replace
 
 import casadi as ca
+import frames as tracking
 import numpy as np
 import pytest
 import truth
+from ctr_nlp.models.symbolic import STEPS
+from frames import alone
 from rows import central
 
 from ctr_nlp import (
@@ -30,15 +33,12 @@ from ctr_nlp.cli.commands.solve_horizon import main as solve_horizon_program
 from ctr_nlp.cli.commands.solve_per_frame import main as solve_per_frame_program
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations import FORMULATIONS
-from ctr_nlp.formulations.joint import alone
+from ctr_nlp.formulations.terms.feasible import CLEAR
 from ctr_nlp.models.elastic import equilibria as branches
 from ctr_nlp.models.elastic import stability, torsion
-from ctr_nlp.models.symbolic import STEPS
-from ctr_nlp.nlp.terms import CLEAR
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.reference import METHODS
 from ctr_nlp.reference.published import SEED_ELASTIC
-from ctr_nlp.simulation import following as tracking
 from ctr_nlp.solvers import compiled
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.studies.comparison import parse_variant, variants_here
@@ -206,8 +206,12 @@ def test_alpha_is_that_of_the_configuration(kind):
     x = drawn(robot, 2, 100)
     alpha, d = constraints(kind, x)["alpha"], robot.d
     columns = [column[:, None] for column in x.T]
-    twisted = torsion.twist(robot, columns, torsion.sections(robot, columns[d : 2 * d], np), np, STEPS)
-    np.testing.assert_allclose(alpha, np.hstack(torsion.motors(robot, columns, twisted)), rtol=1e-12, atol=1e-12)
+    twisted = torsion.twist(
+        robot.tube_numbers, columns, torsion.sections(robot.tube_numbers, columns[d : 2 * d], np), np, STEPS
+    )
+    np.testing.assert_allclose(
+        alpha, np.hstack(torsion.motors(robot.tube_numbers, columns, twisted)), rtol=1e-12, atol=1e-12
+    )
     np.testing.assert_allclose(alpha, tracking.configuration(robot, x)[:, :d], atol=0.02)
 
 
@@ -219,7 +223,7 @@ def test_determinants_are_allowed_where_the_margin_is_held(kind, margin):
     """
     robot = COUPLED[kind]
     x = drawn(robot, 3, 250)
-    margins, determinants = stability.margins(robot, x), constraints(kind, x, margin)["stability"]
+    margins, determinants = stability.margins(robot.tube_numbers, x), constraints(kind, x, margin)["stability"]
     held, missed = margins > margin + 0.03, margins < margin - 0.03
     assert min(held.sum(), missed.sum()) > 10
     assert (determinants[held] > 0).all()
@@ -257,7 +261,7 @@ def test_a_motion_is_solved_within_limits_and_stable_at_every_frame(name):
 def test_shapes_are_those_of_the_robot_moved_through_q(name):
     plan = by_frame(name)
     moved = tracking.follow(plan.robot, plan.q)
-    np.testing.assert_allclose(plan.shape, tracking.shapes(plan.robot, moved.x), atol=1e-9)
+    np.testing.assert_allclose(plan.shape, tracking.elastic_shapes(plan.robot, moved.x), atol=1e-9)
     np.testing.assert_allclose(plan.stability, moved.stability, atol=1e-9)
     np.testing.assert_allclose(plan.stability_between, moved.stability_between, atol=1e-9)
 
@@ -275,7 +279,7 @@ def test_a_line_is_followed_up_to_the_margin_and_the_plan_says_where():
 def test_both_solvers_agree_from_the_same_frame_before():
     """IPOPT keeps mu_min from limits, 1e-9 mm^2 each, which is more than a part in a million of these errors."""
     problem = named("arc", 14)
-    sqp, ipopt = (NlpFrames(problem, "joint", solver, "elastic") for solver in ("sqp", "ipopt"))
+    sqp, ipopt = (NlpFrames.of(problem, "joint", solver, "elastic") for solver in ("sqp", "ipopt"))
     before = sqp.search(0)[0]
     for j in range(1, 4):
         found, other = (solver.step(j, replace(before, warm=None)) for solver in (sqp, ipopt))
@@ -347,9 +351,9 @@ def test_given_ends_are_kept_at_rest_and_accelerations_are_limited():
 @pytest.fixture
 def interpreted(monkeypatch):
     monkeypatch.setenv("CTR_NLP_COMPILE", "0")
-    branches._equilibrium.cache_clear()
+    branches._motors.cache_clear()
     yield
-    branches._equilibrium.cache_clear()
+    branches._motors.cache_clear()
 
 
 def along_an_arc(tubes, frames=3):
@@ -400,7 +404,7 @@ def test_stiff_tubes_are_planned_as_on_the_dominant_model(interpreted):
 @pytest.mark.parametrize("name", ["two-stage", "two-stage-exact"])
 def test_formulations_that_need_curvatures_without_alpha_refuse_the_model(name):
     with pytest.raises(OptionError, match="model is 'elastic'; two-stage formulations need 'dominant'"):
-        NlpFrames(named("arc", 2), name, model="elastic")
+        NlpFrames.of(named("arc", 2), name, model="elastic")
 
 
 def test_reference_methods_plan_on_the_dominant_model():
@@ -448,7 +452,7 @@ def test_a_plan_of_the_dominant_model_is_evaluated_on_the_elastic_one(tmp_path, 
         assert found[key] == pytest.approx(min(float(row[column]) for row in rows))
     plan = Plan.load(out / "plan.npz")
     moved = tracking.follow(plan.robot, plan.q)
-    np.testing.assert_allclose(plan.shape, tracking.shapes(plan.robot, moved.x), atol=1e-9)
+    np.testing.assert_allclose(plan.shape, tracking.elastic_shapes(plan.robot, moved.x), atol=1e-9)
     assert len(found["snaps"]) == len(moved.snaps)
     assert "on the elastic model" in capsys.readouterr().out
 

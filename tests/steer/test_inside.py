@@ -7,7 +7,7 @@ import pytest
 from lumens import straight
 
 from ctr_nlp import Problem, Settings, growing, seed_robot, solve_horizon, solve_per_frame, summary
-from ctr_nlp.formulations.contact import Wall
+from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.plan.account import remarks
 from ctr_nlp.steer import horizon
 from ctr_nlp.steer.inside import BISECTIONS, LIGHTEST, Outcome, affordable

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 
+import frames as tracking
 import numpy as np
 import pytest
 
@@ -11,7 +12,6 @@ from ctr_nlp import Problem, Robot, Settings, Tube, curve_from_formula, growing,
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.models.elastic import equilibria as branches
 from ctr_nlp.plan.plan import plan_from_configurations
-from ctr_nlp.simulation import following as tracking
 from ctr_nlp.solvers import CHAIN_SOLVERS
 from ctr_nlp.steer.attempts import attempt
 from ctr_nlp.steer.realised import SHORT, realised
@@ -28,9 +28,9 @@ def _interpreted():
     """One small robot is not worth compiling."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CTR_NLP_COMPILE", "0")
-        branches._equilibrium.cache_clear()
+        branches._motors.cache_clear()
         yield
-    branches._equilibrium.cache_clear()
+    branches._motors.cache_clear()
 
 
 def straight(frames=FRAMES):
@@ -98,8 +98,8 @@ def test_what_is_missing_between_frames_is_asked_of_those_beside():
 
 def test_moved_through_q_alone_the_robot_is_where_it_was_meant_to_be():
     *_, best = found()
-    meant = tracking.shapes(ROBOT, best.solution.x.reshape(FRAMES, -1))
-    np.testing.assert_allclose(tracking.shapes(ROBOT, moved(best).x), meant, atol=0.02)
+    meant = tracking.elastic_shapes(ROBOT, best.solution.x.reshape(FRAMES, -1))
+    np.testing.assert_allclose(tracking.elastic_shapes(ROBOT, moved(best).x), meant, atol=0.02)
     assert moved(best).snaps == ()
 
 
@@ -150,7 +150,7 @@ def test_a_plan_of_the_dominant_model_on_the_elastic_one():
     plan = solve_horizon(straight(), initial=[opposed()], motion_weight=WEIGHT)
     other, there = plan.on("elastic"), tracking.follow(ROBOT, plan.q)
     np.testing.assert_array_equal(other.q, plan.q)
-    np.testing.assert_allclose(other.shape, tracking.shapes(ROBOT, there.x), atol=1e-9)
+    np.testing.assert_allclose(other.shape, tracking.elastic_shapes(ROBOT, there.x), atol=1e-9)
     np.testing.assert_array_equal(other.stability_between, there.stability_between)
     assert np.abs(other.shape - plan.shape).max() > 0.1
     assert (other.meta["model"], other.meta["evaluated"]) == ("dominant", "elastic")

@@ -16,8 +16,6 @@ from ctr_nlp.typing import Array
 
 TOLERANCE = 1e-6
 """Largest KKT residual at a solution, mm^2 per unit of x."""
-POLL = 0.5
-"""s between two looks at whether the functions have been compiled meanwhile."""
 NAMES = FrameFunctions._fields[:3]
 
 _Numbers = ctypes.POINTER(ctypes.c_double)
@@ -98,7 +96,7 @@ class Program:
 
     def run(self) -> Outcome:
         """Solve; what was found beside x and multipliers is overwritten by the next run."""
-        if not self.compiled and time.monotonic() - self._looked > POLL:
+        if not self.compiled and time.monotonic() - self._looked > compiled.POLL:
             self.compiled = self._load(compiled.library_soon(self.nlp, 1))
             self._looked = time.monotonic()
         self._run(self._reference)

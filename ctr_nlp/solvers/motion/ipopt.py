@@ -95,7 +95,7 @@ def _problem(chain: Chain) -> dict[str, ca.MX]:
 
 def _mapped(chain: Chain, function: ca.Function, *columns: ca.MX) -> list[ca.MX]:
     """A function of the frame over all frames; what has a column a frame is filled up to whole calls."""
-    lanes = chain.functions.lanes
+    lanes = chain.functions().lanes
     calls = -(-chain.frames // lanes)
     more = calls * lanes - chain.frames
     filled = (ca.horzcat(each, ca.repmat(each[:, -1], 1, more)) for each in columns)
@@ -108,7 +108,7 @@ def _columns(chain: Chain, x: ca.MX) -> ca.MX:
 
 
 def _values(chain: Chain, x: ca.MX) -> tuple[ca.MX, ca.MX]:
-    f, g = _mapped(chain, chain.functions.value, _columns(chain, x), ca.MX(chain.parameters))
+    f, g = _mapped(chain, chain.functions().value, _columns(chain, x), ca.MX(chain.parameters))
     own = ca.vertcat(x, ca.vec(g))
     linked = _dm(chain.linking) @ own + ca.DM(chain.offset)
     return ca.sum2(f) + ca.dot(ca.DM(chain.weight), linked**2), ca.vertcat(ca.vec(g), linked)
@@ -122,14 +122,14 @@ def _derivatives(chain: Chain) -> dict[str, ca.Function]:
     weight, end = 2 * ca.DM(chain.weight), frames * m
     f, g = _values(chain, x)
     at = _columns(chain, x), ca.MX(chain.parameters)
-    _, gradient, _, jacobian = _mapped(chain, chain.functions.slopes, *at)
+    _, gradient, _, jacobian = _mapped(chain, chain.functions().slopes, *at)
     jacobian = _diagonal(jacobian, m, n, frames)
     on_x, on_g = ca.horzsplit(_dm(chain.linking), [0, chain.lower.size, chain.linking.shape[1]])
     links = on_x + on_g @ jacobian if chain.bent else on_x
     gradient = ca.vec(gradient) + links.T @ (weight * g[end:])
     pulled = lam_g[:end] + on_g.T @ (lam_g[end:] + lam_f * weight * g[end:])
     lam = ca.repmat(lam_f, 1, frames), ca.reshape(pulled, m, frames)
-    *_, hessian = _mapped(chain, chain.functions.expansion, *at, *lam)
+    *_, hessian = _mapped(chain, chain.functions().expansion, *at, *lam)
     hessian = ca.triu(_diagonal(hessian, n, n, frames) + lam_f * (links.T @ ca.diag(weight) @ links))
     jacobian = ca.vertcat(jacobian, links)
     return {

@@ -34,14 +34,22 @@ def chain_of(problem: Problem) -> tuple[Chain, Array]:
     """A compiled horizon with its default weight, and the best motion to start from."""
     motions = per_frame_motions(problem, Ends(), Settings(), None, MODELS["dominant"])
     weight = Horizon(problem, settings=Settings(contact_weight=0.0)).balanced_weight(motions[0])
-    at = problem.robot, problem.samples, problem.dt, weight, Ends(), MODELS["dominant"], compiled
+    at = (
+        problem.robot,
+        problem.samples,
+        problem.dt,
+        weight,
+        Ends(),
+        MODELS["dominant"],
+        lambda nlp: lambda: compiled(nlp),
+    )
     return horizon(*at), motions[0].ravel()
 
 
 def horizons(problem: Problem) -> Iterator[Record]:
     """Times of both solvers, interpreted and compiled, from the same start, alternating; and their ratios."""
     chain, start = chain_of(problem)
-    plain = replace(chain, functions=chain.frame.functions)
+    plain = replace(chain, functions=lambda: chain.frame.functions)
     solvers: dict[str, ChainSolver] = {
         "banded, compiled": BandedSolver(chain),
         "ipopt, compiled": IpoptSolver(chain, follow=False),

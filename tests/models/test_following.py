@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import truth
+from frames import configuration, follow, settled, untwisted
+from frames import elastic_shapes as shapes
+from frames import elastic_tangents as tangents
 from hypothesis import given
 from strategies import numbers, robots_with_q
 
 from ctr_nlp import Robot, Tube, seed_robot
 from ctr_nlp.models.elastic import equilibria as branches
 from ctr_nlp.models.elastic import stability
-from ctr_nlp.simulation.following import configuration, follow, settled, shapes, tangents, untwisted
 
 LONG = Robot((Tube(90, 70, 0.02, 4.0, 3.2), Tube(150, 90, 0.02, 2.6, 1.6)))
 BETA = 60.0, 80.0
@@ -22,12 +24,12 @@ def _interpreted(monkeypatch, request):
     """Robots of one test each are not worth compiling."""
     if "compiled" not in request.fixturenames:
         monkeypatch.setenv("CTR_NLP_COMPILE", "0")
-        branches._equilibrium.cache_clear()
+        branches._motors.cache_clear()
 
 
 @pytest.fixture
 def compiled():
-    branches._equilibrium.cache_clear()
+    branches._motors.cache_clear()
 
 
 def branch(count=20001):
@@ -50,14 +52,14 @@ def test_settled_is_where_the_motors_are(shared_data, number):
     case = truth.case(shared_data, number)
     x = settled(case.robot, case.q)
     np.testing.assert_allclose(configuration(case.robot, x[None])[0], case.q, atol=1e-10)
-    assert stability.margins(case.robot, x[None])[0] > 0
+    assert stability.margins(case.robot.tube_numbers, x[None])[0] > 0
 
 
 def test_the_margin_is_zero_where_the_branch_turns_back():
     x, alpha = branch()
     fold = np.argmax(alpha[: len(alpha) // 2])
     assert alpha[fold] > np.pi + 0.5
-    margins = stability.margins(LONG, x[[fold - 50, fold, fold + 50]])
+    margins = stability.margins(LONG.tube_numbers, x[[fold - 50, fold, fold + 50]])
     assert margins[0] > 1e-3
     assert abs(margins[1]) < 2e-3
     assert margins[2] < -1e-3
@@ -121,7 +123,7 @@ def test_opposed_tubes_that_are_pushed_out_leave_their_plane_before_they_are_uns
     assert found.snaps == ()
     assert found.stability.min() > 0
     assert abs(found.x[-1, 0] - np.pi) > 0.5
-    assert stability.margins(LONG, untwisted(LONG, q[-1:]))[0] < 0
+    assert stability.margins(LONG.tube_numbers, untwisted(LONG, q[-1:]))[0] < 0
 
 
 def test_a_motion_goes_on_after_frames_that_are_not_known():
@@ -167,7 +169,7 @@ def test_compiled_code_finds_the_same(compiled, monkeypatch):
     q = turning(0.0, 6.0, 31)
     fast = follow(LONG, q)
     monkeypatch.setenv("CTR_NLP_COMPILE", "0")
-    branches._equilibrium.cache_clear()
+    branches._motors.cache_clear()
     slow = follow(LONG, q)
     np.testing.assert_allclose(fast.x, slow.x, atol=1e-9)
     assert [snap.frame for snap in fast.snaps] == [snap.frame for snap in slow.snaps]

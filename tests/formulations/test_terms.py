@@ -11,7 +11,8 @@ import pytest
 
 from ctr_nlp import Limits, Robot, Settings, Tube, seed_robot, shapes
 from ctr_nlp.formulations import FORMULATIONS
-from ctr_nlp.nlp import terms
+from ctr_nlp.formulations import curvature as terms
+from ctr_nlp.formulations.terms import feasible, motion
 from ctr_nlp.target.target import SIGMA, Frame
 
 TAPERED = Robot(
@@ -130,14 +131,18 @@ def brute_force(robot, beta, kappa):
 
 def exact_cost(robot, kappa, turning, length):
     beta = ca.SX.sym("beta", robot.d)
-    cost = terms.curvature_exact(robot, ca.vertsplit(beta), ca.SX(kappa), ca.SX(turning), ca.SX(length))
-    return ca.Function("exact", [beta], [cost.value / terms.lever(robot) ** 2])
+    cost = terms.curvature_exact(
+        robot.tube_numbers, ca.vertsplit(beta), robot.reach, ca.SX(kappa), ca.SX(turning), ca.SX(length)
+    )
+    return ca.Function("exact", [beta], [cost.value / terms.lever(robot.reach) ** 2])
 
 
 def smooth_cost(robot, turning, length, width):
     beta = ca.SX.sym("beta", robot.d)
-    cost = terms.curvature(robot, ca.vertsplit(beta), ca.SX(turning), ca.SX(length), ca.SX(width))
-    return ca.Function("smooth", [beta], [cost.value / terms.lever(robot) ** 2])
+    cost = terms.curvature(
+        robot.tube_numbers, ca.vertsplit(beta), robot.reach, ca.SX(turning), ca.SX(length), ca.SX(width)
+    )
+    return ca.Function("smooth", [beta], [cost.value / terms.lever(robot.reach) ** 2])
 
 
 @pytest.mark.parametrize("kind", ROBOTS)
@@ -187,7 +192,7 @@ def test_lever_turns_a_kept_curvature_error_into_its_shape_error(robot):
     """A small curvature error kept along the reach, as a root mean square distance over sigma."""
     k, sigma = 1e-6, np.linspace(0, 1, 10_001)
     aside = k * (sigma * 150) ** 2 / 2
-    assert terms.lever(robot) * k == pytest.approx(np.sqrt(np.trapezoid(aside**2, sigma)), rel=1e-6)
+    assert terms.lever(robot.reach) * k == pytest.approx(np.sqrt(np.trapezoid(aside**2, sigma)), rel=1e-6)
 
 
 def test_smooth_step_is_odd_about_a_half_and_rises_within_its_width():
@@ -200,7 +205,7 @@ def test_smooth_step_is_odd_about_a_half_and_rises_within_its_width():
 
 def test_motion_is_lambda_times_the_squared_weighted_step_over_dt_squared(robot):
     x, weight, dt = ca.SX.sym("x", 8), 1e-5, 0.1
-    term = terms.motion(x, ca.SX(8, 1), robot.mm_per_unit, ca.SX(math.sqrt(weight) / dt))
+    term = motion.change(x, ca.SX(8, 1), robot.mm_per_unit, ca.SX(math.sqrt(weight) / dt))
     q = np.array([0.1, 0, 0, 2, 0, 0, 0, 0.3])
     value = float(ca.Function("f", [x], [ca.sumsqr(term.value)])(q))
     assert value == pytest.approx(weight / dt**2 * (1 + 4 + 9))
@@ -253,7 +258,7 @@ def test_joint_samples_stand_for_the_whole_shape(robot):
 def test_order_bounds_growth_by_the_room_between_carriages():
     """Carriage i stands at beta_i - L_i; the seed's lengths differ by 112 and 188 mm."""
     beta = ca.SX.sym("beta", 3)
-    (constraint,) = terms.order(SEED_PUSHED_OUT, ca.vertsplit(beta))
+    (constraint,) = feasible.order(SEED_PUSHED_OUT, ca.vertsplit(beta))
     growth = ca.Function("f", [beta], [constraint.value])([10, 30, 70]).full().ravel()
     np.testing.assert_allclose(growth, [20, 40])
     np.testing.assert_allclose(constraint.lower, 0)
@@ -263,5 +268,5 @@ def test_order_bounds_growth_by_the_room_between_carriages():
 def test_a_carriage_gap_given_as_text_is_the_same_constraint():
     """Robot files may write any limit as text, as infinite ones are; tube 2 is 112 mm longer than tube 1."""
     robot = Robot(seed_robot().tubes, Limits(carriage_gap="5"))
-    (constraint,) = terms.order(robot, ca.vertsplit(ca.SX.sym("beta", 3)))
+    (constraint,) = feasible.order(robot, ca.vertsplit(ca.SX.sym("beta", 3)))
     assert constraint.upper.tolist() == [112 - 5, 188 - 5]
