@@ -29,6 +29,7 @@ def pytest_configure(config: pytest.Config) -> None:
     config.add_cleanup(folder.cleanup)
     os.environ["CTR_NLP_CACHE"] = str(Path(folder.name, "cache"))
     os.environ["CTR_NLP_STATE"] = str(Path(folder.name, "state"))
+    os.environ.setdefault("CTR_NLP_COMPILE", "now")
     for name in THREADS:
         os.environ.setdefault(name, "1")
 

@@ -1,6 +1,9 @@
 """A frame's program and its parameters, as tests want them; and robots followed on the elastic model."""
 
+from ctr_nlp.formulations import horizon as formulations
 from ctr_nlp.formulations.frame import filled, program
+from ctr_nlp.formulations.horizon import interpreted
+from ctr_nlp.formulations.joint import joint as formulated
 from ctr_nlp.formulations.joint import terms_of
 from ctr_nlp.formulations.terms import ShapeDistance
 from ctr_nlp.models import MODELS
@@ -54,3 +57,13 @@ def elastic_shapes(robot, x, sigma=SIGMA):
 def elastic_tangents(robot, x, sigma=SIGMA):
     """Tangents (T, n, 3) at equilibria."""
     return MODELS["elastic"].tangents(robot, x, sigma)
+
+
+def horizon(robot, frames, dt, weight, ends, functions=interpreted, model="dominant", **others):
+    """The chain of a motion; functions: gives how a frame is evaluated."""
+    return formulations.horizon(robot, frames, dt, weight, ends, MODELS[model], functions, **others)
+
+
+def joint(robot, settings, model="dominant", **others):
+    """The one stage of the joint formulation, in a tuple."""
+    return formulated(robot, settings, MODELS[model], **others)

@@ -87,4 +87,4 @@ def bent(ends: bool = True, as_unknown: bool = False, frames: int = 6) -> Chain:
         lower[-1] = upper[-1] = np.append(END, configuration(END)[0]) if as_unknown else END
     to = np.stack([(4 + 8 * u) * np.sin(1.6 * u), (4 + 8 * u) * np.cos(1.6 * u), 0.4 * np.sin(5 * u)])
     axes = "alpha", "beta", "theta"
-    return Chain(nlp, axes, np.array([2.0, 1.0, 5.0]), to, lower, upper, tuple(links), nlp.functions)
+    return Chain(nlp, axes, np.array([2.0, 1.0, 5.0]), to, lower, upper, tuple(links), lambda: nlp.functions)

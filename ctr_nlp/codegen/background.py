@@ -24,6 +24,8 @@ NOTE = (
     "the programs of this kind of robot are being compiled in the background, once for all robots of its kind; "
     "until that is done they are interpreted, several times slower. `ctr-nlp warm` compiles beforehand"
 )
+_begun: list[subprocess.Popen[bytes]] = []
+"""Processes of this one that have not been seen to end."""
 CLAIMED = 900.0
 """s after which a build that has not ended is given up."""
 
@@ -31,8 +33,12 @@ CLAIMED = 900.0
 def library(key: str, functions: Callable[[], Sequence[ca.Function]], lanes: int) -> Path | None:
     """The library of functions, by key; None while it is being made, which this call begins.
 
-    Raises OptionError where nothing can be compiled.
+    Where the environment variable CTR_NLP_COMPILE is `now`, it is made at once. Raises OptionError where nothing
+    can be compiled.
     """
+    if os.environ.get(cache.SWITCH) == "now":
+        return cache.library(key, lambda: vector.vector_code(tuple(functions()), lanes))
+    _begun[:] = [process for process in _begun if process.poll() is None]
     found = cache.kept(key)
     if found is None and _claimed(key):
         cache.say(NOTE)
@@ -60,7 +66,7 @@ def _begin(key: str, functions: Sequence[ca.Function], lanes: int) -> None:
         (work / f"{number}.casadi").write_text(function.serialize(), encoding="ascii")
     path = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])])
     with contextlib.suppress(OSError):
-        subprocess.Popen(
+        process = subprocess.Popen(
             [sys.executable, "-m", "ctr_nlp.codegen.background", str(work)],
             env=os.environ | {"PYTHONPATH": path, "PYTHONWARNINGS": "ignore"},
             stdin=subprocess.DEVNULL,
@@ -68,6 +74,7 @@ def _begin(key: str, functions: Sequence[ca.Function], lanes: int) -> None:
             stderr=subprocess.DEVNULL,
             start_new_session=True,
         )
+        _begun.append(process)
 
 
 def main(work: Path) -> None:

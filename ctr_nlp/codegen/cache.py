@@ -22,7 +22,7 @@ from typing import NamedTuple
 from ctr_nlp.exceptions import OptionError
 
 SWITCH, FOLDER = "CTR_NLP_COMPILE", "CTR_NLP_CACHE"
-"""Environment variables: 0 switches compiling off; a folder to keep libraries in."""
+"""Environment variables: 0 switches compiling off, and `now` lets programs wait for it; a folder for libraries."""
 FLAGS = ("-O2", "-fPIC", "-shared", "-fno-math-errno", "-Wno-psabi")
 """Higher levels take longer to compile and gain a tenth at most."""
 LIBRARIES = (

@@ -79,11 +79,10 @@ def horizon(
         np.column_stack(columns),
         lower,
         upper,
-        least,
-        most,
         _links(robot, len(frames), dt, motion_weight, before, after, tips),
         functions(frame),
         None if wall is None else wall.surroundings,
+        (least, most),
     )
 
 

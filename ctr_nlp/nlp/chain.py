@@ -61,10 +61,10 @@ class Chain:
 
     frame: the Nlp of every frame, with n unknowns x and m constraint values g, from which it picks a configuration
     q of k entries. axes: names of these; scale (k,): what a unit of each counts as, mm.
-    parameters (p, T): packed, a column a frame. lower, upper (T, n): equal where an unknown is fixed. least, most
-    (T, m): bounds of the frames' constraints.
+    parameters (p, T): packed, a column a frame. lower, upper (T, n): equal where an unknown is fixed.
     functions: gives the frame's, as symbols or, once they are, compiled. surroundings: where some parameters hold
-    near a motion only, these (T, ..), by name, of the robot's unknowns (T, n - slacks), and the slacks (T,) that they need there.
+    near a motion only, these (T, ..), by name, of the robot's unknowns (T, n - slacks), and the slacks (T,) that
+    they need there. held: lower and upper bounds (T, m) of the frames' constraints; None for the frame's own.
 
     x is (T n,), frame by frame. Rows are, in this order: x itself; the frames' constraints, frame by frame;
     the links, one after the other.
@@ -76,11 +76,10 @@ class Chain:
     parameters: Array
     lower: Array
     upper: Array
-    least: Array
-    most: Array
     links: tuple[Link, ...]
     functions: Callable[[], FrameFunctions]
     surroundings: Callable[[Array], tuple[Mapping[str, Array], Array]] | None = None
+    held: tuple[Array, Array] | None = None
 
     @property
     def frames(self) -> int:
@@ -193,9 +192,10 @@ class Chain:
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds of all rows."""
+        low, high = self.held or (np.tile(bound, (self.frames, 1)) for bound in self.frame.g_bounds)
         return (
-            np.concatenate([self.lower.ravel(), self.least.ravel(), self._linked(lambda link: link.lower)]),
-            np.concatenate([self.upper.ravel(), self.most.ravel(), self._linked(lambda link: link.upper)]),
+            np.concatenate([self.lower.ravel(), low.ravel(), self._linked(lambda link: link.lower)]),
+            np.concatenate([self.upper.ravel(), high.ravel(), self._linked(lambda link: link.upper)]),
         )
 
     @cached_property

@@ -84,9 +84,10 @@ class FrameFunctions(NamedTuple):
 class Nlp:
     """Minimise sum |residual|^2 + sum cost over x, subject to constraints and bounds.
 
-    x (n, 1); lower, upper (n,): bounds of those x that are not the configuration, whose bounds come with every
-    solve; parameters by name. picks: which of x's entries and then g's are the configuration; None where x itself
-    is, but for slacks. slacks: how many of x's last entries only tell by how much soft constraints are missed.
+    x (n, 1), within lower and upper (n,); of the configuration, other bounds may come with a solve, as a robot's
+    limits do; parameters by name. picks: which of x's entries and then g's are the configuration; None where x
+    itself is, but for slacks. slacks: how many of x's last entries only tell by how much soft constraints are
+    missed.
     """
 
     name: str
@@ -147,11 +148,12 @@ class Nlp:
         """The configuration, as it is written."""
         return ca.vertcat(self.x, self._written[2])[self.configuration.tolist()]
 
-    def row_bounds(self, lower: Array, upper: Array) -> tuple[Array, Array]:
-        """Lower and upper bounds of x and then g, (n + m,), where those of the configuration are given."""
+    def row_bounds(self, lower: Array | None = None, upper: Array | None = None) -> tuple[Array, Array]:
+        """Lower and upper bounds of x and then g, (n + m,); those of the configuration as given."""
         rows = [np.concatenate(pair) for pair in zip((self.lower, self.upper), self.g_bounds, strict=True)]
         for row, given in zip(rows, (lower, upper), strict=True):
-            row[self.configuration] = given
+            if given is not None:
+                row[self.configuration] = given
         return rows[0], rows[1]
 
     @cached_property
@@ -246,10 +248,12 @@ class Nlp:
         return ca.Function("kkt", [self.x, self.p, lam_x, lam_g], [gradient, self.g], {"cse": True})
 
 
-def kkt_residual(nlp: Nlp, x: Array, p: Array, lower: Array, upper: Array, lam_x: Array, lam_g: Array) -> float:
+def kkt_residual(
+    nlp: Nlp, x: Array, p: Array, lower: Array | None, upper: Array | None, lam_x: Array, lam_g: Array
+) -> float:
     """How far x is from a KKT point, computed from the problem alone and not from what a solver says.
 
-    lower, upper: of the configuration.
+    lower, upper: of the configuration, where they are not the program's own.
     The largest of: stationarity (mm^2 per unit of x), infeasibility (units of x and g) and complementarity
     (mm^2). CasADi's sign: positive multipliers belong to upper bounds.
     """

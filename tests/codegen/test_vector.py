@@ -6,12 +6,12 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from frames import alone
+from frames import alone, horizon
 
 from ctr_nlp import Limits, Robot, curve_from_formula, growing, seed_robot
 from ctr_nlp.codegen import cache, vector
 from ctr_nlp.codegen.vector import LANES, vector_code
-from ctr_nlp.formulations.horizon import Ends, horizon
+from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.nlp.nlp import Nlp, Residual
 from ctr_nlp.solvers import CHAIN_SOLVERS, Watch, compiled
 
@@ -349,12 +349,18 @@ def inside(seed):
     return np.concatenate([rng.uniform(-2, 2, d), beta, rng.uniform(-1, 1, 2)])
 
 
+def at_once(nlp):
+    """A program's functions, compiled before anything is solved."""
+    functions = compiled.compiled(nlp)
+    return lambda: functions
+
+
 def chains(frames):
     """A horizon along an arc, interpreted and compiled."""
     path = curve_from_formula(lambda u: (100 * ca.cos(u) - 100, 0, 100 * ca.sin(u)), 0.0, 0.95)
     samples = growing(path, 20).sample()[:frames]
     ends = Ends(inside(901))
-    return [horizon(robot(), samples, 0.1, 3e-3, ends, *how) for how in ((), (compiled.compiled,))]
+    return [horizon(robot(), samples, 0.1, 3e-3, ends, *how) for how in ((), (at_once,))]
 
 
 def assert_close(found, expected):

@@ -28,8 +28,10 @@ from ctr_nlp import (
     summary,
 )
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.terms.lumen import CENTRED, COLUMNS, FIRM, PLACES
+from ctr_nlp.formulations.terms import ShapeDistance
+from ctr_nlp.formulations.terms.lumen import CENTRED, COLUMNS, FIRM, PLACES, far_away
 from ctr_nlp.formulations.wall import FINER, SETTLED, Wall
+from ctr_nlp.models import MODELS
 from ctr_nlp.simulation import forward
 from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.target.target import SIGMA
@@ -80,19 +82,23 @@ class Described:
     def __init__(self, model, seed, clearance=0.05, bend=1 / 60):
         self.x, self.model, self.curve = drawn(seed), model, wandering(seed, bend, length=40.0)
         self.nlp, self.value = framed(model)
-        wall = Wall(ROBOT, Lumen.around(self.curve), model, 30.0, clearance)
+        wall = Wall(ROBOT, Lumen.around(self.curve), MODELS[model], 30.0, clearance)
         values, slacks = wall.surroundings(self.x[None])
-        self.slack, self.away = slacks[0], wall.away()
+        self.slack, self.away = slacks[0], far_away(ROBOT.d)
         self.values = {name: value[0] for name, value in values.items()}
-        self.target = np.outer(np.linspace(0, 30, 21), [0, 0, 1.0])
+        self.target = {
+            "tubes": ROBOT.numbers,
+            "target": np.outer(np.linspace(0, 30, 21), [0, 0, 1.0]),
+            "shape_roots": ShapeDistance().roots,
+        }
 
     def rows(self, x, slack=0.0, values=None):
         """Those of the clearance, (d PLACES,) mm."""
-        p = self.nlp.pack({"target": self.target, **(values or self.values)})
+        p = self.nlp.pack(self.target | (values or self.values))
         return self.value(np.append(x, slack), p)[1].full().ravel()[-3 * PLACES :]
 
     def cost(self, slack):
-        p = self.nlp.pack({"target": self.target, **self.values})
+        p = self.nlp.pack(self.target | self.values)
         return float(self.value(np.append(self.x, slack), p)[0])
 
 
@@ -149,9 +155,9 @@ def test_a_wall_that_is_away_holds_nothing_back(model):
     frame = Described(model, 0)
     assert frame.away["wall"].shape == (3 * PLACES, COLUMNS)
     assert frame.rows(100 + frame.x, values=frame.away).min() > 500
-    p = frame.nlp.pack({"target": frame.target, **frame.away})
+    p = frame.nlp.pack(frame.target | frame.away)
     bare, value = framed(model, walled=False)
-    free = value(frame.x, bare.pack({"target": frame.target}))[0]
+    free = value(frame.x, bare.pack(frame.target))[0]
     assert float(frame.value(np.append(frame.x, 0.0), p)[0]) == pytest.approx(float(free))
 
 

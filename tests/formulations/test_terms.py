@@ -13,6 +13,7 @@ from ctr_nlp import Limits, Robot, Settings, Tube, seed_robot, shapes
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations import curvature as terms
 from ctr_nlp.formulations.terms import feasible, motion
+from ctr_nlp.models import MODELS
 from ctr_nlp.target.target import SIGMA, Frame
 
 TAPERED = Robot(
@@ -42,7 +43,7 @@ STAGES = [
     pytest.param(stage, robot, id=f"{name}-{kind}-{stage.nlp.name}")
     for name, formulation in FORMULATIONS.items()
     for kind, robot in ROBOTS.items()
-    for stage in formulation(robot, Settings())
+    for stage in formulation(robot, Settings(), MODELS["dominant"])
 ]
 
 
@@ -76,7 +77,7 @@ def inside(robot, rng):
 
 
 def filled(stage, q, previous, **further):
-    values = dict(stage.parameters(frame(), q)) | dict(stage.schedule[-1])
+    values = dict(stage.fill(frame(), q)) | dict(stage.schedule[-1])
     return stage.nlp.pack(values | {"previous": previous[stage.decides], "motion_root": 0.03} | further)
 
 
@@ -213,14 +214,14 @@ def test_motion_is_lambda_times_the_squared_weighted_step_over_dt_squared(robot)
 
 def rotation_value(robot, q, target):
     """The rotation stage's shape term (without motion), mm^2, for a Frame."""
-    stage = FORMULATIONS["two-stage"](robot, Settings())[1]
-    p = stage.nlp.pack(dict(stage.parameters(target, q)) | {"previous": q[stage.decides], "motion_root": 0.0})
+    stage = FORMULATIONS["two-stage"](robot, Settings(), MODELS["dominant"])[1]
+    p = stage.nlp.pack(dict(stage.fill(target, q)) | {"previous": q[stage.decides], "motion_root": 0.0})
     return float(ca.Function("f", [stage.nlp.x, stage.nlp.p], [stage.nlp.objective])(q[stage.decides], p))
 
 
 def joint_value(robot, q, target):
-    (stage,) = FORMULATIONS["joint"](robot, Settings())
-    p = stage.nlp.pack(dict(stage.parameters(target, q)) | {"previous": q, "motion_root": 0.0})
+    (stage,) = FORMULATIONS["joint"](robot, Settings(), MODELS["dominant"])
+    p = stage.nlp.pack(dict(stage.fill(target, q)) | {"previous": q, "motion_root": 0.0})
     return float(ca.Function("f", [stage.nlp.x, stage.nlp.p], [stage.nlp.objective])(q, p))
 
 
@@ -258,15 +259,15 @@ def test_joint_samples_stand_for_the_whole_shape(robot):
 def test_order_bounds_growth_by_the_room_between_carriages():
     """Carriage i stands at beta_i - L_i; the seed's lengths differ by 112 and 188 mm."""
     beta = ca.SX.sym("beta", 3)
-    (constraint,) = feasible.order(SEED_PUSHED_OUT, ca.vertsplit(beta))
-    growth = ca.Function("f", [beta], [constraint.value])([10, 30, 70]).full().ravel()
-    np.testing.assert_allclose(growth, [20, 40])
-    np.testing.assert_allclose(constraint.lower, 0)
-    np.testing.assert_allclose(constraint.upper, [112 - 5, 188 - 5])
+    constraints = feasible.order(SEED_PUSHED_OUT.tube_numbers, ca.vertsplit(beta), ca.SX(5))
+    values = [ca.Function("f", [beta], [each.value])([10, 30, 70]).full().ravel() for each in constraints]
+    np.testing.assert_allclose(values, [[20, 40], [112 - 5 - 20, 188 - 5 - 40]])
+    for each in constraints:
+        assert (each.lower.tolist(), each.upper.tolist()) == ([0, 0], [np.inf, np.inf])
 
 
 def test_a_carriage_gap_given_as_text_is_the_same_constraint():
     """Robot files may write any limit as text, as infinite ones are; tube 2 is 112 mm longer than tube 1."""
     robot = Robot(seed_robot().tubes, Limits(carriage_gap="5"))
-    (constraint,) = feasible.order(robot, ca.vertsplit(ca.SX.sym("beta", 3)))
-    assert constraint.upper.tolist() == [112 - 5, 188 - 5]
+    (stage,) = FORMULATIONS["joint"](robot, Settings(), MODELS["dominant"])
+    assert stage.fill(frame(), np.zeros(8))["gap"] == 5

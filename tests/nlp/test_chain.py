@@ -6,13 +6,14 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy.linalg
+from frames import horizon
 from hypothesis import given
 from hypothesis import strategies as st
 from rows import END, START, alpha, bent, central, configuration, links_hessian, times, whole_jacobian
 from strategies import seeds
 
 from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_formula, growing, seed_robot, shapes
-from ctr_nlp.formulations.horizon import Ends, horizon
+from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.nlp.chain import Chain, Excess, Slopes
 from ctr_nlp.nlp.links import Link, differences
 from ctr_nlp.nlp.nlp import Constraint, Cost, Inner, Nlp, Residual
@@ -112,7 +113,7 @@ def linked(nlp, parameters, most, weight, start=None, end=None):
     if end is not None:
         lower[-1] = upper[-1] = end
     axes = tuple(f"x{i}" for i in range(n))
-    return Chain(nlp, axes, np.ones(n), parameters, lower, upper, (link,), nlp.functions)
+    return Chain(nlp, axes, np.ones(n), parameters, lower, upper, (link,), lambda: nlp.functions)
 
 
 # Values

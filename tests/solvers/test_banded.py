@@ -6,6 +6,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 import pytest
+from frames import horizon
 from hypothesis import given
 from hypothesis import strategies as st
 from rows import bent, central, whole_jacobian
@@ -14,7 +15,7 @@ from strategies import seeds
 
 from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_formula, growing, seed_robot
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.horizon import Ends, horizon
+from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.nlp.links import Link, differences
 from ctr_nlp.nlp.nlp import Constraint, Nlp, Residual
@@ -43,7 +44,7 @@ def linked(nlp, to, links, end=None):
         lower[-1] = upper[-1] = end
     axes = tuple(f"x{i}" for i in range(to.shape[1]))
     to = np.ascontiguousarray(to.T)
-    return Chain(nlp, axes, np.ones(len(axes)), to, lower, upper, tuple(links), nlp.functions)
+    return Chain(nlp, axes, np.ones(len(axes)), to, lower, upper, tuple(links), lambda: nlp.functions)
 
 
 def link(frames, n, order=1, low=-INF, high=INF, weight=0.0, before=(), after=()):

@@ -70,7 +70,7 @@ def chain_of(
     lower[still] = upper[still] = rng.normal(size=still.sum())
     parameters = np.vstack([rng.normal(size=(n, frames)), np.zeros(frames)])
     axes = tuple(f"q{i}" for i in range(count))
-    return Chain(nlp, axes, np.ones(count), parameters, lower, upper, links, nlp.functions)
+    return Chain(nlp, axes, np.ones(count), parameters, lower, upper, links, lambda: nlp.functions)
 
 
 @st.composite

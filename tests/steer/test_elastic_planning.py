@@ -12,7 +12,6 @@ import frames as tracking
 import numpy as np
 import pytest
 import truth
-from ctr_nlp.models.symbolic import STEPS
 from frames import alone
 from rows import central
 
@@ -36,6 +35,7 @@ from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.terms.feasible import CLEAR
 from ctr_nlp.models.elastic import equilibria as branches
 from ctr_nlp.models.elastic import stability, torsion
+from ctr_nlp.models.elastic.model import STEPS
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.reference import METHODS
 from ctr_nlp.reference.published import SEED_ELASTIC

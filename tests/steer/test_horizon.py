@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from frames import horizon
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ctr_nlp import problem_from_file, solve_horizon, solve_per_frame, summary
 from ctr_nlp.exceptions import OptionError, ProblemError, RobotError
-from ctr_nlp.formulations.horizon import Ends, horizon
+from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.solvers import CHAIN_SOLVERS
 from ctr_nlp.solvers.motion.judged import judged

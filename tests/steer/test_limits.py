@@ -6,13 +6,14 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from frames import horizon
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from ctr_nlp import Limits, Problem, Robot, Target, Tube, curve_from_formula, growing, seed_robot
 from ctr_nlp.exceptions import ProblemError
-from ctr_nlp.formulations.horizon import Ends, horizon
+from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, Watch
 from ctr_nlp.steer.limits import check_ends, check_growth
 

@@ -7,9 +7,10 @@ import functools
 import frames as tracking
 import numpy as np
 import pytest
+from frames import horizon
 
 from ctr_nlp import Problem, Robot, Settings, Tube, curve_from_formula, growing, shapes, solve_horizon
-from ctr_nlp.formulations.horizon import Ends, horizon
+from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.models.elastic import equilibria as branches
 from ctr_nlp.plan.plan import plan_from_configurations
 from ctr_nlp.solvers import CHAIN_SOLVERS

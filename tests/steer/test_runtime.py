@@ -6,13 +6,13 @@ import threading
 
 import numpy as np
 import pytest
+from frames import joint
 from hypothesis import given
 from hypothesis import strategies as st
 from strategies import numbers, seeds
 
 from ctr_nlp import Settings, Steerer, seed_robot, shapes, solve_per_frame
 from ctr_nlp.exceptions import OptionError, RobotError
-from ctr_nlp.formulations.joint import joint
 from ctr_nlp.formulations.terms.shape import STRIDE
 from ctr_nlp.nlp.nlp import kkt_residual
 from ctr_nlp.robot import MM_PER_RAD

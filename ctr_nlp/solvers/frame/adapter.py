@@ -55,14 +55,14 @@ class NlpSolver(ABC):
         self,
         x0: Array,
         p: Array,
-        lower: Array,
-        upper: Array,
+        lower: Array | None = None,
+        upper: Array | None = None,
         warm: Solution | None = None,
     ) -> Solution:
         """Solve from x0 (n,), which may lie outside the bounds, for packed parameters p (len(nlp.p),).
 
-        lower, upper: bounds of the configuration. warm: the solution of a neighbouring problem, whose multipliers
-        to start from.
+        lower, upper: bounds of the configuration, where they are not the program's own. warm: the solution of a
+        neighbouring problem, whose multipliers to start from.
         """
 
 
@@ -78,7 +78,14 @@ class Ipopt(NlpSolver):
         super().__init__(nlp)
         self._solve = _ipopt(nlp, threading.get_ident())
 
-    def __call__(self, x0: Array, p: Array, lower: Array, upper: Array, warm: Solution | None = None) -> Solution:
+    def __call__(
+        self,
+        x0: Array,
+        p: Array,
+        lower: Array | None = None,
+        upper: Array | None = None,
+        warm: Solution | None = None,
+    ) -> Solution:
         """As NlpSolver."""
         n, (low, high) = len(x0), self.nlp.row_bounds(lower, upper)
         arguments: dict[str, Any] = {

@@ -28,13 +28,23 @@ class Sqp(NlpSolver):
     def __init__(self, nlp: Nlp) -> None:
         """Build; raises OptionError where nothing can be compiled."""
         super().__init__(nlp)
-        self.program, self._picks = Program(nlp), nlp.configuration
+        self.program, self._picks, self._own = Program(nlp), nlp.configuration, nlp.row_bounds()
         self._ipopt: Ipopt | None = None
 
-    def __call__(self, x0: Array, p: Array, lower: Array, upper: Array, warm: Solution | None = None) -> Solution:
+    def __call__(
+        self,
+        x0: Array,
+        p: Array,
+        lower: Array | None = None,
+        upper: Array | None = None,
+        warm: Solution | None = None,
+    ) -> Solution:
         """As NlpSolver."""
         at, n = self.program, len(x0)
-        at.lower[self._picks], at.upper[self._picks], at.p[:] = lower, upper, p
+        own, picks = self._own, self._picks
+        at.lower[picks] = own[0][picks] if lower is None else lower
+        at.upper[picks] = own[1][picks] if upper is None else upper
+        at.p[:] = p
         at.x[:] = np.clip(x0, at.lower[:n], at.upper[:n])
         at.multipliers[:] = 0.0 if warm is None else np.concatenate([warm.lam_x, warm.lam_g])
         found = at.run()
