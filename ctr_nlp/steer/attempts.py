@@ -30,6 +30,8 @@ Report = Callable[[Iterate], None]
 
 TIE = 1e-9
 """Objectives that differ by this part are the same."""
+LENGTHS = "order", "carriage gap", "clearance"
+"""Constraints in mm."""
 POLL = 0.2
 """Seconds between two looks at whether Ctrl-C was pressed."""
 
@@ -89,7 +91,7 @@ def failures(chain: Chain, one: Attempt) -> dict[str, str]:
     chain = replace(chain, parameters=one.parameters)
     found: dict[str, str] = {}
     for name, frame, amount in chain.excesses(chain.evaluate(one.solution.x)[1], FEASIBLE):
-        unit = "mm" if "beta" in name or name == "order" else "rad"
+        unit = "mm" if "beta" in name or name in LENGTHS else "rad"
         found.setdefault(str(frame), f"{name} exceeded by {amount:.3g} {unit}; relax it, or give more time")
     return found or {"all": f"{one.solution.status}, KKT residual {one.solution.kkt:.1e}"}
 

@@ -59,7 +59,7 @@ def tools(tmp_path, monkeypatch):
 
 def forget():
     cache.compiler.cache_clear()
-    cache._say.cache_clear()
+    cache.say.cache_clear()
 
 
 def program(folder, text, name="cc"):

@@ -373,7 +373,7 @@ def assert_close(found, expected):
 @pytest.mark.parametrize("frames", [1, LANES - 1, LANES, LANES + 1, 20])
 def test_a_compiled_chain_is_the_interpreted_one(frames):
     interpreted, made = chains(frames)
-    assert (interpreted.functions.lanes, made.functions.lanes) == (1, LANES)
+    assert (interpreted.functions().lanes, made.functions().lanes) == (1, LANES)
     for seed in range(6):
         x = np.concatenate([inside(100 * seed + k) for k in range(frames)])
         multipliers = np.random.default_rng(seed).normal(size=len(made.bounds[0]))
@@ -422,25 +422,33 @@ def test_another_number_of_lanes_is_another_library():
     assert len(set(paths)) == 2
 
 
-def test_the_key_changes_with_the_robot():
-    """Curved lengths enter where transmissions may leave the base."""
-    seed = seed_robot()
-    first, *others = seed.tubes
-    deep = Limits(beta=[(0, tube.length) for tube in seed.tubes])
-    changed = [
-        replace(seed, tubes=(replace(first, curvature=first.curvature * (1 + 1e-15)), *others)),
-        replace(seed, tubes=(replace(first, curvature=(1 / 200, 1 / 100)), *others)),
-        Robot(seed.tubes, deep),
-        Robot((replace(first, curved_length=first.curved_length - 1e-9), *others), deep),
-        Robot(seed.tubes[1:]),
+def test_robots_of_one_structure_share_a_key():
+    """Numbers are parameters; what must be compiled anew is another number of tubes, kind, transmission or gap."""
+    paper = seed_robot()
+    first, *others = paper.tubes
+    deep = Limits(beta=[(0, tube.length) for tube in paper.tubes])
+    same = [
+        paper,
+        replace(paper, tubes=(replace(first, curvature=first.curvature * 1.1), *others)),
+        replace(paper, tubes=(replace(first, curved_length=45.0, length=100.0), *others)),
+        replace(paper, tubes=(*paper.tubes[:2], replace(paper.tubes[2], inner_diameter=1.4))),
+        paper.with_limits(beta=[(5, 40), (5, 90), (5, 140)], alpha=(-3, 3)),
     ]
-    keys = [compiled._key(alone(robot)) for robot in (seed, *changed)]
-    assert len(set(keys)) == len(keys)
-    assert compiled._key(alone(seed_robot())) == keys[0]
+    different = [
+        replace(paper, tubes=(replace(first, curvature=(1 / 200, 1 / 100)), *others)),
+        replace(paper, tubes=(replace(first, curvature=0.0), *others)),
+        Robot(paper.tubes, deep),
+        paper.with_limits(carriage_gap=5.0),
+        Robot(paper.tubes[1:]),
+    ]
+    shared, own = ([compiled._key(alone(robot), 1) for robot in robots] for robots in (same, different))
+    assert len(set(shared)) == 1
+    assert len({shared[0], *own}) == 1 + len(own)
 
 
 def test_the_key_changes_with_constants_and_with_what_writes_the_code(monkeypatch):
-    keys = [compiled._key(toy(factor)) for factor in (2, 3)]
+    keys = [compiled._key(toy(factor), 1) for factor in (2, 3)]
     monkeypatch.setattr(compiled, "_makers", lambda: "another writer")
-    keys.append(compiled._key(toy(2)))
+    compiled._key.cache_clear()
+    keys.append(compiled._key(toy(2), 1))
     assert len(set(keys)) == 3

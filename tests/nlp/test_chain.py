@@ -153,7 +153,9 @@ def test_what_frames_add_is_their_distance_and_the_step_into_them(case):
 def test_rows_are_unknowns_order_and_differences(case):
     x, robot = case.motion(3), case.problem.robot
     q = x.reshape(FRAMES, -1)
-    expected = [x, np.diff(robot.split(q)[1], axis=1).ravel(), np.diff(case.padded(q, 1), axis=0).ravel()]
+    growth = np.diff(robot.split(q)[1], axis=1)
+    rooms = [growth] if robot.carriage_gap is None else [growth, robot.most_growth - growth]
+    expected = [x, np.hstack(rooms).ravel(), np.diff(case.padded(q, 1), axis=0).ravel()]
     if np.isfinite(robot.acceleration).any():
         expected.append(np.diff(case.padded(q, 2), 2, axis=0).ravel())
     for value in (case.chain.evaluate(x)[1], case.chain.slopes(x).value):
@@ -551,13 +553,14 @@ def test_every_row_is_named_after_what_it_limits_and_the_last_frame_it_reaches(c
     jacobian = chain.slopes(case.motion(12)).jacobian
     touches = whole_jacobian(chain, jacobian) != 0
     n, limited = len(robot.axes), ["speed"] + ["acceleration"] * bool(np.isfinite(robot.acceleration).any())
-    kinds = ["limits"] * FRAMES * n + ["order"] * FRAMES * (robot.d - 1)
+    own = ["order"] * (robot.d - 1) + ["carriage gap"] * (robot.d - 1) * (robot.carriage_gap is not None)
+    kinds = ["limits"] * FRAMES * n + own * FRAMES
     for order, kind in enumerate(limited, start=1):
         kinds += [kind] * (len(case.padded(np.zeros((FRAMES, n)), order)) - order) * n
     assert len(kinds) == len(touches)
     for row, kind in enumerate(kinds):
         columns = np.flatnonzero(touches[row])
-        name = kind if kind == "order" else f"{kind} of {robot.axes[columns[-1] % n]}"
+        name = kind if kind in own else f"{kind} of {robot.axes[columns[-1] % n]}"
         assert chain.place(row) == (name, columns[-1] // n + 1)
 
 

@@ -386,7 +386,7 @@ def test_what_is_fixed_is_kept_exactly(case, solver):
 @pytest.mark.parametrize(
     ("case", "name"),
     [
-        ("carriage gap", "order"),
+        ("carriage gap", "carriage gap"),
         ("slow", "speed of beta_3"),
         ("slow between ends", "speed of beta_3"),
         ("slow between ends", "acceleration of beta_3"),

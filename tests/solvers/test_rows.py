@@ -407,7 +407,7 @@ def test_a_constraint_that_is_not_a_number_is_no_small_violation(k):
     assert np.isfinite(before).all()
     shifts = np.zeros(chain.frames)
     shifts[k] = np.nan
-    for mapped in chain._mapped:
+    for mapped in chain._evaluators():
         mapped.inputs[1][:, -1] = shifts
     after, _ = rows.expand()
     assert np.isnan([after.violation, after.gap, after.error(0.0), after.error(0.3)]).all()
@@ -422,7 +422,7 @@ def test_an_objective_that_is_not_a_number_is_none(k, constrained):
     chain = chain_of(np.random.default_rng(4), constrained=constrained, fixed=0.0)
     rows, _ = placed(chain, np.random.default_rng(4))
     chain.parameters[0, k] = np.nan
-    for mapped in chain._mapped:
+    for mapped in chain._evaluators():
         mapped.inputs[1][:] = chain.parameters.T
     found, _ = rows.expand()
     assert np.isnan([found.objective, found.stationarity, found.error(0.0)]).all()
@@ -636,7 +636,10 @@ def test_the_loops_compile_without_a_warning(tmp_path):
     if chosen is None:
         pytest.skip("no C compiler")
     strict = [*chosen.command, "-Wall", "-Wextra", "-Werror", "-std=gnu11", "-o", str(tmp_path / "library.so")]
-    code = {"trial.c": cache.TRIAL, "rows.c": files("ctr_nlp.solvers").joinpath("rows.c").read_text("utf-8")}
+    code = {
+        "trial.c": cache.TRIAL,
+        "rows.c": files("ctr_nlp.solvers.motion").joinpath("rows.c").read_text("utf-8"),
+    }
     for name, text in code.items():
         (tmp_path / name).write_text(text, encoding="utf-8")
         run = subprocess.run([*strict, str(tmp_path / name), "-lm"], capture_output=True, text=True, check=False)

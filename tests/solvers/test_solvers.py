@@ -21,6 +21,7 @@ from strategies import seeds
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations import FORMULATIONS, Settings
+from ctr_nlp.models import MODELS
 from ctr_nlp.nlp.nlp import Constraint, Cost, Nlp, Residual, kkt_residual
 from ctr_nlp.solvers import FEASIBLE, SOLVERS, Solution
 from ctr_nlp.solvers.frame import sqp
@@ -171,7 +172,7 @@ def test_an_unbounded_problem_is_no_success(solver):
 
 def test_both_solvers_agree_on_a_frame(arc_problem):
     """Not only on toys: the joint frame from one start, objectives within a thousandth of a square mm."""
-    (stage,) = FORMULATIONS["joint"](arc_problem.robot, Settings())
+    (stage,) = FORMULATIONS["joint"](arc_problem.robot, Settings(), MODELS["dominant"])
     q0 = np.array([3.0, 3, 3, 30, 70, 105, 0, 0])
     frame = arc_problem.samples[2]
     p = stage.nlp.pack(dict(stage.parameters(frame, q0)) | {"previous": q0, "motion_root": 0.01})
@@ -220,7 +221,7 @@ def test_sqp_solves_quadratic_problems_in_one_step(seed):
 
 
 def test_sqp_says_of_itself_what_the_residual_says(arc_problem):
-    (stage,) = FORMULATIONS["joint"](arc_problem.robot, Settings())
+    (stage,) = FORMULATIONS["joint"](arc_problem.robot, Settings(), MODELS["dominant"])
     solve, q = Sqp(stage.nlp), np.array([3.0, 3, 3, 30, 70, 105, 0, 0])
     for frame in arc_problem.samples:
         p = stage.nlp.pack(dict(stage.parameters(frame, q)) | {"previous": q, "motion_root": 0.01})

@@ -1,0 +1,86 @@
+"""How shapes, motors' angles and stability margins change with the numbers of tubes, to first order."""
+
+from __future__ import annotations
+
+import functools
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from ctr_nlp.models import Model, model_named
+from ctr_nlp.models.protocol import symbolic_tubes
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.structure import NUMBERS, Structure
+from ctr_nlp.target.target import SIGMA
+from ctr_nlp.typing import Array
+
+
+class Sensitivities(NamedTuple):
+    """Derivatives over the numbers of tubes, (.., d, 6) in the order of robot.structure.NUMBERS, at T unknowns.
+
+    points (T, n, 3, d, 6): of the shape at uniform sigma, mm per unit, with the model's unknowns held. alpha
+    (T, d, d, 6): of the motors' angles, rad per unit, with the unknowns held; 0 where alpha is an unknown itself.
+    moved (T, n, 3, d, 6): of the shape with the configuration held, as a robot shows it whose motors stand still.
+    margin (T, d, 6): of the stability margin with the unknowns held; NaN where nothing can be unstable.
+    """
+
+    points: Array
+    alpha: Array
+    moved: Array
+    margin: Array
+
+
+def sensitivities(robot: Robot, x: Array, model: str | Model, sigma: Array = SIGMA) -> Sensitivities:
+    """Those of a robot with unknowns x (T, n_x) of a model, at sigma (n,); raises OptionError.
+
+    Near a fold the shape at a held configuration changes without bound, and these are large.
+    """
+    described = model_named(model)
+    described.check(robot)
+    x = np.atleast_2d(np.asarray(x, dtype=float))
+    function = derivatives(described, robot.structure, len(sigma))
+    margins = np.nan_to_num(described.margins(robot, x))
+    found = [function(row, sigma, robot.numbers, margin) for row, margin in zip(x, margins, strict=True)]
+    size = robot.d, len(NUMBERS)
+    points, alpha, moved, margin = (np.array([each[k].full() for each in found]) for k in range(4))
+    return Sensitivities(
+        _shaped(points, (3, len(sigma)), size).swapaxes(1, 2),
+        _shaped(alpha, (robot.d,), size),
+        _shaped(moved, (3, len(sigma)), size).swapaxes(1, 2),
+        _shaped(margin, (), size),
+    )
+
+
+def _shaped(found: Array, rows: tuple[int, ...], size: tuple[int, int]) -> Array:
+    """Derivatives (T, rows, d 6), whose columns run over tubes first, as (T, *rows, d, 6)."""
+    split: Array = found.reshape(len(found), *rows, *size[::-1])
+    return split.swapaxes(-1, -2)
+
+
+@functools.lru_cache(maxsize=16)
+def derivatives(model: Model, structure: Structure, count: int) -> ca.Function:
+    """(x, sigma (count,), numbers (d, 6), margin) -> derivatives over numbers, as columns of a matrix each.
+
+    Of points (3 count, 6 d) with x held, of alpha (d, 6 d), of points with the configuration held, and of the
+    margin (1, 6 d). With D the determinant that vanishes where its margin is the smallest eigenvalue, the margin's
+    derivative is -D_numbers / D_margin. With alpha held, unknowns change by -(alpha_phi)^-1 alpha_numbers.
+    """
+    d, sigma, margin = structure.d, ca.SX.sym("sigma", count), ca.SX.sym("margin")
+    numbers = ca.SX.sym("numbers", d, len(NUMBERS))
+    tubes, asked = symbolic_tubes(structure, numbers), margin if model.can_snap else None
+    shape = model.frame(structure, tubes, lambda beta: sigma * beta[-1], asked)
+    stable = ca.SX(1, 1) if shape.stability is None else shape.stability[-1]
+    written = [ca.vertcat(*(ca.SX(axis) for axis in shape.placed(shape.points))), shape.alpha, stable]
+    symbols, values = shape.inner.columns
+    points, alpha, determinant = ca.substitute(written, [symbols], [values])
+    over = ca.vec(numbers)
+    of_points, of_alpha, of_determinant = (ca.jacobian(each, over) for each in (points, alpha, determinant))
+    moved = of_points
+    if model.several_equilibria:
+        phi = ca.jacobian(points, shape.x)[:, :d], ca.jacobian(alpha, shape.x)[:, :d]
+        moved = of_points - phi[0] @ ca.solve(phi[1], of_alpha)
+    slope = ca.jacobian(determinant, margin)
+    of_margin = -of_determinant / slope if shape.stability is not None else ca.SX.nan(1, over.numel())
+    outputs = [ca.densify(each) for each in (of_points, of_alpha, moved, of_margin)]
+    return ca.Function("derivatives", [shape.x, sigma, numbers, margin], outputs, {"cse": True})
