@@ -17,7 +17,7 @@ from ctr_nlp.hardware.emulator.firmware import Firmware
 from ctr_nlp.hardware.emulator.wire import VirtualClock, Wire
 from ctr_nlp.hardware.link import RecordedLink
 from ctr_nlp.hardware.motion.program import Program
-from ctr_nlp.hardware.playing.journal import Journal, read_journal
+from ctr_nlp.hardware.journal import Journal, read_journal
 from ctr_nlp.hardware.playing.player import Player, Seen
 from ctr_nlp.hardware.playing.results import Result
 from ctr_nlp.hardware.playing.retract import retract

@@ -6,7 +6,7 @@ from contextlib import suppress
 from typing import Any, Protocol
 
 from ctr_nlp.exceptions import DeviceFault
-from ctr_nlp.hardware.playing.journal import Journal
+from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.support.extras import needed
 
 WRITE_TIMEOUT = 1.0

@@ -23,7 +23,7 @@ from ctr_nlp.hardware.devices.grbl.replies import reply_of, report_of
 from ctr_nlp.hardware.emulator.faults import FAULTS
 from ctr_nlp.hardware.emulator.firmware import Firmware
 from ctr_nlp.hardware.motion.program import Program
-from ctr_nlp.hardware.motion.record import Recorder
+from ctr_nlp.hardware.playing.record import Recorder
 from ctr_nlp.hardware.playing.results import Outcome, State
 
 STEP = np.array([1 / 400] * 3 + [1 / 100] * 3)

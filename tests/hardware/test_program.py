@@ -18,7 +18,7 @@ from ctr_nlp.hardware.motion import gcode
 from ctr_nlp.hardware.motion.lookahead import LONGEST
 from ctr_nlp.hardware.motion.program import approach_to, digests, program_of, rest_of
 from ctr_nlp.hardware.motion.progress import Way
-from ctr_nlp.hardware.motion.record import Recorder
+from ctr_nlp.hardware.playing.record import Recorder
 
 OVER = 1e-3
 

@@ -32,7 +32,7 @@ from ctr_nlp.hardware.devices.ros2.messages import (
 )
 from ctr_nlp.hardware.devices.ros2.track import Track
 from ctr_nlp.hardware.motion.program import program_of
-from ctr_nlp.hardware.playing.journal import Journal, read_journal
+from ctr_nlp.hardware.journal import Journal, read_journal
 from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.results import Outcome, State
 from ctr_nlp.hardware.playing.session import begin, resume

@@ -23,8 +23,8 @@ from ctr_nlp.hardware.devices.grbl.talk import Talk
 from ctr_nlp.hardware.emulator import Firmware, serving
 from ctr_nlp.hardware.link import RecordedLink, SerialLink
 from ctr_nlp.hardware.motion.program import Program
-from ctr_nlp.hardware.motion.record import Recorder
-from ctr_nlp.hardware.playing.journal import Journal, read_journal
+from ctr_nlp.hardware.playing.record import Recorder
+from ctr_nlp.hardware.journal import Journal, read_journal
 from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.results import Outcome, State
 from ctr_nlp.hardware.playing.session import begin, resume

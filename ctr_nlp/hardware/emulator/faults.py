@@ -11,7 +11,6 @@ from typing import Any
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.hardware.emulator.lies import LIES
-from ctr_nlp.hardware.emulator.protocol.stops import soft_limit
 from ctr_nlp.hardware.emulator.wire import Line
 
 Strike = Callable[[Line, "Fault"], None]
@@ -142,12 +141,11 @@ def _reboot(line: Line, fault: Fault) -> None:
 
 
 def _refusal(line: Line, fault: Fault) -> None:
-    line.firmware.refuse = int(fault.choice)
+    line.firmware.refuse(int(fault.choice))
 
 
 def _estop(line: Line, fault: Fault) -> None:
-    line.firmware.estop_alarms = True
-    line.firmware.press("estop")
+    line.firmware.press("estop", alarms=True)
 
 
 def _lost(reply: bytes, draw: random.Random, fault: Fault) -> list[tuple[float, bytes]]:
@@ -179,7 +177,7 @@ FAULTS: dict[str, Callable[..., Fault]] = {
     "bytes_lost": _kind("bytes_lost", _outbound, choice=0.02),
     "banner": _kind("banner", _reboot, choice=1.0),
     "hard_limit": _kind("hard_limit", lambda line, fault: line.firmware.hard_limit()),
-    "soft_limit": _kind("soft_limit", lambda line, fault: soft_limit(line.firmware)),
+    "soft_limit": _kind("soft_limit", lambda line, fault: line.firmware.soft_limit()),
     "error_latch": _kind("error_latch", _refusal, choice=20),
     "estop": _kind("estop", _estop),
     "power_cycle": _kind("power_cycle", lambda line, fault: line.firmware.reboot(loses_position=True)),

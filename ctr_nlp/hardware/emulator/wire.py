@@ -5,17 +5,24 @@ from __future__ import annotations
 import heapq
 import itertools
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.hardware.emulator.firmware import Firmware
 
-if TYPE_CHECKING:
-    from ctr_nlp.hardware.emulator.faults import Fault
-
 BAUD = 115200
 BITS_PER_BYTE = 10
 STEP_S = 0.001
+
+
+class Striking(Protocol):
+    """A fault, as a line sees it."""
+
+    def due(self, time: float, sent_bytes: int) -> bool:
+        """Whether its moment has come: s since the firmware was switched on, bytes that the host has sent."""
+
+    def strike(self, line: Line) -> None:
+        """Do what it does to a line or the firmware at its end."""
 
 
 class VirtualClock:
@@ -46,7 +53,7 @@ class Line:
     Bytes take their time at a baud rate. Whoever owns it calls advance() and moves bytes in and out.
     """
 
-    def __init__(self, firmware: Firmware, faults: tuple[Fault, ...] = (), baud: float = BAUD) -> None:
+    def __init__(self, firmware: Firmware, faults: tuple[Striking, ...] = (), baud: float = BAUD) -> None:
         if baud <= 0:
             raise OptionError(f"baud is {baud}; it must be positive")
         self.firmware = firmware
@@ -151,7 +158,7 @@ class Wire:
     """
 
     def __init__(
-        self, firmware: Firmware, clock: VirtualClock, faults: tuple[Fault, ...] = (), baud: float = BAUD
+        self, firmware: Firmware, clock: VirtualClock, faults: tuple[Striking, ...] = (), baud: float = BAUD
     ) -> None:
         before = clock.lines.get(firmware)
         if before is not None:

@@ -12,8 +12,8 @@ from ctr_nlp.exceptions import DeviceFault, HardwareError, JournalError, Program
 from ctr_nlp.hardware.clock import Clock, RealClock
 from ctr_nlp.hardware.devices import Device, Progress, Standing
 from ctr_nlp.hardware.devices.arms import ArmFollower
+from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.motion.program import Program
-from ctr_nlp.hardware.playing.journal import Journal
 from ctr_nlp.hardware.playing.results import Outcome, Result, State
 from ctr_nlp.hardware.playing.supervision import Supervisor, Tolerances
 from ctr_nlp.hardware.playing.trust import Memory, Remembered, doubt

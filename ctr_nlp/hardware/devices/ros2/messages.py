@@ -16,7 +16,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from ctr_nlp.exceptions import DeviceFault, HardwareError
-from ctr_nlp.hardware.playing.journal import Journal
+from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.support.extras import needed
 from ctr_nlp.typing import Array
 

@@ -63,6 +63,18 @@ class Block:
         self.speed = max(min(asked, self.fastest), SLOWEST)
         self.highest_entry = min(self.corner, self.speed**2, before**2)
 
+    def enter(self, speed_squared: float) -> None:
+        """Begin it at a speed, squared."""
+        self.entry = speed_squared
+
+    def cover(self, covered: float) -> None:
+        """So much of its length has been prepared."""
+        self.remaining = self.length - covered
+
+    def begin_at(self, position: Vector) -> None:
+        """What remains of it begins at a position (6,)."""
+        self.start, self.length = position, self.remaining
+
     def at(self, covered: float) -> Vector:
         """Position (6,) where a length has been covered."""
         if covered >= self.length:
@@ -120,8 +132,9 @@ def look_ahead(blocks: Sequence[Block], speed: float, anew: bool = False) -> Non
         entry = min(later.highest_entry, leaving + 2 * later.acceleration * later.remaining)
         if entry == later.entry and later is not blocks[-1] and not anew:
             break
-        later.entry = leaving = entry
+        later.enter(entry)
+        leaving = entry
     arriving = speed**2 + 2 * blocks[0].acceleration * blocks[0].remaining
     for later in blocks[1:]:
-        later.entry = min(later.entry, arriving)
+        later.enter(min(later.entry, arriving))
         arriving = later.entry + 2 * later.acceleration * later.remaining

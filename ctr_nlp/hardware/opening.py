@@ -14,8 +14,8 @@ from ctr_nlp.hardware.devices.grbl.device import Grbl
 from ctr_nlp.hardware.devices.ros2.device import Ros2
 from ctr_nlp.hardware.devices.simulated import Simulated
 from ctr_nlp.hardware.devices.ur import UrArm
+from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.link import Link, RecordedLink, SerialLink
-from ctr_nlp.hardware.playing.journal import Journal
 from ctr_nlp.hardware.playing.trust import Memory, state_folder
 from ctr_nlp.typing import Array
 
