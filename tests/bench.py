@@ -10,15 +10,18 @@ import numpy as np
 
 from ctr_nlp import seed_robot
 from ctr_nlp.exceptions import DeviceFault
-from ctr_nlp.hardware.description import Axis, Connection, Hardware
+from ctr_nlp.hardware.axis import Axis
+from ctr_nlp.hardware.connection import Connection
+from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices.grbl.device import Grbl
 from ctr_nlp.hardware.emulator.faults import Fault
 from ctr_nlp.hardware.emulator.firmware import Firmware
 from ctr_nlp.hardware.emulator.wire import VirtualClock, Wire
+from ctr_nlp.hardware.journal import Journal, read_journal
 from ctr_nlp.hardware.link import RecordedLink
 from ctr_nlp.hardware.motion.program import Program
-from ctr_nlp.hardware.journal import Journal, read_journal
-from ctr_nlp.hardware.playing.player import Player, Seen
+from ctr_nlp.hardware.playing.playback import Seen
+from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.results import Result
 from ctr_nlp.hardware.playing.retract import retract
 from ctr_nlp.hardware.playing.session import begin, prepared, resume

@@ -16,8 +16,8 @@ from ctr_nlp.exceptions import OutputError
 from ctr_nlp.figures import save, tracking
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.motion.program import Program
-from ctr_nlp.hardware.playing.record import Tracking
 from ctr_nlp.hardware.playing.checks import Checked
+from ctr_nlp.hardware.playing.record import Tracking
 from ctr_nlp.hardware.playing.results import Result
 from ctr_nlp.plan.plan import Plan
 

@@ -12,7 +12,7 @@ from ctr_nlp.hardware.devices import Asked
 from ctr_nlp.hardware.devices.grbl.identity import Identity
 from ctr_nlp.hardware.devices.grbl.settings import Finding, changes, findings
 from ctr_nlp.hardware.devices.grbl.stop import stopped
-from ctr_nlp.hardware.devices.grbl.talk import GREETING, Talk
+from ctr_nlp.hardware.devices.grbl.talk import Talk
 from ctr_nlp.hardware.link import Link
 from ctr_nlp.typing import Array
 
@@ -49,10 +49,9 @@ class Commissioning:
 
     def read(self) -> Controller:
         """Everything that is told, with what is wrong in it."""
-        if (report := self._talk.report(GREETING, greeting=True)).state != "Idle":
+        report, _ = self._talk.greet()
+        if report.state != "Idle":
             raise DeviceFault(f"the controller is {report.state}; it must be Idle to be commissioned")
-        self._talk.quiet()
-        self._talk.lost = ""
         identity = self._talk.identify()
         self._columns = identity.columns(self._hardware)
         self._acceleration = identity.acceleration(self._hardware)

@@ -13,8 +13,8 @@ import pytest
 from bench import Killed, World
 
 from ctr_nlp.exceptions import DeviceFault, ProgramError
-from ctr_nlp.hardware.emulator.faults import FAULTS
 from ctr_nlp.hardware import journal as journal_module
+from ctr_nlp.hardware.emulator.faults import FAULTS
 from ctr_nlp.hardware.playing.results import Outcome, Result, State
 
 HOST_FAULTS = ("killed", "ctrl_c", "full_disk")

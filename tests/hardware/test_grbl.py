@@ -16,9 +16,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ctr_nlp.exceptions import DeviceFault
-from ctr_nlp.hardware.description import Connection
+from ctr_nlp.hardware.connection import Connection
 from ctr_nlp.hardware.devices import Progress
-from ctr_nlp.hardware.devices.grbl import device
+from ctr_nlp.hardware.devices.grbl import stream
 from ctr_nlp.hardware.devices.grbl.replies import reply_of, report_of
 from ctr_nlp.hardware.emulator.faults import FAULTS
 from ctr_nlp.hardware.emulator.firmware import Firmware
@@ -145,7 +145,7 @@ def test_400_frames_stream_in_20_seconds(flow: str, tmp_path: Path) -> None:
 
     def seen(program: Program, progress: Progress) -> None:
         recorder(program, progress)
-        most[0] = max(most[0], rig.latest.device.in_flight)
+        most[0] = max(most[0], rig.latest.device.stream.in_flight)
 
     result = rig.begin(seen=seen)
     assert result.outcome is Outcome.SUCCESS
@@ -153,13 +153,13 @@ def test_400_frames_stream_in_20_seconds(flow: str, tmp_path: Path) -> None:
     assert tracking is not None
     took = tracking.time[-1] + tracking.late[-1]
     assert took == pytest.approx(20.0, rel=0.02)
-    assert rig.latest.device.underruns == 0
+    assert rig.latest.device.stream.underruns == 0
     assert rig.frames_played() == list(range(1, 401))
     goal = rig.program().positions(np.array([rig.program().duration]))[0]
     assert (abs(rig.firmware.position - goal) <= STEP).all()
     assert abs(tracking.error[:, :3]).max() < 0.5
     assert abs(tracking.error[:, 3:]).max() < 1.0
-    assert most[0] <= (1024 - device.SPARE if flow == "count" else 100)
+    assert most[0] <= (1024 - stream.SPARE if flow == "count" else 100)
     assert rig.firmware.bytes_lost == 0
 
 

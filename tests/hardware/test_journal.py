@@ -12,10 +12,10 @@ import pytest
 from bench import WireLink, World, sweep
 
 from ctr_nlp.exceptions import JournalError
-from ctr_nlp.hardware.emulator.wire import VirtualClock
-from ctr_nlp.hardware.link import RecordedLink
 from ctr_nlp.hardware import journal as journal_module
+from ctr_nlp.hardware.emulator.wire import VirtualClock
 from ctr_nlp.hardware.journal import Journal, read_journal
+from ctr_nlp.hardware.link import RecordedLink
 from ctr_nlp.hardware.playing.results import Outcome, State
 from ctr_nlp.hardware.playing.session import begin
 

@@ -20,8 +20,8 @@ from ctr_nlp.hardware.devices.simulated import Simulated
 from ctr_nlp.hardware.emulator.faults import FAULTS
 from ctr_nlp.hardware.emulator.firmware import Firmware
 from ctr_nlp.hardware.emulator.wire import VirtualClock
-from ctr_nlp.hardware.motion.program import Program
 from ctr_nlp.hardware.journal import Journal, read_journal
+from ctr_nlp.hardware.motion.program import Program
 from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.results import Outcome, Result, State
 from ctr_nlp.hardware.playing.session import begin, prepared

@@ -18,7 +18,8 @@ import pytest
 from ctr_nlp import Plan, Problem, curve_from_formula, growing, seed_robot
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.clock import RealClock
-from ctr_nlp.hardware.description import Connection, bench
+from ctr_nlp.hardware.connection import Connection
+from ctr_nlp.hardware.description import bench
 from ctr_nlp.hardware.devices.ros2.device import Ros2
 from ctr_nlp.hardware.devices.ros2.joints import SILENCE
 from ctr_nlp.hardware.devices.ros2.messages import (
@@ -31,8 +32,8 @@ from ctr_nlp.hardware.devices.ros2.messages import (
     types,
 )
 from ctr_nlp.hardware.devices.ros2.track import Track
-from ctr_nlp.hardware.motion.program import program_of
 from ctr_nlp.hardware.journal import Journal, read_journal
+from ctr_nlp.hardware.motion.program import program_of
 from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.results import Outcome, State
 from ctr_nlp.hardware.playing.session import begin, resume
@@ -99,7 +100,7 @@ class Controller(threading.Thread):
         self.arrivals: list[tuple[float, object]] = []
         self._plays, self._stop_wish = None, threading.Event()
         address = address_of(url)
-        self._own = participant(address)
+        self._own, self._domain = participant(address)
         quality = Qos(
             Policy.Reliability.Reliable(10**8),
             Policy.History.KeepLast(10),
@@ -430,7 +431,7 @@ def test_types_and_topics_are_those_of_ros(plan, stage):
 
     _, player, hardware = stage
     player.connect()
-    own = participant(address_of(hardware.connection.url))
+    own, _domain = participant(address_of(hardware.connection.url))
     found = set()
     for kind in (BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription):
         found |= {(e.topic_name, e.type_name) for e in BuiltinDataReader(own, kind).read(100)}

@@ -15,17 +15,19 @@ import pytest
 from bench import plan_of, sweep
 
 from ctr_nlp.exceptions import DeviceFault
+from ctr_nlp.hardware.axis import Axis
 from ctr_nlp.hardware.clock import RealClock
-from ctr_nlp.hardware.description import Axis, Connection, Hardware
+from ctr_nlp.hardware.connection import Connection
+from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices import Progress
 from ctr_nlp.hardware.devices.grbl.device import Grbl
 from ctr_nlp.hardware.devices.grbl.talk import Talk
 from ctr_nlp.hardware.emulator import Firmware, serving
+from ctr_nlp.hardware.journal import Journal, read_journal
 from ctr_nlp.hardware.link import RecordedLink, SerialLink
 from ctr_nlp.hardware.motion.program import Program
-from ctr_nlp.hardware.playing.record import Recorder
-from ctr_nlp.hardware.journal import Journal, read_journal
 from ctr_nlp.hardware.playing.player import Player
+from ctr_nlp.hardware.playing.record import Recorder
 from ctr_nlp.hardware.playing.results import Outcome, State
 from ctr_nlp.hardware.playing.session import begin, resume
 from ctr_nlp.plan.plan import Plan
@@ -139,7 +141,7 @@ def test_the_pace_is_kept_with_little_in_the_controllers_hands(rig: Rig, frames:
     assert tracking is not None
     took = tracking.time[-1] + tracking.late[-1]
     off = abs(tracking.error).max(axis=0)
-    print(f"{frames} frames took {took:.2f} s, {off} off when due, {player.device.underruns} underruns")
+    print(f"{frames} frames took {took:.2f} s, {off} off when due, {player.device.stream.underruns} underruns")
     assert took == pytest.approx(0.05 * (frames - 1), rel=0.02)
 
 

@@ -16,8 +16,8 @@ from bench import Killed, World, homing_hardware, plan_of, sweep
 from ctr_nlp.exceptions import DeviceFault, ProgramError
 from ctr_nlp.hardware.devices import Progress
 from ctr_nlp.hardware.emulator.firmware import Firmware
-from ctr_nlp.hardware.motion.program import Program
 from ctr_nlp.hardware.journal import read_journal
+from ctr_nlp.hardware.motion.program import Program
 from ctr_nlp.hardware.playing.results import Outcome, Result, State
 from ctr_nlp.hardware.playing.session import begin, prepared, resume
 from ctr_nlp.plan.plan import Plan

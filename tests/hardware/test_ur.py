@@ -14,9 +14,9 @@ from ctr_nlp.hardware.arm.description import Arm
 from ctr_nlp.hardware.arm.forward import insertion_error, tilt
 from ctr_nlp.hardware.arm.inverse import joints
 from ctr_nlp.hardware.devices.arms import LONGEST_STEP, SimulatedArm
-from ctr_nlp.hardware.opening import arm_follower
 from ctr_nlp.hardware.devices.ur import STALE, UrArm
 from ctr_nlp.hardware.exports.urscript import SETTLE, write_urscript
+from ctr_nlp.hardware.opening import arm_follower
 
 pytest.importorskip("ur_analytic_ik")
 

@@ -26,11 +26,12 @@ from ctr_nlp.exceptions import DeviceFault, OptionError
 from ctr_nlp.hardware.clock import RealClock
 from ctr_nlp.hardware.description import Hardware, bench
 from ctr_nlp.hardware.devices import Progress
-from ctr_nlp.hardware.opening import arm_follower, device_of, memory_of
-from ctr_nlp.hardware.motion.program import Program
-from ctr_nlp.hardware.playing.record import Recorder
 from ctr_nlp.hardware.journal import Journal, read_journal
-from ctr_nlp.hardware.playing.player import Player, Seen
+from ctr_nlp.hardware.motion.program import Program
+from ctr_nlp.hardware.opening import arm_follower, device_of, memory_of
+from ctr_nlp.hardware.playing.playback import Seen
+from ctr_nlp.hardware.playing.player import Player
+from ctr_nlp.hardware.playing.record import Recorder
 from ctr_nlp.hardware.playing.results import Outcome, Result
 from ctr_nlp.hardware.playing.retract import retract
 from ctr_nlp.hardware.playing.session import begin, prepared, resume

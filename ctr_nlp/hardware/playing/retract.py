@@ -7,19 +7,30 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from ctr_nlp.exceptions import ProgramError, Stopped
+from ctr_nlp.exceptions import ProgramError
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices import Standing
 from ctr_nlp.hardware.motion.program import Digests, Program, along, digests, slowed, through
 from ctr_nlp.hardware.playing.checks import checked
-from ctr_nlp.hardware.playing.player import Player, Seen
+from ctr_nlp.hardware.playing.playback import Seen
+from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.results import Outcome, Result
-from ctr_nlp.hardware.playing.session import RETRACTED, announced, as_told, check_trusted, place, ready, session_of
+from ctr_nlp.hardware.playing.session import (
+    RETRACTED,
+    announced,
+    as_told,
+    check_trusted,
+    ending,
+    place,
+    ready,
+    session_of,
+)
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array
 
 
+@ending
 def retract(
     player: Player,
     plan: Plan,
@@ -38,10 +49,7 @@ def retract(
     if records is not None:
         check_trusted(records, verified)
     session = "" if records is None else session_of(records)
-    try:
-        standing = ready(player, verified=verified, stop_first=True, session=session)
-    except Stopped as stop:
-        return stop.result
+    standing = ready(player, verified=verified, stop_first=True, session=session)
     if records is None:
         ways = [innermost_first(plan, hardware, standing.position, player.tilt())]
     else:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, ParamSpec
 
 import numpy as np
 
@@ -12,11 +14,14 @@ from ctr_nlp.hardware.devices import Standing
 from ctr_nlp.hardware.motion.program import Program, approach_to, program_of, rest_of
 from ctr_nlp.hardware.motion.progress import Way
 from ctr_nlp.hardware.playing.checks import Checked, check_plan, checked
-from ctr_nlp.hardware.playing.player import Player, Seen
+from ctr_nlp.hardware.playing.playback import Seen
+from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.results import Outcome, Result, State
 from ctr_nlp.hardware.playing.trust import REMEDY
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.typing import Array
+
+Playing = ParamSpec("Playing")
 
 RETRACTED = "retraction"
 """Kind of the journal's record of a retraction, after which no session before it can be resumed."""
@@ -38,6 +43,20 @@ def prepared(
     return program, checked(program, plan.elastic)
 
 
+def ending(play: Callable[Playing, Result]) -> Callable[Playing, Result]:
+    """The same, but that an abort while the device is being connected is a result too."""
+
+    @wraps(play)
+    def played(*arguments: Playing.args, **options: Playing.kwargs) -> Result:
+        try:
+            return play(*arguments, **options)
+        except Stopped as stop:
+            return stop.result
+
+    return played
+
+
+@ending
 def begin(
     player: Player,
     plan: Plan,
@@ -55,10 +74,7 @@ def begin(
     begun.
     """
     program, _ = prepared(plan, hardware, tempo)
-    try:
-        standing = ready(player, home=home, verified=verified)
-    except Stopped as stop:
-        return stop.result
+    standing = ready(player, home=home, verified=verified)
     if hardware.backlash.any():
         program = program_of(plan, hardware, tempo, standing.position)
         checked(program, plan.elastic)
@@ -78,6 +94,7 @@ def ready(
     return standing
 
 
+@ending
 def resume(
     player: Player,
     plan: Plan,
@@ -102,10 +119,7 @@ def resume(
     if frame == program.frames[-1]:
         raise ProgramError(f"the journal's session reached frame {frame}, the last one: nothing is left")
     check_trusted(records, verified)
-    try:
-        standing = ready(player, verified=verified, stop_first=True, session=session_of(records))
-    except Stopped as stop:
-        return stop.result
+    standing = ready(player, verified=verified, stop_first=True, session=session_of(records))
     s = place(program, standing, player.device.resolution, frame)
     _announce(player, program, told["tempo"], told["standing"], s)
     return _go(player, rest_of(program, s, told["tempo"]), standing, plan.elastic, seen)

@@ -14,11 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.exceptions import DeviceFault
+from ctr_nlp.hardware.devices import Device, Standing
+from ctr_nlp.hardware.playing.results import Result
 from ctr_nlp.support.extras import needed
 from ctr_nlp.support.whole_file import whole_file
+from ctr_nlp.typing import Array
 
 FOLDER = "CTR_NLP_STATE"
 """Environment variable: a folder for what is remembered, instead of the user's own."""
@@ -104,12 +106,60 @@ class Memory:
         )
 
 
-def doubt(
-    left: Remembered | None,
-    position: npt.NDArray[np.float64],
-    resolution: npt.NDArray[np.float64],
-    session: str = "",
-) -> str:
+class Trust:
+    """Whether the position of a connected device is to be trusted; memory: None where nothing is remembered of it.
+
+    doubt: why it is not, "" where nothing speaks against it.
+    """
+
+    def __init__(self, memory: Memory | None) -> None:
+        self._memory, self.doubt = memory, ""
+        self._vouched = False
+        """Whether its memory, its homing or a person speaks for the position, so that what follows counts."""
+
+    def claim(self) -> None:
+        """Be the device's only player; raises DeviceFault."""
+        if self._memory is not None:
+            self._memory.claim()
+
+    def release(self) -> None:
+        """Let others play."""
+        if self._memory is not None:
+            self._memory.release()
+
+    def look_back(self, device: Device, standing: Standing, homed: bool = False, session: str = "") -> None:
+        """Judge by what is remembered of the device; homed: just now. session: one that is being resumed."""
+        if self._memory is not None and not homed:
+            left = self._memory.read(device.identity)
+            self.doubt = doubt(left, standing.position, device.resolution, session)
+        self._vouched = not self.doubt
+
+    def vouch(self) -> None:
+        """A person has made sure of the position."""
+        self.doubt, self._vouched = "", True
+
+    def holds(self, device: Device, standing: Standing) -> bool:
+        """Whether what the device tells at the end of a session is to be trusted."""
+        if not self._vouched:
+            self.look_back(device, standing)
+        return standing.homed and not self.doubt
+
+    def begun(self, device: Device, session: str) -> None:
+        """Distrust the device from now on, lest nobody tells how the motion ends; raises DeviceFault."""
+        self._write(device, Remembered(False, "a motion had begun, and its end was never told", session=session))
+
+    def ended(self, device: Device, result: Result) -> None:
+        """Remember how a session left the device, unless nobody vouched for what it tells; raises DeviceFault."""
+        if self._vouched or result.position is None:
+            position = None if result.position is None else tuple(result.position.tolist())
+            self._write(device, Remembered(result.trusted, "" if result.trusted else result.message, position))
+
+    def _write(self, device: Device, left: Remembered) -> None:
+        if self._memory is not None:
+            self._memory.write(device.identity, left)
+
+
+def doubt(left: Remembered | None, position: Array, resolution: Array, session: str = "") -> str:
     """Why a device at a position (m,) is not to be trusted, "" where nothing speaks against it.
 
     resolution (m,): what it can tell apart. session: one that is being resumed, whose motion is looked for by

@@ -95,16 +95,24 @@ class Talk:
             raise DeviceFault(f"a stop was asked for while the controller was to answer {line!r}")
         raise DeviceFault(f"the controller does not answer {line!r} within {seconds:g} s, but for {said}")
 
+    def greet(self, stop: Asked = never) -> tuple[Report, str]:
+        """The status of a controller that may restart when its port is opened, and what it said if it did."""
+        report = self.report(GREETING, greeting=True, stop=stop)
+        self.quiet()
+        return report, self.forgiven()
+
+    def forgiven(self) -> str:
+        """What it said when it last restarted or stopped by itself, which does not count from now on."""
+        said, self.lost = self.lost, ""
+        return said
+
     def check(self) -> None:
         """Raise DeviceFault where it restarted or stopped by itself."""
         if self.lost:
             raise DeviceFault(f"the controller said {self.lost!r}: its position is not to be trusted")
 
     def report(self, seconds: float = ANSWER, greeting: bool = False, stop: Asked = never) -> Report:
-        """Its status; raises DeviceFault.
-
-        greeting: it may restart meanwhile, as many do when their port is opened.
-        """
+        """Its status; greeting: it may restart meanwhile. Raises DeviceFault."""
         end = self._clock.now() + seconds
         while self._clock.now() < end and not stop():
             self.link.write(STATUS)

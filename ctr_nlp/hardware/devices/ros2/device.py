@@ -84,7 +84,7 @@ class Ros2:
     @property
     def identity(self) -> str:
         """The joints that the controller moves."""
-        return ", ".join(self._joints.names)
+        return ", ".join(axis.joint for axis in self._hardware.axes)
 
     @property
     def resolution(self) -> Array:
@@ -133,7 +133,7 @@ class Ros2:
         self._track = Track(position, commands)
         self._track.begin(self._clock.now())
         self._send(self._track.points())
-        self._track.begin(self._clock.now())
+        self._track.begin_ramp(self._clock.now())
 
     def _send(self, points: Points) -> None:
         self._open().send(self._joints.names, self._joints.in_ros(points))
@@ -197,7 +197,7 @@ class Ros2:
         if track.now(now)[0] < track.end and track.ramp.after != pace:
             self._play_at(pace, track, now)
             if track.ramp.before == 0.0:
-                track.ramp = track.ramp._replace(begun=self._clock.now())
+                track.begin_ramp(self._clock.now())
 
     def _play_at(self, pace: float, track: Track, now: float) -> None:
         track.turn(now, pace, self._acceleration)

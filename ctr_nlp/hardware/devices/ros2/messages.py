@@ -160,8 +160,8 @@ def configuration(host: str) -> str:
         raise DeviceFault(f"host {host} of the ROS 2 controller is not to be reached: {error}") from error
 
 
-def participant(address: Address) -> Any:
-    """A new participant, and the domain that it lives in as long as anything holds either; raises DeviceFault."""
+def participant(address: Address) -> tuple[Any, Any]:
+    """A new participant, and its domain, to be held as long as the participant lives; raises DeviceFault."""
     module, failure = needed("cyclonedds.domain"), needed("cyclonedds.core").DDSException
     number, text = address.domain, configuration(address.host)
     domain = _domains.get(number)
@@ -171,11 +171,9 @@ def participant(address: Address) -> Any:
         if domain is None:
             domain = module.Domain(number, text)
             _domains[number], _configurations[number] = domain, text
-        made = module.DomainParticipant(number)
+        return module.DomainParticipant(number), domain
     except failure as error:
         raise DeviceFault(f"ROS domain {number} cannot be opened: {error}") from error
-    made.lives_in = domain
-    return made
 
 
 def quality(reliable: bool, depth: int) -> Any:
@@ -201,7 +199,7 @@ class Topics:
         self.address, self._journal = address, journal
         topic, known = needed("cyclonedds.topic").Topic, types()
         failure = needed("cyclonedds.core").DDSException
-        own = participant(address)
+        own, domain = participant(address)
         try:
             commands = topic(own, f"rt/{address.trajectories}", known.JointTrajectory)
             states = topic(own, f"rt/{address.states}", known.JointState)
@@ -209,7 +207,7 @@ class Topics:
             self._reader = needed("cyclonedds.sub").DataReader(own, states, quality(False, LATEST))
         except failure as error:
             raise DeviceFault(f"topics of {address.controller} cannot be opened: {error}") from error
-        self._held = [own, commands, states]
+        self._held = [domain, own, commands, states]
 
     def listeners(self) -> int:
         """How many subscribers get trajectories."""

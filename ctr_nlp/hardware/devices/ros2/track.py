@@ -112,6 +112,10 @@ class Track:
         """Play from the start; the commands begin at rest."""
         self.ramp = Ramp(clock, 0.0, 1.0, 1.0, 1.0)
 
+    def begin_ramp(self, clock: float) -> None:
+        """Count the pace from now on: the controller begins when its trajectory has been sent."""
+        self.ramp = self.ramp._replace(begun=clock)
+
     def points(self) -> Points:
         """What is ahead from where the ramp begins, at rest at its end; time in s since then."""
         ramp = self.ramp

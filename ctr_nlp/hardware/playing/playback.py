@@ -1,0 +1,127 @@
+"""One program played on a device that has been started: watched, paused, and led to its last frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from ctr_nlp.exceptions import ProgramError
+from ctr_nlp.hardware.clock import Clock
+from ctr_nlp.hardware.devices import Device, Progress, Standing
+from ctr_nlp.hardware.journal import Journal
+from ctr_nlp.hardware.motion.program import Program
+from ctr_nlp.hardware.playing.leading import LEVEL, Leading
+from ctr_nlp.hardware.playing.results import Outcome, State
+from ctr_nlp.hardware.playing.supervision import Supervisor, Tolerances
+from ctr_nlp.hardware.playing.wishes import Wishes
+
+TICK = 0.005
+"""s between two looks at the device."""
+
+Seen = Callable[[Program, Progress], None]
+
+
+class Ending(NamedTuple):
+    """How a program ended, and why; standing: None where the device still has to be stopped."""
+
+    outcome: Outcome
+    message: str
+    standing: Standing | None = None
+
+
+class Playback:
+    """A program on its way. to: told of the states running and hold; frame: the last that was passed."""
+
+    def __init__(
+        self,
+        program: Program,
+        device: Device,
+        arm: Leading | None,
+        journal: Journal,
+        clock: Clock,
+        wishes: Wishes,
+        to: Callable[[State], None],
+    ) -> None:
+        self._program, self._device, self._arm = program, device, arm
+        self._journal, self._clock, self._wishes, self._to = journal, clock, wishes, to
+        self._held = False
+        self.frame = int(program.frames[0])
+
+    def check_start(self, standing: Standing) -> None:
+        """Raise ProgramError unless the axes stand where the program starts."""
+        start = self._program.positions(np.zeros(1))[0]
+        for axis, wanted, there in zip(self._program.hardware.axes, start, standing.position, strict=True):
+            if abs(wanted - there) > axis.tolerance:
+                raise ProgramError(
+                    f"axis {axis.letter} ({axis.joint}) stands at {there:.4g} {axis.unit}, and frame "
+                    f"{self.frame} is at {wanted:.4g}: nothing jumps by more than {axis.tolerance:g}"
+                )
+
+    def run(self, seen: Seen | None) -> Ending:
+        """Play until it ends, or until something is wrong; raises DeviceFault, JournalError."""
+        supervisor = Supervisor(Tolerances(self._program.hardware.late, self._device.resolution))
+        while True:
+            progress = self._device.update()
+            self._tell(progress)
+            wrong = supervisor.violation(progress, self._clock.now())
+            if wrong is not None:
+                where = f"{progress.time:.2f} s after the start, frame {self.frame} being the last passed"
+                return Ending(wrong.outcome, f"{wrong.what} ({where})")
+            if seen is not None:
+                seen(self._program, progress)
+            if progress.state == "done":
+                return self._arrived(progress)
+            if self._wishes.aborted():
+                return Ending(Outcome.CANCELLED, f"stopped on request, after frame {self.frame}")
+            self._obey(progress, supervisor)
+            if self._arm is not None and not self._held:
+                self._arm.follow(progress)
+            self._device.feed()
+            self._clock.sleep(TICK)
+
+    def _tell(self, progress: Progress) -> None:
+        """Record every frame that has been passed, with the position when that was seen."""
+        passed = self._program.frames[self._program.frame_time <= progress.time + 1e-9]
+        if progress.state == "done":
+            passed = self._program.frames
+        for frame in passed[passed > self.frame].tolist():
+            self.frame = frame
+            self._journal.record("frame", frame=frame, position=progress.position.tolist())
+
+    def _obey(self, progress: Progress, supervisor: Supervisor) -> None:
+        """Pause or go on as wished, once the device can."""
+        wish = self._wishes.latest
+        if progress.state == "held" and not self._held:
+            if self._arm is not None:
+                self._arm.hold()
+            self._rest(True)
+        if progress.state == "holding" and wish == "resume":
+            return
+        if progress.state == "running" and wish == "pause":
+            self._device.hold()
+            supervisor.paused()
+        if progress.state == "held" and wish == "resume":
+            self._device.resume()
+            supervisor.resumed()
+            self._rest(False)
+        self._wishes.granted()
+
+    def _rest(self, held: bool) -> None:
+        self._held = held
+        self._to(State.HOLD if held else State.RUNNING)
+
+    def _arrived(self, progress: Progress) -> Ending:
+        goal = self._program.positions(np.array([self._program.duration]))[0]
+        tilted = 0.0 if self._arm is None else self._arm.arrive()
+        standing = Standing(progress.position, True)
+        off = abs(progress.position - goal) / self._device.resolution
+        if off.max() > 1.0:
+            axis = self._program.hardware.axes[int(off.argmax())]
+            message = f"axis {axis.letter} ({axis.joint}) stands {off.max():.3g} steps from the last frame"
+            return Ending(Outcome.GOAL_TOLERANCE_VIOLATED, message, standing)
+        if tilted > LEVEL:
+            message = f"the arm stands {np.degrees(tilted):.2g} deg from the last frame"
+            return Ending(Outcome.GOAL_TOLERANCE_VIOLATED, message, standing)
+        return Ending(Outcome.SUCCESS, f"frame {self.frame} reached", standing)
