@@ -1,5 +1,6 @@
 """The errors this library raises on bad input; each names the field, its value and what is allowed."""
 
+import warnings
 from typing import Any
 
 
@@ -30,7 +31,7 @@ class OutputError(CtrError):
     """A place that cannot be written, or a plan that cannot be read."""
 
 
-class ProgramError(CtrError):
+class TrajectoryError(CtrError):
     """A plan that this hardware cannot or must not play; the message names frame and axis."""
 
 
@@ -52,3 +53,11 @@ class Stopped(DeviceFault):
 
 class JournalError(CtrError):
     """A journal that cannot be written, or cannot be read back."""
+
+
+def __getattr__(name: str) -> Any:
+    """Names of before, for one more version."""
+    if name == "ProgramError":
+        warnings.warn("ProgramError is called TrajectoryError now", DeprecationWarning, stacklevel=2)
+        return TrajectoryError
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

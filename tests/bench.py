@@ -19,7 +19,7 @@ from ctr_nlp.hardware.emulator.firmware import Firmware
 from ctr_nlp.hardware.emulator.wire import VirtualClock, Wire
 from ctr_nlp.hardware.journal import Journal, read_journal
 from ctr_nlp.hardware.link import RecordedLink
-from ctr_nlp.hardware.motion.program import Program
+from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.playback import Seen
 from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.results import Result
@@ -141,7 +141,7 @@ class World:
         self.firmware.motion.lowest = self.firmware.position.tolist()
         self.firmware.motion.highest = self.firmware.position.tolist()
 
-    def program(self) -> Program:
+    def trajectory(self) -> Trajectory:
         """What is played."""
         return prepared(self.plan, self.hardware)[0]
 
@@ -175,7 +175,7 @@ class World:
 
     def frames_played(self, within: float = 2e-4) -> list[int]:
         """Which frames' positions the controller finished lines at, to so many mm and deg, in order."""
-        at_frames = np.round(self.program().positions(self.program().frame_time), 4)
+        at_frames = np.round(self.trajectory().positions(self.trajectory().frame_time), 4)
         ends = np.array([target for _, target in self.firmware.executed]).reshape(-1, 6)
         order = [self.hardware.letters.index(letter) for letter in "XYZABC"]
         away = abs(ends[:, None, :] - at_frames[None, :, order]).max(axis=2)

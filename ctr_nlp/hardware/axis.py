@@ -63,8 +63,8 @@ class Axis:
             raise HardwareError(f"{name} of {self.joint} is {value!r}; give {size} numbers")
         try:
             return numbers(f"{name} of {self.joint}", value, size)
-        except RobotError as error:
-            raise HardwareError(str(error)) from error
+        except RobotError as exception:
+            raise HardwareError(str(exception)) from exception
 
     @property
     def scale(self) -> float:

@@ -96,7 +96,7 @@ class Hardware:
         return q
 
     def in_joints(self, robot: Robot, lengths: Array) -> Array:
-        """Ways (.., m) that axes go, in their units, as ways of q (.., 2d + 2); the tilt does not move."""
+        """Changes (.., m) of axes, in their units, as changes of q (.., 2d + 2); the tilt does not move."""
         q = np.zeros((*np.shape(lengths)[:-1], 2 * robot.d + 2))
         q[..., [robot.axes.index(axis.joint) for axis in self.axes]] = lengths / self._scale
         return q
@@ -123,8 +123,8 @@ class Hardware:
             if hardware.robot is not None:
                 hardware.tightened(hardware.robot)
             return hardware
-        except (RobotError, HardwareError) as error:
-            raise HardwareError(f"hardware file {path}: {error}") from error
+        except (RobotError, HardwareError) as exception:
+            raise HardwareError(f"hardware file {path}: {exception}") from exception
 
 
 def _file(name: Any) -> str:

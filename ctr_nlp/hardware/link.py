@@ -40,15 +40,15 @@ class SerialLink:
             self._port: Any = serial.serial_for_url(
                 url, baudrate=baud, timeout=0, write_timeout=WRITE_TIMEOUT, exclusive=True
             )
-        except unopened as error:
-            raise DeviceFault(f"{url} cannot be opened: {error}") from error
+        except unopened as exception:
+            raise DeviceFault(f"{url} cannot be opened: {exception}") from exception
 
     def write(self, data: bytes) -> None:
         """Send all of it."""
         try:
             sent = self._port.write(data)
-        except self._lost as error:
-            raise DeviceFault(f"the link to {self._url} is lost: {error}") from error
+        except self._lost as exception:
+            raise DeviceFault(f"the link to {self._url} is lost: {exception}") from exception
         if sent is not None and sent < len(data):
             raise DeviceFault(f"the link to {self._url} took {sent} of {len(data)} bytes")
 
@@ -56,8 +56,8 @@ class SerialLink:
         """What has come since the last call, without waiting."""
         try:
             return bytes(self._port.read(4096))
-        except self._lost as error:
-            raise DeviceFault(f"the link to {self._url} is lost: {error}") from error
+        except self._lost as exception:
+            raise DeviceFault(f"the link to {self._url} is lost: {exception}") from exception
 
     def close(self) -> None:
         """Let go of it; a lost one is let go of as well."""

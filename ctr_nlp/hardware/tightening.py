@@ -65,8 +65,8 @@ def tightened(robot: Robot, axes: tuple[Axis, ...], arm: Arm | None, looks_ahead
         limits[f"{name}_acceleration"] = rates[k].tolist()
     try:
         return robot.with_limits(**limits)
-    except RobotError as error:
-        raise HardwareError(f"this hardware cannot move the robot: {error}") from error
+    except RobotError as exception:
+        raise HardwareError(f"this hardware cannot move the robot: {exception}") from exception
 
 
 def _check_ranges(robot: Robot, axes: tuple[Axis, ...], lower: Array, upper: Array) -> None:

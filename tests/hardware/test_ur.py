@@ -96,8 +96,8 @@ class TestSimulated:
         for factor, fails in ((0.99, False), (1.01, True)):
             arm = SimulatedArm(Arm(joint_speed_deg=60), clock=clock)
             arm.connect()
-            ways = joints(Arm(), np.array([[0.0, 0.0], [0.0, 0.001]]), arm.joints())
-            rate = np.abs(np.diff(ways, axis=0)).max() / 0.001
+            rates = joints(Arm(), np.array([[0.0, 0.0], [0.0, 0.001]]), arm.joints())
+            rate = np.abs(np.diff(rates, axis=0)).max() / 0.001
             clock.now += DT
             theta = np.array([0.0, factor * np.radians(60) * DT / rate])
             if fails:
@@ -241,7 +241,7 @@ class TestUr:
         assert all(0.03 <= what[3] <= 0.2 and 100 <= what[4] <= 2000 for what in robot.sent)
 
     def test_the_branch_is_that_of_the_real_arm(self, robot, follower, clock):
-        """Whatever branch planning would choose, the arm is not sent to another one."""
+        """Whatever joint solution planning would choose, the arm is not sent to another one."""
         pose = np.array(joints(Arm(), np.zeros((1, 2)))[0])
         other = next(
             q

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
-from ctr_nlp.hardware.motion.program import Commands
+from ctr_nlp.hardware.motion.trajectory import Commands
 from ctr_nlp.typing import Array
 
 
@@ -35,9 +35,9 @@ class Signs(NamedTuple):
 class Progress(NamedTuple):
     """How far a device has come.
 
-    state: "running", "holding" (slowing down), "held" or "done". time: s of the program that have been played.
+    state: "running", "holding" (slowing down), "held" or "done". time: s of the trajectory that have been played.
     line: how many commands have been finished. position (m,): of the axes, in their units; stamp: when it was seen
-    there, s of the clock. away: how far it was from the way it should be on, in parts of the axes' tolerances.
+    there, s of the clock. away: how far it was from the path it should be on, in parts of the axes' tolerances.
     signs: what else it shows.
     """
 
@@ -82,7 +82,7 @@ class Device(Protocol):
     def start(self, commands: Commands) -> None:
         """Get ready to play commands from where it stands; feed begins with it.
 
-        Raises ProgramError where the link is too slow for them.
+        Raises TrajectoryError where the link is too slow for them.
         """
         ...
 
@@ -95,7 +95,7 @@ class Device(Protocol):
         ...
 
     def hold(self) -> None:
-        """Begin to stop on the way, so that it can go on."""
+        """Begin to stop on the path, so that it can go on."""
         ...
 
     def resume(self) -> None:

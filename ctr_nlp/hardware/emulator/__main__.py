@@ -32,8 +32,8 @@ def main(arguments: list[str] | None = None) -> int:
         signal.signal(number, lambda *_: stop.set())
     try:
         port = open_port("pty" if options.pty else "tcp", options.tcp)
-    except (OSError, CtrError) as error:
-        print(f"error: {error}", file=sys.stderr)
+    except (OSError, CtrError) as exception:
+        print(f"error: {exception}", file=sys.stderr)
         return 2
     print(port.url, flush=True)
     try:

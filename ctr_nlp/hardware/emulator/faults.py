@@ -117,7 +117,7 @@ def _lie(line: Line, fault: Fault) -> None:
 
 
 def _flipped(data: bytes, draw: random.Random, share: float) -> bytes:
-    """Bytes of which a share has one bit the other way round."""
+    """Bytes of which a share has one bit inverted."""
     return bytes(byte ^ (1 << draw.randrange(8)) if draw.random() < share else byte for byte in data)
 
 

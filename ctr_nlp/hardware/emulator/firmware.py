@@ -146,7 +146,7 @@ class Firmware(Commands):
         self.slip = self.slip + pushed(self.settings[1], int(self.settings[37]), before, self.still)
 
     def _work(self) -> None:
-        """Obey lines of the receive buffer as long as nothing stands in the way."""
+        """Obey lines of the receive buffer as long as nothing stops it."""
         while not self._blocked():
             if self.pending:
                 attempt = self.pending

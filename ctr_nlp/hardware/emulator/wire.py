@@ -62,7 +62,7 @@ class Line:
         self.sent_bytes = 0
         self.cut = False
         self.outward: list[Callable[[bytes], bytes]] = []
-        """What faults do to bytes on their way to the firmware."""
+        """What faults do to bytes under way to the firmware."""
         self.inward: list[Callable[[bytes], list[tuple[float, bytes]]]] = []
         """What faults do to each whole reply line: (delay in s, bytes) for what arrives in its place."""
         self._waiting = list(faults)
@@ -74,11 +74,11 @@ class Line:
 
     @property
     def outbound(self) -> int:
-        """Bytes on their way to the firmware."""
+        """Bytes under way to the firmware."""
         return len(self._to_device)
 
     def put(self, data: bytes) -> None:
-        """Bytes from the host start on their way."""
+        """Bytes from the host are sent off."""
         self._check()
         self.sent_bytes += len(data)
         self._trigger()
@@ -99,7 +99,7 @@ class Line:
         return data
 
     def advance(self, seconds: float) -> None:
-        """Let time pass for the firmware and the bytes on the way."""
+        """Let time pass for the firmware and the bytes under way."""
         self.time += seconds
         arrived = 0
         while arrived < len(self._to_device) and self._to_device[arrived][0] <= self.time + 1e-12:
@@ -113,12 +113,12 @@ class Line:
         self._collect()
 
     def insert(self, line: bytes) -> None:
-        """A line that the firmware never sent is on its way to the host, between its own."""
+        """A line that the firmware never sent is sent to the host, between its own."""
         if not self.cut:
             self._send(0.0, line)
 
     def drop(self) -> None:
-        """The link is lost, with whatever was on its way; the firmware does not notice."""
+        """The link is lost, with whatever was under way; the firmware does not notice."""
         self.cut = True
         self._to_device.clear()
         self._to_host.clear()

@@ -8,7 +8,7 @@ from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.devices import Progress
 from ctr_nlp.hardware.devices.arms import ArmFollower
-from ctr_nlp.hardware.motion.program import Program
+from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.typing import Array
 
 AHEAD = 0.1
@@ -27,11 +27,11 @@ TICK = 0.005
 
 
 class Leading:
-    """Leads an arm through the tilts of a program."""
+    """Leads an arm through the tilts of a trajectory."""
 
-    def __init__(self, arm: ArmFollower, program: Program, clock: Clock) -> None:
-        self._arm, self._program, self._clock = arm, program, clock
-        self._tolerance = program.hardware.arm.skew_tolerance if program.hardware.arm else 0.0
+    def __init__(self, arm: ArmFollower, trajectory: Trajectory, clock: Clock) -> None:
+        self._arm, self._trajectory, self._clock = arm, trajectory, clock
+        self._tolerance = trajectory.hardware.arm.skew_tolerance if trajectory.hardware.arm else 0.0
 
     def follow(self, progress: Progress) -> None:
         """Let the arm follow the device's progress; raises DeviceFault where it does not."""
@@ -47,7 +47,7 @@ class Leading:
 
     def arrive(self) -> float:
         """Let the arm come to the last tilt and rest; by how much it stays off, rad."""
-        end, theta = self._clock.now() + SETTLING, self._tilts(np.array([self._program.duration]))[0]
+        end, theta = self._clock.now() + SETTLING, self._tilts(np.array([self._trajectory.duration]))[0]
         self._arm.follow(theta)
         while (off := float(np.linalg.norm(self._arm.tilt() - theta))) > 0.1 * LEVEL and self._clock.now() < end:
             self._clock.sleep(TICK)
@@ -60,4 +60,4 @@ class Leading:
         self._arm.hold()
 
     def _tilts(self, time: Array) -> Array:
-        return self._program.at(time)[0][:, -2:]
+        return self._trajectory.at(time)[0][:, -2:]

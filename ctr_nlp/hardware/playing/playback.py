@@ -1,4 +1,4 @@
-"""One program played on a device that has been started: watched, paused, and led to its last frame."""
+"""One trajectory played on a device that has been started: watched, paused, and led to its last frame."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ctr_nlp.exceptions import ProgramError
+from ctr_nlp.exceptions import TrajectoryError
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.devices import Device, Progress, Standing
 from ctr_nlp.hardware.journal import Journal
-from ctr_nlp.hardware.motion.program import Program
+from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.leading import LEVEL, Leading
 from ctr_nlp.hardware.playing.results import Outcome, State
 from ctr_nlp.hardware.playing.supervision import Supervisor, Tolerances
@@ -20,11 +20,11 @@ from ctr_nlp.hardware.playing.wishes import Wishes
 TICK = 0.005
 """s between two looks at the device."""
 
-Seen = Callable[[Program, Progress], None]
+Seen = Callable[[Trajectory, Progress], None]
 
 
 class Ending(NamedTuple):
-    """How a program ended, and why; standing: None where the device still has to be stopped."""
+    """How a trajectory ended, and why; standing: None where the device still has to be stopped."""
 
     outcome: Outcome
     message: str
@@ -32,11 +32,11 @@ class Ending(NamedTuple):
 
 
 class Playback:
-    """A program on its way. to: told of the states running and hold; frame: the last that was passed."""
+    """A trajectory in progress. to: told of the states running and hold; frame: the last that was passed."""
 
     def __init__(
         self,
-        program: Program,
+        trajectory: Trajectory,
         device: Device,
         arm: Leading | None,
         journal: Journal,
@@ -44,24 +44,24 @@ class Playback:
         wishes: Wishes,
         to: Callable[[State], None],
     ) -> None:
-        self._program, self._device, self._arm = program, device, arm
+        self._trajectory, self._device, self._arm = trajectory, device, arm
         self._journal, self._clock, self._wishes, self._to = journal, clock, wishes, to
         self._held = False
-        self.frame = int(program.frames[0])
+        self.frame = int(trajectory.frames[0])
 
     def check_start(self, standing: Standing) -> None:
-        """Raise ProgramError unless the axes stand where the program starts."""
-        start = self._program.positions(np.zeros(1))[0]
-        for axis, wanted, there in zip(self._program.hardware.axes, start, standing.position, strict=True):
+        """Raise TrajectoryError unless the axes stand where the trajectory starts."""
+        start = self._trajectory.positions(np.zeros(1))[0]
+        for axis, wanted, there in zip(self._trajectory.hardware.axes, start, standing.position, strict=True):
             if abs(wanted - there) > axis.tolerance:
-                raise ProgramError(
+                raise TrajectoryError(
                     f"axis {axis.letter} ({axis.joint}) stands at {there:.4g} {axis.unit}, and frame "
                     f"{self.frame} is at {wanted:.4g}: nothing jumps by more than {axis.tolerance:g}"
                 )
 
     def run(self, seen: Seen | None) -> Ending:
         """Play until it ends, or until something is wrong; raises DeviceFault, JournalError."""
-        supervisor = Supervisor(Tolerances(self._program.hardware.late, self._device.resolution))
+        supervisor = Supervisor(Tolerances(self._trajectory.hardware.late, self._device.resolution))
         while True:
             progress = self._device.update()
             self._tell(progress)
@@ -70,7 +70,7 @@ class Playback:
                 where = f"{progress.time:.2f} s after the start, frame {self.frame} being the last passed"
                 return Ending(wrong.outcome, f"{wrong.what} ({where})")
             if seen is not None:
-                seen(self._program, progress)
+                seen(self._trajectory, progress)
             if progress.state == "done":
                 return self._arrived(progress)
             if self._wishes.aborted():
@@ -83,9 +83,9 @@ class Playback:
 
     def _tell(self, progress: Progress) -> None:
         """Record every frame that has been passed, with the position when that was seen."""
-        passed = self._program.frames[self._program.frame_time <= progress.time + 1e-9]
+        passed = self._trajectory.frames[self._trajectory.frame_time <= progress.time + 1e-9]
         if progress.state == "done":
-            passed = self._program.frames
+            passed = self._trajectory.frames
         for frame in passed[passed > self.frame].tolist():
             self.frame = frame
             self._journal.record("frame", frame=frame, position=progress.position.tolist())
@@ -113,12 +113,12 @@ class Playback:
         self._to(State.HOLD if held else State.RUNNING)
 
     def _arrived(self, progress: Progress) -> Ending:
-        goal = self._program.positions(np.array([self._program.duration]))[0]
+        goal = self._trajectory.positions(np.array([self._trajectory.duration]))[0]
         tilted = 0.0 if self._arm is None else self._arm.arrive()
         standing = Standing(progress.position, True)
         off = abs(progress.position - goal) / self._device.resolution
         if off.max() > 1.0:
-            axis = self._program.hardware.axes[int(off.argmax())]
+            axis = self._trajectory.hardware.axes[int(off.argmax())]
             message = f"axis {axis.letter} ({axis.joint}) stands {off.max():.3g} steps from the last frame"
             return Ending(Outcome.GOAL_TOLERANCE_VIOLATED, message, standing)
         if tilted > LEVEL:

@@ -1,4 +1,4 @@
-"""Playing a program: a state machine around a device, and an arm that keeps in step with it."""
+"""Playing a trajectory: a state machine around a device, and an arm that keeps in step with it."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 
-from ctr_nlp.exceptions import DeviceFault, HardwareError, JournalError, ProgramError, Stopped
+from ctr_nlp.exceptions import DeviceFault, HardwareError, JournalError, Stopped, TrajectoryError
 from ctr_nlp.hardware.clock import Clock, RealClock
 from ctr_nlp.hardware.devices import Device, Standing
 from ctr_nlp.hardware.devices.arms import ArmFollower
 from ctr_nlp.hardware.journal import Journal
-from ctr_nlp.hardware.motion.program import Program
+from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.leading import Leading
 from ctr_nlp.hardware.playing.playback import Ending, Playback, Seen
 from ctr_nlp.hardware.playing.results import Outcome, Result, State
@@ -25,10 +25,10 @@ class Player:
     """One device, and an arm or None, from connecting to closing; everything that happens is in the journal.
 
     pause, resume and abort may be called from anywhere, also from the callback of play; the last word counts, but
-    an abort is final, and works in every state. What is asked for while nothing plays holds for the next program.
-    After any stop nothing moves and nothing is sent until the next call. memory: of whether the device's position
-    was to be trusted when sessions before this one ended, None to forget. A call that the state does not allow
-    raises DeviceFault.
+    an abort is final, and works in every state. What is asked for while nothing plays holds for what is played
+    next. After any stop nothing moves and nothing is sent until the next call. memory: of whether the device's
+    position was to be trusted when sessions before this one ended, None to forget. A call that the state does not
+    allow raises DeviceFault.
     """
 
     def __init__(
@@ -75,20 +75,20 @@ class Player:
             if home:
                 self.device.home(self._wishes.aborted)
             return self._cleared() if stop_first else self.device.standing()
-        except BaseException as error:
-            if self._wishes.aborted() and isinstance(error, DeviceFault):
+        except BaseException as exception:
+            if self._wishes.aborted() and isinstance(exception, DeviceFault):
                 result = self._stopped(Outcome.CANCELLED, "stopped on request, before anything was played")
-                raise Stopped(result) from error
-            if homing and not isinstance(error, HardwareError):
-                self._stopped(Outcome.DEVICE_FAULT, f"homing failed: {error!r}")
+                raise Stopped(result) from exception
+            if homing and not isinstance(exception, HardwareError):
+                self._stopped(Outcome.DEVICE_FAULT, f"homing failed: {exception!r}")
             raise
 
     def _cleared(self) -> Standing:
         """Stop what a dead player left behind; where that fails the position is lost, which is recorded."""
         try:
             return self.device.abort()
-        except DeviceFault as error:
-            self._ended(Outcome.DEVICE_FAULT, str(error), 0, None)
+        except DeviceFault as exception:
+            self._ended(Outcome.DEVICE_FAULT, str(exception), 0, None)
             raise
 
     def trust(self) -> None:
@@ -102,7 +102,7 @@ class Player:
         return np.zeros(2) if self._arm is None else self._arm.tilt()
 
     def pause(self) -> None:
-        """Stop on the way, so that it can go on."""
+        """Stop on the path, so that it can go on."""
         self._wishes.ask("pause")
 
     def resume(self) -> None:
@@ -122,33 +122,33 @@ class Player:
         with self.journal.forgiving():
             self._to(State.DISCONNECTED)
 
-    def play(self, program: Program, seen: Seen | None = None) -> Result:
-        """Play a program that was checked, from where it starts; returns when everything stands still.
+    def play(self, trajectory: Trajectory, seen: Seen | None = None) -> Result:
+        """Play a trajectory that was checked, from where it starts; returns when everything stands still.
 
-        seen is told of the program and its progress every few ms. Nothing is sent where axes are not at the start.
+        seen is told of it and of the progress every few ms. Nothing is sent where axes are not at the start.
         """
         self._expect("plays", State.HOMED)
-        arm = None if self._arm is None else Leading(self._arm, program, self._clock)
-        playback = Playback(program, self.device, arm, self.journal, self._clock, self._wishes, self._to)
+        arm = None if self._arm is None else Leading(self._arm, trajectory, self._clock)
+        playback = Playback(trajectory, self.device, arm, self.journal, self._clock, self._wishes, self._to)
         try:
-            outcome, message, standing = self._begun(playback, program) or playback.run(seen)
+            outcome, message, standing = self._begun(playback, trajectory) or playback.run(seen)
             if standing is None:
                 return self._stopped(outcome, message, playback.frame)
             return self._ended(outcome, message, playback.frame, standing)
-        except (DeviceFault, JournalError) as error:
-            return self._stopped(Outcome.DEVICE_FAULT, str(error), playback.frame)
-        except BaseException as error:
-            self._stopped(Outcome.CANCELLED, f"playing was interrupted by {error!r}", playback.frame)
+        except (DeviceFault, JournalError) as exception:
+            return self._stopped(Outcome.DEVICE_FAULT, str(exception), playback.frame)
+        except BaseException as exception:
+            self._stopped(Outcome.CANCELLED, f"playing was interrupted by {exception!r}", playback.frame)
             raise
 
-    def _begun(self, playback: Playback, program: Program) -> Ending | None:
+    def _begun(self, playback: Playback, trajectory: Trajectory) -> Ending | None:
         """Start the device; how that ended where nothing moves."""
         standing = self.device.standing()
         try:
             playback.check_start(standing)
-            self.device.start(program.commands())
-        except ProgramError as error:
-            return Ending(Outcome.INVALID_PLAN, str(error), standing)
+            self.device.start(trajectory.commands())
+        except TrajectoryError as exception:
+            return Ending(Outcome.INVALID_PLAN, str(exception), standing)
         if self._wishes.aborted():
             return Ending(Outcome.CANCELLED, "stopped on request, before anything moved", standing)
         self._trust.begun(self.device, self.journal.session)
@@ -161,14 +161,14 @@ class Player:
         with self.journal.forgiving():
             try:
                 standing = self.device.abort()
-            except DeviceFault as error:
-                message += f"; {error}"
+            except DeviceFault as exception:
+                message += f"; {exception}"
             finally:
                 try:
                     if self._arm is not None:
                         self._arm.hold() if outcome is Outcome.CANCELLED else self._arm.stop()
-                except DeviceFault as error:
-                    outcome, message = Outcome.DEVICE_FAULT, f"{message}; {error}"
+                except DeviceFault as exception:
+                    outcome, message = Outcome.DEVICE_FAULT, f"{message}; {exception}"
         return self._ended(outcome, message, frame, standing)
 
     def _ended(self, outcome: Outcome, message: str, frame: int, standing: Standing | None) -> Result:

@@ -1,4 +1,4 @@
-"""How playing ends, typed as the ROS 2 trajectory controllers type it, and the states on the way there."""
+"""How playing ends, typed as the ROS 2 trajectory controllers type it, and the states that lead there."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ class Supervisor:
         if progress.away > 1.0:
             return Violation(
                 Outcome.PATH_TOLERANCE_VIOLATED,
-                f"the axes are {progress.away:.3g} tolerances from their way; 1 is allowed",
+                f"the axes are {progress.away:.3g} tolerances from their path; 1 is allowed",
             )
         return None
 

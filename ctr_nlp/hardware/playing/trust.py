@@ -61,10 +61,10 @@ class Memory:
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             lock.acquire(timeout=0)
-        except filelock.Timeout as error:
-            raise DeviceFault(f"another player is connected to {self._address}: only one may be") from error
-        except OSError as error:
-            raise self._unwritten(error) from error
+        except filelock.Timeout as exception:
+            raise DeviceFault(f"another player is connected to {self._address}: only one may be") from exception
+        except OSError as exception:
+            raise self._unwritten(exception) from exception
         self._lock = lock
 
     def release(self) -> None:
@@ -80,8 +80,8 @@ class Memory:
             return Remembered(**json.loads(path.read_text(encoding="utf-8")))
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, TypeError) as error:
-            return Remembered(False, f"what was remembered of it, in {path}, cannot be read ({error})")
+        except (OSError, ValueError, TypeError) as exception:
+            return Remembered(False, f"what was remembered of it, in {path}, cannot be read ({exception})")
 
     def write(self, identity: str, left: Remembered) -> None:
         """Remember it, on the disk before this returns."""
@@ -92,17 +92,17 @@ class Memory:
                 json.dump(asdict(left), file)
                 file.flush()
                 os.fsync(file.fileno())
-        except OSError as error:
-            raise self._unwritten(error) from error
+        except OSError as exception:
+            raise self._unwritten(exception) from exception
 
     def _path(self, kind: str, identity: str) -> Path:
         name = hashlib.sha256(f"{self._address}\n{identity}".encode()).hexdigest()[:24]
         return self._folder / f"{name}.{kind}"
 
-    def _unwritten(self, error: OSError) -> DeviceFault:
+    def _unwritten(self, exception: OSError) -> DeviceFault:
         return DeviceFault(
-            f"whether {self._address} can be trusted cannot be remembered in {self._folder} ({error}): nothing is "
-            f"played; {FOLDER} names another folder"
+            f"whether {self._address} can be trusted cannot be remembered in {self._folder} ({exception}): "
+            f"nothing is played; {FOLDER} names another folder"
         )
 
 

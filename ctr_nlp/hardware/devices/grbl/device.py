@@ -8,13 +8,13 @@ from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices import Asked, Progress, Standing
+from ctr_nlp.hardware.devices.grbl.controller_settings import check
 from ctr_nlp.hardware.devices.grbl.identity import Identity
-from ctr_nlp.hardware.devices.grbl.settings import check
 from ctr_nlp.hardware.devices.grbl.stop import stopped
 from ctr_nlp.hardware.devices.grbl.stream import Stream
 from ctr_nlp.hardware.devices.grbl.talk import GREETING, RESET, Talk, never
 from ctr_nlp.hardware.link import Link
-from ctr_nlp.hardware.motion.program import Commands
+from ctr_nlp.hardware.motion.trajectory import Commands
 from ctr_nlp.typing import Array
 
 HOMING = 180.0
@@ -101,7 +101,7 @@ class Grbl:
         self._talk.quiet()
 
     def start(self, commands: Commands) -> None:
-        """Get ready to play commands from where it stands; raises ProgramError where the link is too slow."""
+        """Get ready to play commands from where it stands; raises TrajectoryError where the link is too slow."""
         self._stream, self._restarted = None, ""
         self._stream = Stream(self._talk, self._asked_who(), self._hardware, self._clock, commands)
 

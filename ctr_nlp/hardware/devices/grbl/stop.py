@@ -1,4 +1,4 @@
-"""The one way in which motion behind a Grbl controller is stopped, whatever the cause and the controller's state.
+"""How motion behind a Grbl controller is stopped, whatever the cause and the controller's state.
 
 The stop is sent first; what happened is asked afterwards. Every wait ends, and a stop during a stop changes
 nothing.

@@ -1,4 +1,4 @@
-"""One motion on its way to a Grbl controller: lines a little ahead of it, counted, and watched."""
+"""One motion, streamed to a Grbl controller: lines a little ahead of it, counted, and watched."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections import deque
 
 import numpy as np
 
-from ctr_nlp.exceptions import ProgramError
+from ctr_nlp.exceptions import TrajectoryError
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices import Progress, Signs
@@ -16,8 +16,8 @@ from ctr_nlp.hardware.devices.grbl.stop import OVERHEARD
 from ctr_nlp.hardware.devices.grbl.talk import HOLD, RESUME, STATUS, Talk
 from ctr_nlp.hardware.motion import lookahead
 from ctr_nlp.hardware.motion.gcode import MEANING, MODES, lines
-from ctr_nlp.hardware.motion.program import Commands
-from ctr_nlp.hardware.motion.progress import Place, Way
+from ctr_nlp.hardware.motion.progress import FollowedPath, Place
+from ctr_nlp.hardware.motion.trajectory import Commands
 from ctr_nlp.typing import Array, Flags
 
 AGAIN = 0.1
@@ -33,7 +33,7 @@ SPARE = 128
 """Bytes of the controller's buffer that are left free, lest a doubled ok makes it run over."""
 
 IN_FLIGHT = 320
-"""Bytes that may be on their way unacknowledged, once the controller has been given all that it may have at first:
+"""Bytes that may be under way unacknowledged, once the controller has been given all that it may have at first:
 a hold waits behind them, 28 ms at 115200 baud."""
 
 
@@ -41,7 +41,7 @@ class Stream:
     """Commands that are played from where the controller stands, by counting characters or line by line.
 
     Never further ahead of the confirmed position than lookahead allows. ok means planned: what has been played is
-    told by the line number and position of status reports. Raises ProgramError where the link is too slow.
+    told by the line number and position of status reports. Raises TrajectoryError where the link is too slow.
     """
 
     def __init__(
@@ -51,10 +51,10 @@ class Stream:
         self._columns, self._resolution = identity.columns(hardware), identity.resolution(hardware)
         slides = np.array([axis.unit == "mm" for axis in hardware.axes])
         self._seen = Report("Idle", False, talk.report().position, 0, None, None)
-        self._way = Way(self._seen.position[self._columns], commands, hardware.tolerance)
-        self._window = lookahead.Window(self._way.ends, self._way.points, slides)
+        self._path = FollowedPath(self._seen.position[self._columns], commands, hardware.tolerance)
+        self._window = lookahead.Window(self._path.ends, self._path.points, slides)
         self._place = Place(0.0, 0.0, 0, 0.0)
-        texts = lines(hardware.letters, self._way.points[0], commands.positions, commands.time, MEANING)
+        texts = lines(hardware.letters, self._path.points[0], commands.positions, commands.time, MEANING)
         self._lines = [text.encode("ascii") + b"\n" for text in texts]
         self._waiting: deque[int] = deque()
         self._sent = self._planned = 0
@@ -81,15 +81,15 @@ class Stream:
         return sum(self._waiting)
 
     def _check_link(self, slides: Flags, acceleration: Array) -> None:
-        """Raise ProgramError where the link, as measured, cannot keep the motion supplied."""
-        seconds = np.diff(self._way.ends)
+        """Raise TrajectoryError where the link, as measured, cannot keep the motion supplied."""
+        seconds = np.diff(self._path.ends)
         link = lookahead.LinkTiming(self._talk.round_trip(), self._connection.baud / 10.0)
-        speed = abs(np.diff(self._way.points, axis=0) / seconds[:, None]).max(axis=0)
-        rate = float(sum(map(len, self._lines)) / self._way.ends[-1])
+        speed = abs(np.diff(self._path.points, axis=0) / seconds[:, None]).max(axis=0)
+        rate = float(sum(map(len, self._lines)) / self._path.ends[-1])
         part = lookahead.sustainable(speed, acceleration, slides, link, rate)
         if part < 1.0:
             advice = f"play it at {int(100 * part) / 100:g} of this tempo" if part >= 0.01 else "use another link"
-            raise ProgramError(
+            raise TrajectoryError(
                 f"the link answers after {1e3 * link.round_trip:.0f} ms and takes {link.rate:.0f} bytes/s: with "
                 f"{lookahead.AHEAD:g} s of motion in the controller's hands, it cannot keep this pace; {advice}"
             )
@@ -102,7 +102,7 @@ class Stream:
         state = "done" if done else "held" if self._held else "holding" if self._holding else "running"
         time, _, line, away = self._place
         if done:
-            time, line = float(self._way.ends[-1]), len(self._lines)
+            time, line = float(self._path.ends[-1]), len(self._lines)
         position = self._seen.position[self._columns]
         return Progress(state, time, line, position, self._stamp, away, self._signs())
 
@@ -115,9 +115,9 @@ class Stream:
     def _settled(self) -> bool:
         """Whether an idle controller has done all that was planned: it may not have begun with the last of it.
 
-        At the end of the way two reports that agree will do: one alone may be a lie.
+        At the end of the path two reports that agree will do: one alone may be a lie.
         """
-        off = abs(self._seen.position[self._columns] - self._way.points[-1]) / self._resolution
+        off = abs(self._seen.position[self._columns] - self._path.points[-1]) / self._resolution
         rest = self._stamp - self._moved
         return rest > (lookahead.POLL / 2 if off.max() <= 1.0 else SETTLING)
 
@@ -139,7 +139,7 @@ class Stream:
             self._said = self._said or f"the controller says {reply.text!r}{line}"
 
     def _follow(self, report: Report) -> None:
-        """Find where on its way a report shows it."""
+        """Find where on its path a report shows it."""
         before, self._answered, self._stamp = self._stamp, True, self._clock.now()
         if report.state not in ("Idle", "Run", "Hold"):
             self._said = self._said or f"the controller is in state {report.state} while it should play"
@@ -160,9 +160,9 @@ class Stream:
             self._locate(report, position, self._stamp - before)
 
     def _locate(self, report: Report, position: Array, passed: float) -> None:
-        """The place on the way of a position that was reported so many s after the one before."""
+        """The place on the path of a position that was reported so many s after the one before."""
         ahead = min(report.line + 1, self._sent) if report.line else self._sent
-        place = self._way.nearest(position, max(self._place.line - 1, 0), ahead)
+        place = self._path.nearest(position, max(self._place.line - 1, 0), ahead)
         while_resting = min(place.until, self._place.time + passed)
         time = max(self._place.time, place.time, while_resting)
         self._place = place._replace(time=time, line=max(place.line, self._place.line))

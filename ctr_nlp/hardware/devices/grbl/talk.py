@@ -25,7 +25,7 @@ RARELY = 32
 """Reports among which one tells the overrides."""
 
 QUIET = 0.15
-"""s without a byte: nothing else is on its way."""
+"""s without a byte: nothing else is under way."""
 
 TICK = 0.005
 """s between two looks at the link while waiting."""
@@ -150,11 +150,11 @@ class Talk:
         pairs = [text.strip("[]").partition(":") for text in self.ask("$#") if text.startswith("[")]
         try:
             return {name: tuple(float(x) for x in re.split("[,:]", values)) for name, _, values in pairs}
-        except ValueError as error:
-            raise DeviceFault(f"the controller's offsets cannot be read: {pairs}") from error
+        except ValueError as exception:
+            raise DeviceFault(f"the controller's offsets cannot be read: {pairs}") from exception
 
     def quiet(self) -> None:
-        """Let pass what is still on its way, such as the second ok that a status question before a line earns."""
+        """Let pass what is still under way, such as the second ok that a status question before a line earns."""
         end = self._clock.now() + ANSWER
         last = self._clock.now()
         while self._clock.now() < min(end, last + QUIET):
@@ -182,5 +182,5 @@ class Talk:
             self.axes = int(count)
             known = {name: value for name, _, value in settings}
             return Identity(letters, int(receive), int(blocks), known, "; ".join(map(":".join, told.items())))
-        except (KeyError, ValueError) as error:
-            raise DeviceFault(f"the controller is no grblHAL that can be used: it tells {told}") from error
+        except (KeyError, ValueError) as exception:
+            raise DeviceFault(f"the controller is no grblHAL that can be used: it tells {told}") from exception

@@ -156,8 +156,8 @@ def configuration(host: str) -> str:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.connect((host, 7400))
             return CONFIGURATION.format(own=probe.getsockname()[0], peer=probe.getpeername()[0])
-    except OSError as error:
-        raise DeviceFault(f"host {host} of the ROS 2 controller is not to be reached: {error}") from error
+    except OSError as exception:
+        raise DeviceFault(f"host {host} of the ROS 2 controller is not to be reached: {exception}") from exception
 
 
 def participant(address: Address) -> tuple[Any, Any]:
@@ -166,14 +166,14 @@ def participant(address: Address) -> tuple[Any, Any]:
     number, text = address.domain, configuration(address.host)
     domain = _domains.get(number)
     if domain is not None and _configurations[number] != text:
-        raise DeviceFault(f"ROS domain {number} is open in this program already, by way of another interface")
+        raise DeviceFault(f"ROS domain {number} is open in this program already, on another interface")
     try:
         if domain is None:
             domain = module.Domain(number, text)
             _domains[number], _configurations[number] = domain, text
         return module.DomainParticipant(number), domain
-    except failure as error:
-        raise DeviceFault(f"ROS domain {number} cannot be opened: {error}") from error
+    except failure as exception:
+        raise DeviceFault(f"ROS domain {number} cannot be opened: {exception}") from exception
 
 
 def quality(reliable: bool, depth: int) -> Any:
@@ -205,8 +205,8 @@ class Topics:
             states = topic(own, f"rt/{address.states}", known.JointState)
             self._writer = needed("cyclonedds.pub").DataWriter(own, commands, quality(True, 1))
             self._reader = needed("cyclonedds.sub").DataReader(own, states, quality(False, LATEST))
-        except failure as error:
-            raise DeviceFault(f"topics of {address.controller} cannot be opened: {error}") from error
+        except failure as exception:
+            raise DeviceFault(f"topics of {address.controller} cannot be opened: {exception}") from exception
         self._held = [domain, own, commands, states]
 
     def listeners(self) -> int:
@@ -237,8 +237,8 @@ class Topics:
         """What DDS answers; whatever fails in it, or in reading what came, is the connection's fault."""
         try:
             return function(*arguments)
-        except Exception as error:
-            raise DeviceFault(f"the connection to {self.address.controller} failed: {error}") from error
+        except Exception as exception:
+            raise DeviceFault(f"the connection to {self.address.controller} failed: {exception}") from exception
 
     def close(self) -> None:
         """Leave the domain; nothing is sent on the topics."""

@@ -13,8 +13,8 @@ from ctr_nlp.hardware.emulator.mechanics.overrides import Overrides
 from ctr_nlp.hardware.emulator.mechanics.planner import (
     BLOCKS,
     LEAST_STEP_MM,
+    AxisLimits,
     Block,
-    Limits,
     Vector,
     look_ahead,
     straight,
@@ -28,7 +28,7 @@ PREPARED = 9
 class Motion:
     """Plans blocks, prepares segments and executes them. position: (6,), where the motors are."""
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: AxisLimits) -> None:
         self.limits = limits
         self.position: Vector = (0.0,) * len(limits.speed)
         self.blocks: deque[Block] = deque()
@@ -72,7 +72,7 @@ class Motion:
         """Say which line has been read; None or 0 for one without a number."""
         self._read = number or None
 
-    def keep(self, limits: Limits) -> None:
+    def keep(self, limits: AxisLimits) -> None:
         """Keep other limits from now on; what is planned keeps its own."""
         self.limits = limits
 
@@ -180,7 +180,7 @@ class Motion:
         look_ahead(list(self.blocks), self.speed)
 
     def _settle(self) -> None:
-        """At a standstill: a hold has its segments ready for the way on."""
+        """At a standstill: a hold has its segments ready for going on."""
         self.running = self._stopped = False
         self.speed = 0.0
         if self.holding:

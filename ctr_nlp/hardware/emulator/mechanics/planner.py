@@ -22,7 +22,7 @@ Vector = tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class Limits:
+class AxisLimits:
     """What the settings allow. speed: (6,) mm/s. acceleration: (6,) mm/s^2. deviation: of a junction, mm."""
 
     speed: Vector
@@ -86,7 +86,7 @@ def straight(
     start: Vector,
     target: Vector,
     asked: float,
-    limits: Limits,
+    limits: AxisLimits,
     before: Block | None,
     overrides: Overrides,
     line: int | None,
@@ -107,7 +107,7 @@ def straight(
     return new
 
 
-def junction(before: Vector, after: Vector, limits: Limits) -> float:
+def junction(before: Vector, after: Vector, limits: AxisLimits) -> float:
     """Squared speed through a corner: that of an arc which leaves the corner by the junction deviation."""
     cosine = -sum(a * b for a, b in zip(before, after, strict=True))
     if cosine > 0.999999:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ctr_nlp.hardware.emulator.mechanics.planner import Limits
+from ctr_nlp.hardware.emulator.mechanics.planner import AxisLimits
 from ctr_nlp.hardware.emulator.protocol.gcode import BAD_NUMBER, NEGATIVE, Refused
 
 NO_SUCH_SETTING, NEEDS_HOMING = 53, 10
@@ -66,7 +66,7 @@ class ControllerSettings(dict[int, float]):
         return [axis for cycle in cycles for axis in range(6) if cycle >> axis & 1]
 
     @property
-    def limits(self) -> Limits:
+    def limits(self) -> AxisLimits:
         """Speeds, accelerations and junction deviation for the planner."""
         speed = tuple(rate / 60 for rate in self.axes(110))
-        return Limits(speed, self.axes(120), self[11])
+        return AxisLimits(speed, self.axes(120), self[11])
