@@ -315,22 +315,22 @@ def in_rosbags(folder):
     return found
 
 
-def as_arrays(trajectory):
-    time = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in trajectory.points])
+def as_arrays(message):
+    time = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in message.points])
     parts = ("positions", "velocities", "accelerations")
-    return time, *(np.array([getattr(p, name) for p in trajectory.points]) for name in parts)
+    return time, *(np.array([getattr(p, name) for p in message.points]) for name in parts)
 
 
 @pytest.mark.parametrize("storage", STORAGES)
 def test_a_bag_holds_the_trajectory_in_si_units(plan, trajectory, tmp_path, storage):
     read = in_rosbags(written(trajectory, tmp_path, storage))
-    ((stamp, trajectory),) = read[TRAJECTORY]
+    ((stamp, message),) = read[TRAJECTORY]
     assert stamp == 0
-    assert trajectory.joint_names == [f"{k}_{i}" for k in ("alpha", "beta") for i in (1, 2, 3)] + [
+    assert message.joint_names == [f"{k}_{i}" for k in ("alpha", "beta") for i in (1, 2, 3)] + [
         "theta_x",
         "theta_y",
     ]
-    time, position, velocity, acceleration = as_arrays(trajectory)
+    time, position, velocity, acceleration = as_arrays(message)
     meant = np.hstack([plan.alpha, plan.beta / 1000, plan.theta])
     at = [int(abs(time - t).argmin()) for t in trajectory.frame_time]
     assert time[at] == pytest.approx(trajectory.frame_time, abs=1e-8)
@@ -373,9 +373,9 @@ def test_the_mcap_file_explains_itself_to_another_reader(trajectory, tmp_path):
         "trajectory_msgs/msg/JointTrajectory",
         "sensor_msgs/msg/JointState",
     }
-    (trajectory,) = (message for _, channel, _, message in messages if channel.topic == TRAJECTORY)
+    (found,) = (message for _, channel, _, message in messages if channel.topic == TRAJECTORY)
     ((_, other),) = in_rosbags(folder)[TRAJECTORY]
-    for ours, theirs in zip(as_arrays(trajectory), as_arrays(other), strict=True):
+    for ours, theirs in zip(as_arrays(found), as_arrays(other), strict=True):
         assert np.array_equal(ours, theirs)
     states = [message for _, channel, _, message in messages if channel.topic == STATES]
     assert len(states) == len(trajectory.commands().time) + 1

@@ -114,9 +114,9 @@ def test_what_stands_a_hair_before_a_frame_stands_at_it(trajectory, before):
         rest_of(trajectory, trajectory.knots[-1] - before)
 
 
-@pytest.mark.parametrize("approach", [1.0, 0.1])
-def test_the_way_to_the_start_is_straight_and_slow(approach):
-    trajectory = trajectory_of(sweep(), homing_hardware(approach=approach))
+@pytest.mark.parametrize("part", [1.0, 0.1])
+def test_the_approach_to_the_start_is_straight_and_slow(part):
+    trajectory = trajectory_of(sweep(), homing_hardware(approach=part))
     standing = np.array([-1.0, -1, -1, 90, 0, -45])
     approach = approach_to(trajectory, standing, np.zeros(2))
     start = trajectory.positions(np.zeros(1))[0]
@@ -128,19 +128,19 @@ def test_the_way_to_the_start_is_straight_and_slow(approach):
     np.testing.assert_allclose(positions, standing + gone[:, None] * (start - standing), atol=1e-6)
     rate = abs(np.diff(positions, axis=0)) / time[1]
     used = (rate / [axis.speed for axis in trajectory.hardware.axes]).max()
-    assert used <= approach * (1 + OVER)
-    assert used > 0.1 * approach
+    assert used <= part * (1 + OVER)
+    assert used > 0.1 * part
     np.testing.assert_array_equal(approach.frames, [0, 1])
 
 
-def test_the_way_to_where_a_rest_starts_belongs_to_the_frame_ahead(trajectory):
+def test_the_approach_to_where_a_rest_starts_belongs_to_the_frame_ahead(trajectory):
     rest = rest_of(trajectory, float(trajectory.knots[4:6].mean()))
     approach = approach_to(rest, rest.positions(np.zeros(1))[0] + 0.1, np.zeros(2))
     np.testing.assert_array_equal(approach.frames, [5, 5])
     np.testing.assert_array_equal(np.unique(approach.commands().frame), [5])
 
 
-def test_the_way_from_the_start_to_the_start_is_short(trajectory):
+def test_the_approach_from_the_start_to_the_start_is_short(trajectory):
     approach = approach_to(trajectory, trajectory.positions(np.zeros(1))[0], np.zeros(2))
     assert approach.duration < 0.1
     np.testing.assert_allclose(
