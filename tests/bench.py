@@ -14,9 +14,8 @@ from ctr_nlp.hardware.axis import Axis
 from ctr_nlp.hardware.connection import Connection
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices.grbl.device import Grbl
-from ctr_nlp.hardware.emulator.faults import Fault
 from ctr_nlp.hardware.emulator.firmware import Firmware
-from ctr_nlp.hardware.emulator.wire import VirtualClock, Wire
+from ctr_nlp.hardware.emulator.wire import Fault, VirtualClock, Wire
 from ctr_nlp.hardware.journal import Journal, read_journal
 from ctr_nlp.hardware.link import RecordedLink
 from ctr_nlp.hardware.motion.trajectory import Trajectory

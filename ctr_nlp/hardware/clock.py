@@ -11,11 +11,9 @@ class Clock(Protocol):
 
     def now(self) -> float:
         """The time, s."""
-        ...
 
     def sleep(self, seconds: float) -> None:
         """Let so much time pass."""
-        ...
 
 
 class RealClock:

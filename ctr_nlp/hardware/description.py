@@ -17,7 +17,7 @@ from ctr_nlp.hardware.commissioned import read_commissioned
 from ctr_nlp.hardware.connection import Connection
 from ctr_nlp.hardware.tightening import check_fit, tightened
 from ctr_nlp.robot import Robot
-from ctr_nlp.support.values import described, read_toml
+from ctr_nlp.support.values import described, number, read_toml
 from ctr_nlp.typing import Array
 
 KEYS = "name, robot, axes, arm, connection, approach, late"
@@ -49,12 +49,10 @@ class Hardware:
             double = [value for value in values if values.count(value) > 1]
             if double:
                 raise HardwareError(f"{name} {double[0]} is given to {len(double)} axes; give it to one")
-        approach = self.approach
-        if isinstance(approach, bool) or not isinstance(approach, int | float) or not 0 < approach <= 1:
-            raise HardwareError(f"approach is {approach!r}; it must lie in (0, 1]")
-        late = self.late
-        if isinstance(late, bool) or not isinstance(late, int | float) or not 0 < late < math.inf:
-            raise HardwareError(f"late is {late!r}; it must be a positive number of seconds")
+        number(HardwareError, "approach", self.approach, lambda part: 0 < part <= 1, "lie in (0, 1]")
+        number(
+            HardwareError, "late", self.late, lambda late: 0 < late < math.inf, "be a positive number of seconds"
+        )
 
     @cached_property
     def letters(self) -> tuple[str, ...]:

@@ -18,15 +18,12 @@ class Link(Protocol):
 
     def write(self, data: bytes) -> None:
         """Send all of it."""
-        ...
 
     def read(self) -> bytes:
         """What has come since the last call, without waiting."""
-        ...
 
     def close(self) -> None:
         """Let go of it."""
-        ...
 
 
 class SerialLink:

@@ -19,14 +19,13 @@ from ctr_nlp.hardware.playing.supervision import (
     STALLED,
     UNASKED,
     Supervisor,
-    Tolerances,
 )
 
 LATE = 0.8
 
 
 def supervisor() -> Supervisor:
-    return Supervisor(Tolerances(LATE, np.array([0.01, 0.02])))
+    return Supervisor(LATE, np.array([0.01, 0.02]))
 
 
 def progress(time: float, stamp: float, state: str = "running", **changes: Any) -> Progress:
@@ -38,7 +37,7 @@ def watched(seen: list[tuple[float, Progress]], by: Supervisor | None = None) ->
     """What a supervisor says at moments."""
     by = by or supervisor()
     found = [by.violation(one, now) for now, one in seen]
-    return ["" if violation is None else f"{violation.outcome.name}: {violation.what}" for violation in found]
+    return ["" if violation is None else f"{violation.outcome.name}: {violation.message}" for violation in found]
 
 
 def test_a_motion_in_time_is_left_alone() -> None:

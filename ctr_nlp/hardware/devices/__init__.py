@@ -59,56 +59,44 @@ class Device(Protocol):
 
     def connect(self, stop: Asked) -> None:
         """Open the link and make sure of what answers; where a stop is asked for meanwhile, that is a fault."""
-        ...
 
     @property
     def identity(self) -> str:
         """What tells this device, once it is connected, from others at its address; "" where nothing does."""
-        ...
 
     def standing(self) -> Standing:
         """Where it stands; a device that moves is a fault."""
-        ...
 
     @property
     def resolution(self) -> Array:
         """The least that its axes (m,) can tell apart, in their units, once it is connected."""
-        ...
 
     def home(self, stop: Asked) -> None:
         """Find its position by itself, and wait for that; where stop says so, stop at once, which is a fault."""
-        ...
 
     def start(self, commands: Commands) -> None:
         """Get ready to play commands from where it stands; feed begins with it.
 
         Raises TrajectoryError where the link is too slow for them.
         """
-        ...
 
     def update(self) -> Progress:
         """Take the news and tell how far it is; gives the device nothing to do. Call it every few ms."""
-        ...
 
     def feed(self) -> None:
         """Give the device what it may have now: called after every update in which nothing was wrong."""
-        ...
 
     def hold(self) -> None:
         """Begin to stop on the path, so that it can go on."""
-        ...
 
     def resume(self) -> None:
         """Go on after a hold."""
-        ...
 
     def abort(self) -> Standing:
         """Stop for good, in whatever state it is, and forget what has not been played.
 
         The stop is sent before anything is asked. Returns where it stands once that is sure.
         """
-        ...
 
     def close(self) -> None:
         """Let go of the link; nothing is sent."""
-        ...

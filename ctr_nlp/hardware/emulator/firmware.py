@@ -12,16 +12,31 @@ from collections.abc import Mapping
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.hardware.emulator.controller.commands import Commands
 from ctr_nlp.hardware.emulator.controller.stops import ESTOP
-from ctr_nlp.hardware.emulator.mechanics.limp import pushed
-from ctr_nlp.hardware.emulator.protocol import realtime
 from ctr_nlp.hardware.emulator.protocol.gcode import Refused
 from ctr_nlp.hardware.emulator.protocol.reports import BUTTONS
 
 SLICE_S = 0.01
 """How often lines that wait for room are tried again; the planner makes room a block at a time."""
 
+QUERIES = (ord("?"), 0x05, 0x80, 0x87)
+RESUME = (ord("~"), 0x81)
+HOLD = (ord("!"), 0x82)
+RESET, STOP, JOG_CANCEL = 0x18, 0x19, 0x85
+IN_LINES = b"\b\n\r"
+"""Control characters that belong to lines."""
+
+NEVER = 255
+"""The delay in ms after which motors at rest are switched off, where they never are."""
+RELAXATION = 0.5
+"""How far the load then pushes a motor, in mm or deg; the firmware does not see it."""
+
 LONGEST_LINE = 256
 TOO_LONG = 14
+
+
+def is_realtime(byte: int) -> bool:
+    """Whether a character never becomes part of a line; one without a meaning is dropped."""
+    return byte in b"?!~" or byte >= 0x7F or (byte < 0x20 and byte not in IN_LINES)
 
 
 class Firmware(Commands):
@@ -46,7 +61,7 @@ class Firmware(Commands):
         """Bytes arrive now. Realtime characters act at once; those beyond a full buffer are lost."""
         self.bytes_received += len(data)
         for byte in data:
-            if realtime.is_realtime(byte):
+            if is_realtime(byte):
                 if self.time < self._stalled_until:
                     self._deferred.append(byte)
                 else:
@@ -59,21 +74,21 @@ class Firmware(Commands):
 
     def _act(self, byte: int) -> None:
         """Do what a realtime character asks for, where the state allows it."""
-        if byte in realtime.QUERIES:
+        if byte in QUERIES:
             if self.state == "Home":
                 self.report_due = True
             else:
                 self.report()
-        elif byte == realtime.RESET:
+        elif byte == RESET:
             self.reset()
-        elif byte in realtime.HOLD:
+        elif byte in HOLD:
             self.hold()
-        elif byte in realtime.RESUME:
+        elif byte in RESUME:
             self.resume()
             self._work()
-        elif byte == realtime.STOP:
+        elif byte == STOP:
             self.stop()
-        elif byte == realtime.JOG_CANCEL:
+        elif byte == JOG_CANCEL:
             self.cancel_jog()
         else:
             self.override(self.motion.overrides.after(byte))
@@ -142,8 +157,11 @@ class Firmware(Commands):
         self._refusal = number
 
     def _rest(self, seconds: float) -> None:
+        """Motors that have just been switched off for standing still give way to the load."""
         before, self.still = self.still, 0.0 if self.moving else self.still + seconds
-        self.slip = self.slip + pushed(self.settings[1], int(self.settings[37]), before, self.still)
+        delay, kept = self.settings[1], int(self.settings[37])
+        if delay != NEVER and before <= delay / 1000 < self.still:
+            self.slip = self.slip + [0.0 if kept >> i & 1 else RELAXATION for i in range(6)]
 
     def _work(self) -> None:
         """Obey lines of the receive buffer as long as nothing stops it."""

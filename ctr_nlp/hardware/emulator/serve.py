@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Protocol
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.hardware.emulator.faults import Fault
@@ -18,21 +17,6 @@ from ctr_nlp.hardware.emulator.wire import BAUD, Line
 
 LOOPBACK = "127.0.0.1"
 TICK_S = 0.002
-
-
-class Port(Protocol):
-    """Where a host connects."""
-
-    url: str
-
-    def exchange(self, line: Line | None) -> bool:
-        """Move bytes between host and line, within TICK_S; whether a host is connected."""
-
-    def hang_up(self) -> None:
-        """End the host's connection."""
-
-    def close(self) -> None:
-        """Free the port."""
 
 
 class TcpPort:
@@ -45,7 +29,7 @@ class TcpPort:
         self.url = f"socket://{LOOPBACK}:{self._server.getsockname()[1]}"
 
     def exchange(self, line: Line | None) -> bool:
-        """A new connection ends the one before."""
+        """Move bytes between host and line, within TICK_S; whether a host is connected, the newest."""
         watched = [self._server, *([self._host] if self._host else [])]
         ready, _, _ = select.select(watched, [], [], TICK_S)
         if self._server in ready:
@@ -115,6 +99,9 @@ class PtyPort:
         """Free the terminal."""
         os.close(self._device)
         os.close(self._kept_open)
+
+
+Port = TcpPort | PtyPort
 
 
 def open_port(kind: str, number: int = 0) -> Port:

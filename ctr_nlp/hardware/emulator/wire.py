@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import math
 from collections.abc import Callable
-from typing import Protocol
+from dataclasses import dataclass
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.hardware.emulator.firmware import Firmware
@@ -15,14 +16,31 @@ BITS_PER_BYTE = 10
 STEP_S = 0.001
 
 
-class Striking(Protocol):
-    """A fault, as a line sees it."""
+@dataclass(frozen=True)
+class Fault:
+    """A fault that strikes once either moment has come.
+
+    name: its entry in FAULTS (faults.py). at: s since the firmware was switched on. after_bytes: sent by the host
+    on this connection. seconds: how long it lasts or delays, inf for good. seed: of what is drawn at random.
+    choice: what varies from kind to kind; see there. data: what is sent or said, drawn where it is empty.
+    """
+
+    name: str
+    strike_line: Callable[[Line, Fault], None]
+    at: float = math.inf
+    after_bytes: float = math.inf
+    seconds: float = math.inf
+    seed: int = 0
+    choice: float = 0.3
+    data: bytes = b""
 
     def due(self, time: float, sent_bytes: int) -> bool:
-        """Whether its moment has come: s since the firmware was switched on, bytes that the host has sent."""
+        """Whether its moment has come."""
+        return time >= self.at or sent_bytes >= self.after_bytes
 
     def strike(self, line: Line) -> None:
         """Do what it does to a line or the firmware at its end."""
+        self.strike_line(line, self)
 
 
 class VirtualClock:
@@ -53,7 +71,7 @@ class Line:
     Bytes take their time at a baud rate. Whoever owns it calls advance() and moves bytes in and out.
     """
 
-    def __init__(self, firmware: Firmware, faults: tuple[Striking, ...] = (), baud: float = BAUD) -> None:
+    def __init__(self, firmware: Firmware, faults: tuple[Fault, ...] = (), baud: float = BAUD) -> None:
         if baud <= 0:
             raise OptionError(f"baud is {baud}; it must be positive")
         self.firmware = firmware
@@ -158,7 +176,7 @@ class Wire:
     """
 
     def __init__(
-        self, firmware: Firmware, clock: VirtualClock, faults: tuple[Striking, ...] = (), baud: float = BAUD
+        self, firmware: Firmware, clock: VirtualClock, faults: tuple[Fault, ...] = (), baud: float = BAUD
     ) -> None:
         before = clock.lines.get(firmware)
         if before is not None:

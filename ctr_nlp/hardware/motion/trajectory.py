@@ -139,26 +139,33 @@ def rest_of(trajectory: Trajectory, s: float, tempo: float = 1.0) -> Trajectory:
 
 def approach_to(trajectory: Trajectory, standing: Array, theta: Array) -> Trajectory:
     """The straight and slow approach from positions (m,) of axes and a tilt (2,) to where a trajectory starts."""
-    hardware, start = trajectory.hardware, trajectory.knots[:1]
-    robot = slowed(trajectory.robot, hardware.approach)
+    robot, hardware, start = trajectory.robot, trajectory.hardware, trajectory.knots[:1]
     q = np.stack([hardware.joints(robot, standing, theta), trajectory.motion.path(start[0])])
     added = np.vstack([np.zeros(len(hardware.axes)), trajectory.lash(start)])
     first = trajectory.frames[0]
     frames = np.array([first - (trajectory.knots[0] == trajectory.motion.path.x[0]), first])
-    return through(robot, hardware, q, added, frames, trajectory.digests)
+    return through(robot, hardware, q, trajectory.digests, added, frames)
 
 
 def through(
-    robot: Robot, hardware: Hardware, q: Array, added: Array, frames: npt.NDArray[np.int64], names: Digests
+    robot: Robot,
+    hardware: Hardware,
+    q: Array,
+    names: Digests,
+    added: Array | None = None,
+    frames: npt.NDArray[np.int64] | None = None,
 ) -> Trajectory:
-    """The trajectory through configurations q (K, 2d + 2), as fast as the robot may.
+    """The trajectory through configurations q (K, 2d + 2), as slow as an approach.
 
-    added (K, m): to the axes' positions there, for play in the drives. frames (K,): the numbers of these places.
+    added (K, m): to the axes' positions there, for play in the drives, None for nothing. frames (K,): the numbers
+    of these places, None to count from 0.
     """
+    robot = slowed(robot, hardware.approach)
+    added = np.zeros((len(q), len(hardware.axes))) if added is None else added
     seconds = np.maximum(1e-3, (abs(np.diff(q, axis=0)) / robot.speed).max(axis=1))
     knots = np.append(0.0, np.cumsum(seconds))
-    lash = CubicHermiteSpline(knots, added, np.zeros_like(added))
-    return along(robot, hardware, path_through(robot, knots, q), lash, knots, frames, names, 1.0)
+    lash, path = CubicHermiteSpline(knots, added, np.zeros_like(added)), path_through(robot, knots, q)
+    return along(robot, hardware, path, lash, knots, np.arange(len(q)) if frames is None else frames, names, 1.0)
 
 
 def slowed(robot: Robot, part: float) -> Robot:

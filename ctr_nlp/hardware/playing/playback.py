@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
@@ -13,22 +12,14 @@ from ctr_nlp.hardware.devices import Device, Progress, Standing
 from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.leading import LEVEL, Leading
-from ctr_nlp.hardware.playing.results import Outcome, State
-from ctr_nlp.hardware.playing.supervision import Supervisor, Tolerances
+from ctr_nlp.hardware.playing.results import Ending, Outcome, State
+from ctr_nlp.hardware.playing.supervision import Supervisor
 from ctr_nlp.hardware.playing.wishes import Wishes
 
 TICK = 0.005
 """s between two looks at the device."""
 
 Seen = Callable[[Trajectory, Progress], None]
-
-
-class Ending(NamedTuple):
-    """How a trajectory ended, and why; standing: None where the device still has to be stopped."""
-
-    outcome: Outcome
-    message: str
-    standing: Standing | None = None
 
 
 class Playback:
@@ -61,14 +52,14 @@ class Playback:
 
     def run(self, seen: Seen | None) -> Ending:
         """Play until it ends, or until something is wrong; raises DeviceFault, JournalError."""
-        supervisor = Supervisor(Tolerances(self._trajectory.hardware.late, self._device.resolution))
+        supervisor = Supervisor(self._trajectory.hardware.late, self._device.resolution)
         while True:
             progress = self._device.update()
             self._tell(progress)
             wrong = supervisor.violation(progress, self._clock.now())
             if wrong is not None:
                 where = f"{progress.time:.2f} s after the start, frame {self.frame} being the last passed"
-                return Ending(wrong.outcome, f"{wrong.what} ({where})")
+                return Ending(wrong.outcome, f"{wrong.message} ({where})")
             if seen is not None:
                 seen(self._trajectory, progress)
             if progress.state == "done":

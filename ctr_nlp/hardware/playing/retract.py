@@ -10,7 +10,7 @@ from scipy.interpolate import CubicHermiteSpline
 from ctr_nlp.exceptions import TrajectoryError
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices import Standing
-from ctr_nlp.hardware.motion.trajectory import Digests, Trajectory, along, digests, slowed, through
+from ctr_nlp.hardware.motion.trajectory import Trajectory, along, digests, slowed, through
 from ctr_nlp.hardware.playing.checks import checked
 from ctr_nlp.hardware.playing.playback import Seen
 from ctr_nlp.hardware.playing.player import Player
@@ -26,7 +26,6 @@ from ctr_nlp.hardware.playing.session import (
     session_of,
 )
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array
 
 
@@ -101,9 +100,8 @@ def _backwards(trajectory: Trajectory, s: float) -> Trajectory:
 
 def _straight(trajectory: Trajectory, start: Array, end: Array, theta: Array) -> Trajectory:
     """The straight line from positions (m,) of the axes to others, at a tilt (2,)."""
-    robot = slowed(trajectory.robot, trajectory.hardware.approach)
-    q = trajectory.hardware.joints(robot, np.stack([start, end]), theta)
-    return _through(robot, trajectory.hardware, q, trajectory.digests)
+    q = trajectory.hardware.joints(trajectory.robot, np.stack([start, end]), theta)
+    return through(trajectory.robot, trajectory.hardware, q, trajectory.digests)
 
 
 def innermost_first(plan: Plan, hardware: Hardware, position: Array, theta: Array) -> Trajectory:
@@ -111,7 +109,7 @@ def innermost_first(plan: Plan, hardware: Hardware, position: Array, theta: Arra
 
     Nothing is turned. Raises TrajectoryError where the tubes are in already.
     """
-    robot = slowed(hardware.tightened(plan.robot), hardware.approach)
+    robot = hardware.tightened(plan.robot)
     steps = [hardware.joints(robot, position, theta)]
     least = robot.split(robot.lower)[1]
     for length in [*robot.split(steps[0])[1][-2::-1], 0.0]:
@@ -122,9 +120,4 @@ def innermost_first(plan: Plan, hardware: Hardware, position: Array, theta: Arra
             steps.append(pulled)
     if len(steps) == 1:
         raise TrajectoryError("all tubes are retracted already")
-    return _through(robot, hardware, np.stack(steps), digests(plan, hardware))
-
-
-def _through(robot: Robot, hardware: Hardware, q: Array, names: Digests) -> Trajectory:
-    """The trajectory through configurations q (K, 2d + 2), without regard to play in the drives."""
-    return through(robot, hardware, q, np.zeros((len(q), len(hardware.axes))), np.arange(len(q)), names)
+    return through(robot, hardware, np.stack(steps), digests(plan, hardware))
