@@ -1,7 +1,7 @@
 """The errors this library raises on bad input; each names the field, its value and what is allowed."""
 
 import warnings
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 
 class CtrError(Exception):
@@ -55,9 +55,11 @@ class JournalError(CtrError):
     """A journal that cannot be written, or cannot be read back."""
 
 
-def __getattr__(name: str) -> Any:
-    """Names of before, for one more version."""
-    if name == "ProgramError":
-        warnings.warn("ProgramError is called TrajectoryError now", DeprecationWarning, stacklevel=2)
-        return TrajectoryError
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> Any:
+        """Names of before, for one more version."""
+        if name == "ProgramError":
+            warnings.warn("ProgramError is called TrajectoryError now", DeprecationWarning, stacklevel=2)
+            return TrajectoryError
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -54,6 +54,22 @@ Asked = Callable[[], bool]
 """Whether a stop has been asked for."""
 
 
+class Played(Protocol):
+    """Commands that a device has begun to play; all raise DeviceFault."""
+
+    def update(self) -> Progress:
+        """Take the news and tell how far it is; gives the device nothing to do. Call it every few ms."""
+
+    def feed(self) -> None:
+        """Give the device what it may have now: called after every update in which nothing was wrong."""
+
+    def hold(self) -> None:
+        """Begin to stop on the path, so that it can go on."""
+
+    def resume(self) -> None:
+        """Go on after a hold."""
+
+
 class Device(Protocol):
     """Plays commands. Only home and abort wait for a motion, and their waits end; all raise DeviceFault."""
 
@@ -74,23 +90,11 @@ class Device(Protocol):
     def home(self, stop: Asked) -> None:
         """Find its position by itself, and wait for that; where stop says so, stop at once, which is a fault."""
 
-    def start(self, commands: Commands) -> None:
-        """Get ready to play commands from where it stands; feed begins with it.
+    def start(self, commands: Commands) -> Played:
+        """Get ready to play commands from where it stands; feeding begins with it.
 
         Raises TrajectoryError where the link is too slow for them.
         """
-
-    def update(self) -> Progress:
-        """Take the news and tell how far it is; gives the device nothing to do. Call it every few ms."""
-
-    def feed(self) -> None:
-        """Give the device what it may have now: called after every update in which nothing was wrong."""
-
-    def hold(self) -> None:
-        """Begin to stop on the path, so that it can go on."""
-
-    def resume(self) -> None:
-        """Go on after a hold."""
 
     def abort(self) -> Standing:
         """Stop for good, in whatever state it is, and forget what has not been played.

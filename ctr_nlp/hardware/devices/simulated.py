@@ -44,12 +44,13 @@ class Simulated:
     def home(self, stop: Asked) -> None:
         """Nothing needs to be found."""
 
-    def start(self, commands: Commands) -> None:
+    def start(self, commands: Commands) -> Simulated:
         """Begin to play commands from where it stands."""
         self._check_open()
         self._ends = np.append(0.0, commands.time)
         self._path = np.vstack([self._position, commands.positions])
         self._time, self._pace, self._goal, self._seen = 0.0, 1.0, 1.0, self._clock.now()
+        return self
 
     def update(self) -> Progress:
         """Move on by the time that has passed."""

@@ -8,13 +8,14 @@ import numpy as np
 
 from ctr_nlp.exceptions import TrajectoryError
 from ctr_nlp.hardware.clock import Clock
-from ctr_nlp.hardware.devices import Device, Progress, Standing
+from ctr_nlp.hardware.devices import Played, Progress, Standing
 from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.leading import LEVEL, Leading
 from ctr_nlp.hardware.playing.results import Ending, Outcome, State
 from ctr_nlp.hardware.playing.supervision import Supervisor
 from ctr_nlp.hardware.playing.wishes import Wishes
+from ctr_nlp.typing import Array
 
 TICK = 0.005
 """s between two looks at the device."""
@@ -28,14 +29,13 @@ class Playback:
     def __init__(
         self,
         trajectory: Trajectory,
-        device: Device,
         arm: Leading | None,
         journal: Journal,
         clock: Clock,
         wishes: Wishes,
         to: Callable[[State], None],
     ) -> None:
-        self._trajectory, self._device, self._arm = trajectory, device, arm
+        self._trajectory, self._arm = trajectory, arm
         self._journal, self._clock, self._wishes, self._to = journal, clock, wishes, to
         self._held = False
         self.frame = int(trajectory.frames[0])
@@ -50,11 +50,14 @@ class Playback:
                     f"{self.frame} is at {wanted:.4g}: nothing jumps by more than {axis.tolerance:g}"
                 )
 
-    def run(self, seen: Seen | None) -> Ending:
-        """Play until it ends, or until something is wrong; raises DeviceFault, JournalError."""
-        supervisor = Supervisor(self._trajectory.hardware.late, self._device.resolution)
+    def run(self, played: Played, resolution: Array, seen: Seen | None) -> Ending:
+        """Play until it ends, or until something is wrong; raises DeviceFault, JournalError.
+
+        resolution (m,): what the device can tell apart.
+        """
+        supervisor = Supervisor(self._trajectory.hardware.late, resolution)
         while True:
-            progress = self._device.update()
+            progress = played.update()
             self._tell(progress)
             wrong = supervisor.violation(progress, self._clock.now())
             if wrong is not None:
@@ -63,13 +66,13 @@ class Playback:
             if seen is not None:
                 seen(self._trajectory, progress)
             if progress.state == "done":
-                return self._arrived(progress)
+                return self._arrived(progress, resolution)
             if self._wishes.aborted():
                 return Ending(Outcome.CANCELLED, f"stopped on request, after frame {self.frame}")
-            self._obey(progress, supervisor)
+            self._obey(played, progress, supervisor)
             if self._arm is not None and not self._held:
                 self._arm.follow(progress)
-            self._device.feed()
+            played.feed()
             self._clock.sleep(TICK)
 
     def _tell(self, progress: Progress) -> None:
@@ -81,7 +84,7 @@ class Playback:
             self.frame = frame
             self._journal.record("frame", frame=frame, position=progress.position.tolist())
 
-    def _obey(self, progress: Progress, supervisor: Supervisor) -> None:
+    def _obey(self, played: Played, progress: Progress, supervisor: Supervisor) -> None:
         """Pause or go on as wished, once the device can."""
         wish = self._wishes.latest
         if progress.state == "held" and not self._held:
@@ -91,10 +94,10 @@ class Playback:
         if progress.state == "holding" and wish == "resume":
             return
         if progress.state == "running" and wish == "pause":
-            self._device.hold()
+            played.hold()
             supervisor.paused()
         if progress.state == "held" and wish == "resume":
-            self._device.resume()
+            played.resume()
             supervisor.resumed()
             self._rest(False)
         self._wishes.granted()
@@ -103,11 +106,11 @@ class Playback:
         self._held = held
         self._to(State.HOLD if held else State.RUNNING)
 
-    def _arrived(self, progress: Progress) -> Ending:
+    def _arrived(self, progress: Progress, resolution: Array) -> Ending:
         goal = self._trajectory.positions(np.array([self._trajectory.duration]))[0]
         tilted = 0.0 if self._arm is None else self._arm.arrive()
         standing = Standing(progress.position, True)
-        off = abs(progress.position - goal) / self._device.resolution
+        off = abs(progress.position - goal) / resolution
         if off.max() > 1.0:
             axis = self._trajectory.hardware.axes[int(off.argmax())]
             message = f"axis {axis.letter} ({axis.joint}) stands {off.max():.3g} steps from the last frame"

@@ -9,7 +9,7 @@ import numpy as np
 
 from ctr_nlp.exceptions import DeviceFault, HardwareError, JournalError, Stopped, TrajectoryError
 from ctr_nlp.hardware.clock import Clock, RealClock
-from ctr_nlp.hardware.devices import Device, Standing
+from ctr_nlp.hardware.devices import Device, Played, Standing
 from ctr_nlp.hardware.devices.arms import ArmFollower
 from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
@@ -129,9 +129,11 @@ class Player:
         """
         self._expect("plays", State.HOMED)
         arm = None if self._arm is None else Leading(self._arm, trajectory, self._clock)
-        playback = Playback(trajectory, self.device, arm, self.journal, self._clock, self._wishes, self._to)
+        playback = Playback(trajectory, arm, self.journal, self._clock, self._wishes, self._to)
         try:
-            outcome, message, standing = self._begun(playback, trajectory) or playback.run(seen)
+            played = self._begun(playback, trajectory)
+            ending = played if isinstance(played, Ending) else playback.run(played, self.device.resolution, seen)
+            outcome, message, standing = ending
             if standing is None:
                 return self._stopped(outcome, message, playback.frame)
             return self._ended(outcome, message, playback.frame, standing)
@@ -141,19 +143,19 @@ class Player:
             self._stopped(Outcome.CANCELLED, f"playing was interrupted by {exception!r}", playback.frame)
             raise
 
-    def _begun(self, playback: Playback, trajectory: Trajectory) -> Ending | None:
-        """Start the device; how that ended where nothing moves."""
+    def _begun(self, playback: Playback, trajectory: Trajectory) -> Played | Ending:
+        """Start the device, or tell how that ended where nothing moves."""
         standing = self.device.standing()
         try:
             playback.check_start(standing)
-            self.device.start(trajectory.commands())
+            played = self.device.start(trajectory.commands())
         except TrajectoryError as exception:
             return Ending(Outcome.INVALID_PLAN, str(exception), standing)
         if self._wishes.aborted():
             return Ending(Outcome.CANCELLED, "stopped on request, before anything moved", standing)
         self._trust.begun(self.device, self.journal.session)
         self._to(State.RUNNING)
-        return None
+        return played
 
     def _stopped(self, outcome: Outcome, message: str, frame: int = 0) -> Result:
         """Stop everything that can be stopped; the axes first, since an arm that is not led stands still."""

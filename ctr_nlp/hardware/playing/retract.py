@@ -20,7 +20,7 @@ from ctr_nlp.hardware.playing.session import (
     announced,
     as_told,
     check_trusted,
-    ending,
+    or_stopped,
     place,
     ready,
     session_of,
@@ -29,7 +29,7 @@ from ctr_nlp.plan.plan import Plan
 from ctr_nlp.typing import Array
 
 
-@ending
+@or_stopped
 def retract(
     player: Player,
     plan: Plan,

@@ -43,7 +43,7 @@ def prepared(
     return trajectory, checked(trajectory, plan.elastic)
 
 
-def ending(play: Callable[Playing, Result]) -> Callable[Playing, Result]:
+def or_stopped(play: Callable[Playing, Result]) -> Callable[Playing, Result]:
     """The same, but that an abort while the device is being connected is a result too."""
 
     @wraps(play)
@@ -56,7 +56,7 @@ def ending(play: Callable[Playing, Result]) -> Callable[Playing, Result]:
     return played
 
 
-@ending
+@or_stopped
 def begin(
     player: Player,
     plan: Plan,
@@ -93,7 +93,7 @@ def ready(
     return standing
 
 
-@ending
+@or_stopped
 def resume(
     player: Player,
     plan: Plan,

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.description import Hardware
-from ctr_nlp.hardware.devices import Asked, Progress, Standing
+from ctr_nlp.hardware.devices import Asked, Standing
 from ctr_nlp.hardware.devices.grbl.controller_settings import check
 from ctr_nlp.hardware.devices.grbl.identity import Identity
 from ctr_nlp.hardware.devices.grbl.stop import stopped
@@ -28,7 +28,8 @@ class Grbl:
         self._hardware, self._opened, self._clock = hardware, opened, clock
         self._link: Link | None = None
         self._known: Identity | None = None
-        self._stream: Stream | None = None
+        self.stream: Stream | None = None
+        """The motion that was played last."""
         self._homing = False
         self._restarted = ""
 
@@ -100,39 +101,16 @@ class Grbl:
         self._homing = False
         self._talk.quiet()
 
-    def start(self, commands: Commands) -> None:
+    def start(self, commands: Commands) -> Stream:
         """Get ready to play commands from where it stands; raises TrajectoryError where the link is too slow."""
-        self._stream, self._restarted = None, ""
-        self._stream = Stream(self._talk, self._asked_who(), self._hardware, self._clock, commands)
-
-    @property
-    def stream(self) -> Stream:
-        """The motion that is being played; raises DeviceFault where none is."""
-        if self._stream is None:
-            raise DeviceFault("the controller plays nothing")
-        return self._stream
-
-    def update(self) -> Progress:
-        """Take what has come and find out how far it is."""
-        return self.stream.update()
-
-    def feed(self) -> None:
-        """Ask for the next report, and send the lines that the controller may have now."""
-        self.stream.feed()
-
-    def hold(self) -> None:
-        """Ask for a feed hold; no line is sent until it is resumed."""
-        self.stream.hold()
-
-    def resume(self) -> None:
-        """Go on after a hold."""
-        self.stream.resume()
+        self._restarted = ""
+        self.stream = Stream(self._talk, self._asked_who(), self._hardware, self._clock, commands)
+        return self.stream
 
     def abort(self) -> Standing:
         """Stop, whatever it does; raises DeviceFault where the position is lost."""
         if self._link is None:
             raise DeviceFault("the link was never opened: nothing could be sent")
-        self._stream = None
         homing, self._homing = self._homing, False
         stopped(self._talk, self._clock, homing)
         if self._restarted:

@@ -124,7 +124,7 @@ class Ros2:
                 return False
             self._clock.sleep(0.005)
 
-    def start(self, commands: Commands) -> None:
+    def start(self, commands: Commands) -> Ros2:
         """Begin to play commands from where it stands."""
         self._take()
         position = self._joints.position
@@ -134,6 +134,7 @@ class Ros2:
         self._track.begin(self._clock.now())
         self._send(self._track.points())
         self._track.begin_ramp(self._clock.now())
+        return self
 
     def _send(self, points: Points) -> None:
         self._open().send(self._joints.names, self._joints.in_ros(points))

@@ -102,36 +102,25 @@ def types() -> SimpleNamespace:
     """The types of messages and their parts, by name; raises OptionError where cyclonedds is missing."""
     idl, kinds = needed("cyclonedds.idl"), needed("cyclonedds.idl.types")
 
-    def struct(package: str, kind: str, /, **fields: Any) -> Any:
-        return idl.make_idl_struct(kind, f"{package}::msg::dds_::{kind}_", fields)
+    known: dict[str, Any] = {}
 
-    numbers, words = kinds.sequence[kinds.float64], kinds.sequence[str]
+    def struct(package: str, kind: str, /, **fields: Any) -> Any:
+        known[kind] = idl.make_idl_struct(kind, f"{package}::msg::dds_::{kind}_", fields)
+        return known[kind]
+
+    def lists(*names: str) -> dict[str, Any]:
+        return dict.fromkeys(names, kinds.sequence[kinds.float64])
+
+    words = kinds.sequence[str]
     time = struct("builtin_interfaces", "Time", sec=kinds.int32, nanosec=kinds.uint32)
     duration = struct("builtin_interfaces", "Duration", sec=kinds.int32, nanosec=kinds.uint32)
     header = struct("std_msgs", "Header", stamp=time, frame_id=str)
-    point = struct(
-        "trajectory_msgs",
-        "JointTrajectoryPoint",
-        positions=numbers,
-        velocities=numbers,
-        accelerations=numbers,
-        effort=numbers,
-        time_from_start=duration,
-    )
-    trajectory = struct(
-        "trajectory_msgs", "JointTrajectory", header=header, joint_names=words, points=kinds.sequence[point]
-    )
-    states = struct(
-        "sensor_msgs", "JointState", header=header, name=words, position=numbers, velocity=numbers, effort=numbers
-    )
-    return SimpleNamespace(
-        Time=time,
-        Duration=duration,
-        Header=header,
-        JointTrajectoryPoint=point,
-        JointTrajectory=trajectory,
-        JointState=states,
-    )
+    moving = lists("positions", "velocities", "accelerations", "effort")
+    point = struct("trajectory_msgs", "JointTrajectoryPoint", **moving, time_from_start=duration)
+    points = kinds.sequence[point]
+    struct("trajectory_msgs", "JointTrajectory", header=header, joint_names=words, points=points)
+    struct("sensor_msgs", "JointState", header=header, name=words, **lists("position", "velocity", "effort"))
+    return SimpleNamespace(**known)
 
 
 def trajectory_message(names: list[str], points: Points) -> Any:
