@@ -1,4 +1,4 @@
-"""What moves the axes: one small interface, and a file for every kind of device."""
+"""What moves the axes: one small interface, and a file for every kind of device. Knows no plan."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def _urscript(trajectory: Trajectory, title: str) -> str:
     if holder is None:
         raise HardwareError("this hardware has no arm, so that there is nothing to write for one")
     time = PERIOD * np.arange(np.ceil(trajectory.duration / PERIOD - 1e-6) + 1)
-    sampled = joints(holder, trajectory.at(time)[0][:, -2:])
+    sampled = joints(holder, trajectory.tilt(time))
     name = re.sub(r"\W", "_", f"ctr_nlp_{title}", flags=re.ASCII)
     return urscript.write_urscript(time, sampled, period=PERIOD, name=name)
 

@@ -18,7 +18,7 @@ def gcode_text(trajectory: Trajectory, title: str) -> str:
     title: of the plan.
     """
     start, seconds, commands = (
-        trajectory.positions(np.zeros(1))[0],
+        trajectory.positions(0.0),
         approach_time(trajectory),
         trajectory.commands(),
     )
@@ -32,7 +32,7 @@ def gcode_text(trajectory: Trajectory, title: str) -> str:
         f"after the first pause: to the first frame in {seconds:.1f} s, all axes at once",
         "after the second pause: the motion",
     ]
-    if np.any(trajectory.at(trajectory.frame_time)[0][:, -2:]):
+    if np.any(trajectory.tilt(trajectory.frame_time)):
         head += [
             "THE TILT OF THE ARM IS NOT IN THIS FILE: export it with --to urscript",
             "and end the second pause when the arm starts",
@@ -58,7 +58,7 @@ def approach_time(trajectory: Trajectory) -> float:
     As time, and not as a feed, this holds however a controller counts degrees beside millimetres.
     """
     robot, hardware = trajectory.robot, trajectory.hardware
-    start = trajectory.positions(np.zeros(1))[0]
+    start = trajectory.positions(0.0)
     away = [
         max(abs(position - end) for end in axis.range) for axis, position in zip(hardware.axes, start, strict=True)
     ]

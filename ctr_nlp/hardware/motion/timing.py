@@ -79,16 +79,16 @@ class Motion:
         total = pace + self.pace[k]
         return np.asarray(self.time[k] + np.where(total > 0, 2.0 * ahead / np.where(total > 0, total, 1.0), 0.0))
 
-    def at(self, time: Array) -> tuple[Array, Array, Array]:
-        """Positions, velocities and accelerations (N, n) at times (N,)."""
+    def at(self, time: Any) -> tuple[Array, Array, Array]:
+        """Positions, velocities and accelerations (.., n) at a time (..,)."""
         s = self.parameter(time)
         k = np.clip(np.searchsorted(self.s, s, "right") - 1, 0, len(self.change) - 1)
-        squared = np.maximum(self.pace[k] ** 2 + 2.0 * self.change[k] * (s - self.s[k]), 0.0)[:, None]
+        squared = np.maximum(self.pace[k] ** 2 + 2.0 * self.change[k] * (s - self.s[k]), 0.0)[..., None]
         tangent = self.path(s, 1)
         return (
             self.path(s),
             tangent * np.sqrt(squared),
-            self.path(s, 2) * squared + tangent * self.change[k][:, None],
+            self.path(s, 2) * squared + tangent * self.change[k][..., None],
         )
 
 

@@ -6,7 +6,7 @@ import hashlib
 import json
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -73,12 +73,12 @@ class Trajectory:
         """When its frames are passed, (T,) s."""
         return self.motion.when(self.knots)
 
-    def at(self, time: Array) -> tuple[Array, Array, Array]:
-        """Configurations q, velocities and accelerations (N, 2d + 2) at times (N,) s."""
+    def at(self, time: Any) -> tuple[Array, Array, Array]:
+        """Configurations q, velocities and accelerations (.., 2d + 2) at a time (..,) s."""
         return self.motion.at(time)
 
-    def positions(self, time: Array) -> Array:
-        """Positions (N, m) of the axes, in their units, at times (N,) s."""
+    def positions(self, time: Any) -> Array:
+        """Positions (.., m) of the axes, in their units, at a time (..,) s."""
         joints = self.hardware.positions(self.robot, self.at(time)[0])
         return np.asarray(joints + self.lash(self.motion.parameter(time)))
 
@@ -88,7 +88,11 @@ class Trajectory:
         The tilt is the one commanded then; what is added for play in the drives is taken out.
         """
         lengths = positions - self.lash(self.motion.parameter(time))
-        return self.hardware.joints(self.robot, lengths, self.at(time)[0][:, -2:])
+        return self.hardware.joints(self.robot, lengths, self.tilt(time))
+
+    def tilt(self, time: Any) -> Array:
+        """Tilts (.., 2) rad at a time (..,) s."""
+        return self.at(time)[0][..., -2:]
 
     def passed(self, time: float) -> int:
         """The last frame that is passed by a time in s, 0 before the first."""

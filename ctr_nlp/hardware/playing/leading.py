@@ -9,7 +9,6 @@ from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.devices import Progress
 from ctr_nlp.hardware.devices.arms import ArmFollower
 from ctr_nlp.hardware.motion.trajectory import Trajectory
-from ctr_nlp.typing import Array
 
 AHEAD = 0.1
 """s for which the arm goes on without news from the device."""
@@ -37,8 +36,8 @@ class Leading:
         """Let the arm follow the device's progress; raises DeviceFault where it does not."""
         late = self._clock.now() - progress.stamp
         now = progress.time + (min(late, AHEAD) if progress.state == "running" else 0.0)
-        self._arm.follow(self._tilts(np.array([now]))[0])
-        around = self._tilts(now + np.linspace(-1.0, 1.0, 21) * self._tolerance)
+        self._arm.follow(self._trajectory.tilt(now))
+        around = self._trajectory.tilt(now + np.linspace(-1.0, 1.0, 21) * self._tolerance)
         away = np.linalg.norm(around - self._arm.tilt(), axis=1).min()
         if away > IN_STEP:
             raise DeviceFault(
@@ -47,7 +46,7 @@ class Leading:
 
     def arrive(self) -> float:
         """Let the arm come to the last tilt and rest; by how much it stays off, rad."""
-        end, theta = self._clock.now() + SETTLING, self._tilts(np.array([self._trajectory.duration]))[0]
+        end, theta = self._clock.now() + SETTLING, self._trajectory.tilt(self._trajectory.duration)
         self._arm.follow(theta)
         while (off := float(np.linalg.norm(self._arm.tilt() - theta))) > 0.1 * LEVEL and self._clock.now() < end:
             self._clock.sleep(TICK)
@@ -58,6 +57,3 @@ class Leading:
     def hold(self) -> None:
         """Let the arm stand still."""
         self._arm.hold()
-
-    def _tilts(self, time: Array) -> Array:
-        return self._trajectory.at(time)[0][:, -2:]

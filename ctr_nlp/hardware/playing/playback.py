@@ -42,7 +42,7 @@ class Playback:
 
     def check_start(self, standing: Standing) -> None:
         """Raise TrajectoryError unless the axes stand where the trajectory starts."""
-        start = self._trajectory.positions(np.zeros(1))[0]
+        start = self._trajectory.positions(0.0)
         for axis, wanted, there in zip(self._trajectory.hardware.axes, start, standing.position, strict=True):
             if abs(wanted - there) > axis.tolerance:
                 raise TrajectoryError(
@@ -107,7 +107,7 @@ class Playback:
         self._to(State.HOLD if held else State.RUNNING)
 
     def _arrived(self, progress: Progress, resolution: Array) -> Ending:
-        goal = self._trajectory.positions(np.array([self._trajectory.duration]))[0]
+        goal = self._trajectory.positions(self._trajectory.duration)
         tilted = 0.0 if self._arm is None else self._arm.arrive()
         standing = Standing(progress.position, True)
         off = abs(progress.position - goal) / resolution

@@ -151,8 +151,8 @@ def check_trusted(records: list[dict[str, Any]], verified: bool) -> None:
 
 def _go(player: Player, trajectory: Trajectory, standing: Standing, elastic: bool, seen: Seen | None) -> Result:
     """Play a trajectory, after a slow approach to its start where the robot is not there."""
-    start = trajectory.positions(np.zeros(1))[0]
-    tilted = abs(player.tilt() - trajectory.at(np.zeros(1))[0][0, -2:]).max() > LEVEL
+    start = trajectory.positions(0.0)
+    tilted = abs(player.tilt() - trajectory.tilt(0.0)).max() > LEVEL
     if tilted or (abs(start - standing.position) > player.device.resolution).any():
         approach = approach_to(trajectory, standing.position, player.tilt())
         checked(approach, elastic)
@@ -198,7 +198,7 @@ def place(trajectory: Trajectory, standing: Standing, resolution: Array, frame: 
     cannot be told apart from has been passed.
     """
     commands, tolerance = trajectory.commands(), trajectory.hardware.tolerance
-    path = FollowedPath(trajectory.positions(np.zeros(1))[0], commands, tolerance)
+    path = FollowedPath(trajectory.positions(0.0), commands, tolerance)
     first = int(np.searchsorted(commands.frame, frame, "right"))
     pieces = range(max(first - 1, 0), len(commands.time))
     found = [path.nearest(standing.position, k, k + 1) for k in pieces]

@@ -118,16 +118,11 @@ class Controller:
 
     def report(self) -> None:
         """Send a status report."""
-        shown = self.state
-        if shown == "Hold":
-            shown = "Hold:0" if self.motion.halted else "Hold:1"
+        state = f"Hold:{not self.motion.halted:d}" if self.state == "Hold" else self.state
         feed = 0.0 if self.state == "Alarm" else self.motion.speed * 60
         buffers, homed = (self.motion.free, self.lines.free), bool(self.homed)
-        self.say(
-            self.status.report(
-                shown, self.position, buffers, self.motion.line, feed, self.motion.overrides, self.pressed, homed
-            )
-        )
+        line, overrides = self.motion.line, self.motion.overrides
+        self.say(self.status.report(state, self.position, buffers, line, feed, overrides, self.pressed, homed))
 
     def override(self, overrides: Overrides) -> None:
         """Move faster or slower than programmed from now on; the next report says so."""
