@@ -84,8 +84,7 @@ class RecordedLink:
 
     def read(self) -> bytes:
         """What has come, recorded."""
-        data = self._link.read()
-        if data:
+        if data := self._link.read():
             self._journal.record("received", data=data.decode("latin-1"))
         return data
 

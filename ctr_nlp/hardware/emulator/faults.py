@@ -77,7 +77,7 @@ def _power_cycle_unseen(line: Line, fault: Fault) -> None:
     line.firmware.reboot(loses_position=True)
 
 
-KINDS: dict[str, tuple[Strike, dict[str, Any]]] = {
+_KINDS: dict[str, tuple[Strike, dict[str, Any]]] = {
     "cut": (lambda line, fault: line.drop(), {}),
     "half_open": (partial(_outward, lambda data, draw, fault: bytes(b for b in data if b == ord("?"))), {}),
     "silent": (lambda line, fault: line.firmware.silence(fault.seconds), {}),
@@ -112,7 +112,7 @@ KINDS: dict[str, tuple[Strike, dict[str, Any]]] = {
 """Name -> how it strikes, and the fields that are not as in Fault."""
 
 FAULTS: dict[str, Callable[..., Fault]] = {
-    name: partial(Fault, name, strike, **fields) for name, (strike, fields) in KINDS.items()
+    name: partial(Fault, name, strike, **fields) for name, (strike, fields) in _KINDS.items()
 }
 """Name -> constructor, whose keywords are the fields of Fault.
 

@@ -8,7 +8,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.hardware.emulator.faults import Fault
@@ -45,8 +45,7 @@ class TcpPort:
                 if not data:
                     raise ConnectionError
                 line.put(data)
-            data = line.get()
-            if data:
+            if data := line.get():
                 self._host.sendall(data)
         except OSError:
             self.hang_up()
@@ -80,16 +79,11 @@ class PtyPort:
         if line is None:
             return True
         ready, _, _ = select.select([self._device], [], [], TICK_S)
-        try:
+        with suppress(BlockingIOError, ConnectionError):
             if ready:
                 line.put(os.read(self._device, 4096))
-            data = line.get()
-            if data:
+            if data := line.get():
                 os.write(self._device, data)
-        except BlockingIOError:
-            pass
-        except ConnectionError:
-            return True
         return True
 
     def hang_up(self) -> None:
