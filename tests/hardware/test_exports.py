@@ -321,6 +321,14 @@ def as_arrays(message):
     return time, *(np.array([getattr(p, name) for p in message.points]) for name in parts)
 
 
+def test_a_bag_names_its_plan(trajectory, tmp_path):
+    """Under the keys that readers of bags know."""
+    told = (written(trajectory, tmp_path, "mcap") / "metadata.yaml").read_text(encoding="utf-8")
+    assert re.search(r"ctr_nlp\.plan: ['\"]?a\b", told)
+    assert "ctr_nlp.digest:" in told
+    assert trajectory.digests.plan in told
+
+
 @pytest.mark.parametrize("storage", STORAGES)
 def test_a_bag_holds_the_trajectory_in_si_units(plan, trajectory, tmp_path, storage):
     read = in_rosbags(written(trajectory, tmp_path, storage))

@@ -39,56 +39,46 @@ def write_bag(trajectory: Trajectory, title: str, folder: Path, storage: str = "
         raise OptionError(f"storage is {storage!r}; it must be {' or '.join(STORAGES)}")
     bags, typesys = needed("rosbags.rosbag2"), needed("rosbags.typesys")
     store = typesys.get_typestore(typesys.Stores.LATEST)
-    joints, scale = _joints(trajectory)
-    n = len(joints)
-    make = store.types
-
-    def stamp(kind: str, time: float) -> Any:
-        seconds, rest = divmod(round(time * 1e9), 10**9)
-        return make[f"builtin_interfaces/msg/{kind}"](sec=seconds, nanosec=rest)
-
-    def header(time: float) -> Any:
-        return make["std_msgs/msg/Header"](stamp=stamp("Time", time), frame_id="")
-
-    nothing = np.zeros(0)
-    message = make["trajectory_msgs/msg/JointTrajectory"](
-        header=header(0.0),
-        joint_names=joints,
-        points=[
-            make["trajectory_msgs/msg/JointTrajectoryPoint"](
-                positions=scale * q[:n],
-                velocities=scale * velocity[:n],
-                accelerations=scale * acceleration[:n],
-                effort=nothing,
-                time_from_start=stamp("Duration", time),
-            )
-            for time, q, velocity, acceleration in zip(*points(trajectory), strict=True)
-        ],
-    )
     with bags.Writer(folder, version=VERSION, storage_plugin=bags.StoragePlugin[storage.upper()]) as bag:
-        bag.set_custom_data("ctr_nlp.plan.plan", title)
+        bag.set_custom_data("ctr_nlp.plan", title)
         bag.set_custom_data("ctr_nlp.digest", trajectory.digests.plan)
+        for topic, messages in (
+            (TRAJECTORY, [(0.0, _trajectory_message(store.types, trajectory))]),
+            (STATES, _states(store.types, trajectory)),
+        ):
+            kind = messages[0][1].__msgtype__
+            connection = bag.add_connection(topic, kind, typestore=store)
+            for time, message in messages:
+                bag.write(connection, round(time * 1e9), store.serialize_cdr(message, kind))
 
-        def topic(name: str, kind: str) -> Any:
-            connection = bag.add_connection(name, kind, typestore=store)
-            return lambda time, message: bag.write(
-                connection, round(time * 1e9), store.serialize_cdr(message, kind)
-            )
 
-        topic(TRAJECTORY, "trajectory_msgs/msg/JointTrajectory")(0.0, message)
-        state = topic(STATES, "sensor_msgs/msg/JointState")
-        times = np.append(0.0, trajectory.commands().time)
-        for time, q, velocity in zip(times, *trajectory.at(times)[:2], strict=True):
-            state(
-                time,
-                make["sensor_msgs/msg/JointState"](
-                    header=header(time),
-                    name=joints,
-                    position=scale * q[:n],
-                    velocity=scale * velocity[:n],
-                    effort=nothing,
-                ),
-            )
+def _trajectory_message(make: Any, trajectory: Trajectory) -> Any:
+    """The message; make: types of messages by name."""
+    joints, scale = _joints(trajectory)
+    listed = []
+    for time, *parts in zip(*points(trajectory), strict=True):
+        moving = scale * np.stack(parts)[:, : len(joints)]
+        since = _stamp(make, "Duration", time)
+        listed.append(make["trajectory_msgs/msg/JointTrajectoryPoint"](*moving, np.zeros(0), since))
+    header = make["std_msgs/msg/Header"](stamp=_stamp(make, "Time", 0.0), frame_id="")
+    return make["trajectory_msgs/msg/JointTrajectory"](header=header, joint_names=joints, points=listed)
+
+
+def _states(make: Any, trajectory: Trajectory) -> list[tuple[float, Any]]:
+    """Joint states and their times in s, at the start and at the end of every command."""
+    joints, scale = _joints(trajectory)
+    times, found = np.append(0.0, trajectory.commands().time), []
+    for time, *parts in zip(times, *trajectory.at(times)[:2], strict=True):
+        position, velocity = scale * np.stack(parts)[:, : len(joints)]
+        header = make["std_msgs/msg/Header"](stamp=_stamp(make, "Time", time), frame_id="")
+        state = make["sensor_msgs/msg/JointState"](header, joints, position, velocity, effort=np.zeros(0))
+        found.append((float(time), state))
+    return found
+
+
+def _stamp(make: Any, kind: str, time: float) -> Any:
+    seconds, rest = divmod(round(time * 1e9), 10**9)
+    return make[f"builtin_interfaces/msg/{kind}"](sec=seconds, nanosec=rest)
 
 
 def points(trajectory: Trajectory) -> tuple[Array, Array, Array, Array]:
