@@ -1,4 +1,4 @@
-"""Time, as the executor sees it: real, or that of an emulated world."""
+"""Time, as a player sees it: real, or that of an emulated world."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""python -m ctr_nlp.hardware.emulator: the emulated controller in real time, for an executor to connect to."""
+"""python -m ctr_nlp.hardware.emulator: the emulated controller in real time, for a player to connect to."""
 
 from __future__ import annotations
 
