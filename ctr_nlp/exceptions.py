@@ -1,6 +1,7 @@
 """The errors this library raises on bad input; each names the field, its value and what is allowed."""
 
-from typing import Any
+import warnings
+from typing import TYPE_CHECKING, Any
 
 
 class CtrError(Exception):
@@ -30,7 +31,7 @@ class OutputError(CtrError):
     """A place that cannot be written, or a plan that cannot be read."""
 
 
-class ProgramError(CtrError):
+class TrajectoryError(CtrError):
     """A plan that this hardware cannot or must not play; the message names frame and axis."""
 
 
@@ -52,3 +53,13 @@ class Stopped(DeviceFault):
 
 class JournalError(CtrError):
     """A journal that cannot be written, or cannot be read back."""
+
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> Any:
+        """Names of before, for one more version."""
+        if name == "ProgramError":
+            warnings.warn("ProgramError is called TrajectoryError now", DeprecationWarning, stacklevel=2)
+            return TrajectoryError
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -10,15 +10,17 @@ import numpy as np
 
 from ctr_nlp import seed_robot
 from ctr_nlp.exceptions import DeviceFault
-from ctr_nlp.hardware.description import Axis, Connection, Hardware
+from ctr_nlp.hardware.axis import Axis
+from ctr_nlp.hardware.connection import Connection
+from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices.grbl.device import Grbl
-from ctr_nlp.hardware.emulator.faults import Fault
 from ctr_nlp.hardware.emulator.firmware import Firmware
-from ctr_nlp.hardware.emulator.wire import VirtualClock, Wire
+from ctr_nlp.hardware.emulator.wire import Fault, VirtualClock, Wire
+from ctr_nlp.hardware.journal import Journal, read_journal
 from ctr_nlp.hardware.link import RecordedLink
-from ctr_nlp.hardware.motion.program import Program
-from ctr_nlp.hardware.playing.journal import Journal, read_journal
-from ctr_nlp.hardware.playing.player import Player, Seen
+from ctr_nlp.hardware.motion.trajectory import Trajectory
+from ctr_nlp.hardware.playing.playback import Seen
+from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.results import Result
 from ctr_nlp.hardware.playing.retract import retract
 from ctr_nlp.hardware.playing.session import begin, prepared, resume
@@ -138,7 +140,7 @@ class World:
         self.firmware.motion.lowest = self.firmware.position.tolist()
         self.firmware.motion.highest = self.firmware.position.tolist()
 
-    def program(self) -> Program:
+    def trajectory(self) -> Trajectory:
         """What is played."""
         return prepared(self.plan, self.hardware)[0]
 
@@ -172,7 +174,7 @@ class World:
 
     def frames_played(self, within: float = 2e-4) -> list[int]:
         """Which frames' positions the controller finished lines at, to so many mm and deg, in order."""
-        at_frames = np.round(self.program().positions(self.program().frame_time), 4)
+        at_frames = np.round(self.trajectory().positions(self.trajectory().frame_time), 4)
         ends = np.array([target for _, target in self.firmware.executed]).reshape(-1, 6)
         order = [self.hardware.letters.index(letter) for letter in "XYZABC"]
         away = abs(ends[:, None, :] - at_frames[None, :, order]).max(axis=2)

@@ -25,7 +25,9 @@ from pages import Block, Page
 
 from ctr_nlp.anatomy.files import read_branches
 from ctr_nlp.hardware.arm.description import Arm
-from ctr_nlp.hardware.description import Axis, Connection, Hardware
+from ctr_nlp.hardware.axis import Axis
+from ctr_nlp.hardware.connection import Connection
+from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.support.values import described, read_toml
 
 ROOT = Path(__file__).resolve().parents[1]

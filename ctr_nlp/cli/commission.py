@@ -12,11 +12,11 @@ from ctr_nlp.hardware.clock import RealClock
 from ctr_nlp.hardware.commission import STEP, Commissioning, Controller
 from ctr_nlp.hardware.commissioned import commissioned_file, commissioned_text
 from ctr_nlp.hardware.description import Hardware
-from ctr_nlp.hardware.devices.opening import memory_of, recorded_link
-from ctr_nlp.hardware.playing.journal import Journal
+from ctr_nlp.hardware.journal import Journal
+from ctr_nlp.hardware.opening import memory_of, recorded_link
 from ctr_nlp.support.interrupt import deferred_interrupt
 
-WAYS = {"+": 1, "-": -1}
+DIRECTIONS = {"+": 1, "-": -1}
 
 
 def commission(hardware_file: Path, journal_file: Path) -> int:
@@ -36,8 +36,8 @@ def commission(hardware_file: Path, journal_file: Path) -> int:
             _steps(rig, hardware)
         finally:
             rig.close()
-    except DeviceFault as error:
-        sys.stderr.write(f"error: {error}\nwhat was said is in {journal_file}\n")
+    except DeviceFault as exception:
+        sys.stderr.write(f"error: {exception}\nwhat was said is in {journal_file}\n")
         return SOME_FAILED
     finally:
         if memory is not None:
@@ -82,12 +82,14 @@ def _steps(rig: Commissioning, hardware: Hardware) -> None:
             typed = line.strip().upper()
             if not typed or interrupted():
                 return
-            if len(typed) != 2 or typed[0] not in hardware.letters or typed[1] not in WAYS:
-                console().print(f"{typed!r} is no axis and way; type one of {letters} and + or -", markup=False)
+            if len(typed) != 2 or typed[0] not in hardware.letters or typed[1] not in DIRECTIONS:
+                console().print(
+                    f"{typed!r} is no axis and direction; type one of {letters} and + or -", markup=False
+                )
                 continue
             try:
-                before, after = rig.step(typed[0], WAYS[typed[1]], interrupted)
-            except HardwareError as error:
-                console().print(str(error), markup=False)
+                before, after = rig.step(typed[0], DIRECTIONS[typed[1]], interrupted)
+            except HardwareError as exception:
+                console().print(str(exception), markup=False)
             else:
                 console().print(f"{typed[0]} went from {before:.3f} to {after:.3f}")

@@ -10,7 +10,7 @@ import numpy as np
 
 from ctr_nlp.figures.live import Now, Playing, Solving, Stage, View
 from ctr_nlp.hardware.devices import Progress
-from ctr_nlp.hardware.motion.program import Program
+from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.solvers import Iterate
 from ctr_nlp.target.lumen import Lumen
@@ -45,12 +45,12 @@ class Played:
 
     def __init__(self, view: View) -> None:
         self._view = view
-        self._last: tuple[Program, Progress] | None = None
+        self._last: tuple[Trajectory, Progress] | None = None
 
-    def __call__(self, program: Program, progress: Progress, state: str) -> None:
+    def __call__(self, trajectory: Trajectory, progress: Progress, state: str) -> None:
         """Show where the robot is; state: of the player, in words."""
-        self._last = program, progress
-        self._view.show(partial(_now, program, progress, state))
+        self._last = trajectory, progress
+        self._view.show(partial(_now, trajectory, progress, state))
 
     def ended(self, outcome: str) -> None:
         """Show how it ended, with the robot where it was seen last."""
@@ -58,14 +58,14 @@ class Played:
             self(*self._last, outcome)
 
 
-def _now(program: Program, progress: Progress, state: str) -> Now:
+def _now(trajectory: Trajectory, progress: Progress, state: str) -> Now:
     time = np.array([progress.time])
     return Now(
         state,
-        program.passed(progress.time),
+        trajectory.passed(progress.time),
         progress.time,
-        program.joints(time, progress.position[None])[0],
-        program.at(time)[0][0],
+        trajectory.joints(time, progress.position[None])[0],
+        trajectory.at(time)[0][0],
     )
 
 

@@ -15,9 +15,9 @@ from ctr_nlp.cli.report import write_table
 from ctr_nlp.exceptions import OutputError
 from ctr_nlp.figures import save, tracking
 from ctr_nlp.hardware.description import Hardware
-from ctr_nlp.hardware.motion.program import Program
-from ctr_nlp.hardware.motion.record import Tracking
+from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.checks import Checked
+from ctr_nlp.hardware.playing.record import Tracking
 from ctr_nlp.hardware.playing.results import Result
 from ctr_nlp.plan.plan import Plan
 
@@ -25,17 +25,17 @@ JOURNAL = "journal.jsonl"
 """In the output folder: the record of all sessions, to which each adds its own."""
 
 
-def print_program(title: str, program: Program, found: Checked) -> None:
-    """What a program asks of its hardware."""
+def print_trajectory(title: str, trajectory: Trajectory, found: Checked) -> None:
+    """What a trajectory asks of its hardware."""
     rows: list[tuple[str, Any, str]] = [
-        ("frames", len(program.frames), ""),
-        ("duration", f"{program.duration:.2f}", "s"),
+        ("frames", len(trajectory.frames), ""),
+        ("duration", f"{trajectory.duration:.2f}", "s"),
         ("of this, later than planned", f"{found.late:.2f}", "s"),
         ("largest part of a speed limit", f"{found.speed:.2f}", ""),
         ("largest part of an acceleration limit", f"{found.acceleration:.2f}", ""),
     ]
     if not np.isnan(found.margin):
-        rows.append(("least stability margin on the way", found.margin, ""))
+        rows.append(("least stability margin on the path", found.margin, ""))
     print_table(title, ("", "value", "unit"), rows)
 
 
@@ -71,8 +71,8 @@ def _written(table: dict[str, list[Any]], picture: Figure, out: Path) -> list[st
         with published(out, "play") as staging:
             write_table(staging / "tracking.csv", table)
             save(picture, staging / "tracking.png")
-    except OutputError as error:
-        sys.stderr.write(f"error: {error}\n")
+    except OutputError as exception:
+        sys.stderr.write(f"error: {exception}\n")
         return []
     return ["tracking.csv", "tracking.png"]
 

@@ -1,1 +1,1 @@
-"""Plans to timed commands to devices: knows plans, not NLPs."""
+"""From plans to trajectories to devices. Knows plans, no NLPs."""

@@ -1,4 +1,4 @@
-"""Time, as the executor sees it: real, or that of an emulated world."""
+"""Time, as a player sees it: real, or that of an emulated world."""
 
 from __future__ import annotations
 
@@ -11,11 +11,9 @@ class Clock(Protocol):
 
     def now(self) -> float:
         """The time, s."""
-        ...
 
     def sleep(self, seconds: float) -> None:
         """Let so much time pass."""
-        ...
 
 
 class RealClock:

@@ -9,10 +9,10 @@ from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices import Asked
+from ctr_nlp.hardware.devices.grbl.controller_settings import Finding, changes, findings
 from ctr_nlp.hardware.devices.grbl.identity import Identity
-from ctr_nlp.hardware.devices.grbl.settings import Finding, changes, findings
 from ctr_nlp.hardware.devices.grbl.stop import stopped
-from ctr_nlp.hardware.devices.grbl.talk import GREETING, Talk
+from ctr_nlp.hardware.devices.grbl.talk import Talk
 from ctr_nlp.hardware.link import Link
 from ctr_nlp.typing import Array
 
@@ -49,10 +49,9 @@ class Commissioning:
 
     def read(self) -> Controller:
         """Everything that is told, with what is wrong in it."""
-        if (report := self._talk.report(GREETING, greeting=True)).state != "Idle":
+        report, _ = self._talk.greet()
+        if report.state != "Idle":
             raise DeviceFault(f"the controller is {report.state}; it must be Idle to be commissioned")
-        self._talk.quiet()
-        self._talk.lost = ""
         identity = self._talk.identify()
         self._columns = identity.columns(self._hardware)
         self._acceleration = identity.acceleration(self._hardware)
@@ -60,7 +59,7 @@ class Commissioning:
         position = self._talk.report().position[self._columns]
         return Controller(identity, wrong, changed, position, self._talk.round_trip())
 
-    def step(self, letter: str, way: int, stop: Asked) -> tuple[float, float]:
+    def step(self, letter: str, direction: int, stop: Asked) -> tuple[float, float]:
         """Move one axis by a small step up (1) or down (-1); its positions before and after, in its unit.
 
         The axis stays in its range. Where a stop is asked for, or the axis does not arrive, it is stopped.
@@ -68,7 +67,7 @@ class Commissioning:
         index = self._hardware.letters.index(letter)
         axis = self._hardware.axes[index]
         before = float(self._talk.report().position[self._columns][index])
-        goal = before + way * STEP
+        goal = before + direction * STEP
         if not axis.range[0] - 1e-3 <= goal <= axis.range[1] + 1e-3:
             raise HardwareError(
                 f"axis {letter} ({axis.joint}) stands at {before:.4g} {axis.unit} and would go to {goal:.4g}; it "

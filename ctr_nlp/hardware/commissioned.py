@@ -21,10 +21,10 @@ def read_commissioned(hardware_file: str | Path) -> dict[str, str] | None:
     try:
         settings = json.loads(path.read_text(encoding="utf-8"))["settings"]
         return {str(name): str(value) for name, value in settings.items()}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as exception:
         raise HardwareError(
-            f"{path} is no record of a commissioning ({error}): delete it, and commission the rig anew"
-        ) from error
+            f"{path} is no record of a commissioning ({exception}): delete it, and commission the rig anew"
+        ) from exception
 
 
 def commissioned_text(settings: dict[str, str], identity: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,106 +12,16 @@ import numpy as np
 
 from ctr_nlp.exceptions import HardwareError, RobotError
 from ctr_nlp.hardware.arm.description import Arm
+from ctr_nlp.hardware.axis import Axis
 from ctr_nlp.hardware.commissioned import read_commissioned
-from ctr_nlp.hardware.motion.lookahead import steady_speed
+from ctr_nlp.hardware.connection import Connection
+from ctr_nlp.hardware.tightening import check_fit, tightened
 from ctr_nlp.robot import Robot
-from ctr_nlp.support.values import described, numbers, read_toml
+from ctr_nlp.support.values import described, number, read_toml
 from ctr_nlp.typing import Array
 
-UNITS = {"beta": {"mm": 1.0}, "alpha": {"deg": math.degrees(1.0), "rad": 1.0}}
-"""What an axis may count in, by what it moves, and how much of that a mm or a rad is."""
-
-DEVICES = ("simulated", "grbl", "ros2")
-HOMING = ("manual", "cycle")
-FLOW = ("count", "wait")
 KEYS = "name, robot, axes, arm, connection, approach, late"
 """Of a hardware file."""
-
-
-@dataclass(frozen=True)
-class Axis:
-    """One motor and the joint that it moves: position = zero + sign * (joint in the axis' unit).
-
-    joint: "alpha_i" or "beta_i". letter: in G-code. unit: "mm" for beta, "deg" or "rad" for alpha. range: (lower,
-    upper) position; speed, acceleration: largest, in unit/s and unit/s^2. backlash: play of the drive, made up for
-    on every reversal; tolerance: how far from its command the axis may be found. Raises HardwareError.
-    """
-
-    joint: str
-    letter: str
-    unit: str
-    range: tuple[float, float]
-    speed: float
-    acceleration: float
-    sign: int = 1
-    zero: float = 0.0
-    backlash: float = 0.0
-    tolerance: float = 0.5
-
-    def __post_init__(self) -> None:
-        kind, _, number = str(self.joint).partition("_")
-        if kind not in UNITS or not number.isdecimal() or int(number) < 1:
-            raise HardwareError(f"joint of an axis is {self.joint!r}; it must be alpha_i or beta_i, with i from 1")
-        if self.unit not in UNITS[kind]:
-            raise HardwareError(f"unit of {self.joint} is {self.unit!r}; it must be {' or '.join(UNITS[kind])}")
-        if not (isinstance(self.letter, str) and len(self.letter) == 1 and self.letter in "XYZABCUVW"):
-            raise HardwareError(f"letter of {self.joint} is {self.letter!r}; it must be one of X Y Z A B C U V W")
-        if isinstance(self.sign, bool) or self.sign not in (-1, 1):
-            raise HardwareError(f"sign of {self.joint} is {self.sign!r}; it must be 1 or -1")
-        for name in ("speed", "acceleration", "zero", "backlash", "tolerance"):
-            value = self._numbers(name, 1)[0]
-            if name != "zero" and (value < 0 or (value == 0 and name != "backlash")):
-                raise HardwareError(
-                    f"{name} of {self.joint} is {value:g}; it must be positive{' or 0' * (name == 'backlash')}"
-                )
-            object.__setattr__(self, name, float(value))
-        lower, upper = self._numbers("range", 2)
-        if lower >= upper:
-            raise HardwareError(f"range of {self.joint} is [{lower:g}, {upper:g}]; the lower must be less")
-        object.__setattr__(self, "range", (float(lower), float(upper)))
-
-    def _numbers(self, name: str, size: int) -> Array:
-        value = getattr(self, name)
-        if size > 1 and np.shape(value) != (size,):
-            raise HardwareError(f"{name} of {self.joint} is {value!r}; give {size} numbers")
-        try:
-            return numbers(f"{name} of {self.joint}", value, size)
-        except RobotError as error:
-            raise HardwareError(str(error)) from error
-
-    @property
-    def scale(self) -> float:
-        """Position per mm or rad of the joint."""
-        return self.sign * UNITS[self.joint.partition("_")[0]][self.unit]
-
-
-@dataclass(frozen=True)
-class Connection:
-    """Where the motors' controller is.
-
-    device: "simulated", "grbl" or "ros2". url: a serial port, "socket://host:port", or for ros2 the controller's
-    name. baud: of a serial port. homing: "cycle" lets the controller home itself and wants its soft limits,
-    "manual" takes the position that it reports for true. flow: "count" sends lines as long as counted characters
-    fit into the controller's buffer, "wait" sends a line when the one before was acknowledged. Raises
-    HardwareError.
-    """
-
-    device: str = "simulated"
-    url: str = ""
-    baud: int = 115200
-    homing: str = "manual"
-    flow: str = "count"
-
-    def __post_init__(self) -> None:
-        for name, allowed in (("device", DEVICES), ("homing", HOMING), ("flow", FLOW)):
-            if getattr(self, name) not in allowed:
-                raise HardwareError(
-                    f"{name} of the connection is {getattr(self, name)!r}; it must be {', '.join(allowed)}"
-                )
-        if self.device != "simulated" and not (isinstance(self.url, str) and self.url):
-            raise HardwareError(f"url of the connection is {self.url!r}; a {self.device} device needs one")
-        if isinstance(self.baud, bool) or not isinstance(self.baud, int) or self.baud <= 0:
-            raise HardwareError(f"baud of the connection is {self.baud!r}; it must be a positive whole number")
 
 
 @dataclass(frozen=True)
@@ -139,12 +49,10 @@ class Hardware:
             double = [value for value in values if values.count(value) > 1]
             if double:
                 raise HardwareError(f"{name} {double[0]} is given to {len(double)} axes; give it to one")
-        approach = self.approach
-        if isinstance(approach, bool) or not isinstance(approach, int | float) or not 0 < approach <= 1:
-            raise HardwareError(f"approach is {approach!r}; it must lie in (0, 1]")
-        late = self.late
-        if isinstance(late, bool) or not isinstance(late, int | float) or not 0 < late < math.inf:
-            raise HardwareError(f"late is {late!r}; it must be a positive number of seconds")
+        number(HardwareError, "approach", self.approach, lambda part: 0 < part <= 1, "lie in (0, 1]")
+        number(
+            HardwareError, "late", self.late, lambda late: 0 < late < math.inf, "be a positive number of seconds"
+        )
 
     @cached_property
     def letters(self) -> tuple[str, ...]:
@@ -171,80 +79,8 @@ class Hardware:
 
     def tightened(self, robot: Robot) -> Robot:
         """The robot with limits that these axes and the arm keep too; raises HardwareError."""
-        self._check_joints(robot)
-        self._check_tubes(robot)
-        lower, upper, speed, acceleration = (
-            np.array(part) for part in (robot.lower, robot.upper, robot.speed, robot.acceleration)
-        )
-        for axis in self.axes:
-            i = robot.axes.index(axis.joint)
-            ends = sorted((end - axis.zero) / axis.scale for end in axis.range)
-            lower[i], upper[i] = max(lower[i], ends[0]), min(upper[i], ends[1])
-            speed[i] = min(speed[i], self._fastest(axis) / abs(axis.scale))
-            acceleration[i] = min(acceleration[i], axis.acceleration / abs(axis.scale))
-        self._check_ranges(robot, lower, upper)
-        if self.arm is None:
-            lower[-2:], upper[-2:] = np.maximum(lower[-2:], 0.0), np.minimum(upper[-2:], 0.0)
-        else:
-            speed[-2:] = np.minimum(speed[-2:], np.radians(self.arm.tilt_speed_deg))
-            acceleration[-2:] = np.minimum(acceleration[-2:], np.radians(self.arm.tilt_acceleration_deg))
-        limits: dict[str, Any] = {}
-        pairs, speeds, rates = (robot.split(part) for part in (np.stack([lower, upper]), speed, acceleration))
-        for k, name in enumerate(("alpha", "beta", "theta")):
-            limits[name] = pairs[k].T.tolist()
-            limits[f"{name}_speed"] = speeds[k].tolist()
-            limits[f"{name}_acceleration"] = rates[k].tolist()
-        try:
-            return robot.with_limits(**limits)
-        except RobotError as error:
-            raise HardwareError(f"this hardware cannot move the robot: {error}") from error
-
-    def _fastest(self, axis: Axis) -> float:
-        """The largest speed of an axis in its unit, from which its controller can still stop soon enough."""
-        if self.connection.device != "grbl":
-            return axis.speed
-        return min(axis.speed, steady_speed(axis.acceleration, axis.unit == "mm"))
-
-    def _check_ranges(self, robot: Robot, lower: Array, upper: Array) -> None:
-        """Raise HardwareError unless every axis can move its joint within the robot's limits, tubes in order."""
-        for axis in self.axes:
-            i = robot.axes.index(axis.joint)
-            if lower[i] > upper[i] or (lower[i] == upper[i] and robot.lower[i] < robot.upper[i]):
-                raise HardwareError(
-                    f"this hardware cannot move the robot: limits of {axis.joint} are [{lower[i]:g}, {upper[i]:g}]"
-                    f", where axis {axis.letter} has the range [{axis.range[0]:g}, {axis.range[1]:g}] {axis.unit}"
-                    f", zero {axis.zero:g} and sign {axis.sign}, and the robot allows [{robot.lower[i]:g}, "
-                    f"{robot.upper[i]:g}]"
-                )
-        letters = {axis.joint: axis.letter for axis in self.axes}
-        least, most = (robot.split(ends)[1] for ends in (lower, upper))
-        for i in range(1, robot.d):
-            if most[i] < least[:i].max():
-                k = int(least[:i].argmax())
-                raise HardwareError(
-                    f"this hardware cannot hold the robot: axis {letters[f'beta_{i + 1}']} takes beta_{i + 1} to "
-                    f"at most {most[i]:g} mm, and axis {letters[f'beta_{k + 1}']} beta_{k + 1} to at least "
-                    f"{least[k]:g} mm, which must be less"
-                )
-
-    def _check_joints(self, robot: Robot) -> None:
-        wanted, moved = set(robot.axes[: 2 * robot.d]), {axis.joint for axis in self.axes}
-        for name in sorted(wanted ^ moved):
-            what = f"no axis moves {name} of the robot" if name in wanted else f"an axis moves {name}"
-            raise HardwareError(f"{what}; axes must move {', '.join(sorted(wanted))}")
-
-    def _check_tubes(self, robot: Robot) -> None:
-        mounted = robot.tubes if self.robot is None else self.robot.tubes
-        if len(mounted) != robot.d:
-            raise HardwareError(f"the plan's robot has {robot.d} tubes, {len(mounted)} are mounted")
-        for i, (tube, there) in enumerate(zip(robot.tubes, mounted, strict=True), start=1):
-            for f in fields(tube):
-                planned, real = getattr(tube, f.name), getattr(there, f.name)
-                if not np.allclose(planned, real, rtol=1e-9):
-                    raise HardwareError(
-                        f"tube {i} of the plan's robot has {f.name} {planned}, the one that is mounted {real}: "
-                        "the plan is for another robot"
-                    )
+        check_fit(robot, self.axes, self.robot)
+        return tightened(robot, self.axes, self.arm, self.connection.device == "grbl")
 
     def positions(self, robot: Robot, q: Array) -> Array:
         """Positions (.., m) of the axes, in their units, at q (.., 2d + 2)."""
@@ -258,7 +94,7 @@ class Hardware:
         return q
 
     def in_joints(self, robot: Robot, lengths: Array) -> Array:
-        """Ways (.., m) that axes go, in their units, as ways of q (.., 2d + 2); the tilt does not move."""
+        """Changes (.., m) of axes, in their units, as changes of q (.., 2d + 2); the tilt does not move."""
         q = np.zeros((*np.shape(lengths)[:-1], 2 * robot.d + 2))
         q[..., [robot.axes.index(axis.joint) for axis in self.axes]] = lengths / self._scale
         return q
@@ -285,8 +121,8 @@ class Hardware:
             if hardware.robot is not None:
                 hardware.tightened(hardware.robot)
             return hardware
-        except (RobotError, HardwareError) as error:
-            raise HardwareError(f"hardware file {path}: {error}") from error
+        except (RobotError, HardwareError) as exception:
+            raise HardwareError(f"hardware file {path}: {exception}") from exception
 
 
 def _file(name: Any) -> str:

@@ -6,7 +6,7 @@ from contextlib import suppress
 from typing import Any, Protocol
 
 from ctr_nlp.exceptions import DeviceFault
-from ctr_nlp.hardware.playing.journal import Journal
+from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.support.extras import needed
 
 WRITE_TIMEOUT = 1.0
@@ -18,15 +18,12 @@ class Link(Protocol):
 
     def write(self, data: bytes) -> None:
         """Send all of it."""
-        ...
 
     def read(self) -> bytes:
         """What has come since the last call, without waiting."""
-        ...
 
     def close(self) -> None:
         """Let go of it."""
-        ...
 
 
 class SerialLink:
@@ -40,15 +37,15 @@ class SerialLink:
             self._port: Any = serial.serial_for_url(
                 url, baudrate=baud, timeout=0, write_timeout=WRITE_TIMEOUT, exclusive=True
             )
-        except unopened as error:
-            raise DeviceFault(f"{url} cannot be opened: {error}") from error
+        except unopened as exception:
+            raise DeviceFault(f"{url} cannot be opened: {exception}") from exception
 
     def write(self, data: bytes) -> None:
         """Send all of it."""
         try:
             sent = self._port.write(data)
-        except self._lost as error:
-            raise DeviceFault(f"the link to {self._url} is lost: {error}") from error
+        except self._lost as exception:
+            raise DeviceFault(f"the link to {self._url} is lost: {exception}") from exception
         if sent is not None and sent < len(data):
             raise DeviceFault(f"the link to {self._url} took {sent} of {len(data)} bytes")
 
@@ -56,8 +53,8 @@ class SerialLink:
         """What has come since the last call, without waiting."""
         try:
             return bytes(self._port.read(4096))
-        except self._lost as error:
-            raise DeviceFault(f"the link to {self._url} is lost: {error}") from error
+        except self._lost as exception:
+            raise DeviceFault(f"the link to {self._url} is lost: {exception}") from exception
 
     def close(self) -> None:
         """Let go of it; a lost one is let go of as well."""
@@ -87,8 +84,7 @@ class RecordedLink:
 
     def read(self) -> bytes:
         """What has come, recorded."""
-        data = self._link.read()
-        if data:
+        if data := self._link.read():
             self._journal.record("received", data=data.decode("latin-1"))
         return data
 

@@ -28,7 +28,7 @@ from ctr_nlp.cli.output.manifest import MARK
 from ctr_nlp.hardware.description import Hardware, bench
 from ctr_nlp.hardware.emulator.firmware import Firmware
 from ctr_nlp.hardware.emulator.serve import serving
-from ctr_nlp.hardware.playing.journal import read_journal
+from ctr_nlp.hardware.journal import read_journal
 from ctr_nlp.hardware.playing.session import prepared
 
 pytestmark = pytest.mark.real_time

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from ctr_nlp.exceptions import HardwareError, OptionError
-from ctr_nlp.hardware.arm import inverse as branch
+from ctr_nlp.hardware.arm import inverse
 from ctr_nlp.hardware.arm.checks import check_joints
 from ctr_nlp.hardware.arm.description import JOINT_LIMIT, MODELS, Arm
 from ctr_nlp.hardware.arm.forward import LENGTH, gains, insertion_error, tilt
@@ -159,9 +159,9 @@ def zero_tilt() -> np.ndarray:
     return np.array(library.ur3e.inverse_kinematics(pose))
 
 
-@pytest.mark.parametrize("branch", range(8))
-def test_start_joints_choose_the_branch_and_the_turn(branch):
-    wanted = zero_tilt()[branch]
+@pytest.mark.parametrize("number", range(8))
+def test_start_joints_choose_the_joint_solution_and_the_turn(number):
+    wanted = zero_tilt()[number]
     wanted[5] -= 2 * np.pi * np.sign(wanted[5])
     arm = Arm(start_joints_deg=np.degrees(wanted + 0.05).clip(-360, 360).tolist())
     small = np.radians([[3.0, 4.0], [0.0, 0.0]])
@@ -187,17 +187,19 @@ def test_the_branch_is_the_one_furthest_from_singularities_and_limits():
 
 
 def test_a_tilt_out_of_reach_is_named():
-    with pytest.raises(HardwareError, match=r"frame 3 of 3, theta = \(0, 1\) rad: every branch ends: out of"):
+    with pytest.raises(
+        HardwareError, match=r"frame 3 of 3, theta = \(0, 1\) rad: every joint solution ends: out of"
+    ):
         joints(Arm(insertion_point=(500, 0, 400)), np.array([[0.0, 0.0], [0.0, 0.1], [0.0, 1.0]]))
     with pytest.raises(HardwareError, match=r"frame 1 of 1.*out of the arm's reach"):
         joints(Arm(insertion_point=(900, 0, 0)), np.zeros((1, 2)))
 
 
 def test_a_singularity_on_the_way_is_named():
-    """On the branch that suits small tilts best; another one goes on."""
+    """The joint solution that suits small tilts best; another one goes on."""
     nearest = np.degrees(joints(Arm(), np.zeros((1, 2)))[0])
     with pytest.raises(
-        HardwareError, match=r"frame 2 of 3.*branch of the start ends: singular: joints would turn \d+"
+        HardwareError, match=r"frame 2 of 3.*joint solution of the start ends: singular: joints would turn \d+"
     ):
         joints(Arm(start_joints_deg=nearest.tolist()), np.array([[0.0, 0.0], [0.0, 1.8], [0.0, 0.0]]))
     joints(Arm(), np.array([[0.0, 0.0], [0.0, 1.8], [0.0, 0.0]]))
@@ -210,33 +212,33 @@ def test_a_joint_limit_is_named():
     turned = start.copy()
     turned[joint] += 2 * np.pi * np.round((np.sign(end - start)[joint] * 2 * np.pi - start[joint]) / (2 * np.pi))
     theta = np.radians([[0.0, 0.0], [0.0, 1.0], [0.0, 30.0]])
-    way = joints(Arm(), theta, start)[:, joint] + turned[joint] - start[joint]
-    room = JOINT_LIMIT - np.abs(way)
+    followed = joints(Arm(), theta, start)[:, joint] + turned[joint] - start[joint]
+    room = JOINT_LIMIT - np.abs(followed)
     if (room >= 0).all():
-        pytest.fail(f"this motion keeps the limit: {way}")
+        pytest.fail(f"this motion keeps the limit: {followed}")
     frame = int(np.argmax(room < 0)) + 1
     with pytest.raises(HardwareError, match=rf"frame {frame} of 3.*joint 6 \(wrist 3\) would turn beyond 360 deg"):
         joints(Arm(), theta, turned)
 
 
 def test_a_jump_is_named(monkeypatch):
-    """Were the library to lose a branch for a moment, the next one is not taken for it."""
-    whole, calls = branch._solutions, []
+    """Were the library to lose a joint solution for a moment, the next one is not taken for it."""
+    whole, calls = inverse._solutions, []
 
     def losing(model, pose):
         calls.append(None)
         return whole(model, pose)[:1] if len(calls) > 3 else whole(model, pose)[1:2]
 
-    monkeypatch.setattr(branch, "_solutions", losing)
+    monkeypatch.setattr(inverse, "_solutions", losing)
     with pytest.raises(HardwareError, match=r"frame 4 of 9.*joint \d \(.*\) would jump by"):
         joints(Arm(), np.linspace((0, 0), (0.05, 0), 9))
 
 
 def insertion_error_between(arm, q, substeps=8):
-    """Largest insertion_error (T - 1,) in mm on the way between samples (T, 6), joints interpolated linearly."""
+    """Largest insertion_error (T - 1,) in mm between samples (T, 6), joints interpolated linearly."""
     part = np.linspace(0, 1, substeps + 1)[:, None]
-    way = q[:-1, None] * (1 - part) + q[1:, None] * part
-    return insertion_error(arm, way.reshape(-1, 6)).reshape(-1, substeps + 1).max(axis=1)
+    followed = q[:-1, None] * (1 - part) + q[1:, None] * part
+    return insertion_error(arm, followed.reshape(-1, 6)).reshape(-1, substeps + 1).max(axis=1)
 
 
 def test_the_insertion_point_moves_little_between_samples():

@@ -10,10 +10,10 @@ import pytest
 from bench import homing_hardware, plan_of, sweep
 
 from ctr_nlp import Robot, Tube
-from ctr_nlp.exceptions import HardwareError, ProgramError
+from ctr_nlp.exceptions import HardwareError, TrajectoryError
 from ctr_nlp.hardware.arm.description import Arm
 from ctr_nlp.hardware.description import bench
-from ctr_nlp.hardware.motion.program import program_of
+from ctr_nlp.hardware.motion.trajectory import trajectory_of
 from ctr_nlp.hardware.playing.checks import SAMPLES, check_plan, checked
 from ctr_nlp.hardware.playing.session import prepared
 from ctr_nlp.models.elastic import equilibria as branches
@@ -29,15 +29,15 @@ def changed(name, frame, value, column=None):
 
 def complaint(plan, message, rig=None):
     rig = homing_hardware() if rig is None else rig
-    with pytest.raises(ProgramError, match=message):
+    with pytest.raises(TrajectoryError, match=message):
         check_plan(plan, rig.tightened(plan.robot))
 
 
 def test_a_good_plan_passes():
     plan, rig = sweep(), homing_hardware()
     check_plan(plan, rig.tightened(plan.robot))
-    program, found = prepared(plan, rig)
-    assert found.late == pytest.approx(program.duration - 1.9)
+    trajectory, found = prepared(plan, rig)
+    assert found.late == pytest.approx(trajectory.duration - 1.9)
     assert np.isnan(found.margin)
 
 
@@ -113,39 +113,41 @@ def test_a_plan_for_another_number_of_tubes_is_refused_by_the_hardware():
         prepared(sweep(), replace(rig, axes=tuple(a for a in rig.axes if not a.joint.endswith("3"))))
 
 
-# On the way
+# On the path
 
 
 def test_what_is_reported_is_what_finite_differences_find():
-    program, found = prepared(sweep(), homing_hardware())
-    time = np.linspace(0, program.duration, 20001)
-    rate = np.diff(program.at(time)[0], axis=0) / time[1]
+    trajectory, found = prepared(sweep(), homing_hardware())
+    time = np.linspace(0, trajectory.duration, 20001)
+    rate = np.diff(trajectory.at(time)[0], axis=0) / time[1]
     change = np.diff(rate, axis=0) / time[1]
-    assert found.speed == pytest.approx((abs(rate) / program.robot.speed).max(), rel=0.02)
-    assert found.acceleration == pytest.approx((abs(change) / program.robot.acceleration).max(), rel=0.05)
+    assert found.speed == pytest.approx((abs(rate) / trajectory.robot.speed).max(), rel=0.02)
+    assert found.acceleration == pytest.approx((abs(change) / trajectory.robot.acceleration).max(), rel=0.05)
     assert found.acceleration <= 1
 
 
 @pytest.mark.parametrize("name", ["speed", "acceleration"])
 def test_a_program_beyond_a_limit_is_refused(name):
     """The same motion under a robot that may do half as much."""
-    program, found = prepared(sweep(), homing_hardware())
-    limit = getattr(program.robot, name)
-    parts = program.robot.split(limit * getattr(found, name) / 2)
+    trajectory, found = prepared(sweep(), homing_hardware())
+    limit = getattr(trajectory.robot, name)
+    parts = trajectory.robot.split(limit * getattr(found, name) / 2)
     slow = {f"{n}_{name}": part.tolist() for n, part in zip(("alpha", "beta", "theta"), parts, strict=True)}
-    with pytest.raises(ProgramError, match=rf"frame \d+: {name} of (alpha|beta)_\d would be 2 times the largest"):
-        checked(replace(program, robot=program.robot.with_limits(**slow)))
+    with pytest.raises(
+        TrajectoryError, match=rf"frame \d+: {name} of (alpha|beta)_\d would be 2 times the largest"
+    ):
+        checked(replace(trajectory, robot=trajectory.robot.with_limits(**slow)))
 
 
 def test_play_beyond_the_range_names_axis_and_frame():
-    """On the way down to 0 an axis with 0.4 mm of play has to go to -0.4."""
+    """On the path down to 0 an axis with 0.4 mm of play has to go to -0.4."""
     out = np.linspace(2, 0, 12)[:, None]
     q = np.hstack([np.zeros((12, 3)), out, out + 5, out + 9, np.zeros((12, 2))])
     plan, rig = plan_of(q, 0.1), bench(sweep().robot)
     prepared(plan, rig)
     loose = replace(rig, axes=(replace(rig.axes[0], backlash=0.4), *rig.axes[1:]))
     with pytest.raises(
-        ProgramError, match=r"frame \d+: axis X \(beta_1\) would go to -.* mm, backlash included; .*\[0, "
+        TrajectoryError, match=r"frame \d+: axis X \(beta_1\) would go to -.* mm, backlash included; .*\[0, "
     ):
         prepared(plan, loose)
 
@@ -162,7 +164,7 @@ def test_a_tilt_needs_an_arm_that_is_fast_enough():
     rig = bench(plan.robot)
     prepared(plan, rig)
     complaint(plan, r"theta_x of frame 2 is .*; it must lie in \[0, 0\] on this hardware", replace(rig, arm=None))
-    with pytest.raises(ProgramError, match=rf"the tilt, at {SAMPLES} places a frame: speed of joint \d \(.*\)"):
+    with pytest.raises(TrajectoryError, match=rf"the tilt, at {SAMPLES} places a frame: speed of joint \d \(.*\)"):
         prepared(plan, replace(rig, arm=Arm(joint_speed_deg=5.0)))
 
 
@@ -195,20 +197,20 @@ def elastic_plan(turn, frames=30):
 @pytest.mark.usefixtures("_interpreted")
 def test_an_elastic_plan_that_is_stable_passes_with_its_margin():
     plan, known = elastic_plan(4.2)
-    program, found = prepared(plan, bench(LONG))
+    trajectory, found = prepared(plan, bench(LONG))
     assert 0 < found.margin < 0.9
     assert found.margin == pytest.approx(known.stability_between.min(), abs=0.05)
-    assert np.isnan(checked(program).margin)
+    assert np.isnan(checked(trajectory).margin)
 
 
 @pytest.mark.usefixtures("_interpreted")
 def test_an_elastic_plan_whose_way_snaps_is_refused():
-    """Also where only the timed program is looked at."""
+    """Also where only the timed trajectory is looked at."""
     plan, known = elastic_plan(2 * np.pi - 0.1)
     rig = bench(LONG)
     (snap,) = known.snaps
-    complaint(plan, rf"frame {snap.frame}: the robot would snap on the way, tubes \(1, 2\)", rig)
+    complaint(plan, rf"frame {snap.frame}: the robot would snap on the path, tubes \(1, 2\)", rig)
     with pytest.raises(
-        ProgramError, match=rf"frame {snap.frame}: the robot would snap on the way, tubes \(1, 2\)"
+        TrajectoryError, match=rf"frame {snap.frame}: the robot would snap on the path, tubes \(1, 2\)"
     ):
-        checked(program_of(plan, rig), elastic=True)
+        checked(trajectory_of(plan, rig), model="elastic")

@@ -57,7 +57,7 @@ def test_axes_move_as_asked_and_the_settings_are_kept_and_compared(
     out = capsys.readouterr().out
     assert "Z went from 0.000 to 1.000" in out
     assert "A went from 0.000 to -1.000" in out
-    assert "'Q+' is no axis and way" in out
+    assert "'Q+' is no axis and direction" in out
     assert "axis Y (beta_2) stands at 0 mm and would go to -1; it must stay in [0, 150]" in out
     assert rig.firmware.position.tolist() == [0.0, 0.0, 1.0, -1.0, 0.0, 0.0]
     known = json.loads(commissioned_file(rig.file).read_text())

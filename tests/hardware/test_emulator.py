@@ -489,7 +489,7 @@ def test_faults_come_at_a_byte_count_and_any_two_together():
 
 @pytest.mark.parametrize("seed", range(12))
 def test_random_faults_never_break_the_emulator(seed):
-    """Whatever strikes, time passes, positions stay on the way and the link only ever raises ConnectionError."""
+    """Whatever strikes, time passes, positions stay on the path and the link only ever raises ConnectionError."""
     draw = random.Random(seed)
     names = draw.sample(sorted(FAULTS), 3)
     host = Host(*(FAULTS[name](at=draw.uniform(0, 2), seed=seed) for name in names))

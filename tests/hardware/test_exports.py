@@ -1,4 +1,4 @@
-"""Exported files: the program's numbers as readers that are not ours see them, and nothing at all on bad input."""
+"""Exported files: a trajectory's numbers as readers that are not ours see them, and nothing on bad input."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from ctr_nlp.hardware.exports.gcode import gcode_text
 from ctr_nlp.hardware.exports.rosbag2 import STATES, STORAGES, TOLERANCE, TRAJECTORY, points, write_bag
 from ctr_nlp.hardware.exports.table import csv_text
 from ctr_nlp.hardware.motion.gcode import LEAST_FEED, MODES
-from ctr_nlp.hardware.motion.program import program_of
+from ctr_nlp.hardware.motion.trajectory import trajectory_of
 from ctr_nlp.hardware.playing.checks import checked
 from ctr_nlp.hardware.playing.session import prepared
 from ctr_nlp.plan.plan import plan_from_configurations
@@ -85,14 +85,14 @@ def odd(plan):
 
 
 @pytest.fixture(scope="module")
-def program(plan):
-    return program_of(plan, bench(plan.robot))
+def trajectory(plan):
+    return trajectory_of(plan, bench(plan.robot))
 
 
 @pytest.fixture(scope="module")
 def still(locked):
-    """A program without a tilt, for hardware without an arm."""
-    return program_of(locked, replace(bench(locked.robot), arm=None))
+    """A trajectory without a tilt, for hardware without an arm."""
+    return trajectory_of(locked, replace(bench(locked.robot), arm=None))
 
 
 @pytest.fixture
@@ -127,11 +127,11 @@ def read_table(text):
     return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
 
 
-def test_the_table_passes_every_frame_of_the_plan(plan, program):
-    table = read_table(csv_text(program))
+def test_the_table_passes_every_frame_of_the_plan(plan, trajectory):
+    table = read_table(csv_text(trajectory))
     there = table["at_frame"] == 1
     assert table["frame"][there].tolist() == list(range(1, FRAMES + 1))
-    assert table["time_s"][there] == pytest.approx(program.frame_time, abs=1e-8)
+    assert table["time_s"][there] == pytest.approx(trajectory.frame_time, abs=1e-8)
     assert table["time_s"][0] == 0
     for i in range(3):
         assert table[f"alpha_{i + 1}_rad"][there] == pytest.approx(plan.alpha[:, i], abs=1e-8)
@@ -144,7 +144,7 @@ def test_the_table_passes_every_frame_of_the_plan(plan, program):
 
 
 def test_axes_count_as_the_hardware_says_and_make_up_for_play(plan, odd):
-    table = read_table(csv_text(program_of(plan, odd)))
+    table = read_table(csv_text(trajectory_of(plan, odd)))
     assert table["Z_mm"] == pytest.approx(160 - table["beta_3_mm"], abs=1e-8)
     added = table["A_rad"] - table["alpha_1_rad"]
     there = table["at_frame"] == 1
@@ -154,8 +154,8 @@ def test_axes_count_as_the_hardware_says_and_make_up_for_play(plan, odd):
     assert {round(value, 6) for value in added[there]} == {0.0, -0.02}
 
 
-def test_speeds_and_accelerations_of_the_table_are_within_limits_and_those_that_were_checked(program):
-    table = read_table(csv_text(program))
+def test_speeds_and_accelerations_of_the_table_are_within_limits_and_those_that_were_checked(trajectory):
+    table = read_table(csv_text(trajectory))
     time = table["time_s"]
     limits = {"mm": (50.0, 200.0), "deg": (np.degrees(2.0), 2000.0)}
     used = []
@@ -165,7 +165,7 @@ def test_speeds_and_accelerations_of_the_table_are_within_limits_and_those_that_
         change = 2 * np.diff(rate) / (time[2:] - time[:-2])
         used.append((abs(rate).max() / speed, abs(change).max() / acceleration))
     assert np.max(used) <= 1 + 1e-5
-    found = checked(program)
+    found = checked(trajectory)
     assert np.max(used, axis=0) == pytest.approx([found.speed, found.acceleration], rel=0.15)
     assert time[-1] > (FRAMES - 1) * 0.09
 
@@ -190,26 +190,26 @@ def moves(text, letters="XYZABC"):
     return [np.array(part) for part in zip(*found, strict=True)]
 
 
-def test_pygcode_reads_the_positions_and_times_of_the_program(plan, odd):
+def test_pygcode_reads_the_positions_and_times_of_the_trajectory(plan, odd):
     for rig in (bench(plan.robot), odd):
-        program = program_of(plan, rig)
-        commands = program.commands()
-        number, position, seconds = moves(gcode_text(program, "a"))
+        trajectory = trajectory_of(plan, rig)
+        commands = trajectory.commands()
+        number, position, seconds = moves(gcode_text(trajectory, "a"))
         assert number.tolist() == list(range(len(commands.time) + 1))
-        assert position[0] == pytest.approx(program.positions(np.zeros(1))[0], abs=0.6e-4)
+        assert position[0] == pytest.approx(trajectory.positions(np.zeros(1))[0], abs=0.6e-4)
         assert np.cumsum(seconds[1:]) == pytest.approx(commands.time, abs=5e-4)
         assert position[1:] == pytest.approx(commands.positions, abs=LEAST_FEED * 0.05 + 1e-4)
-        assert position[-1] == pytest.approx(rig.positions(program.robot, plan.q[-1]), abs=0.021)
+        assert position[-1] == pytest.approx(rig.positions(trajectory.robot, plan.q[-1]), abs=0.021)
 
 
-def test_gcodeparser_reads_the_same_and_no_command_in_the_comments(program):
+def test_gcodeparser_reads_the_same_and_no_command_in_the_comments(trajectory):
     gcodeparser = pytest.importorskip("gcodeparser")
-    text = gcode_text(program, "G28 (M3) T1")
+    text = gcode_text(trajectory, "G28 (M3) T1")
     with pytest.warns(DeprecationWarning, match="parse_gcode_lines"):
         read = gcodeparser.GcodeParser(text).lines
     said = [line.command_str for line in read]
     begun = [*MODES.split(), "M0", "G1", "M0"]
-    lines = len(program.commands().time)
+    lines = len(trajectory.commands().time)
     assert said[: len(begun)] == begun
     assert said[-2:] == ["G94", "M2"]
     assert len(said) == len(begun) + lines + 2
@@ -225,10 +225,10 @@ def test_gcodeparser_reads_the_same_and_no_command_in_the_comments(program):
     assert number[-1] == lines
 
 
-def test_standing_still_takes_its_time(plan, program):
+def test_standing_still_takes_its_time(plan, trajectory):
     """Grbl drops a line in which nothing moves: only a dwell takes as long as it should."""
-    text = gcode_text(program, "a")
-    held = program.frame_time[HELD.stop - 1] - program.frame_time[HELD.start]
+    text = gcode_text(trajectory, "a")
+    held = trajectory.frame_time[HELD.stop - 1] - trajectory.frame_time[HELD.start]
     dwells = [float(found) for found in re.findall(r"^N\d+ G4 P([\d.]+)$", text, re.MULTILINE)]
     assert sum(dwells) >= held - 0.01
     assert held > 0.2
@@ -238,25 +238,25 @@ def test_standing_still_takes_its_time(plan, program):
     assert (gone[fed] / seconds[1:][fed])[:-1].min() >= LEAST_FEED - 1e-3
 
 
-def test_the_first_frame_is_gone_to_slowly_from_anywhere_after_a_pause(plan, program):
-    rows = [row for row in gcode_text(program, "a").splitlines() if not row.startswith("(")]
+def test_the_first_frame_is_gone_to_slowly_from_anywhere_after_a_pause(plan, trajectory):
+    rows = [row for row in gcode_text(trajectory, "a").splitlines() if not row.startswith("(")]
     assert rows[1] == rows[3] == "M0"
     _, position, seconds = moves("\n".join(rows))
-    for axis, start in zip(program.hardware.axes, position[0], strict=True):
+    for axis, start in zip(trajectory.hardware.axes, position[0], strict=True):
         largest = {"mm": 50.0, "deg": np.degrees(2.0)}[axis.unit]
         for end in axis.range:
             assert abs(start - end) / seconds[0] <= 0.2 * largest * (1 + 1e-4)
 
 
-def test_the_file_says_whether_a_tilt_is_missing(program, still):
-    assert "TILT" in gcode_text(program, "a")
-    assert "urscript" in gcode_text(program, "a")
+def test_the_file_says_whether_a_tilt_is_missing(trajectory, still):
+    assert "TILT" in gcode_text(trajectory, "a")
+    assert "urscript" in gcode_text(trajectory, "a")
     assert "TILT" not in gcode_text(still, "a")
 
 
-def test_a_title_cannot_command_a_controller(program):
+def test_a_title_cannot_command_a_controller(trajectory):
     """Grbl obeys ? ! ~ and bytes from 128 on wherever they are, even in comments."""
-    text = gcode_text(program, "a) M3 (b\nG0 X9 ; ~!?%$ \x18 é")
+    text = gcode_text(trajectory, "a) M3 (b\nG0 X9 ; ~!?%$ \x18 é")
     assert text.isascii()
     assert not set(text) & set("?!~%$;\x18")
     for row in text.splitlines():
@@ -271,20 +271,20 @@ def test_a_title_cannot_command_a_controller(program):
 # the arm
 
 
-def test_the_arm_program_tilts_as_the_plan_does(plan, program):
-    text = TEXTS["urscript"].of(program, "a b")
+def test_the_arm_program_tilts_as_the_plan_does(plan, trajectory):
+    text = TEXTS["urscript"].of(trajectory, "a b")
     assert text.startswith("def ctr_nlp_a_b():")
     body = text[: text.index("while")]
     joints = np.array([json.loads(found) for found in re.findall(r"servoj\((\[.*?\])", body)])
-    assert len(joints) == int(np.ceil(program.duration / 0.008)) + 1
-    theta = tilt(program.hardware.arm, joints)
+    assert len(joints) == int(np.ceil(trajectory.duration / 0.008)) + 1
+    theta = tilt(trajectory.hardware.arm, joints)
     time = 0.008 * np.arange(len(joints))
     for k in range(2):
-        assert np.interp(program.frame_time, time, theta[:, k]) == pytest.approx(plan.theta[:, k], abs=2e-4)
+        assert np.interp(trajectory.frame_time, time, theta[:, k]) == pytest.approx(plan.theta[:, k], abs=2e-4)
     assert theta[-1] == pytest.approx(plan.theta[-1], abs=1e-6)
 
 
-def test_hardware_without_an_arm_has_no_arm_program(still):
+def test_hardware_without_an_arm_has_no_arm_trajectory(still):
     with pytest.raises(HardwareError, match="no arm"):
         TEXTS["urscript"].of(still, "a")
 
@@ -292,9 +292,9 @@ def test_hardware_without_an_arm_has_no_arm_program(still):
 # the bag
 
 
-def written(program, tmp_path, storage):
+def written(trajectory, tmp_path, storage):
     pytest.importorskip("rosbags")
-    write_bag(program, "a", tmp_path / "bag", storage)
+    write_bag(trajectory, "a", tmp_path / "bag", storage)
     return tmp_path / "bag"
 
 
@@ -315,40 +315,48 @@ def in_rosbags(folder):
     return found
 
 
-def as_arrays(trajectory):
-    time = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in trajectory.points])
+def as_arrays(message):
+    time = np.array([p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in message.points])
     parts = ("positions", "velocities", "accelerations")
-    return time, *(np.array([getattr(p, name) for p in trajectory.points]) for name in parts)
+    return time, *(np.array([getattr(p, name) for p in message.points]) for name in parts)
+
+
+def test_a_bag_names_its_plan(trajectory, tmp_path):
+    """Under the keys that readers of bags know."""
+    told = (written(trajectory, tmp_path, "mcap") / "metadata.yaml").read_text(encoding="utf-8")
+    assert re.search(r"ctr_nlp\.plan: ['\"]?a\b", told)
+    assert "ctr_nlp.digest:" in told
+    assert trajectory.digests.plan in told
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-def test_a_bag_holds_the_trajectory_in_si_units(plan, program, tmp_path, storage):
-    read = in_rosbags(written(program, tmp_path, storage))
-    ((stamp, trajectory),) = read[TRAJECTORY]
+def test_a_bag_holds_the_trajectory_in_si_units(plan, trajectory, tmp_path, storage):
+    read = in_rosbags(written(trajectory, tmp_path, storage))
+    ((stamp, message),) = read[TRAJECTORY]
     assert stamp == 0
-    assert trajectory.joint_names == [f"{k}_{i}" for k in ("alpha", "beta") for i in (1, 2, 3)] + [
+    assert message.joint_names == [f"{k}_{i}" for k in ("alpha", "beta") for i in (1, 2, 3)] + [
         "theta_x",
         "theta_y",
     ]
-    time, position, velocity, acceleration = as_arrays(trajectory)
+    time, position, velocity, acceleration = as_arrays(message)
     meant = np.hstack([plan.alpha, plan.beta / 1000, plan.theta])
-    at = [int(abs(time - t).argmin()) for t in program.frame_time]
-    assert time[at] == pytest.approx(program.frame_time, abs=1e-8)
+    at = [int(abs(time - t).argmin()) for t in trajectory.frame_time]
+    assert time[at] == pytest.approx(trajectory.frame_time, abs=1e-8)
     assert position[at] == pytest.approx(meant, abs=1e-9)
     inner = time[1:-1]
     step = 1e-5
     si = np.array([1, 1, 1, 1e-3, 1e-3, 1e-3, 1, 1])
-    before, after = (si * program.at(inner + sign * step)[0] for sign in (-1, 1))
+    before, after = (si * trajectory.at(inner + sign * step)[0] for sign in (-1, 1))
     assert velocity[1:-1] == pytest.approx((after - before) / (2 * step), abs=2e-4)
-    rate = (si * program.at(inner + 1e-6)[1] - velocity[1:-1]) / 1e-6
+    rate = (si * trajectory.at(inner + 1e-6)[1] - velocity[1:-1]) / 1e-6
     assert acceleration[1:-1] == pytest.approx(rate, abs=1e-2)
     assert abs(velocity[[0, -1]]).max() < 1e-7  # controllers refuse more at the end
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-def test_a_bag_holds_the_states_of_every_command(program, tmp_path, storage):
-    states = in_rosbags(written(program, tmp_path, storage))[STATES]
-    commands = program.commands()
+def test_a_bag_holds_the_states_of_every_command(trajectory, tmp_path, storage):
+    states = in_rosbags(written(trajectory, tmp_path, storage))[STATES]
+    commands = trajectory.commands()
     stamps = np.array([stamp for stamp, _ in states])
     assert stamps[0] == 0
     assert stamps[1:] == pytest.approx(commands.time * 1e9, abs=1)
@@ -360,11 +368,11 @@ def test_a_bag_holds_the_states_of_every_command(program, tmp_path, storage):
             assert np.delete(state.position, [3, 4, 5]) == pytest.approx(np.delete(commands.q[k - 1], [3, 4, 5]))
 
 
-def test_the_mcap_file_explains_itself_to_another_reader(program, tmp_path):
+def test_the_mcap_file_explains_itself_to_another_reader(trajectory, tmp_path):
     """Only the mcap project's reader, and the message definitions in the file."""
     reader = pytest.importorskip("mcap.reader")
     decoder = pytest.importorskip("mcap_ros2.decoder")
-    folder = written(program, tmp_path, "mcap")
+    folder = written(trajectory, tmp_path, "mcap")
     with open(folder / "bag.mcap", "rb") as file:
         messages = list(
             reader.make_reader(file, decoder_factories=[decoder.DecoderFactory()]).iter_decoded_messages()
@@ -373,17 +381,17 @@ def test_the_mcap_file_explains_itself_to_another_reader(program, tmp_path):
         "trajectory_msgs/msg/JointTrajectory",
         "sensor_msgs/msg/JointState",
     }
-    (trajectory,) = (message for _, channel, _, message in messages if channel.topic == TRAJECTORY)
+    (found,) = (message for _, channel, _, message in messages if channel.topic == TRAJECTORY)
     ((_, other),) = in_rosbags(folder)[TRAJECTORY]
-    for ours, theirs in zip(as_arrays(trajectory), as_arrays(other), strict=True):
+    for ours, theirs in zip(as_arrays(found), as_arrays(other), strict=True):
         assert np.array_equal(ours, theirs)
     states = [message for _, channel, _, message in messages if channel.topic == STATES]
-    assert len(states) == len(program.commands().time) + 1
-    assert states[-1].position[5] == pytest.approx(program.commands().q[-1, 5] / 1000)
+    assert len(states) == len(trajectory.commands().time) + 1
+    assert states[-1].position[5] == pytest.approx(trajectory.commands().q[-1, 5] / 1000)
 
 
-def test_the_sqlite_file_has_the_tables_of_ros(program, tmp_path):
-    folder = written(program, tmp_path, "sqlite3")
+def test_the_sqlite_file_has_the_tables_of_ros(trajectory, tmp_path):
+    folder = written(trajectory, tmp_path, "sqlite3")
     with sqlite3.connect(folder / "bag.db3") as base:
         topics = base.execute("SELECT name, type, serialization_format FROM topics ORDER BY id").fetchall()
         (count,) = base.execute("SELECT count(*) FROM messages").fetchone()
@@ -394,14 +402,14 @@ def test_the_sqlite_file_has_the_tables_of_ros(program, tmp_path):
         (STATES, "sensor_msgs/msg/JointState", "cdr"),
     ]
     assert kinds == [kind for _, kind, _ in topics]
-    assert count == len(program.commands().time) + 2
+    assert count == len(trajectory.commands().time) + 2
 
 
-def test_interpolating_between_points_follows_the_program(program):
+def test_interpolating_between_points_follows_the_trajectory(trajectory):
     """As joint_trajectory_controller does: cubic with velocities, quintic with accelerations too."""
-    time, q, velocity, acceleration = points(program)
-    dense = np.linspace(0, program.duration, 4001)
-    true, mm = program.at(dense)[0], np.array([10.0] * 3 + [1.0] * 3 + [10.0] * 2)
+    time, q, velocity, acceleration = points(trajectory)
+    dense = np.linspace(0, trajectory.duration, 4001)
+    true, mm = trajectory.at(dense)[0], np.array([10.0] * 3 + [1.0] * 3 + [10.0] * 2)
 
     def away(time, q, velocity, acceleration):
         cubic = CubicHermiteSpline(time, q, velocity)(dense)
@@ -409,7 +417,7 @@ def test_interpolating_between_points_follows_the_program(program):
         return [(abs(curve - true) * mm).max() for curve in (cubic, quintic)]
 
     assert max(away(time, q, velocity, acceleration)) <= 1.1 * TOLERANCE
-    frames = np.isin(time, program.frame_time)
+    frames = np.isin(time, trajectory.frame_time)
     assert frames.sum() == FRAMES
     assert min(away(time[frames], q[frames], velocity[frames], acceleration[frames])) > 2 * TOLERANCE
 
@@ -421,13 +429,13 @@ def test_without_an_arm_a_bag_has_no_tilt(still, tmp_path):
     assert {len(point.positions) for point in read[TRAJECTORY][0][1].points} == {6}
 
 
-def test_bags_are_kept_in_what_ros_knows(program, tmp_path):
+def test_bags_are_kept_in_what_ros_knows(trajectory, tmp_path):
     with pytest.raises(OptionError, match="mcap or sqlite3"):
-        write_bag(program, "a", tmp_path / "bag", "rosbag1")
+        write_bag(trajectory, "a", tmp_path / "bag", "rosbag1")
     assert not everything(tmp_path)
 
 
-# the program
+# the trajectory
 
 
 @pytest.mark.parametrize("to", FORMATS)

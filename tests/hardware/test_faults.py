@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from bench import Killed, World
 
-from ctr_nlp.exceptions import DeviceFault, ProgramError
+from ctr_nlp.exceptions import DeviceFault, TrajectoryError
+from ctr_nlp.hardware import journal as journal_module
 from ctr_nlp.hardware.emulator.faults import FAULTS
-from ctr_nlp.hardware.playing import journal as journal_module
 from ctr_nlp.hardware.playing.results import Outcome, Result, State
 
 HOST_FAULTS = ("killed", "ctrl_c", "full_disk")
@@ -90,7 +90,7 @@ def check_resume(world: World, kind: str) -> str:
     before, frames = world.frames_played(), list(range(1, len(world.plan.time) + 1))
     try:
         result = world.resume()
-    except (ProgramError, DeviceFault) as error:
+    except (TrajectoryError, DeviceFault) as error:
         assert world.frames_played() == before
         return f"refused: {error}"
     assert result.outcome is Outcome.SUCCESS, result
@@ -112,7 +112,7 @@ def run(seed: int, folder: Path, monkeypatch: pytest.MonkeyPatch, kind: str = ""
     start = world.clock.now()
     try:
         result = struck(world, kind, start + draw.uniform(0.0, 3.3), seed, monkeypatch)
-    except (DeviceFault, ProgramError) as error:
+    except (DeviceFault, TrajectoryError) as error:
         check_stop_before_motion(world)
         return kind, f"not begun: {error}", ""
     check_stop(world, result, kind)
@@ -126,7 +126,7 @@ def run(seed: int, folder: Path, monkeypatch: pytest.MonkeyPatch, kind: str = ""
 def check_distrust(world: World) -> None:
     """A later session does not play: the controller is in no state for it, or remembered as not to be trusted."""
     finished = len(world.firmware.executed)
-    with pytest.raises((DeviceFault, ProgramError)):
+    with pytest.raises((DeviceFault, TrajectoryError)):
         world.begin()
     world.latest.close()
     assert len(world.firmware.executed) == finished

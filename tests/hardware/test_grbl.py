@@ -16,20 +16,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ctr_nlp.exceptions import DeviceFault
-from ctr_nlp.hardware.description import Connection
+from ctr_nlp.hardware.connection import Connection
 from ctr_nlp.hardware.devices import Progress
-from ctr_nlp.hardware.devices.grbl import device
+from ctr_nlp.hardware.devices.grbl import stream
 from ctr_nlp.hardware.devices.grbl.replies import reply_of, report_of
 from ctr_nlp.hardware.emulator.faults import FAULTS
 from ctr_nlp.hardware.emulator.firmware import Firmware
-from ctr_nlp.hardware.motion.program import Program
-from ctr_nlp.hardware.motion.record import Recorder
+from ctr_nlp.hardware.motion.trajectory import Trajectory
+from ctr_nlp.hardware.playing.record import Recorder
 from ctr_nlp.hardware.playing.results import Outcome, State
 
 STEP = np.array([1 / 400] * 3 + [1 / 100] * 3)
 """mm and deg of the emulated machine."""
 
-Seen = Callable[[Program, Progress], None]
+Seen = Callable[[Trajectory, Progress], None]
 
 
 @pytest.mark.parametrize(
@@ -143,9 +143,9 @@ def test_400_frames_stream_in_20_seconds(flow: str, tmp_path: Path) -> None:
     hardware = homing_hardware(connection=Connection("grbl", "wire:", homing="cycle", flow=flow))
     rig, recorder, most = world(tmp_path, plan=plan, hardware=hardware), Recorder(), [0]
 
-    def seen(program: Program, progress: Progress) -> None:
-        recorder(program, progress)
-        most[0] = max(most[0], rig.latest.device.in_flight)
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
+        recorder(trajectory, progress)
+        most[0] = max(most[0], rig.latest.device.stream.in_flight)
 
     result = rig.begin(seen=seen)
     assert result.outcome is Outcome.SUCCESS
@@ -153,13 +153,13 @@ def test_400_frames_stream_in_20_seconds(flow: str, tmp_path: Path) -> None:
     assert tracking is not None
     took = tracking.time[-1] + tracking.late[-1]
     assert took == pytest.approx(20.0, rel=0.02)
-    assert rig.latest.device.underruns == 0
+    assert rig.latest.device.stream.underruns == 0
     assert rig.frames_played() == list(range(1, 401))
-    goal = rig.program().positions(np.array([rig.program().duration]))[0]
+    goal = rig.trajectory().positions(np.array([rig.trajectory().duration]))[0]
     assert (abs(rig.firmware.position - goal) <= STEP).all()
     assert abs(tracking.error[:, :3]).max() < 0.5
     assert abs(tracking.error[:, 3:]).max() < 1.0
-    assert most[0] <= (1024 - device.SPARE if flow == "count" else 100)
+    assert most[0] <= (1024 - stream.SPARE if flow == "count" else 100)
     assert rig.firmware.bytes_lost == 0
 
 
@@ -188,9 +188,9 @@ def test_holds_and_aborts_are_quick_and_keep_the_position(kind: str, tmp_path: P
         folder.mkdir()
         rig, called[0], rest[0] = world(folder), 0.0, 0.0
 
-        def seen(program: Program, progress: Progress, rig: World = rig, at: float = at) -> None:
+        def seen(trajectory: Trajectory, progress: Progress, rig: World = rig, at: float = at) -> None:
             now = rig.clock.now()
-            if len(program.frames) > 2 and not called[0] and progress.time > at:
+            if len(trajectory.frames) > 2 and not called[0] and progress.time > at:
                 called[0] = now
                 getattr(rig.latest, kind)()
             if rig.latest.state is State.HOLD and not rest[0]:
@@ -219,8 +219,8 @@ def test_a_hold_that_was_not_heard_is_repeated(tmp_path: Path) -> None:
 
     asked: list[float] = []
 
-    def seen(program: Program, progress: Progress) -> None:
-        if len(program.frames) > 2 and progress.time > 0.4 and not asked:
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
+        if len(trajectory.frames) > 2 and progress.time > 0.4 and not asked:
             rig.links[-1].wire.line.outward.append(forget)
             asked.append(rig.clock.now())
             rig.latest.pause()
@@ -236,8 +236,8 @@ def test_a_hold_that_was_not_heard_is_repeated(tmp_path: Path) -> None:
 def test_a_held_controller_is_asked_for_its_status_and_nothing_else(tmp_path: Path) -> None:
     rig, sent = world(tmp_path), []
 
-    def seen(program: Program, progress: Progress) -> None:
-        if len(program.frames) > 2 and progress.time > 0.4 and rig.latest.state is State.RUNNING and not sent:
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
+        if len(trajectory.frames) > 2 and progress.time > 0.4 and rig.latest.state is State.RUNNING and not sent:
             rig.latest.pause()
         if rig.latest.state is State.HOLD:
             sent.append(len(sent_by_host(rig)))
@@ -257,8 +257,8 @@ def test_a_reset_in_motion_is_never_trusted(how: str, tmp_path: Path) -> None:
     rig = world(tmp_path, plan=sweep(60))
     rig.firmware.on_reset = how
 
-    def seen(program: Program, progress: Progress) -> None:
-        if len(program.frames) > 2 and progress.time > 2.0:
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
+        if len(trajectory.frames) > 2 and progress.time > 2.0:
             rig.links[-1].wire.line.outward.append(lambda data: data.replace(b"!", b""))
             rig.latest.abort()
 
@@ -266,7 +266,7 @@ def test_a_reset_in_motion_is_never_trusted(how: str, tmp_path: Path) -> None:
     rig.clock.sleep(5.0)
     assert result.outcome is Outcome.CANCELLED
     assert not result.trusted
-    assert rig.firmware.position[0] > rig.program().positions(np.array([rig.program().duration]))[0, 0] + 1.0
+    assert rig.firmware.position[0] > rig.trajectory().positions(np.array([rig.trajectory().duration]))[0, 0] + 1.0
     assert b"$X" not in sent_by_host(rig)
 
 
@@ -280,8 +280,8 @@ def test_a_controller_that_restarts_when_its_port_is_opened_does_not_go_on(tmp_p
     """Some boards reset with the port's control lines: after a crash that loses the position."""
     rig = world(tmp_path)
 
-    def seen(program: Program, progress: Progress) -> None:
-        if len(program.frames) > 2 and progress.time > 0.8:
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
+        if len(trajectory.frames) > 2 and progress.time > 0.8:
             rig.latest.abort()
 
     assert rig.begin(seen=seen).trusted

@@ -15,7 +15,9 @@ from strategies import numbers, robots, robots_with_q
 
 from ctr_nlp import Limits, Robot, seed_robot
 from ctr_nlp.exceptions import HardwareError
-from ctr_nlp.hardware.description import Axis, Connection, Hardware, bench
+from ctr_nlp.hardware.axis import Axis
+from ctr_nlp.hardware.connection import Connection
+from ctr_nlp.hardware.description import Hardware, bench
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "hardware.toml"
 LETTERS = "XYZABCUVW"
@@ -154,14 +156,14 @@ def test_joints_and_back(data):
 
 
 @given(st.data())
-def test_ways_are_differences_of_joints(data):
-    """in_joints knows no zero: the way from one position to another, as a way of q on which the tilt rests."""
+def test_changes_are_differences_of_joints(data):
+    """in_joints knows no zero: a change of positions is a change of q in which the tilt rests."""
     robot, q = data.draw(robots_with_q())
     rig = data.draw(rigs(robot))
     a, b = rig.positions(robot, np.stack([q, 2 * q]))
-    way = rig.in_joints(robot, b - a)
-    np.testing.assert_allclose(way[:-2], q[:-2], rtol=1e-9, atol=1e-9)
-    np.testing.assert_array_equal(way[-2:], 0)
+    change = rig.in_joints(robot, b - a)
+    np.testing.assert_allclose(change[:-2], q[:-2], rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(change[-2:], 0)
 
 
 # Limits

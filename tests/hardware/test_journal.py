@@ -12,10 +12,10 @@ import pytest
 from bench import WireLink, World, sweep
 
 from ctr_nlp.exceptions import JournalError
+from ctr_nlp.hardware import journal as journal_module
 from ctr_nlp.hardware.emulator.wire import VirtualClock
+from ctr_nlp.hardware.journal import Journal, read_journal
 from ctr_nlp.hardware.link import RecordedLink
-from ctr_nlp.hardware.playing import journal as journal_module
-from ctr_nlp.hardware.playing.journal import Journal, read_journal
 from ctr_nlp.hardware.playing.results import Outcome, State
 from ctr_nlp.hardware.playing.session import begin
 
@@ -156,7 +156,7 @@ def test_a_disk_that_fills_up_leaves_whole_records(tmp_path: Path) -> None:
 import resource
 from ctr_nlp.hardware.emulator.wire import VirtualClock
 from ctr_nlp.exceptions import JournalError
-from ctr_nlp.hardware.playing.journal import Journal
+from ctr_nlp.hardware.journal import Journal
 journal = Journal({str(tmp_path / "j")!r}, VirtualClock())
 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, resource.RLIM_INFINITY))
 try:

@@ -96,7 +96,7 @@ def test_a_lie_may_be_said_word_for_word():
 
 
 def test_flipped_bits_reach_the_host():
-    """The share of bytes is kept, and each has exactly one bit the other way round."""
+    """The share of bytes is kept, and each has exactly one bit inverted."""
     host = Host(fault("flips_to_host", at=0.0, choice=0.1))
     host.wire.write(b"$$\n")
     host.clock.sleep(1.0)

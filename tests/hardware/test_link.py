@@ -11,8 +11,8 @@ import pytest
 
 from ctr_nlp.exceptions import DeviceFault, JournalError
 from ctr_nlp.hardware.emulator import Firmware, VirtualClock, serving
+from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.link import RecordedLink, SerialLink
-from ctr_nlp.hardware.playing.journal import Journal
 
 serial = pytest.importorskip("serial")
 termios = pytest.importorskip("termios")
@@ -111,9 +111,7 @@ def test_what_cannot_be_recorded_is_not_sent(tmp_path: Path) -> None:
     records: list[dict[str, Any]] = [json.loads(line) for line in journal.path.read_text().splitlines()]
     assert [record.get("data", "").encode("latin-1") for record in records[1:]] == [b"\x18", b"\xff\x00ok"]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            "ctr_nlp.hardware.playing.journal.os.write", lambda *_: (_ for _ in ()).throw(OSError(28, "full"))
-        )
+        patch.setattr("ctr_nlp.hardware.journal.os.write", lambda *_: (_ for _ in ()).throw(OSError(28, "full")))
         with pytest.raises(JournalError, match="full"):
             link.write(b"G1 X1 F1\n")
     assert sent == [b"\x18"]

@@ -1,4 +1,4 @@
-"""The way between frames: through all of them, steady, smooth; and what makes up for play in the drives."""
+"""The path between frames: through all of them, steady, smooth; and what makes up for play in the drives."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ def neighbours(q, d):
     return np.diff(q[..., d : 2 * d], axis=-1)
 
 
-def overshoot(way, frames):
-    """By how much a way (T - 1, n, k) between frames (T, k) leaves what its two frames span, at most."""
+def overshoot(sample, frames):
+    """By how much a sample (T - 1, n, k) between frames (T, k) leaves what its two frames span, at most."""
     low, high = np.minimum(frames[:-1], frames[1:])[:, None], np.maximum(frames[:-1], frames[1:])[:, None]
-    return max((low - way).max(), (way - high).max())
+    return max((low - sample).max(), (sample - high).max())
 
 
 def sampled(path, n=12):
-    """Points (T - 1, n, k) of a path on the way from every frame to the next."""
+    """Points (T - 1, n, k) of a path from every frame to the next."""
     steps = np.linspace(0, 1, n)
     return path(path.x[:-1, None] + np.diff(path.x)[:, None] * steps)
 
@@ -38,9 +38,9 @@ def check(robot, time, q, path):
     """What is promised of every path."""
     scale = NEAR * (1 + abs(q).max())
     np.testing.assert_allclose(path(time), q, atol=scale)
-    way = sampled(path)
-    assert overshoot(way, q) <= scale
-    assert overshoot(neighbours(way, robot.d), neighbours(q, robot.d)) <= scale
+    sample = sampled(path)
+    assert overshoot(sample, q) <= scale
+    assert overshoot(neighbours(sample, robot.d), neighbours(q, robot.d)) <= scale
     h = 1e-6 * np.diff(time)[:, None]
     after, before = (path(time[:-1] + h[:, 0]) - q[:-1]) / h, (q[1:] - path(time[1:] - h[:, 0])) / h
     atol = 1e-5 * abs(np.diff(q, axis=0) / np.diff(time)[:, None]).max() + 1e-13 * (1 + abs(q).max()) / h.min()
@@ -167,7 +167,7 @@ def test_no_other_steady_path_of_one_tube_bends_less(robot, seed, dt, size):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_tubes_that_hold_each_other_bend_as_little_as_another_solver_finds(robot, seed):
-    """Distances between tubes bind in these frames; SLSQP solves the same program, posed anew."""
+    """Distances between tubes bind in these frames; SLSQP solves the same problem, posed anew."""
     rng = np.random.default_rng(seed)
     time, q = 0.1 * np.arange(6), np.zeros((6, 8))
     q[:, 3:6] = np.sort(rng.uniform(0, 10, (6, 3)).cumsum(axis=0) * 1.5, axis=1)

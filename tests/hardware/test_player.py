@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from bench import World, plan_of, sweep
 
-from ctr_nlp.exceptions import DeviceFault, ProgramError, Stopped
+from ctr_nlp.exceptions import DeviceFault, Stopped, TrajectoryError
 from ctr_nlp.hardware.description import bench
 from ctr_nlp.hardware.devices import Progress, Standing
 from ctr_nlp.hardware.devices.arms import SimulatedArm
@@ -20,8 +20,8 @@ from ctr_nlp.hardware.devices.simulated import Simulated
 from ctr_nlp.hardware.emulator.faults import FAULTS
 from ctr_nlp.hardware.emulator.firmware import Firmware
 from ctr_nlp.hardware.emulator.wire import VirtualClock
-from ctr_nlp.hardware.motion.program import Program
-from ctr_nlp.hardware.playing.journal import Journal, read_journal
+from ctr_nlp.hardware.journal import Journal, read_journal
+from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.results import Outcome, Result, State
 from ctr_nlp.hardware.playing.session import begin, prepared
@@ -41,19 +41,19 @@ class Rig:
     ) -> None:
         self.clock, self.plan = VirtualClock(), plan
         self.hardware = bench(plan.robot) if lag is not None else replace(bench(plan.robot), arm=None)
-        self.program = prepared(plan, self.hardware)[0]
-        self.device = device(self.program.positions(np.zeros(1))[0], self.clock)
+        self.trajectory = prepared(plan, self.hardware)[0]
+        self.device = device(self.trajectory.positions(np.zeros(1))[0], self.clock)
         self.arm = None
         if self.hardware.arm is not None and lag is not None:
             self.arm = SimulatedArm(self.hardware.arm, plan.theta[0], lag=lag, clock=self.clock.now)
         self.path = folder / "journal.jsonl"
         self.player = Player(self.device, self.arm, Journal(self.path, self.clock), self.clock)
 
-    def play(self, seen: Callable[[Program, Progress], None] | None = None) -> Result:
-        """Play the program from its start, after connecting where that is still to be done."""
+    def play(self, seen: Callable[[Trajectory, Progress], None] | None = None) -> Result:
+        """Play the trajectory from its start, after connecting where that is still to be done."""
         if self.player.state is State.DISCONNECTED:
             self.player.connect()
-        return self.player.play(self.program, seen)
+        return self.player.play(self.trajectory, seen)
 
     def states(self) -> list[str]:
         """As the journal has them."""
@@ -61,12 +61,12 @@ class Rig:
 
 
 class At:
-    """A callback that acts once the program has come to a time, and notes all progress."""
+    """A callback that acts once the trajectory has come to a time, and notes all progress."""
 
     def __init__(self, *actions: tuple[float, Callable[[], Any]]) -> None:
         self.actions, self.progress = list(actions), list[Progress]()
 
-    def __call__(self, program: Program, progress: Progress) -> None:
+    def __call__(self, trajectory: Trajectory, progress: Progress) -> None:
         self.progress.append(progress)
         while self.actions and progress.time >= self.actions[0][0]:
             self.actions.pop(0)[1]()
@@ -99,7 +99,7 @@ def test_calls_that_a_state_does_not_allow_say_so(state: State, calls: tuple[str
     rig.player.state = state
     for call in calls:
         with pytest.raises(DeviceFault, match=f"the player is {state.value}; only one that is "):
-            getattr(rig.player, call)(*([rig.program] if call == "play" else []))
+            getattr(rig.player, call)(*([rig.trajectory] if call == "play" else []))
     assert rig.player.state is state
 
 
@@ -109,7 +109,7 @@ def test_a_device_that_is_not_homed_is_idle_until_it_is(tmp_path: Path) -> None:
     assert not player.connect().homed
     assert player.state is State.IDLE
     with pytest.raises(DeviceFault, match="only one that is homed plays"):
-        player.play(world.program())
+        player.play(world.trajectory())
     player = world.player()
     assert player.connect(home=True).homed
     assert player.state is State.HOMED
@@ -147,8 +147,8 @@ def test_homing_can_be_stopped(tmp_path: Path) -> None:
 def test_a_hold_asked_for_at_the_controller_is_a_pause(tmp_path: Path) -> None:
     world, held = World(tmp_path, SHORT), [0]
 
-    def seen(program: Program, progress: Progress) -> None:
-        if len(program.frames) > 2 and progress.time > 0.3 and not held[0]:
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
+        if len(trajectory.frames) > 2 and progress.time > 0.3 and not held[0]:
             held[0] = 1
             world.firmware.receive(b"!")
         if world.latest.state is State.HOLD:
@@ -191,7 +191,7 @@ def stops(world: World, pause_at: float, abort_at: float, idle: float = 0.3) -> 
     called: dict[str, float] = {}
     rested = sent = 0.0
 
-    def seen(program: Program, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
         nonlocal rested, sent
         now = clock.now()
         if "pause" not in called and progress.time >= pause_at:
@@ -231,7 +231,7 @@ def stops(world: World, pause_at: float, abort_at: float, idle: float = 0.3) -> 
 
 def test_pauses_and_aborts_at_fifty_moments_come_to_rest_in_time(tmp_path: Path) -> None:
     draw, plan = random.Random(0), SHORT
-    last = World(tmp_path, plan).program().duration
+    last = World(tmp_path, plan).trajectory().duration
     found = []
     for n in range(50):
         folder = tmp_path / str(n)
@@ -252,22 +252,22 @@ def test_a_simulated_device_stops_at_any_moment_and_keeps_its_place(seed: int, t
     rig.player.connect()
     held: list[Progress] = []
 
-    def seen(program: Program, progress: Progress) -> None:
-        moments(program, progress)
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
+        moments(trajectory, progress)
         if rig.player.state is State.HOLD and not held:
             held.append(progress)
             rig.clock.sleep(1.0)
             assert (rig.device.update().position == progress.position).all()
             rig.player.resume()
 
-    moments = At((draw.uniform(0.0, 0.85 * rig.program.duration), rig.player.pause))
+    moments = At((draw.uniform(0.0, 0.85 * rig.trajectory.duration), rig.player.pause))
     assert rig.play(seen).outcome is Outcome.SUCCESS
     assert rig.states() == ["homed", "running", "hold", "running", "homed"]
-    commands = rig.program.commands()
+    commands = rig.trajectory.commands()
     for progress in moments.progress:
         ends = np.append(0.0, commands.time)
-        way = np.vstack([rig.program.positions(np.zeros(1)), commands.positions])
-        there = [np.interp(progress.time, ends, column) for column in way.T]
+        path = np.vstack([rig.trajectory.positions(np.zeros(1)), commands.positions])
+        there = [np.interp(progress.time, ends, column) for column in path.T]
         np.testing.assert_allclose(progress.position, there, atol=1e-9)
     frames = [record["frame"] for record in read_journal(rig.path) if record["kind"] == "frame"]
     assert frames == list(range(2, 11))
@@ -285,8 +285,8 @@ def test_nothing_goes_on_by_itself(tmp_path: Path) -> None:
     world = watched(tmp_path)
     player, since = world.player(), [0.0, 0.0]
 
-    def seen(program: Program, progress: Progress) -> None:
-        moments(program, progress)
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
+        moments(trajectory, progress)
         if player.state is State.HOLD:
             since[0] = since[0] or world.clock.now()
             if world.clock.now() - since[0] > 60.0 and not since[1]:
@@ -312,7 +312,7 @@ def test_the_last_word_before_it_rests_counts(
     player, clock = (rig.player, rig.clock) if device == "simulated" else (world.player(), world.clock)
     left, since = list(words), 0.0
 
-    def seen(program: Program, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
         nonlocal since
         if progress.time > 0.3 and left:
             getattr(player, left.pop(0))()
@@ -328,8 +328,8 @@ def test_an_abort_is_final_and_reaches_a_held_device(tmp_path: Path) -> None:
     world = watched(tmp_path)
     player = world.player()
 
-    def seen(program: Program, progress: Progress) -> None:
-        moments(program, progress)
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
+        moments(trajectory, progress)
         if player.state is State.HOLD:
             player.abort()
             player.resume()
@@ -350,12 +350,12 @@ def test_a_pause_at_the_very_end_changes_nothing(before: float, tmp_path: Path) 
     world = World(tmp_path, SHORT)
     player = world.player()
 
-    def seen(program: Program, progress: Progress) -> None:
-        moment(program, progress)
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
+        moment(trajectory, progress)
         if player.state is State.HOLD:
             player.resume()
 
-    moment = At((world.program().duration - before, player.pause))
+    moment = At((world.trajectory().duration - before, player.pause))
     result = begin(player, world.plan, world.hardware, seen=seen)
     assert result.outcome is Outcome.SUCCESS
     assert world.frames_played() == list(range(1, 11))
@@ -373,7 +373,7 @@ def test_an_abort_before_anything_plays_lets_nothing_begin(tmp_path: Path) -> No
     assert world.begin().outcome is Outcome.SUCCESS
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError, ProgramError("not ours")])
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError, TrajectoryError("not ours")])
 def test_whatever_the_callback_raises_stops_everything_first(error: Any, tmp_path: Path) -> None:
     world = watched(tmp_path)
     player, moved = world.player(), 0.0
@@ -472,9 +472,9 @@ def test_the_arm_keeps_in_step_with_the_steppers(lag: float, tmp_path: Path) -> 
     assert rig.arm is not None
     off = []
 
-    def seen(program: Program, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
         late = np.array([max(progress.time - lag, 0.0)])
-        off.append(np.linalg.norm(rig.player.tilt() - program.at(late)[0][0, -2:]))
+        off.append(np.linalg.norm(rig.player.tilt() - trajectory.at(late)[0][0, -2:]))
 
     assert rig.play(seen).outcome is Outcome.SUCCESS
     assert max(off[:-1]) < 4e-3  # 0.3 rad/s for some 10 ms
@@ -507,12 +507,12 @@ def test_a_hold_holds_both_and_both_go_on(tmp_path: Path) -> None:
     rig.player.connect()
     held = []
 
-    def seen(program: Program, progress: Progress) -> None:
-        moments(program, progress)
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
+        moments(trajectory, progress)
         if rig.player.state is State.HOLD and not held:
             held.append(progress.time)
             assert still_afterwards(rig)
-            wanted = program.at(np.array([progress.time]))[0][0, -2:]
+            wanted = trajectory.at(np.array([progress.time]))[0][0, -2:]
             np.testing.assert_allclose(rig.player.tilt(), wanted, atol=0.3 * 0.1)
             rig.player.resume()
 

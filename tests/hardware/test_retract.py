@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from bench import Killed, World, homing_hardware, plan_of, sweep
 
-from ctr_nlp.exceptions import DeviceFault, ProgramError
+from ctr_nlp.exceptions import DeviceFault, TrajectoryError
 from ctr_nlp.hardware.devices import Progress
-from ctr_nlp.hardware.motion.program import Program
-from ctr_nlp.hardware.motion.progress import Way
+from ctr_nlp.hardware.motion.progress import FollowedPath
+from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.results import Outcome
 from ctr_nlp.hardware.playing.retract import innermost_first
 
@@ -23,8 +23,8 @@ def stopped(folder: Path, at: float = 1.0, **hardware: Any) -> World:
     """A rig whose motion was aborted so many s after it began."""
     world = World(folder, sweep(20), homing_hardware(approach=0.5, **hardware))
 
-    def seen(program: Program, progress: Progress) -> None:
-        if program.frames[0] == 1 and progress.time > at:
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
+        if trajectory.frames[0] == 1 and progress.time > at:
             world.latest.abort()
 
     assert world.begin(seen=seen).trusted
@@ -34,14 +34,17 @@ def stopped(folder: Path, at: float = 1.0, **hardware: Any) -> World:
 @pytest.mark.parametrize("at", [0.05, 0.6, 1.4])
 def test_the_way_back_is_the_way_there(at: float, tmp_path: Path) -> None:
     world = stopped(tmp_path, at)
-    program, start = world.program(), World(tmp_path).firmware.position
-    way, places = Way(program.positions(np.zeros(1))[0], program.commands(), world.hardware.tolerance), []
+    trajectory, start = world.trajectory(), World(tmp_path).firmware.position
+    path, places = (
+        FollowedPath(trajectory.positions(np.zeros(1))[0], trajectory.commands(), world.hardware.tolerance),
+        [],
+    )
     speeds = []
 
-    def seen(played: Program, progress: Progress) -> None:
+    def seen(played: Trajectory, progress: Progress) -> None:
         speeds.append(abs(played.at(np.linspace(0, played.duration, 50))[1]) / played.robot.speed)
         if len(played.frames) > 2:
-            places.append(way.nearest(progress.position, 0, len(program.commands().time)).away)
+            places.append(path.nearest(progress.position, 0, len(trajectory.commands().time)).away)
 
     result = world.retract(seen=seen)
     assert result.outcome is Outcome.SUCCESS, result.message
@@ -54,7 +57,7 @@ def test_the_way_back_is_the_way_there(at: float, tmp_path: Path) -> None:
 def test_what_was_retracted_is_not_resumed(tmp_path: Path) -> None:
     world = stopped(tmp_path)
     assert world.retract().outcome is Outcome.SUCCESS
-    with pytest.raises(ProgramError, match="have been retracted since that session: begin anew"):
+    with pytest.raises(TrajectoryError, match="have been retracted since that session: begin anew"):
         world.resume()
     assert world.begin().outcome is Outcome.SUCCESS
 
@@ -63,8 +66,8 @@ def test_a_retraction_that_was_stopped_is_gone_on_with(tmp_path: Path) -> None:
     world = stopped(tmp_path, 1.4)
     start = World(tmp_path).firmware.position
 
-    def seen(program: Program, progress: Progress) -> None:
-        if progress.time > 0.5 * program.duration:
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
+        if progress.time > 0.5 * trajectory.duration:
             world.latest.abort()
 
     for _ in range(3):
@@ -78,7 +81,7 @@ def test_tubes_that_do_not_stand_on_their_way_are_not_pulled(tmp_path: Path) -> 
     world.firmware.receive(b"$J=G91 Y-4 F600\n")
     world.clock.sleep(2.0)
     before = world.firmware.position.copy()
-    with pytest.raises(ProgramError, match="tolerances from the way"):
+    with pytest.raises(TrajectoryError, match="tolerances from the path"):
         world.retract()
     assert (world.firmware.position == before).all()
 
@@ -86,8 +89,8 @@ def test_tubes_that_do_not_stand_on_their_way_are_not_pulled(tmp_path: Path) -> 
 def test_a_controller_that_a_dead_player_left_in_motion_is_stopped_first(tmp_path: Path) -> None:
     world = World(tmp_path, sweep(20), state=tmp_path / "state")
 
-    def die(program: Program, progress: Progress) -> None:
-        if program.frames[0] == 1 and progress.time > 0.8:
+    def die(trajectory: Trajectory, progress: Progress) -> None:
+        if trajectory.frames[0] == 1 and progress.time > 0.8:
             world.links[-1].dead = True
             raise Killed
 
@@ -101,14 +104,14 @@ def test_a_controller_that_a_dead_player_left_in_motion_is_stopped_first(tmp_pat
 def test_a_position_that_is_not_to_be_trusted_needs_a_person(tmp_path: Path) -> None:
     world = World(tmp_path, sweep(20), state=tmp_path / "state")
 
-    def reset(program: Program, progress: Progress) -> None:
-        if program.frames[0] == 1 and progress.time > 0.8:
+    def reset(trajectory: Trajectory, progress: Progress) -> None:
+        if trajectory.frames[0] == 1 and progress.time > 0.8:
             world.firmware.receive(b"\x18")
 
     assert not world.begin(seen=reset).trusted
     world.latest.close()
     world.firmware.receive(b"$X\n")
-    with pytest.raises(ProgramError, match="not to be trusted"):
+    with pytest.raises(TrajectoryError, match="not to be trusted"):
         world.retract()
     with pytest.raises(DeviceFault, match="not to be trusted"):
         world.retract(known=False)
@@ -120,7 +123,7 @@ def test_without_a_journal_the_innermost_tube_comes_first(tmp_path: Path) -> Non
     world = stopped(tmp_path)
     places = []
 
-    def seen(program: Program, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
         places.append(-progress.position[:3])
 
     before = world.firmware.position.copy()
@@ -137,12 +140,12 @@ def test_without_a_journal_the_innermost_tube_comes_first(tmp_path: Path) -> Non
 
 def test_tubes_that_are_in_have_nowhere_to_go() -> None:
     plan, hardware = plan_of(np.zeros((3, 8)), 0.1), homing_hardware()
-    with pytest.raises(ProgramError, match="all tubes are retracted already"):
+    with pytest.raises(TrajectoryError, match="all tubes are retracted already"):
         innermost_first(plan, hardware, hardware.positions(plan.robot, np.zeros(8)), np.zeros(2))
 
 
 def test_another_plan_is_refused_by_name(tmp_path: Path) -> None:
     world = stopped(tmp_path)
     world.plan = replace(world.plan, shape=world.plan.shape + 0.02)
-    with pytest.raises(ProgramError, match="the journal is of another plan"):
+    with pytest.raises(TrajectoryError, match="the journal is of another plan"):
         world.retract()

@@ -18,7 +18,8 @@ import pytest
 from ctr_nlp import Plan, Problem, curve_from_formula, growing, seed_robot
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.clock import RealClock
-from ctr_nlp.hardware.description import Connection, bench
+from ctr_nlp.hardware.connection import Connection
+from ctr_nlp.hardware.description import bench
 from ctr_nlp.hardware.devices.ros2.device import Ros2
 from ctr_nlp.hardware.devices.ros2.joints import SILENCE
 from ctr_nlp.hardware.devices.ros2.messages import (
@@ -31,8 +32,8 @@ from ctr_nlp.hardware.devices.ros2.messages import (
     types,
 )
 from ctr_nlp.hardware.devices.ros2.track import Track
-from ctr_nlp.hardware.motion.program import program_of
-from ctr_nlp.hardware.playing.journal import Journal, read_journal
+from ctr_nlp.hardware.journal import Journal, read_journal
+from ctr_nlp.hardware.motion.trajectory import trajectory_of
 from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.results import Outcome, State
 from ctr_nlp.hardware.playing.session import begin, resume
@@ -99,7 +100,7 @@ class Controller(threading.Thread):
         self.arrivals: list[tuple[float, object]] = []
         self._plays, self._stop_wish = None, threading.Event()
         address = address_of(url)
-        self._own = participant(address)
+        self._own, self._domain = participant(address)
         quality = Qos(
             Policy.Reliability.Reliable(10**8),
             Policy.History.KeepLast(10),
@@ -214,7 +215,7 @@ def once(condition, *wishes):
     """A callback that calls wishes, one after the other, each when its turn has come."""
     left = list(wishes)
 
-    def seen(program, progress):
+    def seen(trajectory, progress):
         if left and condition(progress, len(wishes) - len(left)):
             left.pop(0)()
 
@@ -268,14 +269,14 @@ def test_a_pause_comes_to_rest_on_the_path_and_goes_on_gently(stage, plan):
     frames = [r["frame"] for r in read_journal(player.journal.path) if r["kind"] == "frame"]
     assert frames == sorted(set(frames))
     assert frames[-1] == FRAMES
-    program = program_of(plan, hardware)
-    fine = program.positions(np.linspace(0.0, program.duration, 4000))
+    trajectory = trajectory_of(plan, hardware)
+    fine = trajectory.positions(np.linspace(0.0, trajectory.duration, 4000))
     ros = np.array([p for _, p in controller.track])[:, [controller.names.index(a.joint) for a in hardware.axes]]
     scale = np.array([a.scale * (1e3 if a.unit == "mm" else 1.0) for a in hardware.axes])
     axes = (ros * scale + [a.zero for a in hardware.axes]) / hardware.tolerance
     assert max(abs(fine / hardware.tolerance - p).max(axis=1).min() for p in axes) < 0.2
     speed = controller.steps[1]
-    fastest = 1.35 * abs(program.at(np.linspace(0.0, program.duration, 500))[1][:, :6]).max(axis=0)
+    fastest = 1.35 * abs(trajectory.at(np.linspace(0.0, trajectory.duration, 500))[1][:, :6]).max(axis=0)
     columns = [plan.robot.axes.index(name) for name in controller.names]
     assert (abs(speed).max(axis=0) < fastest[columns] * np.where(np.array(columns) < 3, 1.0, 1e-3)).all()
 
@@ -349,7 +350,7 @@ def test_nothing_is_begun_while_it_moves_but_it_can_be_stopped(stage, plan):
     controller, player, hardware = stage
     other = Ros2(hardware, player.journal, RealClock())
     other.connect()
-    other.start(program_of(plan, hardware).commands())
+    other.start(trajectory_of(plan, hardware).commands())
     time.sleep(0.1)
     with pytest.raises(DeviceFault, match="the joints move"):
         player.connect()
@@ -430,7 +431,7 @@ def test_types_and_topics_are_those_of_ros(plan, stage):
 
     _, player, hardware = stage
     player.connect()
-    own = participant(address_of(hardware.connection.url))
+    own, _domain = participant(address_of(hardware.connection.url))
     found = set()
     for kind in (BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription):
         found |= {(e.topic_name, e.type_name) for e in BuiltinDataReader(own, kind).read(100)}
@@ -486,28 +487,28 @@ class TestBytes:
 
 
 @pytest.fixture(scope="module")
-def program(plan):
-    return program_of(plan, rig(plan, "ctr"))
+def trajectory(plan):
+    return trajectory_of(plan, rig(plan, "ctr"))
 
 
 @pytest.fixture
-def track(program):
-    return Track(program.positions(np.zeros(1))[0], program.commands())
+def track(trajectory):
+    return Track(trajectory.positions(np.zeros(1))[0], trajectory.commands())
 
 
 class TestTrack:
-    """The path as the controller gets it, against the program itself."""
+    """The path as the controller gets it, against the trajectory itself."""
 
-    def test_it_is_the_program(self, track, program):
-        at = np.linspace(0.0, program.duration, 2000)
-        away = abs(np.array([track.position(t) for t in at]) - program.positions(at))
-        assert (away / program.hardware.tolerance).max() < 0.1
+    def test_it_is_the_trajectory(self, track, trajectory):
+        at = np.linspace(0.0, trajectory.duration, 2000)
+        away = abs(np.array([track.position(t) for t in at]) - trajectory.positions(at))
+        assert (away / trajectory.hardware.tolerance).max() < 0.1
 
     @pytest.mark.parametrize("part", [0.02, 0.3, 0.77, 0.97])
-    def test_a_hold_and_going_on_keep_to_it(self, track, program, part):
-        acceleration = np.array([axis.acceleration for axis in program.hardware.axes])
+    def test_a_hold_and_going_on_keep_to_it(self, track, trajectory, part):
+        acceleration = np.array([axis.acceleration for axis in trajectory.hardware.axes])
         track.begin(0.0)
-        moment = part * program.duration
+        moment = part * trajectory.duration
         track.turn(moment, 0.0, acceleration)
         held = track.points()
         stands, pace = track.now(moment + 2.0)
@@ -520,8 +521,8 @@ class TestTrack:
         rest = track.points()
         assert (np.diff(rest.time) > 0).all()
         assert not rest.velocity[-1].any()
-        assert rest.position[-1] == pytest.approx(program.commands().positions[-1])
-        for frame in program.positions(program.frame_time[program.frame_time > stands + 0.1]):
+        assert rest.position[-1] == pytest.approx(trajectory.commands().positions[-1])
+        for frame in trajectory.positions(trajectory.frame_time[trajectory.frame_time > stands + 0.1]):
             assert abs(rest.position - frame).max(axis=1).min() < 1e-9, "a frame was lost"
 
 

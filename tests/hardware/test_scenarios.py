@@ -15,17 +15,19 @@ import pytest
 from bench import plan_of, sweep
 
 from ctr_nlp.exceptions import DeviceFault
+from ctr_nlp.hardware.axis import Axis
 from ctr_nlp.hardware.clock import RealClock
-from ctr_nlp.hardware.description import Axis, Connection, Hardware
+from ctr_nlp.hardware.connection import Connection
+from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices import Progress
 from ctr_nlp.hardware.devices.grbl.device import Grbl
 from ctr_nlp.hardware.devices.grbl.talk import Talk
 from ctr_nlp.hardware.emulator import Firmware, serving
+from ctr_nlp.hardware.journal import Journal, read_journal
 from ctr_nlp.hardware.link import RecordedLink, SerialLink
-from ctr_nlp.hardware.motion.program import Program
-from ctr_nlp.hardware.motion.record import Recorder
-from ctr_nlp.hardware.playing.journal import Journal, read_journal
+from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.player import Player
+from ctr_nlp.hardware.playing.record import Recorder
 from ctr_nlp.hardware.playing.results import Outcome, State
 from ctr_nlp.hardware.playing.session import begin, resume
 from ctr_nlp.plan.plan import Plan
@@ -99,12 +101,12 @@ def plan() -> Plan:
     return sweep(15, 0.1)
 
 
-def at_frame(frame: int, action: Callable[[], None]) -> Callable[[Program, Progress], None]:
+def at_frame(frame: int, action: Callable[[], None]) -> Callable[[Trajectory, Progress], None]:
     """Do something once when a frame of the plan has been passed."""
     done = []
 
-    def seen(program: Program, progress: Progress) -> None:
-        if not done and len(program.frames) > 2 and progress.time >= program.frame_time[frame - 1]:
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
+        if not done and len(trajectory.frames) > 2 and progress.time >= trajectory.frame_time[frame - 1]:
             done.append(True)
             action()
 
@@ -139,7 +141,7 @@ def test_the_pace_is_kept_with_little_in_the_controllers_hands(rig: Rig, frames:
     assert tracking is not None
     took = tracking.time[-1] + tracking.late[-1]
     off = abs(tracking.error).max(axis=0)
-    print(f"{frames} frames took {took:.2f} s, {off} off when due, {player.device.underruns} underruns")
+    print(f"{frames} frames took {took:.2f} s, {off} off when due, {player.device.stream.underruns} underruns")
     assert took == pytest.approx(0.05 * (frames - 1), rel=0.02)
 
 
@@ -147,8 +149,8 @@ def test_a_hold_keeps_the_position_and_the_rest_is_played(rig: Rig, plan: Plan) 
     player = rig.player()
     held: list[np.ndarray] = []
 
-    def seen(program: Program, progress: Progress) -> None:
-        pause(program, progress)
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
+        pause(trajectory, progress)
         if progress.state == "held":
             held.append(progress.position)
             if len(held) == 40:

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from bench import Killed, World, homing_hardware, plan_of, sweep
 
-from ctr_nlp.exceptions import DeviceFault, ProgramError
+from ctr_nlp.exceptions import DeviceFault, TrajectoryError
 from ctr_nlp.hardware.devices import Progress
 from ctr_nlp.hardware.emulator.firmware import Firmware
-from ctr_nlp.hardware.motion.program import Program
-from ctr_nlp.hardware.playing.journal import read_journal
+from ctr_nlp.hardware.journal import read_journal
+from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.results import Outcome, Result, State
 from ctr_nlp.hardware.playing.session import begin, prepared, resume
 from ctr_nlp.plan.plan import Plan
@@ -31,11 +31,11 @@ def rig(folder: Path, plan: Plan = SHORT, **hardware: Any) -> World:
     return World(folder, plan, homing_hardware(**hardware))
 
 
-def until(world: World, seconds: float, action: Callable[[], Any]) -> Callable[[Program, Progress], None]:
+def until(world: World, seconds: float, action: Callable[[], Any]) -> Callable[[Trajectory, Progress], None]:
     """A callback that acts once, so many s after now."""
     end, left = world.clock.now() + seconds, [action]
 
-    def seen(program: Program, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
         if left and world.clock.now() >= end:
             left.pop()()
 
@@ -60,8 +60,8 @@ def motion_start(world: World) -> float:
     trial.path.parent.mkdir()
     start = trial.clock.now()
 
-    def seen(program: Program, progress: Progress) -> None:
-        if program.frames[0] == 1 and not found:
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
+        if trajectory.frames[0] == 1 and not found:
             found.append(trial.clock.now() - start)
 
     assert trial.begin(seen=seen).outcome is Outcome.SUCCESS
@@ -85,22 +85,22 @@ def finish(world: World) -> None:
 @pytest.mark.parametrize("part", [0.1, 0.5])
 def test_the_first_frame_is_gone_to_slowly_and_straight(part: float, tmp_path: Path) -> None:
     world = rig(tmp_path, approach=part)
-    program, approach = world.program(), list[Program]()
+    trajectory, approach = world.trajectory(), list[Trajectory]()
     start = world.firmware.position
     places = []
 
-    def seen(played: Program, progress: Progress) -> None:
+    def seen(played: Trajectory, progress: Progress) -> None:
         if played.frames[0] == 0:
             approach.append(played)
             places.append(progress.position)
 
     assert world.begin(seen=seen).outcome is Outcome.SUCCESS
-    way = approach[0]
-    fastest = abs(way.at(np.linspace(0, way.duration, 500))[1]).max(axis=0)
+    motion = approach[0]
+    fastest = abs(motion.at(np.linspace(0, motion.duration, 500))[1]).max(axis=0)
     limits = world.hardware.tightened(world.plan.robot).speed * part
     assert (fastest <= limits * (1 + 1e-6)).all()
     assert (fastest / limits).max() > 0.5
-    end = program.positions(np.zeros(1))[0]
+    end = trajectory.positions(np.zeros(1))[0]
     order = ["XYZABC".index(letter) for letter in world.hardware.letters]
     gone = (np.array(places) - start[order])[:, :3] / (end - start[order])[:3]
     np.testing.assert_allclose(gone, np.broadcast_to(gone[:, :1], gone.shape), atol=0.02)
@@ -113,8 +113,8 @@ def test_nothing_is_gone_to_where_the_robot_is_there_already(tmp_path: Path) -> 
     axes = [replace(axis, zero=HOMED[i]) if i < 3 else axis for i, axis in enumerate(homed.axes)]
     world = rig(tmp_path, plan_of(q, 0.2), axes=tuple(axes))
     played = set()
-    np.testing.assert_allclose(world.program().positions(np.zeros(1))[0][:3], HOMED[:3], atol=1e-3)
-    assert world.begin(seen=lambda program, _: played.add(int(program.frames[0]))).outcome is Outcome.SUCCESS
+    np.testing.assert_allclose(world.trajectory().positions(np.zeros(1))[0][:3], HOMED[:3], atol=1e-3)
+    assert world.begin(seen=lambda trajectory, _: played.add(int(trajectory.frames[0]))).outcome is Outcome.SUCCESS
     assert played == {1}
 
 
@@ -166,8 +166,8 @@ def test_killed_while_it_is_held(tmp_path: Path) -> None:
     start = world.clock.now()
     paused = until(world, moment, lambda: world.latest.pause())
 
-    def seen(program: Program, progress: Progress) -> None:
-        paused(program, progress)
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
+        paused(trajectory, progress)
         if world.latest.state is State.HOLD and world.clock.now() > start + moment + 1.0:
             world.links[-1].dead = True
             raise Killed
@@ -182,7 +182,7 @@ def test_killed_on_the_way_to_the_first_frame(tmp_path: Path) -> None:
     world = rig(tmp_path, approach=0.1)
     killed(world, motion_start(world) - 0.3)
     world.clock.sleep(5.0)
-    with pytest.raises(ProgramError, match="did not reach its first frame: begin anew"):
+    with pytest.raises(TrajectoryError, match="did not reach its first frame: begin anew"):
         world.resume()
     assert world.begin().outcome is Outcome.SUCCESS
     assert world.frames_played() == ALL
@@ -199,7 +199,7 @@ def stopped(folder: Path, **hardware: Any) -> World:
 def refused(world: World, message: str, **options: Any) -> None:
     """Resuming is refused, moves nothing, and leaves the session as it was."""
     before, stood = len(world.firmware.executed), world.firmware.position
-    with pytest.raises(ProgramError, match=message):
+    with pytest.raises(TrajectoryError, match=message):
         world.resume(**options)
     world.latest.close()
     world.clock.sleep(2.0)
@@ -210,7 +210,7 @@ def refused(world: World, message: str, **options: Any) -> None:
 def test_a_robot_that_was_moved_by_hand_is_not_played_until_it_is_back(tmp_path: Path) -> None:
     world = stopped(tmp_path)
     jog(world, "Y-1.5")
-    refused(world, "tolerances from the way after frame")
+    refused(world, "tolerances from the path after frame")
     jog(world, "Y1.5")
     finish(world)
 
@@ -248,7 +248,7 @@ def test_another_plan_other_hardware_or_another_journal_are_refused(tmp_path: Pa
 def test_what_is_over_or_never_began_is_not_resumed(tmp_path: Path) -> None:
     world = rig(tmp_path)
     world.player().connect()
-    refused(world, "played no program")
+    refused(world, "played no trajectory")
     assert world.begin().outcome is Outcome.SUCCESS
     refused(world, "reached frame 12, the last one: nothing is left")
 
@@ -289,10 +289,14 @@ def test_the_rest_is_played_at_the_tempo_of_the_beginning(tmp_path: Path) -> Non
     moment = motion_start(world) + 1.0
     begin(player, world.plan, world.hardware, slow, seen=until(world, moment, player.abort))
     player.close()
-    rest: list[Program] = []
+    rest: list[Trajectory] = []
     again = world.player()
     result = resume(
-        again, world.plan, world.hardware, read_journal(world.path), seen=lambda program, _: rest.append(program)
+        again,
+        world.plan,
+        world.hardware,
+        read_journal(world.path),
+        seen=lambda trajectory, _: rest.append(trajectory),
     )
     assert result.outcome is Outcome.SUCCESS
     assert world.frames_played() == ALL

@@ -17,7 +17,7 @@ from ctr_nlp.hardware.devices import Progress
 from ctr_nlp.hardware.emulator.faults import FAULTS
 from ctr_nlp.hardware.emulator.wire import VirtualClock
 from ctr_nlp.hardware.motion.lookahead import AHEAD, TRAVEL, LinkTiming, Window, steady_speed, sustainable
-from ctr_nlp.hardware.motion.program import Program
+from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.results import Outcome
 from ctr_nlp.plan.plan import Plan
 
@@ -95,8 +95,8 @@ def ended(world: World, cause: str, at: float) -> tuple[float, float, Outcome | 
             fault = FAULTS[cause](at=0.0)
             fault.strike(world.links[-1].wire.line)
 
-    def seen(program: Program, progress: Progress) -> None:
-        if program.frames[0] == 1 and progress.time >= at and clock.cause is None:
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
+        if trajectory.frames[0] == 1 and progress.time >= at and clock.cause is None:
             strike()
 
     outcome = None
@@ -164,7 +164,7 @@ def test_over_a_link_that_works_a_stop_is_sent_and_obeyed_at_once(
             return data
 
         def seen(
-            program: Program,
+            trajectory: Trajectory,
             progress: Progress,
             world: World = world,
             at: float = at,
@@ -172,7 +172,7 @@ def test_over_a_link_that_works_a_stop_is_sent_and_obeyed_at_once(
         ) -> None:
             clock = world.clock
             assert isinstance(clock, Tracked)
-            if program.frames[0] == 1 and progress.time >= at and clock.cause is None:
+            if trajectory.frames[0] == 1 and progress.time >= at and clock.cause is None:
                 clock.struck()
                 line = world.links[-1].wire.line
                 line.outward.append(noted)
@@ -189,8 +189,8 @@ def test_over_a_link_that_works_a_stop_is_sent_and_obeyed_at_once(
 def test_an_override_is_named_with_its_value_and_when(tmp_path: Path) -> None:
     world = World(tmp_path, fast())
 
-    def seen(program: Program, progress: Progress) -> None:
-        if program.frames[0] == 1 and progress.time > 2.0:
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
+        if trajectory.frames[0] == 1 and progress.time > 2.0:
             world.firmware.receive(b"\x91" * 3)
 
     result = world.begin(seen=seen)
@@ -216,13 +216,13 @@ def test_never_more_than_allowed_is_in_the_controllers_hands(tmp_path: Path) -> 
     """By time and by the travel of every slide, from where the motors are; also where reports lie."""
     world, most = World(tmp_path, fast()), [0.0, 0.0]
 
-    def seen(program: Program, progress: Progress) -> None:
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
         if not world.firmware.motion.blocks:
             return
         last = world.firmware.motion.blocks[-1].target
         travel = abs(np.array(last[:3]) - world.firmware.motion.position[:3]).max()
         numbers = [block.line for block in world.firmware.motion.blocks if block.line]
-        commands = program.commands()
+        commands = trajectory.commands()
         ahead = commands.time[max(numbers) - 1] - progress.time
         most[:] = max(most[0], ahead), max(most[1], travel)
 

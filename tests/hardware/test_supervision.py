@@ -19,14 +19,13 @@ from ctr_nlp.hardware.playing.supervision import (
     STALLED,
     UNASKED,
     Supervisor,
-    Tolerances,
 )
 
 LATE = 0.8
 
 
 def supervisor() -> Supervisor:
-    return Supervisor(Tolerances(LATE, np.array([0.01, 0.02])))
+    return Supervisor(LATE, np.array([0.01, 0.02]))
 
 
 def progress(time: float, stamp: float, state: str = "running", **changes: Any) -> Progress:
@@ -38,7 +37,7 @@ def watched(seen: list[tuple[float, Progress]], by: Supervisor | None = None) ->
     """What a supervisor says at moments."""
     by = by or supervisor()
     found = [by.violation(one, now) for now, one in seen]
-    return ["" if violation is None else f"{violation.outcome.name}: {violation.what}" for violation in found]
+    return ["" if violation is None else f"{violation.outcome.name}: {violation.message}" for violation in found]
 
 
 def test_a_motion_in_time_is_left_alone() -> None:
@@ -49,7 +48,7 @@ def test_a_motion_in_time_is_left_alone() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"away": 1.01}, "PATH_TOLERANCE_VIOLATED: the axes are 1.01 tolerances from their way; 1 is allowed"),
+        ({"away": 1.01}, "PATH_TOLERANCE_VIOLATED: the axes are 1.01 tolerances from their path; 1 is allowed"),
         ({"signs": Signs("it said so")}, "DEVICE_FAULT: it said so"),
         ({"signs": Signs(override=110.0)}, "DEVICE_FAULT: the feed override is 110 %, and must be 100 %"),
         ({"signs": Signs(stalled=STALLED + 0.1)}, "DEVICE_FAULT: nothing has moved for 1.1 s"),
@@ -133,8 +132,8 @@ def on_the_way(world: World, at: float, action: Any) -> Any:
     """A callback that acts once in the plan's motion."""
     done: list[bool] = []
 
-    def seen(program: Any, progress: Progress) -> None:
-        if program.frames[0] == 1 and progress.time > at and not done:
+    def seen(trajectory: Any, progress: Progress) -> None:
+        if trajectory.frames[0] == 1 and progress.time > at and not done:
             done.append(True)
             action()
 
@@ -146,8 +145,8 @@ def test_somebody_elses_resume_in_a_hold_stops_the_motion(tmp_path: Path) -> Non
     world = World(tmp_path, sweep(40))
     resumed: list[float] = []
 
-    def seen(program: Any, progress: Progress) -> None:
-        pause(program, progress)
+    def seen(trajectory: Any, progress: Progress) -> None:
+        pause(trajectory, progress)
         if world.latest.state is State.HOLD and not resumed:
             resumed.append(world.clock.now())
             world.firmware.receive(b"~")

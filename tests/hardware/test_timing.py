@@ -19,11 +19,11 @@ def path_of(spline):
     return lambda s, order=0: np.asarray(spline(s, order))
 
 
-def straight(frames, dt, way):
+def straight(frames, dt, goal):
     """A path along a line: parameters of its frames, and the path."""
     knots = dt * np.arange(frames)
-    ends = np.outer(knots / knots[-1], way)
-    return knots, path_of(CubicHermiteSpline(knots, ends, np.tile(np.array(way) / knots[-1], (frames, 1))))
+    ends = np.outer(knots / knots[-1], goal)
+    return knots, path_of(CubicHermiteSpline(knots, ends, np.tile(np.array(goal) / knots[-1], (frames, 1))))
 
 
 @st.composite
@@ -116,7 +116,7 @@ def test_what_the_limits_allow_is_played_at_the_plans_pace(tempo):
 
 
 def test_a_slow_place_does_not_slow_the_rest():
-    """One joint must be ten times slower on the way between two frames; elsewhere hardly anything is lost."""
+    """One joint must be ten times slower between two frames; elsewhere hardly anything is lost."""
     knots = 0.1 * np.arange(31)
     q = np.where(knots < 1.45, 0.0, 1.0)[:, None]
     path = path_of(PchipInterpolator(knots, np.hstack([q, knots[:, None]])))

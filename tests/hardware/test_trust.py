@@ -27,8 +27,8 @@ def world(tmp_path: Path) -> World:
 def killed(world: World, frame: int = 6) -> None:
     """Play until the player dies after a frame."""
 
-    def die(program: Any, progress: Any) -> None:
-        if program.frames[0] == 1 and progress.time > program.frame_time[frame - 1]:
+    def die(trajectory: Any, progress: Any) -> None:
+        if trajectory.frames[0] == 1 and progress.time > trajectory.frame_time[frame - 1]:
             world.links[-1].dead = True
             raise Killed
 
@@ -41,8 +41,8 @@ def killed(world: World, frame: int = 6) -> None:
 def test_distrust_lasts_until_a_person_has_looked(world: World) -> None:
     """A reset in motion loses the position; the next session, in another process, does not play on."""
 
-    def reset(program: Any, progress: Any) -> None:
-        if program.frames[0] == 1 and progress.time > 0.5:
+    def reset(trajectory: Any, progress: Any) -> None:
+        if trajectory.frames[0] == 1 and progress.time > 0.5:
             world.firmware.receive(b"\x18")
 
     assert not world.begin(seen=reset).trusted
@@ -96,7 +96,7 @@ def test_homing_ends_distrust(world: World) -> None:
 
 
 def test_a_crash_is_gone_on_from_only_with_its_own_journal(world: World) -> None:
-    """The journal tells where on its way the robot must be, which is looked for; nothing else does."""
+    """The journal tells where on its path the robot must be, which is looked for; nothing else does."""
     killed(world)
     with pytest.raises(DeviceFault, match="not to be trusted"):
         world.begin()

@@ -14,9 +14,9 @@ from ctr_nlp.hardware.arm.description import Arm
 from ctr_nlp.hardware.arm.forward import insertion_error, tilt
 from ctr_nlp.hardware.arm.inverse import joints
 from ctr_nlp.hardware.devices.arms import LONGEST_STEP, SimulatedArm
-from ctr_nlp.hardware.devices.opening import arm_follower
 from ctr_nlp.hardware.devices.ur import STALE, UrArm
 from ctr_nlp.hardware.exports.urscript import SETTLE, write_urscript
+from ctr_nlp.hardware.opening import arm_follower
 
 pytest.importorskip("ur_analytic_ik")
 
@@ -96,8 +96,8 @@ class TestSimulated:
         for factor, fails in ((0.99, False), (1.01, True)):
             arm = SimulatedArm(Arm(joint_speed_deg=60), clock=clock)
             arm.connect()
-            ways = joints(Arm(), np.array([[0.0, 0.0], [0.0, 0.001]]), arm.joints())
-            rate = np.abs(np.diff(ways, axis=0)).max() / 0.001
+            rates = joints(Arm(), np.array([[0.0, 0.0], [0.0, 0.001]]), arm.joints())
+            rate = np.abs(np.diff(rates, axis=0)).max() / 0.001
             clock.now += DT
             theta = np.array([0.0, factor * np.radians(60) * DT / rate])
             if fails:
@@ -241,7 +241,7 @@ class TestUr:
         assert all(0.03 <= what[3] <= 0.2 and 100 <= what[4] <= 2000 for what in robot.sent)
 
     def test_the_branch_is_that_of_the_real_arm(self, robot, follower, clock):
-        """Whatever branch planning would choose, the arm is not sent to another one."""
+        """Whatever joint solution planning would choose, the arm is not sent to another one."""
         pose = np.array(joints(Arm(), np.zeros((1, 2)))[0])
         other = next(
             q

@@ -34,7 +34,7 @@ ROBOT = Robot((Tube(200, 150, 0.008, 2, 1),), Limits(alpha=(-1.5, 1.5)))
 
 
 class Bending(Model):
-    """One tube whose own motor bends it, in the plane y = 0 of its base: its curvature is k (1 + 0.9 sin alpha)."""
+    """One tube whose motor bends it, in the plane y = 0 of its base: its curvature is k (1 + 0.9 sin alpha)."""
 
     name = "bending"
 

@@ -8,12 +8,12 @@ from pathlib import Path
 from ctr_nlp.cli.console import SOLVED, console, guarded
 from ctr_nlp.cli.output.file import check_file, write_text
 from ctr_nlp.cli.output.folder import check_folder, published
-from ctr_nlp.cli.play_report import print_program
+from ctr_nlp.cli.play_report import print_trajectory
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.hardware.description import Hardware, bench
 from ctr_nlp.hardware.exports import BAG, FORMATS, TEXTS
 from ctr_nlp.hardware.exports.rosbag2 import STORAGES, write_bag
-from ctr_nlp.hardware.motion.program import Program
+from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.session import prepared
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.support.interrupt import deferred_interrupt
@@ -61,14 +61,14 @@ def _run(arguments: argparse.Namespace) -> int:
     title = str(plan.meta["problem"]["name"])
     hardware = Hardware.from_toml(arguments.hardware) if arguments.hardware else bench(plan.robot)
     with deferred_interrupt() as interrupted:
-        program, found = prepared(plan, hardware, arguments.tempo)
+        trajectory, found = prepared(plan, hardware, arguments.tempo)
         if interrupted():
             raise KeyboardInterrupt
     if to == BAG:
-        _write_bag(program, title, out, arguments.storage or STORAGES[0])
+        _write_bag(trajectory, title, out, arguments.storage or STORAGES[0])
     else:
-        write_text(out, TEXTS[to].of(program, title))
-    print_program(f"{title} for {len(program.hardware.axes)} axes", program, found)
+        write_text(out, TEXTS[to].of(trajectory, title))
+    print_trajectory(f"{title} for {len(trajectory.hardware.axes)} axes", trajectory, found)
     console().print(f"wrote {out}")
     return SOLVED
 
@@ -86,10 +86,10 @@ def _check_out(out: Path, to: str) -> None:
         check_folder(out, "bag")
 
 
-def _write_bag(program: Program, title: str, out: Path, storage: str) -> None:
+def _write_bag(trajectory: Trajectory, title: str, out: Path, storage: str) -> None:
     with published(out, "bag") as staging:
         made = staging / out.absolute().name  # the bag's file takes its name from the folder that it is made in
-        write_bag(program, title, made, storage)
+        write_bag(trajectory, title, made, storage)
         for file in made.iterdir():
             file.rename(staging / file.name)
         made.rmdir()

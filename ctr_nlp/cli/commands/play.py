@@ -21,16 +21,17 @@ from ctr_nlp.cli.console import BAD_INPUT, INTERRUPTED, SOLVED, SOME_FAILED, gua
 from ctr_nlp.cli.names import path_component
 from ctr_nlp.cli.output.file import check_file
 from ctr_nlp.cli.output.folder import check_folder, published
-from ctr_nlp.cli.play_report import JOURNAL, print_program, report
+from ctr_nlp.cli.play_report import JOURNAL, print_trajectory, report
 from ctr_nlp.exceptions import DeviceFault, OptionError
 from ctr_nlp.hardware.clock import RealClock
 from ctr_nlp.hardware.description import Hardware, bench
 from ctr_nlp.hardware.devices import Progress
-from ctr_nlp.hardware.devices.opening import arm_follower, device_of, memory_of
-from ctr_nlp.hardware.motion.program import Program
-from ctr_nlp.hardware.motion.record import Recorder
-from ctr_nlp.hardware.playing.journal import Journal, read_journal
-from ctr_nlp.hardware.playing.player import Player, Seen
+from ctr_nlp.hardware.journal import Journal, read_journal
+from ctr_nlp.hardware.motion.trajectory import Trajectory
+from ctr_nlp.hardware.opening import arm_follower, device_of, memory_of
+from ctr_nlp.hardware.playing.playback import Seen
+from ctr_nlp.hardware.playing.player import Player
+from ctr_nlp.hardware.playing.record import Recorder
 from ctr_nlp.hardware.playing.results import Outcome, Result
 from ctr_nlp.hardware.playing.retract import retract
 from ctr_nlp.hardware.playing.session import begin, prepared, resume
@@ -72,8 +73,8 @@ def _parsed(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--retract",
         action="store_true",
-        help="pull the tubes back slowly along the way that the last session in the journal came, or, where there "
-        "is no journal, innermost first; the motion is checked like a plan",
+        help="pull the tubes back slowly along the path of the last session in the journal, or, where there is no "
+        "journal, innermost first; the motion is checked like a plan",
     )
     parser.add_argument(
         "--commission",
@@ -126,7 +127,7 @@ def _run(arguments: argparse.Namespace) -> int:
             sys.stderr.write(f"note: {verdict.matter}: no. {verdict.why}\n")
     if arguments.dry_run:
         title = f"{plan.meta['problem']['name']}: checked; nothing was sent"
-        print_program(title, *prepared(plan, hardware, _tempo(arguments)))
+        print_trajectory(title, *prepared(plan, hardware, _tempo(arguments)))
         return SOLVED
     out = Path(arguments.out or f"runs/{path_component(str(plan.meta['problem']['name']))}-play")
     known = arguments.resume or (arguments.retract and (out / JOURNAL).exists())
@@ -160,8 +161,8 @@ def _played(
         seen = _seen(player, recorder, labelled(plan.meta["problem"]["name"]), told)
         try:
             result = _result(arguments, player, plan, hardware, records, seen)
-        except DeviceFault as error:
-            sys.stderr.write(f"error: {error}\nnothing was played; what was said is in {out / JOURNAL}\n")
+        except DeviceFault as exception:
+            sys.stderr.write(f"error: {exception}\nnothing was played; what was said is in {out / JOURNAL}\n")
             return SOME_FAILED
         finally:
             player.close()
@@ -240,7 +241,7 @@ def _obeying(player: Player, interrupted: Callable[[], bool]) -> Iterator[None]:
 
 
 def _listen(player: Player) -> None:
-    """Obey lines of standard input, past its buffer, whose lock would be in the way when the program ends."""
+    """Obey lines of standard input, past its buffer, whose lock would block when the program ends."""
     try:
         while typed := os.read(sys.stdin.fileno(), 1024).decode(errors="replace"):
             for line in typed.splitlines():
@@ -256,10 +257,10 @@ def _seen(
 ) -> Seen:
     """Record, and show progress."""
 
-    def seen(program: Program, progress: Progress) -> None:
-        recorder(program, progress)
-        show(program.passed(progress.time), int(program.frames[-1]), player.state.value)
+    def seen(trajectory: Trajectory, progress: Progress) -> None:
+        recorder(trajectory, progress)
+        show(trajectory.passed(progress.time), int(trajectory.frames[-1]), player.state.value)
         if told is not None:
-            told(program, progress, player.state.value)
+            told(trajectory, progress, player.state.value)
 
     return seen

@@ -21,7 +21,7 @@ MODELS = (
 DEVICES = ("simulated", "ur")
 JOINTS = ("base", "shoulder", "elbow", "wrist 1", "wrist 2", "wrist 3")
 JOINT_LIMIT = 2 * math.pi
-"""rad: how far each joint of a UR turns either way."""
+"""rad: how far each joint of a UR turns in either direction."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Arm:
     frame at zero tilt, in the arm's base frame. mount_translation (mm), mount_rotation_deg: the robot's base
     frame, which lies at the insertion point, in the arm's flange frame. A rotation is (roll, pitch, yaw) with
     R = Rz(yaw) Ry(pitch) Rx(roll): about the fixed axes, x first. start_joints_deg: base to wrist 3, roughly
-    where the arm stands at zero tilt, which says the branch to be on; None for the best one of each motion.
+    where the arm stands at zero tilt, which says what joint solution to take; None for the best of each motion.
     joint_speed_deg, joint_acceleration_deg: limits in deg/s and deg/s^2, a number or one a joint; tilt_speed_deg,
     tilt_acceleration_deg: those of the tilt, a number or one for x and one for y.
     skew_tolerance: s that the arm may be behind the tubes or ahead of them. host: address of the controller,
@@ -125,8 +125,8 @@ def _placed(translation: Any, rotation_deg: Any) -> Array:
 def _numbers(name: str, value: Any, size: int) -> Array:
     try:
         return numbers(name, value, size)
-    except RobotError as error:
-        raise HardwareError(f"{error} (arm)") from error
+    except RobotError as exception:
+        raise HardwareError(f"{exception} (arm)") from exception
 
 
 def _listed(name: str, value: Any, size: int) -> tuple[float, ...]:

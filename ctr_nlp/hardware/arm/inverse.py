@@ -1,4 +1,4 @@
-"""Inverse kinematics: the joint angles of a tilting motion, all on one branch of the solutions."""
+"""Inverse kinematics: the joint angles of a tilting motion, all of one joint solution."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ LARGEST_GAIN = 30.0
 """Nearer to a singularity, joints would turn more than this many times as fast as the robot they hold."""
 SINGULAR = "singular: joints would turn {gain:.3g} times as fast as the robot"
 SUBSTEP = 0.01
-"""rad of tilt from one inverse kinematics to the next, so that branches cannot be mixed up."""
+"""rad of tilt from one inverse kinematics to the next, so that joint solutions cannot be mixed up."""
 JUMP = 0.5
-"""rad that a joint may turn over a substep: more than LARGEST_GAIN asks for, less than lies between branches."""
+"""rad that a joint may turn over a substep: more than LARGEST_GAIN asks for, less than lies between solutions."""
 
 
-class _Branch(NamedTuple):
-    """One way to hold the arm, as far as it goes; margin: to singularities and joint limits, 0 at them."""
+class _Followed(NamedTuple):
+    """A joint solution, as far as it can be followed; margin: to singularities and joint limits, 0 at them."""
 
     joints: Array
     margin: float
@@ -35,10 +35,10 @@ class _Branch(NamedTuple):
 def joints(arm: Arm, theta: Array, start: Array | None = None) -> Array:
     """Joint angles (T, 6) rad that tilt the robot by theta (T, 2) rad, linear in theta between frames.
 
-    All frames are on one branch of the inverse kinematics and continuous, within JOINT_LIMIT. start: (6,) rad,
-    where the arm stands at the first frame. Without it the branch of start_joints_deg at zero tilt is taken, or
-    if there is none, of the branches that go through all frames the one that stays furthest from singularities
-    and joint limits. Raises HardwareError that names the frame, counted from 1, where no branch goes on.
+    All frames follow one joint solution continuously, within JOINT_LIMIT. start: (6,) rad,
+    where the arm stands at the first frame. Without it the one of start_joints_deg at zero tilt is taken, or
+    if there is none, of those that go through all frames the one that stays furthest from singularities
+    and joint limits. Raises HardwareError that names the frame, counted from 1, where no joint solution goes on.
     """
     theta = _tilts(theta)
     near, lead = start, 0
@@ -51,15 +51,15 @@ def joints(arm: Arm, theta: Array, start: Array | None = None) -> Array:
     if near is not None and len(first):
         first = first[[np.abs(_wrapped(first - near)).sum(axis=1).argmin()]]
         first = near + _wrapped(first - near)
-    branches = [_followed(arm, q, solutions, frames, wound=near is not None) for q in first]
-    if not branches:
-        branches = [_Branch(first, 0.0, 0, "out of the arm's reach")]
-    best = max(branches, key=lambda b: (b.frame, b.margin))
+    followed = [_follow(arm, q, solutions, frames, wound=near is not None) for q in first]
+    if not followed:
+        followed = [_Followed(first, 0.0, 0, "out of the arm's reach")]
+    best = max(followed, key=lambda found: (found.frame, found.margin))
     if best.complaint:
         frame = max(best.frame - lead, 0)
         where = "zero tilt" if best.frame < lead else f"frame {frame + 1} of {len(theta) - lead}"
         at = ", ".join(f"{value:.4g}" for value in theta[best.frame])
-        which = "the branch of the start" if near is not None else "every branch"
+        which = "the joint solution of the start" if near is not None else "every joint solution"
         raise HardwareError(f"{arm.model} at {where}, theta = ({at}) rad: {which} ends: {best.complaint}")
     return best.joints[frames][lead:]
 
@@ -71,22 +71,22 @@ def poses(arm: Arm, theta: Array) -> Array:
     return np.asarray(arm.base @ tilted @ np.linalg.inv(arm.mount))
 
 
-def _followed(arm: Arm, q: Array, solutions: list[Array], frames: list[int], wound: bool) -> _Branch:
-    """The branch that begins with q (6,), over solutions [(n, 6)]; wound: q's whole turns are those of the arm."""
-    way, complaint = [q], ""
+def _follow(arm: Arm, q: Array, solutions: list[Array], frames: list[int], wound: bool) -> _Followed:
+    """The joint solution from q (6,) on, over solutions [(n, 6)]; wound: q's whole turns are those of the arm."""
+    turned, complaint = [q], ""
     for found in solutions[1:]:
         if not len(found):
             complaint = "out of the arm's reach"
             break
-        steps = _wrapped(found - way[-1])
+        steps = _wrapped(found - turned[-1])
         step = steps[np.abs(steps).max(axis=1).argmin()]
         if np.abs(step).max() > JUMP:
-            joint, gain = int(np.abs(step).argmax()), gains(arm, (way[-1] + step)[None])[0]
+            joint, gain = int(np.abs(step).argmax()), gains(arm, (turned[-1] + step)[None])[0]
             complaint = f"joint {joint + 1} ({JOINTS[joint]}) would jump by {abs(step[joint]):.3g} rad"
             complaint = SINGULAR.format(gain=gain) if gain > LARGEST_GAIN else complaint
             break
-        way.append(way[-1] + step)
-    path = np.array(way)
+        turned.append(turned[-1] + step)
+    path = np.array(turned)
     if not wound:
         middle = (path.max(axis=0) + path.min(axis=0)) / 2
         path = path - 2 * np.pi * np.round(middle / (2 * np.pi))
@@ -102,11 +102,11 @@ def _followed(arm: Arm, q: Array, solutions: list[Array], frames: list[int], wou
             complaint = said.format(gain=gain[reached], joint=f"{joint + 1} ({JOINTS[joint]})")
     frame = len(frames) if not complaint else int(np.searchsorted(frames, reached))
     margin = min(1 / gain.max(), 1 - np.abs(path).max() / JOINT_LIMIT)
-    return _Branch(path, float(margin), frame, complaint)
+    return _Followed(path, float(margin), frame, complaint)
 
 
 def _subdivided(theta: Array) -> tuple[Array, list[int]]:
-    """Tilts (n, 2) at most SUBSTEP apart on the way through theta (T, 2), and where in them the frames are."""
+    """Tilts (n, 2) at most SUBSTEP apart on the path through theta (T, 2), and where in them the frames are."""
     path, frames = [theta[:1]], [0]
     for a, b in pairwise(theta):
         count = max(1, math.ceil(np.abs(b - a).max() / SUBSTEP))

@@ -1,11 +1,11 @@
-"""What moves the axes: one small interface, and a file for every kind of device."""
+"""What moves the axes: one small interface, and a file for every kind of device. Knows no plan."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
-from ctr_nlp.hardware.motion.program import Commands
+from ctr_nlp.hardware.motion.trajectory import Commands
 from ctr_nlp.typing import Array
 
 
@@ -35,9 +35,9 @@ class Signs(NamedTuple):
 class Progress(NamedTuple):
     """How far a device has come.
 
-    state: "running", "holding" (slowing down), "held" or "done". time: s of the program that have been played.
+    state: "running", "holding" (slowing down), "held" or "done". time: s of the trajectory that have been played.
     line: how many commands have been finished. position (m,): of the axes, in their units; stamp: when it was seen
-    there, s of the clock. away: how far it was from the way it should be on, in parts of the axes' tolerances.
+    there, s of the clock. away: how far it was from the path it should be on, in parts of the axes' tolerances.
     signs: what else it shows.
     """
 
@@ -54,61 +54,53 @@ Asked = Callable[[], bool]
 """Whether a stop has been asked for."""
 
 
+class Played(Protocol):
+    """Commands that a device has begun to play; all raise DeviceFault."""
+
+    def update(self) -> Progress:
+        """Take the news and tell how far it is; gives the device nothing to do. Call it every few ms."""
+
+    def feed(self) -> None:
+        """Give the device what it may have now: called after every update in which nothing was wrong."""
+
+    def hold(self) -> None:
+        """Begin to stop on the path, so that it can go on."""
+
+    def resume(self) -> None:
+        """Go on after a hold."""
+
+
 class Device(Protocol):
     """Plays commands. Only home and abort wait for a motion, and their waits end; all raise DeviceFault."""
 
     def connect(self, stop: Asked) -> None:
         """Open the link and make sure of what answers; where a stop is asked for meanwhile, that is a fault."""
-        ...
 
     @property
     def identity(self) -> str:
         """What tells this device, once it is connected, from others at its address; "" where nothing does."""
-        ...
 
     def standing(self) -> Standing:
         """Where it stands; a device that moves is a fault."""
-        ...
 
     @property
     def resolution(self) -> Array:
         """The least that its axes (m,) can tell apart, in their units, once it is connected."""
-        ...
 
     def home(self, stop: Asked) -> None:
         """Find its position by itself, and wait for that; where stop says so, stop at once, which is a fault."""
-        ...
 
-    def start(self, commands: Commands) -> None:
-        """Get ready to play commands from where it stands; feed begins with it.
+    def start(self, commands: Commands) -> Played:
+        """Get ready to play commands from where it stands; feeding begins with it.
 
-        Raises ProgramError where the link is too slow for them.
+        Raises TrajectoryError where the link is too slow for them.
         """
-        ...
-
-    def update(self) -> Progress:
-        """Take the news and tell how far it is; gives the device nothing to do. Call it every few ms."""
-        ...
-
-    def feed(self) -> None:
-        """Give the device what it may have now: called after every update in which nothing was wrong."""
-        ...
-
-    def hold(self) -> None:
-        """Begin to stop on the way, so that it can go on."""
-        ...
-
-    def resume(self) -> None:
-        """Go on after a hold."""
-        ...
 
     def abort(self) -> Standing:
         """Stop for good, in whatever state it is, and forget what has not been played.
 
         The stop is sent before anything is asked. Returns where it stands once that is sure.
         """
-        ...
 
     def close(self) -> None:
         """Let go of the link; nothing is sent."""
-        ...

@@ -38,7 +38,7 @@ class ArmFollower(Protocol):
         """Go to a tilt (2,) rad, now; called at a regular rate.
 
         Nothing is sent where a joint would have to step further than its largest speed allows since the command
-        before, or where the way there leaves the branch of the inverse kinematics.
+        before, or where the path there leaves the joint solution.
         """
 
     def hold(self) -> None:
@@ -52,18 +52,18 @@ class ArmFollower(Protocol):
 
 
 class Steps:
-    """Joint commands from where an arm stands: on one branch, none longer than the joints' speeds allow."""
+    """Joint commands from where an arm stands: of one joint solution, none longer than joint speeds allow."""
 
     def __init__(self, arm: Arm, start: Array, now: float) -> None:
         self.arm, self.last, self.time = arm, start, now
 
     def to(self, theta: Array, now: float) -> Array:
         """The joints (6,) of a tilt (2,) rad, once they are allowed; raises DeviceFault."""
-        way = np.array([tilt(self.arm, self.last[None])[0], theta])
+        path = np.array([tilt(self.arm, self.last[None])[0], theta])
         try:
-            wanted = joints(self.arm, way, self.last)[-1]
-        except HardwareError as error:
-            raise DeviceFault(f"the arm cannot follow: {error}") from error
+            wanted = joints(self.arm, path, self.last)[-1]
+        except HardwareError as exception:
+            raise DeviceFault(f"the arm cannot follow: {exception}") from exception
         elapsed = min(now - self.time, LONGEST_STEP)
         step = np.abs(wanted - self.last)
         over = step - self.arm.joint_speed * elapsed

@@ -7,7 +7,7 @@ import numpy as np
 from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.devices import Asked, Progress, Standing
-from ctr_nlp.hardware.motion.program import Commands
+from ctr_nlp.hardware.motion.trajectory import Commands
 from ctr_nlp.typing import Array
 
 STOPPING = 0.1
@@ -19,7 +19,7 @@ class Simulated:
 
     def __init__(self, position: Array, clock: Clock) -> None:
         self._clock, self._position = clock, np.array(position, dtype=float)
-        self._ends, self._way = np.zeros(1), self._position[None]
+        self._ends, self._path = np.zeros(1), self._position[None]
         self._time = self._pace = self._goal = self._seen = 0.0
         self._open = False
 
@@ -44,12 +44,13 @@ class Simulated:
     def home(self, stop: Asked) -> None:
         """Nothing needs to be found."""
 
-    def start(self, commands: Commands) -> None:
+    def start(self, commands: Commands) -> Simulated:
         """Begin to play commands from where it stands."""
         self._check_open()
         self._ends = np.append(0.0, commands.time)
-        self._way = np.vstack([self._position, commands.positions])
+        self._path = np.vstack([self._position, commands.positions])
         self._time, self._pace, self._goal, self._seen = 0.0, 1.0, 1.0, self._clock.now()
+        return self
 
     def update(self) -> Progress:
         """Move on by the time that has passed."""
@@ -61,7 +62,7 @@ class Simulated:
         self._time += turning * (self._pace + 0.5 * change) + (passed - turning) * (self._pace + change)
         self._pace += change
         self._time = min(self._time, float(self._ends[-1]))
-        self._position = np.array([np.interp(self._time, self._ends, way) for way in self._way.T])
+        self._position = np.array([np.interp(self._time, self._ends, axis) for axis in self._path.T])
         line = int(np.searchsorted(self._ends[1:], self._time, "right"))
         return Progress(self._state(line), self._time, line, self._position, now, 0.0)
 
@@ -91,7 +92,7 @@ class Simulated:
             self.hold()
         while self._open and self.update().state == "holding":
             self._clock.sleep(0.01)
-        self._ends, self._way = np.zeros(1), self._position[None]
+        self._ends, self._path = np.zeros(1), self._position[None]
         return self.standing()
 
     def close(self) -> None:

@@ -147,8 +147,8 @@ class UrArm:
     def _check_start(self, start: Array) -> None:
         try:
             held = joints(self._arm, tilt(self._arm, start[None]), start)[0]
-        except HardwareError as error:
-            raise DeviceFault(f"the arm stands where it cannot begin: {error}") from error
+        except HardwareError as exception:
+            raise DeviceFault(f"the arm stands where it cannot begin: {exception}") from exception
         off, away = np.abs(held - start).max(), insertion_error(self._arm, start[None])[0]
         if off > START_TOLERANCE:
             raise DeviceFault(
@@ -162,6 +162,6 @@ class UrArm:
         """What ur_rtde raises, as DeviceFault."""
         try:
             yield
-        except (RuntimeError, ValueError, OSError) as error:
-            remote = " Switch it to remote control at the pendant." if "remote control" in str(error) else ""
-            raise DeviceFault(f"the arm at {self._arm.address} {what}: {error}.{remote}") from error
+        except (RuntimeError, ValueError, OSError) as exception:
+            remote = " Switch it to remote control at the pendant." if "remote control" in str(exception) else ""
+            raise DeviceFault(f"the arm at {self._arm.address} {what}: {exception}.{remote}") from exception

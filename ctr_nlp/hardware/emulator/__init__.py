@@ -1,4 +1,4 @@
-"""An emulator of 6-axis grblHAL firmware: what an executor is tested against where there is no machine."""
+"""An emulator of 6-axis grblHAL firmware: what a player is tested against. Knows no plan."""
 
 from ctr_nlp.hardware.emulator.faults import FAULTS, Fault, fault
 from ctr_nlp.hardware.emulator.firmware import Firmware

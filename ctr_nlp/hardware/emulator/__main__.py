@@ -1,4 +1,4 @@
-"""python -m ctr_nlp.hardware.emulator: the emulated controller in real time, for an executor to connect to."""
+"""python -m ctr_nlp.hardware.emulator: the emulated controller in real time, for a player to connect to."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def main(arguments: list[str] | None = None) -> int:
         signal.signal(number, lambda *_: stop.set())
     try:
         port = open_port("pty" if options.pty else "tcp", options.tcp)
-    except (OSError, CtrError) as error:
-        print(f"error: {error}", file=sys.stderr)
+    except (OSError, CtrError) as exception:
+        print(f"error: {exception}", file=sys.stderr)
         return 2
     print(port.url, flush=True)
     try:

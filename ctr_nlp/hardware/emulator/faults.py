@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import math
 import random
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.hardware.emulator.lies import LIES
-from ctr_nlp.hardware.emulator.protocol.stops import soft_limit
-from ctr_nlp.hardware.emulator.wire import Line
+from ctr_nlp.hardware.emulator.wire import Fault, Line
 
-Strike = Callable[[Line, "Fault"], None]
-Change = Callable[[bytes, random.Random, "Fault"], list[tuple[float, bytes]]]
+Strike = Callable[[Line, Fault], None]
+Change = Callable[[bytes, random.Random, Fault], list[tuple[float, bytes]]]
 
 THIRD_PARTIES = (
     *(b"~", b"!", b"\x18", b"\x19", b"\x85", 5 * b"\x91", 5 * b"\x92", b"\x97"),
@@ -24,64 +21,28 @@ THIRD_PARTIES = (
 """What pendants and other clients have been seen to send; one is drawn where a fault names none."""
 
 
-@dataclass(frozen=True)
-class Fault:
-    """A fault that strikes once either moment has come.
-
-    name: its entry in FAULTS. at: s since the firmware was switched on. after_bytes: sent by the host on this
-    connection. seconds: how long it lasts or delays, inf for good. seed: of what is drawn at random.
-    choice: what varies from kind to kind; see FAULTS. data: what is sent or said, drawn where it is empty.
-    """
-
-    name: str
-    strike_line: Strike
-    at: float = math.inf
-    after_bytes: float = math.inf
-    seconds: float = math.inf
-    seed: int = 0
-    choice: float = 0.3
-    data: bytes = b""
-
-    def due(self, time: float, sent_bytes: int) -> bool:
-        """Whether its moment has come."""
-        return time >= self.at or sent_bytes >= self.after_bytes
-
-    def strike(self, line: Line) -> None:
-        """Do what it does to a line or the firmware at its end."""
-        self.strike_line(line, self)
-
-
 def _lasting(line: Line, fault: Fault) -> Callable[[], bool]:
     until = line.firmware.time + fault.seconds
     return lambda: line.firmware.time < until
 
 
-def _cut(line: Line, fault: Fault) -> None:
-    line.drop()
-
-
-def _half_open(line: Line, fault: Fault) -> None:
-    lasting = _lasting(line, fault)
-    line.outward.append(lambda data: bytes(b for b in data if b == ord("?")) if lasting() else data)
-
-
-def _silent(line: Line, fault: Fault) -> None:
-    line.firmware.silence(fault.seconds)
-
-
-def _busy(line: Line, fault: Fault) -> None:
-    line.firmware.stall(fault.seconds)
-
-
-def _replies(change: Change, line: Line, fault: Fault) -> None:
+def _outward(alter: Callable[[bytes, random.Random, Fault], bytes], line: Line, fault: Fault) -> None:
+    """Alter what the host sends."""
     lasting, draw = _lasting(line, fault), random.Random(fault.seed)
+    line.outward.append(lambda data: alter(data, draw, fault) if lasting() else data)
 
-    def alter(reply: bytes) -> list[tuple[float, bytes]]:
-        if not lasting() or draw.random() >= fault.choice:
-            return [(0.0, reply)]
-        return change(reply, draw, fault)
 
-    line.inward.append(alter)
+def _inward(alter: Change, line: Line, fault: Fault) -> None:
+    """Alter every reply line."""
+    lasting, draw = _lasting(line, fault), random.Random(fault.seed)
+    line.inward.append(lambda reply: alter(reply, draw, fault) if lasting() else [(0.0, reply)])
+
+
+def _some(alter: Change) -> Change:
+    """A change of a share of the reply lines."""
+    return lambda reply, draw, fault: (
+        [(0.0, reply)] if draw.random() >= fault.choice else alter(reply, draw, fault)
+    )
 
 
 def _garbled(reply: bytes, draw: random.Random, fault: Fault) -> list[tuple[float, bytes]]:
@@ -101,35 +62,14 @@ def _last_ok(line: Line, fault: Fault) -> None:
     line.inward.append(alter)
 
 
-def _outbound(line: Line, fault: Fault) -> None:
-    lasting, draw = _lasting(line, fault), random.Random(fault.seed)
-    line.outward.append(
-        lambda data: bytes(b for b in data if draw.random() >= fault.choice) if lasting() else data
-    )
-
-
-def _third_party(line: Line, fault: Fault) -> None:
-    line.firmware.receive(fault.data or random.Random(fault.seed).choice(THIRD_PARTIES))
-
-
 def _lie(line: Line, fault: Fault) -> None:
     said = fault.data or LIES[fault.name](line.firmware, random.Random(fault.seed)).encode()
     line.insert(said + b"\r\n")
 
 
-def _flipped(data: bytes, draw: random.Random, share: float) -> bytes:
-    """Bytes of which a share has one bit the other way round."""
-    return bytes(byte ^ (1 << draw.randrange(8)) if draw.random() < share else byte for byte in data)
-
-
-def _flips_to_host(line: Line, fault: Fault) -> None:
-    lasting, draw = _lasting(line, fault), random.Random(fault.seed)
-    line.inward.append(lambda reply: [(0.0, _flipped(reply, draw, fault.choice) if lasting() else reply)])
-
-
-def _flips_to_device(line: Line, fault: Fault) -> None:
-    lasting, draw = _lasting(line, fault), random.Random(fault.seed)
-    line.outward.append(lambda data: _flipped(data, draw, fault.choice) if lasting() else data)
+def _flipped(data: bytes, draw: random.Random, fault: Fault) -> bytes:
+    """Bytes of which a share has one bit inverted."""
+    return bytes(byte ^ (1 << draw.randrange(8)) if draw.random() < fault.choice else byte for byte in data)
 
 
 def _power_cycle_unseen(line: Line, fault: Fault) -> None:
@@ -137,57 +77,42 @@ def _power_cycle_unseen(line: Line, fault: Fault) -> None:
     line.firmware.reboot(loses_position=True)
 
 
-def _reboot(line: Line, fault: Fault) -> None:
-    line.firmware.reboot(loses_position=bool(fault.choice))
-
-
-def _refusal(line: Line, fault: Fault) -> None:
-    line.firmware.refuse = int(fault.choice)
-
-
-def _estop(line: Line, fault: Fault) -> None:
-    line.firmware.estop_alarms = True
-    line.firmware.press("estop")
-
-
-def _lost(reply: bytes, draw: random.Random, fault: Fault) -> list[tuple[float, bytes]]:
-    return []
-
-
-def _doubled(reply: bytes, draw: random.Random, fault: Fault) -> list[tuple[float, bytes]]:
-    return [(0.0, reply), (0.0, reply)]
-
-
-def _late(line: Line, fault: Fault) -> None:
-    line.inward.append(lambda reply: [(fault.seconds, reply)])
-
-
-def _kind(name: str, strike: Strike, **defaults: Any) -> Callable[..., Fault]:
-    return lambda **options: Fault(name, strike, **{**defaults, **options})
-
+_KINDS: dict[str, tuple[Strike, dict[str, Any]]] = {
+    "cut": (lambda line, fault: line.drop(), {}),
+    "half_open": (partial(_outward, lambda data, draw, fault: bytes(b for b in data if b == ord("?"))), {}),
+    "silent": (lambda line, fault: line.firmware.silence(fault.seconds), {}),
+    "busy": (lambda line, fault: line.firmware.stall(fault.seconds), {"seconds": 3.0}),
+    "garbled": (partial(_inward, _some(_garbled)), {}),
+    "lost": (partial(_inward, _some(lambda reply, draw, fault: [])), {}),
+    "doubled": (partial(_inward, _some(lambda reply, draw, fault: 2 * [(0.0, reply)])), {}),
+    "late": (lambda line, fault: line.inward.append(lambda reply: [(fault.seconds, reply)]), {"seconds": 0.5}),
+    "last_ok": (_last_ok, {}),
+    "bytes_lost": (
+        partial(_outward, lambda data, draw, fault: bytes(b for b in data if draw.random() >= fault.choice)),
+        {"choice": 0.02},
+    ),
+    "banner": (lambda line, fault: line.firmware.reboot(loses_position=bool(fault.choice)), {"choice": 1.0}),
+    "hard_limit": (lambda line, fault: line.firmware.hard_limit(), {}),
+    "soft_limit": (lambda line, fault: line.firmware.soft_limit(), {}),
+    "error_latch": (lambda line, fault: line.firmware.refuse(int(fault.choice)), {"choice": 20}),
+    "estop": (lambda line, fault: line.firmware.press("estop", alarms=True), {}),
+    "power_cycle": (lambda line, fault: line.firmware.reboot(loses_position=True), {}),
+    "power_cycle_unseen": (_power_cycle_unseen, {}),
+    "third_party": (
+        lambda line, fault: line.firmware.receive(fault.data or random.Random(fault.seed).choice(THIRD_PARTIES)),
+        {},
+    ),
+    **dict.fromkeys(LIES, (_lie, {})),
+    "flips_to_host": (
+        partial(_inward, lambda reply, draw, fault: [(0.0, _flipped(reply, draw, fault))]),
+        {"choice": 0.01},
+    ),
+    "flips_to_device": (partial(_outward, _flipped), {"choice": 0.01}),
+}
+"""Name -> how it strikes, and the fields that are not as in Fault."""
 
 FAULTS: dict[str, Callable[..., Fault]] = {
-    "cut": _kind("cut", _cut),
-    "half_open": _kind("half_open", _half_open),
-    "silent": _kind("silent", _silent),
-    "busy": _kind("busy", _busy, seconds=3.0),
-    "garbled": _kind("garbled", partial(_replies, _garbled)),
-    "lost": _kind("lost", partial(_replies, _lost)),
-    "doubled": _kind("doubled", partial(_replies, _doubled)),
-    "late": _kind("late", _late, seconds=0.5),
-    "last_ok": _kind("last_ok", _last_ok),
-    "bytes_lost": _kind("bytes_lost", _outbound, choice=0.02),
-    "banner": _kind("banner", _reboot, choice=1.0),
-    "hard_limit": _kind("hard_limit", lambda line, fault: line.firmware.hard_limit()),
-    "soft_limit": _kind("soft_limit", lambda line, fault: soft_limit(line.firmware)),
-    "error_latch": _kind("error_latch", _refusal, choice=20),
-    "estop": _kind("estop", _estop),
-    "power_cycle": _kind("power_cycle", lambda line, fault: line.firmware.reboot(loses_position=True)),
-    "power_cycle_unseen": _kind("power_cycle_unseen", _power_cycle_unseen),
-    "third_party": _kind("third_party", _third_party),
-    **{name: _kind(name, _lie) for name in LIES},
-    "flips_to_host": _kind("flips_to_host", _flips_to_host, choice=0.01),
-    "flips_to_device": _kind("flips_to_device", _flips_to_device, choice=0.01),
+    name: partial(Fault, name, strike, **fields) for name, (strike, fields) in _KINDS.items()
 }
 """Name -> constructor, whose keywords are the fields of Fault.
 

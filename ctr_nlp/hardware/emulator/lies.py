@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
+from ctr_nlp.hardware.emulator.firmware import Firmware
 from ctr_nlp.hardware.emulator.mechanics.planner import Vector
 from ctr_nlp.hardware.emulator.protocol.reports import BANNER, Status
 
-if TYPE_CHECKING:
-    from ctr_nlp.hardware.emulator.firmware import Firmware
-
-Lie = Callable[["Firmware", random.Random], str]
+Lie = Callable[[Firmware, random.Random], str]
 
 ALARMS = (1, 2, 3, 10)
 ERRORS = (1, 9, 20, 79)
@@ -22,7 +19,7 @@ PRINTABLE = "".join(chr(code) for code in range(32, 127))
 
 def _report(firmware: Firmware, state: str, position: Vector, line: int | None) -> str:
     """A status report without any of the rarer fields."""
-    status, speed = Status(until_offset=9, until_overrides=9, tool=False), firmware.motion.speed * 60
+    status, speed = Status(until_offset=9, until_overrides=9, changed=frozenset()), firmware.motion.speed * 60
     buffers, overrides = (firmware.motion.free, firmware.lines.free), firmware.motion.overrides
     return status.report(state, position, buffers, line, speed, overrides, (), bool(firmware.homed))
 

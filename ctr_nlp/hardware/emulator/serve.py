@@ -8,8 +8,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Protocol
+from contextlib import contextmanager, suppress
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.hardware.emulator.faults import Fault
@@ -18,21 +17,6 @@ from ctr_nlp.hardware.emulator.wire import BAUD, Line
 
 LOOPBACK = "127.0.0.1"
 TICK_S = 0.002
-
-
-class Port(Protocol):
-    """Where a host connects."""
-
-    url: str
-
-    def exchange(self, line: Line | None) -> bool:
-        """Move bytes between host and line, within TICK_S; whether a host is connected."""
-
-    def hang_up(self) -> None:
-        """End the host's connection."""
-
-    def close(self) -> None:
-        """Free the port."""
 
 
 class TcpPort:
@@ -45,7 +29,7 @@ class TcpPort:
         self.url = f"socket://{LOOPBACK}:{self._server.getsockname()[1]}"
 
     def exchange(self, line: Line | None) -> bool:
-        """A new connection ends the one before."""
+        """Move bytes between host and line, within TICK_S; whether a host is connected, the newest."""
         watched = [self._server, *([self._host] if self._host else [])]
         ready, _, _ = select.select(watched, [], [], TICK_S)
         if self._server in ready:
@@ -61,8 +45,7 @@ class TcpPort:
                 if not data:
                     raise ConnectionError
                 line.put(data)
-            data = line.get()
-            if data:
+            if data := line.get():
                 self._host.sendall(data)
         except OSError:
             self.hang_up()
@@ -96,16 +79,11 @@ class PtyPort:
         if line is None:
             return True
         ready, _, _ = select.select([self._device], [], [], TICK_S)
-        try:
+        with suppress(BlockingIOError, ConnectionError):
             if ready:
                 line.put(os.read(self._device, 4096))
-            data = line.get()
-            if data:
+            if data := line.get():
                 os.write(self._device, data)
-        except BlockingIOError:
-            pass
-        except ConnectionError:
-            return True
         return True
 
     def hang_up(self) -> None:
@@ -115,6 +93,9 @@ class PtyPort:
         """Free the terminal."""
         os.close(self._device)
         os.close(self._kept_open)
+
+
+Port = TcpPort | PtyPort
 
 
 def open_port(kind: str, number: int = 0) -> Port:

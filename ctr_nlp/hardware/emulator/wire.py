@@ -4,18 +4,43 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.hardware.emulator.firmware import Firmware
 
-if TYPE_CHECKING:
-    from ctr_nlp.hardware.emulator.faults import Fault
-
 BAUD = 115200
 BITS_PER_BYTE = 10
 STEP_S = 0.001
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault that strikes once either moment has come.
+
+    name: its entry in FAULTS (faults.py). at: s since the firmware was switched on. after_bytes: sent by the host
+    on this connection. seconds: how long it lasts or delays, inf for good. seed: of what is drawn at random.
+    choice: what varies from kind to kind; see there. data: what is sent or said, drawn where it is empty.
+    """
+
+    name: str
+    strike_line: Callable[[Line, Fault], None]
+    at: float = math.inf
+    after_bytes: float = math.inf
+    seconds: float = math.inf
+    seed: int = 0
+    choice: float = 0.3
+    data: bytes = b""
+
+    def due(self, time: float, sent_bytes: int) -> bool:
+        """Whether its moment has come."""
+        return time >= self.at or sent_bytes >= self.after_bytes
+
+    def strike(self, line: Line) -> None:
+        """Do what it does to a line or the firmware at its end."""
+        self.strike_line(line, self)
 
 
 class VirtualClock:
@@ -55,7 +80,7 @@ class Line:
         self.sent_bytes = 0
         self.cut = False
         self.outward: list[Callable[[bytes], bytes]] = []
-        """What faults do to bytes on their way to the firmware."""
+        """What faults do to bytes under way to the firmware."""
         self.inward: list[Callable[[bytes], list[tuple[float, bytes]]]] = []
         """What faults do to each whole reply line: (delay in s, bytes) for what arrives in its place."""
         self._waiting = list(faults)
@@ -67,11 +92,11 @@ class Line:
 
     @property
     def outbound(self) -> int:
-        """Bytes on their way to the firmware."""
+        """Bytes under way to the firmware."""
         return len(self._to_device)
 
     def put(self, data: bytes) -> None:
-        """Bytes from the host start on their way."""
+        """Bytes from the host are sent off."""
         self._check()
         self.sent_bytes += len(data)
         self._trigger()
@@ -92,7 +117,7 @@ class Line:
         return data
 
     def advance(self, seconds: float) -> None:
-        """Let time pass for the firmware and the bytes on the way."""
+        """Let time pass for the firmware and the bytes under way."""
         self.time += seconds
         arrived = 0
         while arrived < len(self._to_device) and self._to_device[arrived][0] <= self.time + 1e-12:
@@ -106,12 +131,12 @@ class Line:
         self._collect()
 
     def insert(self, line: bytes) -> None:
-        """A line that the firmware never sent is on its way to the host, between its own."""
+        """A line that the firmware never sent is sent to the host, between its own."""
         if not self.cut:
             self._send(0.0, line)
 
     def drop(self) -> None:
-        """The link is lost, with whatever was on its way; the firmware does not notice."""
+        """The link is lost, with whatever was under way; the firmware does not notice."""
         self.cut = True
         self._to_device.clear()
         self._to_host.clear()

@@ -11,7 +11,7 @@ import numpy as np
 from ctr_nlp.exceptions import HardwareError
 from ctr_nlp.hardware.arm.inverse import joints
 from ctr_nlp.hardware.exports import gcode, table, urscript
-from ctr_nlp.hardware.motion.program import Program
+from ctr_nlp.hardware.motion.trajectory import Trajectory
 
 PERIOD = 0.008
 """s from sample to sample of the arm's motion."""
@@ -19,25 +19,25 @@ PERIOD = 0.008
 
 @dataclass(frozen=True)
 class Text:
-    """A format of one file. of: (program, title) to what is in it; opening: with which that begins."""
+    """A format of one file. of: (trajectory, title) to what is in it; opening: with which that begins."""
 
-    of: Callable[[Program, str], str]
+    of: Callable[[Trajectory, str], str]
     suffix: str
     opening: str
 
 
-def _urscript(program: Program, title: str) -> str:
-    holder = program.hardware.arm
+def _urscript(trajectory: Trajectory, title: str) -> str:
+    holder = trajectory.hardware.arm
     if holder is None:
         raise HardwareError("this hardware has no arm, so that there is nothing to write for one")
-    time = PERIOD * np.arange(np.ceil(program.duration / PERIOD - 1e-6) + 1)
-    way = joints(holder, program.at(time)[0][:, -2:])
+    time = PERIOD * np.arange(np.ceil(trajectory.duration / PERIOD - 1e-6) + 1)
+    sampled = joints(holder, trajectory.tilt(time))
     name = re.sub(r"\W", "_", f"ctr_nlp_{title}", flags=re.ASCII)
-    return urscript.write_urscript(time, way, period=PERIOD, name=name)
+    return urscript.write_urscript(time, sampled, period=PERIOD, name=name)
 
 
 TEXTS = {
-    "csv": Text(lambda program, title: table.csv_text(program), ".csv", "time_s,frame,at_frame,"),
+    "csv": Text(lambda trajectory, title: table.csv_text(trajectory), ".csv", "time_s,frame,at_frame,"),
     "gcode": Text(gcode.gcode_text, ".gcode", gcode.OPENING),
     "urscript": Text(_urscript, ".script", "def ctr_nlp_"),
 }

@@ -1,4 +1,4 @@
-"""A program as a G-code file for Grbl and grblHAL, played without a computer beside it. The arm is not in it."""
+"""A trajectory as a G-code file for Grbl and grblHAL, played without a computer beside it and without the arm."""
 
 from __future__ import annotations
 
@@ -7,28 +7,32 @@ import re
 import numpy as np
 
 from ctr_nlp.hardware.motion import gcode
-from ctr_nlp.hardware.motion.program import Program
+from ctr_nlp.hardware.motion.trajectory import Trajectory
 
 OPENING = "(ctr_nlp"
 
 
-def gcode_text(program: Program, title: str) -> str:
-    """The file: a pause, the slow way to the first frame, another pause, and the program's numbered lines.
+def gcode_text(trajectory: Trajectory, title: str) -> str:
+    """The file: a pause, the slow approach to the first frame, another pause, and the trajectory's numbered lines.
 
     title: of the plan.
     """
-    start, seconds, commands = program.positions(np.zeros(1))[0], approach_time(program), program.commands()
+    start, seconds, commands = (
+        trajectory.positions(0.0),
+        approach_time(trajectory),
+        trajectory.commands(),
+    )
     head = [
         f"ctr_nlp: {title[:60]}",
-        f"digest {program.digests.plan}",
-        f"{len(program.frames)} frames in {program.duration:.3f} s from the second pause on",
-        *(f"{axis.letter} in {axis.unit} moves {axis.joint}" for axis in program.hardware.axes),
+        f"digest {trajectory.digests.plan}",
+        f"{len(trajectory.frames)} frames in {trajectory.duration:.3f} s from the second pause on",
+        *(f"{axis.letter} in {axis.unit} moves {axis.joint}" for axis in trajectory.hardware.axes),
         "positions are those of the machine: no work offset may be active",
         "rates and accelerations of the controller: at least those of the hardware",
         f"after the first pause: to the first frame in {seconds:.1f} s, all axes at once",
         "after the second pause: the motion",
     ]
-    if np.any(program.at(program.frame_time)[0][:, -2:]):
+    if np.any(trajectory.tilt(trajectory.frame_time)):
         head += [
             "THE TILT OF THE ARM IS NOT IN THIS FILE: export it with --to urscript",
             "and end the second pause when the arm starts",
@@ -38,9 +42,9 @@ def gcode_text(program: Program, title: str) -> str:
             *map(_comment, head),
             gcode.MODES,
             "M0",
-            gcode.line(0, program.hardware.letters, start, seconds),
+            gcode.line(0, trajectory.hardware.letters, start, seconds),
             "M0",
-            *gcode.lines(program.hardware.letters, start, commands.positions, commands.time),
+            *gcode.lines(trajectory.hardware.letters, start, commands.positions, commands.time),
             "G94",
             "M2",
             "",
@@ -48,13 +52,13 @@ def gcode_text(program: Program, title: str) -> str:
     )
 
 
-def approach_time(program: Program) -> float:
+def approach_time(trajectory: Trajectory) -> float:
     """Seconds that are enough to come from any place in the axes' ranges, at hardware.approach of their speeds.
 
     As time, and not as a feed, this holds however a controller counts degrees beside millimetres.
     """
-    robot, hardware = program.robot, program.hardware
-    start = program.positions(np.zeros(1))[0]
+    robot, hardware = trajectory.robot, trajectory.hardware
+    start = trajectory.positions(0.0)
     away = [
         max(abs(position - end) for end in axis.range) for axis, position in zip(hardware.axes, start, strict=True)
     ]

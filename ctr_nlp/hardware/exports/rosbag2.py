@@ -1,4 +1,4 @@
-"""A program as a ROS 2 bag: one trajectory for a joint_trajectory_controller, and its joint states over time."""
+"""A trajectory as a ROS 2 bag: the message for a joint_trajectory_controller, and joint states over time."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scipy.interpolate import BPoly, CubicHermiteSpline
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.hardware.motion.lookahead import LONGEST
-from ctr_nlp.hardware.motion.program import Program
+from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.support.extras import needed
 from ctr_nlp.typing import Array
 
@@ -23,96 +23,86 @@ VERSION = 8
 """Of the bag's format: the last whose metadata Humble can read too."""
 
 TOLERANCE = 0.005
-"""mm, with angles counted as in the motion term: what interpolation between points may be off the program."""
+"""mm, with angles counted as in the motion term: what interpolation between points may be off the trajectory."""
 
 BETWEEN = np.linspace(0.0, 1.0, 9)[1:-1]
 
 
-def write_bag(program: Program, title: str, folder: Path, storage: str = "mcap") -> None:
+def write_bag(trajectory: Trajectory, title: str, folder: Path, storage: str = "mcap") -> None:
     """Make a bag, a folder that does not exist yet; raises OptionError.
 
-    The trajectory has the points of points(), the states come with the program's commands. Positions are joints,
-    rad and metres, not positions of axes: sign, zero and backlash are the driver's. Tilts are in it where the
-    hardware has an arm. Times count from the start of the motion, in stamps as in the bag.
+    The message has the points of points(), the states come with the commands. Positions are joints, rad and
+    metres, not positions of axes: sign, zero and backlash are the driver's. Tilts are in it where the hardware has
+    an arm. Times count from the start of the motion, in stamps as in the bag.
     """
     if storage not in STORAGES:
         raise OptionError(f"storage is {storage!r}; it must be {' or '.join(STORAGES)}")
     bags, typesys = needed("rosbags.rosbag2"), needed("rosbags.typesys")
     store = typesys.get_typestore(typesys.Stores.LATEST)
-    joints, scale = _joints(program)
-    n = len(joints)
-    make = store.types
-
-    def stamp(kind: str, time: float) -> Any:
-        seconds, rest = divmod(round(time * 1e9), 10**9)
-        return make[f"builtin_interfaces/msg/{kind}"](sec=seconds, nanosec=rest)
-
-    def header(time: float) -> Any:
-        return make["std_msgs/msg/Header"](stamp=stamp("Time", time), frame_id="")
-
-    nothing = np.zeros(0)
-    trajectory = make["trajectory_msgs/msg/JointTrajectory"](
-        header=header(0.0),
-        joint_names=joints,
-        points=[
-            make["trajectory_msgs/msg/JointTrajectoryPoint"](
-                positions=scale * q[:n],
-                velocities=scale * velocity[:n],
-                accelerations=scale * acceleration[:n],
-                effort=nothing,
-                time_from_start=stamp("Duration", time),
-            )
-            for time, q, velocity, acceleration in zip(*points(program), strict=True)
-        ],
-    )
     with bags.Writer(folder, version=VERSION, storage_plugin=bags.StoragePlugin[storage.upper()]) as bag:
-        bag.set_custom_data("ctr_nlp.plan.plan", title)
-        bag.set_custom_data("ctr_nlp.digest", program.digests.plan)
-
-        def topic(name: str, kind: str) -> Any:
-            connection = bag.add_connection(name, kind, typestore=store)
-            return lambda time, message: bag.write(
-                connection, round(time * 1e9), store.serialize_cdr(message, kind)
-            )
-
-        topic(TRAJECTORY, "trajectory_msgs/msg/JointTrajectory")(0.0, trajectory)
-        state = topic(STATES, "sensor_msgs/msg/JointState")
-        times = np.append(0.0, program.commands().time)
-        for time, q, velocity in zip(times, *program.at(times)[:2], strict=True):
-            state(
-                time,
-                make["sensor_msgs/msg/JointState"](
-                    header=header(time),
-                    name=joints,
-                    position=scale * q[:n],
-                    velocity=scale * velocity[:n],
-                    effort=nothing,
-                ),
-            )
+        bag.set_custom_data("ctr_nlp.plan", title)
+        bag.set_custom_data("ctr_nlp.digest", trajectory.digests.plan)
+        for topic, messages in (
+            (TRAJECTORY, [(0.0, _trajectory_message(store.types, trajectory))]),
+            (STATES, _states(store.types, trajectory)),
+        ):
+            kind = messages[0][1].__msgtype__
+            connection = bag.add_connection(topic, kind, typestore=store)
+            for time, message in messages:
+                bag.write(connection, round(time * 1e9), store.serialize_cdr(message, kind))
 
 
-def points(program: Program) -> tuple[Array, Array, Array, Array]:
+def _trajectory_message(make: Any, trajectory: Trajectory) -> Any:
+    """The message; make: types of messages by name."""
+    joints, scale = _joints(trajectory)
+    listed = []
+    for time, *parts in zip(*points(trajectory), strict=True):
+        moving = scale * np.stack(parts)[:, : len(joints)]
+        since = _stamp(make, "Duration", time)
+        listed.append(make["trajectory_msgs/msg/JointTrajectoryPoint"](*moving, np.zeros(0), since))
+    header = make["std_msgs/msg/Header"](stamp=_stamp(make, "Time", 0.0), frame_id="")
+    return make["trajectory_msgs/msg/JointTrajectory"](header=header, joint_names=joints, points=listed)
+
+
+def _states(make: Any, trajectory: Trajectory) -> list[tuple[float, Any]]:
+    """Joint states and their times in s, at the start and at the end of every command."""
+    joints, scale = _joints(trajectory)
+    times, found = np.append(0.0, trajectory.commands().time), []
+    for time, *parts in zip(times, *trajectory.at(times)[:2], strict=True):
+        position, velocity = scale * np.stack(parts)[:, : len(joints)]
+        header = make["std_msgs/msg/Header"](stamp=_stamp(make, "Time", time), frame_id="")
+        state = make["sensor_msgs/msg/JointState"](header, joints, position, velocity, effort=np.zeros(0))
+        found.append((float(time), state))
+    return found
+
+
+def _stamp(make: Any, kind: str, time: float) -> Any:
+    seconds, rest = divmod(round(time * 1e9), 10**9)
+    return make[f"builtin_interfaces/msg/{kind}"](sec=seconds, nanosec=rest)
+
+
+def points(trajectory: Trajectory) -> tuple[Array, Array, Array, Array]:
     """Times (N,), q, velocities and accelerations (N, 2d + 2), in s, rad, mm, with frames among them.
 
     So dense that both cubic and quintic interpolation, what a controller does with velocities, and with
-    accelerations as well, stay within TOLERANCE of the program.
+    accelerations as well, stay within TOLERANCE of the trajectory.
     """
     longest = float("inf")
     while True:
-        time = np.append(0.0, program.commands(longest).time)
-        q, velocity, acceleration = program.at(time)
+        time = np.append(0.0, trajectory.commands(longest).time)
+        q, velocity, acceleration = trajectory.at(time)
         curves = (
             CubicHermiteSpline(time, q, velocity),
             BPoly.from_derivatives(time, np.stack([q, velocity, acceleration], axis=1)),
         )
         places = (time[:-1, None] + np.diff(time)[:, None] * BETWEEN).ravel()
-        true = program.at(places)[0]
-        if max(abs((curve(places) - true) * program.robot.mm_per_unit).max() for curve in curves) <= TOLERANCE:
+        true = trajectory.at(places)[0]
+        if max(abs((curve(places) - true) * trajectory.robot.mm_per_unit).max() for curve in curves) <= TOLERANCE:
             return time, q, velocity, acceleration
         longest = min(LONGEST, longest / 2)
 
 
-def _joints(program: Program) -> tuple[list[str], Array]:
+def _joints(trajectory: Trajectory) -> tuple[list[str], Array]:
     """Names (n,) of the joints that the hardware moves, and what a ROS unit is per one of ours."""
-    names = list(program.robot.axes[: None if program.hardware.arm is not None else -2])
+    names = list(trajectory.robot.axes[: None if trajectory.hardware.arm is not None else -2])
     return names, np.array([1e-3 if name.startswith("beta") else 1.0 for name in names])

@@ -1,4 +1,4 @@
-"""A program as a table for spreadsheets and scripts: a row for where it starts, and one for every command."""
+"""A trajectory as a table for spreadsheets and scripts: a row for where it starts, and one for every command."""
 
 from __future__ import annotations
 
@@ -7,25 +7,25 @@ import io
 
 import numpy as np
 
-from ctr_nlp.hardware.motion.program import Program
+from ctr_nlp.hardware.motion.trajectory import Trajectory
 
 DECIMALS = 9
 
 
-def csv_text(program: Program) -> str:
+def csv_text(trajectory: Trajectory) -> str:
     """The table, comma-separated, with names and units in its first row.
 
-    time_s; frame: the one on the way to which a row lies; at_frame: 1 where it is reached. Then joints, as in
+    time_s; frame: the next one to be reached in a row; at_frame: 1 where it is reached. Then joints, as in
     alpha_1_rad, beta_1_mm, theta_x_rad, and positions of axes, backlash included, as in X_mm, A_deg.
     """
-    commands, start = program.commands(), np.zeros(1)
-    frame = np.append(program.frames[0], commands.frame)
-    joints = [f"{name}_{'mm' if name.startswith('beta') else 'rad'}" for name in program.robot.axes]
-    axes = [f"{axis.letter}_{axis.unit}" for axis in program.hardware.axes]
+    commands, start = trajectory.commands(), np.zeros(1)
+    frame = np.append(trajectory.frames[0], commands.frame)
+    joints = [f"{name}_{'mm' if name.startswith('beta') else 'rad'}" for name in trajectory.robot.axes]
+    axes = [f"{axis.letter}_{axis.unit}" for axis in trajectory.hardware.axes]
     values = np.hstack(
         [
-            np.vstack([program.at(start)[0], commands.q]),
-            np.vstack([program.positions(start), commands.positions]),
+            np.vstack([trajectory.at(start)[0], commands.q]),
+            np.vstack([trajectory.positions(start), commands.positions]),
         ]
     )
     file = io.StringIO()

@@ -42,18 +42,7 @@ def write_urscript(
 
     Raises OptionError, and HardwareError for times and joints that cannot be played.
     """
-    for option, value, low, high in (
-        ("period", period, CYCLE, 0.1),
-        ("lookahead_time", lookahead_time, 0.03, 0.2),
-        ("gain", gain, 100.0, 2000.0),
-        ("approach_speed", approach_speed, 0.01, 1.0),
-    ):
-        if not low <= value <= high:
-            raise OptionError(f"{option} is {value!r}; it must lie in [{low:g}, {high:g}]")
-    if abs(period / CYCLE - round(period / CYCLE)) > 1e-9:
-        raise OptionError(f"period is {period:g} s; it must be a multiple of {CYCLE:g} s, the controller's cycle")
-    if not (name.isascii() and name.isidentifier()):
-        raise OptionError(f"name is {name!r}; it must be letters, digits and underscores")
+    _check_options(period, lookahead_time, gain, approach_speed, name)
     samples = _samples(time, joints, period)
     first, last = _listed(samples[0]), _listed(samples[-1])
     how = f"t={period:g}, lookahead_time={lookahead_time:g}, gain={gain:g}"
@@ -72,6 +61,21 @@ def write_urscript(
         "end",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _check_options(period: float, lookahead_time: float, gain: float, approach_speed: float, name: str) -> None:
+    for option, value, low, high in (
+        ("period", period, CYCLE, 0.1),
+        ("lookahead_time", lookahead_time, 0.03, 0.2),
+        ("gain", gain, 100.0, 2000.0),
+        ("approach_speed", approach_speed, 0.01, 1.0),
+    ):
+        if not low <= value <= high:
+            raise OptionError(f"{option} is {value!r}; it must lie in [{low:g}, {high:g}]")
+    if abs(period / CYCLE - round(period / CYCLE)) > 1e-9:
+        raise OptionError(f"period is {period:g} s; it must be a multiple of {CYCLE:g} s, the controller's cycle")
+    if not (name.isascii() and name.isidentifier()):
+        raise OptionError(f"name is {name!r}; it must be letters, digits and underscores")
 
 
 def _samples(time: Any, joints: Any, period: float) -> Any:

@@ -1,1 +1,1 @@
-"""Plans as timed motions of axes. Knows no device."""
+"""Plans as trajectories of axes. Knows no device."""

@@ -42,7 +42,7 @@ class LinkTiming(NamedTuple):
 
     @property
     def delay(self) -> float:
-        """Seconds of motion in hand that are of no use for braking: done but not told, or still on the way."""
+        """Seconds of motion in hand that are of no use for braking: done but not told, or still under way."""
         return PREPARED + LONGEST + POLL + 1.5 * self.round_trip
 
 

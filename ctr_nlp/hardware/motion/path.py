@@ -1,4 +1,4 @@
-"""The way between frames: a smooth curve through all of them that keeps what the frames keep."""
+"""The path between frames: a smooth curve through all of them that keeps what the frames keep."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from ctr_nlp.exceptions import ProgramError
+from ctr_nlp.exceptions import TrajectoryError
 from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array
 
@@ -26,7 +26,7 @@ def path_through(robot: Robot, time: Array, q: Array) -> CubicHermiteSpline:
 
     It has the least integral of |W q''|^2 among those whose joints, and whose distances between neighbouring
     tubes, go steadily from each frame to the next (slopes in the box of de Boor and Swartz, 1977). Where frames
-    keep positions, order and carriage gaps, so does all of it. Raises ProgramError.
+    keep positions, order and carriage gaps, so does all of it. Raises TrajectoryError.
     """
     step, n = np.diff(time), q.shape[1]
     chord = np.diff(q * robot.mm_per_unit, axis=0) / step[:, None]
@@ -49,7 +49,7 @@ def path_through(robot: Robot, time: Array, q: Array) -> CubicHermiteSpline:
         ubg=upper[:, n:].ravel(),
     )
     if not solve.stats()["success"]:
-        raise ProgramError(f"no smooth way leads through these frames: {solve.stats()['return_status']}")
+        raise TrajectoryError(f"no smooth path leads through these frames: {solve.stats()['return_status']}")
     slopes = np.array(found["x"]).reshape(q.shape) * fastest / robot.mm_per_unit
     return CubicHermiteSpline(time, q, slopes)
 
@@ -73,7 +73,7 @@ def _steady(chord: Array) -> tuple[Array, Array]:
 def made_up(time: Array, positions: Array, backlash: Array, before: Array) -> CubicHermiteSpline:
     """What is added to positions (T, m) at times (T,) so that play in the drives does not show; the same unit.
 
-    An axis on its way down is put lower by its backlash (m,); on reversal that comes and goes smoothly until the
+    An axis that goes down is put lower by its backlash (m,); on reversal that comes and goes smoothly until the
     next frame. before (m,): what is added at the first. A hundredth of the play back is not a reversal.
     """
     added = np.empty_like(positions)

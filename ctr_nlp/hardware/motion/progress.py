@@ -1,4 +1,4 @@
-"""Where on its way a device is: the straight pieces that it was given, and the place on them nearest to it."""
+"""Where on its path a device is: the straight pieces that it was given, and the place on them nearest to it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ctr_nlp.hardware.motion.program import Commands
+from ctr_nlp.hardware.motion.trajectory import Commands
 from ctr_nlp.typing import Array
 
 AT = 0.02
@@ -14,7 +14,7 @@ AT = 0.02
 
 
 class Place(NamedTuple):
-    """A place on a way: the time (s) at which it is passed, how many pieces lie behind, and the distance to it.
+    """A place on a path: the time (s) at which it is passed, how many pieces lie behind, and the distance to it.
 
     until: when it is left, where it is rested at. away: of the axis furthest off, in parts of its tolerance.
     """
@@ -25,7 +25,7 @@ class Place(NamedTuple):
     away: float
 
 
-class Way:
+class FollowedPath:
     """From a position (m,) along commands; tolerance (m,): of the axes."""
 
     def __init__(self, start: Array, commands: Commands, tolerance: Array) -> None:
@@ -36,11 +36,11 @@ class Way:
     def nearest(self, position: Array, first: int, last: int) -> Place:
         """The place on pieces first to last - 1, from 0, nearest to a position (m,); the earliest of equals."""
         last = max(last, first + 1)
-        start, way = self.points[first:last], np.diff(self.points[first : last + 1], axis=0) * self._scale
+        start, piece = self.points[first:last], np.diff(self.points[first : last + 1], axis=0) * self._scale
         gone = (position - start) * self._scale
-        length = (way**2).sum(axis=1)
-        part = np.clip((way * gone).sum(axis=1) / np.where(length > 0, length, 1.0), 0.0, 1.0)
-        away = abs(gone - part[:, None] * way).max(axis=1)
+        length = (piece**2).sum(axis=1)
+        part = np.clip((piece * gone).sum(axis=1) / np.where(length > 0, length, 1.0), 0.0, 1.0)
+        away = abs(gone - part[:, None] * piece).max(axis=1)
         best = int((away > away.min() + 1e-9).argmin())
         k = first + best
         time = float(self.ends[k] + part[best] * (self.ends[k + 1] - self.ends[k]))

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.exceptions import ProgramError
+from ctr_nlp.exceptions import TrajectoryError
 from ctr_nlp.support.extras import needed
 from ctr_nlp.typing import Array
 
@@ -18,7 +18,7 @@ Path = Any
 """(s, order) -> (.., n): a path's points, or derivatives of that order, at parameters s (..,)."""
 
 CELLS = 6
-"""Into how many cells toppra's grid divides the way between frames."""
+"""Into how many cells toppra's grid divides the path between frames."""
 
 SIDES = 1e-3, 1e-2, 0.1
 """Parts of a cell: limits hold on both sides of a frame, where accelerations may jump."""
@@ -79,16 +79,16 @@ class Motion:
         total = pace + self.pace[k]
         return np.asarray(self.time[k] + np.where(total > 0, 2.0 * ahead / np.where(total > 0, total, 1.0), 0.0))
 
-    def at(self, time: Array) -> tuple[Array, Array, Array]:
-        """Positions, velocities and accelerations (N, n) at times (N,)."""
+    def at(self, time: Any) -> tuple[Array, Array, Array]:
+        """Positions, velocities and accelerations (.., n) at a time (..,)."""
         s = self.parameter(time)
         k = np.clip(np.searchsorted(self.s, s, "right") - 1, 0, len(self.change) - 1)
-        squared = np.maximum(self.pace[k] ** 2 + 2.0 * self.change[k] * (s - self.s[k]), 0.0)[:, None]
+        squared = np.maximum(self.pace[k] ** 2 + 2.0 * self.change[k] * (s - self.s[k]), 0.0)[..., None]
         tangent = self.path(s, 1)
         return (
             self.path(s),
             tangent * np.sqrt(squared),
-            self.path(s, 2) * squared + tangent * self.change[k][:, None],
+            self.path(s, 2) * squared + tangent * self.change[k][..., None],
         )
 
 
@@ -97,7 +97,7 @@ def timed(path: Path, driven: Path, knots: Array, speed: Array, acceleration: Ar
 
     driven: the path that drives take, whose speed and acceleration (n,) are limited. knots: (T,) ascending
     parameters between which both are smooth. The pace is a further joint of toppra's, whose speed is limited to
-    tempo. Raises ProgramError.
+    tempo. Raises TrajectoryError.
     """
     unit = _unit(abs(driven(knots, 1)).max(axis=0), speed, acceleration * (knots[-1] - knots[0]))
     for side, coarser in itertools.product(SIDES, COARSER):
@@ -106,7 +106,7 @@ def timed(path: Path, driven: Path, knots: Array, speed: Array, acceleration: Ar
         if pace is not None:
             excess = _excess(Motion(driven, grid, pace), speed, acceleration)
             return Motion(path, grid, pace / max(1.0, excess))
-    raise ProgramError("no timing of this motion keeps the hardware's speeds and accelerations")
+    raise TrajectoryError("no timing of this motion keeps the hardware's speeds and accelerations")
 
 
 def _fastest(

@@ -1,1 +1,1 @@
-"""A timed motion played on a device: supervision, results, what is trusted, how one goes on or back."""
+"""A trajectory played on a device: supervised, resumed, taken back, trusted. Knows no kind of device."""

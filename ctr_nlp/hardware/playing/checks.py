@@ -1,17 +1,18 @@
-"""What must be true of a plan and of its timed program before anything moves; complaints name frame and axis."""
+"""What must be true of a plan and of its trajectory before anything moves; complaints name frame and axis."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.exceptions import HardwareError, ProgramError, RobotError
+from ctr_nlp.exceptions import HardwareError, RobotError, TrajectoryError
 from ctr_nlp.hardware.arm.checks import check_joints
 from ctr_nlp.hardware.arm.inverse import joints
-from ctr_nlp.hardware.motion.program import Program
+from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.models import MODELS, Snap
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
@@ -20,7 +21,7 @@ from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
 
 SAMPLES = 10
-"""Places at which a program is checked on the way from frame to frame."""
+"""Places at which a trajectory is checked from frame to frame."""
 
 SLACK = 1e-6
 """By how much limits may be exceeded, in rad, mm and parts of a speed."""
@@ -42,22 +43,24 @@ class Checked(NamedTuple):
 
 
 def check_plan(plan: Plan, robot: Robot) -> None:
-    """Raise ProgramError unless a plan is whole, keeps this robot's limits and is as it was made."""
+    """Raise TrajectoryError unless a plan is whole, keeps this robot's limits and is as it was made."""
     _check_arrays(plan)
     unsolved = np.flatnonzero(plan.success == 0)
     if unsolved.size:
         why = plan.meta.get("failures", {}).get(str(unsolved[0] + 1), "")
-        raise ProgramError(
+        raise TrajectoryError(
             f"frame {unsolved[0] + 1}: the plan has no solution there, so that it is not played"
             + f" ({why})" * bool(why)
         )
     for name in ("time", "alpha", "beta", "theta"):
         bad = np.flatnonzero(~np.isfinite(getattr(plan, name).reshape(len(plan.time), -1)).all(axis=1))
         if bad.size:
-            raise ProgramError(f"frame {bad[0] + 1}: {name} is {getattr(plan, name)[bad[0]]}; it must be finite")
+            raise TrajectoryError(
+                f"frame {bad[0] + 1}: {name} is {getattr(plan, name)[bad[0]]}; it must be finite"
+            )
     if not (np.diff(plan.time) > 0).all():
         late = int(np.flatnonzero(np.diff(plan.time) <= 0)[0])
-        raise ProgramError(f"frame {late + 2}: time is {plan.time[late + 1]:g} s, not after the frame before")
+        raise TrajectoryError(f"frame {late + 2}: time is {plan.time[late + 1]:g} s, not after the frame before")
     for j, q in enumerate(plan.q, start=1):
         _check_limits(robot, q, f"frame {j}")
     _check_steps(plan)
@@ -68,27 +71,29 @@ def _check_arrays(plan: Plan) -> None:
     """A motion has frames, and everything is known of all of them."""
     frames, d = plan.time.size, plan.robot.d
     if frames < 2:
-        raise ProgramError(f"a plan of {frames} frames is no motion; give at least two")
+        raise TrajectoryError(f"a plan of {frames} frames is no motion; give at least two")
     sizes = {"time": (), "success": (), "alpha": (d,), "beta": (d,), "theta": (2,), "shape": (len(SIGMA), 3)}
     for name, size in sizes.items():
         found, wanted = getattr(plan, name).shape, (frames, *size)
         if found != wanted:
-            raise ProgramError(f"{name} of the plan has shape {found}; it must be {wanted}")
+            raise TrajectoryError(f"{name} of the plan has shape {found}; it must be {wanted}")
 
 
 def _check_limits(robot: Robot, q: Array, name: str) -> None:
     try:
         robot.check(q, name)
-    except RobotError as error:
-        level = "theta" in str(error) and not (robot.lower[-2:].any() or robot.upper[-2:].any())
+    except RobotError as exception:
+        level = "theta" in str(exception) and not (robot.lower[-2:].any() or robot.upper[-2:].any())
         hint = "; it has no arm that tilts: plan with --lock-tilt" if level else ""
-        raise ProgramError(f"{error} on this hardware{hint}") from error
+        raise TrajectoryError(f"{exception} on this hardware{hint}") from exception
 
 
 def _check_snaps(snaps: Sequence[Snap], frame: npt.NDArray[Any]) -> None:
-    """Frame (T,): on the way to which the places lie that were followed."""
+    """Frame (T,): the next one at each place that was followed."""
     for snap in snaps:
-        raise ProgramError(f"frame {frame[snap.frame - 1]}: the robot would snap on the way, tubes {snap.tubes}")
+        raise TrajectoryError(
+            f"frame {frame[snap.frame - 1]}: the robot would snap on the path, tubes {snap.tubes}"
+        )
 
 
 def _check_steps(plan: Plan) -> None:
@@ -97,79 +102,82 @@ def _check_steps(plan: Plan) -> None:
     excess = abs(np.diff(plan.q, axis=0)) / np.diff(plan.time)[:, None] / made.speed
     j, i = np.unravel_index(excess.argmax(), excess.shape)
     if excess[j, i] > 1 + 1e-4:
-        raise ProgramError(
+        raise TrajectoryError(
             f"frame {j + 2}: {made.axes[i]} steps by {plan.q[j + 1, i] - plan.q[j, i]:.4g} from the frame before, "
             f"{excess[j, i]:.3g} times what the plan's own robot may ({made.speed[i]:g}/s)"
         )
 
 
 def _check_shapes(plan: Plan) -> None:
-    """Shapes belong to configurations; on the elastic model where the motion leads to them."""
+    """Shapes are those that the motion leads to on the model that the plan is evaluated on."""
     moved = simulated(plan.robot, plan.q, plan.evaluated)
     _check_snaps(moved.snaps, np.arange(1, len(plan.time) + 1))
     away = np.nan_to_num(np.linalg.norm(moved.shape - plan.shape, axis=-1).max(axis=1), nan=np.inf)
     if away.max() > SAME_SHAPE:
         j = int(away.argmax())
-        raise ProgramError(
+        raise TrajectoryError(
             f"frame {j + 1}: the plan's shape is {away[j]:.3g} mm from that of its configuration; it must be "
             f"within {SAME_SHAPE} mm: the file was changed after planning"
         )
 
 
-def checked(program: Program, elastic: bool = False) -> Checked:
-    """What a program uses of its hardware; raises ProgramError where that is more than all of it.
+def checked(trajectory: Trajectory, model: str | None = None) -> Checked:
+    """What a trajectory uses of its hardware; raises TrajectoryError where that is more than all of it.
 
-    elastic: whether it must be stable on the elastic model, all along its way.
+    model: on which it must be stable all along its path, where a robot can snap on it; None for no model.
     """
-    ends = program.frame_time
+    ends = trajectory.frame_time
     time = np.append(np.linspace(ends[:-1], ends[1:], SAMPLES, endpoint=False).T.ravel(), ends[-1])
-    frame = np.append(np.repeat(program.frames[1:], SAMPLES), program.frames[-1])
-    q, velocity, acceleration = program.at(time)
+    frame = np.append(np.repeat(trajectory.frames[1:], SAMPLES), trajectory.frames[-1])
+    q, velocity, acceleration = trajectory.at(time)
     for j, place in zip(frame, q, strict=True):
-        _check_limits(program.robot, place, f"the way to frame {j}")
-    _check_ranges(program, time, frame)
+        _check_limits(trajectory.robot, place, f"the path to frame {j}")
+    _check_ranges(trajectory, time, frame)
     used = [
-        _most(name, abs(rate) / limit, program, frame)
+        _most(name, abs(rate) / limit, trajectory, frame)
         for name, rate, limit in (
-            ("speed", velocity, program.robot.speed),
-            ("acceleration", acceleration, program.robot.acceleration),
+            ("speed", velocity, trajectory.robot.speed),
+            ("acceleration", acceleration, trajectory.robot.acceleration),
         )
     ]
-    if program.hardware.arm is not None:
+    if trajectory.hardware.arm is not None:
         try:
-            check_joints(program.hardware.arm, time, joints(program.hardware.arm, q[:, -2:]))
-        except HardwareError as error:
-            raise ProgramError(f"the tilt, at {SAMPLES} places a frame: {error}") from error
-    late = program.duration - float(program.knots[-1] - program.knots[0])
-    return Checked(used[0], used[1], late, _least_margin(program, frame, q) if elastic else float("nan"))
+            check_joints(trajectory.hardware.arm, time, joints(trajectory.hardware.arm, q[:, -2:]))
+        except HardwareError as exception:
+            raise TrajectoryError(f"the tilt, at {SAMPLES} places a frame: {exception}") from exception
+    late = trajectory.duration - float(trajectory.knots[-1] - trajectory.knots[0])
+    margin = math.nan
+    if model is not None and MODELS[model].can_snap:
+        margin = _least_margin(trajectory, model, frame, q)
+    return Checked(used[0], used[1], late, margin)
 
 
-def _check_ranges(program: Program, time: Array, frame: Array) -> None:
-    positions = program.positions(time)
-    for k, axis in enumerate(program.hardware.axes):
+def _check_ranges(trajectory: Trajectory, time: Array, frame: Array) -> None:
+    positions = trajectory.positions(time)
+    for k, axis in enumerate(trajectory.hardware.axes):
         lower, upper = axis.range
         out = np.flatnonzero((positions[:, k] < lower - SLACK) | (positions[:, k] > upper + SLACK))
         if out.size:
-            raise ProgramError(
+            raise TrajectoryError(
                 f"frame {frame[out[0]]}: axis {axis.letter} ({axis.joint}) would go to {positions[out[0], k]:.4g} "
                 f"{axis.unit}, backlash included; it must stay in [{lower:g}, {upper:g}]"
             )
 
 
-def _most(name: str, used: Array, program: Program, frame: Array) -> float:
+def _most(name: str, used: Array, trajectory: Trajectory, frame: Array) -> float:
     j, i = np.unravel_index(used.argmax(), used.shape)
     if not used[j, i] <= 1 + SLACK:
-        raise ProgramError(
-            f"frame {frame[j]}: {name} of {program.robot.axes[i]} would be {used[j, i]:.3g} times the largest"
+        raise TrajectoryError(
+            f"frame {frame[j]}: {name} of {trajectory.robot.axes[i]} would be {used[j, i]:.3g} times the largest"
         )
     return float(used[j, i])
 
 
-def _least_margin(program: Program, frame: Array, q: Array) -> float:
+def _least_margin(trajectory: Trajectory, model: str, frame: Array, q: Array) -> float:
     """The least margin of the robot moved through q, which must be stable everywhere."""
-    found = MODELS["elastic"].follow(program.robot, q, substeps=1)
+    found = MODELS[model].follow(trajectory.robot, q, substeps=1)
     _check_snaps(found.snaps, frame)
     least = np.nan_to_num(found.stability_between, nan=-np.inf)
     if not least.min() > 0:
-        raise ProgramError(f"frame {frame[least.argmin()]}: on the way the robot would be unstable")
+        raise TrajectoryError(f"frame {frame[least.argmin()]}: the robot would be unstable on the path there")
     return float(least.min())

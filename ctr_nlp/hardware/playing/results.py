@@ -1,10 +1,12 @@
-"""How playing ends, typed as the ROS 2 trajectory controllers type it, and the states on the way there."""
+"""How playing ends, typed as the ROS 2 trajectory controllers type it, and the states that lead there."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
+from ctr_nlp.hardware.devices import Standing
 from ctr_nlp.typing import Array
 
 
@@ -28,6 +30,14 @@ class Outcome(Enum):
     GOAL_TOLERANCE_VIOLATED = "goal tolerance violated"
     CANCELLED = "cancelled"
     DEVICE_FAULT = "device fault"
+
+
+class Ending(NamedTuple):
+    """How a motion ends, and a sentence why; standing: None where the device still has to be stopped."""
+
+    outcome: Outcome
+    message: str
+    standing: Standing | None = None
 
 
 @dataclass(frozen=True)

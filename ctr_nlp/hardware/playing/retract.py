@@ -1,4 +1,4 @@
-"""Pulling the tubes back after a stop: along the way they came, or innermost first where nobody knows that way."""
+"""Pulling the tubes back after a stop: along the path they came, or innermost first where nobody knows it."""
 
 from __future__ import annotations
 
@@ -7,19 +7,29 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from ctr_nlp.exceptions import ProgramError, Stopped
+from ctr_nlp.exceptions import TrajectoryError
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices import Standing
-from ctr_nlp.hardware.motion.program import Digests, Program, along, digests, slowed, through
+from ctr_nlp.hardware.motion.trajectory import Trajectory, along, digests, slowed, through
 from ctr_nlp.hardware.playing.checks import checked
-from ctr_nlp.hardware.playing.player import Player, Seen
+from ctr_nlp.hardware.playing.playback import Seen
+from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.results import Outcome, Result
-from ctr_nlp.hardware.playing.session import RETRACTED, announced, as_told, check_trusted, place, ready, session_of
+from ctr_nlp.hardware.playing.session import (
+    RETRACTED,
+    announced,
+    as_told,
+    check_trusted,
+    or_stopped,
+    place,
+    ready,
+    session_of,
+)
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array
 
 
+@or_stopped
 def retract(
     player: Player,
     plan: Plan,
@@ -33,41 +43,38 @@ def retract(
 
     records: of the journal of the session that brought them where they are, None where there is none. A device
     that still moves is stopped first. verified: a person has made sure that the axes are where the device says.
-    Raises ProgramError where the robot does not stand on that way, or the way back does not pass its check.
+    Raises TrajectoryError where the robot does not stand on that path, or the return does not pass its check.
     """
     if records is not None:
         check_trusted(records, verified)
     session = "" if records is None else session_of(records)
-    try:
-        standing = ready(player, verified=verified, stop_first=True, session=session)
-    except Stopped as stop:
-        return stop.result
+    standing = ready(player, verified=verified, stop_first=True, session=session)
     if records is None:
-        ways = [innermost_first(plan, hardware, standing.position, player.tilt())]
+        returns = [innermost_first(plan, hardware, standing.position, player.tilt())]
     else:
-        ways = way_back(plan, hardware, records, standing, player.device.resolution)
-    for way in ways:
-        checked(way, plan.elastic)
-    player.journal.record(RETRACTED, ways=len(ways))
-    for way in ways:
-        result = player.play(way, seen)
+        returns = return_path(plan, hardware, records, standing, player.device.resolution)
+    for part in returns:
+        checked(part, plan.evaluated)
+    player.journal.record(RETRACTED, ways=len(returns))
+    for part in returns:
+        result = player.play(part, seen)
         if result.outcome is not Outcome.SUCCESS:
             break
     return result
 
 
-def way_back(
+def return_path(
     plan: Plan, hardware: Hardware, records: list[dict[str, Any]], standing: Standing, resolution: Array
-) -> list[Program]:
-    """The way that a session came, backwards: to its first frame, then to where the axes stood before it."""
+) -> list[Trajectory]:
+    """The path of a session, backwards: to its first frame, then to where the axes stood before it."""
     told = announced(records)
-    program = as_told(plan, hardware, told)
-    home, first = np.array(told["standing"]), program.positions(np.zeros(1))[0]
-    theta = program.motion.path(program.knots[0])[-2:]
+    trajectory = as_told(plan, hardware, told)
+    home, first = np.array(told["standing"]), trajectory.positions(0.0)
+    theta = trajectory.motion.path(trajectory.knots[0])[-2:]
     if _between(home, first, standing.position, hardware.tolerance):
-        return [_straight(program, standing.position, home, theta)]
-    s = place(program, standing, resolution, int(program.frames[0]))
-    return [_backwards(program, s), _straight(program, first, home, theta)]
+        return [_straight(trajectory, standing.position, home, theta)]
+    s = place(trajectory, standing, resolution, int(trajectory.frames[0]))
+    return [_backwards(trajectory, s), _straight(trajectory, first, home, theta)]
 
 
 def _between(start: Array, end: Array, position: Array, tolerance: Array) -> bool:
@@ -77,31 +84,32 @@ def _between(start: Array, end: Array, position: Array, tolerance: Array) -> boo
     return bool(abs(gone - part * line).max() <= 1.0)
 
 
-def _backwards(program: Program, s: float) -> Program:
-    """A program from its parameter s back to its first frame, on the same path."""
-    knots = np.append(program.knots[program.knots < s], s)
+def _backwards(trajectory: Trajectory, s: float) -> Trajectory:
+    """A trajectory from its parameter s back to its first frame, on the same path."""
+    knots = np.append(trajectory.knots[trajectory.knots < s], s)
 
     def reversed_in_time(curve: CubicHermiteSpline) -> CubicHermiteSpline:
         return CubicHermiteSpline(s - knots[::-1], curve(knots)[::-1], -curve(knots, 1)[::-1])
 
-    path, lash = reversed_in_time(program.motion.path), reversed_in_time(program.lash)
-    robot = slowed(program.robot, program.hardware.approach)
-    return along(robot, program.hardware, path, lash, s - knots[::-1], np.arange(len(knots)), program.digests, 1.0)
+    path, lash = reversed_in_time(trajectory.motion.path), reversed_in_time(trajectory.lash)
+    robot = slowed(trajectory.robot, trajectory.hardware.approach)
+    return along(
+        robot, trajectory.hardware, path, lash, s - knots[::-1], np.arange(len(knots)), trajectory.digests, 1.0
+    )
 
 
-def _straight(program: Program, start: Array, end: Array, theta: Array) -> Program:
-    """The straight way from positions (m,) of the axes to others, at a tilt (2,)."""
-    robot = slowed(program.robot, program.hardware.approach)
-    q = program.hardware.joints(robot, np.stack([start, end]), theta)
-    return _through(robot, program.hardware, q, program.digests)
+def _straight(trajectory: Trajectory, start: Array, end: Array, theta: Array) -> Trajectory:
+    """The straight line from positions (m,) of the axes to others, at a tilt (2,)."""
+    q = trajectory.hardware.joints(trajectory.robot, np.stack([start, end]), theta)
+    return through(trajectory.robot, trajectory.hardware, q, trajectory.digests)
 
 
-def innermost_first(plan: Plan, hardware: Hardware, position: Array, theta: Array) -> Program:
+def innermost_first(plan: Plan, hardware: Hardware, position: Array, theta: Array) -> Trajectory:
     """From positions (m,) and a tilt (2,): the innermost tube into the next, both into the next, and all in.
 
-    Nothing is turned. Raises ProgramError where the tubes are in already.
+    Nothing is turned. Raises TrajectoryError where the tubes are in already.
     """
-    robot = slowed(hardware.tightened(plan.robot), hardware.approach)
+    robot = hardware.tightened(plan.robot)
     steps = [hardware.joints(robot, position, theta)]
     least = robot.split(robot.lower)[1]
     for length in [*robot.split(steps[0])[1][-2::-1], 0.0]:
@@ -111,10 +119,5 @@ def innermost_first(plan: Plan, hardware: Hardware, position: Array, theta: Arra
         if abs(pulled - steps[-1]).max() > 1e-6:
             steps.append(pulled)
     if len(steps) == 1:
-        raise ProgramError("all tubes are retracted already")
-    return _through(robot, hardware, np.stack(steps), digests(plan, hardware))
-
-
-def _through(robot: Robot, hardware: Hardware, q: Array, names: Digests) -> Program:
-    """The program through configurations q (K, 2d + 2), without regard to play in the drives."""
-    return through(robot, hardware, q, np.zeros((len(q), len(hardware.axes))), np.arange(len(q)), names)
+        raise TrajectoryError("all tubes are retracted already")
+    return through(robot, hardware, np.stack(steps), digests(plan, hardware))

@@ -2,42 +2,61 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, ParamSpec
 
 import numpy as np
 
-from ctr_nlp.exceptions import DeviceFault, ProgramError, Stopped
+from ctr_nlp.exceptions import DeviceFault, Stopped, TrajectoryError
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices import Standing
-from ctr_nlp.hardware.motion.program import Program, approach_to, program_of, rest_of
-from ctr_nlp.hardware.motion.progress import Way
+from ctr_nlp.hardware.motion.progress import FollowedPath
+from ctr_nlp.hardware.motion.trajectory import Trajectory, approach_to, rest_of, trajectory_of
 from ctr_nlp.hardware.playing.checks import Checked, check_plan, checked
-from ctr_nlp.hardware.playing.player import Player, Seen
+from ctr_nlp.hardware.playing.playback import Seen
+from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.results import Outcome, Result, State
 from ctr_nlp.hardware.playing.trust import REMEDY
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.typing import Array
 
+Playing = ParamSpec("Playing")
+
 RETRACTED = "retraction"
 """Kind of the journal's record of a retraction, after which no session before it can be resumed."""
 
 LEVEL = 1e-4
-"""rad by which the arm may be off where a program starts."""
+"""rad by which the arm may be off where a trajectory starts."""
 
 
 def prepared(
     plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: Array | None = None
-) -> tuple[Program, Checked]:
-    """The program of a plan, and what was found when all of it was checked.
+) -> tuple[Trajectory, Checked]:
+    """The trajectory of a plan, and what was found when all of it was checked.
 
     standing (m,): positions from which the axes come to the first frame. Raises HardwareError, OptionError,
-    ProgramError.
+    TrajectoryError.
     """
     check_plan(plan, hardware.tightened(plan.robot))
-    program = program_of(plan, hardware, tempo, standing)
-    return program, checked(program, plan.elastic)
+    trajectory = trajectory_of(plan, hardware, tempo, standing)
+    return trajectory, checked(trajectory, plan.evaluated)
 
 
+def or_stopped(play: Callable[Playing, Result]) -> Callable[Playing, Result]:
+    """The same, but that an abort while the device is being connected is a result too."""
+
+    @wraps(play)
+    def played(*arguments: Playing.args, **options: Playing.kwargs) -> Result:
+        try:
+            return play(*arguments, **options)
+        except Stopped as stop:
+            return stop.result
+
+    return played
+
+
+@or_stopped
 def begin(
     player: Player,
     plan: Plan,
@@ -51,19 +70,15 @@ def begin(
     """Play a plan from its first frame, to which the robot goes slowly and straight from where it stands.
 
     home: let the device find its position before. verified: a person has made sure that the axes are where the
-    device says. Raises the errors of prepared before anything is sent, and DeviceFault where no program could be
-    begun.
+    device says. Raises what prepared raises before anything is sent, and DeviceFault where nothing could be begun.
     """
-    program, _ = prepared(plan, hardware, tempo)
-    try:
-        standing = ready(player, home=home, verified=verified)
-    except Stopped as stop:
-        return stop.result
+    trajectory, _ = prepared(plan, hardware, tempo)
+    standing = ready(player, home=home, verified=verified)
     if hardware.backlash.any():
-        program = program_of(plan, hardware, tempo, standing.position)
-        checked(program, plan.elastic)
-    _announce(player, program, tempo, standing.position, None)
-    return _go(player, program, standing, plan.elastic, seen)
+        trajectory = trajectory_of(plan, hardware, tempo, standing.position)
+        checked(trajectory, plan.evaluated)
+    _announce(player, trajectory, tempo, standing.position, None)
+    return _go(player, trajectory, standing, plan.evaluated, seen)
 
 
 def ready(
@@ -78,6 +93,7 @@ def ready(
     return standing
 
 
+@or_stopped
 def resume(
     player: Player,
     plan: Plan,
@@ -87,35 +103,32 @@ def resume(
     verified: bool = False,
     seen: Seen | None = None,
 ) -> Result:
-    """Go on where a session (the records of its journal) ended, if the robot still stands on its way.
+    """Go on where a session (the records of its journal) ended, if the robot still stands on its path.
 
     A device that still moves is stopped first. verified: a person has made sure that the axes are where the device
-    says. Raises ProgramError where the plan or the position is another, or nothing is left.
+    says. Raises TrajectoryError where the plan or the position is another, or nothing is left.
     """
     if any(record["kind"] == RETRACTED for record in records):
-        raise ProgramError("the tubes have been retracted since that session: begin anew")
+        raise TrajectoryError("the tubes have been retracted since that session: begin anew")
     told = announced(records)
-    program = as_told(plan, hardware, told)
+    trajectory = as_told(plan, hardware, told)
     frame = last_passed(records)
     if frame < 1:
-        raise ProgramError("the journal's session did not reach its first frame: begin anew")
-    if frame == program.frames[-1]:
-        raise ProgramError(f"the journal's session reached frame {frame}, the last one: nothing is left")
+        raise TrajectoryError("the journal's session did not reach its first frame: begin anew")
+    if frame == trajectory.frames[-1]:
+        raise TrajectoryError(f"the journal's session reached frame {frame}, the last one: nothing is left")
     check_trusted(records, verified)
-    try:
-        standing = ready(player, verified=verified, stop_first=True, session=session_of(records))
-    except Stopped as stop:
-        return stop.result
-    s = place(program, standing, player.device.resolution, frame)
-    _announce(player, program, told["tempo"], told["standing"], s)
-    return _go(player, rest_of(program, s, told["tempo"]), standing, plan.elastic, seen)
+    standing = ready(player, verified=verified, stop_first=True, session=session_of(records))
+    s = place(trajectory, standing, player.device.resolution, frame)
+    _announce(player, trajectory, told["tempo"], told["standing"], s)
+    return _go(player, rest_of(trajectory, s, told["tempo"]), standing, plan.evaluated, seen)
 
 
 def announced(records: list[dict[str, Any]]) -> dict[str, Any]:
-    """What a journal tells of the program that its session played; raises ProgramError."""
+    """What a journal tells of the trajectory that its session played; raises TrajectoryError."""
     told = next((record for record in records if record["kind"] == "program"), None)
     if told is None:
-        raise ProgramError("the journal's session played no program: begin anew")
+        raise TrajectoryError("the journal's session played no trajectory: begin anew")
     return told
 
 
@@ -130,75 +143,75 @@ def session_of(records: list[dict[str, Any]]) -> str:
 
 
 def check_trusted(records: list[dict[str, Any]], verified: bool) -> None:
-    """Raise ProgramError where a session ended with a position not to be trusted, and nobody has verified it."""
+    """Raise TrajectoryError where a session left a position that is not to be trusted, and nobody verified it."""
     results = [record for record in records if record["kind"] == "result"]
     if not verified and results and not results[-1]["trusted"]:
-        raise ProgramError(f"the position was not to be trusted when the session ended: {REMEDY}")
+        raise TrajectoryError(f"the position was not to be trusted when the session ended: {REMEDY}")
 
 
-def _go(player: Player, program: Program, standing: Standing, elastic: bool, seen: Seen | None) -> Result:
-    """Play a program, after the slow way to its start where the robot is not there."""
-    start = program.positions(np.zeros(1))[0]
-    tilted = abs(player.tilt() - program.at(np.zeros(1))[0][0, -2:]).max() > LEVEL
+def _go(player: Player, trajectory: Trajectory, standing: Standing, model: str, seen: Seen | None) -> Result:
+    """Play a trajectory, after a slow approach to its start where the robot is not there."""
+    start = trajectory.positions(0.0)
+    tilted = abs(player.tilt() - trajectory.tilt(0.0)).max() > LEVEL
     if tilted or (abs(start - standing.position) > player.device.resolution).any():
-        approach = approach_to(program, standing.position, player.tilt())
-        checked(approach, elastic)
+        approach = approach_to(trajectory, standing.position, player.tilt())
+        checked(approach, model)
         result = player.play(approach, seen)
         if result.outcome is not Outcome.SUCCESS:
             return result
-    return player.play(program, seen)
+    return player.play(trajectory, seen)
 
 
-def _announce(player: Player, program: Program, tempo: float, standing: Any, s: float | None) -> None:
+def _announce(player: Player, trajectory: Trajectory, tempo: float, standing: Any, s: float | None) -> None:
     """What resume and retract need to know."""
     player.journal.record(
         "program",
-        plan=program.digests.plan,
-        hardware=program.digests.hardware,
+        plan=trajectory.digests.plan,
+        hardware=trajectory.digests.hardware,
         tempo=tempo,
         standing=np.asarray(standing).tolist(),
         parameter=s,
-        first=0 if s is None else int(program.frames[program.knots <= s][-1]),
-        last=int(program.frames[-1]),
-        duration=program.duration,
+        first=0 if s is None else int(trajectory.frames[trajectory.knots <= s][-1]),
+        last=int(trajectory.frames[-1]),
+        duration=trajectory.duration,
     )
 
 
-def as_told(plan: Plan, hardware: Hardware, told: dict[str, Any]) -> Program:
-    """The program that a record tells of, made again; raises ProgramError where plan or hardware is another."""
-    program, _ = prepared(plan, hardware, told["tempo"], np.array(told["standing"]))
-    for what, digest in zip(("plan", "hardware"), program.digests, strict=True):
+def as_told(plan: Plan, hardware: Hardware, told: dict[str, Any]) -> Trajectory:
+    """The trajectory of a record, made again; raises TrajectoryError where plan or hardware is another."""
+    trajectory, _ = prepared(plan, hardware, told["tempo"], np.array(told["standing"]))
+    for what, digest in zip(("plan", "hardware"), trajectory.digests, strict=True):
         if told.get(what) != digest:
             name = f"this {what} ({plan.meta['problem']['name']})" if what == "plan" else "this hardware file"
-            raise ProgramError(
+            raise TrajectoryError(
                 f"the journal is of another {what}: its digest is {str(told.get(what))[:12]}, that of {name} "
                 f"{digest[:12]}; the robot cannot go on with what was changed since"
             )
-    return program
+    return trajectory
 
 
-def place(program: Program, standing: Standing, resolution: Array, frame: int) -> float:
-    """Where on the way after a frame the axes stand, as a parameter of the path; raises ProgramError.
+def place(trajectory: Trajectory, standing: Standing, resolution: Array, frame: int) -> float:
+    """Where on the path after a frame the axes stand, as its parameter; raises TrajectoryError.
 
-    Where the way comes by the same place again, what the axes can tell apart (resolution, (m,)) decides for the
+    Where the path comes by the same place again, what the axes can tell apart (resolution, (m,)) decides for the
     first time: a controller that was left alone plays no more than what it had in its buffer. A frame that they
     cannot be told apart from has been passed.
     """
-    commands, tolerance = program.commands(), program.hardware.tolerance
-    way = Way(program.positions(np.zeros(1))[0], commands, tolerance)
+    commands, tolerance = trajectory.commands(), trajectory.hardware.tolerance
+    path = FollowedPath(trajectory.positions(0.0), commands, tolerance)
     first = int(np.searchsorted(commands.frame, frame, "right"))
     pieces = range(max(first - 1, 0), len(commands.time))
-    found = [way.nearest(standing.position, k, k + 1) for k in pieces]
+    found = [path.nearest(standing.position, k, k + 1) for k in pieces]
     away = np.array([place.away for place in found])
     if away.min() > 1.0:
-        raise ProgramError(
-            f"the axes stand {away.min():.3g} tolerances from the way after frame {frame}: nothing jumps; bring "
+        raise TrajectoryError(
+            f"the axes stand {away.min():.3g} tolerances from the path after frame {frame}: nothing jumps; bring "
             "them back, or begin anew"
         )
     alike = np.append(away <= away.min() + 2 * (resolution / tolerance).max(), False)
     first = int(alike.argmax())
     last = first + int((~alike[first:]).argmax())
-    s = float(program.motion.parameter(found[first + int(away[first:last].argmin())].time))
-    ahead = np.flatnonzero(program.knots > s)[:1]
-    there = abs(program.positions(program.frame_time[ahead]) - standing.position) <= resolution
-    return float(program.knots[ahead[0]]) if ahead.size and there.all() else s
+    s = float(trajectory.motion.parameter(found[first + int(away[first:last].argmin())].time))
+    ahead = np.flatnonzero(trajectory.knots > s)[:1]
+    there = abs(trajectory.positions(trajectory.frame_time[ahead]) - standing.position) <= resolution
+    return float(trajectory.knots[ahead[0]]) if ahead.size and there.all() else s

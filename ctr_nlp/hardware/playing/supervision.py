@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from ctr_nlp.hardware.devices import Progress
-from ctr_nlp.hardware.playing.results import Outcome
+from ctr_nlp.hardware.playing.results import Ending, Outcome
 from ctr_nlp.typing import Array
 
 SILENCE = 0.5
@@ -27,31 +27,16 @@ EARLY = 0.25
 """s by which the device may run ahead of its schedule: reports are late, never early."""
 
 
-@dataclass(frozen=True)
-class Tolerances:
-    """What a motion on some hardware may deviate by.
+@dataclass
+class Supervisor:
+    """Looks at every progress of one motion before anything more is given to the device.
 
-    late: s behind its schedule. at_rest (m,): how far the axes may be found from where they were held, in their
-    units. The tolerance of the path is in Progress.away, whose unit it is.
+    late: s that it may be behind its schedule. at_rest (m,): how far the axes may be found from where they were
+    held, in their units. The tolerance of the path is in Progress.away, whose unit it is.
     """
 
     late: float
     at_rest: Array
-
-
-@dataclass(frozen=True)
-class Violation:
-    """What must end a motion: how it is typed, and a sentence with the value and what is allowed."""
-
-    outcome: Outcome
-    what: str
-
-
-@dataclass
-class Supervisor:
-    """Looks at every progress of one motion before anything more is given to the device."""
-
-    tolerances: Tolerances
     _since: tuple[float, float] | None = field(default=None, init=False)
     """When (s of the clock) and where (s of the motion) the schedule began, anew after every hold."""
     _looked: float | None = field(default=None, init=False)
@@ -68,7 +53,7 @@ class Supervisor:
         self._since = self._looked = self._holding = self._rest = None
         self._paused = False
 
-    def violation(self, progress: Progress, now: float) -> Violation | None:
+    def violation(self, progress: Progress, now: float) -> Ending | None:
         """What is wrong at a moment (s of the clock), None where nothing is; the gravest first."""
         return (
             self._unexpected(progress)
@@ -78,7 +63,7 @@ class Supervisor:
             or self._pace(progress, now)
         )
 
-    def _unexpected(self, progress: Progress) -> Violation | None:
+    def _unexpected(self, progress: Progress) -> Ending | None:
         signs = progress.signs
         if signs.said:
             return _fault(signs.said)
@@ -91,15 +76,12 @@ class Supervisor:
             )
         return None
 
-    def _path(self, progress: Progress) -> Violation | None:
+    def _path(self, progress: Progress) -> Ending | None:
         if progress.away > 1.0:
-            return Violation(
-                Outcome.PATH_TOLERANCE_VIOLATED,
-                f"the axes are {progress.away:.3g} tolerances from their way; 1 is allowed",
-            )
+            return _off_path(f"the axes are {progress.away:.3g} tolerances from their path; 1 is allowed")
         return None
 
-    def _held(self, progress: Progress, now: float) -> Violation | None:
+    def _held(self, progress: Progress, now: float) -> Ending | None:
         """A hold comes to rest in time, nothing moves in it, and nobody but the player ends it."""
         if progress.state not in ("holding", "held"):
             if self._rest is None:
@@ -114,13 +96,13 @@ class Supervisor:
         if self._rest is None:
             self._rest = progress.position
         moved = abs(progress.position - self._rest)
-        if (moved > self.tolerances.at_rest).any():
+        if (moved > self.at_rest).any():
             return _fault(f"an axis has moved by {moved.max():.3g} in a hold")
         if lasted > UNASKED and not self._paused:
             return _fault(f"somebody else has held the motion for {UNASKED:g} s")
         return None
 
-    def _silent(self, progress: Progress, now: float) -> Violation | None:
+    def _silent(self, progress: Progress, now: float) -> Ending | None:
         """Neither the device nor the player itself is away for long."""
         away, self._looked = 0.0 if self._looked is None else now - self._looked, now
         if away > HELD_UP and progress.state != "held":
@@ -130,7 +112,7 @@ class Supervisor:
             return _fault(f"the device has told no position for {silent:.2g} s; {SILENCE:g} s are allowed")
         return None
 
-    def _pace(self, progress: Progress, now: float) -> Violation | None:
+    def _pace(self, progress: Progress, now: float) -> Ending | None:
         """A running device keeps its schedule, which begins with the first progress and after every hold."""
         if progress.state != "running":
             return None
@@ -138,19 +120,17 @@ class Supervisor:
             self._since = now, progress.time
         begun, at = self._since
         late = (now - begun) - (progress.time - at)
-        early = (progress.time - at) - (now - begun)
+        early = -late
         if early > EARLY:
-            return Violation(
-                Outcome.PATH_TOLERANCE_VIOLATED,
-                f"the axes are {early:.2g} s ahead of their schedule; {EARLY:g} s are allowed",
-            )
-        if late > self.tolerances.late:
-            return Violation(
-                Outcome.PATH_TOLERANCE_VIOLATED,
-                f"the axes are {late:.2g} s behind their schedule; {self.tolerances.late:g} s are allowed",
-            )
+            return _off_path(f"the axes are {early:.2g} s ahead of their schedule; {EARLY:g} s are allowed")
+        if late > self.late:
+            return _off_path(f"the axes are {late:.2g} s behind their schedule; {self.late:g} s are allowed")
         return None
 
 
-def _fault(what: str) -> Violation:
-    return Violation(Outcome.DEVICE_FAULT, what)
+def _fault(what: str) -> Ending:
+    return Ending(Outcome.DEVICE_FAULT, what)
+
+
+def _off_path(what: str) -> Ending:
+    return Ending(Outcome.PATH_TOLERANCE_VIOLATED, what)

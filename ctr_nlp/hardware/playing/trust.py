@@ -14,11 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.exceptions import DeviceFault
+from ctr_nlp.hardware.devices import Device, Standing
+from ctr_nlp.hardware.playing.results import Result
 from ctr_nlp.support.extras import needed
 from ctr_nlp.support.whole_file import whole_file
+from ctr_nlp.typing import Array
 
 FOLDER = "CTR_NLP_STATE"
 """Environment variable: a folder for what is remembered, instead of the user's own."""
@@ -59,10 +61,10 @@ class Memory:
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             lock.acquire(timeout=0)
-        except filelock.Timeout as error:
-            raise DeviceFault(f"another player is connected to {self._address}: only one may be") from error
-        except OSError as error:
-            raise self._unwritten(error) from error
+        except filelock.Timeout as exception:
+            raise DeviceFault(f"another player is connected to {self._address}: only one may be") from exception
+        except OSError as exception:
+            raise self._unwritten(exception) from exception
         self._lock = lock
 
     def release(self) -> None:
@@ -78,8 +80,8 @@ class Memory:
             return Remembered(**json.loads(path.read_text(encoding="utf-8")))
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, TypeError) as error:
-            return Remembered(False, f"what was remembered of it, in {path}, cannot be read ({error})")
+        except (OSError, ValueError, TypeError) as exception:
+            return Remembered(False, f"what was remembered of it, in {path}, cannot be read ({exception})")
 
     def write(self, identity: str, left: Remembered) -> None:
         """Remember it, on the disk before this returns."""
@@ -90,26 +92,74 @@ class Memory:
                 json.dump(asdict(left), file)
                 file.flush()
                 os.fsync(file.fileno())
-        except OSError as error:
-            raise self._unwritten(error) from error
+        except OSError as exception:
+            raise self._unwritten(exception) from exception
 
     def _path(self, kind: str, identity: str) -> Path:
         name = hashlib.sha256(f"{self._address}\n{identity}".encode()).hexdigest()[:24]
         return self._folder / f"{name}.{kind}"
 
-    def _unwritten(self, error: OSError) -> DeviceFault:
+    def _unwritten(self, exception: OSError) -> DeviceFault:
         return DeviceFault(
-            f"whether {self._address} can be trusted cannot be remembered in {self._folder} ({error}): nothing is "
-            f"played; {FOLDER} names another folder"
+            f"whether {self._address} can be trusted cannot be remembered in {self._folder} ({exception}): "
+            f"nothing is played; {FOLDER} names another folder"
         )
 
 
-def doubt(
-    left: Remembered | None,
-    position: npt.NDArray[np.float64],
-    resolution: npt.NDArray[np.float64],
-    session: str = "",
-) -> str:
+class Trust:
+    """Whether the position of a connected device is to be trusted; memory: None where nothing is remembered of it.
+
+    doubt: why it is not, "" where nothing speaks against it.
+    """
+
+    def __init__(self, memory: Memory | None) -> None:
+        self._memory, self.doubt = memory, ""
+        self._vouched = False
+        """Whether its memory, its homing or a person speaks for the position, so that what follows counts."""
+
+    def claim(self) -> None:
+        """Be the device's only player; raises DeviceFault."""
+        if self._memory is not None:
+            self._memory.claim()
+
+    def release(self) -> None:
+        """Let others play."""
+        if self._memory is not None:
+            self._memory.release()
+
+    def look_back(self, device: Device, standing: Standing, homed: bool = False, session: str = "") -> None:
+        """Judge by what is remembered of the device; homed: just now. session: one that is being resumed."""
+        if self._memory is not None and not homed:
+            left = self._memory.read(device.identity)
+            self.doubt = doubt(left, standing.position, device.resolution, session)
+        self._vouched = not self.doubt
+
+    def vouch(self) -> None:
+        """A person has made sure of the position."""
+        self.doubt, self._vouched = "", True
+
+    def holds(self, device: Device, standing: Standing) -> bool:
+        """Whether what the device tells at the end of a session is to be trusted."""
+        if not self._vouched:
+            self.look_back(device, standing)
+        return standing.homed and not self.doubt
+
+    def begun(self, device: Device, session: str) -> None:
+        """Distrust the device from now on, lest nobody tells how the motion ends; raises DeviceFault."""
+        self._write(device, Remembered(False, "a motion had begun, and its end was never told", session=session))
+
+    def ended(self, device: Device, result: Result) -> None:
+        """Remember how a session left the device, unless nobody vouched for what it tells; raises DeviceFault."""
+        if self._vouched or result.position is None:
+            position = None if result.position is None else tuple(result.position.tolist())
+            self._write(device, Remembered(result.trusted, "" if result.trusted else result.message, position))
+
+    def _write(self, device: Device, left: Remembered) -> None:
+        if self._memory is not None:
+            self._memory.write(device.identity, left)
+
+
+def doubt(left: Remembered | None, position: Array, resolution: Array, session: str = "") -> str:
     """Why a device at a position (m,) is not to be trusted, "" where nothing speaks against it.
 
     resolution (m,): what it can tell apart. session: one that is being resumed, whose motion is looked for by

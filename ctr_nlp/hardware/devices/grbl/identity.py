@@ -28,8 +28,8 @@ class Identity:
         """A setting as a number; raises DeviceFault."""
         try:
             return float(self.settings[str(number)])
-        except (KeyError, ValueError) as error:
-            raise DeviceFault(f"the controller does not tell its setting ${number}") from error
+        except (KeyError, ValueError) as exception:
+            raise DeviceFault(f"the controller does not tell its setting ${number}") from exception
 
     def columns(self, hardware: Hardware) -> list[int]:
         """Which of its axes the hardware's are; raises DeviceFault."""

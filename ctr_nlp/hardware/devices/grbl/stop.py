@@ -1,4 +1,4 @@
-"""The one way in which motion behind a Grbl controller is stopped, whatever the cause and the controller's state.
+"""How motion behind a Grbl controller is stopped, whatever the cause and the controller's state.
 
 The stop is sent first; what happened is asked afterwards. Every wait ends, and a stop during a stop changes
 nothing.
@@ -41,12 +41,12 @@ def stopped(talk: Talk, clock: Clock, homing: bool = False) -> Report:
     said = [reply.kind for reply in talk.until("banner", RESTART) if reply.kind != "report"]
     if "banner" not in said:
         raise DeviceFault(f"the controller answers a reset with {said}: its position is not to be trusted")
-    alarmed, talk.lost = "alarm" in said, ""
+    talk.forgiven()
     if restarted:
         raise DeviceFault(
             f"the controller said {restarted!r} before it was stopped: its position is not to be trusted"
         )
-    if rested is None or alarmed:
+    if rested is None or "alarm" in said:
         raise DeviceFault("the controller was reset in motion: its position is not to be trusted")
     report = talk.report(ANSWER)
     if (report.position != rested.position).any():

@@ -25,7 +25,7 @@ RARELY = 32
 """Reports among which one tells the overrides."""
 
 QUIET = 0.15
-"""s without a byte: nothing else is on its way."""
+"""s without a byte: nothing else is under way."""
 
 TICK = 0.005
 """s between two looks at the link while waiting."""
@@ -95,16 +95,24 @@ class Talk:
             raise DeviceFault(f"a stop was asked for while the controller was to answer {line!r}")
         raise DeviceFault(f"the controller does not answer {line!r} within {seconds:g} s, but for {said}")
 
+    def greet(self, stop: Asked = never) -> tuple[Report, str]:
+        """The status of a controller that may restart when its port is opened, and what it said if it did."""
+        report = self.report(GREETING, greeting=True, stop=stop)
+        self.quiet()
+        return report, self.forgiven()
+
+    def forgiven(self) -> str:
+        """What it said when it last restarted or stopped by itself, which does not count from now on."""
+        said, self.lost = self.lost, ""
+        return said
+
     def check(self) -> None:
         """Raise DeviceFault where it restarted or stopped by itself."""
         if self.lost:
             raise DeviceFault(f"the controller said {self.lost!r}: its position is not to be trusted")
 
     def report(self, seconds: float = ANSWER, greeting: bool = False, stop: Asked = never) -> Report:
-        """Its status; raises DeviceFault.
-
-        greeting: it may restart meanwhile, as many do when their port is opened.
-        """
+        """Its status; greeting: it may restart meanwhile. Raises DeviceFault."""
         end = self._clock.now() + seconds
         while self._clock.now() < end and not stop():
             self.link.write(STATUS)
@@ -142,11 +150,11 @@ class Talk:
         pairs = [text.strip("[]").partition(":") for text in self.ask("$#") if text.startswith("[")]
         try:
             return {name: tuple(float(x) for x in re.split("[,:]", values)) for name, _, values in pairs}
-        except ValueError as error:
-            raise DeviceFault(f"the controller's offsets cannot be read: {pairs}") from error
+        except ValueError as exception:
+            raise DeviceFault(f"the controller's offsets cannot be read: {pairs}") from exception
 
     def quiet(self) -> None:
-        """Let pass what is still on its way, such as the second ok that a status question before a line earns."""
+        """Let pass what is still under way, such as the second ok that a status question before a line earns."""
         end = self._clock.now() + ANSWER
         last = self._clock.now()
         while self._clock.now() < min(end, last + QUIET):
@@ -174,5 +182,5 @@ class Talk:
             self.axes = int(count)
             known = {name: value for name, _, value in settings}
             return Identity(letters, int(receive), int(blocks), known, "; ".join(map(":".join, told.items())))
-        except (KeyError, ValueError) as error:
-            raise DeviceFault(f"the controller is no grblHAL that can be used: it tells {told}") from error
+        except (KeyError, ValueError) as exception:
+            raise DeviceFault(f"the controller is no grblHAL that can be used: it tells {told}") from exception

@@ -25,9 +25,9 @@ from ctr_nlp.hardware.devices import Asked, Progress, Standing
 from ctr_nlp.hardware.devices.ros2.joints import REST, SILENCE, Joints
 from ctr_nlp.hardware.devices.ros2.messages import Points, Topics, address_of
 from ctr_nlp.hardware.devices.ros2.track import FIRST, Track, stop_there
-from ctr_nlp.hardware.motion.program import Commands
-from ctr_nlp.hardware.motion.progress import Place, Way
-from ctr_nlp.hardware.playing.journal import Journal
+from ctr_nlp.hardware.journal import Journal
+from ctr_nlp.hardware.motion.progress import FollowedPath, Place
+from ctr_nlp.hardware.motion.trajectory import Commands
 from ctr_nlp.typing import Array
 
 DISCOVERY = 5.0
@@ -84,7 +84,7 @@ class Ros2:
     @property
     def identity(self) -> str:
         """The joints that the controller moves."""
-        return ", ".join(self._joints.names)
+        return ", ".join(axis.joint for axis in self._hardware.axes)
 
     @property
     def resolution(self) -> Array:
@@ -124,16 +124,17 @@ class Ros2:
                 return False
             self._clock.sleep(0.005)
 
-    def start(self, commands: Commands) -> None:
+    def start(self, commands: Commands) -> Ros2:
         """Begin to play commands from where it stands."""
         self._take()
         position = self._joints.position
-        self._way = Way(position, commands, self._hardware.tolerance)
+        self._path = FollowedPath(position, commands, self._hardware.tolerance)
         self._place, self._holding = Place(0.0, 0.0, 0, 0.0), False
         self._track = Track(position, commands)
         self._track.begin(self._clock.now())
         self._send(self._track.points())
-        self._track.begin(self._clock.now())
+        self._track.begin_ramp(self._clock.now())
+        return self
 
     def _send(self, points: Points) -> None:
         self._open().send(self._joints.names, self._joints.in_ros(points))
@@ -158,11 +159,11 @@ class Ros2:
         """The controller has the whole trajectory."""
 
     def _follow(self, track: Track, position: Array) -> None:
-        """Find where on its way the newest state shows it, and see that it is not left behind."""
+        """Find where on its path the newest state shows it, and see that it is not left behind."""
         due, _ = track.now(self._joints.stamp)
         ahead = int(np.searchsorted(track.ends[1:], due + FIRST, "right")) + 1
         last = min(ahead, len(track.ends) - 1)
-        place = self._way.nearest(position, max(self._place.line - 1, 0), last)
+        place = self._path.nearest(position, max(self._place.line - 1, 0), last)
         self._place = max(self._place, place, key=lambda known: known.time)._replace(away=place.away)
         off = abs(position - track.position(due)) / self._hardware.tolerance
         if due - self._place.time > BEHIND and off.max() > 1.0:
@@ -197,7 +198,7 @@ class Ros2:
         if track.now(now)[0] < track.end and track.ramp.after != pace:
             self._play_at(pace, track, now)
             if track.ramp.before == 0.0:
-                track.ramp = track.ramp._replace(begun=self._clock.now())
+                track.begin_ramp(self._clock.now())
 
     def _play_at(self, pace: float, track: Track, now: float) -> None:
         track.turn(now, pace, self._acceleration)
@@ -223,7 +224,7 @@ class Ros2:
         return self.standing()
 
     def _on(self, track: Track, now: float) -> bool:
-        """Whether the joints were last seen on their way, and not too far behind."""
+        """Whether the joints were last seen on their path, and not too far behind."""
         due, _ = track.now(min(now, self._joints.stamp))
         return self._place.away <= 1.0 and due - self._place.time <= BEHIND
 

@@ -16,7 +16,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from ctr_nlp.exceptions import DeviceFault, HardwareError
-from ctr_nlp.hardware.playing.journal import Journal
+from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.support.extras import needed
 from ctr_nlp.typing import Array
 
@@ -102,36 +102,25 @@ def types() -> SimpleNamespace:
     """The types of messages and their parts, by name; raises OptionError where cyclonedds is missing."""
     idl, kinds = needed("cyclonedds.idl"), needed("cyclonedds.idl.types")
 
-    def struct(package: str, kind: str, /, **fields: Any) -> Any:
-        return idl.make_idl_struct(kind, f"{package}::msg::dds_::{kind}_", fields)
+    known: dict[str, Any] = {}
 
-    numbers, words = kinds.sequence[kinds.float64], kinds.sequence[str]
+    def struct(package: str, kind: str, /, **fields: Any) -> Any:
+        known[kind] = idl.make_idl_struct(kind, f"{package}::msg::dds_::{kind}_", fields)
+        return known[kind]
+
+    def lists(*names: str) -> dict[str, Any]:
+        return dict.fromkeys(names, kinds.sequence[kinds.float64])
+
+    words = kinds.sequence[str]
     time = struct("builtin_interfaces", "Time", sec=kinds.int32, nanosec=kinds.uint32)
     duration = struct("builtin_interfaces", "Duration", sec=kinds.int32, nanosec=kinds.uint32)
     header = struct("std_msgs", "Header", stamp=time, frame_id=str)
-    point = struct(
-        "trajectory_msgs",
-        "JointTrajectoryPoint",
-        positions=numbers,
-        velocities=numbers,
-        accelerations=numbers,
-        effort=numbers,
-        time_from_start=duration,
-    )
-    trajectory = struct(
-        "trajectory_msgs", "JointTrajectory", header=header, joint_names=words, points=kinds.sequence[point]
-    )
-    states = struct(
-        "sensor_msgs", "JointState", header=header, name=words, position=numbers, velocity=numbers, effort=numbers
-    )
-    return SimpleNamespace(
-        Time=time,
-        Duration=duration,
-        Header=header,
-        JointTrajectoryPoint=point,
-        JointTrajectory=trajectory,
-        JointState=states,
-    )
+    moving = lists("positions", "velocities", "accelerations", "effort")
+    point = struct("trajectory_msgs", "JointTrajectoryPoint", **moving, time_from_start=duration)
+    points = kinds.sequence[point]
+    struct("trajectory_msgs", "JointTrajectory", header=header, joint_names=words, points=points)
+    struct("sensor_msgs", "JointState", header=header, name=words, **lists("position", "velocity", "effort"))
+    return SimpleNamespace(**known)
 
 
 def trajectory_message(names: list[str], points: Points) -> Any:
@@ -156,26 +145,24 @@ def configuration(host: str) -> str:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.connect((host, 7400))
             return CONFIGURATION.format(own=probe.getsockname()[0], peer=probe.getpeername()[0])
-    except OSError as error:
-        raise DeviceFault(f"host {host} of the ROS 2 controller is not to be reached: {error}") from error
+    except OSError as exception:
+        raise DeviceFault(f"host {host} of the ROS 2 controller is not to be reached: {exception}") from exception
 
 
-def participant(address: Address) -> Any:
-    """A new participant, and the domain that it lives in as long as anything holds either; raises DeviceFault."""
+def participant(address: Address) -> tuple[Any, Any]:
+    """A new participant, and its domain, to be held as long as the participant lives; raises DeviceFault."""
     module, failure = needed("cyclonedds.domain"), needed("cyclonedds.core").DDSException
     number, text = address.domain, configuration(address.host)
     domain = _domains.get(number)
     if domain is not None and _configurations[number] != text:
-        raise DeviceFault(f"ROS domain {number} is open in this program already, by way of another interface")
+        raise DeviceFault(f"ROS domain {number} is open in this program already, on another interface")
     try:
         if domain is None:
             domain = module.Domain(number, text)
             _domains[number], _configurations[number] = domain, text
-        made = module.DomainParticipant(number)
-    except failure as error:
-        raise DeviceFault(f"ROS domain {number} cannot be opened: {error}") from error
-    made.lives_in = domain
-    return made
+        return module.DomainParticipant(number), domain
+    except failure as exception:
+        raise DeviceFault(f"ROS domain {number} cannot be opened: {exception}") from exception
 
 
 def quality(reliable: bool, depth: int) -> Any:
@@ -201,15 +188,15 @@ class Topics:
         self.address, self._journal = address, journal
         topic, known = needed("cyclonedds.topic").Topic, types()
         failure = needed("cyclonedds.core").DDSException
-        own = participant(address)
+        own, domain = participant(address)
         try:
             commands = topic(own, f"rt/{address.trajectories}", known.JointTrajectory)
             states = topic(own, f"rt/{address.states}", known.JointState)
             self._writer = needed("cyclonedds.pub").DataWriter(own, commands, quality(True, 1))
             self._reader = needed("cyclonedds.sub").DataReader(own, states, quality(False, LATEST))
-        except failure as error:
-            raise DeviceFault(f"topics of {address.controller} cannot be opened: {error}") from error
-        self._held = [own, commands, states]
+        except failure as exception:
+            raise DeviceFault(f"topics of {address.controller} cannot be opened: {exception}") from exception
+        self._held = [domain, own, commands, states]
 
     def listeners(self) -> int:
         """How many subscribers get trajectories."""
@@ -239,8 +226,8 @@ class Topics:
         """What DDS answers; whatever fails in it, or in reading what came, is the connection's fault."""
         try:
             return function(*arguments)
-        except Exception as error:
-            raise DeviceFault(f"the connection to {self.address.controller} failed: {error}") from error
+        except Exception as exception:
+            raise DeviceFault(f"the connection to {self.address.controller} failed: {exception}") from exception
 
     def close(self) -> None:
         """Leave the domain; nothing is sent on the topics."""

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from ctr_nlp.hardware.devices.ros2.messages import Points
-from ctr_nlp.hardware.motion.program import Commands
+from ctr_nlp.hardware.motion.trajectory import Commands
 from ctr_nlp.typing import Array
 
 FIRST = 0.1
@@ -21,7 +21,7 @@ FIRST = 0.1
 where it was thought to be."""
 
 SECOND = 0.02
-"""s until the first point of one that is begun at rest, on the way."""
+"""s until the first point of one that is begun at rest, on the path."""
 
 CLOSE = 0.005
 """s by which the last point comes after the one before it."""
@@ -34,7 +34,7 @@ STOP = 0.25
 
 
 class Ramp(NamedTuple):
-    """A pace that changes steadily: begun (s of the clock) at a time of the program, from one pace to another."""
+    """A pace that changes steadily from one to another, begun (s of the clock) at a time of the trajectory."""
 
     begun: float
     start: float
@@ -43,7 +43,7 @@ class Ramp(NamedTuple):
     length: float
 
     def at(self, passed: Array) -> tuple[Array, Array]:
-        """Times of the program, and the pace (N,), so many s (N,) after it was begun."""
+        """Times of the trajectory, and the pace (N,), so many s (N,) after it was begun."""
         part = np.clip(passed / self.length, 0.0, 1.0)
         change = self.after - self.before
         time = self.start + self.length * part * (self.before + 0.5 * change * part)
@@ -51,7 +51,7 @@ class Ramp(NamedTuple):
         return time, self.before + change * part
 
     def when(self, time: Array) -> Array:
-        """After how many s times (N,) of the program are reached; 0 for those before, inf for those never."""
+        """After how many s times (N,) of the trajectory are reached; 0 for those before, inf for those never."""
         slope = (self.after - self.before) / self.length
         ahead = np.maximum(time - self.start, 0.0)
         root = np.sqrt(np.maximum(self.before**2 + 2.0 * slope * ahead, 0.0))
@@ -81,7 +81,7 @@ class Track:
         self.ramp = Ramp(-np.inf, 0.0, 0.0, 0.0, 1.0)
 
     def now(self, clock: float) -> tuple[float, float]:
-        """The time of the program and the pace at which the controller should be now (s of the clock)."""
+        """The time of the trajectory and the pace at which the controller should be now (s of the clock)."""
         time, pace = self.ramp.at(np.array([clock - self.ramp.begun]))
         return min(float(time[0]), self.end), float(pace[0])
 
@@ -91,7 +91,7 @@ class Track:
         return time >= self.end or (pace == 0.0 and self.ramp.after == 0.0)
 
     def position(self, time: float) -> Array:
-        """Of the axes (m,), at a time of the program."""
+        """Of the axes (m,), at a time of the trajectory."""
         return np.asarray(self._path(time))
 
     def turn(self, clock: float, pace: float, acceleration: Array) -> None:
@@ -111,6 +111,10 @@ class Track:
     def begin(self, clock: float) -> None:
         """Play from the start; the commands begin at rest."""
         self.ramp = Ramp(clock, 0.0, 1.0, 1.0, 1.0)
+
+    def begin_ramp(self, clock: float) -> None:
+        """Count the pace from now on: the controller begins when its trajectory has been sent."""
+        self.ramp = self.ramp._replace(begun=clock)
 
     def points(self) -> Points:
         """What is ahead from where the ramp begins, at rest at its end; time in s since then."""

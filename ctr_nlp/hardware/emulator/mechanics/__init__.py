@@ -1,1 +1,1 @@
-"""What the emulated firmware's motors do: planned blocks, segments, overrides, homing."""
+"""What the emulated firmware's motors do: planned blocks, segments, overrides. Knows no text."""

@@ -13,8 +13,8 @@ from ctr_nlp.hardware.emulator.mechanics.overrides import Overrides
 from ctr_nlp.hardware.emulator.mechanics.planner import (
     BLOCKS,
     LEAST_STEP_MM,
+    AxisLimits,
     Block,
-    Limits,
     Vector,
     look_ahead,
     straight,
@@ -28,7 +28,7 @@ PREPARED = 9
 class Motion:
     """Plans blocks, prepares segments and executes them. position: (6,), where the motors are."""
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: AxisLimits) -> None:
         self.limits = limits
         self.position: Vector = (0.0,) * len(limits.speed)
         self.blocks: deque[Block] = deque()
@@ -37,7 +37,7 @@ class Motion:
         self.lowest = list(self.position)
         self.highest = list(self.position)
         self.overrides = Overrides()
-        self.read: int | None = None
+        self._read: int | None = None
         """Number of the line that was read last."""
         self.running = False
         self.holding = False
@@ -56,7 +56,7 @@ class Motion:
     @property
     def line(self) -> int | None:
         """The line number that is reported: of the block in preparation, else of the line that was read last."""
-        return self.blocks[0].line if self.blocks else self.read
+        return self.blocks[0].line if self.blocks else self._read
 
     @property
     def free(self) -> int:
@@ -67,6 +67,14 @@ class Motion:
     def halted(self) -> bool:
         """Whether a hold has come to a standstill."""
         return self.holding and not self.running
+
+    def begin_line(self, number: int | None) -> None:
+        """Say which line has been read; None or 0 for one without a number."""
+        self._read = number or None
+
+    def keep(self, limits: AxisLimits) -> None:
+        """Keep other limits from now on; what is planned keeps its own."""
+        self.limits = limits
 
     def place(self, position: Vector) -> None:
         """Say where the motors are, without motion."""
@@ -110,7 +118,7 @@ class Motion:
             if seconds <= 0:
                 length, seconds = block.remaining, 1e-6
             self.speed = speed
-            block.remaining -= length
+            block.cover(covered + length)
             done = block.remaining <= LEAST_STEP_MM
             end = block.length if done else covered + length
             self.segments.append(Segment(block, covered, end, seconds, done))
@@ -165,15 +173,14 @@ class Motion:
             if not self.blocks or self.blocks[0] is not block:
                 self.blocks.appendleft(block)
             share = self._elapsed / segment.seconds if segment is self.segments[0] else 0.0
-            block.remaining = block.length - (segment.begin + share * (segment.end - segment.begin))
+            block.cover(segment.begin + share * (segment.end - segment.begin))
         self.segments.clear()
-        first = self.blocks[0]
-        first.start, first.length = self.position, first.remaining
+        self.blocks[0].begin_at(self.position)
         self.speed = 0.0
         look_ahead(list(self.blocks), self.speed)
 
     def _settle(self) -> None:
-        """At a standstill: a hold has its segments ready for the way on."""
+        """At a standstill: a hold has its segments ready for going on."""
         self.running = self._stopped = False
         self.speed = 0.0
         if self.holding:

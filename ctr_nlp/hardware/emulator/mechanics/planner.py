@@ -22,7 +22,7 @@ Vector = tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class Limits:
+class AxisLimits:
     """What the settings allow. speed: (6,) mm/s. acceleration: (6,) mm/s^2. deviation: of a junction, mm."""
 
     speed: Vector
@@ -63,6 +63,18 @@ class Block:
         self.speed = max(min(asked, self.fastest), SLOWEST)
         self.highest_entry = min(self.corner, self.speed**2, before**2)
 
+    def enter(self, speed_squared: float) -> None:
+        """Begin it at a speed, squared."""
+        self.entry = speed_squared
+
+    def cover(self, covered: float) -> None:
+        """So much of its length has been prepared."""
+        self.remaining = self.length - covered
+
+    def begin_at(self, position: Vector) -> None:
+        """What remains of it begins at a position (6,)."""
+        self.start, self.length = position, self.remaining
+
     def at(self, covered: float) -> Vector:
         """Position (6,) where a length has been covered."""
         if covered >= self.length:
@@ -74,7 +86,7 @@ def straight(
     start: Vector,
     target: Vector,
     asked: float,
-    limits: Limits,
+    limits: AxisLimits,
     before: Block | None,
     overrides: Overrides,
     line: int | None,
@@ -95,7 +107,7 @@ def straight(
     return new
 
 
-def junction(before: Vector, after: Vector, limits: Limits) -> float:
+def junction(before: Vector, after: Vector, limits: AxisLimits) -> float:
     """Squared speed through a corner: that of an arc which leaves the corner by the junction deviation."""
     cosine = -sum(a * b for a, b in zip(before, after, strict=True))
     if cosine > 0.999999:
@@ -120,8 +132,9 @@ def look_ahead(blocks: Sequence[Block], speed: float, anew: bool = False) -> Non
         entry = min(later.highest_entry, leaving + 2 * later.acceleration * later.remaining)
         if entry == later.entry and later is not blocks[-1] and not anew:
             break
-        later.entry = leaving = entry
+        later.enter(entry)
+        leaving = entry
     arriving = speed**2 + 2 * blocks[0].acceleration * blocks[0].remaining
     for later in blocks[1:]:
-        later.entry = min(later.entry, arriving)
+        later.enter(min(later.entry, arriving))
         arriving = later.entry + 2 * later.acceleration * later.remaining

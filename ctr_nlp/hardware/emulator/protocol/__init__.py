@@ -1,1 +1,1 @@
-"""What the emulated firmware reads and answers: lines, real-time characters, settings, reports."""
+"""What the emulated firmware reads and writes: lines, G-code, its settings, reports. Moves nothing."""

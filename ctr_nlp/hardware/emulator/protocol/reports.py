@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from ctr_nlp.hardware.emulator.mechanics.overrides import Overrides
 from ctr_nlp.hardware.emulator.protocol.gcode import AXES, Modal
-from ctr_nlp.hardware.emulator.protocol.settings import Settings
+from ctr_nlp.hardware.emulator.protocol.settings import ControllerSettings
 
 BANNER = "\r\nGrblHAL 1.1f ['$' or '$HELP' for help]"
 UNLOCK = "[MSG:'$H'|'$X' to unlock]"
@@ -39,7 +39,7 @@ def modes(modal: Modal) -> list[str]:
     return [f"[GC:{' '.join(f'G{code}' for code in codes)} G49 G98 G50 M5 M9 T0 F{modal.feed:g} S0.]"]
 
 
-def offsets(settings: Settings, homed: Collection[int]) -> list[str]:
+def offsets(settings: ControllerSettings, homed: Collection[int]) -> list[str]:
     """The answer to $#; homed: axes by index."""
     home = ",".join(f"{-settings[27] if i in homed else 0.0:.3f}" for i in range(len(AXES)))
     homes = [f"[HOME:{home}:{sum(1 << i for i in homed)}]"] if homed else []
@@ -48,14 +48,19 @@ def offsets(settings: Settings, homed: Collection[int]) -> list[str]:
 
 @dataclass
 class Status:
-    """Composes status reports, and knows which of the rarer fields are due."""
+    """Composes status reports, and knows which of the rarer fields are due.
+
+    until_offset, until_overrides: how many reports come before the next with that field. changed: what the next
+    one tells beside: "overrides", "accessories", "homed", "tool".
+    """
 
     until_offset: int = 1
     until_overrides: int = 0
-    overridden: bool = False
-    accessories: bool = False
-    homed: bool = False
-    tool: bool = True
+    changed: frozenset[str] = frozenset({"tool"})
+
+    def tell(self, what: str) -> None:
+        """Let the next report tell that something has changed."""
+        self.changed |= {what}
 
     def report(
         self,
@@ -84,8 +89,8 @@ class Status:
         if not busy:
             self.until_offset = min(self.until_offset, IDLE_REPORTS)
             self.until_overrides = min(self.until_overrides, IDLE_REPORTS)
-        accessories = self.accessories
-        if self.overridden:
+        changed, self.changed = self.changed, frozenset()
+        if "overrides" in changed:
             self.until_overrides = 0
             self.until_offset = max(self.until_offset, 1)
         if self.until_offset > 0:
@@ -98,8 +103,7 @@ class Status:
             self.until_overrides -= 1
         else:
             self.until_overrides = (BUSY_OVERRIDE_REPORTS if busy else IDLE_REPORTS) - 1
-            accessories = accessories or self.tool
+            changed |= {"accessories"} if "tool" in changed else set()
             parts.append(f"Ov:{overrides.feed},{overrides.rapid},{overrides.spindle}")
-        parts += ["A:"] * accessories + [f"H:{homed:d}"] * self.homed + ["TLR:0"] * self.tool
-        self.overridden = self.accessories = self.homed = self.tool = False
-        return parts
+        rare = {"accessories": "A:", "homed": f"H:{homed:d}", "tool": "TLR:0"}
+        return parts + [field for name, field in rare.items() if name in changed]

@@ -1,10 +1,10 @@
-"""The firmware's numbered settings: the configured machine's values and how each is shown."""
+"""The controller's numbered settings: the configured machine's values and how each is shown."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ctr_nlp.hardware.emulator.mechanics.planner import Limits
+from ctr_nlp.hardware.emulator.mechanics.planner import AxisLimits
 from ctr_nlp.hardware.emulator.protocol.gcode import BAD_NUMBER, NEGATIVE, Refused
 
 NO_SUCH_SETTING, NEEDS_HOMING = 53, 10
@@ -22,13 +22,12 @@ SHOWN = (
     "486=0 538=0 539=0.0 673=0.0 676=15 680=0"
 )
 """A configured machine as `$$` shows it: 400 steps/mm and 100 steps/deg, 50 mm/s and 600 deg/s."""
-DEFAULTS = {int(key): float(value) for key, _, value in (pair.partition("=") for pair in SHOWN.split())}
-DECIMALS = {
-    int(key): len(value.partition(".")[2]) for key, _, value in (pair.partition("=") for pair in SHOWN.split())
-}
+_TEXTS = {int(key): value for key, _, value in (pair.partition("=") for pair in SHOWN.split())}
+DEFAULTS = {number: float(text) for number, text in _TEXTS.items()}
+DECIMALS = {number: len(text.partition(".")[2]) for number, text in _TEXTS.items()}
 
 
-class Settings(dict[int, float]):
+class ControllerSettings(dict[int, float]):
     """Setting number -> value, in the firmware's units (mm/min, mm/s^2, steps/mm)."""
 
     def __init__(self, changed: Mapping[int, float] | None = None) -> None:
@@ -38,11 +37,8 @@ class Settings(dict[int, float]):
         """The line that the firmware prints for a setting."""
         return f"${number}={self[number]:.{DECIMALS.get(number, 3)}f}"
 
-    def change(self, text: str, homing: bool) -> int:
-        """Apply `n=value`; returns n. homing: whether it is switched on, as soft limits need it.
-
-        Raises Refused with the firmware's error number.
-        """
+    def change(self, text: str) -> int:
+        """Apply `n=value`; returns n. Soft limits need homing. Raises Refused with the error number."""
         key, _, value = text.partition("=")
         number = int(key)
         if number not in self:
@@ -53,17 +49,24 @@ class Settings(dict[int, float]):
             raise Refused(BAD_NUMBER) from None
         if amount < 0 and self[number] >= 0 and number >= 100:
             raise Refused(NEGATIVE)
-        if number == 20 and amount and not homing:
+        if number == 20 and amount and not self[22]:
             raise Refused(NEEDS_HOMING)
         self[number] = amount
+        if number == 22 and not amount:
+            self[20] = 0
         return number
 
     def axes(self, first: int) -> tuple[float, ...]:
         """(6,) values of a setting that every axis has, X first."""
         return tuple(self[first + i] for i in range(6))
 
+    def homing_axes(self) -> list[int]:
+        """Axes, by index, in the order in which they are homed."""
+        cycles = [int(self[44 + i]) for i in range(3)]
+        return [axis for cycle in cycles for axis in range(6) if cycle >> axis & 1]
+
     @property
-    def limits(self) -> Limits:
+    def limits(self) -> AxisLimits:
         """Speeds, accelerations and junction deviation for the planner."""
         speed = tuple(rate / 60 for rate in self.axes(110))
-        return Limits(speed, self.axes(120), self[11])
+        return AxisLimits(speed, self.axes(120), self[11])

@@ -6,13 +6,13 @@ import hashlib
 import json
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicHermiteSpline
 
-from ctr_nlp.exceptions import OptionError, ProgramError
+from ctr_nlp.exceptions import OptionError, TrajectoryError
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.motion.lookahead import LONGEST
 from ctr_nlp.hardware.motion.path import made_up, path_through
@@ -22,7 +22,7 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array
 
 AT = 1e-4
-"""Part of the way from frame to frame: what stands so little before a frame stands at it."""
+"""Part of the path from frame to frame: what stands so little before a frame stands at it."""
 
 
 class Digests(NamedTuple):
@@ -36,7 +36,7 @@ class Digests(NamedTuple):
 class Commands:
     """Straight pieces of a motion, one after the other, from where it starts.
 
-    time (N,) s: when each ends, from the start; frame (N,): the frame on the way to which it lies, from 1; q (N,
+    time (N,) s: when each ends, from the start; frame (N,): the next frame on the path, from 1; q (N,
     2d + 2) and positions (N, m) of the axes, in their units, at its end.
     """
 
@@ -47,7 +47,7 @@ class Commands:
 
 
 @dataclass(frozen=True)
-class Program:
+class Trajectory:
     """A motion of a robot through numbered frames, at rest at both ends, on some hardware.
 
     robot: with the limits of the hardware. knots (T,): parameters of the path (the plan's time) where frames are
@@ -73,12 +73,12 @@ class Program:
         """When its frames are passed, (T,) s."""
         return self.motion.when(self.knots)
 
-    def at(self, time: Array) -> tuple[Array, Array, Array]:
-        """Configurations q, velocities and accelerations (N, 2d + 2) at times (N,) s."""
+    def at(self, time: Any) -> tuple[Array, Array, Array]:
+        """Configurations q, velocities and accelerations (.., 2d + 2) at a time (..,) s."""
         return self.motion.at(time)
 
-    def positions(self, time: Array) -> Array:
-        """Positions (N, m) of the axes, in their units, at times (N,) s."""
+    def positions(self, time: Any) -> Array:
+        """Positions (.., m) of the axes, in their units, at a time (..,) s."""
         joints = self.hardware.positions(self.robot, self.at(time)[0])
         return np.asarray(joints + self.lash(self.motion.parameter(time)))
 
@@ -88,7 +88,11 @@ class Program:
         The tilt is the one commanded then; what is added for play in the drives is taken out.
         """
         lengths = positions - self.lash(self.motion.parameter(time))
-        return self.hardware.joints(self.robot, lengths, self.at(time)[0][:, -2:])
+        return self.hardware.joints(self.robot, lengths, self.tilt(time))
+
+    def tilt(self, time: Any) -> Array:
+        """Tilts (.., 2) rad at a time (..,) s."""
+        return self.at(time)[0][..., -2:]
 
     def passed(self, time: float) -> int:
         """The last frame that is passed by a time in s, 0 before the first."""
@@ -105,11 +109,11 @@ class Program:
         return Commands(time, np.repeat(self.frames[1:], counts), self.at(time)[0], self.positions(time))
 
 
-def program_of(plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: Array | None = None) -> Program:
+def trajectory_of(plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: Array | None = None) -> Trajectory:
     """A plan's motion from its first frame on, at its own pace times tempo, slower where the hardware has to.
 
     standing (m,): positions from which axes come to the first frame. Raises HardwareError, OptionError,
-    ProgramError; what is played must be checked before (checks.checked).
+    TrajectoryError; what is played must be checked before (checks.checked).
     """
     if isinstance(tempo, bool) or not 0 < tempo <= 1:
         raise OptionError(f"tempo is {tempo!r}; it must lie in (0, 1]")
@@ -124,39 +128,48 @@ def program_of(plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: Arr
     return along(robot, hardware, path, lash, plan.time, frames, digests(plan, hardware), tempo)
 
 
-def rest_of(program: Program, s: float, tempo: float = 1.0) -> Program:
-    """What is left of a program when the robot stands on its path at the parameter s (the plan's time)."""
-    ahead = program.knots > s + AT * np.diff(program.knots, prepend=s)
+def rest_of(trajectory: Trajectory, s: float, tempo: float = 1.0) -> Trajectory:
+    """What is left of a trajectory when the robot stands on its path at the parameter s (the plan's time)."""
+    ahead = trajectory.knots > s + AT * np.diff(trajectory.knots, prepend=s)
     if not ahead.any():
-        raise ProgramError("nothing is left of this program: it has reached its last frame")
-    knots = np.append(s, program.knots[ahead])
-    frames = np.append(program.frames[ahead][0] - 1, program.frames[ahead])
-    path = program.motion.path
-    return along(program.robot, program.hardware, path, program.lash, knots, frames, program.digests, tempo)
+        raise TrajectoryError("nothing is left of this trajectory: it has reached its last frame")
+    knots = np.append(s, trajectory.knots[ahead])
+    frames = np.append(trajectory.frames[ahead][0] - 1, trajectory.frames[ahead])
+    path = trajectory.motion.path
+    return along(
+        trajectory.robot, trajectory.hardware, path, trajectory.lash, knots, frames, trajectory.digests, tempo
+    )
 
 
-def approach_to(program: Program, standing: Array, theta: Array) -> Program:
-    """The straight and slow way from positions (m,) of the axes and a tilt (2,) to where a program starts."""
-    hardware, start = program.hardware, program.knots[:1]
-    robot = slowed(program.robot, hardware.approach)
-    q = np.stack([hardware.joints(robot, standing, theta), program.motion.path(start[0])])
-    added = np.vstack([np.zeros(len(hardware.axes)), program.lash(start)])
-    first = program.frames[0]
-    frames = np.array([first - (program.knots[0] == program.motion.path.x[0]), first])
-    return through(robot, hardware, q, added, frames, program.digests)
+def approach_to(trajectory: Trajectory, standing: Array, theta: Array) -> Trajectory:
+    """The straight and slow approach from positions (m,) of axes and a tilt (2,) to where a trajectory starts."""
+    robot, hardware, start = trajectory.robot, trajectory.hardware, trajectory.knots[:1]
+    q = np.stack([hardware.joints(robot, standing, theta), trajectory.motion.path(start[0])])
+    added = np.vstack([np.zeros(len(hardware.axes)), trajectory.lash(start)])
+    first = trajectory.frames[0]
+    frames = np.array([first - (trajectory.knots[0] == trajectory.motion.path.x[0]), first])
+    return through(robot, hardware, q, trajectory.digests, added, frames)
 
 
 def through(
-    robot: Robot, hardware: Hardware, q: Array, added: Array, frames: npt.NDArray[np.int64], names: Digests
-) -> Program:
-    """The program through configurations q (K, 2d + 2), as fast as the robot may.
+    robot: Robot,
+    hardware: Hardware,
+    q: Array,
+    names: Digests,
+    added: Array | None = None,
+    frames: npt.NDArray[np.int64] | None = None,
+) -> Trajectory:
+    """The trajectory through configurations q (K, 2d + 2), as slow as an approach.
 
-    added (K, m): to the axes' positions there, for play in the drives. frames (K,): the numbers of these places.
+    added (K, m): to the axes' positions there, for play in the drives, None for nothing. frames (K,): the numbers
+    of these places, None to count from 0.
     """
+    robot = slowed(robot, hardware.approach)
+    added = np.zeros((len(q), len(hardware.axes))) if added is None else added
     seconds = np.maximum(1e-3, (abs(np.diff(q, axis=0)) / robot.speed).max(axis=1))
     knots = np.append(0.0, np.cumsum(seconds))
-    lash = CubicHermiteSpline(knots, added, np.zeros_like(added))
-    return along(robot, hardware, path_through(robot, knots, q), lash, knots, frames, names, 1.0)
+    lash, path = CubicHermiteSpline(knots, added, np.zeros_like(added)), path_through(robot, knots, q)
+    return along(robot, hardware, path, lash, knots, np.arange(len(q)) if frames is None else frames, names, 1.0)
 
 
 def slowed(robot: Robot, part: float) -> Robot:
@@ -174,14 +187,14 @@ def along(
     frames: npt.NDArray[np.int64],
     names: Digests,
     tempo: float,
-) -> Program:
-    """The program along a path, whose limits are those of what the drives do."""
+) -> Trajectory:
+    """The trajectory along a path, whose limits are those of what the drives do."""
 
     def driven(s: Array, order: int = 0) -> Array:
         return np.asarray(path(s, order) + hardware.in_joints(robot, lash(s, order)))
 
     motion = timed(path, driven, knots, robot.speed, robot.acceleration, tempo)
-    return Program(robot, hardware, motion, lash, knots, frames, names)
+    return Trajectory(robot, hardware, motion, lash, knots, frames, names)
 
 
 def digests(plan: Plan, hardware: Hardware) -> Digests:

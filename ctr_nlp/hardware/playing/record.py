@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.hardware.devices import Progress
-from ctr_nlp.hardware.motion.program import Program
+from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.typing import Array
 
 
@@ -31,15 +31,15 @@ class Tracking(NamedTuple):
 
 
 class Recorder:
-    """Collects the progress of the latest program; call it with every progress."""
+    """Collects the progress of the latest trajectory; call it with every progress."""
 
     def __init__(self) -> None:
-        self._program: Program | None = None
+        self._trajectory: Trajectory | None = None
 
-    def __call__(self, program: Program, progress: Progress) -> None:
+    def __call__(self, trajectory: Trajectory, progress: Progress) -> None:
         """Add what is new, but for pauses."""
-        if program is not self._program:
-            self._program, self._paused = program, 0.0
+        if trajectory is not self._trajectory:
+            self._trajectory, self._paused = trajectory, 0.0
             self._rows: list[tuple[float, float, Array]] = []
             self._held: Progress | None = None
         if progress.state in ("holding", "held"):
@@ -57,14 +57,14 @@ class Recorder:
 
         Times count from when the axes began to move, by the first report in which they had.
         """
-        if self._program is None or len(self._rows) < 2:
+        if self._trajectory is None or len(self._rows) < 2:
             return None
         stamp, played, position = (np.array(column) for column in zip(*self._rows, strict=True))
         began = int((played > 0).argmax())
         stamp -= stamp[began] - played[began]
-        reached = self._program.frame_time <= played[-1] + 1e-9
-        due = self._program.frame_time[reached]
+        reached = self._trajectory.frame_time <= played[-1] + 1e-9
+        due = self._trajectory.frame_time[reached]
         measured = np.stack([np.interp(due, stamp, column) for column in position.T], axis=1)
         passed = np.interp(due, np.maximum.accumulate(played) + 1e-12 * np.arange(len(played)), stamp)
-        commanded = self._program.positions(due)
-        return Tracking(self._program.frames[reached], due, commanded, measured, passed - due)
+        commanded = self._trajectory.positions(due)
+        return Tracking(self._trajectory.frames[reached], due, commanded, measured, passed - due)

@@ -61,9 +61,9 @@ class Journal:
     def _written(self) -> Iterator[None]:
         try:
             yield
-        except OSError as error:
+        except OSError as exception:
             if self._strict:
-                raise JournalError(f"journal {self.path} cannot be written: {error}") from error
+                raise JournalError(f"journal {self.path} cannot be written: {exception}") from exception
 
     def _write(self, data: bytes) -> None:
         written = os.write(self._file, data)
@@ -84,8 +84,8 @@ def read_journal(path: str | Path) -> list[dict[str, Any]]:
     """
     try:
         lines = Path(path).read_bytes().split(b"\n")
-    except OSError as error:
-        raise JournalError(f"journal {path} cannot be read: {error}") from error
+    except OSError as exception:
+        raise JournalError(f"journal {path} cannot be read: {exception}") from exception
     sessions: list[list[dict[str, Any]]] = []
     for number, line in enumerate(lines, start=1):
         if not line:
@@ -93,10 +93,10 @@ def read_journal(path: str | Path) -> list[dict[str, Any]]:
         try:
             record = json.loads(line)
             kind = record["kind"]
-        except (ValueError, TypeError, KeyError) as error:
+        except (ValueError, TypeError, KeyError) as exception:
             if number == len(lines) or b'"kind": "session"' in lines[number]:
                 continue
-            raise JournalError(f"journal {path}, line {number}: not a record ({error})") from error
+            raise JournalError(f"journal {path}, line {number}: not a record ({exception})") from exception
         if kind == "session":
             sessions.append([])
         if not sessions:

@@ -7,15 +7,16 @@ from collections.abc import Callable, Sequence
 
 from ctr_nlp.hardware.arm.description import Arm
 from ctr_nlp.hardware.clock import Clock
-from ctr_nlp.hardware.description import Connection, Hardware
+from ctr_nlp.hardware.connection import Connection
+from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices import Device
 from ctr_nlp.hardware.devices.arms import ArmFollower, SimulatedArm
 from ctr_nlp.hardware.devices.grbl.device import Grbl
 from ctr_nlp.hardware.devices.ros2.device import Ros2
 from ctr_nlp.hardware.devices.simulated import Simulated
 from ctr_nlp.hardware.devices.ur import UrArm
+from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.link import Link, RecordedLink, SerialLink
-from ctr_nlp.hardware.playing.journal import Journal
 from ctr_nlp.hardware.playing.trust import Memory, state_folder
 from ctr_nlp.typing import Array
 

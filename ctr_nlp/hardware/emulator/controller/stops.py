@@ -1,0 +1,136 @@
+"""How motion is stopped: feed hold, the end of a jog, reset, power failure and alarms."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ctr_nlp.hardware.emulator.controller.base import Controller
+from ctr_nlp.hardware.emulator.mechanics.overrides import Overrides
+from ctr_nlp.hardware.emulator.protocol.gcode import Modal
+from ctr_nlp.hardware.emulator.protocol.reports import BANNER, UNLOCK, Status
+
+ALARM_PAUSE_S = 0.1
+HARD_LIMIT, SOFT_LIMIT, RESET, RESET_HOMING, ESTOP = 1, 2, 3, 6, 10
+
+
+class Stopping(Controller):
+    """A controller that can be stopped."""
+
+    def hold(self) -> None:
+        """Feed hold; it does nothing to a jog, nor to homing, and an alarm has nothing left to hold."""
+        if self.state in ("Idle", "Run"):
+            self.state = "Hold"
+            self.motion.hold()
+
+    def resume(self) -> None:
+        """Go on after a feed hold, once it has come to a standstill."""
+        if self.state == "Hold" and self.motion.halted and self.when_stopped is None:
+            self.say("[MSG:]")
+            self.state = "Run"
+            self.motion.resume()
+            self.settle()
+
+    def settle(self) -> None:
+        """Change state where motion has come to its end."""
+        if self.motion.running:
+            return
+        if self.when_stopped is not None:
+            action, self.when_stopped = self.when_stopped, None
+            action()
+        elif self.state in ("Run", "Jog") and not self.motion.blocks:
+            self.state = "Idle"
+
+    def stop(self) -> None:
+        """Come to a standstill at once and forget all that is planned or waits, an alarm too; not while homing."""
+
+        def over() -> None:
+            self._rest_idle()
+            self.modal = Modal()
+            self.say("[MSG:Stop]")
+
+        if self.state == "Home" or self.critical:
+            return
+        self.forget_lines()
+        self.pending = None
+        self.motion.brake()
+        self.when_stopped = over
+
+    def cancel_jog(self) -> None:
+        """Forget what was received, come to a standstill and forget the rest of a jog."""
+        self.forget_lines()
+        if self.state == "Jog":
+            self.when_stopped = self._rest_idle
+            self.motion.brake()
+
+    def _rest_idle(self) -> None:
+        self.motion.flush()
+        self.state = "Idle"
+
+    def reset(self) -> None:
+        """Stop dead and start anew; in motion as on_reset says."""
+        homing = self.state == "Home"
+        if not homing and not (self.moving and self.on_reset != "banner"):
+            self.restart(locked=not self.moving and self.state == "Alarm")
+            return
+        self.say(f"ALARM:{RESET_HOMING if homing else RESET}")
+        self.state = "Alarm"
+        self.forget_lines()
+        self._drop_plans()
+        if self.on_reset == "alarm" and not homing:
+            self.motion.freeze()
+        else:
+            self.motion.flush()
+            self.later(ALARM_PAUSE_S, lambda: self.restart(locked=True))
+
+    def _drop_plans(self) -> None:
+        self.homing.clear()
+        self.pending = self.when_stopped = None
+
+    def restart(self, locked: bool) -> None:
+        """Begin as after power-on, with the banner; locked: in alarm. Position and settings stay."""
+        self.forget_lines()
+        self._drop_plans()
+        self.timers.clear()
+        self.motion.flush()
+        self.override(Overrides())
+        self.motion.begin_line(None)
+        self.modal = Modal()
+        self.critical = False
+        self.state = "Alarm" if locked else "Idle"
+        self.say(BANNER)
+        if locked:
+            self.say(UNLOCK)
+        self.status = Status()
+        self.report_due = False
+
+    def reboot(self, loses_position: bool = False) -> None:
+        """Power fails for a moment: motion stops at once, buffers are empty, the banner is sent."""
+        if loses_position:
+            self.slip = self.slip + np.array(self.motion.position)
+            self.motion.place((0.0,) * 6)
+            self.homed.clear()
+        self.restart(locked=False)
+
+    def alarm(self, number: int) -> None:
+        """Stop dead with an alarm that only a reset ends."""
+        self.motion.freeze()
+        self._drop_plans()
+        self.timers.clear()
+        self.state = "Alarm"
+        self.critical = True
+        self.status.tell("accessories")
+        self.say(f"ALARM:{number}")
+        self.later(ALARM_PAUSE_S, lambda: self.say("[MSG:Reset to continue]"))
+
+    def hard_limit(self) -> None:
+        """A limit switch is met in motion: everything stops where it is."""
+        self.alarm(HARD_LIMIT)
+
+    def soft_limit(self) -> None:
+        """Come to a standstill, then raise the alarm."""
+        if self.motion.running:
+            self.state = "Hold"
+            self.motion.hold()
+            self.when_stopped = lambda: self.alarm(SOFT_LIMIT)
+        else:
+            self.alarm(SOFT_LIMIT)

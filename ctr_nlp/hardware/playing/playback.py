@@ -1,0 +1,121 @@
+"""One trajectory played on a device that has been started: watched, paused, and led to its last frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ctr_nlp.exceptions import TrajectoryError
+from ctr_nlp.hardware.clock import Clock
+from ctr_nlp.hardware.devices import Played, Progress, Standing
+from ctr_nlp.hardware.journal import Journal
+from ctr_nlp.hardware.motion.trajectory import Trajectory
+from ctr_nlp.hardware.playing.leading import LEVEL, Leading
+from ctr_nlp.hardware.playing.results import Ending, Outcome, State
+from ctr_nlp.hardware.playing.supervision import Supervisor
+from ctr_nlp.hardware.playing.wishes import Wishes
+from ctr_nlp.typing import Array
+
+TICK = 0.005
+"""s between two looks at the device."""
+
+Seen = Callable[[Trajectory, Progress], None]
+
+
+class Playback:
+    """A trajectory in progress. to: told of the states running and hold; frame: the last that was passed."""
+
+    def __init__(
+        self,
+        trajectory: Trajectory,
+        arm: Leading | None,
+        journal: Journal,
+        clock: Clock,
+        wishes: Wishes,
+        to: Callable[[State], None],
+    ) -> None:
+        self._trajectory, self._arm = trajectory, arm
+        self._journal, self._clock, self._wishes, self._to = journal, clock, wishes, to
+        self._held = False
+        self.frame = int(trajectory.frames[0])
+
+    def check_start(self, standing: Standing) -> None:
+        """Raise TrajectoryError unless the axes stand where the trajectory starts."""
+        start = self._trajectory.positions(0.0)
+        for axis, wanted, there in zip(self._trajectory.hardware.axes, start, standing.position, strict=True):
+            if abs(wanted - there) > axis.tolerance:
+                raise TrajectoryError(
+                    f"axis {axis.letter} ({axis.joint}) stands at {there:.4g} {axis.unit}, and frame "
+                    f"{self.frame} is at {wanted:.4g}: nothing jumps by more than {axis.tolerance:g}"
+                )
+
+    def run(self, played: Played, resolution: Array, seen: Seen | None) -> Ending:
+        """Play until it ends, or until something is wrong; raises DeviceFault, JournalError.
+
+        resolution (m,): what the device can tell apart.
+        """
+        supervisor = Supervisor(self._trajectory.hardware.late, resolution)
+        while True:
+            progress = played.update()
+            self._tell(progress)
+            wrong = supervisor.violation(progress, self._clock.now())
+            if wrong is not None:
+                where = f"{progress.time:.2f} s after the start, frame {self.frame} being the last passed"
+                return Ending(wrong.outcome, f"{wrong.message} ({where})")
+            if seen is not None:
+                seen(self._trajectory, progress)
+            if progress.state == "done":
+                return self._arrived(progress, resolution)
+            if self._wishes.aborted():
+                return Ending(Outcome.CANCELLED, f"stopped on request, after frame {self.frame}")
+            self._obey(played, progress, supervisor)
+            if self._arm is not None and not self._held:
+                self._arm.follow(progress)
+            played.feed()
+            self._clock.sleep(TICK)
+
+    def _tell(self, progress: Progress) -> None:
+        """Record every frame that has been passed, with the position when that was seen."""
+        passed = self._trajectory.frames[self._trajectory.frame_time <= progress.time + 1e-9]
+        if progress.state == "done":
+            passed = self._trajectory.frames
+        for frame in passed[passed > self.frame].tolist():
+            self.frame = frame
+            self._journal.record("frame", frame=frame, position=progress.position.tolist())
+
+    def _obey(self, played: Played, progress: Progress, supervisor: Supervisor) -> None:
+        """Pause or go on as wished, once the device can."""
+        wish = self._wishes.latest
+        if progress.state == "held" and not self._held:
+            if self._arm is not None:
+                self._arm.hold()
+            self._rest(True)
+        if progress.state == "holding" and wish == "resume":
+            return
+        if progress.state == "running" and wish == "pause":
+            played.hold()
+            supervisor.paused()
+        if progress.state == "held" and wish == "resume":
+            played.resume()
+            supervisor.resumed()
+            self._rest(False)
+        self._wishes.granted()
+
+    def _rest(self, held: bool) -> None:
+        self._held = held
+        self._to(State.HOLD if held else State.RUNNING)
+
+    def _arrived(self, progress: Progress, resolution: Array) -> Ending:
+        goal = self._trajectory.positions(self._trajectory.duration)
+        tilted = 0.0 if self._arm is None else self._arm.arrive()
+        standing = Standing(progress.position, True)
+        off = abs(progress.position - goal) / resolution
+        if off.max() > 1.0:
+            axis = self._trajectory.hardware.axes[int(off.argmax())]
+            message = f"axis {axis.letter} ({axis.joint}) stands {off.max():.3g} steps from the last frame"
+            return Ending(Outcome.GOAL_TOLERANCE_VIOLATED, message, standing)
+        if tilted > LEVEL:
+            message = f"the arm stands {np.degrees(tilted):.2g} deg from the last frame"
+            return Ending(Outcome.GOAL_TOLERANCE_VIOLATED, message, standing)
+        return Ending(Outcome.SUCCESS, f"frame {self.frame} reached", standing)
