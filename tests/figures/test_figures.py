@@ -13,10 +13,10 @@ from matplotlib.image import imread
 from ctr_nlp import Plan, Problem, Robot, Tube, curve_from_formula, growing, seed_robot, solve_per_frame
 from ctr_nlp import shapes as robot_shapes
 from ctr_nlp.exceptions import OptionError, OutputError
-from ctr_nlp.figures import by_frame, configuration, errors, save_all, save_front, shapes
+from ctr_nlp.figures import by_frame, configuration, errors, save_all, shapes
 from ctr_nlp.figures.parts.palette import TUBES
 from ctr_nlp.figures.truth import error_from_truth, without_whole_turns
-from ctr_nlp.studies import pareto
+from ctr_nlp.studies.pareto import pareto, save_front
 from ctr_nlp.studies.trade_off import Point
 
 FRAMES = 6
