@@ -31,7 +31,7 @@ def read_mask(path: str | Path, entry: npt.ArrayLike, target: npt.ArrayLike) -> 
     file's own coordinates (RAS in NIfTI), in the lumen or at most a voxel's diagonal from it; the path begins and
     stops where it is nearest to them. Its points are about 1 mm apart; its radius is the distance to the wall in
     the cross-section, so that a lumen that ends or is cut open is not narrow there. The border of the image is no
-    wall. Raises CurveError, and OptionError where SimpleITK is missing.
+    wall. Raises CurveError, and OptionError where nibabel or pynrrd is missing.
 
     The way is found by Dijkstra's algorithm at a cost that grows towards the wall (after Antiga and Steinman, IEEE
     TMI 23(6), 2004), then centred in its cross-sections and smoothed.
