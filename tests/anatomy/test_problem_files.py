@@ -142,7 +142,8 @@ def test_what_only_some_need_is_not_imported_for_a_table(tmp_path):
     path = write_csv(tmp_path / "path.csv")
     program = (
         "import sys\n"
-        "for module in ('nibabel', 'nrrd', 'networkx', 'pyvista', 'vtkmodules', 'vtk'): sys.modules[module] = None\n"
+        "for module in ('nibabel', 'nrrd', 'networkx', 'pyvista', 'vtkmodules', 'vtk'):\n"
+        "    sys.modules[module] = None\n"
         f"import ctr_nlp; ctr_nlp.problem_from_file({str(path)!r}, branch=1, entry=(30, -50, 80))\n"
     )
     subprocess.run([sys.executable, "-W", "error", "-c", program], check=True)

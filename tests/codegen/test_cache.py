@@ -12,6 +12,8 @@ import sys
 import time
 from pathlib import Path
 
+import platformdirs.macos
+import platformdirs.unix
 import pytest
 
 from ctr_nlp import seed_robot
@@ -316,7 +318,8 @@ def no_space(*arguments, **options):
     ],
 )
 def test_the_folder_is_the_variables_else_the_users(platform, variables, expected, monkeypatch):
-    monkeypatch.setattr(sys, "platform", platform)
+    users = {"linux": platformdirs.unix.Unix, "darwin": platformdirs.macos.MacOS}[platform]
+    monkeypatch.setattr(platformdirs, "PlatformDirs", users)
     monkeypatch.setenv("HOME", "/home/someone")
     for name in ("CTR_NLP_CACHE", "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)

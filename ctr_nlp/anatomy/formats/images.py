@@ -7,6 +7,7 @@ negative) is refused instead, so its header is taken unchecked.
 from __future__ import annotations
 
 import gzip
+import itertools
 import math
 import re
 from dataclasses import dataclass
@@ -62,8 +63,7 @@ def read_image(path: str | Path) -> Image:
     except CtrError:
         raise
     except Exception as error:  # whatever the readers of both formats meet in a damaged file
-        told = " ".join(str(error).split()) or type(error).__name__
-        raise CurveError(f"image {path} cannot be read: {told}") from error
+        raise CurveError(f"image {path} cannot be read: {_told(error)}") from error
     if voxels.ndim != 3 or voxels.dtype.kind not in "iuf":
         raise CurveError(
             f"{path}: its voxels are {voxels.shape} of {voxels.dtype}; they must be numbers along 3 axes"
@@ -125,7 +125,7 @@ def _nrrd(path: Path) -> tuple[npt.NDArray[Any], Array, str]:
     with path.open("rb") as file:
         if not file.read(7) == b"NRRD000":
             raise CurveError("it does not begin with an NRRD header")
-    fields = nrrd.read_header(str(path))
+    fields = _nrrd_fields(nrrd, path)
     if fields.get("dimension") != 3:
         raise CurveError(f"its dimension is {fields.get('dimension')}; it must be 3")
     words = re.split(r"[- ]", fields.get("space", ""))
@@ -142,12 +142,37 @@ def _nrrd(path: Path) -> tuple[npt.NDArray[Any], Array, str]:
     parts = ("space directions", affine[:3, :3].T, 3), ("space origin", affine[:3, 3], 1)
     for key, part, count in parts:
         given = np.asarray(fields.get(key, np.nan), dtype=float)
-        if given.shape != part.shape or np.isnan(given).any():
+        if given.shape != part.shape:
             told = f"{fields[key]}".replace("\n", "") if key in fields else "missing"
             raise CurveError(f"its {key} is {told}; expected (x,y,z) in mm, {count} of them")
         part[...] = given
     _check(affine)
-    return nrrd.read(str(path))[0], affine, space.upper()
+    try:
+        return nrrd.read(str(path))[0], affine, space.upper()
+    except Exception as error:  # whatever its decompressors meet
+        raise CurveError(f"its voxels cannot be read: {_told(error)}") from error
+
+
+def _nrrd_fields(nrrd: Any, path: Path) -> dict[str, Any]:
+    """The header; where that cannot be read, which of its fields is wrong."""
+    try:
+        return dict(nrrd.read_header(str(path)))
+    except Exception as error:  # whatever its readers of fields meet
+        with path.open("rb") as file:
+            magic, *lines = (
+                line[:10_000].decode("utf-8", "replace") for line in itertools.takewhile(bytes.strip, file)
+            )
+        for line in header[1:]:
+            try:
+                nrrd.read_header([header[0], line])
+            except Exception as wrong:
+                field, _, value = line.strip().partition(":")
+                raise CurveError(f"its {field} is {value.strip()}: {_told(wrong)}") from error
+        raise
+
+
+def _told(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _check(affine: Array) -> None:
