@@ -1,4 +1,4 @@
-"""Plans to pictures: what the seed shows in its Figs. 4, 5, 6 and 8, for any plan."""
+"""Plans to pictures: what the paper shows in its Figs. 4, 5, 6 and 8, for any plan."""
 
 from ctr_nlp.figures.clearance import clearance
 from ctr_nlp.figures.files import save, save_all

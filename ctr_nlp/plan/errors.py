@@ -1,4 +1,4 @@
-"""Errors of a plan, section IV of the seed, always against the target itself."""
+"""Errors of a plan, section IV of the paper, always against the target itself."""
 
 from __future__ import annotations
 

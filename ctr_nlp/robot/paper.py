@@ -1,4 +1,4 @@
-"""The seed's robot, Table I."""
+"""The paper's robot, Table I."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from ctr_nlp.robot.tube import Tube
 
 
 def seed_robot(literal: bool = False) -> Robot:
-    """The seed's robot, Table I, read so that only curved parts are deployed: 50, 107 and 150 mm.
+    """The paper's robot, Table I, read so that only curved parts are deployed: 50, 107 and 150 mm.
 
     literal=True takes the table at its word: those lengths are straight and 40, 95, 240 mm are curved.
     """

@@ -159,9 +159,7 @@ def _nrrd_fields(nrrd: Any, path: Path) -> dict[str, Any]:
         return dict(nrrd.read_header(str(path)))
     except Exception as error:  # whatever its readers of fields meet
         with path.open("rb") as file:
-            magic, *lines = (
-                line[:10_000].decode("utf-8", "replace") for line in itertools.takewhile(bytes.strip, file)
-            )
+            header = [line[:10_000].decode("utf-8", "replace") for line in itertools.takewhile(bytes.strip, file)]
         for line in header[1:]:
             try:
                 nrrd.read_header([header[0], line])

@@ -40,7 +40,7 @@ def _measured(robot: Robot, stride: int, which: str) -> Iterator[Record]:
 
 
 def _nested(count: int) -> Robot:
-    """Tubes like the seed's, each inside the one before and longer."""
+    """Tubes like the paper's, each inside the one before and longer."""
     tubes = (
         Tube(90.0 + 60 * i, 50.0 + 20 * i, 0.006 + 0.001 * i, 6.0 - 0.9 * i, 5.3 - 0.9 * i) for i in range(count)
     )

@@ -27,7 +27,7 @@ from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import growing
 
 Source = Path | int
-"""A centreline file with radii, or the seed of a synthetic airway."""
+"""A centreline file with radii, or the paper of a synthetic airway."""
 WAY = 150.0
 """mm of a synthetic airway that are followed, its last."""
 WITHOUT, WITH, FIRST = Settings(contact_weight=0.0), Settings(), Settings(clearance_cost=math.inf)
@@ -106,7 +106,7 @@ def study(
 
 
 def problem_of(source: Source, frames: int = 100) -> Problem:
-    """The seed's robot advancing into an airway: a file's, trimmed at its end, or the last of a synthetic one."""
+    """The paper's robot advancing into an airway: a file's, trimmed at its end, or the last of a synthetic one."""
     if not isinstance(source, int):
         return problem_from_file(source, frames=frames, trim="end")
     airway = synthetic_airway(seed=source)

@@ -45,7 +45,7 @@ EXPLANATION = """\
 
 ![Contact without and with clearance, and growth of e3](clearance.png)
 
-**Robot and motion.** The seed's robot of three tubes, free at its base, on the dominant model; {frames} frames
+**Robot and motion.** The paper's robot of three tubes, free at its base, on the dominant model; {frames} frames
 in 10 s. Defaults: {clearance:g} mm are to be kept between tubes and wall, a mm less costs {weight:g} mm² in a
 frame, and e3 may grow by {most:g} % for it; where it would grow by more, contact costs less.
 

@@ -68,7 +68,7 @@ SECTION = Section(
     motions((NAME,), METHODS),
     "Ours above; below, control of the tip alone by the damped inverse of its Jacobian. All clips are to one "
     "scale.",
-    "The seed's bronchus, and its numbers for the tip alone. Parts (a) to (c) of Fig. 9 are photographs of "
+    "The paper's bronchus, and its numbers for the tip alone. Parts (a) to (c) of Fig. 9 are photographs of "
     "hardware.",
     tables,
     checks,
