@@ -11,12 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.exceptions import CurveError
-from ctr_nlp.support.equal import Value
+from ctr_nlp.support.equal import Kept, Value
 from ctr_nlp.support.packing import packable
 from ctr_nlp.support.values import floats, number
 from ctr_nlp.target.arc_length import ByArcLength, Radii, Spline
 from ctr_nlp.target.formula import Formula
-from ctr_nlp.target.moves import Moved, Piece, Turned
 from ctr_nlp.target.points import checked_points, checked_radii
 from ctr_nlp.target.smoothing import evened
 from ctr_nlp.typing import Array, Field
@@ -131,6 +130,69 @@ class Curve(Value):
         return replace(
             found, radius=Radii(lengths, radius - away).at, deviation_share=float((away / radius).max())
         )
+
+
+@packable("piece")
+@dataclass(frozen=True, eq=False)
+class Piece(Value):
+    """A curve from arc length start on, in mm."""
+
+    curve: Curve
+    start: float
+
+    def at(self, s: Array) -> Array:
+        """The curve's arc length, (n,) mm."""
+        return s + self.start
+
+    def point(self, s: Array) -> Array:
+        """(n, 3) mm."""
+        return self.curve.point(self.at(s))
+
+    def tangent(self, s: Array) -> Array:
+        """(n, 3), of length 1."""
+        return self.curve.tangent(self.at(s))
+
+    def curvature(self, s: Array) -> Array:
+        """(n,) 1/mm."""
+        return self.curve.curvature(self.at(s))
+
+    def radius(self, s: Array) -> Array:
+        """Of the lumen, (n,) mm, where the curve knows it."""
+        assert self.curve.radius is not None
+        return self.curve.radius(self.at(s))
+
+
+@packable("turned")
+@dataclass(frozen=True, eq=False)
+class Turned(Piece):
+    """A curve from its last point to its first."""
+
+    start: float = 0.0
+
+    def at(self, s: Array) -> Array:
+        """The curve's arc length, (n,) mm."""
+        return np.asarray(self.curve.length - s)
+
+    def tangent(self, s: Array) -> Array:
+        """(n, 3), of length 1."""
+        return -self.curve.tangent(self.at(s))
+
+
+@packable("moved")
+@dataclass(frozen=True, eq=False)
+class Moved(Kept):
+    """A curve under a rigid transform (4, 4)."""
+
+    curve: Curve
+    transform: Array
+
+    def point(self, s: Array) -> Array:
+        """(n, 3) mm."""
+        return np.asarray(self.curve.point(s) @ self.transform[:3, :3].T + self.transform[:3, 3])
+
+    def tangent(self, s: Array) -> Array:
+        """(n, 3), of length 1."""
+        return np.asarray(self.curve.tangent(s) @ self.transform[:3, :3].T)
 
 
 def curve_from_formula(formula: Callable[[Any], tuple[Any, Any, Any]], start: float, stop: float) -> Curve:

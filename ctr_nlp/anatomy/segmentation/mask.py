@@ -124,7 +124,7 @@ def _tube(lumen: Flags, spacing: Array, ends: Array) -> Array:
     length, width = float(np.linalg.norm(np.diff(route, axis=0), axis=1).sum()), 2 * (room.max() + voxel)
     if length < width:
         raise CurveError(
-            f"the way from entry to target is {length:.3g} mm long; it must be longer than the lumen is wide, "
+            f"the path from entry to target is {length:.3g} mm long; it must be longer than the lumen is wide, "
             f"about {width:.3g} mm"
         )
     tube = centred(lumen, spacing, route, room, ends * spacing)
@@ -132,7 +132,7 @@ def _tube(lumen: Flags, spacing: Array, ends: Array) -> Array:
     astray = np.flatnonzero(outside[1:] & outside[:-1])
     if astray.size:
         raise CurveError(
-            f"a smooth path leaves the lumen {100 * astray[0] / len(tube):.0f} % of the way from entry to target: "
+            f"a smooth path leaves the lumen {100 * astray[0] / len(tube):.0f} % along the path from entry to target: "
             "the lumen is too narrow there for its voxels"
         )
     return tube

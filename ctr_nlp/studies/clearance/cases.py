@@ -28,7 +28,7 @@ from ctr_nlp.target.target import growing
 
 Source = Path | int
 """A centreline file with radii, or the paper of a synthetic airway."""
-WAY = 150.0
+FOLLOWED_MM = 150.0
 """mm of a synthetic airway that are followed, its last."""
 WITHOUT, WITH, FIRST = Settings(contact_weight=0.0), Settings(), Settings(clearance_cost=math.inf)
 """No wall; the default; clearance whatever it costs."""
@@ -110,7 +110,7 @@ def problem_of(source: Source, frames: int = 100) -> Problem:
     if not isinstance(source, int):
         return problem_from_file(source, frames=frames, trim="end")
     airway = synthetic_airway(seed=source)
-    path, to_robot = placed(airway.part(airway.length - WAY, airway.length))
+    path, to_robot = placed(airway.part(airway.length - FOLLOWED_MM, airway.length))
     lumen = airway.moved(to_robot)
     return Problem(f"synthetic {source}", seed_robot(), growing(path, frames), to_robot=to_robot, lumen=lumen)
 

@@ -33,8 +33,8 @@ class Fit(NamedTuple):
 def fits(problem: Problem, plan: Plan, method: str) -> tuple[Fit, ...]:
     """Fits of every frame by itself, from where a plan has it, with each number of points.
 
-    method: "joint", or "seed-two-stage" for the paper's. Without a motion term and with the same starts throughout,
-    only the number of points makes a difference.
+    method: "joint", or "seed-two-stage" for the paper's. Without a motion term and with the same starts
+    throughout, only the number of points makes a difference.
     """
     found = _joint(problem, plan.q) if method == "joint" else _two_stage(problem, plan.q)
     return tuple(Fit(points, _e3(plan, q), failed) for points, q, failed in found)

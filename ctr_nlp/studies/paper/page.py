@@ -17,12 +17,13 @@ INTRODUCTION = """\
 
 *Curvature-Based Continuous Steering of Stiffness-Dominant Concentric Tube Robots* ("the paper") is known here as
 text: its statements, the captions of its figures, and Table II. Each figure is remade from our own runs, the
-seed's numbers stand beside ours, and where numbers can decide about one of its statements, those of this run do.
+paper's numbers stand beside ours, and where numbers can decide about one of its statements, those of this run do.
 
 **Methods.** {methods}.
 
-The paper's method and its baseline are our re-implementations of its descriptions, in numpy and scipy, forward from
-frame to frame as published; where they do worse or better than published, that is said and not explained away.
+The paper's method and its baseline are our re-implementations of its descriptions, in numpy and scipy, forward
+from frame to frame as published; where they do worse or better than published, that is said and not explained
+away.
 
 **This run.** {frames} frames in 10 s; lambda {weight:g} s² frame by frame; {seconds:.0f} s with {jobs} on
 {machine}. {failures}.

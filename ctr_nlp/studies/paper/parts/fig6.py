@@ -99,8 +99,8 @@ def in_the_middle(e2: dict[str, Array]) -> Check:
         for name in ends
     )
     return Check(
-        "(d) `bronchus`: errors of the paper's method and the baseline are similar in the first 20 and the last 10 "
-        "frames of 100; between, the paper's method is better",
+        "(d) `bronchus`: errors of the paper's method and the baseline are similar in the first 20 and the last "
+        "10 frames of 100; between, the paper's method is better",
         f"RMS of e2 in mm, {numbers}; up to {COMPARABLE:.0%} apart counts as similar",
         sum(similar) + int(rms["middle 70"][SEED] < rms["middle 70"][BASELINE]),
         3,
@@ -132,9 +132,9 @@ SECTION = Section(
     motions(PROBLEMS, METHODS),
     "The scale is that of square roots, and differs between panels. The paper compares its own method with its "
     "baseline; its statements are checked on our re-implementations of these two.",
-    "The curves of the paper's Fig. 6: only the statements below and Table II are known. Its weights of the motion "
-    "term, 100 for its method and 500 for the baseline, have no unit; both re-implementations here use ours. Its "
-    "bronchus is not public, ours is another.",
+    "The curves of the paper's Fig. 6: only the statements below and Table II are known. Its weights of the "
+    "motion term, 100 for its method and 500 for the baseline, have no unit; both re-implementations here use ours. "
+    "Its bronchus is not public, ours is another.",
     tables,
     checks,
     rows,

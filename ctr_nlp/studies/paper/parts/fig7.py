@@ -118,7 +118,8 @@ FIG8 = Section(
     "alpha and theta_y are one rotation and no shape tells them apart: these frames are left out of the table. "
     "Whole turns do not count, nor does the other way to write the same rotation (theta_x to pi - theta_x, all "
     "other angles by pi).",
-    "Any number of the paper's Fig. 8, its weight's unit, and how it treats the rotation that no shape determines.",
+    "Any number of the paper's Fig. 8, its weight's unit, and how it treats the rotation that no shape "
+    "determines.",
     tables_of_errors,
     checks_of_errors,
     rows_of_errors,
