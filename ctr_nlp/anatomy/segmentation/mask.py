@@ -132,7 +132,7 @@ def _tube(lumen: Flags, spacing: Array, ends: Array) -> Array:
     astray = np.flatnonzero(outside[1:] & outside[:-1])
     if astray.size:
         raise CurveError(
-            f"a smooth path leaves the lumen {100 * astray[0] / len(tube):.0f} % along the path from entry to target: "
+            f"a smooth path leaves the lumen {100 * astray[0] / len(tube):.0f} % along it from entry to target: "
             "the lumen is too narrow there for its voxels"
         )
     return tube

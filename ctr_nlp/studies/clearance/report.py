@@ -50,8 +50,8 @@ in 10 s. Defaults: {clearance:g} mm are to be kept between tubes and wall, a mm 
 frame, and e3 may grow by {most:g} % for it; where it would grow by more, contact costs less.
 
 **Airways.** {real} read from centreline files, followed from their first point and trimmed at the end to what
-the robot reaches; {synthetic} made by `synthetic_airway(seed)`, of which the last {followed:g} mm are followed. The
-lumen is the whole path in either case.
+the robot reaches; {synthetic} made by `synthetic_airway(seed)`, of which the last {followed:g} mm are followed.
+The lumen is the whole path in either case.
 
 **Contact** is by how much the robot is beyond the wall at most in a frame, at 101 samples along it and with the
 radius of the outermost tube there, summed over frames.

@@ -56,8 +56,19 @@ def motions(problems: Sequence[str], methods: Sequence[str]) -> tuple[Task, ...]
     return tuple(Motion(problem, method) for problem in problems for method in methods)
 
 
-def by_frames(plan: Plan, keys: Sequence[str]) -> list[dict[str, Any]]:
-    """A line for each frame with columns of errors.csv, in mm."""
+def by_frames(
+    problems: Sequence[str], methods: Sequence[str], keys: Sequence[str]
+) -> Callable[[Found], list[dict[str, Any]]]:
+    """Of what was found a line for each problem, method and frame, with columns of errors.csv, in mm."""
+    return lambda found: [
+        {"problem": problem, "method": method} | line
+        for problem in problems
+        for method in methods
+        for line in _by_frame(found.plan(problem, method), keys)
+    ]
+
+
+def _by_frame(plan: Plan, keys: Sequence[str]) -> list[dict[str, Any]]:
     columns = by_frame(plan)
     numbers = zip(*(columns[key].tolist() for key in keys), strict=True)
     return [

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -111,16 +109,6 @@ def _apart(a: float, b: float) -> float:
     return max(a, b) / min(a, b) - 1
 
 
-def rows(found: Found) -> list[dict[str, Any]]:
-    """A line for each problem, method and frame."""
-    return [
-        {"problem": problem, "method": method} | line
-        for problem in PROBLEMS
-        for method in METHODS
-        for line in by_frames(found.plan(problem, method), ("e2", "max"))
-    ]
-
-
 def draw(found: Found) -> Figure:
     """All three methods on all four problems."""
     return by_frame_compared({problem: found.named(problem, METHODS) for problem in PROBLEMS})
@@ -133,10 +121,10 @@ SECTION = Section(
     "The scale is that of square roots, and differs between panels. The paper compares its own method with its "
     "baseline; its statements are checked on our re-implementations of these two.",
     "The curves of the paper's Fig. 6: only the statements below and Table II are known. Its weights of the "
-    "motion term, 100 for its method and 500 for the baseline, have no unit; both re-implementations here use ours. "
-    "Its bronchus is not public, ours is another.",
+    "motion term, 100 for its method and 500 for the baseline, have no unit; both re-implementations here use "
+    "ours. Its bronchus is not public, ours is another.",
     tables,
     checks,
-    rows,
+    by_frames(PROBLEMS, METHODS, ("e2", "max")),
     draw,
 )

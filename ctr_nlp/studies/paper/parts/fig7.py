@@ -73,15 +73,6 @@ def checks_of_errors(found: Found) -> list[Check]:
     ]
 
 
-def rows_of_shapes(found: Found) -> list[dict[str, Any]]:
-    """A line for each method and frame."""
-    return [
-        {"method": method} | line
-        for method in METHODS
-        for line in by_frames(found.plan(NAME, method), ("e2", "max"))
-    ]
-
-
 def rows_of_errors(found: Found) -> list[dict[str, Any]]:
     """A line for each method and frame with the error of every coordinate, rad and mm."""
     result = []
@@ -107,7 +98,7 @@ FIG7 = Section(
     "Which frames the paper shows. It prints q2 with 7 of its 8 numbers: all angles are taken to end at pi.",
     lambda found: [beside(found, (NAME,))],
     checks_of_shapes,
-    rows_of_shapes,
+    by_frames((NAME,), METHODS, ("e2", "max")),
     lambda found: shapes(found.plan(NAME, HORIZON)),
 )
 FIG8 = Section(
