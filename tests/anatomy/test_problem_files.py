@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from ctr_nlp import problem_from_file, seed_robot
+from ctr_nlp import problem_from_file, table_i_robot
 from ctr_nlp.anatomy.branch import moved
 from ctr_nlp.cli.commands.list_branches import main as list_branches
 from ctr_nlp.cli.commands.solve_horizon import main as solve_horizon
@@ -244,7 +244,7 @@ def test_the_insertion_direction_is_in_the_files_own_coordinates(tmp_path, space
 )
 def test_tilt_tightens_and_never_widens(tmp_path, theta, tilt, expected):
     path = write_csv(tmp_path / "path.csv")
-    robot = problem_from_file(path, seed_robot().with_limits(theta=theta), tilt=tilt).robot
+    robot = problem_from_file(path, table_i_robot().with_limits(theta=theta), tilt=tilt).robot
     assert [*robot.lower[-2:], *robot.upper[-2:]] == pytest.approx(expected)
 
 

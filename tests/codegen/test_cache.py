@@ -16,7 +16,7 @@ import platformdirs.macos
 import platformdirs.unix
 import pytest
 
-from ctr_nlp import seed_robot
+from ctr_nlp import table_i_robot
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.joint import alone
@@ -155,7 +155,7 @@ def test_without_a_compiler_the_error_and_one_warning_name_what_to_install(place
 
 def test_without_a_compiler_problems_are_solved_interpreted(tools, monkeypatch):
     only(tools, monkeypatch)
-    nlp = alone(seed_robot())
+    nlp = alone(table_i_robot())
     assert default_chain_solver() == "ipopt"
     assert fastest(nlp) is nlp.functions
     with pytest.raises(OptionError, match="install gcc or clang"):
@@ -164,7 +164,7 @@ def test_without_a_compiler_problems_are_solved_interpreted(tools, monkeypatch):
 
 def test_compiling_that_is_switched_off_is_not_warned_of(place, monkeypatch, caplog):
     monkeypatch.setenv("CTR_NLP_COMPILE", "0")
-    nlp = alone(seed_robot())
+    nlp = alone(table_i_robot())
     assert cache.missing() == OPTED_OUT
     assert default_chain_solver() == "ipopt"
     assert fastest(nlp) is nlp.functions

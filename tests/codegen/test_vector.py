@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ctr_nlp import Limits, Robot, curve_from_formula, growing, seed_robot
+from ctr_nlp import Limits, Robot, curve_from_formula, growing, table_i_robot
 from ctr_nlp.codegen import cache, vector
 from ctr_nlp.codegen.vector import LANES, vector_code
 from ctr_nlp.formulations.horizon import Ends, horizon
@@ -337,7 +337,7 @@ def test_lanes_do_not_mix():
 
 def robot():
     """Two tubes that are arcs and one whose curvature grows: every kind of code in one library."""
-    *arcs, last = seed_robot().tubes
+    *arcs, last = table_i_robot().tubes
     return Robot((*arcs, replace(last, curvature=(1 / 120, 1 / 60))))
 
 
@@ -418,7 +418,7 @@ def test_another_number_of_lanes_is_another_library():
 
 def test_the_key_changes_with_the_robot():
     """Curved lengths enter where transmissions may leave the base."""
-    seed = seed_robot()
+    seed = table_i_robot()
     first, *others = seed.tubes
     deep = Limits(beta=[(0, tube.length) for tube in seed.tubes])
     changed = [
@@ -430,7 +430,7 @@ def test_the_key_changes_with_the_robot():
     ]
     keys = [compiled._key(alone(robot)) for robot in (seed, *changed)]
     assert len(set(keys)) == len(keys)
-    assert compiled._key(alone(seed_robot())) == keys[0]
+    assert compiled._key(alone(table_i_robot())) == keys[0]
 
 
 def test_the_key_changes_with_constants_and_with_what_writes_the_code(monkeypatch):

@@ -10,7 +10,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import same_color
 from matplotlib.image import imread
 
-from ctr_nlp import Plan, Problem, Robot, Tube, curve_from_formula, growing, seed_robot, solve_per_frame
+from ctr_nlp import Plan, Problem, Robot, Tube, curve_from_formula, growing, solve_per_frame, table_i_robot
 from ctr_nlp import shapes as robot_shapes
 from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.figures import by_frame, configuration, errors, save_all, shapes
@@ -45,12 +45,12 @@ def solved(robot, frames=FRAMES, path=arc, length=40.0, name="arc"):
 
 @pytest.fixture(scope="module")
 def plan():
-    return solved(seed_robot())
+    return solved(table_i_robot())
 
 
 @pytest.fixture(scope="module")
 def spatial():
-    return solved(seed_robot(), frames=1, path=helix)
+    return solved(table_i_robot(), frames=1, path=helix)
 
 
 def unreached(plan, missing):

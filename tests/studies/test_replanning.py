@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ctr_nlp import Curve, Problem, Target, curve_from_formula, growing, seed_robot, solve_per_frame
+from ctr_nlp import Curve, Problem, Target, curve_from_formula, growing, solve_per_frame, table_i_robot
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.studies.replanning import replanned
 
@@ -24,7 +24,7 @@ FIRST, OTHER = arc(120.0), arc(80.0)
 
 @pytest.fixture(scope="module")
 def problem() -> Problem:
-    return Problem("arc", seed_robot(), growing(FIRST, 6))
+    return Problem("arc", table_i_robot(), growing(FIRST, 6))
 
 
 @pytest.fixture(scope="module")

@@ -22,13 +22,13 @@ from ctr_nlp import (
     curve_from_points,
     growing,
     problem_from_file,
-    seed_robot,
     sequence,
     shape_curve,
+    table_i_robot,
 )
 from ctr_nlp.exceptions import CurveError, OutputError, ProblemError
 
-ROBOT = seed_robot()
+ROBOT = table_i_robot()
 Q = np.array([0.1, 0.2, 0.3, 10, 20, 30, 0.1, 0.0])
 
 
@@ -107,7 +107,7 @@ def test_curves_tell_their_makers_apart():
     assert points() != points().reversed()
     assert points().part(1, 9) == points().part(1, 9) != points().part(2, 10)
     assert shape_curve(ROBOT, Q) != shape_curve(ROBOT, -Q[::1] * [-1, 1, 1, -1, -1, -1, 1, 1])
-    assert hash(ROBOT) == hash(seed_robot())
+    assert hash(ROBOT) == hash(table_i_robot())
     assert hash(Settings()) == hash(Settings())
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ctr_nlp.formulations.joint import alone
-from ctr_nlp.robot import Robot, Tube, seed_robot
+from ctr_nlp.robot import Robot, Tube, table_i_robot
 from ctr_nlp.solvers.frame.sqp import Program
 from ctr_nlp.studies.benchmarks.frames import evaluation
 from ctr_nlp.studies.benchmarks.records import Record
@@ -19,7 +19,7 @@ TUBES = (2, 3, 4, 5, 6)
 
 def sizes() -> Iterator[Record]:
     """Operations and compiled time of a frame's first derivatives, and the time of its build."""
-    robot = seed_robot()
+    robot = table_i_robot()
     for stride in STRIDES:
         yield from _measured(robot, stride, f"{100 // stride + 1} samples")
     for count in TUBES:

@@ -18,7 +18,7 @@ from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.plan.contacts import depth
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.robot import seed_robot
+from ctr_nlp.robot import table_i_robot
 from ctr_nlp.steer import solve_horizon
 from ctr_nlp.studies.clearance.alone import Alone
 from ctr_nlp.support.pool import side_by_side
@@ -112,7 +112,7 @@ def problem_of(source: Source, frames: int = 100) -> Problem:
     airway = synthetic_airway(seed=source)
     path, to_robot = placed(airway.part(airway.length - FOLLOWED_MM, airway.length))
     lumen = airway.moved(to_robot)
-    return Problem(f"synthetic {source}", seed_robot(), growing(path, frames), to_robot=to_robot, lumen=lumen)
+    return Problem(f"synthetic {source}", table_i_robot(), growing(path, frames), to_robot=to_robot, lumen=lumen)
 
 
 def measured(source: Source, frames: int = 100) -> Case | None:
