@@ -18,7 +18,7 @@ from ctr_nlp.plan.errors import e3
 from ctr_nlp.plan.moved import elsewhere, lost, moved
 from ctr_nlp.plan.record import Record
 from ctr_nlp.plan.stored import FORMAT, check_arrays, check_meta, stored
-from ctr_nlp.plan.stretches import joined, resampled, rows, stretch
+from ctr_nlp.plan.stretches import joined, resampled, rows, stretch, turned
 from ctr_nlp.plan.verdicts import Verdicts, verdicts
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.cards import Line, card
@@ -47,8 +47,7 @@ class Plan(Record):
 
     def reversed(self) -> Plan:
         """The same motion played backwards, at the same pace."""
-        turned = {name: array[::-1] for name, array in rows(self).items() if name != "time"}
-        return replace(self, meta=self.meta | {"reversed": not self.meta.get("reversed", False)}, **turned)
+        return turned(self)
 
     def on(self, model: str) -> Plan:
         """The same motion on another model: shapes, tip directions and stability of the robot moved through it."""

@@ -68,6 +68,20 @@ def stretch(plan: AnyPlan, frames: slice) -> AnyPlan:
     return replace(plan, **kept, meta=meta | _timed(meta, len(chosen), plan.dt))
 
 
+def turned(plan: AnyPlan) -> AnyPlan:
+    """The same motion played backwards, at the same pace."""
+    back = {name: array[::-1] for name, array in rows(plan).items() if name != "time"}
+    count = len(plan.time) + 1
+    meta: dict[str, Any] = {
+        name: {key if key == "all" else str(count - int(key)): why for key, why in plan.meta[name].items()}
+        for name in BY_FRAME
+        if name in plan.meta
+    }
+    if "interpolated" in plan.meta:
+        meta["interpolated"] = [count - j for j in reversed(plan.meta["interpolated"])]
+    return replace(plan, meta=plan.meta | meta | {"reversed": not plan.meta.get("reversed", False)}, **back)
+
+
 def joined(plan: AnyPlan, other: Record) -> AnyPlan:
     """One plan after another of the same robot, pace, model and lumen; raises OptionError where they differ.
 

@@ -108,6 +108,14 @@ def test_failures_of_a_joined_plan_have_its_numbers():
     assert both.verdicts.followed.word == NO
 
 
+def test_failures_keep_their_frames_on_the_way_back():
+    back = failing(2).reversed()
+    assert back.meta["failures"] == {"3": "why"}
+    assert back.success.tolist() == [True, True, False, True]
+    assert back.reversed().meta["failures"] == {"2": "why"}
+    assert plan().resampled(frames=10)[:4].reversed().meta["interpolated"] == [2, 3]
+
+
 def test_the_step_from_one_plan_to_the_next_counts():
     """The second begins where the first did: the robot would have to jump back."""
     fast = replace(plan(), time=plan().time / 5)
