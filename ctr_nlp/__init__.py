@@ -5,7 +5,7 @@ from ctr_nlp.exceptions import CtrError
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.robot import Limits, Robot, Tube, seed_robot
+from ctr_nlp.robot import Limits, Robot, Tube, seed_robot, table_i_robot
 from ctr_nlp.simulation.forward import shape_curve, shapes
 from ctr_nlp.steer import Steerer, solve_horizon, solve_per_frame
 from ctr_nlp.target.curve import Curve, curve_from_formula, curve_from_points
@@ -36,4 +36,5 @@ __all__ = [
     "solve_horizon",
     "solve_per_frame",
     "summary",
+    "table_i_robot",
 ]

@@ -5,7 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from ctr_nlp import Curve, Problem, Robot, curve_from_formula, growing, seed_robot
+from ctr_nlp import Curve, Problem, Robot, curve_from_formula, growing, table_i_robot
 
 CURVATURES = ((1 / 200, 1 / 100), (1 / 90, 1 / 50), (1 / 120, 1 / 60))
 """Root and tip of the curved part of each tube, 1/mm."""
@@ -18,7 +18,7 @@ def problem(frames: int = 100, duration: float = 10.0, robot: Robot | None = Non
 
 def bent(curvatures: tuple[float | tuple[float, float], ...]) -> Robot:
     """The seed's robot with other pre-curvatures, 1/mm."""
-    robot = seed_robot()
+    robot = table_i_robot()
     tubes = (replace(tube, curvature=k) for tube, k in zip(robot.tubes, curvatures, strict=True))
     return replace(robot, tubes=tuple(tubes))
 

@@ -4,7 +4,7 @@ import math
 
 import casadi as ca
 
-from ctr_nlp import Problem, Robot, curve_from_formula, growing, seed_robot
+from ctr_nlp import Problem, Robot, curve_from_formula, growing, table_i_robot
 
 
 def problem(frames: int = 100, duration: float = 10.0, robot: Robot | None = None) -> Problem:
@@ -17,5 +17,5 @@ def problem(frames: int = 100, duration: float = 10.0, robot: Robot | None = Non
         return sine * along - cosine * aside, 0, cosine * along + sine * aside
 
     return Problem(
-        "line_arc", robot or seed_robot(), growing(curve_from_formula(path, 0.0, 150.0), frames), duration
+        "line_arc", robot or table_i_robot(), growing(curve_from_formula(path, 0.0, 150.0), frames), duration
     )

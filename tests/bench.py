@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp import seed_robot
+from ctr_nlp import table_i_robot
 from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.axis import Axis
 from ctr_nlp.hardware.connection import Connection
@@ -32,7 +32,7 @@ from ctr_nlp.typing import Array
 
 def plan_of(q: Array, dt: float, robot: Any = None) -> Plan:
     """A plan that moves a robot (the seed's) through q (T, 8) with dt s from frame to frame."""
-    robot = seed_robot() if robot is None else robot
+    robot = table_i_robot() if robot is None else robot
     alpha, beta, theta = robot.split(q)
     frames = len(q)
     known, shape = np.zeros(frames), shapes(robot, q)

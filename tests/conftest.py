@@ -12,7 +12,7 @@ import casadi as ca
 import pytest
 from hypothesis import HealthCheck, settings
 
-from ctr_nlp import Problem, Robot, curve_from_formula, growing, seed_robot
+from ctr_nlp import Problem, Robot, curve_from_formula, growing, table_i_robot
 from ctr_nlp.support.pool import THREADS
 
 settings.register_profile(
@@ -49,7 +49,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
 @pytest.fixture(scope="session")
 def robot() -> Robot:
     """The seed's robot."""
-    return seed_robot()
+    return table_i_robot()
 
 
 @pytest.fixture(scope="session")

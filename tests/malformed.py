@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from ctr_nlp import Plan, Problem, curve_from_points, growing, seed_robot
+from ctr_nlp import Plan, Problem, curve_from_points, growing, table_i_robot
 from ctr_nlp.exceptions import CtrError
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.plan.plan import plan_from_configurations
@@ -180,7 +180,7 @@ def mask(header: str = NRRD_HEADER, content: np.ndarray | None = None) -> bytes:
 @functools.cache
 def plan() -> Plan:
     """A plan of four frames of the seed's robot, along the helix, made by hand."""
-    robot = seed_robot()
+    robot = table_i_robot()
     path = curve_from_points(helix(), np.full(61, 6.0))
     problem = Problem("helix", robot, growing(path, 4))
     q = np.array(

@@ -17,7 +17,7 @@ from scipy.integrate import OdeSolution, solve_ivp
 from scipy.optimize import fsolve
 from scipy.spatial.transform import Rotation
 
-from ctr_nlp import Limits, Robot, Tube, seed_robot
+from ctr_nlp import Limits, Robot, Tube, table_i_robot
 
 CASES = 28
 TWO = Robot(
@@ -58,7 +58,7 @@ def case(folder: Path, number: int) -> Case:
     data = json.loads((folder / "elastic_reference.json").read_text())["configurations"]
     assert len(data) == CASES
     data = data[number]
-    robot = seed_robot(literal=data["robot"] == "seed_table_literal")
+    robot = table_i_robot(literal=data["robot"] == "seed_table_literal")
     q = np.concatenate([data["alpha_rad"], data["beta_mm"], data["theta_rad"]])
     start = untwisted(robot, q) if "opposed" in data.get("kind", "") else None
     (x,) = follow(robot, q[None], start).x

@@ -14,7 +14,7 @@ from ctr_nlp.anatomy.files import title
 from ctr_nlp.anatomy.followed import way_through
 from ctr_nlp.anatomy.formats.table import read_table
 from ctr_nlp.exceptions import CurveError, OptionError, RobotError
-from ctr_nlp.robot import Robot, seed_robot
+from ctr_nlp.robot import Robot, table_i_robot
 from ctr_nlp.robot.units import angle_meant, between, did_you_mean
 from ctr_nlp.support.values import checked_path, instance, number
 from ctr_nlp.target.curve import Curve, curve_from_points
@@ -53,7 +53,7 @@ def problem_from_file(
         raise OptionError(f"trim is {trim!r}; it must be 'start' or 'end'")
     if robot is not None:
         instance(RobotError, "robot", robot, Robot)
-    robot = _tilting(robot or seed_robot(), tilt)
+    robot = _tilting(robot or table_i_robot(), tilt)
     along = None if insertion is None else unit(insertion)
     way = way_through(path, branch, entry, target, reverse)
     try:

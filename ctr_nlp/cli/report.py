@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, console, print_table
-from ctr_nlp.figures import save_all, save_front
+from ctr_nlp.figures import save_all
 from ctr_nlp.plan import account
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.studies.pareto import save_front
 from ctr_nlp.studies.trade_off import Point
 
 

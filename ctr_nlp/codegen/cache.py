@@ -11,13 +11,14 @@ import os
 import shlex
 import shutil
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
+
+import platformdirs
 
 from ctr_nlp.exceptions import OptionError
 
@@ -79,11 +80,7 @@ def say(text: str) -> None:
 
 def folder() -> Path:
     """Where libraries are kept: CTR_NLP_CACHE, or ctr_nlp in the user's cache folder."""
-    if os.environ.get(FOLDER):
-        return Path(os.environ[FOLDER])
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches" / "ctr_nlp"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ctr_nlp"
+    return Path(os.environ.get(FOLDER) or platformdirs.user_cache_dir("ctr_nlp", appauthor=False))
 
 
 def library(key: str, code: Callable[[], str]) -> Path:

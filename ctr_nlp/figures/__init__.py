@@ -1,7 +1,7 @@
-"""Plans to pictures: what the seed shows in its Figs. 4, 5, 6 and 8, for any plan."""
+"""Plans to pictures: what the paper shows in its Figs. 4, 5, 6 and 8, for any plan."""
 
 from ctr_nlp.figures.clearance import clearance
-from ctr_nlp.figures.files import save, save_all, save_front
+from ctr_nlp.figures.files import save, save_all
 from ctr_nlp.figures.film import check_film, film
 from ctr_nlp.figures.frames import by_frame
 from ctr_nlp.figures.motion import configuration
@@ -9,7 +9,6 @@ from ctr_nlp.figures.overlay import shapes
 from ctr_nlp.figures.stability import stability
 from ctr_nlp.figures.tracking import tracking
 from ctr_nlp.figures.violins import errors
-from ctr_nlp.studies.pareto import pareto
 
 __all__ = [
     "by_frame",
@@ -18,10 +17,8 @@ __all__ = [
     "configuration",
     "errors",
     "film",
-    "pareto",
     "save",
     "save_all",
-    "save_front",
     "shapes",
     "stability",
     "tracking",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +15,6 @@ from ctr_nlp.figures.overlay import shapes
 from ctr_nlp.figures.stability import stability
 from ctr_nlp.figures.violins import errors
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.studies.pareto import pareto
-from ctr_nlp.studies.trade_off import Point
 
 PICTURES = {"shapes": shapes, "errors": errors, "by_frame": by_frame, "configuration": configuration}
 """Of every plan, by the names of their files."""
@@ -32,11 +29,6 @@ def save_all(plan: Plan, folder: str | Path) -> list[Path]:
     pictures = PICTURES | ({"stability": stability} if np.isfinite(plan.stability).any() else {})
     pictures |= {} if plan.clearance is None else {"clearance": clearance}
     return [save(picture(plan), Path(folder) / f"{name}.png") for name, picture in pictures.items()]
-
-
-def save_front(points: Sequence[Point], problem: str, folder: str | Path) -> Path:
-    """Write pareto.png into a folder that exists; raises OutputError where it cannot be written."""
-    return save(pareto(points, problem), Path(folder) / "pareto.png")
 
 
 def save(figure: Figure, path: Path) -> Path:

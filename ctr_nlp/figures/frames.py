@@ -1,4 +1,4 @@
-"""The error of every frame, as Fig. 6 of the seed."""
+"""The error of every frame, as Fig. 6 of the paper."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CURVES: dict[str, dict[str, Any]] = {
     "tip": {"label": "tip", "color": GREEN, "lw": 0.9, "ls": "-."},
     "nearest": {"label": "nearest point, RMS", "color": PURPLE, "lw": 0.9, "ls": "-"},
 }
-"""Columns of errors.csv in the picture and how they are drawn: the seed's two strong, the others thin."""
+"""Columns of errors.csv in the picture and how they are drawn: the paper's two strong, the others thin."""
 
 COMPARED: tuple[dict[str, Any], ...] = (
     {"color": BLUE, "lw": 2.2},

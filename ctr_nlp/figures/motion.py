@@ -1,4 +1,4 @@
-"""The configuration over time and its distance from the known one, as Fig. 8 of the seed."""
+"""The configuration over time and its distance from the known one, as Fig. 8 of the paper."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Shapes over their targets, as Fig. 4 of the seed."""
+"""Shapes over their targets, as Fig. 4 of the paper."""
 
 from __future__ import annotations
 

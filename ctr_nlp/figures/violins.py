@@ -1,4 +1,4 @@
-"""How the error spreads over the shape as time passes, as Fig. 5 of the seed."""
+"""How the error spreads over the shape as time passes, as Fig. 5 of the paper."""
 
 from __future__ import annotations
 

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from ctr_nlp.plan.record import Record
 from ctr_nlp.support.runs import runs
 from ctr_nlp.target.lumen import Lumen, outermost
 from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
-
-if TYPE_CHECKING:
-    from ctr_nlp.plan.plan import Plan
 
 
 class Contact(NamedTuple):
@@ -31,14 +29,14 @@ class Contact(NamedTuple):
     path: float
 
 
-def depth(plan: Plan) -> Array:
+def depth(plan: Record) -> Array:
     """By how much the robot is beyond the wall at most, (T,) mm; 0 where nothing touches, NaN where unknown."""
     if plan.clearance is None:
         return np.full(len(plan.time), np.nan)
     return np.maximum(0.0, -plan.clearance.min(axis=1))
 
 
-def contacts(plan: Plan) -> list[Contact]:
+def contacts(plan: Record) -> list[Contact]:
     """All of a plan's, in order of time; none where no wall is known."""
     if plan.clearance is None or plan.lumen is None:
         return []

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from ctr_nlp.plan.record import Record
 from ctr_nlp.typing import Array
-
-if TYPE_CHECKING:
-    from ctr_nlp.plan.plan import Plan
-
 
 SLACK = 1e-5
 """rad or mm by which positions, and steps from frame to frame, may exceed their limits: what solvers leave."""
@@ -26,7 +23,7 @@ class Used(NamedTuple):
     what: str
 
 
-def most_used(plan: Plan) -> Used | None:
+def most_used(plan: Record) -> Used | None:
     """The limit that a motion exceeds by most, or else the speed or acceleration that uses most of its limit.
 
     Positions count only where they exceed limits, since tubes are meant to go all the way: as 1 and what is beyond
@@ -36,13 +33,13 @@ def most_used(plan: Plan) -> Used | None:
     return max(found, key=lambda used: (used.exceeded, used.part), default=None)
 
 
-def rate_parts(plan: Plan, order: int) -> Array:
+def rate_parts(plan: Record, order: int) -> Array:
     """What speeds (order 1) or accelerations (2) between frames use of their limits, (T - order, 2d + 2)."""
     limit = (plan.robot.speed, plan.robot.acceleration)[order - 1]
     return np.nan_to_num(np.abs(np.diff(plan.q, n=order, axis=0)) / plan.dt**order / limit)
 
 
-def _rates(plan: Plan) -> Iterator[Used]:
+def _rates(plan: Record) -> Iterator[Used]:
     robot = plan.robot
     for order, name, limit in ((1, "speed", robot.speed), (2, "acceleration", robot.acceleration)):
         parts = rate_parts(plan, order)
@@ -53,7 +50,7 @@ def _rates(plan: Plan) -> Iterator[Used]:
             yield Used(part, exceeded, f"{name} of {robot.axes[i]} on the way to frame {j + 1 + order}")
 
 
-def _positions(plan: Plan) -> Iterator[Used]:
+def _positions(plan: Record) -> Iterator[Used]:
     robot, d, reach = plan.robot, plan.robot.d, plan.robot.reach
     scale = np.where(np.char.startswith(robot.axes, "beta"), reach, math.pi)
     growth = np.diff(plan.beta, axis=1)

@@ -1,75 +1,44 @@
-"""Errors of a plan, section IV of the seed, always against the target itself."""
+"""What is known of a plan in numbers: by frame, and in summary."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.contacts import contacts, depth
+from ctr_nlp.plan.errors import e1, e3, nearest, rms_over_sigma, root_mean_square, tip_angle
 from ctr_nlp.plan.limits_used import rate_parts
+from ctr_nlp.plan.record import Record
+from ctr_nlp.plan.verdicts import verdicts
 from ctr_nlp.support.runs import runs
-from ctr_nlp.support.values import instance
-from ctr_nlp.target.target import QUADRATURE
 from ctr_nlp.typing import Array
 
-if TYPE_CHECKING:
-    from ctr_nlp.plan.plan import Plan
-
+__all__ = [
+    "bound_by_stability",
+    "by_frame",
+    "e1",
+    "e3",
+    "missed_margin",
+    "nearest",
+    "rms_over_sigma",
+    "root_mean_square",
+    "summary",
+    "tip_angle",
+]
 
 BINDS = 0.005
 """A frame whose margin exceeds the one asked for by less is held back by it."""
 
 
-def rms_over_sigma(distance: Array) -> Array:
-    """Root mean square over sigma of (.., 101) distances in mm, with trapezoidal weights."""
-    return np.sqrt(distance**2 @ QUADRATURE)
-
-
-def e1(plan: Plan) -> Array:
-    """Distance (T, 101) in mm between shape and target at the same sigma."""
-    return np.linalg.norm(plan.shape - plan.target, axis=-1)
-
-
-def nearest(plan: Plan) -> Array:
-    """Distance (T, 101) in mm from each point of the shape to the nearest point of its frame's target."""
-    return np.array([_to_polyline(shape, target) for shape, target in zip(plan.shape, plan.target, strict=True)])
-
-
-def _to_polyline(points: Array, line: Array) -> Array:
-    """Distance (n,) from points (n, 3) to the polyline through line (m, 3)."""
-    start, span = line[:-1], np.diff(line, axis=0)
-    offset = points[:, None] - start
-    along = np.clip((offset * span).sum(-1) / np.maximum((span**2).sum(-1), 1e-30), 0.0, 1.0)
-    return np.linalg.norm(offset - along[..., None] * span, axis=-1).min(axis=1)
-
-
-def e3(plan: Plan) -> float | None:
-    """Root mean square over frames of e2, mm, of those whose shape is known; None without any."""
-    return root_mean_square(rms_over_sigma(e1(plan)))
-
-
-def root_mean_square(values: Array) -> float | None:
-    """That of those among (T,) values that are known; None without any."""
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(known**2))) if known.size else None
-
-
-def tip_angle(plan: Plan) -> Array:
-    """Angle (T,) in rad between the tip's direction and the target's."""
-    cross = np.linalg.norm(np.cross(plan.tip_direction, plan.target_direction), axis=-1)
-    return np.arctan2(cross, (plan.tip_direction * plan.target_direction).sum(-1))
-
-
-def by_frame(plan: Plan) -> dict[str, Array]:
+def by_frame(plan: Record) -> dict[str, Array]:
     """Columns (T,) of errors.csv: mm, s and rad. nearest is a root mean square over sigma, as e2.
 
     clearance is the least over sigma, negative in contact. Raises OptionError where plan is none.
     """
-    from ctr_nlp.plan.plan import Plan  # which imports formulas of this file
-
-    instance(OptionError, "plan", plan, Plan)
+    if not isinstance(plan, Record):
+        raise OptionError(f"plan is {plan!r:.80}; it must be a Plan")
     distance, near = e1(plan), nearest(plan)
     return {
         "frame": np.arange(1, len(plan.time) + 1),
@@ -86,13 +55,13 @@ def by_frame(plan: Plan) -> dict[str, Array]:
     }
 
 
-def _stability(plan: Plan) -> dict[str, Array]:
+def _stability(plan: Record) -> dict[str, Array]:
     """Margins (T,), where the model has any."""
     found = {"stability": plan.stability, "stability_between": plan.stability_between}
     return found if np.isfinite(plan.stability).any() else {}
 
 
-def bound_by_stability(plan: Plan) -> list[tuple[int, int]]:
+def bound_by_stability(plan: Record) -> list[tuple[int, int]]:
     """First and last frame, from 1, of the parts of a motion that the margin asked for holds back."""
     margin = plan.options.get("stability_margin")
     if margin is None or not np.isfinite(plan.stability).any():
@@ -101,7 +70,7 @@ def bound_by_stability(plan: Plan) -> list[tuple[int, int]]:
     return [(first + 1, stop) for first, stop in runs(bound)]
 
 
-def missed_margin(plan: Plan) -> tuple[int, float] | None:
+def missed_margin(plan: Record) -> tuple[int, float] | None:
     """On the way to which frame, from 1, the margin is missed by most, and the one found; None where held."""
     margin, found = plan.options.get("stability_margin"), plan.stability_between
     if margin is None or not np.isfinite(found).any() or np.nanmin(found) >= margin - 2 * BINDS:
@@ -110,7 +79,7 @@ def missed_margin(plan: Plan) -> tuple[int, float] | None:
     return frame + 1, float(found[frame])
 
 
-def summary(plan: Plan) -> dict[str, Any]:
+def summary(plan: Record) -> dict[str, Any]:
     """What summary.json holds: errors in mm over frames whose shape is known, motion, times, failures.
 
     Numbers that do not exist (no frame solved, a single frame) are None.
@@ -163,7 +132,7 @@ def summary(plan: Plan) -> dict[str, Any]:
             "contact_mm": plan.meta.get("contact_weight"),
             "angle_mm_per_rad": float(robot.mm_per_unit[0]),
         },
-        "verdicts": {name: verdict._asdict() for name, verdict in plan.verdicts._asdict().items()},
+        "verdicts": {name: verdict._asdict() for name, verdict in verdicts(plan)._asdict().items()},
         "problem": plan.meta["problem"]["name"],
         "formulation": plan.meta["formulation"],
         "model": plan.meta["model"],

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.plan.contacts import depth
+from ctr_nlp.plan.errors import e3
 from ctr_nlp.plan.limits_used import most_used
-from ctr_nlp.plan.metrics import e3
-
-if TYPE_CHECKING:
-    from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.record import Record
 
 YES, NO, NOT_ASKED, NOT_KNOWN = "yes", "no", "not asked", "not known"
 """The words of a verdict."""
@@ -46,7 +44,7 @@ class Verdicts(NamedTuple):
         return tuple(verdict.matter for verdict in self if verdict.word == NO)
 
 
-def verdicts(plan: Plan) -> Verdicts:
+def verdicts(plan: Record) -> Verdicts:
     """Those on a plan, with the shapes and margins of the model that it is evaluated on."""
     return Verdicts(
         Verdict("followed", *_followed(plan)),
@@ -66,14 +64,17 @@ Judgement = tuple[str, float | None, str, str]
 """Word, number, unit and sentence of a verdict."""
 
 
-def _followed(plan: Plan) -> Judgement:
+def _followed(plan: Record) -> Judgement:
     """Whether every frame was solved and has a shape, and clearance raised e3 by no more than it may; e3, mm."""
     frames, number = len(plan.time), e3(plan)
-    unsolved, lost = int((~plan.success).sum()), int((~plan.reached).sum())
+    interpolated = len(plan.meta.get("interpolated", []))
+    unsolved, lost = int((~plan.success).sum()) - interpolated, int((~plan.reached).sum())
     if unsolved:
         return NO, number, "mm", f"{unsolved} of {frames} frames were not solved."
     if lost:
         return NO, number, "mm", f"The robot's shape is not known in {lost} of {frames} frames."
+    if interpolated:
+        return NOT_KNOWN, number, "mm", f"{interpolated} of {frames} frames were interpolated, not solved."
     on = "" if plan.evaluated == plan.meta["model"] else f" on the {plan.meta['model']} model"
     told = f"All {frames} frames were solved{on}"
     if plan.free is None or number is None:
@@ -88,7 +89,7 @@ def _followed(plan: Plan) -> Judgement:
     return YES if number <= largest_e3(free, cost) else NO, number, "mm", told
 
 
-def _stable(plan: Plan) -> Judgement:
+def _stable(plan: Record) -> Judgement:
     """Whether the robot never snaps on the elastic model; the least margin at frames and between them."""
     if not plan.elastic:
         return NOT_ASKED, None, "", "The dominant model knows no snaps."
@@ -105,7 +106,7 @@ def _stable(plan: Plan) -> Judgement:
     return YES, least, "", f"The robot does not snap; its margin is least around frame {margins.argmin() + 1}."
 
 
-def _within_limits(plan: Plan) -> Judgement:
+def _within_limits(plan: Record) -> Judgement:
     """Whether positions, their order, carriages, speeds and accelerations are allowed; the largest part used."""
     if not plan.reached.any():
         return NOT_KNOWN, None, "of a limit", "No frame was reached."
@@ -123,7 +124,7 @@ def _within_limits(plan: Plan) -> Judgement:
     )
 
 
-def _within_wall(plan: Plan) -> Judgement:
+def _within_wall(plan: Record) -> Judgement:
     """Whether no place of the robot is further beyond the lumen's wall than allowed; the deepest contact, mm."""
     if plan.clearance is None:
         return NOT_ASKED, None, "mm", "No wall of a lumen is known."
@@ -142,6 +143,6 @@ def _within_wall(plan: Plan) -> Judgement:
     return YES, deepest, "mm", f"{told}; {allowed:g} mm is allowed."
 
 
-def _option(plan: Plan, name: str) -> Any:
+def _option(plan: Record, name: str) -> Any:
     """What was asked for, or by default is, where a plan was made before there was such an option."""
     return plan.options.get(name, getattr(Settings(), name))

@@ -1,8 +1,8 @@
 """Tubes and the limits of their motors: what a robot is. Knows no target, no model and no solver."""
 
 from ctr_nlp.robot.limits import Limits
-from ctr_nlp.robot.paper import seed_robot
+from ctr_nlp.robot.paper import seed_robot, table_i_robot
 from ctr_nlp.robot.robot import MM_PER_RAD, Robot
 from ctr_nlp.robot.tube import Tube
 
-__all__ = ["MM_PER_RAD", "Limits", "Robot", "Tube", "seed_robot"]
+__all__ = ["MM_PER_RAD", "Limits", "Robot", "Tube", "seed_robot", "table_i_robot"]

@@ -6,9 +6,11 @@ import math
 from dataclasses import dataclass, fields
 from typing import Any
 
+from ctr_nlp.support.packing import packable
 from ctr_nlp.support.values import unchanging
 
 
+@packable("limits")
 @dataclass(frozen=True)
 class Limits:
     """What the hardware allows: position, speed and acceleration of alpha, beta and theta.

@@ -1,13 +1,15 @@
-"""The seed's robot, Table I."""
+"""The robot of the paper, Table I."""
 
 from __future__ import annotations
+
+import warnings
 
 from ctr_nlp.robot.robot import Robot
 from ctr_nlp.robot.tube import Tube
 
 
-def seed_robot(literal: bool = False) -> Robot:
-    """The seed's robot, Table I, read so that only curved parts are deployed: 50, 107 and 150 mm.
+def table_i_robot(literal: bool = False) -> Robot:
+    """The robot of the paper, Table I, read so that only curved parts are deployed: 50, 107 and 150 mm.
 
     literal=True takes the table at its word: those lengths are straight and 40, 95, 240 mm are curved.
     """
@@ -19,3 +21,9 @@ def seed_robot(literal: bool = False) -> Robot:
             Tube(390.0, curved[2], 1 / 80, outer_diameter=2.1, inner_diameter=1.0),
         )
     )
+
+
+def seed_robot(literal: bool = False) -> Robot:
+    """The old name of table_i_robot, for one more version."""
+    warnings.warn("seed_robot is called table_i_robot now", DeprecationWarning, stacklevel=2)
+    return table_i_robot(literal)

@@ -19,6 +19,7 @@ from ctr_nlp.robot.strain import check_deployed
 from ctr_nlp.robot.structure import Structure, TubeNumbers, kind_of, numbers_of, tubes_of
 from ctr_nlp.robot.tube import Tube
 from ctr_nlp.robot.units import angle_meant, between, did_you_mean
+from ctr_nlp.support.packing import packable
 from ctr_nlp.support.values import described, frozen, numbers, pairs, plain_floats, read_toml, strict_json
 from ctr_nlp.typing import Array
 
@@ -28,6 +29,7 @@ KEYS = ("name", "tubes", "limits")
 """Of a robot file."""
 
 
+@packable("robot")
 @dataclass(frozen=True)
 class Robot:
     """d nested tubes, outermost first, and their limits; q = (alpha_1..d, beta_1..d, theta_x, theta_y), eq. (5).

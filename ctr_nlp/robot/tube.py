@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 
 from ctr_nlp.exceptions import RobotError
 from ctr_nlp.robot.units import between, curvature_meant, did_you_mean, length_meant
+from ctr_nlp.support.packing import packable
 from ctr_nlp.support.values import numbers
 
 STRAIN_MADE = 0.08
@@ -19,6 +20,7 @@ DIAMETERS = (0.1, 100.0)
 """Least and largest outer diameter, mm."""
 
 
+@packable("tube")
 @dataclass(frozen=True)
 class Tube:
     """One pre-curved tube: a straight transmission, then a curved part that ends at its tip.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,8 @@ from ctr_nlp.models import Model, Snap, model_named
 from ctr_nlp.models.dominant import Dominant, shape
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.robot import configuration
+from ctr_nlp.support.equal import Kept
+from ctr_nlp.support.packing import packable
 from ctr_nlp.support.values import floats, instance
 from ctr_nlp.target.curve import Curve
 from ctr_nlp.target.target import SIGMA
@@ -91,15 +94,31 @@ def shape_curve(robot: Robot, q: Array) -> Curve:
     """The dominant model's shape at q (2d + 2,) as a curve with its exact curvature; raises as `shapes`."""
     instance(RobotError, "robot", robot, Robot)
     DOMINANT.check(robot)
-    q = floats(RobotError, "q", q, (len(robot.axes),))
-    beta = robot.split(q)[1]
+    held = Shape(robot, floats(RobotError, "q", q, (len(robot.axes),)))
+    return Curve(float(held.beta[-1]), held.point, held.tangent, held.curvature)
 
-    def jump(x: Array) -> Array:
-        return np.heaviside(x, 0.0)
 
-    return Curve(
-        float(beta[-1]),
-        lambda s: shapes(robot, q[None], s / beta[-1])[0],
-        lambda s: tangents(robot, q[None], s / beta[-1])[0],
-        lambda s: shape.curvature(robot.tube_numbers, beta, s, jump, np),
-    )
+@packable("shape of a robot")
+@dataclass(frozen=True, eq=False)
+class Shape(Kept):
+    """The dominant model's at q (2d + 2,), by arc length (n,) mm."""
+
+    robot: Robot
+    q: Array
+
+    @property
+    def beta(self) -> Array:
+        """(d,) mm."""
+        return np.asarray(self.robot.split(self.q)[1])
+
+    def point(self, s: Array) -> Array:
+        """(n, 3) mm."""
+        return shapes(self.robot, self.q[None], s / self.beta[-1])[0]
+
+    def tangent(self, s: Array) -> Array:
+        """(n, 3), of length 1."""
+        return tangents(self.robot, self.q[None], s / self.beta[-1])[0]
+
+    def curvature(self, s: Array) -> Array:
+        """(n,) 1/mm."""
+        return shape.curvature(self.robot.tube_numbers, self.beta.tolist(), s, lambda x: np.heaviside(x, 0.0), np)

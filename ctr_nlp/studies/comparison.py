@@ -120,7 +120,7 @@ def compare(
     settings: Settings | None = None,
     progress: Callable[[str, str], Progress] | None = None,
 ) -> Comparison:
-    """Every variant on every problem, with the seed's published figures beside; one solve at a time.
+    """Every variant on every problem, with the paper's published figures beside; one solve at a time.
 
     No wall of a lumen counts: not all methods know of one. All horizons of a problem start from the same motions.
     progress: (problem, variant) -> what is told how many frames are done. Ctrl-C leaves the rows that were begun.

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ctr_nlp.figures import save
 from ctr_nlp.figures.parts.page import STYLE, printable
 from ctr_nlp.figures.parts.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
 from ctr_nlp.studies.trade_off import Point
@@ -39,6 +41,11 @@ def pareto(points: Sequence[Point], problem: str) -> Figure:
     figure.suptitle(printable(f"Error against roughness: {problem}"), fontsize=10, parse_math=False)
     axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))
     return figure
+
+
+def save_front(points: Sequence[Point], problem: str, folder: str | Path) -> Path:
+    """Write pareto.png into a folder that exists; raises OutputError where it cannot be written."""
+    return save(pareto(points, problem), Path(folder) / "pareto.png")
 
 
 def _scales(axes: Axes) -> None:

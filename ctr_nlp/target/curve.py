@@ -5,22 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import BSpline, CubicHermiteSpline, CubicSpline, PchipInterpolator, make_smoothing_spline
 
 from ctr_nlp.exceptions import CurveError
+from ctr_nlp.support.equal import Kept, Value
+from ctr_nlp.support.packing import packable
 from ctr_nlp.support.values import floats, number
-from ctr_nlp.target.points import checked_points, checked_radii, symbolic_point
+from ctr_nlp.target.arc_length import ByArcLength, Radii, Spline
+from ctr_nlp.target.formula import Formula
+from ctr_nlp.target.points import checked_points, checked_radii
 from ctr_nlp.target.smoothing import evened
-from ctr_nlp.typing import Array
-
-Field = Callable[[Array], Array]
-Derivative = Callable[[Array, int], Array]
+from ctr_nlp.typing import Array, Field
 
 CELLS = 2000
 """Cells of the table between a curve's parameter and its arc length."""
@@ -33,14 +31,18 @@ ROOM_SPENT = 0.5
 """How much of the lumen's radius smoothing may take at any place."""
 
 
-@dataclass(frozen=True)
-class Curve:
+@packable("curve")
+@dataclass(frozen=True, eq=False, repr=False)
+class Curve(Value):
     """A curve in space by its arc length s in [0, length], in mm.
 
     point, tangent: (n,) -> (n, 3), mm and unit vectors. curvature: (n,) -> (n,), unsigned, 1/mm.
     radius: of the lumen, (n,) -> (n,) mm, or None. by_parameter: a fraction in [0, 1] of the range of the
     curve's own parameter -> arc length in mm; None where the parameter is arc length. deviation: how far
     smoothing moved the curve at most, in mm, and deviation_share, how much of the lumen's radius that is at most.
+
+    Curves are equal where all of this is. Those made by this library can be pickled; where functions are a user's
+    own they must be fit for it.
     """
 
     length: float
@@ -67,6 +69,11 @@ class Curve:
                     f"{name} of a curve is {getattr(self, name)!r:.80}; it must be a function of arc length"
                 )
 
+    def __repr__(self) -> str:
+        walled = ", within a lumen" if self.radius else ""
+        smoothed = f", smoothed by {self.deviation:.2g} mm" if self.deviation else ""
+        return f"Curve({self.length:.2f} mm{walled}{smoothed})"
+
     def length_at(self, fraction: float) -> float:
         """Arc length in mm where the curve's own parameter has covered a fraction in [0, 1] of its range."""
         return self.length * fraction if self.by_parameter is None else self.by_parameter(fraction)
@@ -77,38 +84,27 @@ class Curve:
             number(CurveError, f"{name} of a piece", end, math.isfinite, "be a finite number of mm")
         if not 0 <= start < stop <= self.length:
             raise CurveError(f"piece [{start:g}, {stop:g}] mm of a curve: it must lie within [0, {self.length:g}]")
-        return self._along(lambda s: s + start, stop - start)
+        return self._through(Piece(self, start), stop - start)
 
     def reversed(self) -> Curve:
         """The same curve from its last point to its first."""
-        turned = self._along(lambda s: self.length - s, self.length)
-        return replace(turned, tangent=lambda s: -self.tangent(self.length - s))
+        return self._through(Turned(self), self.length)
 
-    def _along(self, at: Field, length: float) -> Curve:
-        radius = self.radius
-        return Curve(
-            length,
-            lambda s: self.point(at(s)),
-            lambda s: self.tangent(at(s)),
-            lambda s: self.curvature(at(s)),
-            None if radius is None else lambda s: radius(at(s)),
-            deviation=self.deviation,
-            deviation_share=self.deviation_share,
-        )
+    def _through(self, piece: Piece | Turned, length: float) -> Curve:
+        radius = None if self.radius is None else piece.radius
+        smoothed = self.deviation, self.deviation_share
+        return Curve(length, piece.point, piece.tangent, piece.curvature, radius, None, *smoothed)
 
     def moved(self, transform: Array) -> Curve:
         """The curve under a rigid transform (4, 4)."""
         rigid = floats(CurveError, "transform of a curve", transform, (4, 4))
-        rotation, shift = rigid[:3, :3], rigid[:3, 3]
+        rotation = rigid[:3, :3]
         if abs(rotation @ rotation.T - np.eye(3)).max() > RIGID or (rigid[3] != [0, 0, 0, 1]).any():
             raise CurveError(
                 f"transform of a curve is {rigid.tolist()}; it must be rigid: a turn and a shift in mm"
             )
-        return replace(
-            self,
-            point=lambda s: self.point(s) @ rotation.T + shift,
-            tangent=lambda s: self.tangent(s) @ rotation.T,
-        )
+        elsewhere = Moved(self, rigid)
+        return replace(self, point=elsewhere.point, tangent=elsewhere.tangent)
 
     def smoothed(self, allowed: float) -> Curve:
         """The least bent curve within allowed mm, and within half of the lumen's radius, of this one.
@@ -126,15 +122,77 @@ class Curve:
         bound = np.full(len(s), allowed) if radius is None else np.minimum(allowed, ROOM_SPENT * radius)
         points = evened(given, np.maximum(bound - s[1] / 2, bound / 2))
         away = np.linalg.norm(points - given, axis=1)
-        spline = CubicSpline(s, points)
-        curve = _by_arc_length(lambda v, order: spline(v, nu=order), s)
+        curve = _by_arc_length(Spline(s, points), s)
         found = replace(curve, by_parameter=None, deviation=float(away.max()))
         if radius is None:
             return found
         lengths = np.array([curve.length_at(fraction) for fraction in s / self.length])
         return replace(
-            found, radius=_radius_along(lengths, radius - away), deviation_share=float((away / radius).max())
+            found, radius=Radii(lengths, radius - away).at, deviation_share=float((away / radius).max())
         )
+
+
+@packable("piece")
+@dataclass(frozen=True, eq=False)
+class Piece(Value):
+    """A curve from arc length start on, in mm."""
+
+    curve: Curve
+    start: float
+
+    def at(self, s: Array) -> Array:
+        """The curve's arc length, (n,) mm."""
+        return s + self.start
+
+    def point(self, s: Array) -> Array:
+        """(n, 3) mm."""
+        return self.curve.point(self.at(s))
+
+    def tangent(self, s: Array) -> Array:
+        """(n, 3), of length 1."""
+        return self.curve.tangent(self.at(s))
+
+    def curvature(self, s: Array) -> Array:
+        """(n,) 1/mm."""
+        return self.curve.curvature(self.at(s))
+
+    def radius(self, s: Array) -> Array:
+        """Of the lumen, (n,) mm, where the curve knows it."""
+        assert self.curve.radius is not None
+        return self.curve.radius(self.at(s))
+
+
+@packable("turned")
+@dataclass(frozen=True, eq=False)
+class Turned(Piece):
+    """A curve from its last point to its first."""
+
+    start: float = 0.0
+
+    def at(self, s: Array) -> Array:
+        """The curve's arc length, (n,) mm."""
+        return np.asarray(self.curve.length - s)
+
+    def tangent(self, s: Array) -> Array:
+        """(n, 3), of length 1."""
+        return -self.curve.tangent(self.at(s))
+
+
+@packable("moved")
+@dataclass(frozen=True, eq=False)
+class Moved(Kept):
+    """A curve under a rigid transform (4, 4)."""
+
+    curve: Curve
+    transform: Array
+
+    def point(self, s: Array) -> Array:
+        """(n, 3) mm."""
+        return np.asarray(self.curve.point(s) @ self.transform[:3, :3].T + self.transform[:3, 3])
+
+    def tangent(self, s: Array) -> Array:
+        """(n, 3), of length 1."""
+        return np.asarray(self.curve.tangent(s) @ self.transform[:3, :3].T)
 
 
 def curve_from_formula(formula: Callable[[Any], tuple[Any, Any, Any]], start: float, stop: float) -> Curve:
@@ -146,13 +204,7 @@ def curve_from_formula(formula: Callable[[Any], tuple[Any, Any, Any]], start: fl
         number(CurveError, f"{name} of the parameter range", end, math.isfinite, "be a finite number")
     if not start < stop:
         raise CurveError(f"parameter range is [{start}, {stop}]; it must be finite and grow")
-    u = ca.SX.sym("u")
-    x = symbolic_point(formula, u)
-    orders = [x, ca.jacobian(x, u)]
-    orders.append(ca.jacobian(orders[1], u))
-    functions = [ca.Function(f"d{i}", [u], [expression]) for i, expression in enumerate(orders)]
-    breaks = np.linspace(start, stop, CELLS + 1)
-    return _by_arc_length(lambda v, order: functions[order](v[None]).full().T, breaks)
+    return _by_arc_length(Formula.of(formula), np.linspace(start, stop, CELLS + 1))
 
 
 def curve_from_points(points: npt.ArrayLike, radius: npt.ArrayLike | None = None, smoothing: float = 0.0) -> Curve:
@@ -165,77 +217,17 @@ def curve_from_points(points: npt.ArrayLike, radius: npt.ArrayLike | None = None
     given = checked_points(points)
     radii = None if radius is None else checked_radii(radius, len(given))
     chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(given, axis=0), axis=1))])
-    spline = CubicSpline(chord, given)
-    bending = cache(lambda: _bending(chord, given, spline))
     per_span = max(1, CELLS // (len(chord) - 1))
     breaks = np.interp(np.arange(per_span * (len(chord) - 1) + 1) / per_span, np.arange(len(chord)), chord)
-    by_chord = _by_arc_length(
-        lambda v, order: spline(v, nu=order), breaks, lambda v, order: bending()(v, nu=order)
-    )
+    by_chord = _by_arc_length(Spline(chord, given, by_smoothing=True), breaks)
     curve = replace(by_chord, by_parameter=None)
     if radii is not None:
         lengths = np.array([by_chord.length_at(c / chord[-1]) for c in chord])
-        curve = replace(curve, radius=_radius_along(lengths, radii))
+        curve = replace(curve, radius=Radii(lengths, radii).at)
     return curve.smoothed(smoothing)
 
 
-def _radius_along(lengths: Array, radii: Array) -> Field:
-    """Radii (n,) at arc lengths (n,), and between them within their range."""
-    between = PchipInterpolator(lengths, radii)
-    return lambda s: np.asarray(between(np.clip(s, lengths[0], lengths[-1])))
-
-
-def _smoothing_spline(chord: Array, points: Array) -> BSpline:
-    """Cubic smoothing splines of the coordinates as one, by generalised cross-validation."""
-    each = [make_smoothing_spline(chord, coordinate) for coordinate in points.T]
-    return BSpline(each[0].t, np.column_stack([spline.c for spline in each]), each[0].k)
-
-
-def _bending(chord: Array, points: Array, through: Any) -> Any:
-    """What curvature is taken from: the spline through points, each first moved onto a smoothing spline.
-
-    The smoothing spline itself has no curvature at its ends.
-    """
-    if len(points) < 5:
-        return through
-    try:
-        return CubicSpline(chord, _smoothing_spline(chord, points)(chord))
-    except (ValueError, np.linalg.LinAlgError):
-        return through
-
-
-def _by_arc_length(derivative: Derivative, breaks: Array, bending: Derivative | None = None) -> Curve:
-    """Reparametrise x(u), given with its derivatives of order 0 to 2, by arc length; breaks (n,) span u.
-
-    Curvature comes from bending, where given, instead of x itself.
-    """
-    nodes, weights = np.polynomial.legendre.leggauss(5)
-    width = np.diff(breaks)
-    u = (breaks[:-1, None] + width[:, None] * (nodes + 1) / 2).ravel()
-    speeds = np.linalg.norm(derivative(u, 1), axis=1).reshape(len(width), -1)
-    s = np.concatenate([[0.0], np.cumsum(speeds @ weights * width / 2)])
-    at_breaks = np.linalg.norm(derivative(breaks, 1), axis=1)
-    if not np.isfinite([s[-1], *at_breaks]).all() or (at_breaks <= 0).any() or (np.diff(s) <= 0).any():
-        raise CurveError("the curve stands still or leaves the finite numbers somewhere in its range")
-    bent = bending or derivative
-    to_parameter = CubicHermiteSpline(s, breaks, 1 / at_breaks)
-    to_length = CubicHermiteSpline(breaks, s, at_breaks)
-
-    def at(arc_length: Array) -> Array:
-        return np.clip(to_parameter(np.clip(arc_length, 0, s[-1])), breaks[0], breaks[-1])
-
-    def tangent(arc_length: Array) -> Array:
-        first = derivative(at(arc_length), 1)
-        return first / np.linalg.norm(first, axis=1, keepdims=True)
-
-    def curvature(arc_length: Array) -> Array:
-        first, second = (bent(at(arc_length), order) for order in (1, 2))
-        return np.linalg.norm(np.cross(first, second), axis=1) / np.linalg.norm(first, axis=1) ** 3
-
-    return Curve(
-        float(s[-1]),
-        lambda arc_length: derivative(at(arc_length), 0),
-        tangent,
-        curvature,
-        by_parameter=lambda fraction: float(to_length(breaks[0] + fraction * (breaks[-1] - breaks[0]))),
-    )
+def _by_arc_length(x: Formula | Spline, breaks: Array) -> Curve:
+    """The curve x(u) whose own parameter is u; breaks (n,) span its range."""
+    found = ByArcLength(x, breaks)
+    return Curve(found.length, found.point, found.tangent, found.curvature, by_parameter=found.by_parameter)

@@ -11,7 +11,9 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from ctr_nlp.exceptions import ProblemError
-from ctr_nlp.support.values import floats, frozen, instance, number, whole_number
+from ctr_nlp.support.equal import Kept, Value
+from ctr_nlp.support.packing import packable
+from ctr_nlp.support.values import floats, instance, number, whole_number
 from ctr_nlp.target.curve import Curve
 from ctr_nlp.typing import Array
 
@@ -24,8 +26,8 @@ QUADRATURE[[0, -1]] = 0.005
 QUADRATURE.flags.writeable = False
 
 
-@dataclass(frozen=True)
-class Frame:
+@dataclass(frozen=True, eq=False)
+class Frame(Kept):
     """The target of one frame at SIGMA.
 
     points (101, 3) mm; tangents (101, 3); curvature (101,) 1/mm; turning (101,) rad, the integral of
@@ -46,8 +48,9 @@ class Frame:
         return CubicHermiteSpline(SIGMA, self.points, self.tangents * self.length)(sigma)
 
 
-@dataclass(frozen=True)
-class Target:
+@packable("target")
+@dataclass(frozen=True, eq=False, repr=False)
+class Target(Value):
     """For frame j = 1..T a curve and the arc length in mm to which it is to be followed."""
 
     curves: tuple[Curve, ...]
@@ -68,6 +71,13 @@ class Target:
 
     def __len__(self) -> int:
         return len(self.curves)
+
+    def __repr__(self) -> str:
+        return f"Target({len(self)} frames of {min(self.lengths):.2f} to {max(self.lengths):.2f} mm)"
+
+    def __getitem__(self, frames: slice) -> Target:
+        """A stretch of frames, counted from 0; raises ProblemError where there is none."""
+        return Target(self.curves[frames], self.lengths[frames])
 
     def sample(self) -> tuple[Frame, ...]:
         """The target at SIGMA, frame by frame; raises ProblemError where a curve is not known all along."""
@@ -129,7 +139,7 @@ def _sampled(curve: Curve, length: float, frame: int) -> Frame:
         points,
         known("tangent", curve.tangent(s), len(s), 3),
         known("curvature", curve.curvature(s), len(s)),
-        frozen(np.concatenate([[0.0], np.cumsum(middle * np.diff(fine))])[::FINER]),
+        np.concatenate([[0.0], np.cumsum(middle * np.diff(fine))])[::FINER],
         length,
         None if curve.radius is None else known("radius", curve.radius(s), len(s)),
         frame - 1,

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from ctr_nlp import problem_from_file, seed_robot
+from ctr_nlp import problem_from_file, table_i_robot
 from ctr_nlp.anatomy.branch import moved
 from ctr_nlp.cli.commands.list_branches import main as list_branches
 from ctr_nlp.cli.commands.solve_horizon import main as solve_horizon
@@ -129,7 +129,7 @@ def test_a_problem_of_a_slicer_file_starts_at_the_origin_and_maps_its_own_points
 
 
 def test_a_mask_is_followed_between_two_points(tmp_path):
-    pytest.importorskip("SimpleITK")
+    pytest.importorskip("nrrd")
     path = write_nrrd(tmp_path / "lumen.nrrd", tube())
     found = problem_from_file(path, frames=2, entry=(6, 6, 5), target=(6, 6, 54))
     assert found.name == "lumen"
@@ -142,7 +142,8 @@ def test_what_only_some_need_is_not_imported_for_a_table(tmp_path):
     path = write_csv(tmp_path / "path.csv")
     program = (
         "import sys\n"
-        "for module in ('SimpleITK', 'skimage', 'pyvista', 'vtkmodules', 'vtk'): sys.modules[module] = None\n"
+        "for module in ('nibabel', 'nrrd', 'networkx', 'pyvista', 'vtkmodules', 'vtk'):\n"
+        "    sys.modules[module] = None\n"
         f"import ctr_nlp; ctr_nlp.problem_from_file({str(path)!r}, branch=1, entry=(30, -50, 80))\n"
     )
     subprocess.run([sys.executable, "-W", "error", "-c", program], check=True)
@@ -243,7 +244,7 @@ def test_the_insertion_direction_is_in_the_files_own_coordinates(tmp_path, space
 )
 def test_tilt_tightens_and_never_widens(tmp_path, theta, tilt, expected):
     path = write_csv(tmp_path / "path.csv")
-    robot = problem_from_file(path, seed_robot().with_limits(theta=theta), tilt=tilt).robot
+    robot = problem_from_file(path, table_i_robot().with_limits(theta=theta), tilt=tilt).robot
     assert [*robot.lower[-2:], *robot.upper[-2:]] == pytest.approx(expected)
 
 
@@ -321,7 +322,7 @@ def files(tmp_path):
 def test_bad_input_is_one_line_and_nothing_written(files, tmp_path, capsys, case, program):
     name, arguments, message = CASES[case]
     if name.endswith("nrrd"):
-        pytest.importorskip("SimpleITK")
+        pytest.importorskip("nrrd")
     before = sorted(files.iterdir())
     status = program(FOLDER, [str(files / name), *map(str, arguments), "--out", str(tmp_path / "out")])
     seen = capsys.readouterr()

@@ -21,17 +21,17 @@ from ctr_nlp import (
     by_frame,
     curve_from_points,
     growing,
-    seed_robot,
     shape_curve,
     shapes,
     solve_horizon,
     solve_per_frame,
     summary,
+    table_i_robot,
 )
 from ctr_nlp.exceptions import CurveError, OptionError, OutputError, ProblemError, RobotError
 
 PATH = curve_from_points(helix(), np.full(61, 6.0))
-SEED = seed_robot()
+SEED = table_i_robot()
 PROBLEM = Problem("helix", SEED, growing(PATH, 3))
 Q = np.array([0, 0, 0, 10, 20, 30, 0, 0.0])
 

@@ -141,7 +141,7 @@ MASKS = [
     ("words", mask(spoilt(NRRD_HEADER, "(1,0,0)", "(one,0,0)")), "its space directions is"),
     ("no origin", mask(spoilt(NRRD_HEADER, "space origin: (0,0,0)\n", "")), "its space origin is missing"),
     ("another encoding", mask(spoilt(NRRD_HEADER, "raw", "morse")), "voxels cannot be read"),
-    ("sizes of words", mask(spoilt(NRRD_HEADER, "16 16 60", "a b c")), "voxels cannot be read"),
+    ("sizes of words", mask(spoilt(NRRD_HEADER, "16 16 60", "a b c")), "its sizes is a b c: "),
     ("other units", mask(spoilt(NRRD_HEADER, "kinds", 'space units: "cm" "cm" "cm"\nkinds')),
      "its space units are cm"),
 ]  # fmt: skip

@@ -19,15 +19,15 @@ from ctr_nlp import (
     growing,
     problem_from_file,
     read_csv,
-    seed_robot,
     sequence,
     solve_per_frame,
+    table_i_robot,
 )
 from ctr_nlp.exceptions import CurveError, OptionError, ProblemError, RobotError
 from ctr_nlp.target.lumen import Lumen
 
 PATH = curve_from_points(helix(), np.full(61, 6.0))
-SEED = seed_robot()
+SEED = table_i_robot()
 PROBLEM = Problem("helix", SEED, growing(PATH, 3))
 UNKNOWN = replace(PATH, point=lambda s: np.full((len(s), 3), math.nan))
 CIRCLE = curve_from_formula(lambda u: (20 * ca.sin(u), 20 - 20 * ca.cos(u), 0), 0.0, 2 * math.pi)

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 from bench import homing_hardware, sweep
 
-from ctr_nlp import Plan, seed_robot
+from ctr_nlp import Plan, table_i_robot
 from ctr_nlp.cli.commands.play import JOURNAL, main
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.output.manifest import MARK
@@ -452,4 +452,4 @@ def test_it_refuses_a_folder_that_is_not_ours(plan: Path, tmp_path: Path) -> Non
     assert main([str(plan), "--out", str(tmp_path)]) == 2
     assert not (tmp_path / JOURNAL).exists()
     assert os.listdir(tmp_path) == ["plan.npz"]
-    assert Plan.load(plan).robot.d == seed_robot().d
+    assert Plan.load(plan).robot.d == table_i_robot().d

@@ -12,10 +12,12 @@ import sys
 import time
 from pathlib import Path
 
+import platformdirs.macos
+import platformdirs.unix
 import pytest
 from frames import alone
 
-from ctr_nlp import seed_robot
+from ctr_nlp import table_i_robot
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.solvers import default_chain_solver
@@ -153,7 +155,7 @@ def test_without_a_compiler_the_error_and_one_warning_name_what_to_install(place
 
 def test_without_a_compiler_problems_are_solved_interpreted(tools, monkeypatch):
     only(tools, monkeypatch)
-    nlp = alone(seed_robot())
+    nlp = alone(table_i_robot())
     assert default_chain_solver() == "ipopt"
     assert fastest(nlp) is nlp.functions
     with pytest.raises(OptionError, match="install gcc or clang"):
@@ -162,7 +164,7 @@ def test_without_a_compiler_problems_are_solved_interpreted(tools, monkeypatch):
 
 def test_compiling_that_is_switched_off_is_not_warned_of(place, monkeypatch, caplog):
     monkeypatch.setenv("CTR_NLP_COMPILE", "0")
-    nlp = alone(seed_robot())
+    nlp = alone(table_i_robot())
     assert cache.missing() == OPTED_OUT
     assert default_chain_solver() == "ipopt"
     assert fastest(nlp) is nlp.functions
@@ -316,7 +318,8 @@ def no_space(*arguments, **options):
     ],
 )
 def test_the_folder_is_the_variables_else_the_users(platform, variables, expected, monkeypatch):
-    monkeypatch.setattr(sys, "platform", platform)
+    users = {"linux": platformdirs.unix.Unix, "darwin": platformdirs.macos.MacOS}[platform]
+    monkeypatch.setattr(platformdirs, "PlatformDirs", users)
     monkeypatch.setenv("HOME", "/home/someone")
     for name in ("CTR_NLP_CACHE", "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from frames import alone, horizon
 
-from ctr_nlp import Limits, Robot, curve_from_formula, growing, seed_robot
+from ctr_nlp import Limits, Robot, curve_from_formula, growing, table_i_robot
 from ctr_nlp.codegen import cache, vector
 from ctr_nlp.codegen.vector import LANES, vector_code
 from ctr_nlp.formulations.horizon import Ends
@@ -337,7 +337,7 @@ def test_lanes_do_not_mix():
 
 def robot():
     """Two tubes that are arcs and one whose curvature grows: every kind of code in one library."""
-    *arcs, last = seed_robot().tubes
+    *arcs, last = table_i_robot().tubes
     return Robot((*arcs, replace(last, curvature=(1 / 120, 1 / 60))))
 
 
@@ -424,7 +424,7 @@ def test_another_number_of_lanes_is_another_library():
 
 def test_robots_of_one_structure_share_a_key():
     """Numbers are parameters; what must be compiled anew is another number of tubes, kind, transmission or gap."""
-    paper = seed_robot()
+    paper = table_i_robot()
     first, *others = paper.tubes
     deep = Limits(beta=[(0, tube.length) for tube in paper.tubes])
     same = [

@@ -10,13 +10,13 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import same_color
 from matplotlib.image import imread
 
-from ctr_nlp import Plan, Problem, Robot, Tube, curve_from_formula, growing, seed_robot, solve_per_frame
+from ctr_nlp import Plan, Problem, Robot, Tube, curve_from_formula, growing, solve_per_frame, table_i_robot
 from ctr_nlp import shapes as robot_shapes
 from ctr_nlp.exceptions import OptionError, OutputError
-from ctr_nlp.figures import by_frame, configuration, errors, save_all, save_front, shapes
+from ctr_nlp.figures import by_frame, configuration, errors, save_all, shapes
 from ctr_nlp.figures.parts.palette import TUBES
 from ctr_nlp.figures.truth import error_from_truth, without_whole_turns
-from ctr_nlp.studies import pareto
+from ctr_nlp.studies.pareto import pareto, save_front
 from ctr_nlp.studies.trade_off import Point
 
 FRAMES = 6
@@ -45,12 +45,12 @@ def solved(robot, frames=FRAMES, path=arc, length=40.0, name="arc"):
 
 @pytest.fixture(scope="module")
 def plan():
-    return solved(seed_robot())
+    return solved(table_i_robot())
 
 
 @pytest.fixture(scope="module")
 def spatial():
-    return solved(seed_robot(), frames=1, path=helix)
+    return solved(table_i_robot(), frames=1, path=helix)
 
 
 def unreached(plan, missing):

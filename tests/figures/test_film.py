@@ -12,7 +12,7 @@ import pytest
 from lumens import straight
 from PIL import Image
 
-from ctr_nlp import Problem, curve_from_formula, growing, seed_robot, solve_per_frame
+from ctr_nlp import Problem, curve_from_formula, growing, solve_per_frame, table_i_robot
 from ctr_nlp.cli.commands import solve_horizon
 from ctr_nlp.cli.commands import solve_per_frame as per_frame_program
 from ctr_nlp.exceptions import OptionError, OutputError
@@ -29,7 +29,7 @@ needs_ffmpeg = pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="ffmpeg
 
 def solved(frames, duration=10.0):
     path = curve_from_formula(lambda u: (100 - ca.sqrt(100**2 - u**2), 0, u), 0.0, 60.0)
-    return solve_per_frame(Problem("arc", seed_robot(), growing(path, frames), duration), direction="forward")
+    return solve_per_frame(Problem("arc", table_i_robot(), growing(path, frames), duration), direction="forward")
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from lumens import straight
 from matplotlib.figure import Figure
 from window_backend import CLOSE, Written
 
-from ctr_nlp import seed_robot, solve_horizon
+from ctr_nlp import solve_horizon, table_i_robot
 from ctr_nlp.cli.commands import play
 from ctr_nlp.cli.commands import solve_horizon as horizon_program
 from ctr_nlp.cli.live import Played, Solved
@@ -289,7 +289,7 @@ def test_a_robot_is_drawn_where_it_is_and_where_it_should_be():
 
 def test_equilibria_are_followed_from_moment_to_moment():
     """Tubes that are turned against each other: settled alone, a later moment would be elsewhere."""
-    robot, turned = seed_robot(), np.linspace(0.0, 4.0, 9)
+    robot, turned = table_i_robot(), np.linspace(0.0, 4.0, 9)
     q = np.array([[angle, 0, -angle, 10, 60, 80, 0, 0] for angle in turned])
     followed = tracking.elastic_shapes(robot, tracking.follow(robot, q).x)
     shape = Shapes(robot, elastic=True)
@@ -329,7 +329,7 @@ def test_at_last_the_plan_is_drawn(arc_problem):
 
 
 def test_a_motion_on_the_elastic_model_is_drawn_by_its_own_unknowns():
-    robot = seed_robot()
+    robot = table_i_robot()
     q = np.array([[0.5, 0.0, -0.5, 10, 60, 80, 0, 0], [1.0, 0.0, -1.0, 12, 62, 82, 0, 0]])
     x = tracking.follow(robot, q).x
     figure = Figure(figsize=Solving.size)

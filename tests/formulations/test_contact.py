@@ -22,10 +22,10 @@ from ctr_nlp import (
     curve_from_points,
     growing,
     problem_from_file,
-    seed_robot,
     solve_horizon,
     solve_per_frame,
     summary,
+    table_i_robot,
 )
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.terms import ShapeDistance
@@ -36,7 +36,7 @@ from ctr_nlp.simulation import forward
 from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.target.target import SIGMA
 
-ROBOT = seed_robot()
+ROBOT = table_i_robot()
 SHAPES = {"dominant": forward.shapes, "elastic": tracking.elastic_shapes}
 EVERY_MODEL = pytest.mark.parametrize("model", SHAPES)
 BOTH = pytest.mark.parametrize("solve", [solve_horizon, solve_per_frame])

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ctr_nlp import Limits, Robot, Settings, Tube, seed_robot, shapes
+from ctr_nlp import Limits, Robot, Settings, Tube, shapes, table_i_robot
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations import curvature as terms
 from ctr_nlp.formulations.terms import feasible, motion
@@ -24,9 +24,9 @@ TAPERED = Robot(
     )
 )
 PUSHED_OUT = Robot(TAPERED.tubes, Limits(beta=[(0, 80), (0, 150), (0, 300)]))
-SEED_PUSHED_OUT = Robot(seed_robot().tubes, Limits(beta=[(0, 80), (0, 150), (0, 300)], carriage_gap=5.0))
+SEED_PUSHED_OUT = Robot(table_i_robot().tubes, Limits(beta=[(0, 80), (0, 150), (0, 300)], carriage_gap=5.0))
 ROBOTS = {
-    "seed": seed_robot(),
+    "seed": table_i_robot(),
     "tapered": TAPERED,
     "pushed out": PUSHED_OUT,
     "seed pushed out": SEED_PUSHED_OUT,
@@ -268,6 +268,6 @@ def test_order_bounds_growth_by_the_room_between_carriages():
 
 def test_a_carriage_gap_given_as_text_is_the_same_constraint():
     """Robot files may write any limit as text, as infinite ones are; tube 2 is 112 mm longer than tube 1."""
-    robot = Robot(seed_robot().tubes, Limits(carriage_gap="5"))
+    robot = Robot(table_i_robot().tubes, Limits(carriage_gap="5"))
     (stage,) = FORMULATIONS["joint"](robot, Settings(), MODELS["dominant"])
     assert stage.fill(frame(), np.zeros(8))["gap"] == 5

@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ctr_nlp import Problem, Robot, curve_from_formula, growing, seed_robot, solve_horizon, solve_per_frame
+from ctr_nlp import Problem, Robot, curve_from_formula, growing, solve_horizon, solve_per_frame, table_i_robot
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.frame import filled, program
 from ctr_nlp.formulations.terms import Order, ShapeDistance, TipDirection, TipPosition
@@ -12,7 +12,7 @@ from ctr_nlp.models import MODELS
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.target.target import SIGMA
 
-ROBOT = Robot(seed_robot().tubes[1:])
+ROBOT = Robot(table_i_robot().tubes[1:])
 X = np.array([0.4, -0.9, 55.0, 120.0, 0.2, -0.3])
 EVERY_MODEL = pytest.mark.parametrize("model", ["dominant", "elastic"])
 TERMS = {
@@ -26,7 +26,7 @@ EVERY_TERM = pytest.mark.parametrize("term", TERMS.values(), ids=TERMS.keys())
 @pytest.fixture(scope="module")
 def problem():
     path = curve_from_formula(lambda u: (60 * ca.cos(u) - 60, 0, 60 * ca.sin(u)), 0.0, 2.0)
-    return Problem("bend", seed_robot(), growing(path, 6))
+    return Problem("bend", table_i_robot(), growing(path, 6))
 
 
 def built(model, *terms):

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BPoly, CubicHermiteSpline
 
-from ctr_nlp import Plan, Problem, curve_from_formula, growing, seed_robot
+from ctr_nlp import Plan, Problem, curve_from_formula, growing, table_i_robot
 from ctr_nlp.cli.commands import export_commands
 from ctr_nlp.cli.commands.export_commands import main
 from ctr_nlp.cli.output.folder import MARK
@@ -41,7 +41,7 @@ HELD = slice(5, 9)
 
 def made(model="dominant", tilt=True):
     """A plan that inserts, turns there and back, stands still and goes on, faster than the bench can."""
-    robot = seed_robot() if tilt else seed_robot().with_locked_tilt()
+    robot = table_i_robot() if tilt else table_i_robot().with_locked_tilt()
     t = np.linspace(0, 1, FRAMES)
     t[HELD] = t[HELD.start]
     t[HELD.stop :] -= t[HELD.stop] - t[HELD.start] - 1 / FRAMES

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import numbers, robots, robots_with_q
 
-from ctr_nlp import Limits, Robot, seed_robot
+from ctr_nlp import Limits, Robot, table_i_robot
 from ctr_nlp.exceptions import HardwareError
 from ctr_nlp.hardware.axis import Axis
 from ctr_nlp.hardware.connection import Connection
@@ -38,7 +38,7 @@ def rigs(draw, robot):
                     draw(st.sampled_from([-1, 1])), draw(numbers(-1e3, 1e3)))  # fmt: skip
         ends = (0.0, robot.reach + 1) if unit == "mm" else (-draw(numbers(0.1, 20)), draw(numbers(0.1, 20)))
         axes.append(replace(made, range=tuple(sorted(made.zero + made.scale * end for end in ends))))
-    return Hardware(tuple(axes), draw(st.sampled_from([None, bench(seed_robot()).arm])))
+    return Hardware(tuple(axes), draw(st.sampled_from([None, bench(table_i_robot()).arm])))
 
 
 # Axes and connections that cannot be
@@ -345,7 +345,7 @@ def test_a_missing_hardware_file_is_named(tmp_path):
 
 
 def test_a_plan_for_other_tubes_than_those_mounted_is_refused(tmp_path: Path) -> None:
-    robot = seed_robot()
+    robot = table_i_robot()
     mounted = replace(bench(robot), robot=robot)
     assert mounted.tightened(robot).tubes == robot.tubes
     tubes = (replace(robot.tubes[0], curvature=1 / 131), *robot.tubes[1:])
@@ -363,4 +363,4 @@ def test_the_robot_file_is_beside_the_hardware_file(tmp_path: Path) -> None:
     with pytest.raises(HardwareError, match=r"robot file .*robot\.toml"):
         Hardware.from_toml(tmp_path / "rig.toml")
     (tmp_path / "robot.toml").write_text((examples / "robot.toml").read_text(encoding="utf-8"), encoding="utf-8")
-    assert Hardware.from_toml(tmp_path / "rig.toml").tightened(seed_robot()).d == 3
+    assert Hardware.from_toml(tmp_path / "rig.toml").tightened(table_i_robot()).d == 3

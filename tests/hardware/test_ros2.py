@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ctr_nlp import Plan, Problem, curve_from_formula, growing, seed_robot
+from ctr_nlp import Plan, Problem, curve_from_formula, growing, table_i_robot
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.clock import RealClock
 from ctr_nlp.hardware.connection import Connection
@@ -54,7 +54,7 @@ names = (f"ctr_{k}" for k in itertools.count())
 @pytest.fixture(scope="module")
 def plan() -> Plan:
     """Ten frames in 1.2 s: tubes that slide at up to 42 mm/s and turn there and back."""
-    robot, t = seed_robot().with_locked_tilt(), np.linspace(0, 1, FRAMES)
+    robot, t = table_i_robot().with_locked_tilt(), np.linspace(0, 1, FRAMES)
     turn = 0.3 * np.sin(4 * t)
     columns = [turn, -0.5 * turn, 0.2 + turn, 5 + 5 * t, 15 + 20 * t, 30 + 45 * t, 0 * t, 0 * t]
     path = curve_from_formula(lambda u: (0.001 * u**2, 0.0, u), 0.0, 80.0)

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from strategies import numbers, robots, robots_with_q
 
-from ctr_nlp import Limits, Robot, Tube, seed_robot, shape_curve, shapes
+from ctr_nlp import Limits, Robot, Tube, shape_curve, shapes, table_i_robot
 from ctr_nlp.models.dominant import shape as dominant
 from ctr_nlp.simulation.forward import tangents
 
@@ -120,7 +120,7 @@ def test_shape_matches_an_integration_of_the_bishop_frame(case):
 
 @pytest.mark.parametrize("beta", [(80, 150, 300), (80, 80, 250), (20, 140, 140), (0, 0, 200)])
 def test_deployed_transmissions_are_straight(beta):
-    robot = Robot(seed_robot().tubes, DEPLOYS_ALL)
+    robot = Robot(table_i_robot().tubes, DEPLOYS_ALL)
     q = np.array([0.3, -2, 1.2, *beta, 0.2, -0.4], dtype=float)
     np.testing.assert_allclose(shapes(robot, q[None], SIGMA)[0], integrated(robot, q, SIGMA)[0], atol=1e-8)
 

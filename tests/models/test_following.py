@@ -11,7 +11,7 @@ from frames import elastic_tangents as tangents
 from hypothesis import given
 from strategies import numbers, robots_with_q
 
-from ctr_nlp import Robot, Tube, seed_robot
+from ctr_nlp import Robot, Tube, table_i_robot
 from ctr_nlp.models.elastic import equilibria as branches
 from ctr_nlp.models.elastic import stability
 
@@ -154,7 +154,7 @@ def test_one_tube_follows_its_motor(case):
 
 @given(numbers(-3, 3), numbers(-3, 3), numbers(0.2, 1), numbers(0.2, 1))
 def test_motions_without_a_snap_end_where_a_robot_settles(first, second, part, other):
-    robot = seed_robot()
+    robot = table_i_robot()
     goal = np.array([first, second, 0, 40 * part, 60 * part + 30 * other, 120, 0.3, -0.2])
     start = goal.copy()
     start[:3] = goal[2]

@@ -18,9 +18,9 @@ from ctr_nlp import (
     Tube,
     curve_from_formula,
     growing,
-    seed_robot,
     solve_horizon,
     solve_per_frame,
+    table_i_robot,
 )
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.figures import files
@@ -124,7 +124,7 @@ def test_a_term_of_ones_own_draws_where_it_says(problem, solve, model):
 def test_a_term_of_ones_own_draws_on_the_elastic_model_too(problem, monkeypatch):
     """Interpreted: every other weight is another program."""
     monkeypatch.setenv("CTR_NLP_COMPILE", "0")
-    whole = seed_robot()
+    whole = table_i_robot()
     two = Problem("circle", Robot(whole.tubes[1:]), growing(problem.target.curves[0], 3))
     plans = [solve_per_frame(two, model="elastic", terms=terms) for terms in ((), (OnTheLeft(3.0),))]
     assert all(plan.complete for plan in plans)

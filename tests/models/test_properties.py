@@ -23,11 +23,11 @@ from ctr_nlp import (
     growing,
     problem_from_file,
     read_csv,
-    seed_robot,
     sequence,
     shape_curve,
     solve_per_frame,
     summary,
+    table_i_robot,
 )
 from ctr_nlp.exceptions import CtrError
 from ctr_nlp.studies.comparison import parse_variant
@@ -38,7 +38,7 @@ FRAMES = 10
 def reachable(seed: int) -> Problem:
     """Ten shapes on a straight line in q between two random configurations, within a second a frame."""
     random = np.random.default_rng(seed)
-    robot = seed_robot()
+    robot = table_i_robot()
     ends = [
         np.concatenate(
             [
@@ -77,7 +77,7 @@ def test_reachable_targets_are_followed():
 
 def test_a_motion_that_would_run_into_the_limits_of_tilt_is_found_the_other_way_round():
     """Followed from the usual way to write its first shape, this motion needs theta_y beyond pi."""
-    robot = seed_robot()
+    robot = table_i_robot()
     ends = np.array(
         [
             [-2.97, -2.21, 2.69, 6.4, 53.4, 90.2, -2.66, -2.3],
@@ -134,7 +134,7 @@ def malformed_points(draw: st.DrawFn) -> Refused:
 
 @st.composite
 def malformed_robots(draw: st.DrawFn) -> Refused:
-    data = copy.deepcopy(seed_robot().to_dict())
+    data = copy.deepcopy(table_i_robot().to_dict())
     tubes, limits = data["tubes"], data["limits"]
     i = draw(st.integers(0, 2))
     kind = draw(
@@ -166,7 +166,7 @@ def malformed_robots(draw: st.DrawFn) -> Refused:
 
 @st.composite
 def malformed_problems(draw: st.DrawFn) -> Refused:
-    robot = seed_robot()
+    robot = table_i_robot()
     path = curve_from_formula(lambda u: (0.0, 0.0, u), 0.0, 100.0)
     kind = draw(st.sampled_from(["frames", "duration", "long", "name", "weight", "variant", "piece"]))
     if kind == "frames":

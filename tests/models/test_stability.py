@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from strategies import numbers, robots_with_q
 
-from ctr_nlp import Limits, Robot, Tube, seed_robot
+from ctr_nlp import Limits, Robot, Tube, table_i_robot
 from ctr_nlp.models.elastic import stability, torsion
 
 
@@ -99,7 +99,7 @@ def test_a_tube_without_transmission_is_held_at_the_base():
 @st.composite
 def coupled(draw):
     """Robots whose tubes act strongly on each other, and equilibria at any angles."""
-    robot = draw(st.sampled_from([truth.TWO, truth.FOUR, seed_robot(), seed_robot(literal=True)]))
+    robot = draw(st.sampled_from([truth.TWO, truth.FOUR, table_i_robot(), table_i_robot(literal=True)]))
     parts = np.sort([draw(numbers(0.4, 1)) for _ in range(robot.d)])
     angles = [draw(numbers(1, 4)) * draw(st.sampled_from([-1, 1])) for _ in range(robot.d - 1)]
     return robot, np.array([*angles, 0, *np.maximum.accumulate(parts * robot.upper[robot.d : 2 * robot.d]), 0, 0])

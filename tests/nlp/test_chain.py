@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rows import END, START, alpha, bent, central, configuration, links_hessian, times, whole_jacobian
 from strategies import seeds
 
-from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_formula, growing, seed_robot, shapes
+from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_formula, growing, shapes, table_i_robot
 from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.nlp.chain import Chain, Excess, Slopes
 from ctr_nlp.nlp.links import Link, differences
@@ -23,10 +23,10 @@ FRAMES, WEIGHT, DURATION = 4, 3e-3, 5.0
 SLOW = {"alpha_acceleration": 1.5, "beta_acceleration": [40.0, 50.0, 60.0], "theta_acceleration": 0.7}
 ROBOTS = {
     "lone": Robot((Tube(120, 100, 0.01, 2, 1),)),
-    "seed": seed_robot(),
-    "slow": seed_robot().with_limits(**SLOW),
-    "gap": Robot(seed_robot().tubes, Limits(beta=[(0, 80), (0, 150), (0, 300)], carriage_gap=20.0)),
-    "four": Robot((Tube(70, 40, 1 / 150, 7.7, 6.3), *seed_robot().tubes)),
+    "seed": table_i_robot(),
+    "slow": table_i_robot().with_limits(**SLOW),
+    "gap": Robot(table_i_robot().tubes, Limits(beta=[(0, 80), (0, 150), (0, 300)], carriage_gap=20.0)),
+    "four": Robot((Tube(70, 40, 1 / 150, 7.7, 6.3), *table_i_robot().tubes)),
 }
 
 

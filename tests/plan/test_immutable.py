@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from malformed import helix, plan
 
-from ctr_nlp import Limits, Problem, Robot, Settings, curve_from_points, growing, seed_robot, shape_curve
+from ctr_nlp import Limits, Problem, Robot, Settings, curve_from_points, growing, shape_curve, table_i_robot
 from ctr_nlp.target.lumen import Lumen
 
 ARRAYS = [f.name for f in fields(plan()) if isinstance(getattr(plan(), f.name), np.ndarray)]
@@ -96,13 +96,13 @@ def test_a_plan_can_be_sent_to_another_process():
     ("thing", "name"),
     [
         (plan(), "alpha"),
-        (seed_robot(), "tubes"),
-        (seed_robot().tubes[0], "curvature"),
+        (table_i_robot(), "tubes"),
+        (table_i_robot().tubes[0], "curvature"),
         (Limits(), "beta"),
         (Settings(), "seed"),
         (growing(curve_from_points(helix()), 2), "lengths"),
         (curve_from_points(helix()), "length"),
-        (Problem("p", seed_robot(), growing(curve_from_points(helix()), 2)), "duration"),
+        (Problem("p", table_i_robot(), growing(curve_from_points(helix()), 2)), "duration"),
     ],
     ids=lambda thing: type(thing).__name__,
 )
@@ -112,7 +112,7 @@ def test_no_field_can_be_set(thing, name):
 
 
 def test_what_a_robot_was_described_with_is_not_the_robots():
-    beta, tubes = np.array([[0.0, 50], [0, 107], [0, 150]]), list(seed_robot().tubes)
+    beta, tubes = np.array([[0.0, 50], [0, 107], [0, 150]]), list(table_i_robot().tubes)
     speed = [1.0, 2.0, 3.0]
     robot = Robot(tubes, Limits(beta=beta, alpha_speed=speed))
     beta[:], speed[0] = 1e3, -1
@@ -149,7 +149,11 @@ def test_the_configuration_that_a_shape_was_made_of_is_not_the_shapes(robot):
 def test_arrays_of_a_problem_and_its_samples_are_read_only_copies():
     to_robot, truth = np.eye(4), np.zeros((2, 8))
     problem = Problem(
-        "p", seed_robot(), growing(curve_from_points(helix(), np.full(61, 6.0)), 2), to_robot=to_robot, truth=truth
+        "p",
+        table_i_robot(),
+        growing(curve_from_points(helix(), np.full(61, 6.0)), 2),
+        to_robot=to_robot,
+        truth=truth,
     )
     to_robot[:], truth[:] = 7, 7
     assert problem.to_robot.tolist() == np.eye(4).tolist()

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from strategies import rigid_transforms, seeds
 
-from ctr_nlp import Limits, Plan, Robot, seed_robot
+from ctr_nlp import Limits, Plan, Robot, table_i_robot
 from ctr_nlp.exceptions import OutputError
 from ctr_nlp.plan.metrics import by_frame, summary, tip_angle
 from ctr_nlp.plan.plan import plan_from_configurations
@@ -37,7 +37,7 @@ def meta(robot):
 
 def made(shape, target, q=None, dt=0.1, **changes):
     """A plan of the seed's robot with given shapes and targets (T, 101, 3) and q (T, 8)."""
-    robot, count = seed_robot(), len(shape)
+    robot, count = table_i_robot(), len(shape)
     q = np.zeros((count, 8)) if q is None else np.asarray(q, dtype=float)
     up = np.tile([0, 0, 1.0], (count, 1))
     plan = Plan(

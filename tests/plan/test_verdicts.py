@@ -10,7 +10,7 @@ from lumens import straight
 from test_contacts import touching
 from test_metrics_plan import LINE, aside, made
 
-from ctr_nlp import Plan, Problem, Settings, growing, seed_robot, solve_per_frame, summary
+from ctr_nlp import Plan, Problem, Settings, growing, solve_per_frame, summary, table_i_robot
 from ctr_nlp.cli import report
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.figures.parts.page import outcome
@@ -33,7 +33,7 @@ def moving(*steps, limits=None, formulation="horizon"):
     """A plan that goes from OUT by these steps (8,), 0.1 s each."""
     q = OUT + np.vstack([np.zeros(8), np.cumsum(steps, axis=0)])
     plan = made([LINE] * len(q), [LINE] * len(q), q)
-    robot = seed_robot().with_limits(**(limits or {}))
+    robot = table_i_robot().with_limits(**(limits or {}))
     return replace(plan, meta=plan.meta | {"robot": robot.to_dict(), "formulation": formulation})
 
 
@@ -291,7 +291,7 @@ def test_a_file_from_before_there_were_verdicts_is_judged_by_the_defaults(tmp_pa
 
 
 def test_what_contact_is_allowed_stays_with_the_plan(tmp_path):
-    problem = Problem("narrow", seed_robot(), growing(straight(2.0).part(0, 60.0), 4), lumen=straight(2.0))
+    problem = Problem("narrow", table_i_robot(), growing(straight(2.0).part(0, 60.0), 4), lumen=straight(2.0))
     for allowed, failed in ((0.5, ("within the wall",)), (5.0, ())):
         plan = solve_per_frame(problem, settings=Settings(contact_allowed=allowed))
         plan.save(tmp_path / "plan.npz")

@@ -12,7 +12,7 @@ import pytest
 from browser import NO_GRAPHICS, SOFTWARE, changed, launcher, opened, pixels, share_of_hue
 from matplotlib.colors import to_rgb
 
-from ctr_nlp import Plan, Problem, curve_from_formula, growing, seed_robot, solve_per_frame
+from ctr_nlp import Plan, Problem, curve_from_formula, growing, solve_per_frame, table_i_robot
 from ctr_nlp.cli.commands import make_report
 from ctr_nlp.figures.parts.palette import CONTACT, TUBES
 from ctr_nlp.plan.metrics import by_frame, e1, summary
@@ -32,14 +32,14 @@ def bend(u):
 @pytest.fixture(scope="module")
 def plain():
     target = growing(curve_from_formula(bend, 0.0, 110.0), 5)
-    return solve_per_frame(Problem("bend", seed_robot(), target), direction="forward")
+    return solve_per_frame(Problem("bend", table_i_robot(), target), direction="forward")
 
 
 @pytest.fixture(scope="module")
 def walled():
     """With a wall that the robot leaves in its last frame, and a margin that falls."""
     target = growing(curve_from_formula(bend, 0.0, 120.0), FRAMES)
-    plan = solve_per_frame(Problem("walled </script> & <b>", seed_robot(), target), direction="forward")
+    plan = solve_per_frame(Problem("walled </script> & <b>", table_i_robot(), target), direction="forward")
     radius = np.linspace(9.0, 1.0, len(SIGMA))
     lumen = np.column_stack([plan.target[-1], radius])
     clearance = Lumen(lumen).clearance(plan.robot, plan.beta, SIGMA, plan.shape)
@@ -304,7 +304,7 @@ def test_planning_needs_none_of_the_pages_libraries(tmp_path):
         "for name in ('k3d', 'bokeh', 'jinja2', 'playwright', 'ipywidgets'): sys.modules[name] = None\n"
         "import ctr_nlp as ctr\n"
         "path = ctr.curve_from_formula(lambda u: (0.002 * u**2, 0.0, u), 0.0, 120.0)\n"
-        "problem = ctr.Problem('p', ctr.seed_robot(), ctr.growing(path, frames=2))\n"
+        "problem = ctr.Problem('p', ctr.table_i_robot(), ctr.growing(path, frames=2))\n"
         "plan = ctr.solve_per_frame(problem, 'joint', direction='forward')\n"
         "assert plan.complete\n"
         "plan.save('plan.npz')\n"

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from strategies import robots, robots_with_q
 
-from ctr_nlp import Limits, Robot, Tube, seed_robot
+import ctr_nlp
+from ctr_nlp import Limits, Robot, Tube, table_i_robot
 from ctr_nlp.exceptions import RobotError
 
 SEED_TOML = """
@@ -142,7 +143,7 @@ def test_default_limits_of_the_seed_are_its_curved_parts_and_free_alpha(robot):
 
 
 def test_both_readings_of_table_one():
-    agreed, literal = seed_robot(), seed_robot(literal=True)
+    agreed, literal = table_i_robot(), table_i_robot(literal=True)
     assert [t.length for t in agreed.tubes] == [t.length for t in literal.tubes] == [90, 202, 390]
     assert [t.curved_length for t in agreed.tubes] == [50, 107, 150]
     assert [t.curved_length for t in literal.tubes] == [40, 95, 240]
@@ -296,4 +297,9 @@ def test_a_missing_robot_file_is_named(tmp_path):
 )
 def test_limits_that_are_no_pairs_are_refused(limits):
     with pytest.raises(RobotError, match=r"give \(lower, upper\)"):
-        Robot(seed_robot().tubes, Limits(**limits))
+        Robot(table_i_robot().tubes, Limits(**limits))
+
+
+def test_the_old_name_of_the_papers_robot_still_works():
+    with pytest.warns(DeprecationWarning, match="table_i_robot"):
+        assert ctr_nlp.seed_robot(literal=True) == ctr_nlp.table_i_robot(literal=True)

@@ -12,7 +12,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from strategies import numbers, robots
 
-from ctr_nlp import Limits, Robot, Tube, seed_robot
+from ctr_nlp import Limits, Robot, Tube, table_i_robot
 from ctr_nlp.exceptions import RobotError
 from ctr_nlp.robot.strain import STRAIN_DEPLOYED, largest_strain
 from ctr_nlp.robot.units import angle_meant, curvature_meant, in_other_units, length_meant
@@ -113,7 +113,7 @@ def test_fully_deployed_is_the_largest_configuration_that_a_robot_allows(robot):
 
 
 def test_fully_deployed_keeps_the_carriage_gap():
-    robot = seed_robot().with_limits(beta=[(0, 5), (0, 107), (0, 150)], carriage_gap=20)
+    robot = table_i_robot().with_limits(beta=[(0, 5), (0, 107), (0, 150)], carriage_gap=20)
     assert robot.deployed.tolist() == [5, 5 + 202 - 90 - 20, 150]
 
 
@@ -129,7 +129,7 @@ def test_thousands_and_no_other_ratios_are_taken_for_units():
 
 
 def test_moduli_of_one_unit_are_accepted_and_of_two_refused():
-    tubes = seed_robot().tubes
+    tubes = table_i_robot().tubes
     for modulus in (60.0, 60e3, 60e9):
         Robot(tuple(replace(tube, youngs_modulus=modulus) for tube in tubes))
     for i, factor in itertools.product(range(3), (1e3, 1e-3, 1e6)):
@@ -142,7 +142,7 @@ def test_moduli_of_one_unit_are_accepted_and_of_two_refused():
 
 @given(st.sampled_from(range(3)), st.sampled_from(["m", "um", "radius", "per metre"]))
 def test_the_seed_in_another_unit_is_refused_with_what_was_meant(i, unit):
-    tube = seed_robot().tubes[i]
+    tube = table_i_robot().tubes[i]
     factor = {"m": 1e-3, "um": 1e3}.get(unit, 1.0)
     bend = {"radius": 1 / tube.curvature, "per metre": 1e3 * tube.curvature}.get(unit, tube.curvature)
     meant = {"radius": rf"did you mean.*1/{bend:g}", "per metre": rf"did you mean.*{tube.curvature:g}"}
@@ -161,7 +161,7 @@ def test_what_was_meant_is_offered_only_where_it_can_be():
 
 def test_a_robot_in_degrees_is_refused():
     with pytest.raises(RobotError, match=r"theta_x.*did you mean -0\.7854 rad \(-45 degrees\)"):
-        seed_robot().with_limits(theta=(-45, 45))
+        table_i_robot().with_limits(theta=(-45, 45))
     with pytest.raises(RobotError, match=r"alpha_1.*-180 degrees"):
-        seed_robot().with_limits(alpha=(-180, 180))
-    assert seed_robot().with_limits(alpha=(-6 * math.pi, 6 * math.pi)).d == 3
+        table_i_robot().with_limits(alpha=(-180, 180))
+    assert table_i_robot().with_limits(alpha=(-6 * math.pi, 6 * math.pi)).d == 3

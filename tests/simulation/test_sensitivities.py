@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ctr_nlp import Limits, Robot, Tube, seed_robot
+from ctr_nlp import Limits, Robot, Tube, table_i_robot
 from ctr_nlp.models import MODELS
 from ctr_nlp.robot.structure import NUMBERS
 from ctr_nlp.simulation.sensitivities import sensitivities
@@ -17,7 +17,7 @@ TAPERED = Robot(
     ),
     Limits(beta=[(0, 80), (0, 150), (0, 300)]),
 )
-ROBOTS = {"constant": seed_robot(), "linear, pushed out": TAPERED}
+ROBOTS = {"constant": table_i_robot(), "linear, pushed out": TAPERED}
 Q = np.array([0.3, -0.6, 0.9, 20.0, 60.0, 110.0, 0.1, -0.2])
 OPPOSED = np.array([0.0, 2.2, 4.0, 20.0, 60.0, 110.0, 0.1, -0.2])
 

@@ -13,7 +13,7 @@ from rows import bent, central, whole_jacobian
 from scipy.optimize import isotonic_regression, nnls
 from strategies import seeds
 
-from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_formula, growing, seed_robot
+from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_formula, growing, table_i_robot
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.nlp.chain import Chain
@@ -297,22 +297,22 @@ def felt(chain, solution):
 
 
 SLOW = {"beta_speed": 15.0, "alpha_acceleration": 0.5, "beta_acceleration": 8.0, "theta_acceleration": 0.2}
-PUSHED_OUT = Robot(seed_robot().tubes, Limits(beta=[(0, 80), (0, 150), (0, 300)], carriage_gap=110.0))
+PUSHED_OUT = Robot(table_i_robot().tubes, Limits(beta=[(0, 80), (0, 150), (0, 300)], carriage_gap=110.0))
 REST = np.array([3, 3, 3, 10, 20, 30, 0, 0.0])
 OUT = np.array([3.3, 2.9, 3.1, 40, 85, 130, 0.1, -0.1])
 CASES = {
-    "seed": (seed_robot(), Ends()),
+    "seed": (table_i_robot(), Ends()),
     "one tube": (Robot((Tube(160, 150, 0.01, 2, 1),)), Ends()),
-    "two tubes": (Robot(seed_robot().tubes[1:]), Ends()),
-    "four tubes": (Robot((Tube(70, 40, 1 / 150, 7.7, 6.3), *seed_robot().tubes)), Ends()),
-    "locked tilt": (seed_robot().with_locked_tilt(), Ends()),
+    "two tubes": (Robot(table_i_robot().tubes[1:]), Ends()),
+    "four tubes": (Robot((Tube(70, 40, 1 / 150, 7.7, 6.3), *table_i_robot().tubes)), Ends()),
+    "locked tilt": (table_i_robot().with_locked_tilt(), Ends()),
     "carriage gap": (PUSHED_OUT, Ends()),
-    "any speed": (seed_robot().with_limits(alpha_speed=INF, beta_speed=INF, theta_speed=INF), Ends()),
-    "start": (seed_robot(), Ends(start=REST)),
-    "end": (seed_robot(), Ends(end=OUT)),
-    "both ends": (seed_robot(), Ends(REST, OUT)),
-    "slow": (seed_robot().with_limits(**SLOW), Ends()),
-    "slow between ends": (seed_robot().with_limits(**SLOW), Ends(REST, OUT)),
+    "any speed": (table_i_robot().with_limits(alpha_speed=INF, beta_speed=INF, theta_speed=INF), Ends()),
+    "start": (table_i_robot(), Ends(start=REST)),
+    "end": (table_i_robot(), Ends(end=OUT)),
+    "both ends": (table_i_robot(), Ends(REST, OUT)),
+    "slow": (table_i_robot().with_limits(**SLOW), Ends()),
+    "slow between ends": (table_i_robot().with_limits(**SLOW), Ends(REST, OUT)),
 }
 EVERY_CASE = pytest.mark.parametrize("case", CASES)
 
@@ -437,7 +437,7 @@ FAR, CLOSE = np.array([3, 3, 3, 40, 90, 140, 0, 0.0]), np.array([3, 3, 3, 5, 10,
 @functools.cache
 def slow_from(name):
     """Ten frames in 2 s from rest at a given q, with slow carriages that also start slowly."""
-    robot = seed_robot().with_limits(
+    robot = table_i_robot().with_limits(
         alpha_speed=0.2, beta_speed=20.0, theta_speed=0.05, beta_acceleration=100.0, theta_acceleration=0.1
     )
     path = curve_from_formula(lambda u: (100 * ca.cos(u) - 100, 0, 100 * ca.sin(u)), 0.0, 1.4)

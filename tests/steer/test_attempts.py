@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import configurations, robots, seeds
 
-from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_formula, growing, seed_robot
+from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_formula, growing, table_i_robot
 from ctr_nlp.exceptions import RobotError
 from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, Iterate, Solution
@@ -199,7 +199,7 @@ def test_a_start_beyond_the_bounds_is_put_back_first(chain, solution):
 def test_any_start_leads_to_a_solution(chain, solver, seed):
     """Frames at random within the bounds."""
     rng = np.random.default_rng(seed)
-    low, high = (np.tile(np.clip(bound, -4, 150), 4) for bound in (seed_robot().lower, seed_robot().upper))
+    low, high = (np.tile(np.clip(bound, -4, 150), 4) for bound in (table_i_robot().lower, table_i_robot().upper))
     start = rng.uniform(low, high)
     assert not feasible(chain, start)
     found = tried(chain, CHAIN_SOLVERS[solver](chain), start)
@@ -390,7 +390,7 @@ def test_random_changes_keep_limits_and_order(drawn, seed):
     ids=["lower limits", "locked"],
 )
 def test_random_changes_keep_every_robots_limits(limits):
-    robot = Robot(seed_robot().tubes, limits)
+    robot = Robot(table_i_robot().tubes, limits)
     motion = np.tile([0, 0, 0, 30, 45, 70, 0, 0.0], (6, 1))
     robot.check(motion[0])
     broken = set()
@@ -404,7 +404,7 @@ def test_random_changes_keep_every_robots_limits(limits):
 
 
 def test_random_changes_are_the_same_for_the_same_seed():
-    robot, motion = seed_robot(), np.tile(START, (6, 1))
+    robot, motion = table_i_robot(), np.tile(START, (6, 1))
 
     def three(seed):
         return np.array(list(itertools.islice(wandered(robot, motion, seed), 3)))
@@ -417,7 +417,7 @@ def test_random_changes_are_the_same_for_the_same_seed():
 
 def test_random_changes_are_smooth():
     """Five half waves over 400 frames of a motion far from all limits: each step is a small part of the whole."""
-    robot, motion = seed_robot().with_limits(theta=(-9, 9)), np.tile([0, 0, 0, 1, 2, 140, 0, 0.0], (400, 1))
+    robot, motion = table_i_robot().with_limits(theta=(-9, 9)), np.tile([0, 0, 0, 1, 2, 140, 0, 0.0], (400, 1))
     for changed in itertools.islice(wandered(robot, motion, 2), 5):
         moved = (changed - motion)[:, [0, 1, 2, 6, 7]]
         assert (np.abs(np.diff(moved, axis=0)).max(axis=0) < 0.05 * np.ptp(moved, axis=0)).all()
@@ -427,5 +427,5 @@ def test_random_changes_are_smooth():
 def test_the_motion_itself_is_left_alone():
     motion = np.tile(START, (6, 1))
     before = motion.copy()
-    next(wandered(seed_robot(), motion, 3))
+    next(wandered(table_i_robot(), motion, 3))
     np.testing.assert_array_equal(motion, before)

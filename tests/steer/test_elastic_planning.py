@@ -23,10 +23,10 @@ from ctr_nlp import (
     Tube,
     curve_from_formula,
     growing,
-    seed_robot,
     solve_horizon,
     solve_per_frame,
     summary,
+    table_i_robot,
 )
 from ctr_nlp.cli.commands.solve_horizon import main as solve_horizon_program
 from ctr_nlp.cli.commands.solve_per_frame import main as solve_per_frame_program
@@ -46,7 +46,7 @@ from problems import FOLDER, named
 
 MARGIN = 0.1
 ROBOTS = {
-    "seed": seed_robot(),
+    "seed": table_i_robot(),
     "varying curvature": Robot(truth.TWO.tubes),
     "pushed out": truth.TWO,
 }
@@ -60,7 +60,7 @@ TIES = {
 STRONG = Robot(
     (Tube(90, 70, (0.015, 0.03), 4.0, 3.2), Tube(150, 90, 0.02, 2.6, 1.6)), Limits(beta=[(0, 85), (0, 140)])
 )
-COUPLED = {"seed": seed_robot(), "strong": STRONG, "four tubes": truth.FOUR}
+COUPLED = {"seed": table_i_robot(), "strong": STRONG, "four tubes": truth.FOUR}
 """Robots that are unstable at many angles."""
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from lumens import straight
 
-from ctr_nlp import Problem, Settings, growing, seed_robot, solve_horizon, solve_per_frame, summary
+from ctr_nlp import Problem, Settings, growing, solve_horizon, solve_per_frame, summary, table_i_robot
 from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.models import MODELS
 from ctr_nlp.plan.account import remarks
@@ -15,7 +15,7 @@ from ctr_nlp.steer.inside import BISECTIONS, LIGHTEST, Outcome, affordable
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.target.lumen import Lumen
 
-ROBOT = seed_robot()
+ROBOT = table_i_robot()
 WALL = Wall(ROBOT, Lumen.around(straight(4.0)), MODELS["dominant"], 30.0, 0.05)
 BOTH = pytest.mark.parametrize("solve", [solve_horizon, solve_per_frame])
 NO_WALL = Settings(contact_weight=0.0)

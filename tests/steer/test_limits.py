@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from ctr_nlp import Limits, Problem, Robot, Target, Tube, curve_from_formula, growing, seed_robot
+from ctr_nlp import Limits, Problem, Robot, Target, Tube, curve_from_formula, growing, table_i_robot
 from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, Watch
@@ -27,7 +27,7 @@ ANY = {"alpha_speed": INF, "beta_speed": INF, "theta_speed": INF}
 
 def path(lengths, duration, speed):
     """The seed's robot, which reaches 150 mm, before a straight path of given lengths."""
-    robot = seed_robot().with_limits(beta_speed=[INF, INF, speed])
+    robot = table_i_robot().with_limits(beta_speed=[INF, INF, speed])
     return Problem("line", robot, Target((LINE,) * len(lengths), tuple(lengths)), duration)
 
 
@@ -115,7 +115,7 @@ def test_growth_is_judged_by_all_pairs_of_frames(lengths, speed):
 
 
 ONE = Robot((Tube(160, 150, 0.01, 2, 1),))
-TWO = Robot(seed_robot().tubes[1:])
+TWO = Robot(table_i_robot().tubes[1:])
 
 
 def moved(robot, start, end, frames, duration, **limits):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from malformed import helix, plan
 from strategies import numbers
 
-from ctr_nlp import Problem, Target, curve_from_points, growing, seed_robot, sequence, summary
+from ctr_nlp import Problem, Target, curve_from_points, growing, sequence, summary, table_i_robot
 from ctr_nlp.exceptions import CtrError
 from ctr_nlp.target.placing import placed
 
@@ -63,7 +63,7 @@ def test_points_at_random_are_a_target_or_refused(points, smoothing, with_radius
     def make():
         curve = curve_from_points(points, radius, smoothing)
         shorter = curve.part(0.0, min(curve.length, 149.0))
-        return Problem("odd", seed_robot(), growing(placed(shorter)[0], frames)).samples
+        return Problem("odd", table_i_robot(), growing(placed(shorter)[0], frames)).samples
 
     samples = refused_or(make)
     for sample in samples or ():
@@ -95,7 +95,7 @@ def test_a_frame_that_is_not_known_all_along_is_named(frame, name, part):
 
     curves = [replace(PATH, **{name: lost}) if k == frame else PATH for k in range(3)]
     with pytest.raises(CtrError, match=rf"{name} of frame {frame + 1} of the target has nan"):
-        Problem("odd", seed_robot(), sequence(curves)).target.sample()
+        Problem("odd", table_i_robot(), sequence(curves)).target.sample()
 
 
 @pytest.mark.parametrize("frames", [1, 4])

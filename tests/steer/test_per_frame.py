@@ -15,11 +15,11 @@ from ctr_nlp import (
     curve_from_formula,
     growing,
     problem_from_file,
-    seed_robot,
     sequence,
     shape_curve,
     solve_per_frame,
     summary,
+    table_i_robot,
 )
 from ctr_nlp.exceptions import OptionError, RobotError
 from ctr_nlp.formulations.frames import FrameResult
@@ -220,7 +220,7 @@ def test_an_interrupted_plan_keeps_what_was_solved(cos_problem):
     assert np.isfinite(summary(plan)["e3"])
 
 
-TUBES = seed_robot().tubes
+TUBES = table_i_robot().tubes
 ROBOTS = {
     "one tube": Robot(TUBES[2:]),
     "two tubes": Robot(TUBES[:2]),
@@ -229,7 +229,7 @@ ROBOTS = {
     "transmissions deployed": Robot(TUBES, Limits(beta=[(0, 80), (0, 150), (0, 300)])),
     "carriages kept apart": Robot(TUBES, Limits(carriage_gap=60.0)),
     "never retracted": Robot(TUBES, Limits(beta=[(5, 50), (10, 107), (20, 150)])),
-    "Table I taken literally": seed_robot(literal=True),
+    "Table I taken literally": table_i_robot(literal=True),
 }
 
 

@@ -10,10 +10,10 @@ from ctr_nlp import (
     Settings,
     growing,
     problem_from_file,
-    seed_robot,
     solve_horizon,
     solve_per_frame,
     summary,
+    table_i_robot,
 )
 from ctr_nlp.anatomy import synthetic_airway
 from ctr_nlp.cli.report import exit_status
@@ -41,7 +41,7 @@ def drawn(seed, lobe, frames):
     airway = synthetic_airway(seed, lobe)
     path, to_robot = placed(airway.part(airway.length - WAY, airway.length))
     lumen = airway.moved(to_robot)
-    return Problem(f"{lobe} {seed}", seed_robot(), growing(path, frames), to_robot=to_robot, lumen=lumen)
+    return Problem(f"{lobe} {seed}", table_i_robot(), growing(path, frames), to_robot=to_robot, lumen=lumen)
 
 
 def kept(solve, problem):

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import numbers, seeds
 
-from ctr_nlp import Settings, Steerer, seed_robot, shapes, solve_per_frame
+from ctr_nlp import Settings, Steerer, shapes, solve_per_frame, table_i_robot
 from ctr_nlp.exceptions import OptionError, RobotError
 from ctr_nlp.formulations.terms.shape import STRIDE
 from ctr_nlp.nlp.nlp import kkt_residual
@@ -26,9 +26,9 @@ DT, WEIGHT = 0.1, Settings().motion_weight
 RETRACTED = 1e-3
 """A shape shorter than this, in mm, has no derivatives to compare: they depend on the order of beta / beta_d."""
 ROBOTS = {
-    "seed": seed_robot(),
-    "tilt locked": seed_robot().with_locked_tilt(),
-    "carriages apart": seed_robot().with_limits(carriage_gap=60.0, theta_speed=math.inf),
+    "seed": table_i_robot(),
+    "tilt locked": table_i_robot().with_locked_tilt(),
+    "carriages apart": table_i_robot().with_limits(carriage_gap=60.0, theta_speed=math.inf),
 }
 EVERY_ROBOT = pytest.mark.parametrize("name", ROBOTS)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from lumens import straight
 
-from ctr_nlp import Problem, growing, seed_robot
+from ctr_nlp import Problem, growing, table_i_robot
 from ctr_nlp.cli.commands.study_clearance import main
 from ctr_nlp.plan.contacts import depth
 from ctr_nlp.studies.clearance import Case
@@ -75,7 +75,7 @@ def test_clearance_alone_may_not_stay_short():
 @pytest.mark.parametrize(("radius", "expected"), [(5.0, 0.0), (0.5, None)])
 def test_clearance_alone_is_what_room_there_is(radius, expected):
     """None in a wide lumen; in one narrower than the outer tube, what the tube is thicker by, at least."""
-    robot, lumen = seed_robot(), straight(radius, 100.0)
+    robot, lumen = table_i_robot(), straight(radius, 100.0)
     problem = Problem("straight", robot, growing(lumen, 4))
     motion = np.zeros((4, len(robot.axes)))
     left = Alone(problem).least([motion], [0, 1])

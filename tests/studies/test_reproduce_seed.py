@@ -140,9 +140,9 @@ def test_what_is_small_is_not_nothing():
 @pytest.mark.parametrize(
     ("model", "name", "printed"),
     [
-        ("stiffness", "the seed (published)", published.SEED),
+        ("stiffness", "the paper (published)", published.SEED),
         ("stiffness", "its baseline (published)", published.BASELINE),
-        ("compliant", "the seed (published)", published.SEED_ELASTIC),
+        ("compliant", "the paper (published)", published.SEED_ELASTIC),
         ("compliant", "its baseline (published)", published.BASELINE_ELASTIC),
     ],
 )
@@ -158,7 +158,7 @@ def test_published_numbers_stand_where_they_belong(written, model, name, printed
 
 def test_published_times_are_in_ms(written):
     text = (written / "seed.md").read_text(encoding="utf-8")
-    assert cells(text, "table2", "the seed (published)", "t_c, time a frame")[:2] == ["250", "100"]
+    assert cells(text, "table2", "the paper (published)", "t_c, time a frame")[:2] == ["250", "100"]
 
 
 @pytest.mark.parametrize("problem", fig6.PROBLEMS)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ctr_nlp import Problem, Robot, curve_from_points, growing, seed_robot, sequence
+from ctr_nlp import Problem, Robot, curve_from_points, growing, sequence, table_i_robot
 from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.target.fit import Misfit, check_radii, misfits, notes
 
@@ -19,7 +19,7 @@ def straight(radius=None):
 
 
 def problem(radius=None, robot=None):
-    return Problem("made", robot or seed_robot(), growing(straight(radius), 3))
+    return Problem("made", robot or table_i_robot(), growing(straight(radius), 3))
 
 
 def narrow(*places, wide=9.0):
@@ -81,12 +81,12 @@ def test_a_place_that_a_tube_does_not_reach_is_not_its_own():
 )
 def test_lower_limits_and_carriages_can_force_an_outer_tube(limits, forced):
     """Tube 3 at 140 mm drags tube 2 to 140 + 80 - 188 = 32 mm at least, where carriages keep 80 mm apart."""
-    found = misfits(problem(narrow((30, 31, 1.8)), seed_robot().with_limits(**limits)))
+    found = misfits(problem(narrow((30, 31, 1.8)), table_i_robot().with_limits(**limits)))
     assert {each.tube: each.forced for each in found}[2] is forced
 
 
 def test_a_place_may_be_partly_forced():
-    robot = seed_robot().with_limits(beta=((30, 50), (30, 107), (30, 150)))
+    robot = table_i_robot().with_limits(beta=((30, 50), (30, 107), (30, 150)))
     ours = [each for each in misfits(problem(narrow((25, 40, 2.5)), robot)) if each.tube == 1]
     assert [each.forced for each in ours] == [True, False]
     assert ours[0].stop <= 30 < ours[1].start <= 30.2
@@ -105,23 +105,23 @@ def test_the_lumen_counts_that_was_given_beside_the_path():
     lumen = straight(narrow((120, 125, 0.9)))
     aside = np.eye(4)
     aside[0, 3] = 0.5
-    made = Problem("made", seed_robot(), growing(straight(3.0).moved(aside), 3), lumen=lumen)
+    made = Problem("made", table_i_robot(), growing(straight(3.0).moved(aside), 3), lumen=lumen)
     assert [each.tube for each in misfits(made)] == [3]
 
 
 def test_one_tube_robots_are_told_too():
-    robot = Robot(seed_robot().tubes[2:])
+    robot = Robot(table_i_robot().tubes[2:])
     assert misfits(problem(1.0, robot)) == [Misfit(1, 0.0, pytest.approx(140), pytest.approx(0.05), 0.0, True)]
 
 
 def test_a_jagged_path_asks_for_smoothing():
     random = np.random.default_rng(0)
     points = np.column_stack([0 * Z, 0 * Z, Z]) + random.normal(0, 0.2, (len(Z), 3))
-    (note,) = notes(Problem("made", seed_robot(), growing(curve_from_points(points).part(0, 140), 3)))
+    (note,) = notes(Problem("made", table_i_robot(), growing(curve_from_points(points).part(0, 140), 3)))
     assert note.startswith("the path is jagged: at ")
     assert note.endswith("--smoothing MM evens it out")
     smooth = curve_from_points(points, np.full(len(Z), 6.0), smoothing=0.8)
-    (note,) = notes(Problem("made", seed_robot(), growing(smooth, 3)))
+    (note,) = notes(Problem("made", table_i_robot(), growing(smooth, 3)))
     share = 100 * smooth.deviation_share
     expected = f"at most {smooth.deviation:.2f} mm and {share:.0f} % of the lumen's radius"
     assert note == f"smoothing moved the path by {expected}"
@@ -130,7 +130,7 @@ def test_a_jagged_path_asks_for_smoothing():
 def test_a_base_that_cannot_turn_to_the_path_is_told():
     leaning = np.eye(4)
     leaning[:3, :3] = [[np.cos(0.2), 0, np.sin(0.2)], [0, 1, 0], [-np.sin(0.2), 0, np.cos(0.2)]]
-    made = Problem("made", seed_robot(), growing(straight().moved(leaning), 3))
+    made = Problem("made", table_i_robot(), growing(straight().moved(leaning), 3))
     assert notes(made) == []
     assert notes(replace(made, robot=made.robot.with_limits(theta=(-0.21, 0.21)))) == []
     assert notes(replace(made, robot=made.robot.with_limits(theta=((0, 0), (0, 0.2))))) == []
@@ -152,15 +152,15 @@ def test_clearance_without_radii_is_refused():
 
 def test_a_path_with_a_radius_is_its_own_lumen():
     path = straight(3.0)
-    assert Problem("made", seed_robot(), growing(path, 3)).lumen is path
-    assert Problem("made", seed_robot(), growing(path, 3)).retraction().lumen is path
+    assert Problem("made", table_i_robot(), growing(path, 3)).lumen is path
+    assert Problem("made", table_i_robot(), growing(path, 3)).retraction().lumen is path
 
 
 def test_shapes_that_change_have_no_lumen_of_their_own():
     shapes = [straight(3.0).part(0, 70), straight(3.0)]
-    assert Problem("made", seed_robot(), sequence(shapes)).lumen is None
+    assert Problem("made", table_i_robot(), sequence(shapes)).lumen is None
 
 
 def test_a_lumen_without_a_radius_is_refused():
     with pytest.raises(ProblemError, match="lumen is a curve without a radius"):
-        Problem("made", seed_robot(), growing(straight(3.0), 3), lumen=straight())
+        Problem("made", table_i_robot(), growing(straight(3.0), 3), lumen=straight())

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from lumens import brute, wandering
 from strategies import numbers, rigid_transforms, robots, seeds
 
-from ctr_nlp import seed_robot
+from ctr_nlp import table_i_robot
 from ctr_nlp.simulation.forward import shapes
 from ctr_nlp.target.lumen import Lumen, outer_radius, outermost
 from ctr_nlp.target.target import SIGMA
@@ -168,7 +168,7 @@ def test_ends_at_samples_are_found_whatever_the_rounding():
 
 @given(seeds)
 def test_clearance_is_lumen_radius_less_distance_less_tube_at_every_sample(seed):
-    robot, rng, curve = seed_robot(), np.random.default_rng(seed), wandering(seed)
+    robot, rng, curve = table_i_robot(), np.random.default_rng(seed), wandering(seed)
     q = np.concatenate([rng.uniform(-3, 3, (2, 3)), np.sort(rng.uniform(0, 50, (2, 3))), np.zeros((2, 2))], axis=1)
     shape = shapes(robot, q)
     found = Lumen.around(curve).clearance(robot, q[:, 3:6], SIGMA, shape)
@@ -179,7 +179,7 @@ def test_clearance_is_lumen_radius_less_distance_less_tube_at_every_sample(seed)
 
 
 def test_clearance_of_frames_that_are_not_known_is_not():
-    robot = seed_robot()
+    robot = table_i_robot()
     shape = np.stack([np.outer(60 * SIGMA, [0, 0, 1]), np.full((101, 3), np.nan)])
     beta = np.array([[10.0, 30, 60], [np.nan, np.nan, np.nan]])
     found = straight().clearance(robot, beta, SIGMA, shape)

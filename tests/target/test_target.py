@@ -11,7 +11,7 @@ from hypothesis import given
 from scipy.integrate import quad
 from strategies import robots_with_q
 
-from ctr_nlp import Problem, curve_from_formula, growing, problem_from_file, seed_robot, sequence, shape_curve
+from ctr_nlp import Problem, curve_from_formula, growing, problem_from_file, sequence, shape_curve, table_i_robot
 from ctr_nlp.exceptions import OptionError, ProblemError
 from ctr_nlp.target.target import QUADRATURE, SIGMA, Target
 
@@ -171,7 +171,7 @@ def test_an_unknown_end_to_trim_is_refused(tmp_path):
 @pytest.mark.parametrize("name", ["chaste_ts002_LLL", "chaste_ts002_RLL", "chaste_ts002_RML", "hra_vhm_left_main"])
 def test_a_real_airway_becomes_a_problem_with_its_lumen(shared_data, name):
     path = shared_data / "airways" / f"{name}.csv"
-    problem = problem_from_file(path, seed_robot(), frames=3, trim="start")
+    problem = problem_from_file(path, table_i_robot(), frames=3, trim="start")
     frame = problem.samples[-1]
     assert frame.length <= 150 * 1.005
     assert (frame.radius > 0).all()

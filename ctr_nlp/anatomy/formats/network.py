@@ -17,11 +17,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import breadth_first_order, connected_components
 from scipy.spatial import cKDTree
 
 from ctr_nlp.exceptions import CurveError
+from ctr_nlp.support.extras import needed
 from ctr_nlp.typing import Array
 
 Indices = npt.NDArray[np.intp]
@@ -52,8 +51,9 @@ class Network:
     def _joined(self) -> Network:
         """With one index for points in the same place, and no line that stands still."""
         pairs = cKDTree(self.points).query_pairs(SAME_MM, output_type="ndarray")
-        _, label = connected_components(_graph(pairs, len(self.points)), directed=False)
-        first = np.unique(label, return_index=True)[1][label]
+        first = np.arange(len(self.points))
+        for places in map(list, needed("networkx").connected_components(_graph(pairs))):
+            first[places] = min(places)
         lines = [first[line] for line in self.lines]
         lines = [line[np.append(True, line[1:] != line[:-1])] for line in lines]
         return Network(self.points, self.radius, tuple(line for line in lines if len(line) > 1))
@@ -81,28 +81,25 @@ class Network:
 
     def _trees(self) -> list[Tree]:
         edges: Indices = np.concatenate([np.column_stack([line[:-1], line[1:]]) for line in self.lines])
-        _, part = connected_components(_graph(edges, len(self.points)), directed=False)
-        found = dict.fromkeys(int(part[line[0]]) for line in self.lines)
-        return [Tree(self, edges[part[edges[:, 0]] == k]) for k in found]
+        return [
+            Tree(self, edges[np.isin(edges[:, 0], list(part))])
+            for part in needed("networkx").connected_components(_graph(edges))
+        ]
 
 
 class Tree:
     """Pieces that hang together: a network and those of its edges (m, 2), pointing as their lines do."""
 
     def __init__(self, network: Network, edges: Indices) -> None:
-        self._network, self._edges = network, edges
-        between = np.unique(np.sort(self._edges, axis=1), axis=0)
-        nodes, degree = np.unique(between, return_counts=True)
-        if len(between) != len(nodes) - 1:
-            raise CurveError("its lines form a loop; they must form trees, with one way from a root to each tip")
-        self._graph = _graph(between, len(network.points))
-        self._ends = nodes[degree == 1]
-        self._degree = np.bincount(between.ravel(), minlength=len(network.points))
+        self._network, self._edges, self._graph = network, edges, _graph(edges)
+        if not needed("networkx").is_tree(self._graph):
+            raise CurveError("its lines form a loop; they must form trees, with one path from a root to each tip")
+        self._ends = np.array(sorted(node for node, degree in self._graph.degree if degree == 1))
 
     def to_tips(self, entry: Array | None) -> list[Indices]:
         """The paths from the root to the other ends, these in the order of their points."""
         root = self._root(entry)
-        return [self._way(root, int(tip)) for tip in self._ends if tip != root]
+        return [self._between(root, int(tip)) for tip in self._ends if tip != root]
 
     def _root(self, entry: Array | None) -> int:
         rules: list[Callable[[], int | None]] = [self._widest, self._source]
@@ -130,26 +127,25 @@ class Tree:
         """The end from which all lines lead away, or to which all of them lead."""
         for edges in (self._edges, self._edges[:, ::-1]):
             starts = self._ends[np.isin(self._ends, edges[:, 0])]
-            if len(starts) == 1 and (self._before(int(starts[0]))[edges[:, 1]] == edges[:, 0]).all():
-                return int(starts[0])
+            if len(starts) == 1:
+                before = dict(needed("networkx").bfs_predecessors(self._graph, int(starts[0])))
+                if all(before.get(there) == here for here, there in edges.tolist()):
+                    return int(starts[0])
         return None
 
-    def _before(self, root: int) -> Indices:
-        """The point before each on the way from root."""
-        return np.asarray(breadth_first_order(self._graph, root, directed=False)[1])
-
-    def _way(self, root: int, tip: int) -> Indices:
-        before, way = self._before(root), [tip]
-        while way[-1] != root:
-            way.append(int(before[way[-1]]))
-        return np.array(way[::-1])
+    def _between(self, root: int, tip: int) -> Indices:
+        """The points from one end to another."""
+        return np.array(needed("networkx").shortest_path(self._graph, root, tip))
 
     def _stretch(self, end: int) -> Indices:
         """The points from an end to where branches part, or to the middle."""
-        way = self._way(end, int(self._ends[self._ends != end][0]))
-        parts = np.flatnonzero(self._degree[way] > 2)
-        return way[: parts[0] if parts.size else len(way) // 2]
+        path = self._between(end, int(self._ends[self._ends != end][0]))
+        parts = [k for k, point in enumerate(path.tolist()) if self._graph.degree[point] > 2]
+        return path[: parts[0] if parts else len(path) // 2]
 
 
-def _graph(edges: Indices, count: int) -> Any:
-    return coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count)).tocsr()
+def _graph(edges: Indices) -> Any:
+    """The graph of pairs of points (m, 2)."""
+    graph = needed("networkx").Graph()
+    graph.add_edges_from(edges.tolist())
+    return graph

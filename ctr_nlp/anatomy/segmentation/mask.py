@@ -31,7 +31,7 @@ def read_mask(path: str | Path, entry: npt.ArrayLike, target: npt.ArrayLike) -> 
     file's own coordinates (RAS in NIfTI), in the lumen or at most a voxel's diagonal from it; the path begins and
     stops where it is nearest to them. Its points are about 1 mm apart; its radius is the distance to the wall in
     the cross-section, so that a lumen that ends or is cut open is not narrow there. The border of the image is no
-    wall. Raises CurveError, and OptionError where SimpleITK is missing.
+    wall. Raises CurveError, and OptionError where nibabel or pynrrd is missing.
 
     The way is found by Dijkstra's algorithm at a cost that grows towards the wall (after Antiga and Steinman, IEEE
     TMI 23(6), 2004), then centred in its cross-sections and smoothed.
@@ -124,7 +124,7 @@ def _tube(lumen: Flags, spacing: Array, ends: Array) -> Array:
     length, width = float(np.linalg.norm(np.diff(route, axis=0), axis=1).sum()), 2 * (room.max() + voxel)
     if length < width:
         raise CurveError(
-            f"the way from entry to target is {length:.3g} mm long; it must be longer than the lumen is wide, "
+            f"the path from entry to target is {length:.3g} mm long; it must be longer than the lumen is wide, "
             f"about {width:.3g} mm"
         )
     tube = centred(lumen, spacing, route, room, ends * spacing)
@@ -132,7 +132,7 @@ def _tube(lumen: Flags, spacing: Array, ends: Array) -> Array:
     astray = np.flatnonzero(outside[1:] & outside[:-1])
     if astray.size:
         raise CurveError(
-            f"a smooth path leaves the lumen {100 * astray[0] / len(tube):.0f} % of the way from entry to target: "
+            f"a smooth path leaves the lumen {100 * astray[0] / len(tube):.0f} % along it from entry to target: "
             "the lumen is too narrow there for its voxels"
         )
     return tube

@@ -1,4 +1,4 @@
-"""Several panels with letters, as the seed's figures have them, and a scale for errors of different size."""
+"""Several panels with letters, as the paper's figures have them, and a scale for errors of different size."""
 
 from __future__ import annotations
 

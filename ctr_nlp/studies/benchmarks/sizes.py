@@ -10,7 +10,7 @@ import numpy as np
 from ctr_nlp.formulations.frame import program
 from ctr_nlp.formulations.terms import Order, ShapeDistance
 from ctr_nlp.models import MODELS
-from ctr_nlp.robot import Robot, Tube, seed_robot
+from ctr_nlp.robot import Robot, Tube, table_i_robot
 from ctr_nlp.solvers.frame.program import Program
 from ctr_nlp.studies.benchmarks.frames import evaluation
 from ctr_nlp.studies.benchmarks.records import Record
@@ -21,7 +21,7 @@ TUBES = (2, 3, 4, 5, 6)
 
 def sizes() -> Iterator[Record]:
     """Operations and compiled time of a frame's first derivatives, and the time of its build."""
-    robot = seed_robot()
+    robot = table_i_robot()
     for stride in STRIDES:
         yield from _measured(robot, stride, f"{100 // stride + 1} samples")
     for count in TUBES:
@@ -44,7 +44,7 @@ def _measured(robot: Robot, stride: int, which: str) -> Iterator[Record]:
 
 
 def _nested(count: int) -> Robot:
-    """Tubes like the seed's, each inside the one before and longer."""
+    """Tubes like the paper's, each inside the one before and longer."""
     tubes = (
         Tube(90.0 + 60 * i, 50.0 + 20 * i, 0.006 + 0.001 * i, 6.0 - 0.9 * i, 5.3 - 0.9 * i) for i in range(count)
     )

@@ -21,7 +21,7 @@ print(time.perf_counter() - begin, int("matplotlib" in sys.modules))
 BUILD = """
 import time, numpy, ctr_nlp, ctr_nlp.steer
 begin = time.perf_counter()
-robot = ctr_nlp.seed_robot()
+robot = ctr_nlp.table_i_robot()
 ctr_nlp.Steerer(robot, numpy.zeros(8), 0.1)
 print(time.perf_counter() - begin)
 """

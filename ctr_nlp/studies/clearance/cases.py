@@ -18,7 +18,7 @@ from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.plan.contacts import depth
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.robot import seed_robot
+from ctr_nlp.robot import table_i_robot
 from ctr_nlp.steer import solve_horizon
 from ctr_nlp.studies.clearance.alone import Alone
 from ctr_nlp.support.pool import side_by_side
@@ -27,8 +27,8 @@ from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import growing
 
 Source = Path | int
-"""A centreline file with radii, or the seed of a synthetic airway."""
-WAY = 150.0
+"""A centreline file with radii, or the paper of a synthetic airway."""
+FOLLOWED_MM = 150.0
 """mm of a synthetic airway that are followed, its last."""
 WITHOUT, WITH, FIRST = Settings(contact_weight=0.0), Settings(), Settings(clearance_cost=math.inf)
 """No wall; the default; clearance whatever it costs."""
@@ -106,13 +106,13 @@ def study(
 
 
 def problem_of(source: Source, frames: int = 100) -> Problem:
-    """The seed's robot advancing into an airway: a file's, trimmed at its end, or the last of a synthetic one."""
+    """The paper's robot advancing into an airway: a file's, trimmed at its end, or the last of a synthetic one."""
     if not isinstance(source, int):
         return problem_from_file(source, frames=frames, trim="end")
     airway = synthetic_airway(seed=source)
-    path, to_robot = placed(airway.part(airway.length - WAY, airway.length))
+    path, to_robot = placed(airway.part(airway.length - FOLLOWED_MM, airway.length))
     lumen = airway.moved(to_robot)
-    return Problem(f"synthetic {source}", seed_robot(), growing(path, frames), to_robot=to_robot, lumen=lumen)
+    return Problem(f"synthetic {source}", table_i_robot(), growing(path, frames), to_robot=to_robot, lumen=lumen)
 
 
 def measured(source: Source, frames: int = 100) -> Case | None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ctr_nlp.figures.files import save
 from ctr_nlp.studies.clearance.alone import CLEAR, STARTS
-from ctr_nlp.studies.clearance.cases import WAY, WITH, Case
+from ctr_nlp.studies.clearance.cases import FOLLOWED_MM, WITH, Case
 from ctr_nlp.studies.clearance.claims import claims, frames_missed
 from ctr_nlp.studies.clearance.cost import cost_of_clearance
 from ctr_nlp.support.tables import markdown, write_csv
@@ -45,13 +45,13 @@ EXPLANATION = """\
 
 ![Contact without and with clearance, and growth of e3](clearance.png)
 
-**Robot and motion.** The seed's robot of three tubes, free at its base, on the dominant model; {frames} frames
+**Robot and motion.** The paper's robot of three tubes, free at its base, on the dominant model; {frames} frames
 in 10 s. Defaults: {clearance:g} mm are to be kept between tubes and wall, a mm less costs {weight:g} mm² in a
 frame, and e3 may grow by {most:g} % for it; where it would grow by more, contact costs less.
 
 **Airways.** {real} read from centreline files, followed from their first point and trimmed at the end to what
-the robot reaches; {synthetic} made by `synthetic_airway(seed)`, of which the last {way:g} mm are followed. The
-lumen is the whole path in either case.
+the robot reaches; {synthetic} made by `synthetic_airway(seed)`, of which the last {followed:g} mm are followed.
+The lumen is the whole path in either case.
 
 **Contact** is by how much the robot is beyond the wall at most in a frame, at 101 samples along it and with the
 radius of the outermost tube there, summed over frames.
@@ -122,7 +122,7 @@ def page(cases: Sequence[Case]) -> str:
         "most": 100 * WITH.clearance_cost,
         "real": len(real),
         "synthetic": len(synthetic),
-        "way": WAY,
+        "followed": FOLLOWED_MM,
         "starts": STARTS,
         "clear": CLEAR,
         "files": f"the files {', '.join(f'`{case.name}`' for case in real)}" if real else "no files",

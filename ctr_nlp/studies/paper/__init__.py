@@ -1,4 +1,4 @@
-"""The seed's figures and its Table II remade from one run, beside what the seed printed."""
+"""The paper's figures and its Table II remade from one run, beside what the paper printed."""
 
 from ctr_nlp.studies.paper.runs import Found, study
 from ctr_nlp.studies.paper.sections import SECTIONS

@@ -1,4 +1,4 @@
-"""What the seed says, what this run finds, and whether the two agree; decided by numbers alone."""
+"""What the paper says, what this run finds, and whether the two agree; decided by numbers alone."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import numpy as np
 from ctr_nlp.typing import Array
 
 PRINTED = 2
-"""Decimals of the seed's tables: closer numbers are the same."""
+"""Decimals of the paper's tables: closer numbers are the same."""
 
 
 @dataclass(frozen=True)
 class Check:
     """A statement, what is found here, and in how many of the cases it is about it holds.
 
-    about = 0: nothing was published that could be compared. asked: it is not the seed's, but asked here.
+    about = 0: nothing was published that could be compared. asked: it is not the paper's, but asked here.
     """
 
     says: str
@@ -41,7 +41,7 @@ class Check:
     @property
     def whose(self) -> str:
         """Who says so."""
-        return "Asked here" if self.asked else "The seed"
+        return "Asked here" if self.asked else "The paper"
 
 
 def listed(names: Sequence[str]) -> str:

@@ -1,4 +1,4 @@
-"""Clips of several motions in one picture and at one scale, as the seed's Figs. 4, 9 (d) and 10."""
+"""Clips of several motions in one picture and at one scale, as the paper's Figs. 4, 9 (d) and 10."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def clips(rows: Sequence[Sequence[Group]], room: float = 0.0) -> Figure:
 
 
 def _scale(row: Sequence[Group], boxes: Sequence[Array]) -> float:
-    """Inches a mm at which a row takes the picture's width, up to that of the seed's figures."""
+    """Inches a mm at which a row takes the picture's width, up to that of the paper's figures."""
     gaps = LEFT + RIGHT + BETWEEN * (len(row) - 1) + GAP * sum(len(group.frames) - 1 for group in row)
     widths = [np.diff(box, axis=0)[0, 0] * len(group.frames) for group, box in zip(row, boxes, strict=True)]
     return float(min((WIDTH - gaps) / sum(widths), 2.2 / 150.0))

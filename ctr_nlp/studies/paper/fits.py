@@ -19,7 +19,7 @@ from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
 ON_SEGMENT = (1, 2, 3, 4, 6, 8, 12)
-"""Points on each tube's segment for the seed's method; the last at its end."""
+"""Points on each tube's segment for the paper's method; the last at its end."""
 ALONG = (2, 4, 5, 10, 20, 50, 100)
 """Points along the whole robot for ours, evenly spread, the last at the tip; they divide 100."""
 
@@ -35,8 +35,8 @@ class Fit(NamedTuple):
 def fits(problem: Problem, plan: Plan, method: str) -> tuple[Fit, ...]:
     """Fits of every frame by itself, from where a plan has it, with each number of points.
 
-    method: "joint", or "seed-two-stage" for the seed's. Without a motion term and with the same starts throughout,
-    only the number of points makes a difference.
+    method: "joint", or "seed-two-stage" for the paper's. Without a motion term and with the same starts
+    throughout, only the number of points makes a difference.
     """
     found = _joint(problem, plan.q) if method == "joint" else _two_stage(problem, plan.q)
     return tuple(Fit(points, _e3(plan, q), failed) for points, q, failed in found)

@@ -13,16 +13,17 @@ from ctr_nlp.studies.paper.section import Section
 from ctr_nlp.support import tables
 
 INTRODUCTION = """\
-# The seed's figures and Table II, remade
+# The paper's figures and Table II, remade
 
-*Curvature-Based Continuous Steering of Stiffness-Dominant Concentric Tube Robots* ("the seed") is known here as
+*Curvature-Based Continuous Steering of Stiffness-Dominant Concentric Tube Robots* ("the paper") is known here as
 text: its statements, the captions of its figures, and Table II. Each figure is remade from our own runs, the
-seed's numbers stand beside ours, and where numbers can decide about one of its statements, those of this run do.
+paper's numbers stand beside ours, and where numbers can decide about one of its statements, those of this run do.
 
 **Methods.** {methods}.
 
-The seed's method and its baseline are our re-implementations of its descriptions, in numpy and scipy, forward from
-frame to frame as published; where they do worse or better than published, that is said and not explained away.
+The paper's method and its baseline are our re-implementations of its descriptions, in numpy and scipy, forward
+from frame to frame as published; where they do worse or better than published, that is said and not explained
+away.
 
 **This run.** {frames} frames in 10 s; lambda {weight:g} s² frame by frame; {seconds:.0f} s with {jobs} on
 {machine}. {failures}.
@@ -31,7 +32,7 @@ frame to frame as published; where they do worse or better than published, that 
 
 """
 READING = """\
-## How the seed was read
+## How the paper was read
 
 - **(11)** taken literally shrinks the robot: an integral of squares over [0, beta_3] is least for a robot that is
   not out at all. The tip belongs to the target's end, so beta_3 is the target's length.
@@ -40,7 +41,7 @@ READING = """\
   deployed: these are the curved parts here.
 - **The arc** is y = sqrt(100² - x²) - 100; printed is sqrt(1 - x²) - 100.
 - **q2** of `synthesis` is printed with 7 of its 8 numbers; all its angles are taken to be pi.
-- **e1** is a distance, as the seed's words say; its formula has another square root.
+- **e1** is a distance, as the paper's words say; its formula has another square root.
 - **The bronchus** is not public: ours is a synthetic airway, the last 150 mm of the one of seed 0. No wall
   counts here.
 - **Euler curves** of Fig. 10 are given without numbers: these are ours.

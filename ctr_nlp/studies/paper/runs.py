@@ -1,4 +1,4 @@
-"""What is run: methods on the seed's problems, and fits with more and fewer points."""
+"""What is run: methods on the paper's problems, and fits with more and fewer points."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from ctr_nlp.target.problem import Problem
 HORIZON, JOINT, ELASTIC = "horizon", "joint", "elastic"
 """Ours: all frames at once, frame by frame, all frames at once on the elastic model."""
 SEED, BASELINE, TIP = "seed-two-stage", "euclidean", "tip-jacobian"
-"""Re-implemented: the seed's method, its Euclidean baseline, its control of the tip alone."""
+"""Re-implemented: the paper's method, its Euclidean baseline, its control of the tip alone."""
 OURS = HORIZON, JOINT, ELASTIC
 NAMES = {
     HORIZON: "ours (all frames at once)",
     JOINT: "ours (frame by frame)",
     ELASTIC: "ours (planned on the compliant model)",
-    SEED: "the seed's method (re-implemented)",
+    SEED: "the paper's method (re-implemented)",
     BASELINE: "its baseline (re-implemented)",
     TIP: "tip only (re-implemented)",
 }
 """What methods are called in pictures and on the page."""
 SETTINGS = Settings(contact_weight=0.0)
-"""Defaults, and no wall: the seed's methods know of none."""
+"""Defaults, and no wall: the paper's methods know of none."""
 
 Load = Callable[[str], Problem]
 """The problem of a name; fit for pickling."""

@@ -20,7 +20,7 @@ PRIMITIVE = "cos", "arc", "line", "line_arc"
 ALL = *PRIMITIVE, "synthesis", "bronchus"
 """Problems of Table II."""
 COMPARABLE = ALL[:-1]
-"""Those whose targets are the seed's own: its bronchus is not public."""
+"""Those whose targets are the paper's own: its bronchus is not public."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Section:
-    """A figure or table of the seed: what it takes, its picture, what is said of it.
+    """A figure or table of the paper: what it takes, its picture, what is said of it.
 
     name: of its files. about: what is shown and how to read it. unknown: what could not be known. rows: the
     numbers behind it, for its CSV file.
@@ -56,8 +56,19 @@ def motions(problems: Sequence[str], methods: Sequence[str]) -> tuple[Task, ...]
     return tuple(Motion(problem, method) for problem in problems for method in methods)
 
 
-def by_frames(plan: Plan, keys: Sequence[str]) -> list[dict[str, Any]]:
-    """A line for each frame with columns of errors.csv, in mm."""
+def by_frames(
+    problems: Sequence[str], methods: Sequence[str], keys: Sequence[str]
+) -> Callable[[Found], list[dict[str, Any]]]:
+    """Of what was found a line for each problem, method and frame, with columns of errors.csv, in mm."""
+    return lambda found: [
+        {"problem": problem, "method": method} | line
+        for problem in problems
+        for method in methods
+        for line in _by_frame(found.plan(problem, method), keys)
+    ]
+
+
+def _by_frame(plan: Plan, keys: Sequence[str]) -> list[dict[str, Any]]:
     columns = by_frame(plan)
     numbers = zip(*(columns[key].tolist() for key in keys), strict=True)
     return [
@@ -80,10 +91,10 @@ def mm(value: float | None) -> str:
 
 
 def beside(found: Found, problems: Sequence[str], methods: Sequence[str] = (HORIZON, SEED, BASELINE)) -> Table:
-    """What the seed printed of problems, and what methods of this run have."""
+    """What the paper printed of problems, and what methods of this run have."""
     header = [
         "problem",
-        "the seed (published)",
+        "the paper (published)",
         "its baseline (published)",
         *(NAMES[method] for method in methods),
     ]
@@ -99,5 +110,5 @@ def beside(found: Found, problems: Sequence[str], methods: Sequence[str] = (HORI
 
 
 def printed(table: dict[str, Any], problem: str) -> str:
-    """e3 and e4 as the seed printed them; nothing where it did not."""
+    """e3 and e4 as the paper printed them; nothing where it did not."""
     return " / ".join(f"{value:.2f}" for value in table[problem][:2]) if problem in table else ""

@@ -1,4 +1,4 @@
-"""All that is remade, in the seed's order."""
+"""All that is remade, in the paper's order."""
 
 from ctr_nlp.studies.paper.parts import fig3, fig4, fig5, fig6, fig7, fig9, fig10, table2
 from ctr_nlp.studies.paper.section import Section

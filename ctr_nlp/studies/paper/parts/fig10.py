@@ -29,14 +29,14 @@ STEP = 1.0
 
 
 def tables(found: Found) -> list[Table]:
-    """Errors of all methods; the seed prints none."""
-    header = ["problem", "the seed (published)", *(NAMES[m] for m in METHODS)]
+    """Errors of all methods; the paper prints none."""
+    header = ["problem", "the paper (published)", *(NAMES[m] for m in METHODS)]
     body = [[f"`{p}`", "none", *(errors(found, p, m) for m in METHODS)] for p in PROBLEMS]
     return [Table("e3 / e4 in mm on the stiffness-dominant model", header, body)]
 
 
 def checks(found: Found) -> list[Check]:
-    """How well the path is followed; the seed gives no number to hold it against."""
+    """How well the path is followed; the paper gives no number to hold it against."""
     parts = []
     for problem in PROBLEMS:
         plan, e3 = found.plan(problem, HORIZON), number(found.row(problem, HORIZON)["e3"])
@@ -45,7 +45,7 @@ def checks(found: Found) -> list[Check]:
     return [
         Check(
             "robots of tubes with varying curvature follow the path well",
-            f"ours, {'; '.join(parts)}. The seed prints no error to compare with",
+            f"ours, {'; '.join(parts)}. The paper prints no error to compare with",
             0,
             0,
         )
@@ -127,8 +127,8 @@ SECTION = Section(
     "Ours, all frames at once. Below, pre-curvatures k_i(s) of the tubes along the robot when it is all out, "
     "thick where a tube is the outermost one, so that it sets the robot's curvature, dotted where it lies "
     "within another; and the target's, dashed.",
-    "The seed gives no numbers of these tubes and of this path: those of `problems/euler.py` and "
-    "`problems/euler_mixed.py` are ours, with the seed's kinds of curves. So no error here can be held against "
+    "The paper gives no numbers of these tubes and of this path: those of `problems/euler.py` and "
+    "`problems/euler_mixed.py` are ours, with the paper's kinds of curves. So no error here can be held against "
     "it.",
     tables,
     checks,

@@ -20,7 +20,7 @@ from ctr_nlp.studies.paper.section import ALL, Section, Table, mm
 LEVEL, ENOUGH = 0.01, 0.1
 """Parts of e3: more points raise it by less than the first; fewer are enough within the second."""
 SEEDS, OURS = 2, 10
-"""Points on a segment that the seed finds sufficient; points along the robot that are asked for here."""
+"""Points on a segment that the paper finds sufficient; points along the robot that are asked for here."""
 LEAST = 0.01
 """mm below which nothing is drawn."""
 LOOKS = dict(zip(ALL, zip((BLUE, ORANGE, GREEN, PURPLE, BLACK, VERMILLION), "os^vDX", strict=True), strict=True))
@@ -28,7 +28,7 @@ LOOKS = dict(zip(ALL, zip((BLUE, ORANGE, GREEN, PURPLE, BLACK, VERMILLION), "os^
 
 def tables(found: Found) -> list[Table]:
     """e3 by problem and number of points, a table for each method."""
-    what = {SEED: "on a segment, the seed's method", JOINT: "along the whole robot, ours (`joint`)"}
+    what = {SEED: "on a segment, the paper's method", JOINT: "along the whole robot, ours (`joint`)"}
     return [
         Table(
             f"e3 in mm by the number of points {text}",
@@ -49,7 +49,7 @@ def checks(found: Found) -> list[Check]:
     return [
         Check(
             "the fitting error decreases with the number of sample points",
-            f"for the seed's method no step to more points raises e3 by more than {LEVEL:.0%} {named(falls)}",
+            f"for the paper's method no step to more points raises e3 by more than {LEVEL:.0%} {named(falls)}",
             sum(falls.values()),
             len(falls),
         ),
@@ -88,7 +88,7 @@ def rows(found: Found) -> list[dict[str, Any]]:
 
 @matplotlib.rc_context(STYLE)
 def draw(found: Found) -> Figure:
-    """e3 over points on a segment for the seed's method, and over points along the robot for ours."""
+    """e3 over points on a segment for the paper's method, and over points along the robot for ours."""
     figure = Figure(figsize=(7.2, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     for axes, method, points in ((left, SEED, ON_SEGMENT), (right, JOINT, ALONG)):
@@ -121,11 +121,11 @@ SECTION = Section(
     "Fig. 3: error of the fit over the number of sample points",
     tuple(Fitting(problem, method) for problem in ALL for method in (SEED, JOINT)),
     "Each frame is fitted again by itself, without a motion term and from where the method's own motion has it, "
-    "so that only the number of points makes a difference. Left: the seed's method; points are spread evenly on "
-    "each tube's segment, the last at its end, and the dashed line marks the two that the seed takes. Right: "
+    "so that only the number of points makes a difference. Left: the paper's method; points are spread evenly on "
+    "each tube's segment, the last at its end, and the dashed line marks the two that the paper takes. Right: "
     "ours, which usually takes 20 along the whole robot. Errors are taken at 101 samples throughout. Curves end "
     f"where e3 falls below {LEAST:g} mm.",
-    "Which target and which frames the seed's Fig. 3 shows, and any of its numbers: only its caption is known.",
+    "Which target and which frames the paper's Fig. 3 shows, and any of its numbers: only its caption is known.",
     tables,
     checks,
     rows,

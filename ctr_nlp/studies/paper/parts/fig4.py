@@ -88,11 +88,11 @@ SECTION = Section(
     "Fig. 4: following primitive shapes",
     motions(PRIMITIVE, (HORIZON, SEED)),
     "Ours, all frames at once. Each tube is drawn where it is the outermost one, the target as a thin dashed line "
-    "upon it. The seed's xy-plane lies in the robot's zx-plane, with the insertion direction z upwards; all clips "
-    "are to one scale.",
-    "Which frames the seed shows. Its formula of the arc, y = sqrt(1 - x²) - 100, has no real values on its "
+    "upon it. The paper's xy-plane lies in the robot's zx-plane, with the insertion direction z upwards; all "
+    "clips are to one scale.",
+    "Which frames the paper shows. Its formula of the arc, y = sqrt(1 - x²) - 100, has no real values on its "
     "range: read as sqrt(100² - x²) - 100. Line and arc of `line_arc` are joined here with a common tangent, 75 "
-    "mm of each; the seed says only that they are connected.",
+    "mm of each; the paper says only that they are connected.",
     tables,
     checks,
     rows,

@@ -19,7 +19,7 @@ QUANTILES = {"quarter": 0.25, "median": 0.5, "three_quarters": 0.75, "most": 1.0
 
 
 def tables(found: Found) -> list[Table]:
-    """Published e3 and e4, which are all that the seed prints of it, and medians of e1."""
+    """Published e3 and e4, which are all that the paper prints of it, and medians of e1."""
     header = ["problem", *(f"{NAMES[method]}: median, largest" for method in METHODS)]
     body = [
         [
@@ -72,7 +72,7 @@ SECTION = Section(
     motions(ALL, METHODS),
     "A pair of violins for each tenth of the motion, of e1 at 101 samples of each of its frames; bar and dot "
     "are the middle half and the median. The scale is that of square roots, and differs between panels.",
-    "The seed prints no number of its Fig. 5 beyond e3 and e4 of Table II. Its formula of e1 is the square root "
+    "The paper prints no number of its Fig. 5 beyond e3 and e4 of Table II. Its formula of e1 is the square root "
     "of a norm, its words are the Euclidean distance: the words are followed.",
     tables,
     checks,

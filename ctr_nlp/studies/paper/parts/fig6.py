@@ -1,8 +1,6 @@
-"""Fig. 6: largest error and RMSE of every frame, and what the seed says of their course."""
+"""Fig. 6: largest error and RMSE of every frame, and what the paper says of their course."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -33,7 +31,7 @@ def tables(found: Found) -> list[Table]:
 
 
 def checks(found: Found) -> list[Check]:
-    """What the seed says of each panel."""
+    """What the paper says of each panel."""
     e2 = {p: {m: known(by_frame(found.plan(p, m))["e2"]) for m in METHODS} for p in PROBLEMS}
     return [
         escalating(e2["cos"]),
@@ -53,7 +51,7 @@ def escalating(e2: dict[str, Array]) -> Check:
     growth = {m: part(e2[m], 0.8, 1.0) / part(e2[m], 0.0, 0.8) for m in METHODS}
     parts = " and ".join(f"{growth[m]:.2g} times for {NAMES[m]}" for m in (BASELINE, SEED, HORIZON))
     return Check(
-        "(a) `cos`: the baseline's error escalates beyond frame 80 of 100, that of the seed's method does not",
+        "(a) `cos`: the baseline's error escalates beyond frame 80 of 100, that of the paper's method does not",
         f"from the first four fifths of the frames to the last, the RMS of e2 grows {parts}; more than "
         f"{ESCALATES:g} times counts as escalating",
         int(growth[BASELINE] > ESCALATES) + int(growth[SEED] <= ESCALATES),
@@ -66,8 +64,8 @@ def comparable(e2: dict[str, Array]) -> Check:
     e3 = {m: part(e2[m], 0.0, 1.0) for m in METHODS}
     apart = _apart(e3[SEED], e3[BASELINE])
     return Check(
-        "(b) `arc`: the errors of the seed's method are comparable to the baseline's",
-        f"e3 is {shown(e3[SEED])} mm for the seed's method and {shown(e3[BASELINE])} mm for its baseline, "
+        "(b) `arc`: the errors of the paper's method are comparable to the baseline's",
+        f"e3 is {shown(e3[SEED])} mm for the paper's method and {shown(e3[BASELINE])} mm for its baseline, "
         f"{apart:.0%} apart; up to {COMPARABLE:.0%} counts as comparable. Ours: {shown(e3[HORIZON])} mm",
         int(apart <= COMPARABLE),
         1,
@@ -80,8 +78,8 @@ def inferior(e2: dict[str, Array]) -> Check:
     count = min(len(e2[BASELINE]), len(e2[SEED]))
     share = float(np.mean(e2[BASELINE][:count] > e2[SEED][:count]))
     return Check(
-        "(c) `synthesis`: the baseline is consistently and significantly inferior to the seed's method",
-        f"e3 is {e3[BASELINE]:.2g} mm for the baseline and {e3[SEED]:.2g} mm for the seed's method; e2 is "
+        "(c) `synthesis`: the baseline is consistently and significantly inferior to the paper's method",
+        f"e3 is {e3[BASELINE]:.2g} mm for the baseline and {e3[SEED]:.2g} mm for the paper's method; e2 is "
         f"larger for the baseline in {share:.0%} of the frames. At least {INFERIOR:g} times and "
         f"{CONSISTENT:.0%} of the frames count. Ours: {e3[HORIZON]:.2g} mm",
         int(e3[BASELINE] >= INFERIOR * e3[SEED]) + int(share >= CONSISTENT),
@@ -99,8 +97,8 @@ def in_the_middle(e2: dict[str, Array]) -> Check:
         for name in ends
     )
     return Check(
-        "(d) `bronchus`: errors of the seed's method and the baseline are similar in the first 20 and the last 10 "
-        "frames of 100; between, the seed's method is better",
+        "(d) `bronchus`: errors of the paper's method and the baseline are similar in the first 20 and the last "
+        "10 frames of 100; between, the paper's method is better",
         f"RMS of e2 in mm, {numbers}; up to {COMPARABLE:.0%} apart counts as similar",
         sum(similar) + int(rms["middle 70"][SEED] < rms["middle 70"][BASELINE]),
         3,
@@ -109,16 +107,6 @@ def in_the_middle(e2: dict[str, Array]) -> Check:
 
 def _apart(a: float, b: float) -> float:
     return max(a, b) / min(a, b) - 1
-
-
-def rows(found: Found) -> list[dict[str, Any]]:
-    """A line for each problem, method and frame."""
-    return [
-        {"problem": problem, "method": method} | line
-        for problem in PROBLEMS
-        for method in METHODS
-        for line in by_frames(found.plan(problem, method), ("e2", "max"))
-    ]
 
 
 def draw(found: Found) -> Figure:
@@ -130,13 +118,13 @@ SECTION = Section(
     "fig6",
     "Fig. 6: largest error and RMSE by frame",
     motions(PROBLEMS, METHODS),
-    "The scale is that of square roots, and differs between panels. The seed compares its own method with its "
+    "The scale is that of square roots, and differs between panels. The paper compares its own method with its "
     "baseline; its statements are checked on our re-implementations of these two.",
-    "The curves of the seed's Fig. 6: only the statements below and Table II are known. Its weights of the motion "
-    "term, 100 for its method and 500 for the baseline, have no unit; both re-implementations here use ours. Its "
-    "bronchus is not public, ours is another.",
+    "The curves of the paper's Fig. 6: only the statements below and Table II are known. Its weights of the "
+    "motion term, 100 for its method and 500 for the baseline, have no unit; both re-implementations here use "
+    "ours. Its bronchus is not public, ours is another.",
     tables,
     checks,
-    rows,
+    by_frames(PROBLEMS, METHODS, ("e2", "max")),
     draw,
 )

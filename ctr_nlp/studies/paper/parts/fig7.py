@@ -23,7 +23,7 @@ NOTHING = 1e-3
 
 
 def checks_of_shapes(found: Found) -> list[Check]:
-    """That targets are reached as well as the seed says, or better."""
+    """That targets are reached as well as the paper says, or better."""
     published = PRINTED[NAME]
     ours = {m: number(found.row(NAME, m)["e3"]) for m in METHODS}
     said = "; ".join(f"{mm(e3)} mm, {order(e3, published[0])}, for {NAMES[m]}" for m, e3 in ours.items())
@@ -73,15 +73,6 @@ def checks_of_errors(found: Found) -> list[Check]:
     ]
 
 
-def rows_of_shapes(found: Found) -> list[dict[str, Any]]:
-    """A line for each method and frame."""
-    return [
-        {"method": method} | line
-        for method in METHODS
-        for line in by_frames(found.plan(NAME, method), ("e2", "max"))
-    ]
-
-
 def rows_of_errors(found: Found) -> list[dict[str, Any]]:
     """A line for each method and frame with the error of every coordinate, rad and mm."""
     result = []
@@ -104,10 +95,10 @@ FIG7 = Section(
     "Fig. 7: time-varying target shapes",
     motions((NAME,), (*METHODS, BASELINE)),
     "Ours, all frames at once, seen along y and along x; targets are thin dashed lines upon the tubes.",
-    "Which frames the seed shows. It prints q2 with 7 of its 8 numbers: all angles are taken to end at pi.",
+    "Which frames the paper shows. It prints q2 with 7 of its 8 numbers: all angles are taken to end at pi.",
     lambda found: [beside(found, (NAME,))],
     checks_of_shapes,
-    rows_of_shapes,
+    by_frames((NAME,), METHODS, ("e2", "max")),
     lambda found: shapes(found.plan(NAME, HORIZON)),
 )
 FIG8 = Section(
@@ -118,7 +109,8 @@ FIG8 = Section(
     "alpha and theta_y are one rotation and no shape tells them apart: these frames are left out of the table. "
     "Whole turns do not count, nor does the other way to write the same rotation (theta_x to pi - theta_x, all "
     "other angles by pi).",
-    "Any number of the seed's Fig. 8, its weight's unit, and how it treats the rotation that no shape determines.",
+    "Any number of the paper's Fig. 8, its weight's unit, and how it treats the rotation that no shape "
+    "determines.",
     tables_of_errors,
     checks_of_errors,
     rows_of_errors,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import matplotlib
 from matplotlib.figure import Figure
 
@@ -44,15 +42,6 @@ def checks(found: Found) -> list[Check]:
     ]
 
 
-def rows(found: Found) -> list[dict[str, Any]]:
-    """A line for each method and frame."""
-    return [
-        {"method": method} | line
-        for method in METHODS
-        for line in by_frames(found.plan(NAME, method), ("e2", "max", "tip"))
-    ]
-
-
 @matplotlib.rc_context(STYLE)
 def draw(found: Found) -> Figure:
     """Clips of ours above and of the tip alone below, seen from two sides."""
@@ -68,10 +57,10 @@ SECTION = Section(
     motions((NAME,), METHODS),
     "Ours above; below, control of the tip alone by the damped inverse of its Jacobian. All clips are to one "
     "scale.",
-    "The seed's bronchus, and its numbers for the tip alone. Parts (a) to (c) of Fig. 9 are photographs of "
+    "The paper's bronchus, and its numbers for the tip alone. Parts (a) to (c) of Fig. 9 are photographs of "
     "hardware.",
     tables,
     checks,
-    rows,
+    by_frames((NAME,), METHODS, ("e2", "max", "tip")),
     draw,
 )

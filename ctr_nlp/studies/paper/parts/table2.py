@@ -13,15 +13,15 @@ from ctr_nlp.studies.paper.section import ALL, COMPARABLE, Section, Table, mm, m
 
 METHODS = SEED, BASELINE, JOINT, HORIZON, ELASTIC
 MODELS = {"dominant": "stiffness", "elastic": "compliant"}
-"""What the seed calls the models, by what they are called here."""
+"""What the paper calls the models, by what they are called here."""
 PRINTED: dict[tuple[str, str], Mapping[str, tuple[float, ...]]] = {
     ("dominant", SEED): published.SEED,
     ("dominant", BASELINE): published.BASELINE,
     ("elastic", SEED): published.SEED_ELASTIC,
     ("elastic", BASELINE): published.BASELINE_ELASTIC,
 }
-"""(e3, e4, ..) in mm by problem, for each model and method of the seed."""
-PRINTED_NAMES = {SEED: "the seed (published)", BASELINE: "its baseline (published)"}
+"""(e3, e4, ..) in mm by problem, for each model and method of the paper."""
+PRINTED_NAMES = {SEED: "the paper (published)", BASELINE: "its baseline (published)"}
 
 
 def tables(found: Found) -> list[Table]:
@@ -46,7 +46,7 @@ def tables(found: Found) -> list[Table]:
 
 
 def _cell(found: Found, problem: str, method: str, model: str) -> str:
-    """e3 / e4 of a run; those of ours in bold where they are lower than the seed's own, published."""
+    """e3 / e4 of a run; those of ours in bold where they are lower than the paper's own, published."""
     row = found.row(problem, method)
     texts = []
     for key, limit in zip(("e3", "e4"), PRINTED[model, SEED][problem], strict=False):
@@ -64,7 +64,7 @@ def milliseconds(found: Found, problem: str, method: str) -> float:
 
 
 def checks(found: Found) -> list[Check]:
-    """What the seed concludes from its table, and what ours shows beside it."""
+    """What the paper concludes from its table, and what ours shows beside it."""
     return [
         *(_better(found, model) for model in MODELS),
         _faster(found),
@@ -75,7 +75,7 @@ def checks(found: Found) -> list[Check]:
 
 
 def _better(found: Found, model: str) -> Check:
-    """The seed's method against its baseline, both re-implemented."""
+    """The paper's method against its baseline, both re-implemented."""
     lower = {p: _value(found, p, SEED, model, "e3") < _value(found, p, BASELINE, model, "e3") for p in ALL}
     printed = sum(PRINTED[model, SEED][p][0] < PRINTED[model, BASELINE][p][0] for p in ALL)
     return Check(
@@ -109,7 +109,7 @@ def _faster(found: Found) -> Check:
 
 
 def _against(found: Found, model: str, method: str) -> Check:
-    """e3 and e4 of a method against what is published of the seed's own, or of the same method."""
+    """e3 and e4 of a method against what is published of the paper's own, or of the same method."""
     same = method if method in PRINTED_NAMES else SEED
     pairs = {
         key: {p: (_value(found, p, method, model, key), PRINTED[model, same][p][k]) for p in COMPARABLE}
@@ -161,13 +161,13 @@ SECTION = Section(
     motions(ALL, METHODS),
     "All but the last row of each part plan on the stiffness-dominant model; the compliant part shows what the "
     "same motions come to on that model, and in its last row what a plan made on it does. Bold: ours, lower "
-    f"than the seed's own published figure (not for {listed([f'`{p}`' for p in ALL if p not in COMPARABLE])}, "
+    f"than the paper's own published figure (not for {listed([f'`{p}`' for p in ALL if p not in COMPARABLE])}, "
     "where targets differ; statements on published numbers leave it out too). A star: some frames not solved. "
     "An exclamation mark: the robot snaps on the way. t_c is the time of a frame, on average, without the "
     "search for the first one; where all frames are solved at once, it has its share of all that a motion "
     "takes, that of the motions that it starts from included, and on a machine's first run compiling too. "
     "Processes side by side slow each other.",
-    "The seed's compliant model needs a Poisson ratio, transmissions and stiffnesses that it does not give: "
+    "The paper's compliant model needs a Poisson ratio, transmissions and stiffnesses that it does not give: "
     "ours has 0.3, straight transmissions of 40, 95 and 240 mm, and stiffnesses from Table I's diameters and "
     "one modulus. Its weights of the motion term have no unit. It names an Intel Core i5 at 4.1 GHz and Python. "
     "Its limits of speed, and where it starts from, are not known; our re-implementations go forward from the "

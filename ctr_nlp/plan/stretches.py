@@ -1,0 +1,236 @@
+"""Plans made of plans: some of their frames, one after the other, at another pace of frames.
+
+What is said of a plan stays true of what is made of it: failures and snaps keep their frames under new numbers,
+and where the motion is another one the robot is moved through it anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.plan.moved import e3_of, free_errors, lost, moved
+from ctr_nlp.plan.record import Record
+from ctr_nlp.support.equal import equal
+from ctr_nlp.support.values import number, whole_number
+from ctr_nlp.typing import Array, Flags
+
+AnyPlan = TypeVar("AnyPlan", bound=Record)
+
+BY_FRAME = "failures", "fallbacks"
+"""Entries of meta whose keys are numbers of frames, from 1."""
+WHOLE = "meta", "to_robot", "lumen"
+"""Fields that are not one row a frame."""
+STRICTEST = {"contact_allowed": min, "clearance_cost": min, "contact_weight": max}
+"""Of two values of an option that verdicts judge by, the one to judge a joined plan by."""
+SAME_PLACE = 0.01
+"""mm by which a shape may differ from the one planned before the robot counts as elsewhere."""
+WHOLE_FRAME = 1e-9
+"""A place between frames nearer to one of them is that frame."""
+
+
+def rows(plan: Record) -> dict[str, Any]:
+    """The arrays of a plan that have a row a frame, by name."""
+    named = {f.name: getattr(plan, f.name) for f in fields(plan) if f.name not in WHOLE}
+    return {name: array for name, array in named.items() if array is not None}
+
+
+def stretch(plan: AnyPlan, frames: slice) -> AnyPlan:
+    """Frames first to stop of a plan, counted from 0, at its pace; raises OptionError where there are none.
+
+    The way to the first frame counts as before, with its margin and its snap.
+    """
+    count = len(plan.time)
+    chosen = range(count)[frames] if isinstance(frames, slice) else range(0)
+    if not chosen or chosen.step != 1:
+        raise OptionError(f"frames of a plan are {frames!r}; give [first:stop] within 0 and {count}")
+    if len(chosen) == count:
+        return plan
+    first, stop = chosen.start, chosen.stop
+    kept = {name: array[first:stop] for name, array in rows(plan).items()}
+    kept["time"] = plan.dt * np.arange(1.0, len(chosen) + 1)
+    meta: dict[str, Any] = dict(plan.meta) | {
+        name: _renumbered(plan.meta[name], -first, len(chosen)) for name in BY_FRAME if name in plan.meta
+    }
+    meta["snaps"] = [
+        {**snap, "frame": snap["frame"] - first}
+        for snap in plan.meta.get("snaps", [])
+        if first < snap["frame"] <= stop
+    ]
+    free = free_errors(plan.robot, plan.free, plan.target, plan.evaluated)
+    meta["e3_free"] = e3_of(None if free is None else free[first:stop], plan.reached[first:stop])
+    meta["stretch"] = {"first": first + 1, "last": stop, "of": count}
+    meta["interpolated"] = [j - first for j in plan.meta.get("interpolated", []) if first < j <= stop]
+    return replace(plan, **kept, meta=meta | _timed(meta, len(chosen), plan.dt))
+
+
+def turned(plan: AnyPlan) -> AnyPlan:
+    """The same motion played backwards, at the same pace."""
+    back = {name: array[::-1] for name, array in rows(plan).items() if name != "time"}
+    count = len(plan.time) + 1
+    meta: dict[str, Any] = {
+        name: {key if key == "all" else str(count - int(key)): why for key, why in plan.meta[name].items()}
+        for name in BY_FRAME
+        if name in plan.meta
+    }
+    if "interpolated" in plan.meta:
+        meta["interpolated"] = [count - j for j in reversed(plan.meta["interpolated"])]
+    return replace(plan, meta=plan.meta | meta | {"reversed": not plan.meta.get("reversed", False)}, **back)
+
+
+def joined(plan: AnyPlan, other: Record) -> AnyPlan:
+    """One plan after another of the same robot, pace, model and lumen; raises OptionError where they differ.
+
+    The robot is moved through the whole motion: where it would not get to what the other plan shows, frames are
+    marked as not solved. The step from the last frame of one to the first of the other counts as any other; meta
+    tells how long it is, under joined. Options are those of the first, and the stricter ones for verdicts.
+    """
+    if not isinstance(other, Record):
+        raise OptionError(f"a plan is joined with {other!r:.80}; give another Plan")
+    _check_alike(plan, other)
+    first, second, count = rows(plan), rows(other), len(plan.time)
+    both = {name: np.concatenate([first[name], second[name]]) for name in first if name in second}
+    both["time"] = plan.dt * np.arange(1.0, len(both["time"]) + 1)
+    absent = {name: None for name in (*first, *second) if name not in both}
+    q = np.concatenate([plan.q, other.q])
+    found = moved(plan.robot, q, plan.evaluated, target=both["target"], lumen=plan.lumen, free=both.get("free"))
+    away = _away(found.arrays["shape"], both["shape"])
+    alpha, beta, theta = plan.robot.split(np.abs(other.q[0] - plan.q[-1]))
+    meta: dict[str, Any] = dict(plan.meta) | found.told
+    for name in BY_FRAME:
+        later = _renumbered(other.meta.get(name, {}), count, len(q))
+        meta[name] = {**plan.meta.get(name, {}), **later}
+    meta["failures"] = lost(both["success"] & away, found.simulation.snaps) | meta["failures"]
+    both["success"] = both["success"] & ~away
+    meta["joined"] = {
+        "frames": [count, len(other.time)],
+        "problems": [each.meta["problem"]["name"] for each in (plan, other)],
+        "step": {"alpha": alpha.max(), "beta": beta.max(), "theta": theta.max()},
+    }
+    meta["interrupted"] = any(each.meta.get("interrupted", False) for each in (plan, other))
+    meta["options"] = plan.options | {
+        name: judge(plan.options[name], other.options[name])
+        for name, judge in STRICTEST.items()
+        if name in plan.options and name in other.options
+    }
+    meta["interpolated"] = [
+        *plan.meta.get("interpolated", []),
+        *(j + count for j in other.meta.get("interpolated", [])),
+    ]
+    return replace(plan, **(both | absent | found.arrays), meta=meta | _timed(meta, len(q), plan.dt))
+
+
+def resampled(plan: AnyPlan, frames: int | None = None, dt: float | None = None) -> AnyPlan:
+    """The same motion at as many frames, or with dt s from frame to frame; its first and last frame stay.
+
+    Between frames configurations are linear, as everywhere; the robot is moved through the new motion, and targets
+    are interpolated too. Nothing that was not solved is called solved: a frame keeps its success, objective, KKT
+    residual and time only where it is one of the plan's own and so are, and were solved, all that were left out
+    before it. meta lists the others under interpolated. Raises OptionError.
+    """
+    at = _places(plan, frames, dt)
+    low = np.minimum(np.floor(at).astype(int), len(plan.time) - 2)
+    part = at - low
+    own = np.isin(at, np.round(at))
+    between = {name: _between(array, low, part) for name, array in rows(plan).items() if name != "success"}
+    for name in ("objective", "kkt", "solve_time"):
+        between[name] = np.where(own, between[name], np.nan)
+    between["target_direction"] /= np.linalg.norm(between["target_direction"], axis=1, keepdims=True)
+    step = plan.dt * (len(plan.time) - 1) / (len(at) - 1)
+    between["time"] = step * np.arange(1.0, len(at) + 1)
+    q = np.hstack([between["alpha"], between["beta"], between["theta"]])
+    found = moved(
+        plan.robot, q, plan.evaluated, target=between["target"], lumen=plan.lumen, free=between.get("free")
+    )
+    fine = _solved_around(plan, at)
+    success = own & fine & plan.success[at.astype(int)]
+    failures = {
+        str(j + 1): f"interpolated from frame {u + 1:.4g} of a plan, not solved"
+        if fine[j]
+        else f"around frame {u + 1:.4g} of the plan that this was made of, frames were not solved"
+        for j, u in enumerate(at.tolist())
+        if not success[j]
+    }
+    meta = dict(plan.meta) | found.told | {"failures": failures, "fallbacks": {}}
+    meta["interpolated"] = (np.flatnonzero(fine & ~success) + 1).tolist()
+    meta["resampled"] = {"frames": len(plan.time), "dt": plan.dt}
+    arrays = between | found.arrays | {"success": success}
+    return replace(plan, **arrays, meta=meta | _timed(meta, len(at), step))
+
+
+def _solved_around(plan: Record, at: Array) -> Flags:
+    """Whether all frames were solved, or interpolated, that are beside places (n,) or left out before them."""
+    fine = plan.success.copy()
+    fine[[j - 1 for j in plan.meta.get("interpolated", [])]] = True
+    low = np.floor(at).astype(int)
+    first = np.minimum(np.append(0, low[:-1] + 1), low)
+    return np.array([fine[a : b + 1].all() for a, b in zip(first, np.ceil(at).astype(int), strict=True)])
+
+
+def _places(plan: Record, frames: int | None, dt: float | None) -> Array:
+    """Where new frames lie between those of a plan, counted from 0."""
+    span = len(plan.time) - 1
+    if (frames is None) == (dt is None):
+        raise OptionError(f"frames is {frames!r} and dt {dt!r}; give one of them")
+    if span < 1:
+        raise OptionError("a plan of one frame has no motion to resample")
+    if dt is not None:
+        number(
+            OptionError,
+            "dt",
+            dt,
+            lambda x: 0 < x <= span * plan.dt * (1 + 1e-9),
+            f"lie in (0, {span * plan.dt:g}]",
+            " s",
+        )
+        steps = max(1, round(span * plan.dt / dt))
+        if abs(steps * dt - span * plan.dt) > 1e-6 * plan.dt:
+            raise OptionError(
+                f"dt is {dt:g} s; the {span * plan.dt:g} s from the first frame to the last must be a multiple of "
+                f"it, as of {span * plan.dt / steps:g} s"
+            )
+        frames = steps + 1
+    at = np.linspace(0.0, span, whole_number(OptionError, "frames", frames, 2))
+    return np.where(np.abs(at - np.round(at)) < WHOLE_FRAME * span, np.round(at), at)
+
+
+def _between(array: Array, low: Any, part: Array) -> Array:
+    """Rows of (T, ...) at places low + part, exactly the given ones where part is 0 or 1."""
+    part = part.reshape(-1, *[1] * (array.ndim - 1))
+    here, there = array[low], array[low + 1]
+    return np.where(part == 0, here, np.where(part == 1, there, here + part * (there - here)))
+
+
+def _check_alike(plan: Record, other: Record) -> None:
+    for name, one, two in (
+        ("robot", plan.robot, other.robot),
+        ("model", plan.meta["model"], other.meta["model"]),
+        ("model that they are evaluated on", plan.evaluated, other.evaluated),
+        ("lumen", plan.lumen, other.lumen),
+    ):
+        if not equal(one, two):
+            raise OptionError(f"the {name} of two plans to be joined differs; it must be the same")
+    if abs(plan.dt - other.dt) > 1e-9 * plan.dt:
+        raise OptionError(
+            f"dt of two plans to be joined is {plan.dt:g} and {other.dt:g} s; it must be the same (resampled())"
+        )
+
+
+def _away(shape: Array | None, planned: Array) -> Flags:
+    """Frames (T,) whose shape is not the one planned, both (T, 101, 3) mm, of those that had one."""
+    apart = np.linalg.norm(np.asarray(shape) - planned, axis=-1).max(axis=1)
+    return np.isfinite(planned).all(axis=(1, 2)) & ~(apart < SAME_PLACE)
+
+
+def _renumbered(told: Mapping[str, Any], by: int, count: int) -> dict[str, Any]:
+    """What is told of frames under numbers that are larger by so much, of those within count, and of all."""
+    moved_on = {key if key == "all" else str(int(key) + by): why for key, why in told.items()}
+    return {key: why for key, why in moved_on.items() if key == "all" or 1 <= int(key) <= count}
+
+
+def _timed(meta: Mapping[str, Any], frames: int, dt: float) -> dict[str, Any]:
+    return {"problem": {**meta["problem"], "frames": frames, "duration": frames * dt}}

@@ -1,0 +1,29 @@
+"""The rest of a plan planned anew."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.steer import solve_per_frame
+from ctr_nlp.support.values import whole_number
+from ctr_nlp.target.problem import Problem
+
+
+def replanned(plan: Plan, problem: Problem, from_frame: int, **options: Any) -> Plan:
+    """A plan whose frames from a number on, counted from 1, are planned anew from where the one before them is.
+
+    problem: what is to be followed, frame by frame as the plan; its robot, pace and lumen must be the plan's, its
+    later targets may be others. options: those of solve_per_frame, such as settings. Raises OptionError.
+    """
+    frames = len(plan.time)
+    number = whole_number(OptionError, "from_frame", from_frame, 2)
+    if problem.frames != frames or number > frames:
+        raise OptionError(
+            f"from_frame is {number}, of a plan of {frames} frames and a problem of {problem.frames}: it must be "
+            f"in [2, {frames}], and both must have as many frames"
+        )
+    start = plan.q[number - 2]
+    model = {"model": plan.meta["model"]} | options
+    return plan[: number - 1] + solve_per_frame(problem[number - 1 :], start=start, direction="forward", **model)

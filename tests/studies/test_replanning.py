@@ -1,0 +1,55 @@
+"""Plans whose later frames are planned anew."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from ctr_nlp import Curve, Problem, Target, curve_from_formula, growing, solve_per_frame, table_i_robot
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.studies.replanning import replanned
+
+
+def arc(radius: float) -> Curve:
+    return curve_from_formula(
+        lambda u: (radius * ca.cos(u / radius) - radius, 0.0, radius * ca.sin(u / radius)), 0.0, 90.0
+    )
+
+
+FIRST, OTHER = arc(120.0), arc(80.0)
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    return Problem("arc", table_i_robot(), growing(FIRST, 6))
+
+
+@pytest.fixture(scope="module")
+def plan(problem):
+    return solve_per_frame(problem, direction="forward")
+
+
+def test_the_rest_is_planned_anew_from_where_the_robot_is(plan, problem):
+    other = growing(OTHER, 6)
+    changed = replace(
+        problem, target=Target((FIRST,) * 3 + (OTHER,) * 3, problem.target.lengths[:3] + other.lengths[3:])
+    )
+    found = replanned(plan, changed, 4)
+    np.testing.assert_array_equal(found.q[:3], plan.q[:3])
+    np.testing.assert_array_equal(found.target, [frame.points for frame in changed.samples])
+    assert found.complete
+    assert np.linalg.norm(found.shape[3:] - found.target[3:], axis=-1).max() < 5
+    steps = np.abs(np.diff(found.q, axis=0))
+    assert (steps <= plan.robot.speed * plan.dt + 1e-6).all()
+    assert found.meta["joined"]["frames"] == [3, 3]
+
+
+@pytest.mark.parametrize("frame", [1, 7, 2.5, "last"])
+def test_frames_that_are_none_are_refused(plan, problem, frame):
+    with pytest.raises(OptionError, match="from_frame is"):
+        replanned(plan, problem, frame)
+    with pytest.raises(OptionError, match="as many frames"):
+        replanned(plan, problem[:3], 3)
