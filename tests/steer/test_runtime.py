@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from problems import named
 from strategies import numbers, seeds
 
 from ctr_nlp import Settings, Steerer, seed_robot, shapes, solve_per_frame
@@ -18,7 +19,6 @@ from ctr_nlp.robot import MM_PER_RAD
 from ctr_nlp.solvers import FEASIBLE
 from ctr_nlp.solvers.frame.adapter import OPTIMAL
 from ctr_nlp.target.target import SIGMA
-from problems import named
 
 Q0 = np.array([3.0, 3, 3, 30, 70, 105, 0, 0])
 DT, WEIGHT = 0.1, Settings().motion_weight
