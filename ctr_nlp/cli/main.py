@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import signal
 import sys
@@ -11,6 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import ctr_nlp
 
 if TYPE_CHECKING:
+    import argparse
+
     from ctr_nlp.cli.command import Command
 
 
@@ -47,7 +48,8 @@ HORIZON = Entry("commands.plan", "horizon", "plan a whole motion at once")
 
 def main(argv: list[str] | None = None) -> int:
     """The command `ctr-nlp`: run the subcommand that argv names; the exit status."""
-    _hold_interrupts()
+    if argv is None:
+        _hold_interrupts()
     given = sys.argv[1:] if argv is None else argv
     if given and given[0] in COMMANDS:
         return load(COMMANDS[given[0]])(given[1:])
@@ -55,20 +57,22 @@ def main(argv: list[str] | None = None) -> int:
     return 0
 
 
-def script(command: Entry) -> int:
+def script(entry: Entry) -> int:
     """Run a subcommand under the name of the script that was started; the exit status."""
     _hold_interrupts()
-    return load(command)(prog=sys.argv[0].replace("\\", "/").rpartition("/")[2])
+    return load(entry)(prog=sys.argv[0].replace("\\", "/").rpartition("/")[2])
 
 
-def load(command: Entry) -> Command:
-    """The program of a subcommand, imported."""
-    program: Command = getattr(importlib.import_module(f"ctr_nlp.cli.{command.module}"), command.name)
-    return program
+def load(entry: Entry) -> Command:
+    """A subcommand, imported."""
+    command: Command = getattr(importlib.import_module(f"ctr_nlp.cli.{entry.module}"), entry.name)
+    return command
 
 
 def parser(every_option: bool = False) -> argparse.ArgumentParser:
     """The subcommands; with all their options, which imports them, only where these are asked for."""
+    import argparse  # not before Ctrl-C is held back
+
     made = argparse.ArgumentParser(
         prog="ctr-nlp",
         description="Steer concentric tube robots so that their whole shape follows a target.",
@@ -77,9 +81,9 @@ def parser(every_option: bool = False) -> argparse.ArgumentParser:
     )
     made.add_argument("--version", action="version", version=f"ctr-nlp {ctr_nlp.__version__}")
     commands = made.add_subparsers(metavar="COMMAND", required=True, title="commands")
-    for name, command in COMMANDS.items():
-        options = [load(command).parser(f"ctr-nlp {name}")] if every_option else []
-        commands.add_parser(name, help=command.summary, parents=options, add_help=not options)
+    for name, entry in COMMANDS.items():
+        options = [load(entry).parser(f"ctr-nlp {name}")] if every_option else []
+        commands.add_parser(name, help=entry.summary, parents=options, add_help=not options)
     return made
 
 

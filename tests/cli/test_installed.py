@@ -119,3 +119,4 @@ def test_a_type_checker_sees_the_types_of_what_a_user_writes(tmp_path):
     assert sum("error: " in line for line in told) == 3, done.stdout
     assert any('"solve_horizon" has incompatible type "str"; expected "Problem"' in line for line in told)
     assert any('"length" to "Tube" has incompatible type "str"' in line for line in told)
+    assert any('Module has no attribute "nothing"' in line for line in told)

@@ -45,7 +45,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 
 def _run(_: argparse.Namespace) -> int:
-    checks: tuple[Callable[[], Iterator[Finding]], ...] = (_python, _packages, _compiler, _cache, _tools, _plan)
+    checks: tuple[Callable[[], Iterator[Finding]], ...] = (_packages, _compiler, _cache, _devices, _plan)
     found = [finding for check in checks for finding in check()]
     rows = [(one.what, "yes" if one.good else "no", one.seen) for one in found]
     print_table(f"ctr-nlp {ctr_nlp.__version__}", ("", "works", "found"), rows, text=("works", "found"))
@@ -58,45 +58,26 @@ def _run(_: argparse.Namespace) -> int:
     return SOME_FAILED if broken else SOLVED
 
 
-def _python() -> Iterator[Finding]:
-    yield Finding(
-        "Python",
-        sys.version_info >= (3, 10),
-        f"{platform.python_version()} at {sys.executable}",
-        "3.10 or newer",
-        True,
-    )
-
-
 def _packages() -> Iterator[Finding]:
     """A line for what the core needs, and one for each extra; `dev` is for those who change this library."""
+    yield Finding("Python", True, f"{platform.python_version()} at {sys.executable}")
     try:
         required = metadata.requires(NAME) or []
     except metadata.PackageNotFoundError:
-        yield Finding("packages", True, "unknown: this copy runs without having been installed", "pip install .")
+        yield Finding("core", True, "unknown: this copy runs without having been installed")
         return
-    needs: dict[str, list[str]] = {"": []}
+    needs: dict[str, list[str]] = {"core": []}
     for line in required:
         spec, _, marker = (part.strip() for part in line.partition(";"))
         found = re.search(r"""extra == ["']([\w-]+)["']""", marker)
         if found or not marker or sys.version_info < (3, 11):  # the only other marker is of Python below 3.11
-            needs.setdefault(found[1] if found else "", []).append(spec)
-    for extra, specs in needs.items():
-        if extra == "dev":
-            continue
-        versions = {
-            spec: _version(spec) for spec in specs if not spec.lower().startswith((f"{NAME}[", "ctr-nlp["))
-        }
-        missing = [spec for spec, version in versions.items() if version is None]
+            needs.setdefault(f"extra {found[1]}" if found else "core", []).append(spec)
+    for part, specs in needs.items():
+        versions = {spec: _version(spec) for spec in specs if _name(spec).replace("-", "_") != NAME}
         seen = ", ".join(f"{_name(spec)} {version or 'missing'}" for spec, version in versions.items())
-        wanted = " ".join(f'"{spec}"' for spec in missing)
-        yield Finding(
-            f"extra {extra}" if extra else "core",
-            not missing,
-            seen,
-            f"{sys.executable} -m pip install {wanted}",
-            not extra,
-        )
+        missing = " ".join(f'"{spec}"' for spec, version in versions.items() if version is None)
+        if part != "extra dev":
+            yield Finding(part, not missing, seen, f"{sys.executable} -m pip install {missing}", part == "core")
 
 
 def _name(spec: str) -> str:
@@ -112,53 +93,45 @@ def _version(spec: str) -> str | None:
 
 def _compiler() -> Iterator[Finding]:
     why, chosen = cache.missing(), cache.compiler()
-    features = _features()
-    seen = why or f"{' '.join(chosen.command[:2]) if chosen else ''}{f'; vectors: {features}' if features else ''}"
+    seen = why or ("" if chosen is None else f"{' '.join(chosen.command[:2])}{_features()}")
     yield Finding(
-        "C compiler",
-        why is None,
-        seen,
-        "install gcc or clang; without, planning is thirty times slower",
+        "C compiler", why is None, seen, "install gcc or clang; without, planning is thirty times slower"
     )
 
 
 def _features() -> str:
     """Those of VECTORS that Linux tells of the processor; empty where that is not told."""
     try:
-        told = set(re.findall(r"\w+", Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")))
+        told = set(Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").split())
     except OSError:
         return ""
-    return ", ".join(name for name in VECTORS if name in told)
+    found = [name for name in VECTORS if name in told]
+    return f"; vectors: {', '.join(found)}" if found else ""
 
 
 def _cache() -> Iterator[Finding]:
     folder = cache.folder()
-    files = [path for path in folder.rglob("*") if path.is_file()] if folder.is_dir() else []
-    size = sum(path.stat().st_size for path in files) / 1e6
-    libraries = sum(path.suffix == ".so" for path in files)
-    parent = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    sizes = [path.stat().st_size for path in folder.rglob("*.so")] if folder.is_dir() else []
     try:
-        with tempfile.TemporaryDirectory(dir=parent):
+        with tempfile.TemporaryDirectory(dir=next(p for p in (folder, *folder.absolute().parents) if p.exists())):
             writable = True
     except OSError:
         writable = False
-    seen = f"{folder}: {libraries} libraries, {size:.0f} MB{'' if writable else ', cannot be written'}"
+    seen = (
+        f"{folder}: {len(sizes)} libraries, {sum(sizes) / 1e6:.0f} MB{'' if writable else ', cannot be written'}"
+    )
     yield Finding("cache", writable, seen, f"let {cache.FOLDER} name another folder")
 
 
-def _tools() -> Iterator[Finding]:
+def _devices() -> Iterator[Finding]:
     ffmpeg = shutil.which("ffmpeg")
-    yield Finding(
-        "ffmpeg",
-        ffmpeg is not None,
-        ffmpeg or "missing",
-        "install it with your system's packages; --film FILE.mp4 needs it",
-    )
-    ports = sorted([*Path("/dev").glob("ttyUSB*"), *Path("/dev").glob("ttyACM*")]) if os.name == "posix" else []
+    yield Finding("ffmpeg", ffmpeg is not None, ffmpeg or "missing", "install it; --film FILE.mp4 needs it")
+    ports = [*Path("/dev").glob("ttyUSB*"), *Path("/dev").glob("ttyACM*")]
+    usable = all(os.access(port, os.R_OK | os.W_OK) for port in ports)
     if ports:
-        shut = [str(port) for port in ports if not os.access(port, os.R_OK | os.W_OK)]
-        seen = ", ".join(map(str, ports)) + (f"; not for you: {', '.join(shut)}" if shut else "")
-        yield Finding("serial ports", not shut, seen, "join the group that owns them, often dialout")
+        yield Finding(
+            "serial ports", usable, " ".join(map(str, ports)), "join the group that owns them, often dialout"
+        )
 
 
 def _plan() -> Iterator[Finding]:
