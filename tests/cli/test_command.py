@@ -110,6 +110,7 @@ def test_every_script_is_a_subcommand():
             "--jobs does not go with --formulation joint; it goes with horizon",
         ),
         (["--formulation", "two-stage", "--end", "q.json"], "--end does not go with --formulation two-stage"),
+        (["--formulation", "joint", "--jobs", 0], "--jobs does not go with --formulation joint"),
         (["--formulation", "joint", "--live"], "--live does not go with --formulation joint"),
         (["--formulation", "joint", "--sweep-motion-weight"], "--sweep-motion-weight does not go with"),
         (["--formulation", "joint", "--solver", "banded"], "solver is 'banded'; it must be one of ipopt, sqp"),

@@ -132,7 +132,7 @@ def _check_fit(arguments: argparse.Namespace) -> None:
     """Raise OptionError for an option that the chosen formulation does not have."""
     whole = arguments.formulation == HORIZON
     for name in FRAMES_ALONE if whole else HORIZON_ALONE:
-        if getattr(arguments, name, None) not in (None, False):
+        if not any(getattr(arguments, name, None) is unset for unset in (None, False)):
             fitting = f"one of {', '.join(FORMULATIONS)}" if whole else HORIZON
             raise OptionError(
                 f"--{name.replace('_', '-')} does not go with --formulation {arguments.formulation}; "
