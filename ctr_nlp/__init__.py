@@ -1,16 +1,27 @@
-"""Whole-shape steering of concentric tube robots: problem -> plan -> errors -> figures."""
+"""Whole-shape steering of concentric tube robots: problem -> plan -> errors -> figures.
 
-from ctr_nlp.anatomy.problem_files import problem_from_file, read_csv
-from ctr_nlp.exceptions import CtrError
-from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.plan.metrics import by_frame, summary
-from ctr_nlp.plan.plan import Plan
-from ctr_nlp.robot import Limits, Robot, Tube, seed_robot, table_i_robot
-from ctr_nlp.simulation.forward import shape_curve, shapes
-from ctr_nlp.steer import Steerer, solve_horizon, solve_per_frame
-from ctr_nlp.target.curve import Curve, curve_from_formula, curve_from_points
-from ctr_nlp.target.problem import Problem
-from ctr_nlp.target.target import Target, growing, sequence
+Names are imported when they are first used, so that `import ctr_nlp` itself takes milliseconds.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ctr_nlp.anatomy.problem_files import problem_from_file, read_csv
+    from ctr_nlp.exceptions import CtrError
+    from ctr_nlp.formulations.settings import Settings
+    from ctr_nlp.plan.metrics import by_frame, summary
+    from ctr_nlp.plan.plan import Plan
+    from ctr_nlp.robot import Limits, Robot, Tube, seed_robot, table_i_robot
+    from ctr_nlp.simulation.forward import shape_curve, shapes
+    from ctr_nlp.steer import Steerer, solve_horizon, solve_per_frame
+    from ctr_nlp.target.curve import Curve, curve_from_formula, curve_from_points
+    from ctr_nlp.target.problem import Problem
+    from ctr_nlp.target.target import Target, growing, sequence
+
+__version__ = "0.1.0"
 
 __all__ = [
     "CtrError",
@@ -23,6 +34,7 @@ __all__ = [
     "Steerer",
     "Target",
     "Tube",
+    "__version__",
     "by_frame",
     "curve_from_formula",
     "curve_from_points",
@@ -38,3 +50,32 @@ __all__ = [
     "summary",
     "table_i_robot",
 ]
+
+_HOMES = {
+    "anatomy.problem_files": ("problem_from_file", "read_csv"),
+    "exceptions": ("CtrError",),
+    "formulations.settings": ("Settings",),
+    "plan.metrics": ("by_frame", "summary"),
+    "plan.plan": ("Plan",),
+    "robot": ("Limits", "Robot", "Tube", "seed_robot", "table_i_robot"),
+    "simulation.forward": ("shape_curve", "shapes"),
+    "steer": ("Steerer", "solve_horizon", "solve_per_frame"),
+    "target.curve": ("Curve", "curve_from_formula", "curve_from_points"),
+    "target.problem": ("Problem",),
+    "target.target": ("Target", "growing", "sequence"),
+}
+"""Module -> the public names that it holds."""
+
+
+if not TYPE_CHECKING:  # type checkers know the names above, and no others
+
+    def __getattr__(name: str) -> Any:
+        for module, names in _HOMES.items():
+            if name in names:
+                globals()[name] = getattr(importlib.import_module(f"{__name__}.{module}"), name)
+                return globals()[name]
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,12 +1,8 @@
-"""See ctr_nlp/cli/commands/make_report.py, or run with --help."""
+"""`ctr-nlp report` from a clone of this repository: --help tells the options."""
 
-import signal
 import sys
 
+from ctr_nlp.cli.main import COMMANDS, script
+
 if __name__ == "__main__":
-    if hasattr(signal, "pthread_sigmask"):  # Ctrl-C waits until the program can answer it
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-
-    from ctr_nlp.cli.commands.make_report import main
-
-    sys.exit(main())
+    sys.exit(script(COMMANDS["report"]))

@@ -15,14 +15,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from problems import ROOT
 
 from ctr_nlp import Plan, Problem, curve_from_points, growing, table_i_robot
 from ctr_nlp.exceptions import CtrError
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.plan.plan import plan_from_configurations
-from problems import FOLDER
 
-EXAMPLES = FOLDER.parent / "examples"
+EXAMPLES = ROOT / "examples"
 ROBOT = (EXAMPLES / "robot.toml").read_text(encoding="utf-8")
 RIG = (EXAMPLES / "hardware.toml").read_text(encoding="utf-8").replace("# robot =", "robot =")
 ENTRY, TARGET = (8, 8, 2), (8, 8, 57)
@@ -59,13 +59,13 @@ def judge(case: Case, folder: Path) -> None:
     assert len(text) < 700, text
 
 
-def program(main: Callable[..., int], *arguments: Any, folder: Path | None = FOLDER) -> int:
+def program(main: Callable[..., int], *arguments: Any) -> int:
     """The exit status of a program, run here; what it says is raised where that is 2."""
     argv = [str(argument) for argument in arguments]
     said = io.StringIO()
     with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
         try:
-            status = main(argv) if folder is None else main(folder, argv)
+            status = main(argv)
         except SystemExit as ended:
             status = int(ended.code or 0)
     assert "Traceback" not in said.getvalue()

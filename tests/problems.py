@@ -1,17 +1,11 @@
-"""The named problems, as the scripts load them."""
+"""The named problems, and where the repository is."""
 
-from __future__ import annotations
-
-import runpy
 from pathlib import Path
 
-from ctr_nlp import Problem
+from ctr_nlp import problems
+from ctr_nlp.problems import named
 
-FOLDER = Path(__file__).resolve().parents[1] / "problems"
-NAMES = sorted(path.stem for path in FOLDER.glob("*.py"))
+NAMES = list(problems.NAMES)
+ROOT = Path(__file__).resolve().parents[1]
 
-
-def named(name: str, frames: int = 100) -> Problem:
-    """A problem of problems/."""
-    problem: Problem = runpy.run_path(str(FOLDER / f"{name}.py"))["problem"](frames)
-    return problem
+__all__ = ["NAMES", "ROOT", "named"]

@@ -24,6 +24,7 @@ import pytest
 from pages import Block, Page
 
 from ctr_nlp.anatomy.files import read_branches
+from ctr_nlp.cli.main import COMMANDS
 from ctr_nlp.hardware.arm.description import Arm
 from ctr_nlp.hardware.axis import Axis
 from ctr_nlp.hardware.connection import Connection
@@ -37,11 +38,12 @@ SCRIPTS = sorted(path.name for path in (ROOT / "scripts").glob("*.py"))
 ENVIRONMENT = "python3 -m venv"
 """What commands begin with that make an environment: .ci/run runs these."""
 THIN = {
-    "compare_solvers.py": "--frames 2 --variants joint:sqp horizon:banded",
-    "benchmark.py": "--parts horizons --problems arc",
-    "study_clearance.py": "--seeds 1 --frames 5",
-    "reproduce_seed.py": "--only fig10 --frames 3 --jobs 1",
+    ("scripts/compare_solvers.py", "compare"): "--frames 2 --variants joint:sqp horizon:banded",
+    ("scripts/benchmark.py", "benchmark"): "--parts horizons --problems arc",
+    ("scripts/study_clearance.py", "clearance"): "--seeds 1 --frames 5",
+    ("scripts/reproduce_seed.py", "reproduce"): "--only fig10 --frames 3 --jobs 1",
 }
+"""A script and the same subcommand -> further arguments."""
 
 PIP = '''#!{python}
 """Instead of pip, which needs a network: whether what is to be installed could be."""
@@ -63,13 +65,14 @@ def named(path: Path) -> str:
 
 def clone_of(folder: Path, thin: bool) -> Path:
     """What programs need, copied, with an environment whose programs are those of this one; thin: as THIN says."""
-    for part in ("scripts", "problems", "examples", "docs"):
+    for part in ("scripts", "examples", "docs"):
         shutil.copytree(ROOT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", folder)
     (folder / ".venv" / "bin").mkdir(parents=True)
-    cases = [f'scripts/{name}) set -- "$@" {more} ;;' for name, more in THIN.items() if thin]
-    python = ["#!/bin/sh", 'case "$1" in', *cases, "esac", f'exec "{sys.executable}" "$@"', ""]
-    for name, text in {"python": "\n".join(python), "pip": PIP.format(python=sys.executable)}.items():
+    cases = [f'{"|".join(names)}) set -- "$@" {more} ;;' for names, more in THIN.items() if thin]
+    head = "\n".join(["#!/bin/sh", 'case "$1" in', *cases, "esac", f'exec "{sys.executable}"'])
+    programs = {"python": f'{head} "$@"\n', "ctr-nlp": f'{head} -m ctr_nlp "$@"\n'}
+    for name, text in (programs | {"pip": PIP.format(python=sys.executable)}).items():
         program = folder / ".venv" / "bin" / name
         program.write_text(text)
         program.chmod(0o755)
@@ -123,7 +126,11 @@ def walk(page: Path, clone: Path) -> None:
 
 
 RUNNABLE = [page for page in PAGES if {"bash", "python"} & {block.language for block in Page.read(page).blocks}]
-LONG = [page for page in RUNNABLE if any(f"scripts/{name}" in page.read_text() for name in THIN)]
+LONG = [
+    page
+    for page in RUNNABLE
+    if any(script in page.read_text() or f"ctr-nlp {name}" in page.read_text() for script, name in THIN)
+]
 
 
 @pytest.fixture(scope="module")
@@ -241,6 +248,24 @@ def test_every_file_that_is_named_exists(page):
             assert any((ROOT / room / span).exists() for room in (".", "ctr_nlp", "scripts")), span
 
 
+def test_every_file_that_contributors_are_sent_to_exists():
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    named = set(re.findall(r"`([\w./-]+(?:\.py|\.md|\.toml|/))`", text)) - {"runs/api/"}
+    assert len(named) > 10
+    assert [
+        span for span in named if not any((ROOT / room / span).exists() for room in (".", "ctr_nlp/hardware"))
+    ] == []
+
+
+def test_the_pages_of_the_api_are_built(tmp_path):
+    pytest.importorskip("pdoc", reason='needs pdoc: pip install -e ".[dev]"')
+    (command,) = (block.text for block in Page.read(ROOT / "CONTRIBUTING.md").blocks if "pdoc" in block.text)
+    command = command.replace(".venv/bin/python", sys.executable).replace("runs/api", str(tmp_path))
+    subprocess.run(["bash", "-c", command], cwd=ROOT, capture_output=True, check=True)
+    assert "solve_horizon" in (tmp_path / "ctr_nlp.html").read_text(encoding="utf-8")
+    assert "from_toml" in (tmp_path / "ctr_nlp" / "robot.html").read_text(encoding="utf-8")
+
+
 @pytest.fixture(scope="module")
 def helps() -> dict[str, str]:
     """The --help of every program."""
@@ -251,9 +276,9 @@ def helps() -> dict[str, str]:
         )
         return done.stdout
 
-    programs = {name: [f"scripts/{name}"] for name in SCRIPTS} | {
-        "ctr_nlp.hardware.emulator": ["-m", "ctr_nlp.hardware.emulator"]
-    }
+    programs = {name: [f"scripts/{name}"] for name in SCRIPTS}
+    programs |= {f"ctr-nlp {name}": ["-m", "ctr_nlp", name] for name in COMMANDS}
+    programs |= {"ctr_nlp.hardware.emulator": ["-m", "ctr_nlp.hardware.emulator"]}
     with ThreadPoolExecutor(2) as pool:
         return dict(zip(programs, pool.map(asked, programs.values()), strict=True))
 
@@ -274,6 +299,8 @@ def test_every_program_and_option_that_is_named_exists(page, helps):
     whole = "\n".join(Page.read(page).sections())
     for name in re.findall(r"\bscripts/(\w+\.py)", whole):
         assert name in SCRIPTS
+    for name in re.findall(r"`(?:\.venv/bin/)?ctr-nlp ([a-z]+)", whole):
+        assert name in COMMANDS
     for section in Page.read(page).sections():
         near = [name for name in helps if name in section] or [name for name in helps if name in whole]
         allowed = set().union(*(options(helps[name]) for name in near or helps))

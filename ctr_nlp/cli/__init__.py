@@ -1,1 +1,1 @@
-"""What the scripts share; each script's own `main` is a file here."""
+"""The command `ctr-nlp`: options, tables, messages, output folders and exit status. Knows no symbols."""

@@ -5,98 +5,69 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ctr_nlp.anatomy.files import CENTRELINES, MASKS
 from ctr_nlp.cli.output.file import check_file
 from ctr_nlp.codegen.cache import SWITCH
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.figures.film import check_film
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.models import MODELS
 from ctr_nlp.support.values import floats
-from ctr_nlp.target.fit import check_radii
-from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
-FILE_OPTIONS = ("branch", "entry", "target", "insertion", "tilt", "reverse", "smoothing", "trim")
-"""What add_file_options adds."""
+DEFAULTS = Settings()
+FRAME_SETTINGS = ("motion_weight", "jump_width", "seed")
+"""What settings_from takes of add_settings where frames are solved one by one."""
 
 
 def add_problem_options(parser: argparse.ArgumentParser) -> None:
     """Robot, number of frames and duration."""
     parser.add_argument("--robot", metavar="FILE.toml", help="robot file (default: the problem's own robot)")
-    parser.add_argument("--frames", metavar="T", type=whole, default=100, help="number of frames (default 100)")
+    add_frames_option(parser)
     parser.add_argument(
         "--duration", metavar="S", type=float, default=10.0, help="of the motion, in seconds (default 10)"
     )
 
 
-def add_model_options(parser: argparse.ArgumentParser) -> None:
-    """The model to plan on, and the one that errors are taken on."""
-    parser.add_argument("--model", choices=MODELS, default="dominant", help="(default dominant)")
-    parser.add_argument(
-        "--evaluate",
-        choices=MODELS,
-        help="model on which the plan's shapes are found (default: the one planned on)",
-    )
+def add_frames_option(parser: argparse.ArgumentParser) -> None:
+    """In how many frames a motion is planned."""
+    parser.add_argument("--frames", metavar="T", type=whole, default=100, help="number of frames (default 100)")
 
 
-def add_stability_option(parser: argparse.ArgumentParser) -> None:
-    """How stable configurations of the elastic model must be."""
-    margin = Settings().stability_margin
+def add_settings(
+    parser: argparse.ArgumentParser, motion: str = f"{DEFAULTS.motion_weight:g}", jumps: bool = True
+) -> None:
+    """The numbers of Settings, apart from the wall's; motion: what the help says of lambda's default."""
     parser.add_argument(
         "--stability-margin",
         metavar="MU",
         type=_margin,
-        default=margin,
+        default=DEFAULTS.stability_margin,
         help="least margin of every configuration on the elastic model, from 0 (snap) to 1 (no tube acts on "
-        f"another); none: any (default {margin:g})",
+        f"another); none: any (default {DEFAULTS.stability_margin:g})",
     )
+    group = parser.add_argument_group("weights and starts")
+    group.add_argument(
+        "--motion-weight",
+        metavar="S2",
+        type=float,
+        help=f"lambda of the motion term in s^2 (default: {motion})",
+    )
+    if jumps:
+        group.add_argument(
+            "--jump-width",
+            metavar="MM",
+            type=float,
+            help=f"final width of two-stage's smoothed curvature jumps (default {DEFAULTS.jump_width:g})",
+        )
+    group.add_argument("--seed", metavar="N", type=whole, default=0, help="of the random starts (default 0)")
 
 
-def add_wall_options(parser: argparse.ArgumentParser) -> None:
-    """How the lumen's wall counts; None where not given."""
-    defaults = Settings()
-    group = parser.add_argument_group("the lumen's wall, where radii are known")
-    group.add_argument(
-        "--clearance",
-        metavar="MM",
-        type=float,
-        help=f"to keep between tubes and wall (default {defaults.clearance:g})",
-    )
-    group.add_argument(
-        "--contact-weight",
-        metavar="MM",
-        type=float,
-        help="what a mm less of it costs in a frame, beside the mean square error in mm^2; 0: the wall does not "
-        f"count (default {defaults.contact_weight:g})",
-    )
-    group.add_argument(
-        "--clearance-cost",
-        metavar="PART",
-        type=float,
-        help="by what part of itself the error e3 may grow for clearance; where it would grow by more, contact "
-        f"costs less; inf: contact always costs its full weight (default {defaults.clearance_cost:g})",
-    )
-    group.add_argument(
-        "--contact-allowed",
-        metavar="MM",
-        type=float,
-        help="how far any place of the robot may be beyond the wall before the plan is not within it "
-        f"(default {defaults.contact_allowed:g}: tissue gives a little)",
-    )
-
-
-def walled(settings: Settings, arguments: argparse.Namespace, problem: Problem) -> Settings:
-    """Settings with what add_wall_options' arguments say; raises OptionError, and ProblemError without a wall."""
-    names = "clearance", "contact_weight", "clearance_cost", "contact_allowed"
-    given = {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}
-    if any(given.values()):
-        check_radii(problem)
-    return replace(settings, **given)
+def settings_from(arguments: argparse.Namespace, *names: str) -> Settings:
+    """The Settings of a stability margin and of what else is given of these names; raises OptionError."""
+    given = {name: value for name in names if (value := getattr(arguments, name, None)) is not None}
+    return Settings(**given, stability_margin=arguments.stability_margin)
 
 
 def _margin(text: str) -> float | None:
@@ -119,10 +90,11 @@ def add_compile_option(parser: argparse.ArgumentParser) -> None:
 
 
 def add_out_option(parser: argparse.ArgumentParser, default: str) -> None:
-    """The output folder, None where not given; default: what the help says of it."""
+    """The output folder, by default that folder; where its name depends on the problem, None."""
     parser.add_argument(
         "--out",
         metavar="DIR",
+        default=None if "PROBLEM" in default else default,
         help="folder for the results: new, empty, or with those of an earlier run, which are replaced; files of "
         f"yours in it stay (default {default})",
     )
@@ -149,7 +121,7 @@ def film_file(arguments: argparse.Namespace) -> Path | None:
     return Path(arguments.film)
 
 
-def add_live_option(parser: argparse.ArgumentParser, what: str) -> None:
+def add_live_option(parser: argparse._ActionsContainer, what: str) -> None:
     """Whether a window shows something while the program works."""
     parser.add_argument(
         "--live",
@@ -158,67 +130,15 @@ def add_live_option(parser: argparse.ArgumentParser, what: str) -> None:
     )
 
 
-def add_file_options(parser: argparse.ArgumentParser) -> None:
-    """What is done to a path from a file before it is followed: FILE_OPTIONS, None where not given."""
-    kinds = f"a centreline ({', '.join(CENTRELINES)}) or a mask of the lumen ({', '.join(MASKS)})"
-    group = parser.add_argument_group(
-        f"where PROBLEM is {kinds}", "Points and directions are in the file's own coordinates, in mm."
-    )
-    group.add_argument("--branch", metavar="NAME|NUMBER", help="which branch of several; see list_branches.py")
-    for option, what in (
-        ("entry", "point where the robot enters (default: the branch's first)"),
-        ("target", "point where it is to arrive (default: the branch's last); a mask needs both"),
-        ("insertion", "direction in which it is inserted (default: that of the path's first 10 mm)"),
-    ):
-        group.add_argument(f"--{option}", metavar=("X", "Y", "Z"), nargs=3, type=float, help=what)
-    group.add_argument(
-        "--tilt",
-        metavar="DEG",
+def add_entry_option(parser: argparse._ActionsContainer, default: str) -> None:
+    """Where the robot enters."""
+    parser.add_argument(
+        "--entry",
+        metavar=("X", "Y", "Z"),
+        nargs=3,
         type=float,
-        help="how far the base may tilt about each axis (default: the robot's)",
+        help=f"point where the robot enters, in the file's coordinates (default: {default})",
     )
-    group.add_argument(
-        "--reverse", action="store_true", default=None, help="the file's lines run from the tip to the root"
-    )
-    group.add_argument(
-        "--smoothing",
-        metavar="MM",
-        type=float,
-        help="how far the followed curve may keep from the path, never more than half of the lumen's radius "
-        "(default 0: through all points)",
-    )
-    group.add_argument(
-        "--trim", choices=("start", "end"), help="which end to drop where it is longer than the robot reaches"
-    )
-
-
-def add_settings(parser: argparse.ArgumentParser) -> None:
-    """The numbers of Settings."""
-    defaults = Settings()
-    add_stability_option(parser)
-    group = parser.add_argument_group("weights and widths")
-    group.add_argument(
-        "--motion-weight",
-        metavar="S2",
-        type=float,
-        default=defaults.motion_weight,
-        help=f"lambda of the motion term in s^2 (default {defaults.motion_weight:g})",
-    )
-    group.add_argument(
-        "--jump-width",
-        metavar="MM",
-        type=float,
-        default=defaults.jump_width,
-        help=f"final width of two-stage's smoothed curvature jumps (default {defaults.jump_width:g})",
-    )
-    group.add_argument(
-        "--seed", metavar="N", type=whole, default=defaults.seed, help="of the random starts (default 0)"
-    )
-
-
-def settings_from(arguments: argparse.Namespace) -> Settings:
-    """The Settings that add_settings' arguments stand for; raises OptionError."""
-    return Settings(arguments.motion_weight, arguments.jump_width, arguments.seed, arguments.stability_margin)
 
 
 def whole(text: str) -> int:

@@ -1,8 +1,7 @@
-"""What a person sees: progress while a program works, tables at its end, errors and exit codes."""
+"""What a person sees: progress while a program works, tables at its end."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -11,10 +10,6 @@ from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
-
-from ctr_nlp.exceptions import CtrError
-from ctr_nlp.plan.account import shown
-from ctr_nlp.support.interrupt import deferred_interrupt
 
 SOLVED, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 """Exit codes of every program."""
@@ -27,22 +22,6 @@ def console(stderr: bool = False) -> Console:
     """A console on stdout or stderr, wide enough for tables where it is not a terminal."""
     found = Console(stderr=stderr, highlight=False)
     return found if found.is_terminal else Console(stderr=stderr, highlight=False, width=PIPED_WIDTH)
-
-
-def guarded(program: Callable[[], int]) -> int:
-    """Run a program; bad input becomes one line and exit code 2, Ctrl-C exit code 130.
-
-    The first Ctrl-C is left to the program, which ends early and writes what it has; a second ends it at once.
-    """
-    try:
-        with deferred_interrupt():
-            return program()
-    except CtrError as error:
-        sys.stderr.write(f"error: {error}\n")
-        return BAD_INPUT
-    except KeyboardInterrupt:
-        sys.stderr.write("interrupted; nothing was written\n")
-        return INTERRUPTED
 
 
 @contextmanager
@@ -76,5 +55,11 @@ def print_table(
             column, justify="left" if i == 0 or column in text else "right", no_wrap=i == 0, overflow="fold"
         )
     for row in rows:
-        table.add_row(*(shown(cell) for cell in row))
+        table.add_row(*(cell if isinstance(cell, str) else _text(cell) for cell in row))
     console().print(table)
+
+
+def _text(cell: Any) -> str:
+    from ctr_nlp.plan.account import shown  # brings numerics, without which `doctor` must work
+
+    return shown(cell)

@@ -1,4 +1,4 @@
-"""What play.py tells: what was checked before anything moved, and afterwards how it went."""
+"""What is told of a plan that is played: what was checked before anything moved, and afterwards how it went."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ctr_nlp.cli.console import console, print_table
-from ctr_nlp.cli.output.folder import published
+from ctr_nlp.cli.output.file import check_file
+from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.report import write_table
 from ctr_nlp.exceptions import OutputError
 from ctr_nlp.figures import save, tracking
@@ -23,6 +24,14 @@ from ctr_nlp.plan.plan import Plan
 
 JOURNAL = "journal.jsonl"
 """In the output folder: the record of all sessions, to which each adds its own."""
+
+
+def claim(out: Path) -> None:
+    """Make out a folder of ours; raises OutputError. Its journal is added to; what told of other sessions goes."""
+    check_file(out / JOURNAL, '{"t": ')
+    check_folder(out, "play")
+    with published(out, "play"):
+        pass
 
 
 def print_trajectory(title: str, trajectory: Trajectory, found: Checked) -> None:

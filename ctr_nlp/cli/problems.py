@@ -1,4 +1,4 @@
-"""PROBLEM on a command line: the name of a file in problems/, or a file of anatomy."""
+"""PROBLEM on a command line: a named problem, a problem file of the user's, or a file of anatomy."""
 
 from __future__ import annotations
 
@@ -6,61 +6,97 @@ import argparse
 import math
 import runpy
 import sys
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from ctr_nlp.anatomy.files import CENTRELINES, MASKS
 from ctr_nlp.anatomy.problem_files import problem_from_file
-from ctr_nlp.cli.arguments import FILE_OPTIONS
-from ctr_nlp.exceptions import OptionError
+from ctr_nlp.exceptions import CtrError, OptionError, ProblemError
 from ctr_nlp.models import model_named
+from ctr_nlp.problems import NAMES, named
 from ctr_nlp.robot import Robot
 from ctr_nlp.target.fit import notes
 from ctr_nlp.target.problem import Problem
 
-
-def names(folder: Path) -> list[str]:
-    """The named problems in a folder, in alphabetical order."""
-    return sorted(path.stem for path in folder.glob("*.py"))
-
-
-def named(
-    name: str, folder: Path, frames: int = 100, duration: float = 10.0, robot: Robot | None = None
-) -> Problem:
-    """The problem of that name in folder."""
-    problem: Problem = runpy.run_path(str(folder / f"{name}.py"))["problem"](frames, duration, robot)
-    return problem
+FILE_OPTIONS = ("branch", "entry", "target", "insertion", "tilt", "reverse", "smoothing", "trim")
+"""Options that go with a centreline file or a mask alone."""
+KINDS = f"{', '.join(NAMES)}, a problem file (.py), a centreline file ({', '.join(CENTRELINES)}) or a mask"
+"""What PROBLEM may be."""
 
 
-def load(name: str, folder: Path, arguments: argparse.Namespace) -> Problem:
-    """The problem that a name in folder, or a file of anatomy, stands for; raises a CtrError.
+def load(name: str, arguments: argparse.Namespace) -> Problem:
+    """The problem that a name or a file stands for; raises a CtrError.
 
     Also where a model that is asked for does not describe its robot.
     """
-    problem = _problem(name, folder, arguments)
+    problem = _problem(name, arguments)
     for asked in (getattr(arguments, option, None) for option in ("model", "evaluate")):
         if asked is not None:
             model_named(asked).check(problem.robot)
     return problem
 
 
-def _problem(name: str, folder: Path, arguments: argparse.Namespace) -> Problem:
+def _problem(name: str, arguments: argparse.Namespace) -> Problem:
     robot = None if arguments.robot is None else Robot.from_toml(arguments.robot)
     given = {key: getattr(arguments, key, None) for key in FILE_OPTIONS}
     options = {key: value for key, value in given.items() if value is not None}
-    if name in names(folder):
+    python = name.endswith(".py")
+    if name in NAMES or python:
         if options:
-            raise OptionError(
-                f"--{next(iter(options))} goes with a centreline file or a mask; {name} is a named problem"
-            )
-        return named(name, folder, arguments.frames, arguments.duration, robot)
+            kind = "problem file" if python else "named problem"
+            raise OptionError(f"--{next(iter(options))} goes with a centreline file or a mask; {name} is a {kind}")
+        if not python:
+            return named(name, arguments.frames, arguments.duration, robot)
     if not Path(name).is_file():
         raise OptionError(
-            f"problem is {name!r}; it must be one of {', '.join(names(folder))} or an existing centreline file "
-            f"({', '.join(CENTRELINES)}) or a mask ({', '.join(MASKS)})"
+            f"problem is {name!r}; it must be one of {', '.join(NAMES)} or an existing centreline file "
+            f"({', '.join(CENTRELINES)}), mask ({', '.join(MASKS)}) or problem file (.py)"
         )
+    if python:
+        return from_python(name, arguments.frames, arguments.duration, robot)
     if "tilt" in options:
         options["tilt"] = math.radians(options["tilt"])
     return problem_from_file(name, robot, arguments.frames, arguments.duration, **options)
+
+
+def from_python(file: str, frames: int, duration: float, robot: Robot | None) -> Problem:
+    """What problem(frames, duration, robot) in a user's file of Python returns; raises ProblemError.
+
+    The file may import others beside it. A CtrError that it raises passes, with the file's name before it.
+    """
+    with _names_beside(Path(file)):
+        make = _called(file, lambda: runpy.run_path(file)).get("problem")
+        if not callable(make):
+            raise ProblemError(f"{file} defines no problem(frames, duration, robot); see `ctr-nlp new problem`")
+        made = _called(file, lambda: make(frames, duration, robot))
+    if not isinstance(made, Problem):
+        raise ProblemError(f"{file}: problem() returned {made!r:.60}; it must return a ctr_nlp.Problem")
+    return made
+
+
+def _called(file: str, call: Callable[[], Any]) -> Any:
+    """What a call into a user's file returns; raises ProblemError with the line that failed."""
+    try:
+        return call()
+    except (Exception, SystemExit) as error:
+        lines = [at.lineno for at in traceback.extract_tb(error.__traceback__) if at.filename == file]
+        place = f"{file}, line {lines[-1]}" if lines else file
+        kind = "" if isinstance(error, CtrError) else f"{type(error).__name__}: "
+        raise ProblemError(f"{place}: {kind}{error}") from error
+
+
+@contextmanager
+def _names_beside(file: Path) -> Iterator[None]:
+    """Within the block the modules in a file's folder can be imported, as where Python itself runs the file."""
+    folder = str(file.resolve().parent)
+    sys.path.insert(0, folder)
+    try:
+        yield
+    finally:
+        sys.path.remove(folder)
 
 
 def tell(problem: Problem) -> None:

@@ -24,6 +24,7 @@ EXTRAS = {
     "k3d": "report",
     "bokeh": "report",
     "jinja2": "report",
+    "shtab": "completion",
 }
 """Which extra of this package brings a module."""
 
@@ -34,4 +35,6 @@ def needed(module: str) -> Any:
         return importlib.import_module(module)
     except ImportError as error:
         extra = EXTRAS[module.partition(".")[0]]
-        raise OptionError(f'{module} is not installed; pip install -e ".[{extra}]" brings it ({error})') from error
+        raise OptionError(
+            f'{module} is not installed; pip install "ctr_nlp[{extra}]" brings it ({error})'
+        ) from error

@@ -12,7 +12,7 @@ from ctr_nlp import curve_from_points, read_csv
 from ctr_nlp.anatomy.branch import SPACES, Branch, Branches, moved
 from ctr_nlp.anatomy.choose import chosen, extent
 from ctr_nlp.anatomy.files import read_branches
-from ctr_nlp.cli.commands.list_branches import main as list_branches
+from ctr_nlp.cli.commands.branches import main as list_branches
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.figures.branches import tree
 

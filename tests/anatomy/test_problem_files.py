@@ -7,15 +7,15 @@ import sys
 
 import numpy as np
 import pytest
+from problems import named
 
 from ctr_nlp import problem_from_file, table_i_robot
 from ctr_nlp.anatomy.branch import moved
-from ctr_nlp.cli.commands.list_branches import main as list_branches
-from ctr_nlp.cli.commands.solve_horizon import main as solve_horizon
-from ctr_nlp.cli.commands.solve_per_frame import main as solve_per_frame
+from ctr_nlp.cli.commands.branches import main as list_branches
+from ctr_nlp.cli.commands.plan import horizon as solve_horizon
+from ctr_nlp.cli.commands.plan import steer as solve_per_frame
 from ctr_nlp.exceptions import CtrError, CurveError, OptionError
 from ctr_nlp.target.fit import notes
-from problems import FOLDER, named
 
 FLIP = np.array([-1.0, -1.0, 1.0])
 Z = np.linspace(0, 120, 121)
@@ -324,7 +324,7 @@ def test_bad_input_is_one_line_and_nothing_written(files, tmp_path, capsys, case
     if name.endswith("nrrd"):
         pytest.importorskip("nrrd")
     before = sorted(files.iterdir())
-    status = program(FOLDER, [str(files / name), *map(str, arguments), "--out", str(tmp_path / "out")])
+    status = program([str(files / name), *map(str, arguments), "--out", str(tmp_path / "out")])
     seen = capsys.readouterr()
     assert (status, seen.out, seen.err.count("\n")) == (2, "", 1), seen.err
     assert seen.err.startswith("error: ")
@@ -348,7 +348,7 @@ OPTIONS = {
 @pytest.mark.parametrize("option", OPTIONS)
 def test_named_problems_refuse_what_goes_with_a_file(tmp_path, capsys, option):
     arguments = ["arc", f"--{option}", *map(str, OPTIONS[option]), "--out", str(tmp_path / "out")]
-    assert solve_per_frame(FOLDER, arguments) == 2
+    assert solve_per_frame(arguments) == 2
     assert capsys.readouterr().err == (
         f"error: --{option} goes with a centreline file or a mask; arc is a named problem\n"
     )
@@ -369,7 +369,7 @@ def test_a_file_is_solved_with_all_its_options(tmp_path, capsys):
     path = write_slicer(tmp_path / "tree.mrk.json", markup(coordinateSystem="RAS"), right)
     arguments = ["--branch", "right", "--entry", *GENTLE[5] * FLIP, "--target", *GENTLE[110] * FLIP]
     arguments += ["--insertion", 0, 0, 1, "--tilt", 20, "--smoothing", 0.05, "--trim", "end", "--frames", 2]
-    assert solve_per_frame(FOLDER, [str(path), *map(str, arguments), "--out", str(tmp_path / "out")]) == 0
+    assert solve_per_frame([str(path), *map(str, arguments), "--out", str(tmp_path / "out")]) == 0
     seen = capsys.readouterr()
     assert "note: smoothing moved the path by at most 0.0" in seen.err
     assert "note: tube 3 (2.1 mm) does not fit even centred from 9" in seen.err

@@ -10,16 +10,15 @@ import time
 
 import numpy as np
 import pytest
+from problems import ROOT
 
 from ctr_nlp import Plan
-from ctr_nlp.cli.commands.compare_solvers import main as compare_solvers
-from ctr_nlp.cli.commands.solve_horizon import main as solve_horizon
-from ctr_nlp.cli.commands.solve_per_frame import main as solve_per_frame
+from ctr_nlp.cli.commands.plan import horizon as solve_horizon
+from ctr_nlp.cli.commands.plan import steer as solve_per_frame
 from ctr_nlp.cli.output.folder import MARK
+from ctr_nlp.cli.studies.compare import main as compare_solvers
 from ctr_nlp.steer.nlp_frames import NlpFrames
-from problems import FOLDER
 
-ROOT = FOLDER.parent
 FILES = {
     "plan.npz",
     "errors.csv",
@@ -33,7 +32,7 @@ FILES = {
 
 
 def solve(*arguments):
-    return solve_per_frame(FOLDER, [str(argument) for argument in arguments])
+    return solve_per_frame([str(argument) for argument in arguments])
 
 
 @pytest.fixture
@@ -122,17 +121,16 @@ def test_a_file_of_ours_that_the_user_changed_is_refused_before_solving(tmp_path
 @pytest.mark.parametrize("name", ["../../x", "/x", "..", "a/b"])
 def test_a_problem_s_name_makes_no_path(tmp_path, name, monkeypatch):
     work = tmp_path / "deep" / "deeper"
-    (work / "problems").mkdir(parents=True)
-    (work / "problems" / "own.py").write_text(
+    work.mkdir(parents=True)
+    (work / "own.py").write_text(
         "from dataclasses import replace\n"
-        "from runpy import run_path\n"
-        f"made = run_path({str(FOLDER / 'arc.py')!r})['problem']\n"
-        f"problem = lambda *options: replace(made(*options), name={name!r})\n"
+        "from ctr_nlp.problems import named\n"
+        f"problem = lambda *options: replace(named('arc', *options), name={name!r})\n"
     )
     monkeypatch.chdir(work)
     before = set(tmp_path.rglob("*"))
     for program in (solve_per_frame, solve_horizon):
-        assert program(work / "problems", ["own", "--frames", "2"]) == 0
+        assert program(["own.py", "--frames", "2"]) == 0
     made = sorted((work / "runs").iterdir())
     assert [path.name.partition("~")[2][8:] for path in made] == ["-horizon-dominant", "-joint-dominant"]
     assert {Plan.load(path / "plan.npz").meta["problem"]["name"] for path in made} == {name}
@@ -266,7 +264,7 @@ def test_comparison_prints_every_variant_and_writes_three_files(tmp_path, capsys
     out = tmp_path / "out"
     variants = ["joint:ipopt", "seed-two-stage", "tip-jacobian"]
     arguments = ["arc", "line", "--variants", *variants, "--frames", "3", "--out", str(out)]
-    assert compare_solvers(FOLDER, arguments) == 0
+    assert compare_solvers(arguments) == 0
     printed = capsys.readouterr().out
     assert all(variant in printed for variant in variants)
     rows = json.loads((out / "comparison.json").read_text())

@@ -10,26 +10,25 @@ import time
 
 import numpy as np
 import pytest
+from problems import ROOT
 
 from ctr_nlp import Plan
 from ctr_nlp.cli import problems
-from ctr_nlp.cli.commands.compare_solvers import main as compare_solvers
-from ctr_nlp.cli.commands.solve_horizon import main as solve_horizon
-from ctr_nlp.cli.commands.solve_per_frame import main as solve_per_frame
+from ctr_nlp.cli.commands.plan import horizon as solve_horizon
+from ctr_nlp.cli.commands.plan import steer as solve_per_frame
 from ctr_nlp.cli.output.folder import MARK
+from ctr_nlp.cli.studies.compare import main as compare_solvers
 from ctr_nlp.solvers import CHAIN_SOLVERS
 from ctr_nlp.solvers.motion.judged import judged
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.studies import trade_off
-from problems import FOLDER
 
-ROOT = FOLDER.parent
 PICTURES = {"shapes.png", "errors.png", "by_frame.png", "configuration.png"}
 FILES = {"plan.npz", "errors.csv", "summary.json", MARK} | PICTURES
 
 
 def solve(*arguments):
-    return solve_horizon(FOLDER, [str(argument) for argument in arguments])
+    return solve_horizon([str(argument) for argument in arguments])
 
 
 @pytest.fixture
@@ -237,7 +236,7 @@ def pressing_ctrl_c_once(call):
 def test_ctrl_c_before_solving_begins_writes_nothing(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(problems, "tell", lambda _: signal.raise_signal(signal.SIGINT))
     for program in (solve_horizon, solve_per_frame):
-        assert program(FOLDER, ["cos", "--frames", "4", "--out", str(tmp_path / "out")]) == 130
+        assert program(["cos", "--frames", "4", "--out", str(tmp_path / "out")]) == 130
         assert "interrupted; nothing was written" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
@@ -278,7 +277,7 @@ def test_an_interrupted_run_leaves_a_good_plan_and_its_film(tmp_path, capsys, mo
 def test_horizons_are_compared_from_one_start(tmp_path, capsys):
     out = tmp_path / "out"
     variants = ["horizon:banded", "horizon:ipopt", "joint:ipopt"]
-    assert compare_solvers(FOLDER, ["arc", "--frames", "5", "--out", str(out), "--variants", *variants]) == 0
+    assert compare_solvers(["arc", "--frames", "5", "--out", str(out), "--variants", *variants]) == 0
     (found,) = json.loads((out / "agreement.json").read_text())
     assert found["agree"]
     assert found["difference"] <= max(1e-4 * found["first_objective"], 1e-6)

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from malformed import ROBOT, Case, Said, helix, judge, markups, plan_file, program, spoilt, table, written
 
-from ctr_nlp.cli.commands.benchmark import main as benchmark
-from ctr_nlp.cli.commands.compare_solvers import main as compare_solvers
-from ctr_nlp.cli.commands.export_commands import main as export_commands
-from ctr_nlp.cli.commands.list_branches import main as list_branches
-from ctr_nlp.cli.commands.make_report import main as make_report
+from ctr_nlp.cli.commands.branches import main as list_branches
+from ctr_nlp.cli.commands.export import main as export_commands
+from ctr_nlp.cli.commands.plan import horizon as solve_horizon
+from ctr_nlp.cli.commands.plan import steer as solve_per_frame
 from ctr_nlp.cli.commands.play import main as play
-from ctr_nlp.cli.commands.reproduce_seed import main as reproduce_seed
-from ctr_nlp.cli.commands.solve_horizon import main as solve_horizon
-from ctr_nlp.cli.commands.solve_per_frame import main as solve_per_frame
-from ctr_nlp.cli.commands.study_clearance import main as study_clearance
+from ctr_nlp.cli.commands.report import main as make_report
+from ctr_nlp.cli.studies.benchmark import main as benchmark
+from ctr_nlp.cli.studies.clearance import main as study_clearance
+from ctr_nlp.cli.studies.compare import main as compare_solvers
+from ctr_nlp.cli.studies.reproduce import main as reproduce_seed
 
 BOTH = [
     ("arc --frames 0", "frames is 0; it must be a whole number of at least 1"),
@@ -177,10 +177,10 @@ ALONE = [
     (play, "{one} --dry-run", "a plan of 1 frames is no motion"),
 ]  # fmt: skip
 ACCEPTED = [
-    (list_branches, None, "{path}", "a good file"),
-    (list_branches, None, "{curves} --reverse", "two branches are a list"),
-    (export_commands, None, "{plan} --to csv --out {folder}/commands.csv", "a good plan"),
-    (play, None, "{plan} --dry-run", "a good plan"),
+    (list_branches, "{path}", "a good file"),
+    (list_branches, "{curves} --reverse", "two branches are a list"),
+    (export_commands, "{plan} --to csv --out {folder}/commands.csv", "a good plan"),
+    (play, "{plan} --dry-run", "a good plan"),
 ]
 BALANCED = """
 [[tubes]]
@@ -232,24 +232,23 @@ def plans(folder):
     return made
 
 
-def command(folder, main, problems, line):
+def command(folder, main, line):
     """Run a program with a line's arguments, files named in braces."""
-    return program(main, *line.format(**scene(folder)).split(), **problems)
+    return program(main, *line.format(**scene(folder)).split())
 
 
 def cases():
     """All of the table."""
-    rows = [(main, {}, line, message) for main in (solve_per_frame, solve_horizon) for line, message in BOTH]
-    rows += [(solve_per_frame, {}, line, message) for line, message in PER_FRAME]
-    rows += [(solve_horizon, {}, line, message) for line, message in HORIZON]
-    rows += [(main, {}, line, message) for main, line, message in OTHERS]
-    rows += [(main, {"folder": None}, line, message) for main, line, message in ALONE]
-    for main, problems, line, message in rows:
-        run = functools.partial(command, main=main, problems=problems, line=line)
-        yield Case(f"{main.__module__.rpartition('.')[2]} {line}", run, Said, message)
-    for main, problems, line, why in ACCEPTED:
-        run = functools.partial(command, main=main, problems={"folder": problems}, line=line)
-        yield Case(f"{main.__module__.rpartition('.')[2]} {line}", run, None, why)
+    rows = [(main, line, message) for main in (solve_per_frame, solve_horizon) for line, message in BOTH]
+    rows += [(solve_per_frame, line, message) for line, message in PER_FRAME]
+    rows += [(solve_horizon, line, message) for line, message in HORIZON]
+    rows += [*OTHERS, *ALONE]
+    for main, line, message in rows:
+        run = functools.partial(command, main=main, line=line)
+        yield Case(f"{main.name} {line}", run, Said, message)
+    for main, line, why in ACCEPTED:
+        run = functools.partial(command, main=main, line=line)
+        yield Case(f"{main.name} {line}", run, None, why)
 
 
 CASES = list(cases())

@@ -13,14 +13,12 @@ from lumens import straight
 from PIL import Image
 
 from ctr_nlp import Problem, curve_from_formula, growing, solve_per_frame, table_i_robot
-from ctr_nlp.cli.commands import solve_horizon
-from ctr_nlp.cli.commands import solve_per_frame as per_frame_program
+from ctr_nlp.cli.commands import plan as plan_program
 from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.figures import film
 from ctr_nlp.figures.film import WRITERS
 from ctr_nlp.figures.parts.palette import TUBES
 from ctr_nlp.target.lumen import Lumen
-from problems import FOLDER
 
 FRAMES = 4
 RADIUS = 7.0
@@ -226,18 +224,18 @@ def test_a_film_that_ffmpeg_cannot_make_is_an_error_of_ours(plan, tmp_path):
 # The programs
 
 
-@pytest.fixture(params=["solve_per_frame", "solve_horizon"])
+@pytest.fixture(params=["steer", "horizon"])
 def program(request, monkeypatch):
     """Both programs, which must not get as far as building a solver where unsolved is asked for."""
-    module, solver = {
-        "solve_per_frame": (per_frame_program, "NlpFrames"),
-        "solve_horizon": (solve_horizon, "Horizon"),
+    main, solver = {
+        "steer": (plan_program.steer, "NlpFrames"),
+        "horizon": (plan_program.horizon, "Horizon"),
     }[request.param]
 
     def run(*arguments, unsolved=False):
         if unsolved:
-            monkeypatch.setattr(module, solver, lambda *_: pytest.fail("solving was begun"))
-        return module.main(FOLDER, ["arc", "--frames", "4", *map(str, arguments)])
+            monkeypatch.setattr(plan_program, solver, lambda *_: pytest.fail("solving was begun"))
+        return main(["arc", "--frames", "4", *map(str, arguments)])
 
     return run
 

@@ -19,8 +19,8 @@ from matplotlib.figure import Figure
 from window_backend import CLOSE, Written
 
 from ctr_nlp import solve_horizon, table_i_robot
+from ctr_nlp.cli.commands import plan as horizon_program
 from ctr_nlp.cli.commands import play
-from ctr_nlp.cli.commands import solve_horizon as horizon_program
 from ctr_nlp.cli.live import Played, Solved
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.figures.live import Now, Playing, Solving, Stage, View
@@ -31,7 +31,6 @@ from ctr_nlp.hardware.devices import Progress
 from ctr_nlp.hardware.playing.session import prepared
 from ctr_nlp.simulation.forward import shapes
 from ctr_nlp.target.lumen import Lumen
-from problems import FOLDER
 
 pytestmark = pytest.mark.real_time
 
@@ -172,7 +171,7 @@ def test_programs_refuse_before_anything_moves_or_is_solved(monkeypatch, tmp_pat
     monkeypatch.setattr(play, "device_of", lambda *_: pytest.fail("a device was opened"))
     PLAN.save(tmp_path / "plan.npz")
     out = ["--live", "--out", str(tmp_path / "out")]
-    assert horizon_program.main(FOLDER, ["arc", *out]) == 2
+    assert horizon_program.horizon(["arc", *out]) == 2
     assert play.main([str(tmp_path / "plan.npz"), *out]) == 2
     assert capsys.readouterr().err.count("error: live needs a window") == 2
     assert not (tmp_path / "out").exists()

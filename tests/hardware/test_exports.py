@@ -16,8 +16,8 @@ import pytest
 from scipy.interpolate import BPoly, CubicHermiteSpline
 
 from ctr_nlp import Plan, Problem, curve_from_formula, growing, table_i_robot
-from ctr_nlp.cli.commands import export_commands
-from ctr_nlp.cli.commands.export_commands import main
+from ctr_nlp.cli.commands import export as export_commands
+from ctr_nlp.cli.commands.export import main
 from ctr_nlp.cli.output.folder import MARK
 from ctr_nlp.exceptions import HardwareError, OptionError
 from ctr_nlp.hardware.arm.forward import tilt
@@ -549,7 +549,7 @@ def test_plans_that_must_not_be_played_are_not_written(plan, tmp_path, capsys, t
 def test_a_missing_library_is_named_with_the_command_that_brings_it(file, monkeypatch, capsys, to, module):
     monkeypatch.setitem(sys.modules, module, None)
     assert export(file, "--to", to) == 2
-    assert f'{module} is not installed; pip install -e ".[hardware]" brings it' in capsys.readouterr().err
+    assert f'{module} is not installed; pip install "ctr_nlp[hardware]" brings it' in capsys.readouterr().err
     assert everything(file.parent) == {"plan.npz"}
 
 

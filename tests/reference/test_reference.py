@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from problems import named
 from strategies import configurations, robots
 
 from ctr_nlp import Settings, summary
@@ -12,7 +13,6 @@ from ctr_nlp.reference import reference_frames
 from ctr_nlp.reference.descent import descend, extensions, fractions
 from ctr_nlp.steer import march
 from ctr_nlp.studies.comparison import VARIANTS, compare, parse_variant
-from problems import named
 
 
 def run(name, method):

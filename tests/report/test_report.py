@@ -13,7 +13,7 @@ from browser import NO_GRAPHICS, SOFTWARE, changed, launcher, opened, pixels, sh
 from matplotlib.colors import to_rgb
 
 from ctr_nlp import Plan, Problem, curve_from_formula, growing, solve_per_frame, table_i_robot
-from ctr_nlp.cli.commands import make_report
+from ctr_nlp.cli.commands import report as make_report
 from ctr_nlp.figures.parts.palette import CONTACT, TUBES
 from ctr_nlp.plan.metrics import by_frame, e1, summary
 from ctr_nlp.report import page
@@ -311,8 +311,8 @@ def test_planning_needs_none_of_the_pages_libraries(tmp_path):
         "assert 'matplotlib' not in sys.modules, 'solving loads pictures'\n"
         "from ctr_nlp import figures\n"
         "figures.shapes(plan)\n"
-        "from ctr_nlp.cli import make_report\n"
-        "sys.exit(make_report.main(['plan.npz']))\n"
+        "from ctr_nlp.cli.commands import report\n"
+        "sys.exit(report.main(['plan.npz']))\n"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 2, done.stderr

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import truth
 from frames import alone
+from problems import named
 from rows import central
 
 from ctr_nlp import (
@@ -28,8 +29,8 @@ from ctr_nlp import (
     summary,
     table_i_robot,
 )
-from ctr_nlp.cli.commands.solve_horizon import main as solve_horizon_program
-from ctr_nlp.cli.commands.solve_per_frame import main as solve_per_frame_program
+from ctr_nlp.cli.commands.plan import horizon as solve_horizon_program
+from ctr_nlp.cli.commands.plan import steer as solve_per_frame_program
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.terms.feasible import CLEAR
@@ -42,7 +43,6 @@ from ctr_nlp.reference.published import SEED_ELASTIC
 from ctr_nlp.solvers import compiled
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.studies.comparison import parse_variant, variants_here
-from problems import FOLDER, named
 
 MARGIN = 0.1
 ROBOTS = {
@@ -423,7 +423,7 @@ def test_a_margin_that_nothing_can_have_is_refused_with_its_range(margin):
 
 
 def run(program, *arguments):
-    return program(FOLDER, [str(argument) for argument in arguments])
+    return program([str(argument) for argument in arguments])
 
 
 def test_a_plan_says_where_stability_limits_it(tmp_path, capsys):

@@ -10,6 +10,7 @@ import pytest
 from frames import horizon
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from problems import NAMES, named
 
 from ctr_nlp import problem_from_file, solve_horizon, solve_per_frame, summary
 from ctr_nlp.exceptions import OptionError, ProblemError, RobotError
@@ -20,7 +21,6 @@ from ctr_nlp.solvers.motion.judged import judged
 from ctr_nlp.steer import Horizon
 from ctr_nlp.steer.attempts import Attempt, failures
 from ctr_nlp.support.interrupt import deferred_interrupt
-from problems import NAMES, named
 
 AIRWAYS = ("chaste_ts002_RLL", "chaste_ts002_LLL", "chaste_ts002_RML", "hra_vhm_left_main")
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from problems import named
 
 from ctr_nlp import (
     Limits,
@@ -26,7 +27,6 @@ from ctr_nlp.formulations.frames import FrameResult
 from ctr_nlp.solvers.frame import sqp
 from ctr_nlp.steer import march
 from ctr_nlp.steer.nlp_frames import NlpFrames
-from problems import named
 
 JOINT_E3 = {"cos": 0.35, "arc": 0.36, "line": 1.10, "line_arc": 0.65, "synthesis": 0.02}
 TWO_STAGE_E3 = {"cos": 1.81, "arc": 1.62, "line": 7.46, "line_arc": 2.67, "synthesis": 0.98}

@@ -9,6 +9,7 @@ import pytest
 from frames import joint
 from hypothesis import given
 from hypothesis import strategies as st
+from problems import named
 from strategies import numbers, seeds
 
 from ctr_nlp import Settings, Steerer, shapes, solve_per_frame, table_i_robot
@@ -19,7 +20,6 @@ from ctr_nlp.robot import MM_PER_RAD
 from ctr_nlp.solvers import FEASIBLE
 from ctr_nlp.solvers.frame.adapter import OPTIMAL
 from ctr_nlp.target.target import SIGMA
-from problems import named
 
 Q0 = np.array([3.0, 3, 3, 30, 70, 105, 0, 0])
 DT, WEIGHT = 0.1, Settings().motion_weight

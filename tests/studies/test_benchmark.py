@@ -5,14 +5,13 @@ import math
 from types import SimpleNamespace
 
 import pytest
+from problems import named
 
-from ctr_nlp.cli import problems
-from ctr_nlp.cli.commands import benchmark
-from ctr_nlp.cli.commands.benchmark import BASELINE, main
+from ctr_nlp.cli.studies import benchmark
+from ctr_nlp.cli.studies.benchmark import main
 from ctr_nlp.studies.benchmarks import Record, horizons, regressions
 from ctr_nlp.studies.benchmarks.frames import EVERY, REFERENCES, ROUNDS, race
 from ctr_nlp.studies.benchmarks.records import RATIO
-from problems import named
 
 # Regressions
 
@@ -80,14 +79,11 @@ FIGURES = (
 )
 
 
-@pytest.fixture
-def folder(tmp_path):
-    """A folder of problems with one whose content does not matter, beside one of scripts."""
-    made = tmp_path / "problems"
-    made.mkdir()
-    (made / "arc.py").touch()
-    (tmp_path / "scripts").mkdir()
-    return made
+@pytest.fixture(autouse=True)
+def baseline(tmp_path, monkeypatch):
+    """Where the baseline is to be; nothing is there yet."""
+    monkeypatch.setattr(benchmark, "BASELINE", tmp_path / "baseline.json")
+    return benchmark.BASELINE
 
 
 @pytest.fixture
@@ -103,24 +99,24 @@ def measured(monkeypatch):
     return asked
 
 
-def run(folder, *arguments):
-    return main(folder, ["--parts", "horizons", "--problems", "arc", *map(str, arguments)])
+def run(*arguments):
+    return main(["--parts", "horizons", "--problems", "arc", *map(str, arguments)])
 
 
-def write_baseline(folder, **values):
+def write_baseline(**values):
     entries = [{"name": name, "value": value} for name, value in values.items()]
-    (folder.parent / "scripts" / BASELINE).write_text(json.dumps(entries))
+    benchmark.BASELINE.write_text(json.dumps(entries))
 
 
 def small(monkeypatch):
-    monkeypatch.setattr(problems, "named", lambda name, folder, count: named(name, 4))
+    monkeypatch.setattr(benchmark, "named", lambda name, count=100: named(name, 4))
     monkeypatch.setattr(horizons, "REPEATS", 1)
 
 
-def test_the_horizons_of_a_small_problem_are_measured_and_written(folder, tmp_path, monkeypatch, capsys):
+def test_the_horizons_of_a_small_problem_are_measured_and_written(tmp_path, monkeypatch, capsys):
     small(monkeypatch)
     file = tmp_path / "records.json"
-    assert run(folder, "--json", file) == 0
+    assert run("--json", file) == 0
     records = [Record(**entry) for entry in json.loads(file.read_text(encoding="utf-8"))]
     names = [entry.name for entry in records]
     assert len(set(names)) == len(names)
@@ -148,9 +144,9 @@ def test_the_horizons_of_a_small_problem_are_measured_and_written(folder, tmp_pa
     assert f"wrote {file}" in out.replace("\n", "")
 
 
-def test_what_is_written_serves_as_a_baseline_of_itself(folder, measured, capsys):
-    file = folder.parent / "scripts" / BASELINE
-    assert run(folder, "--json", file, "--check") == 0
+def test_what_is_written_serves_as_a_baseline_of_itself(measured, capsys):
+    file = benchmark.BASELINE
+    assert run("--json", file, "--check") == 0
     assert measured == ["arc"]
     assert json.loads(file.read_text())[0] == {
         "name": "ratio",
@@ -159,27 +155,27 @@ def test_what_is_written_serves_as_a_baseline_of_itself(folder, measured, capsys
         "better": "more",
         "tolerance": RATIO,
     }
-    assert f"2 figures compared with {BASELINE}, 0 worse" in capsys.readouterr().out
+    assert "2 figures compared with baseline.json, 0 worse" in capsys.readouterr().out
 
 
-def test_a_ratio_far_worse_than_the_baseline_ends_in_1_and_is_named(folder, measured, capsys):
-    write_baseline(folder, ratio=40.0, time=1e-9, failed=0.0)
-    assert run(folder, "--check") == 1
+def test_a_ratio_far_worse_than_the_baseline_ends_in_1_and_is_named(measured, capsys):
+    write_baseline(ratio=40.0, time=1e-9, failed=0.0)
+    assert run("--check") == 1
     out = capsys.readouterr().out
     assert "worse: ratio: 4, was 40; more is better" in out
     assert out.count("worse: ") == 1
-    assert f"2 figures compared with {BASELINE}, 1 worse" in out
+    assert "2 figures compared with baseline.json, 1 worse" in out
 
 
-def test_ratios_within_their_tolerance_and_unknown_ones_end_in_0(folder, measured, capsys):
-    write_baseline(folder, ratio=6.0, other=1.0)
-    assert run(folder, "--check") == 0
-    assert f"1 figures compared with {BASELINE}, 0 worse" in capsys.readouterr().out
+def test_ratios_within_their_tolerance_and_unknown_ones_end_in_0(measured, capsys):
+    write_baseline(ratio=6.0, other=1.0)
+    assert run("--check") == 0
+    assert "1 figures compared with baseline.json, 0 worse" in capsys.readouterr().out
 
 
-def test_without_check_no_baseline_is_read(folder, measured):
-    write_baseline(folder, ratio=40.0)
-    assert run(folder) == 0
+def test_without_check_no_baseline_is_read(measured):
+    write_baseline(ratio=40.0)
+    assert run() == 0
 
 
 def assert_refused(capsys, *words):
@@ -192,54 +188,54 @@ def assert_refused(capsys, *words):
     "content",
     [None, b"", b"{", b"\xff\xfe", b"7", b"[1]", b'{"ratio": 4}', b'[{"name": "ratio"}]', b"null"],
 )
-def test_a_baseline_that_cannot_be_read_ends_in_2_with_one_line(folder, measured, capsys, content):
+def test_a_baseline_that_cannot_be_read_ends_in_2_with_one_line(measured, capsys, content):
     if content is not None:
-        (folder.parent / "scripts" / BASELINE).write_bytes(content)
-    assert run(folder, "--check") == 2
-    assert_refused(capsys, BASELINE, "cannot be read", "--json writes one")
+        benchmark.BASELINE.write_bytes(content)
+    assert run("--check") == 2
+    assert_refused(capsys, "baseline.json", "cannot be read", "--json writes one")
 
 
 @pytest.mark.parametrize("value", ["null", '"4"', "[4]"])
-def test_a_baseline_whose_values_are_no_numbers_ends_in_2_with_one_line(folder, measured, capsys, value):
+def test_a_baseline_whose_values_are_no_numbers_ends_in_2_with_one_line(measured, capsys, value):
     text = f'[{{"name": "ratio", "value": {value}}}]'
-    (folder.parent / "scripts" / BASELINE).write_text(text)
-    assert run(folder, "--check") == 2
-    assert_refused(capsys, BASELINE)
+    benchmark.BASELINE.write_text(text)
+    assert run("--check") == 2
+    assert_refused(capsys, "baseline.json")
 
 
 @pytest.mark.parametrize("place", ["missing/records.json", "."])
 def test_a_place_that_cannot_be_written_ends_in_2_with_one_line_before_anything_is_measured(
-    folder, measured, capsys, tmp_path, place
+    measured, capsys, tmp_path, place
 ):
-    assert run(folder, "--json", tmp_path / place) == 2
+    assert run("--json", tmp_path / place) == 2
     assert measured == []
     assert_refused(capsys, str(tmp_path / place))
 
 
-def test_without_a_compiler_nothing_is_measured(folder, measured, monkeypatch, capsys, tmp_path):
+def test_without_a_compiler_nothing_is_measured(measured, monkeypatch, capsys, tmp_path):
     monkeypatch.setenv("CTR_NLP_COMPILE", "0")
     file = tmp_path / "records.json"
-    assert run(folder, "--json", file) == 2
+    assert run("--json", file) == 2
     assert measured == []
     assert not file.exists()
     assert_refused(capsys, "CTR_NLP_COMPILE is 0")
 
 
 @pytest.mark.parametrize("arguments", [["--parts", "everything"], ["--problems", "spiral"], ["--json"]])
-def test_names_that_do_not_exist_are_refused(folder, arguments, capsys):
+def test_names_that_do_not_exist_are_refused(arguments, capsys):
     with pytest.raises(SystemExit) as ended:
-        main(folder, arguments)
+        main(arguments)
     assert ended.value.code == 2
-    assert "usage: benchmark.py" in capsys.readouterr().err
+    assert "usage: ctr-nlp benchmark" in capsys.readouterr().err
 
 
-def test_every_part_is_measured_by_default_and_in_the_order_asked_for(folder, monkeypatch):
+def test_every_part_is_measured_by_default_and_in_the_order_asked_for(monkeypatch):
     asked = []
     for part in benchmark.PARTS:
         monkeypatch.setitem(benchmark.PARTS, part, lambda named, chosen, part=part: asked.append(part) or iter(()))
-    assert main(folder, []) == 0
+    assert main([]) == 0
     assert asked == ["start-up", "frames", "horizons", "elastic", "growth", "sizes"]
-    assert main(folder, ["--parts", "sizes", "frames"]) == 0
+    assert main(["--parts", "sizes", "frames"]) == 0
     assert asked[6:] == ["sizes", "frames"]
 
 

@@ -8,7 +8,7 @@ import pytest
 from lumens import straight
 
 from ctr_nlp import Problem, growing, table_i_robot
-from ctr_nlp.cli.commands.study_clearance import main
+from ctr_nlp.cli.studies.clearance import main
 from ctr_nlp.plan.contacts import depth
 from ctr_nlp.studies.clearance import Case
 from ctr_nlp.studies.clearance.alone import Alone

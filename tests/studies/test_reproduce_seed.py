@@ -9,10 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from problems import named
 
 from ctr_nlp import solve_per_frame
-from ctr_nlp.cli.commands import reproduce_seed
-from ctr_nlp.cli.commands.reproduce_seed import main
+from ctr_nlp.cli.studies import reproduce as reproduce_seed
+from ctr_nlp.cli.studies.reproduce import main
 from ctr_nlp.reference import published
 from ctr_nlp.studies.comparison import row
 from ctr_nlp.studies.paper import SECTIONS, Found, page, runs
@@ -23,7 +24,6 @@ from ctr_nlp.studies.paper.parts import fig3, fig4, fig6, fig10, table2
 from ctr_nlp.studies.paper.runs import BASELINE, HORIZON, JOINT, OURS, SEED, Fitting, Motion, Moved, study
 from ctr_nlp.studies.paper.section import mm
 from ctr_nlp.support.pool import side_by_side
-from problems import FOLDER, named
 
 FRAMES = 4
 
@@ -303,7 +303,7 @@ def test_curvature_of_points_on_a_circle():
 def test_one_figure_alone(tmp_path, capsys):
     """With real runs: the largest errors on the page are those of the file."""
     out = tmp_path / "seed"
-    assert main(FOLDER, ["--only", "fig8", "--frames", str(FRAMES), "--jobs", "2", "--out", str(out)]) == 0
+    assert main(["--only", "fig8", "--frames", str(FRAMES), "--jobs", "2", "--out", str(out)]) == 0
     assert {path.name for path in out.iterdir()} == {"seed.md", "fig8.png", "fig8.csv", ".ctr_nlp"}
     text = (out / "seed.md").read_text(encoding="utf-8")
     assert str(tmp_path) not in text
@@ -320,7 +320,7 @@ def test_exit_status_says_whether_all_of_ours_was_solved(
     make_found, failed, status, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.setattr(reproduce_seed, "study", lambda *_: make_found(failed=failed))
-    assert main(FOLDER, ["--only", "table2", "--frames", str(FRAMES), "--out", str(tmp_path / "out")]) == status
+    assert main(["--only", "table2", "--frames", str(FRAMES), "--out", str(tmp_path / "out")]) == status
     assert ("not solved: cos" in capsys.readouterr().out) == bool(failed)
 
 
@@ -328,21 +328,21 @@ def test_exit_status_says_whether_all_of_ours_was_solved(
     ("arguments", "said"), [(["--frames", "0"], "frames is 0"), (["--jobs", "0"], "jobs is 0")]
 )
 def test_bad_input_is_refused(arguments, said, tmp_path, capsys):
-    assert main(FOLDER, [*arguments, "--out", str(tmp_path / "out")]) == 2
+    assert main([*arguments, "--out", str(tmp_path / "out")]) == 2
     assert said in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
 def test_another_folder_is_left_alone(tmp_path, capsys):
     (tmp_path / "mine.txt").write_text("mine")
-    assert main(FOLDER, ["--out", str(tmp_path)]) == 2
+    assert main(["--out", str(tmp_path)]) == 2
     assert "not one of ours" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
 
 
 def test_unknown_figures_are_refused(capsys):
     with pytest.raises(SystemExit, match="2"):
-        main(FOLDER, ["--only", "fig11"])
+        main(["--only", "fig11"])
     assert "fig10" in capsys.readouterr().err
 
 
@@ -355,7 +355,7 @@ def test_ctrl_c_during_runs_leaves_nothing(plan, tmp_path, monkeypatch, capsys):
         return Moved(plan, {})
 
     monkeypatch.setattr(runs, "moved", moved)
-    assert main(FOLDER, ["--only", "fig8", "--frames", "2", "--jobs", "1", "--out", str(tmp_path / "out")]) == 130
+    assert main(["--only", "fig8", "--frames", "2", "--jobs", "1", "--out", str(tmp_path / "out")]) == 130
     assert "nothing was written" in capsys.readouterr().err
     assert len(begun) == 1
     assert not list(tmp_path.iterdir())
@@ -365,10 +365,10 @@ def test_ctrl_c_during_pictures_leaves_what_was_there(make_found, tmp_path, monk
     out = tmp_path / "out"
     monkeypatch.setattr(reproduce_seed, "study", lambda *_: make_found())
     arguments = ["--only", "fig8", "table2", "--frames", str(FRAMES), "--out", str(out)]
-    assert main(FOLDER, arguments) == 0
+    assert main(arguments) == 0
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     monkeypatch.setattr(page, "save", lambda *_: signal.raise_signal(signal.SIGINT))
-    assert main(FOLDER, arguments) == 130
+    assert main(arguments) == 130
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
@@ -398,7 +398,7 @@ def test_processes_keep_to_one_thread_each(monkeypatch):
 @pytest.mark.slow
 def test_the_full_run(tmp_path):
     out = tmp_path / "seed"
-    assert main(FOLDER, ["--out", str(out)]) == 0
+    assert main(["--out", str(out)]) == 0
     text = (out / "seed.md").read_text(encoding="utf-8")
     table = {(line["method"], line["problem"]): line for line in lines(out, "table2")}
     for problem in table2.COMPARABLE:

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from problems import NAMES, named
 
 from ctr_nlp import problem_from_file
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.steer import Horizon
 from ctr_nlp.studies.trade_off import BESIDE, WEIGHTS, sweep, trade_off
-from problems import NAMES, named
 
 
 def quiet(label):

@@ -4,10 +4,10 @@ import json
 
 import numpy as np
 import pytest
+from problems import NAMES, named
 
 from ctr_nlp import Plan, curve_from_points
 from ctr_nlp.target.target import SIGMA
-from problems import NAMES, named
 
 
 def test_there_are_eight():

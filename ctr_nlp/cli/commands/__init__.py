@@ -1,1 +1,1 @@
-"""The programs, one a file: arguments in, exit status out."""
+"""The subcommands of `ctr-nlp` that serve one problem or one plan, a file each: options in, exit status out."""

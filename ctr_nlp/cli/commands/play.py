@@ -1,14 +1,11 @@
-"""The program behind scripts/play.py."""
+"""`ctr-nlp play`: a plan on hardware, or on a simulated rig."""
 
 from __future__ import annotations
 
 import argparse
-import os
-import signal
 import sys
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +13,12 @@ import numpy as np
 
 from ctr_nlp.cli import live
 from ctr_nlp.cli.arguments import add_live_option
-from ctr_nlp.cli.commission import commission
-from ctr_nlp.cli.console import BAD_INPUT, INTERRUPTED, SOLVED, SOME_FAILED, guarded, progress_bar
-from ctr_nlp.cli.names import path_component
-from ctr_nlp.cli.output.file import check_file
-from ctr_nlp.cli.output.folder import check_folder, published
-from ctr_nlp.cli.play_report import JOURNAL, print_trajectory, report
+from ctr_nlp.cli.command import Command
+from ctr_nlp.cli.commands.commission import commission
+from ctr_nlp.cli.console import BAD_INPUT, INTERRUPTED, SOLVED, SOME_FAILED, progress_bar
+from ctr_nlp.cli.output.names import path_component
+from ctr_nlp.cli.play_report import JOURNAL, claim, print_trajectory, report
+from ctr_nlp.cli.wishes import obeying
 from ctr_nlp.exceptions import DeviceFault, OptionError
 from ctr_nlp.hardware.clock import RealClock
 from ctr_nlp.hardware.description import Hardware, bench
@@ -38,17 +35,10 @@ from ctr_nlp.hardware.playing.session import begin, prepared, resume
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.support.interrupt import deferred_interrupt
 
-WISHES = {"p": "pause", "r": "resume", "a": "abort"}
 
-
-def main(argv: list[str] | None = None) -> int:
-    """Check a plan for some hardware and play it there."""
-    return guarded(lambda: _run(_parsed(argv)))
-
-
-def _parsed(argv: list[str] | None) -> argparse.Namespace:
+def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="play.py",
+        prog=prog,
         description="Check a plan for some hardware, go slowly to its first frame, and play it. While it plays, "
         "lines on standard input are obeyed: p pauses, r resumes, a aborts; Ctrl-C aborts too.",
         epilog="Exit status: 0 played to the end, 1 not, 2 bad input (nothing was sent), 130 interrupted.",
@@ -88,9 +78,7 @@ def _parsed(argv: list[str] | None) -> argparse.Namespace:
         help=f"where {JOURNAL}, tracking.csv and tracking.png go (default runs/PROBLEM-play)",
     )
     add_live_option(parser, "the robot where its axes are, over where they should be (the tilt as commanded),")
-    arguments = parser.parse_args(argv)
-    _check_together(arguments)
-    return arguments
+    return parser
 
 
 EXCLUDED = {
@@ -112,14 +100,13 @@ def _check_together(arguments: argparse.Namespace) -> None:
     if arguments.commission and arguments.hardware is None:
         raise OptionError("--commission needs --hardware FILE.toml, beside which the settings are kept")
     if arguments.plan is None and not arguments.commission:
-        raise OptionError("a plan is needed: play.py PLAN.npz")
+        raise OptionError("a plan is needed: PLAN.npz")
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    _check_together(arguments)
     if arguments.commission:
-        out = Path(arguments.out or "runs/commissioning")
-        _claim(out)
-        return commission(Path(arguments.hardware), out / JOURNAL)
+        return commission(Path(arguments.hardware), arguments.out)
     plan = Plan.load(arguments.plan)
     hardware = bench(plan.robot) if arguments.hardware is None else Hardware.from_toml(arguments.hardware)
     for verdict in plan.verdicts:
@@ -149,13 +136,13 @@ def _played(
     told: live.Played | None,
 ) -> int:
     """Play, from the beginning or where records end, or retract; told, unless None, of all that is seen."""
-    _claim(out)
+    claim(out)
     clock = RealClock()
     journal = Journal(out / JOURNAL, clock)
     arm = None if hardware.arm is None else arm_follower(hardware.arm, _tilt(plan, records), clock.now)
     device = device_of(hardware, journal, clock, _stood(hardware, records))
     player, recorder = Player(device, arm, journal, clock, memory_of(hardware.connection)), Recorder()
-    with deferred_interrupt() as interrupted, progress_bar() as labelled, _obeying(player, interrupted):
+    with deferred_interrupt() as interrupted, progress_bar() as labelled, obeying(player, interrupted):
         if interrupted():
             player.abort()
         seen = _seen(player, recorder, labelled(plan.meta["problem"]["name"]), told)
@@ -194,14 +181,6 @@ def _result(
     return begin(player, plan, hardware, _tempo(arguments), home=arguments.home, verified=verified, seen=seen)
 
 
-def _claim(out: Path) -> None:
-    """Make out a folder of ours; raises OutputError. Its journal is added to; what told of other sessions goes."""
-    check_file(out / JOURNAL, '{"t": ')
-    check_folder(out, "play")
-    with published(out, "play"):
-        pass
-
-
 def _stood(hardware: Hardware, records: list[dict[str, Any]] | None) -> Any:
     """Where the axes of a simulated device stand: at their zeros, or where the journal saw them last."""
     seen = [record["position"] for record in records or () if record.get("position") is not None]
@@ -212,44 +191,6 @@ def _tilt(plan: Plan, records: list[dict[str, Any]] | None) -> Any:
     """Where a simulated arm stands: upright, or at the last frame that the journal tells of."""
     frames = [record["frame"] for record in records or () if record["kind"] == "frame"]
     return plan.theta[frames[-1] - 1] if frames else np.zeros(2)
-
-
-@contextmanager
-def _obeying(player: Player, interrupted: Callable[[], bool]) -> Iterator[None]:
-    """Within the block what is typed, and signals that end programs, are wishes of the player's.
-
-    Ctrl-C is one as often as it is pressed: a stop is never itself interrupted, and always ends.
-    """
-    threading.Thread(target=_listen, args=(player,), daemon=True).start()
-    signals = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    before = {number: signal.signal(number, lambda *_: player.abort()) for number in signals}
-    remember = signal.getsignal(signal.SIGINT)
-
-    def interrupt(number: int, frame: Any) -> None:
-        player.abort()
-        if callable(remember) and not interrupted():
-            remember(number, frame)
-
-    before[signal.SIGINT] = signal.signal(signal.SIGINT, interrupt)
-    if hasattr(signal, "SIGTTIN"):  # in the background, reading a terminal must fail and not stop the program
-        before[signal.SIGTTIN] = signal.signal(signal.SIGTTIN, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _listen(player: Player) -> None:
-    """Obey lines of standard input, past its buffer, whose lock would block when the program ends."""
-    try:
-        while typed := os.read(sys.stdin.fileno(), 1024).decode(errors="replace"):
-            for line in typed.splitlines():
-                wish = WISHES.get(line.strip().lower()[:1])
-                if wish is not None:
-                    getattr(player, wish)()
-    except (OSError, ValueError, AttributeError):
-        return
 
 
 def _seen(
@@ -264,3 +205,6 @@ def _seen(
             told(trajectory, progress, player.state.value)
 
     return seen
+
+
+main = Command("ctr-nlp play", _parser, _run)

@@ -1,4 +1,4 @@
-"""The program behind scripts/reproduce_seed.py."""
+"""`ctr-nlp reproduce`: the paper's figures and its Table II."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ import functools
 from collections.abc import Sequence
 from pathlib import Path
 
-from ctr_nlp.cli import problems
-from ctr_nlp.cli.arguments import whole
-from ctr_nlp.cli.console import SOLVED, SOME_FAILED, console, guarded, print_table, progress_bar
+from ctr_nlp.cli.arguments import add_frames_option, add_out_option, whole
+from ctr_nlp.cli.command import Command
+from ctr_nlp.cli.console import SOLVED, SOME_FAILED, console, print_table, progress_bar
 from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.problems import named
 from ctr_nlp.studies.paper import SECTIONS, Found, study
 from ctr_nlp.studies.paper.page import part_seconds, write
 from ctr_nlp.studies.paper.section import Section
@@ -18,14 +19,9 @@ from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.target.target import check_frames
 
 
-def main(folder: Path, argv: list[str] | None = None) -> int:
-    """Remake the seed's figures and Table II; folder holds the named problems."""
-    return guarded(lambda: _run(folder, _parser().parse_args(argv)))
-
-
-def _parser() -> argparse.ArgumentParser:
+def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="reproduce_seed.py",
+        prog=prog,
         description="Remake the seed's Figs. 3 to 8, 9 (d) and 10 and its Table II beside what it printed, and "
         "write seed.md with pictures and the numbers behind them.",
         epilog="Exit status: 0 every frame of our methods solved, 1 some not, 2 bad input, 130 interrupted "
@@ -34,20 +30,18 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--only", metavar="NAME", nargs="+", choices=SECTIONS, help=f"of {', '.join(SECTIONS)} (default all)"
     )
-    parser.add_argument("--frames", metavar="T", type=whole, default=100, help="number of frames (default 100)")
+    add_frames_option(parser)
     parser.add_argument("--jobs", metavar="N", type=whole, default=2, help="processes side by side (default 2)")
-    parser.add_argument("--out", metavar="DIR", default="runs/seed", help="(default runs/seed)")
+    add_out_option(parser, "runs/seed")
     return parser
 
 
-def _run(folder: Path, arguments: argparse.Namespace) -> int:
-    out, sections = (
-        Path(arguments.out),
-        [SECTIONS[name] for name in SECTIONS if name in (arguments.only or SECTIONS)],
-    )
+def _run(arguments: argparse.Namespace) -> int:
+    out, wanted = Path(arguments.out), arguments.only or SECTIONS
+    sections = [section for name, section in SECTIONS.items() if name in wanted]
     check_frames(arguments.frames)
     check_folder(out, "seed")
-    load = functools.partial(problems.named, folder=folder, frames=arguments.frames)
+    load = functools.partial(named, frames=arguments.frames)
     tasks = [task for section in sections for task in section.tasks]
     with deferred_interrupt() as interrupted, progress_bar() as labelled:
         found = study(load, tasks, arguments.frames, arguments.jobs, labelled("runs"))
@@ -79,3 +73,6 @@ def _print(found: Found, sections: Sequence[Section]) -> None:
 
 def _plain(text: str) -> str:
     return text.replace("**", "").replace("`", "")
+
+
+main = Command("ctr-nlp reproduce", _parser, _run)

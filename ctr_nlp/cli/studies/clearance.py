@@ -1,26 +1,22 @@
-"""The program behind scripts/study_clearance.py."""
+"""`ctr-nlp clearance`: what clearance costs and brings in many airways."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from ctr_nlp.cli.arguments import whole
-from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, console, guarded, progress_bar
+from ctr_nlp.cli.arguments import add_frames_option, add_out_option, whole
+from ctr_nlp.cli.command import Command
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, console, progress_bar
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.studies.clearance import Source, study
 from ctr_nlp.studies.clearance.report import findings, write
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Plan many airways without and with clearance and write what it costs and brings."""
-    return guarded(lambda: _run(_parser().parse_args(argv)))
-
-
-def _parser() -> argparse.ArgumentParser:
+def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="study_clearance.py",
+        prog=prog,
         description="Plan airways without clearance, with it and with clearance first, find what clearance alone "
         "could have, and write clearance.md, clearance.csv and clearance.png.",
         epilog="Exit status: 0 every frame solved, 1 some not, 2 bad input, 130 interrupted (what was done goes "
@@ -28,9 +24,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("files", metavar="FILE", nargs="*", help="centreline files with radii")
     parser.add_argument("--seeds", metavar="N", type=whole, default=100, help="synthetic airways (default 100)")
-    parser.add_argument("--frames", metavar="T", type=whole, default=100, help="number of frames (default 100)")
+    add_frames_option(parser)
     parser.add_argument("--jobs", metavar="N", type=whole, default=1, help="processes side by side (default 1)")
-    parser.add_argument("--out", metavar="DIR", default="runs/clearance", help="(default runs/clearance)")
+    add_out_option(parser, "runs/clearance")
     return parser
 
 
@@ -64,3 +60,6 @@ def _sources(files: list[str], seeds: int) -> list[Source]:
     if seeds < 0 or not (seeds or files):
         raise OptionError(f"seeds is {seeds} beside {len(files)} files; give at least one airway")
     return [*map(Path, files), *range(seeds)]
+
+
+main = Command("ctr-nlp clearance", _parser, _run)

@@ -1,4 +1,4 @@
-"""The program behind scripts/list_branches.py."""
+"""`ctr-nlp branches`: the branches of a centreline file, listed and drawn."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ import numpy as np
 
 from ctr_nlp.anatomy.branch import Branch, Branches, moved
 from ctr_nlp.anatomy.files import CENTRELINES, read_branches
-from ctr_nlp.cli.console import SOLVED, console, guarded, print_table, progress_bar
+from ctr_nlp.cli.arguments import add_entry_option
+from ctr_nlp.cli.command import Command
+from ctr_nlp.cli.console import SOLVED, console, print_table, progress_bar
 from ctr_nlp.cli.output.file import check_file
 from ctr_nlp.exceptions import CurveError, OptionError, OutputError
 from ctr_nlp.figures import save
@@ -31,27 +33,16 @@ WIDENS = 1.2
 """From root to tip a lumen narrows; one that widens so much runs the other way, surely."""
 
 
-def main(argv: list[str] | None = None) -> int:
-    """List the branches of a centreline file, and draw them."""
-    return guarded(lambda: _run(_parser().parse_args(argv)))
-
-
-def _parser() -> argparse.ArgumentParser:
+def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="list_branches.py",
+        prog=prog,
         description="List the branches of a centreline file, in mm, so that one can be chosen by its number, its "
         "name or a point that it passes; and draw them.",
         epilog="Exit status: 0 listed, 2 bad input, nothing written.",
     )
     parser.add_argument("file", metavar="FILE", help=f"centreline file ({', '.join(CENTRELINES)})")
     parser.add_argument("--reverse", action="store_true", help="take each branch from its last point to its first")
-    parser.add_argument(
-        "--entry",
-        metavar=("X", "Y", "Z"),
-        nargs=3,
-        type=float,
-        help="where the robot enters, in the file's coordinates: the start of a tree whose file does not tell it",
-    )
+    add_entry_option(parser, "as the file tells it")
     parser.add_argument("--out", metavar="FILE.png", help="draw the branches; a picture of that name is replaced")
     return parser
 
@@ -130,3 +121,6 @@ def _draw(branches: Branches, name: str, out: Path) -> None:
             save(tree(paths, [branch.name for branch in every], title, branches.space), partial)
     except OSError as error:
         raise OutputError(f"output file {out} cannot be written: {error}") from error
+
+
+main = Command("ctr-nlp branches", _parser, _run)

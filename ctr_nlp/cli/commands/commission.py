@@ -1,12 +1,16 @@
-"""What play.py --commission shows and asks: settings, single steps of axes, and the record that is kept."""
+"""`ctr-nlp commission`: a controller's settings, single steps of its axes, and the record that is kept."""
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
 
+from ctr_nlp.cli.arguments import add_out_option
+from ctr_nlp.cli.command import Command
 from ctr_nlp.cli.console import SOLVED, SOME_FAILED, console, print_table
 from ctr_nlp.cli.output.file import write_text
+from ctr_nlp.cli.play_report import JOURNAL, claim
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.clock import RealClock
 from ctr_nlp.hardware.commission import STEP, Commissioning, Controller
@@ -17,10 +21,17 @@ from ctr_nlp.hardware.opening import memory_of, recorded_link
 from ctr_nlp.support.interrupt import deferred_interrupt
 
 DIRECTIONS = {"+": 1, "-": -1}
+OUT = "runs/commissioning"
 
 
-def commission(hardware_file: Path, journal_file: Path) -> int:
-    """Read a controller, move what a person asks for, and keep its settings if none is wrong; the exit status."""
+def commission(hardware_file: Path, out: str | None) -> int:
+    """Read a controller, move what a person asks for, and keep its settings if none is wrong; the exit status.
+
+    The journal goes into the folder out, or where that is None into one of its own.
+    """
+    folder = Path(out or OUT)
+    claim(folder)
+    journal_file = folder / JOURNAL
     hardware, clock = Hardware.from_toml(hardware_file), RealClock()
     journal, memory = Journal(journal_file, clock), memory_of(hardware.connection)
     try:
@@ -45,7 +56,7 @@ def commission(hardware_file: Path, journal_file: Path) -> int:
         journal.close()
     kept = commissioned_file(hardware_file)
     write_text(kept, commissioned_text(controller.identity.settings, controller.identity.told))
-    console().print(f"wrote {kept}: play.py compares the controller with it at every start", markup=False)
+    console().print(f"wrote {kept}: `ctr-nlp play` compares the controller with it at every start", markup=False)
     return SOLVED
 
 
@@ -93,3 +104,22 @@ def _steps(rig: Commissioning, hardware: Hardware) -> None:
                 console().print(str(exception), markup=False)
             else:
                 console().print(f"{typed[0]} went from {before:.3f} to {after:.3f}")
+
+
+def _parser(prog: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=prog,
+        description="Read a Grbl controller, tell which settings are wrong and what to set, move single axes "
+        "by a small step where asked to, and keep its settings beside the hardware file, to be compared at every "
+        "start.",
+        epilog="Exit status: 0 settings kept, 1 a setting is wrong or the controller fails, 2 bad input, 130 "
+        "interrupted.",
+    )
+    parser.add_argument("hardware", metavar="FILE.toml", help="hardware file")
+    add_out_option(parser, OUT)
+    return parser
+
+
+main = Command(
+    "ctr-nlp commission", _parser, lambda arguments: commission(Path(arguments.hardware), arguments.out)
+)

@@ -1,4 +1,4 @@
-"""The program behind scripts/compare_solvers.py."""
+"""`ctr-nlp compare`: problems solved by several methods, side by side."""
 
 from __future__ import annotations
 
@@ -8,11 +8,20 @@ from pathlib import Path
 from typing import Any
 
 from ctr_nlp.cli import problems
-from ctr_nlp.cli.arguments import add_compile_option, add_problem_options, add_settings, settings_from
-from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, console, guarded, print_table, progress_bar
+from ctr_nlp.cli.arguments import (
+    FRAME_SETTINGS,
+    add_compile_option,
+    add_out_option,
+    add_problem_options,
+    add_settings,
+    settings_from,
+)
+from ctr_nlp.cli.command import Command
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, console, print_table, progress_bar
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.models import MODELS
 from ctr_nlp.plan.account import shown
+from ctr_nlp.problems import NAMES
 from ctr_nlp.reference.published import BASELINE, BASELINE_ELASTIC, SEED, SEED_ELASTIC
 from ctr_nlp.studies.comparison import VARIANTS, Comparison, compare, parse_variant, variants_here
 from ctr_nlp.support.interrupt import end_if_interrupted
@@ -48,40 +57,32 @@ def _cells(row: dict[str, Any]) -> list[str]:
     return [" / ".join(shown(row[key]) for key in keys if row[key] is not None) for keys in COLUMNS.values()]
 
 
-def main(folder: Path, argv: list[str] | None = None) -> int:
-    """Solve problems with every variant and print the results side by side; folder holds the named problems."""
-    return guarded(lambda: _run(folder, _parser(folder).parse_args(argv)))
-
-
-def _parser(folder: Path) -> argparse.ArgumentParser:
+def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="compare_solvers.py",
+        prog=prog,
         description="Solve problems with every variant, one after the other, and print errors, steps and times "
         "beside the seed's Table II; write comparison.md, .csv and .json.",
         epilog="Exit status: 0 no verdict on a plan of ours is no, 1 one is, 2 bad input, 130 interrupted (what "
         "was done goes into DIR/interrupted, and DIR's own files stay).",
     )
-    names = ", ".join(problems.names(folder))
-    parser.add_argument(
-        "problems", metavar="PROBLEM", nargs="*", help=f"{names}, or centreline files (default all)"
-    )
+    parser.add_argument("problems", metavar="PROBLEM", nargs="*", help=f"{problems.KINDS} (default all names)")
     parser.add_argument(
         "--variants",
         metavar="NAME",
         nargs="+",
         help=f"(default all that work here, of {', '.join(VARIANTS)})",
     )
-    parser.add_argument("--out", metavar="DIR", default="runs/comparison", help="(default runs/comparison)")
+    add_out_option(parser, "runs/comparison")
     add_problem_options(parser)
     add_compile_option(parser)
     add_settings(parser)
     return parser
 
 
-def _run(folder: Path, arguments: argparse.Namespace) -> int:
-    settings, out = settings_from(arguments), Path(arguments.out)
+def _run(arguments: argparse.Namespace) -> int:
+    settings, out = settings_from(arguments, *FRAME_SETTINGS), Path(arguments.out)
     variants = [parse_variant(name) for name in arguments.variants or variants_here()]
-    chosen = [problems.load(name, folder, arguments) for name in arguments.problems or problems.names(folder)]
+    chosen = [problems.load(name, arguments) for name in arguments.problems or NAMES]
     check_folder(out, "comparison")
     end_if_interrupted()
     with progress_bar() as labelled:
@@ -152,3 +153,6 @@ def _overview(rows: list[dict[str, Any]], model: str) -> str:
 def _cell(row: dict[str, Any], model: str) -> str:
     no = set(filter(None, row[f"{model}_no"].split(", ")))
     return shown(row[f"{model}_e3"]) + "*" * bool(no - {"stable"}) + "!" * ("stable" in no)
+
+
+main = Command("ctr-nlp compare", _parser, _run)

@@ -1,4 +1,4 @@
-"""The program behind scripts/benchmark.py: speed as ratios, all measured in one run."""
+"""`ctr-nlp benchmark`: speed as ratios, all measured in one run."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 
-from ctr_nlp.cli import problems
-from ctr_nlp.cli.console import SOLVED, SOME_FAILED, console, guarded, print_table
+from ctr_nlp.cli.command import Command
+from ctr_nlp.cli.console import SOLVED, SOME_FAILED, console, print_table
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.problems import NAMES, named
 from ctr_nlp.studies.benchmarks import Record, regressions
 from ctr_nlp.studies.benchmarks.elastic import forward, planned
 from ctr_nlp.studies.benchmarks.frames import frames
@@ -27,18 +28,13 @@ SHAPES = ("cos", "arc", "line", "line_arc", "synthesis")
 """The five problems of the seed whose targets are known."""
 SIZES = (100, 1000, 5000)
 """Frames over which the time and memory of an iteration are followed."""
-BASELINE = "benchmark_baseline.json"
-"""Beside the script."""
+BASELINE = Path(__file__).resolve().parents[3] / "scripts" / "benchmark_baseline.json"
+"""In a clone of the repository; no wheel has it."""
 
 
-def main(folder: Path, argv: list[str] | None = None) -> int:
-    """Measure, print and compare; folder holds the named problems."""
-    return guarded(lambda: _run(folder, _parser(folder).parse_args(argv)))
-
-
-def _parser(folder: Path) -> argparse.ArgumentParser:
+def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="benchmark.py",
+        prog=prog,
         description="Times of single frames and of whole motions by all methods, alternating in one run; how they "
         "grow; what start-up takes. Needs a C compiler.",
         epilog="Exit status: 0 measured, 1 worse than the baseline, 2 bad input.",
@@ -48,24 +44,24 @@ def _parser(folder: Path) -> argparse.ArgumentParser:
         "--problems",
         nargs="+",
         metavar="NAME",
-        choices=problems.names(folder),
+        choices=NAMES,
         help="(default all that suit a part)",
     )
     parser.add_argument("--json", metavar="FILE", help="also write the records to a file")
-    parser.add_argument("--check", action="store_true", help=f"compare the ratios with {BASELINE}")
+    parser.add_argument("--check", action="store_true", help=f"compare the ratios with a clone's {BASELINE.name}")
     return parser
 
 
-def _run(folder: Path, arguments: argparse.Namespace) -> int:
+def _run(arguments: argparse.Namespace) -> int:
     if why := cache.missing():
         raise OptionError(f"nothing to compare: {why}")
     target = None if arguments.json is None else Path(arguments.json)
     if target is not None and (target.is_dir() or not target.parent.is_dir()):
         raise OptionError(f"--json is {target}; it must be a file in a folder that exists")
-    chosen = arguments.problems or problems.names(folder)
+    chosen = arguments.problems or list(NAMES)
     records = []
     for part in arguments.parts:
-        for record in PARTS[part](lambda name, count=100: problems.named(name, folder, count), chosen):
+        for record in PARTS[part](named, chosen):
             records.append(record)
             console(stderr=True).print(f"{record.name}: {record.value:.4g} {record.unit}", style="dim")
     rows = [(r.name, f"{r.value:.4g}", r.unit, r.better) for r in records]
@@ -73,7 +69,7 @@ def _run(folder: Path, arguments: argparse.Namespace) -> int:
     if target is not None:
         write_text(target, json.dumps([asdict(record) for record in records], indent=1) + "\n")
         console().print(f"wrote {target}")
-    return _checked(records, folder.parent / "scripts" / BASELINE) if arguments.check else SOLVED
+    return _checked(records, BASELINE) if arguments.check else SOLVED
 
 
 def _checked(records: list[Record], baseline: Path) -> int:
@@ -137,3 +133,6 @@ PARTS: dict[str, Callable[[Named, list[str]], Iterator[Record]]] = {
     "growth": lambda named, chosen: growth([named("cos", count) for count in SIZES]),
     "sizes": lambda named, chosen: sizes(),
 }
+
+
+main = Command("ctr-nlp benchmark", _parser, _run)

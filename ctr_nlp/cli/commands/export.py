@@ -1,11 +1,12 @@
-"""The program behind scripts/export_commands.py."""
+"""`ctr-nlp export`: a plan as commands that other machines play."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from ctr_nlp.cli.console import SOLVED, console, guarded
+from ctr_nlp.cli.command import Command
+from ctr_nlp.cli.console import SOLVED, console
 from ctr_nlp.cli.output.file import check_file, write_text
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.play_report import print_trajectory
@@ -19,14 +20,9 @@ from ctr_nlp.plan.plan import Plan
 from ctr_nlp.support.interrupt import deferred_interrupt
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Check a plan for some hardware and write it as commands."""
-    return guarded(lambda: _run(_parser().parse_args(argv)))
-
-
-def _parser() -> argparse.ArgumentParser:
+def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="export_commands.py",
+        prog=prog,
         description="Check a plan for some hardware, time it, and write it as commands that other machines play: "
         "csv, a table; gcode, for Grbl and grblHAL, without the tilt; urscript, for the arm that tilts; rosbag2, "
         "a folder with a joint trajectory and joint states.",
@@ -93,3 +89,6 @@ def _write_bag(trajectory: Trajectory, title: str, out: Path, storage: str) -> N
         for file in made.iterdir():
             file.rename(staging / file.name)
         made.rmdir()
+
+
+main = Command("ctr-nlp export", _parser, _run)

@@ -1,12 +1,13 @@
-"""The program behind scripts/make_report.py."""
+"""`ctr-nlp report`: plans as one page for a browser."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from ctr_nlp.cli.arguments import add_film_option, film_file
-from ctr_nlp.cli.console import SOLVED, console, guarded
+from ctr_nlp.cli.arguments import add_film_option, add_out_option, film_file
+from ctr_nlp.cli.command import Command
+from ctr_nlp.cli.console import SOLVED, console
 from ctr_nlp.cli.film import write_film
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.cli.output.folder import check_folder, published
@@ -16,20 +17,15 @@ from ctr_nlp.report import page
 PAGE = "report.html"
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Write plans as one page for a browser."""
-    return guarded(lambda: _run(_parser().parse_args(argv)))
-
-
-def _parser() -> argparse.ArgumentParser:
+def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="make_report.py",
+        prog=prog,
         description=f"Write {PAGE}: the moving robot in three dimensions, plots and numbers of a plan, or of "
         "several side by side in step. It is one file, which opens in a browser without a network.",
         epilog="Exit status: 0 written, 2 bad input, nothing written.",
     )
     parser.add_argument("plans", metavar="PLAN.npz", nargs="+")
-    parser.add_argument("--out", metavar="DIR", default="runs/report", help="(default runs/report)")
+    add_out_option(parser, "runs/report")
     add_film_option(parser)
     return parser
 
@@ -48,3 +44,6 @@ def _run(arguments: argparse.Namespace) -> int:
     if film is not None:
         console().print(f"wrote {film}")
     return SOLVED
+
+
+main = Command("ctr-nlp report", _parser, _run)

@@ -1,0 +1,67 @@
+"""`ctr-nlp completion`: what makes a shell complete subcommands, options and names of problems."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+from ctr_nlp.cli.command import Command
+from ctr_nlp.cli.console import SOLVED
+from ctr_nlp.cli.main import parser as whole_parser
+from ctr_nlp.problems import NAMES
+from ctr_nlp.support.extras import needed
+
+SHELLS = ("bash", "zsh", "fish")
+_NAMES = " ".join(NAMES)
+PROBLEM = {
+    "bash": "_ctr_nlp_problem",
+    "zsh": "_ctr_nlp_problem",
+    "fish": f"(string split ' ' '{_NAMES}'; __fish_complete_path (commandline -ct))",
+}
+"""What completes a problem in each shell: names, and files."""
+PREAMBLE = {
+    "bash": f"_ctr_nlp_problem() {{ compgen -W '{_NAMES}' -- $1; compgen -f -- $1; }}",
+    "zsh": f"_ctr_nlp_problem() {{ _values problem {_NAMES}; _files }}",
+}
+"""What defines these."""
+
+
+def _parser(prog: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=prog,
+        description="Print what makes a shell complete subcommands, options, their values, names of problems and "
+        'files. For bash, put this into ~/.bashrc: eval "$(ctr-nlp completion bash)"; for zsh, write it into a '
+        "file _ctr-nlp in a folder of fpath; for fish, into ~/.config/fish/completions/ctr-nlp.fish.",
+        epilog="Exit status: 0 printed, 2 bad input.",
+    )
+    parser.add_argument("shell", choices=SHELLS)
+    return parser
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    shtab = needed("shtab")
+    parser = whole_parser(every_option=True)
+    for command in _commands(parser):
+        for action in command._actions:
+            _complete(action, shtab)
+    sys.stdout.write(shtab.complete(parser, shell=arguments.shell, preamble=PREAMBLE))
+    return SOLVED
+
+
+def _commands(parser: argparse.ArgumentParser) -> list[argparse.ArgumentParser]:
+    (subparsers,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    return list(subparsers.choices.values())
+
+
+def _complete(action: argparse.Action, shtab: Any) -> None:
+    """Let an argument be completed by what its metavar stands for."""
+    meta = action.metavar if isinstance(action.metavar, str) else ""
+    if isinstance(action.choices, dict):  # shtab takes these for subcommands
+        action.choices = tuple(action.choices)
+    how = PROBLEM if meta == "PROBLEM" else shtab.DIRECTORY if "DIR" in meta else shtab.FILE
+    if meta in ("PROBLEM", "FILE", "DIR") or "." in meta:
+        action.complete = how  # type: ignore[attr-defined]
+
+
+main = Command("ctr-nlp completion", _parser, _run)

@@ -1,0 +1,149 @@
+"""`ctr-nlp doctor`: what is installed and works, what is missing, and how to get it."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import re
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from importlib import metadata
+from pathlib import Path
+from typing import NamedTuple
+
+import ctr_nlp
+from ctr_nlp.cli.command import Command
+from ctr_nlp.cli.console import SOLVED, SOME_FAILED, console, print_table
+from ctr_nlp.codegen import cache
+from ctr_nlp.exceptions import CtrError
+
+NAME = "ctr_nlp"
+"""Of the distribution, whose requirements are looked at."""
+VECTORS = ("avx512f", "avx2", "neon", "asimd")
+"""Features of processors that compiled code gains from, the best first of each kind."""
+
+
+class Finding(NamedTuple):
+    """What was looked at, whether it works, what was seen, and what mends it; core: whether planning needs it."""
+
+    what: str
+    good: bool
+    seen: str
+    remedy: str = ""
+    core: bool = False
+
+
+def _parser(prog: str) -> argparse.ArgumentParser:
+    return argparse.ArgumentParser(
+        prog=prog,
+        description="Tell what is installed and works, what is missing, and the command that brings it.",
+        epilog="Exit status: 0 planning works, 1 it does not. What is optional may be missing.",
+    )
+
+
+def _run(_: argparse.Namespace) -> int:
+    checks: tuple[Callable[[], Iterator[Finding]], ...] = (_packages, _compiler, _cache, _devices, _plan)
+    found = [finding for check in checks for finding in check()]
+    rows = [(one.what, "yes" if one.good else "no", one.seen) for one in found]
+    print_table(f"ctr-nlp {ctr_nlp.__version__}", ("", "works", "found"), rows, text=("works", "found"))
+    for one in found:
+        if not one.good and one.remedy:
+            console().print(f"{one.what}: {one.remedy}", markup=False, soft_wrap=True)
+    broken = [one.what for one in found if one.core and not one.good]
+    told = f"planning does not work: {', '.join(broken)}" if broken else "planning works"
+    console().print(told, markup=False)
+    return SOME_FAILED if broken else SOLVED
+
+
+def _packages() -> Iterator[Finding]:
+    """A line for what the core needs, and one for each extra; `dev` is for those who change this library."""
+    yield Finding("Python", True, f"{platform.python_version()} at {sys.executable}")
+    try:
+        required = metadata.requires(NAME) or []
+    except metadata.PackageNotFoundError:
+        yield Finding("core", True, "unknown: this copy runs without having been installed")
+        return
+    needs: dict[str, list[str]] = {"core": []}
+    for line in required:
+        spec, _, marker = (part.strip() for part in line.partition(";"))
+        found = re.search(r"""extra == ["']([\w-]+)["']""", marker)
+        if found or not marker or sys.version_info < (3, 11):  # the only other marker is of Python below 3.11
+            needs.setdefault(f"extra {found[1]}" if found else "core", []).append(spec)
+    for part, specs in needs.items():
+        versions = {spec: _version(spec) for spec in specs if _name(spec).replace("-", "_") != NAME}
+        seen = ", ".join(f"{_name(spec)} {version or 'missing'}" for spec, version in versions.items())
+        missing = " ".join(f'"{spec}"' for spec, version in versions.items() if version is None)
+        if part != "extra dev":
+            yield Finding(part, not missing, seen, f"{sys.executable} -m pip install {missing}", part == "core")
+
+
+def _name(spec: str) -> str:
+    return re.split(r"[^\w.-]", spec, maxsplit=1)[0]
+
+
+def _version(spec: str) -> str | None:
+    try:
+        return metadata.version(_name(spec))
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _compiler() -> Iterator[Finding]:
+    why, chosen = cache.missing(), cache.compiler()
+    seen = why or ("" if chosen is None else f"{' '.join(chosen.command[:2])}{_features()}")
+    yield Finding(
+        "C compiler", why is None, seen, "install gcc or clang; without, planning is thirty times slower"
+    )
+
+
+def _features() -> str:
+    """Those of VECTORS that Linux tells of the processor; empty where that is not told."""
+    try:
+        told = set(Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").split())
+    except OSError:
+        return ""
+    found = [name for name in VECTORS if name in told]
+    return f"; vectors: {', '.join(found)}" if found else ""
+
+
+def _cache() -> Iterator[Finding]:
+    folder = cache.folder()
+    sizes = [path.stat().st_size for path in folder.rglob("*.so")] if folder.is_dir() else []
+    try:
+        with tempfile.TemporaryDirectory(dir=next(p for p in (folder, *folder.absolute().parents) if p.exists())):
+            writable = True
+    except OSError:
+        writable = False
+    seen = (
+        f"{folder}: {len(sizes)} libraries, {sum(sizes) / 1e6:.0f} MB{'' if writable else ', cannot be written'}"
+    )
+    yield Finding("cache", writable, seen, f"let {cache.FOLDER} name another folder")
+
+
+def _devices() -> Iterator[Finding]:
+    ffmpeg = shutil.which("ffmpeg")
+    yield Finding("ffmpeg", ffmpeg is not None, ffmpeg or "missing", "install it; --film FILE.mp4 needs it")
+    ports = [*Path("/dev").glob("ttyUSB*"), *Path("/dev").glob("ttyACM*")]
+    usable = all(os.access(port, os.R_OK | os.W_OK) for port in ports)
+    if ports:
+        yield Finding(
+            "serial ports", usable, " ".join(map(str, ports)), "join the group that owns them, often dialout"
+        )
+
+
+def _plan() -> Iterator[Finding]:
+    """Two frames of the simplest problem, without compiled code: whether planning works at all."""
+    try:
+        from ctr_nlp.problems import named
+
+        plan = ctr_nlp.solve_per_frame(named("arc", 2), solver="ipopt", direction="forward")
+        good, seen = plan.complete, f"two frames solved, e3 {ctr_nlp.summary(plan)['e3']:.2f} mm"
+    except (CtrError, ImportError, RuntimeError, OSError) as error:
+        good, seen = False, f"{type(error).__name__}: {error}"
+    yield Finding("a plan", good, seen if good else f"not solved: {seen}", core=True)
+
+
+main = Command("ctr-nlp doctor", _parser, _run)

@@ -1,0 +1,51 @@
+"""`ctr-nlp new`: a commented problem, robot or hardware file to start from."""
+
+from __future__ import annotations
+
+import argparse
+from importlib.resources import files
+from pathlib import Path
+
+from ctr_nlp.cli.command import Command
+from ctr_nlp.cli.console import SOLVED, console
+from ctr_nlp.cli.output.file import check_file, write_text
+from ctr_nlp.exceptions import OptionError, OutputError
+
+NEXT = {
+    "problem.py": "ctr-nlp plan {file}",
+    "robot.toml": "ctr-nlp plan bronchus --robot {file}",
+    "hardware.toml": "ctr-nlp play PLAN.npz --hardware {file} --dry-run",
+}
+"""Template -> what can be done with a copy of it."""
+KINDS = {Path(name).stem: name for name in NEXT}
+
+
+def _parser(prog: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=prog,
+        description="Write a file with comments to start from: a problem (.py), a robot or its hardware (.toml).",
+        epilog="Exit status: 0 written, 2 bad input, nothing written; a file that is there is never replaced.",
+    )
+    parser.add_argument("kind", choices=KINDS)
+    parser.add_argument("file", metavar="FILE", help="to write; its name ends in .py or .toml")
+    return parser
+
+
+def template(name: str) -> str:
+    """The text of a template, a key of NEXT."""
+    return files("ctr_nlp.cli").joinpath("templates", name).read_text(encoding="utf-8")
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    name, file = KINDS[arguments.kind], Path(arguments.file)
+    if file.suffix != Path(name).suffix:
+        raise OptionError(f"file is {file}; the name of a {arguments.kind} file ends in {Path(name).suffix}")
+    if file.exists() or file.is_symlink():
+        raise OutputError(f"{file} exists and is left as it is; name another file")
+    check_file(file, "")
+    write_text(file, template(name))
+    console().print(f"wrote {file}; next: {NEXT[name].format(file=file)}", markup=False, soft_wrap=True)
+    return SOLVED
+
+
+main = Command("ctr-nlp new", _parser, _run)

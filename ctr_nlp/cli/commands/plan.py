@@ -1,0 +1,193 @@
+"""`ctr-nlp plan`, and its two halves: `ctr-nlp steer`, frame by frame, and scripts/solve_horizon.py, all at once.
+
+A plan is by default found over a horizon: that is never worse than the best motion frame by frame, from which it
+starts, and where the problem is compiled takes a small part of a second longer.
+"""
+
+from __future__ import annotations
+
+import argparse
+from contextlib import nullcontext
+from functools import partial
+from pathlib import Path
+
+from ctr_nlp.cli import live, problems
+from ctr_nlp.cli.arguments import (
+    DEFAULTS,
+    FRAME_SETTINGS,
+    add_compile_option,
+    add_film_option,
+    add_out_option,
+    add_problem_options,
+    add_settings,
+    film_file,
+    read_start,
+    settings_from,
+)
+from ctr_nlp.cli.command import Command
+from ctr_nlp.cli.console import INTERRUPTED, console, progress_bar
+from ctr_nlp.cli.film import write_film
+from ctr_nlp.cli.output.folder import check_folder, place_of, published
+from ctr_nlp.cli.output.names import path_component
+from ctr_nlp.cli.plan_options import (
+    FRAMES_ALONE,
+    HORIZON,
+    HORIZON_ALONE,
+    WALL,
+    add_file_options,
+    add_frame_options,
+    add_horizon_options,
+    add_model_options,
+    add_motion_options,
+    add_wall_options,
+    moved,
+)
+from ctr_nlp.cli.report import exit_status, print_front, print_report, write, write_front
+from ctr_nlp.cli.term_options import add_term_options, terms_from
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.formulations import FORMULATIONS
+from ctr_nlp.formulations.settings import Settings, check_motion_weight
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS
+from ctr_nlp.steer import Horizon, march
+from ctr_nlp.steer.nlp_frames import NlpFrames
+from ctr_nlp.steer.requests import Direction, check_search, checked_ends, checked_motions
+from ctr_nlp.studies.trade_off import WEIGHTS, Point, trade_off
+from ctr_nlp.support.interrupt import deferred_interrupt, end_if_interrupted
+from ctr_nlp.target.fit import check_radii
+from ctr_nlp.target.problem import Problem
+
+
+def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser:
+    """The options of some formulations, the first of which is the default."""
+    frames, horizon = set(formulations) != {HORIZON}, HORIZON in formulations
+    how = " or ".join(["all frames in one program"] * horizon + ["frame by frame"] * frames)
+    parser = argparse.ArgumentParser(
+        prog=prog,
+        description=f"Follow a target with the whole shape of the robot, {how}; write plan.npz, errors.csv, "
+        "summary.json and pictures.",
+        epilog="Exit status: 0 no verdict is no, 1 one is, 2 bad input, 130 interrupted (the best motion so far "
+        "goes into DIR/interrupted, and DIR's own files stay).",
+    )
+    parser.add_argument("problem", metavar="PROBLEM", help=problems.KINDS)
+    add_problem_options(parser)
+    parser.set_defaults(formulation=formulations[0])
+    if len(formulations) > 1:
+        help = "horizon: all frames at once; the others frame by frame " * (horizon and frames)
+        parser.add_argument("--formulation", choices=formulations, help=f"{help}(default {formulations[0]})")
+    add_model_options(parser)
+    solvers = [*SOLVERS] * frames + [*CHAIN_SOLVERS] * horizon
+    compiled = " or ".join(["sqp"] * frames + ["banded"] * horizon)
+    parser.add_argument(
+        "--solver",
+        choices=list(dict.fromkeys(solvers)),
+        help=f"(default {compiled} where there is a C compiler, else ipopt)",
+    )
+    add_compile_option(parser)
+    add_out_option(parser, "runs/PROBLEM-FORMULATION-MODEL")
+    add_film_option(parser)
+    add_motion_options(parser)
+    if frames:
+        add_frame_options(parser)
+    if horizon:
+        add_horizon_options(parser)
+    weights = ["motion costs a tenth of the start's shape errors"] * horizon
+    weights += [f"{DEFAULTS.motion_weight:g}{' frame by frame' * horizon}"] * frames
+    add_settings(parser, "; ".join(weights), jumps=frames)
+    add_file_options(parser)
+    add_term_options(parser)
+    add_wall_options(parser)
+    return parser
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    whole, swept = arguments.formulation == HORIZON, getattr(arguments, "sweep_motion_weight", None)
+    _check_fit(arguments)
+    for weight in swept or ():
+        check_motion_weight(weight)
+    problem = moved(problems.load(arguments.problem, arguments), arguments)
+    name = f"{path_component(problem.name)}-{arguments.formulation}-{arguments.model}"
+    out, film = Path(arguments.out or f"runs/{name}"), film_file(arguments)
+    check_folder(out, "plan", film)
+    plan, points = _at_once(arguments, problem) if whole else (_by_frame(arguments, problem), [])
+    if arguments.evaluate is not None:
+        plan = plan.on(arguments.evaluate)
+    with deferred_interrupt() as pressed:
+        interrupted = plan.meta["interrupted"] or (swept is not None and pressed())
+    place = place_of(out, interrupted)
+    with published(place, "plan") as staging:
+        write(plan, staging)
+        if points:
+            write_front(points, problem.name, staging)
+        files = sorted(path.name for path in staging.iterdir())
+        if film is not None:
+            film = write_film([plan], film, out, place, staging)
+    print_report(plan, place, files)
+    if points:
+        print_front(points)
+    if film is not None:
+        console().print(f"wrote {film}")
+    return INTERRUPTED if interrupted else exit_status(plan)
+
+
+def _check_fit(arguments: argparse.Namespace) -> None:
+    """Raise OptionError for an option that the chosen formulation does not have."""
+    whole = arguments.formulation == HORIZON
+    for name in FRAMES_ALONE if whole else HORIZON_ALONE:
+        if not any(getattr(arguments, name, None) is unset for unset in (None, False)):
+            fitting = f"one of {', '.join(FORMULATIONS)}" if whole else HORIZON
+            raise OptionError(
+                f"--{name.replace('_', '-')} does not go with --formulation {arguments.formulation}; "
+                f"it goes with {fitting}"
+            )
+
+
+def _settings(arguments: argparse.Namespace, problem: Problem, *names: str) -> Settings:
+    """The Settings of the wall and of these names; raises OptionError, and ProblemError without a wall."""
+    if any(getattr(arguments, name) for name in WALL):
+        check_radii(problem)
+    return settings_from(arguments, *names, *WALL)
+
+
+def _by_frame(arguments: argparse.Namespace, problem: Problem) -> Plan:
+    settings = _settings(arguments, problem, *FRAME_SETTINGS)
+    direction: Direction = arguments.direction or "best"
+    start = None if arguments.start is None else read_start(arguments.start)
+    checked_ends(problem, direction, start)
+    chosen = arguments.formulation, arguments.solver, arguments.model, settings
+    solver = NlpFrames.of(problem, *chosen, terms_from(arguments))
+    problems.tell(problem)
+    end_if_interrupted()
+    with progress_bar() as labelled:
+        plan = march(problem, solver, direction, start, labelled(problem.name))
+    if not plan.reached.any():
+        end_if_interrupted()
+    return plan
+
+
+def _at_once(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan, list[Point]]:
+    """The plan, and the points of a sweep where one is asked for."""
+    settings, jobs = _settings(arguments, problem, "seed"), 1 if arguments.jobs is None else arguments.jobs
+    start, end = (None if path is None else read_start(path) for path in (arguments.start, arguments.end))
+    check_search(arguments.motion_weight, arguments.starts, jobs)
+    initial = checked_motions(problem, [Plan.load(path).q for path in arguments.initial or ()])
+    points: list[Point] = []
+    with live.solving(problem, arguments.model) if arguments.live else nullcontext() as seen:
+        terms = terms_from(arguments)
+        horizon = Horizon(problem, arguments.model, arguments.solver, start, end, settings, terms)
+        problems.tell(problem)
+        end_if_interrupted()
+        with progress_bar() as labelled:
+            show = labelled(problem.name)
+            plan = horizon.solve(initial, arguments.motion_weight, arguments.starts, jobs, show, seen)
+            if seen is not None:
+                seen.ended(plan)
+            if arguments.sweep_motion_weight is not None:
+                weights = arguments.sweep_motion_weight or WEIGHTS
+                points = trade_off(horizon, plan, weights, settings, labelled)
+    return plan, points
+
+
+plan = Command("ctr-nlp plan", partial(_parser, (HORIZON, *FORMULATIONS)), _run)
+steer = Command("ctr-nlp steer", partial(_parser, tuple(FORMULATIONS)), _run)
+horizon = Command("solve_horizon.py", partial(_parser, (HORIZON,)), _run)

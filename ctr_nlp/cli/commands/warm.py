@@ -1,0 +1,80 @@
+"""`ctr-nlp warm`: what problems are solved with, compiled before it is needed."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+
+from ctr_nlp.cli import problems
+from ctr_nlp.cli.arguments import add_problem_options
+from ctr_nlp.cli.command import Command
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, console, print_table, progress_bar
+from ctr_nlp.codegen import cache
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.models import MODELS, suits
+from ctr_nlp.problems import NAMES
+from ctr_nlp.steer import solve_horizon, solve_per_frame
+from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.target.problem import Problem
+
+FRAMES = 3
+"""Of each problem; what is compiled does not depend on their number."""
+BUILDS = {
+    "frame by frame": lambda problem, model: solve_per_frame(problem, model=model),
+    "horizon": lambda problem, model: solve_horizon(problem, model=model),
+}
+"""A few frames planned so compile all that plans of their structure are solved with."""
+
+
+def _parser(prog: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=prog,
+        description="Compile what problems are solved with, frame by frame and over a horizon, so that their "
+        "first plans need not wait. What is in the cache already stays.",
+        epilog="Exit status: 0 all compiled, 2 bad input or no C compiler, 130 interrupted (what was compiled "
+        "stays).",
+    )
+    parser.add_argument("problems", metavar="PROBLEM", nargs="*", help=f"{problems.KINDS} (default all names)")
+    parser.add_argument("--models", nargs="+", choices=MODELS, default=list(MODELS), help="(default all)")
+    add_problem_options(parser)
+    parser.set_defaults(frames=FRAMES)
+    return parser
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    if why := cache.missing():
+        raise OptionError(f"nothing can be compiled: {why}")
+    os.environ[cache.SWITCH] = "now"
+    chosen = [problems.load(name, arguments) for name in arguments.problems or NAMES]
+    tasks = [
+        (problem, model, how)
+        for problem in chosen
+        for model in arguments.models
+        if suits(problem.robot, model)
+        for how in BUILDS
+    ]
+    rows = list[tuple[str, str, str, float]]()
+    with deferred_interrupt() as interrupted, progress_bar() as labelled:
+        report = labelled("compiling")
+        for number, (problem, model, how) in enumerate(tasks):
+            if interrupted():
+                break
+            report(number, len(tasks), f"{problem.name}, {model}, {how}")
+            rows.append((problem.name, model, how, _seconds(problem, model, how)))
+        stopped = len(rows) < len(tasks)
+    print_table("ready", ("problem", "model", "how", "s"), rows, text=("model", "how"))
+    console().print(f"kept in {cache.folder()}", markup=False)
+    if stopped:
+        sys.stderr.write("interrupted; what was compiled is kept\n")
+    return INTERRUPTED if stopped else SOLVED
+
+
+def _seconds(problem: Problem, model: str, how: str) -> float:
+    begin = time.perf_counter()
+    BUILDS[how](problem, model)
+    return time.perf_counter() - begin
+
+
+main = Command("ctr-nlp warm", _parser, _run)

@@ -1,0 +1,93 @@
+"""The command `ctr-nlp`: which subcommands there are. Each is loaded when it is called, and nothing else is."""
+
+from __future__ import annotations
+
+import importlib
+import signal
+import sys
+from typing import TYPE_CHECKING, NamedTuple
+
+import ctr_nlp
+
+if TYPE_CHECKING:
+    import argparse
+
+    from ctr_nlp.cli.command import Command
+
+
+class Entry(NamedTuple):
+    """A subcommand: the module of ctr_nlp.cli that holds it, its name there, and what it is for."""
+
+    module: str
+    name: str
+    summary: str
+
+
+COMMANDS = {
+    "plan": Entry("commands.plan", "plan", "plan a motion whose whole shape follows a target"),
+    "steer": Entry("commands.plan", "steer", "plan frame by frame, as a robot must while its target moves"),
+    "branches": Entry("commands.branches", "main", "list the branches of a centreline file"),
+    "report": Entry("commands.report", "main", "write plans as one page for a browser"),
+    "export": Entry("commands.export", "main", "write a plan as commands for other machines"),
+    "play": Entry("commands.play", "main", "check a plan for some hardware and play it there"),
+    "commission": Entry("commands.commission", "main", "read a controller, try its axes and keep its settings"),
+    "compare": Entry("studies.compare", "main", "solve problems by several methods, side by side"),
+    "reproduce": Entry("studies.reproduce", "main", "remake the paper's figures and tables"),
+    "clearance": Entry("studies.clearance", "main", "study what clearance costs and brings in many airways"),
+    "benchmark": Entry("studies.benchmark", "main", "measure speed, and compare it with a baseline"),
+    "new": Entry("commands.new", "main", "write a problem, robot or hardware file to start from"),
+    "warm": Entry("commands.warm", "main", "compile what problems need before it is needed"),
+    "doctor": Entry("commands.doctor", "main", "tell what is installed, what is missing and how to get it"),
+    "completion": Entry("commands.completion", "main", "print what completes commands in a shell"),
+}
+"""Every subcommand by its name, in the order in which --help lists them."""
+
+HORIZON = Entry("commands.plan", "horizon", "plan a whole motion at once")
+"""`ctr-nlp plan --formulation horizon` without the options of other formulations: scripts/solve_horizon.py."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """The command `ctr-nlp`: run the subcommand that argv names; the exit status."""
+    if argv is None:
+        _hold_interrupts()
+    given = sys.argv[1:] if argv is None else argv
+    if given and given[0] in COMMANDS:
+        return load(COMMANDS[given[0]])(given[1:])
+    parser().parse_args(given)
+    return 0
+
+
+def script(entry: Entry) -> int:
+    """Run a subcommand under the name of the script that was started; the exit status."""
+    _hold_interrupts()
+    return load(entry)(prog=sys.argv[0].replace("\\", "/").rpartition("/")[2])
+
+
+def load(entry: Entry) -> Command:
+    """A subcommand, imported."""
+    command: Command = getattr(importlib.import_module(f"ctr_nlp.cli.{entry.module}"), entry.name)
+    return command
+
+
+def parser(every_option: bool = False) -> argparse.ArgumentParser:
+    """The subcommands; with all their options, which imports them, only where these are asked for."""
+    import argparse  # not before Ctrl-C is held back
+
+    made = argparse.ArgumentParser(
+        prog="ctr-nlp",
+        description="Steer concentric tube robots so that their whole shape follows a target.",
+        epilog="`ctr-nlp COMMAND --help` tells the options of a command. Exit status of every command: 0 all is "
+        "well, 1 something is not, 2 bad input (nothing written), 130 interrupted.",
+    )
+    made.add_argument("--version", action="version", version=f"ctr-nlp {ctr_nlp.__version__}")
+    commands = made.add_subparsers(metavar="COMMAND", required=True, title="commands")
+    for name, entry in COMMANDS.items():
+        options = [load(entry).parser(f"ctr-nlp {name}")] if every_option else []
+        commands.add_parser(name, help=entry.summary, parents=options, add_help=not options)
+    return made
+
+
+def _hold_interrupts() -> None:
+    """Keep Ctrl-C waiting while a program is loaded, until it can answer."""
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})

@@ -1,0 +1,149 @@
+"""Options of the programs that plan, in groups; None, or False, where not given."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+
+from ctr_nlp.anatomy.files import CENTRELINES, MASKS
+from ctr_nlp.cli.arguments import DEFAULTS, add_entry_option, add_live_option, whole
+from ctr_nlp.models import MODELS
+from ctr_nlp.steer import DIRECTIONS
+from ctr_nlp.studies.trade_off import WEIGHTS
+from ctr_nlp.target.problem import Problem
+
+HORIZON = "horizon"
+"""The formulation that takes all frames at once."""
+FRAMES_ALONE = ("direction", "jump_width")
+"""Options that no horizon has."""
+HORIZON_ALONE = ("end", "initial", "starts", "jobs", "sweep_motion_weight", "live")
+"""Options that a horizon alone has."""
+WALL = ("clearance", "contact_weight", "clearance_cost", "contact_allowed")
+"""What add_wall_options adds, as Settings calls it."""
+
+
+def add_model_options(parser: argparse.ArgumentParser) -> None:
+    """The model to plan on, and the one that errors are taken on."""
+    parser.add_argument("--model", choices=MODELS, default="dominant", help="(default dominant)")
+    parser.add_argument(
+        "--evaluate",
+        choices=MODELS,
+        help="model on which the plan's shapes are found (default: the one planned on)",
+    )
+
+
+def add_motion_options(parser: argparse.ArgumentParser) -> None:
+    """What is asked of any motion."""
+    group = parser.add_argument_group("the motion")
+    group.add_argument("--start", metavar="Q.json", help="configuration at time 0, where the robot stands now")
+    group.add_argument("--retract", action="store_true", help="plan the way back: the frames in opposite order")
+    group.add_argument("--lock-tilt", action="store_true", help="no arm: the tilt stays 0")
+    for kind, units in (("speed", "rad/s, mm/s, rad/s"), ("acceleration", "rad/s^2, mm/s^2, rad/s^2")):
+        group.add_argument(
+            f"--{kind}",
+            metavar=("ALPHA", "BETA", "THETA"),
+            nargs=3,
+            type=float,
+            help=f"largest {kind}s in {units} (default: the robot's)",
+        )
+
+
+def moved(problem: Problem, arguments: argparse.Namespace) -> Problem:
+    """The problem with the limits and in the direction that add_motion_options' arguments ask for."""
+    robot = problem.robot.with_locked_tilt() if arguments.lock_tilt else problem.robot
+    for kind in ("speed", "acceleration"):
+        if getattr(arguments, kind) is not None:
+            names = (f"alpha_{kind}", f"beta_{kind}", f"theta_{kind}")
+            robot = robot.with_limits(**dict(zip(names, getattr(arguments, kind), strict=True)))
+    problem = replace(problem, robot=robot)
+    return problem.retraction() if arguments.retract else problem
+
+
+def add_frame_options(parser: argparse.ArgumentParser) -> None:
+    """What is asked of a motion found frame by frame."""
+    group = parser.add_argument_group("frame by frame")
+    group.add_argument("--direction", choices=DIRECTIONS, help="order in which frames are solved (default best)")
+
+
+def add_horizon_options(parser: argparse.ArgumentParser) -> None:
+    """What is asked of a motion found at once."""
+    group = parser.add_argument_group("all frames at once")
+    group.add_argument("--end", metavar="Q.json", help="configuration of the last frame")
+    group.add_argument(
+        "--sweep-motion-weight",
+        metavar="S2",
+        nargs="*",
+        type=float,
+        help="also solve for these weights and draw error against roughness beside other methods "
+        f"(default {WEIGHTS[0]:g} to {WEIGHTS[-1]:g})",
+    )
+    group.add_argument(
+        "--initial", metavar="PLAN.npz", nargs="+", help="plans to start from, instead of frame by frame"
+    )
+    group.add_argument("--starts", metavar="N", type=whole, help="motions to start from (default: all there are)")
+    group.add_argument("--jobs", metavar="N", type=whole, help="processes for them (default 1)")
+    add_live_option(group, "the motion as it is solved for, or with --jobs the best yet,")
+
+
+def add_wall_options(parser: argparse.ArgumentParser) -> None:
+    """How the lumen's wall counts: WALL."""
+    group = parser.add_argument_group("the lumen's wall, where radii are known")
+    for option, metavar, what in (
+        ("clearance", "MM", "to keep between tubes and wall"),
+        (
+            "contact-weight",
+            "MM",
+            "what a mm less of it costs in a frame, beside the mean square error in mm^2; 0: the wall does not "
+            "count",
+        ),
+        (
+            "clearance-cost",
+            "PART",
+            "by what part of itself the error e3 may grow for clearance; where it would grow by more, contact "
+            "costs less; inf: contact always costs its full weight",
+        ),
+        (
+            "contact-allowed",
+            "MM",
+            "how far any place of the robot may be beyond the wall before the plan is not within it, since tissue "
+            "gives a little",
+        ),
+    ):
+        default = getattr(DEFAULTS, option.replace("-", "_"))
+        group.add_argument(f"--{option}", metavar=metavar, type=float, help=f"{what} (default {default:g})")
+
+
+def add_file_options(parser: argparse.ArgumentParser) -> None:
+    """What is done to a path from a file before it is followed: problems.FILE_OPTIONS."""
+    kinds = f"a centreline ({', '.join(CENTRELINES)}) or a mask of the lumen ({', '.join(MASKS)})"
+    group = parser.add_argument_group(
+        f"where PROBLEM is {kinds}", "Points and directions are in the file's own coordinates, in mm."
+    )
+    group.add_argument(
+        "--branch", metavar="NAME|NUMBER", help="which branch of several; `ctr-nlp branches` lists them"
+    )
+    add_entry_option(group, "the branch's first")
+    for option, what in (
+        ("target", "point where it is to arrive (default: the branch's last); a mask needs both"),
+        ("insertion", "direction in which it is inserted (default: that of the path's first 10 mm)"),
+    ):
+        group.add_argument(f"--{option}", metavar=("X", "Y", "Z"), nargs=3, type=float, help=what)
+    group.add_argument(
+        "--tilt",
+        metavar="DEG",
+        type=float,
+        help="how far the base may tilt about each axis (default: the robot's)",
+    )
+    group.add_argument(
+        "--reverse", action="store_true", default=None, help="the file's lines run from the tip to the root"
+    )
+    group.add_argument(
+        "--smoothing",
+        metavar="MM",
+        type=float,
+        help="how far the followed curve may keep from the path, never more than half of the lumen's radius "
+        "(default 0: through all points)",
+    )
+    group.add_argument(
+        "--trim", choices=("start", "end"), help="which end to drop where it is longer than the robot reaches"
+    )

@@ -1,0 +1,1 @@
+"""Programs that solve many problems: comparisons, the paper remade, clearance, benchmarks."""

@@ -1,0 +1,29 @@
+"""Follow a target that is known only at the present moment: one configuration for each shape that comes in."""
+
+import numpy as np
+
+import ctr_nlp as ctr
+
+DT, SIGMA = 0.1, np.linspace(0, 1, 101)
+"""Seconds from one target to the next, and places along a shape."""
+
+
+def target(moment: float) -> ctr.Curve:
+    """A path 120 mm deep, at a moment in s: it bends more and less, as a breathing lung does."""
+    bend = 0.004 + 0.001 * np.sin(1.5 * moment)
+    return ctr.curve_from_formula(lambda u: (bend * u**2, 0.0, u), 0.0, 120.0)
+
+
+robot = ctr.table_i_robot()
+first = ctr.Problem("first", robot, ctr.sequence([target(0.0)]))
+q = ctr.solve_per_frame(first).q[0]  # where the robot stands when the target begins to move
+steerer = ctr.Steerer(robot, q, DT)
+
+for number in range(1, 31):
+    path = target(number * DT)
+    points = path.point(SIGMA * path.length)  # (101, 3) in mm
+    q = steerer.step(points)  # within the robot's limits of speed; some 50 µs where it is compiled
+    if number % 5 == 0:
+        shape = ctr.shape_curve(robot, q)
+        error = np.sqrt(np.mean(np.sum((shape.point(SIGMA * shape.length) - points) ** 2, axis=1)))
+        print(f"{number * DT:.1f} s: error {error:.2f} mm, tubes out by {q[3]:.0f}, {q[4]:.0f} and {q[5]:.0f} mm")

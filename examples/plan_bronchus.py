@@ -1,0 +1,15 @@
+"""Plan a robot's way along a bronchus, all frames at once; print how well it follows, and save the plan."""
+
+import ctr_nlp as ctr
+from ctr_nlp.problems import named
+
+problem = named("bronchus", frames=20)
+plan = ctr.solve_horizon(problem)
+
+found = ctr.summary(plan)
+print(f"{problem.frames} frames, e3 {found['e3']:.2f} mm, largest error {found['e_max']:.2f} mm")
+for verdict in plan.verdicts:
+    print(f"{verdict.matter}: {verdict.word}. {verdict.why}")
+
+plan.save("bronchus.npz")
+print("wrote bronchus.npz; `ctr-nlp report bronchus.npz` makes a page of it")
