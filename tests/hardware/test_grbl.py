@@ -65,6 +65,16 @@ def test_every_line_of_a_recorded_session_can_be_read(shared_data: Path) -> None
     assert None not in reports
 
 
+@pytest.mark.parametrize("digit", ["¹", "²", "³"])
+def test_noise_that_looks_like_a_digit_is_no_number(digit: str) -> None:
+    """Python takes these, of Latin-1, for digits, but not for numbers."""
+    text = "<Run|MPos:0.000,0.000,0.000,0.000,0.000,0.000|Bf:{free},1023|Ln:{line}|FS:0,0|Ov:{override},100,100>"
+    numbers = {"free": "11", "line": "17", "override": "100"}
+    reports = {name: report_of(text.format(**numbers | {name: f"{digit}1"}), 6) for name in numbers}
+    assert reports["line"] is None
+    assert (reports["free"].free, reports["override"].override) == (None, None)
+
+
 def test_a_report_tells_position_line_and_room() -> None:
     report = report_of("<Hold:0|MPos:-1.500,0.000,2.250,0.000,0.000,40.010|Bf:72,1023|Ln:17|FS:6,0|WCO:0,0>", 6)
     assert report is not None

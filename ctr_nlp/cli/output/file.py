@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import tempfile
+import secrets
 from pathlib import Path
 
+from ctr_nlp.cli.output.manifest import MARK
 from ctr_nlp.exceptions import OutputError
 from ctr_nlp.support.whole_file import whole_file
 
@@ -24,9 +25,13 @@ def check_file(file: Path, opening: str) -> None:
 
 
 def try_beside(path: Path) -> None:
-    """Make something where path is to be, and take it away; raises OSError."""
-    with tempfile.TemporaryDirectory(dir=next(p for p in path.absolute().parents if p.exists())):
-        pass
+    """Make something where path is to be, and take it away; raises OSError.
+
+    It has the name of a staging folder: a run that is killed meanwhile leaves what the next one tidies away.
+    """
+    trial = next(p for p in path.absolute().parents if p.exists()) / f"{MARK}-{secrets.token_hex(4)}"
+    trial.mkdir()
+    trial.rmdir()
 
 
 def write_text(file: Path, text: str) -> None:

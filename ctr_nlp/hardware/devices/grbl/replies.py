@@ -47,7 +47,9 @@ _PATTERNS = (
 )
 
 REPORT = re.compile(r"<(?P<state>[A-Z][a-z]+)(:(?P<part>\d+))?\|(?P<fields>[^<>]*)>")
-NUMBERS = re.compile(r"-?\d+\.\d+(,-?\d+\.\d+)*")
+NUMBERS = re.compile(r"-?\d+\.\d+(,-?\d+\.\d+)*", re.ASCII)
+WHOLE = re.compile(r"\d+", re.ASCII)
+"""Noise has digits of other kinds, as ¹, which are no numbers."""
 
 
 def reply_of(text: str) -> Reply:
@@ -67,7 +69,7 @@ def report_of(text: str, axes: int) -> Report | None:
     fields = dict(field.partition(":")[::2] for field in found["fields"].split("|"))
     position = _numbers(fields.get("MPos"), axes)
     line, free = fields.get("Ln", "0"), fields.get("Bf", "").partition(",")[0]
-    if position is None or not line.isdigit():
+    if position is None or not WHOLE.fullmatch(line):
         return None
     stopped = found["state"] == "Hold" and found["part"] == "0"
     override = fields.get("Ov", "").partition(",")[0]
@@ -76,8 +78,8 @@ def report_of(text: str, axes: int) -> Report | None:
         stopped,
         position,
         int(line),
-        int(free) if free.isdigit() else None,
-        float(override) if override.isdigit() else None,
+        int(free) if WHOLE.fullmatch(free) else None,
+        float(override) if WHOLE.fullmatch(override) else None,
     )
 
 

@@ -35,8 +35,8 @@ def stopped(talk: Talk, clock: Clock, homing: bool = False) -> Report:
     hold, the reset is sent all the same. Raises DeviceFault where the position is not to be trusted afterwards.
     """
     talk.link.write(HOLD + JOG_CANCEL)
-    restarted = talk.lost
     rested = None if homing else _rested(talk, clock)
+    restarted = talk.lost
     talk.link.write(RESET)
     said = [reply.kind for reply in talk.until("banner", RESTART) if reply.kind != "report"]
     if "banner" not in said:

@@ -27,7 +27,7 @@ class Commands(Execution):
             self._change(text)
         elif upper in QUERIES:
             self._tell(QUERIES[upper](self))
-        elif text.isdigit() and int(text) in self.settings:
+        elif text.isdecimal() and int(text) in self.settings:
             self._tell([self.settings.shown(int(text))])
         else:
             raise Refused(NOT_UNDERSTOOD)
@@ -43,7 +43,7 @@ class Commands(Execution):
 
     def _change(self, text: str) -> None:
         """Apply `n=value`."""
-        if not text.partition("=")[0].strip().isdigit():
+        if not text.partition("=")[0].strip().isdecimal():
             raise Refused(NOT_UNDERSTOOD)
         self._check_state("Idle", "Alarm")
         number = self.settings.change(text)
