@@ -179,8 +179,7 @@ class Stream:
             self._send(now)
 
     def _send(self, now: float) -> None:
-        if now - self._stamp > FRESH:
-            return
+        """Lines within the window. A player that was suspended between two of them sends no more before it looks."""
         room = self._identity.receive - SPARE
         if self._filled:
             room = min(IN_FLIGHT, room)
@@ -189,6 +188,8 @@ class Stream:
         done = min(self._place.time, now - self._schedule)  # a report that lies cannot hurry the motion
         open_to = self._window.open_to(done)
         while self._sent < open_to:
+            if self._clock.now() - self._stamp > FRESH:
+                return
             line = self._lines[self._sent]
             if self._waiting and self.in_flight + len(line) > room:
                 return
