@@ -1,4 +1,4 @@
-"""The one way in which motion behind a Grbl controller is stopped, against a controller whose words are written."""
+"""How motion behind a Grbl controller is stopped, against a controller whose words are written here."""
 
 import pytest
 
@@ -43,7 +43,8 @@ class Controller:
 
 
 def stop(controller):
-    return stopped(Talk(controller, Clock()), Clock())
+    clock = Clock()
+    return stopped(Talk(controller, clock), clock)
 
 
 def test_a_controller_that_says_nothing_else_is_trusted():
@@ -53,7 +54,7 @@ def test_a_controller_that_says_nothing_else_is_trusted():
 @pytest.mark.parametrize("words", [b"ALARM:1\r\n", BANNER], ids=["alarm", "banner"])
 def test_what_is_said_between_the_hold_and_the_reset_is_not_forgotten(words):
     """By then it has stopped itself, or has restarted: its count of steps may be wrong."""
-    with pytest.raises(DeviceFault, match="the controller said .* before it was stopped"):
+    with pytest.raises(DeviceFault, match=r"the controller said .* before it was stopped"):
         stop(Controller(in_hold=words))
 
 

@@ -1,0 +1,126 @@
+"""Robots of one structure share every compiled program; what is another structure is told by kinds and limits."""
+
+import math
+import time
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_formula, growing, table_i_robot
+from ctr_nlp.codegen import cache, vector
+from ctr_nlp.formulations.frames import FrameResult, starts
+from ctr_nlp.models import MODELS
+from ctr_nlp.models.protocol import samples
+from ctr_nlp.robot.structure import NUMBERS, Structure
+from ctr_nlp.steer.nlp_frames import NlpFrames
+
+COUNTS = pytest.mark.parametrize("count", [25, pytest.param(1000, marks=pytest.mark.slow)])
+
+
+def drawn(rng, d):
+    """A robot of d arcs, each tube longer, thinner and by far less stiff than the one around it."""
+    outer, length, curved, tubes = rng.uniform(4.5, 6.5), rng.uniform(80, 120), rng.uniform(40, 60), []
+    for _ in range(d):
+        inner = outer * rng.uniform(0.72, 0.8)
+        curvature = rng.uniform(0.004, min(0.02, 0.03 / outer))
+        tubes.append(Tube(length, curved, curvature, outer, inner, rng.uniform(0.25, 0.4)))
+        outer, length, curved = (
+            inner * rng.uniform(0.75, 0.9),
+            length + rng.uniform(70, 150),
+            curved + rng.uniform(30, 55),
+        )
+    return Robot(tuple(tubes))
+
+
+def one_frame(robot):
+    """A problem of a single frame, as long as most of the robot."""
+    radius, length = 80.0, 0.9 * robot.reach
+    path = curve_from_formula(
+        lambda u: (radius * (ca.cos(u) - 1), 0, radius * ca.sin(u)), 0.0, min(length / radius, 1.5)
+    )
+    return Problem("drawn", robot, growing(path, 1))
+
+
+@COUNTS
+@pytest.mark.parametrize("d", [2, 3, 4])
+@pytest.mark.parametrize("model", ["dominant", "elastic"])
+def test_random_robots_of_one_structure_are_compiled_once(d, model, count, monkeypatch, capsys):
+    """The first robot compiles; the others are planned with what it left. Times are told, and not judged."""
+    if cache.missing():
+        pytest.skip("no C compiler")
+    written = list[str]()
+    monkeypatch.setattr(vector, "vector_code", told(written, vector.vector_code))
+    rng, seconds, failed = np.random.default_rng(d), list[float](), 0
+    for number in range(count + 1):
+        problem = one_frame(drawn(rng, d))
+        if number == 1:
+            written.clear()
+        assert problem.samples
+        begin = time.process_time()
+        solved = first_solution(problem, MODELS[model])
+        seconds.append(time.process_time() - begin)
+        failed += not solved
+    assert written == []
+    assert failed < 0.05 * count + 1
+    with capsys.disabled():
+        median = 1e3 * float(np.median(seconds[1:]))
+        print(
+            f"\n{count} robots of {d} tubes, {model}: {median:.2f} ms to the first solution, {failed} not solved"
+        )
+
+
+def first_solution(problem, model):
+    """Whether one of eight starts leads to a solution; the first that does ends the search."""
+    frames = NlpFrames.of(problem, model=model)
+    guesses = starts(problem.robot, problem.samples[0], 8)
+    return any(
+        frames.again(
+            0, FrameResult(q, x=model.guess(problem.robot, q) if model.several_equilibria else None)
+        ).success
+        for q in guesses
+    )
+
+
+def told(written, code):
+    def counted(functions, lanes=vector.LANES):
+        written.extend(function.name() for function in functions)
+        return code(functions, lanes)
+
+    return counted
+
+
+def test_a_structure_says_what_must_be_compiled():
+    first, second, third = table_i_robot().tubes
+    bent = Tube(first.length, first.curved_length, (0.004, 0.009), first.outer_diameter, first.inner_diameter)
+    straight = Tube(second.length, second.curved_length, 0.0, second.outer_diameter, second.inner_diameter)
+    robot = Robot((bent, straight, third), Limits(beta=[(0, 50), (0, 150), (0, 150)], carriage_gap=3.0))
+    assert robot.structure == Structure(("linear", "straight", "arc"), (False, True, False), True)
+    assert table_i_robot().structure == Structure(("arc",) * 3, (False,) * 3, False)
+
+
+def test_numbers_are_those_of_the_tubes():
+    robot = table_i_robot()
+    assert robot.numbers.shape == (3, len(NUMBERS))
+    for row, tube, numbers in zip(robot.numbers, robot.tubes, robot.tube_numbers, strict=True):
+        expected = tube.length, tube.curved_length, tube.tip_curvature, tube.tip_curvature, tube.bending_stiffness
+        np.testing.assert_array_equal(row, [*expected, 1.3])
+        assert numbers.curved_length == tube.curved_length
+
+
+@pytest.mark.parametrize("name", ["dominant", "elastic"])
+def test_symbols_with_a_robots_numbers_are_its_shape(name):
+    """For every kind of part at once, and with transmissions that show."""
+    tubes = (
+        Tube(90, 50, (1 / 200, 1 / 100), 5.7, 4.3),
+        Tube(202, 107, 0.0, 3.7, 2.9),
+        Tube(390, 150, 1 / 80, 2.1, 1.0),
+    )
+    robot = Robot(tubes, Limits(beta=[(0, 80), (0, 150), (0, 300)]))
+    model, q = MODELS[name], np.array([0.4, -0.7, 1.2, 60.0, 120.0, 260.0, 0.2, -0.1])
+    x, sigma = model.rest(robot, q), np.linspace(0, 1, 11)
+    points, tangents = samples(model, robot.structure, len(sigma))(x, sigma, robot.numbers)
+    atol = 1e-9 if name == "dominant" else 0.03
+    np.testing.assert_allclose(points.full(), model.points(robot, x[None], sigma)[0], atol=atol)
+    np.testing.assert_allclose(tangents.full(), model.tangents(robot, x[None], sigma)[0], atol=1e-3)
+    assert math.isclose(float(np.linalg.norm(tangents.full(), axis=1).min()), 1, abs_tol=1e-5)
