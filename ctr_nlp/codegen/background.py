@@ -19,12 +19,13 @@ from pathlib import Path
 import casadi as ca
 
 from ctr_nlp.codegen import cache, vector
+from ctr_nlp.support.processes import Lasting
 
 NOTE = (
     "the programs of this kind of robot are being compiled in the background, once for all robots of its kind; "
     "until that is done they are interpreted, several times slower. `ctr-nlp warm` compiles beforehand"
 )
-_begun: list[subprocess.Popen[bytes]] = []
+_begun: list[Lasting] = []
 """Processes of this one that have not been seen to end."""
 CLAIMED = 900.0
 """s after which a build that has not ended is given up."""
@@ -66,7 +67,7 @@ def _begin(key: str, functions: Sequence[ca.Function], lanes: int) -> None:
         (work / f"{number}.casadi").write_text(function.serialize(), encoding="ascii")
     path = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])])
     with contextlib.suppress(OSError):
-        process = subprocess.Popen(
+        process = Lasting(
             [sys.executable, "-m", "ctr_nlp.codegen.background", str(work)],
             env=os.environ | {"PYTHONPATH": path, "PYTHONWARNINGS": "ignore"},
             stdin=subprocess.DEVNULL,

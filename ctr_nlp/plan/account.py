@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from ctr_nlp.models import DEFAULT
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.verdicts import NO
 
@@ -22,7 +23,7 @@ MOST_REASONS = 10
 
 def title(found: dict[str, Any]) -> str:
     """Problem, formulation, model, solver and direction."""
-    on = [] if found["evaluated"] == "dominant" == found["model"] else [found["model"]]
+    on = [] if found["evaluated"] == found["model"] == DEFAULT else [found["model"]]
     how = [found["formulation"], *on, "by", found["solver"]] + [found["direction"]] * (
         found["direction"] is not None
     )

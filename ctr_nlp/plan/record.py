@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ctr_nlp.models import MODELS
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.equal import Value
 from ctr_nlp.support.read_only import read_only
@@ -77,9 +78,9 @@ class Record(Value):
         return str(self.meta.get("evaluated", self.meta["model"]))
 
     @property
-    def elastic(self) -> bool:
-        """Whether that is the elastic one."""
-        return self.evaluated == "elastic"
+    def can_snap(self) -> bool:
+        """Whether a robot can snap on that model."""
+        return MODELS[self.evaluated].can_snap
 
     @cached_property
     def reached(self) -> Flags:

@@ -91,8 +91,8 @@ def _followed(plan: Record) -> Judgement:
 
 def _stable(plan: Record) -> Judgement:
     """Whether the robot never snaps on the elastic model; the least margin at frames and between them."""
-    if not plan.elastic:
-        return NOT_ASKED, None, "", "The dominant model knows no snaps."
+    if not plan.can_snap:
+        return NOT_ASKED, None, "", f"The {plan.evaluated} model knows no snaps."
     margins, snaps = np.minimum(plan.stability, plan.stability_between), plan.meta.get("snaps", [])
     known = np.isfinite(margins)
     least = float(margins[known].min()) if known.any() else None

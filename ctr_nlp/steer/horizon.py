@@ -35,12 +35,19 @@ from ctr_nlp.steer.attempts import (
 )
 from ctr_nlp.steer.forecast import Forecast
 from ctr_nlp.steer.inside import Outcome, affordable, distinct
-from ctr_nlp.steer.limits import check_ends, check_growth
 from ctr_nlp.steer.motions import per_frame_motions, wandered
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.realised import realised
-from ctr_nlp.steer.requests import check_described, check_search, checked_ends, checked_motions, checked_terms
+from ctr_nlp.steer.requests import (
+    check_described,
+    check_ends,
+    check_growth,
+    check_search,
+    checked_ends,
+    checked_motions,
+    checked_terms,
+)
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.values import check_choice, strict_json
 from ctr_nlp.target.problem import Problem

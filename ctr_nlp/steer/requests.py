@@ -1,4 +1,4 @@
-"""What is asked of a search, checked before anything is built for it."""
+"""What is asked of a search, and what no motion can do: both are said before anything is solved."""
 
 from __future__ import annotations
 
@@ -7,17 +7,22 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse as sp
+from scipy.optimize import linprog
 
 from ctr_nlp.exceptions import OptionError, ProblemError
 from ctr_nlp.formulations.settings import Settings, check_motion_weight
 from ctr_nlp.formulations.terms import Term
+from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.support.values import check_choice, floats, instance, whole_number
-from ctr_nlp.target.problem import Problem
+from ctr_nlp.target.problem import OVERLONG, Problem
 from ctr_nlp.typing import Array
 
 Direction = Literal["forward", "backward", "best"]
 
 DIRECTIONS = ("forward", "backward", "best")
+SLACK = 1e-6
+"""Limits may be exceeded by this part before a motion counts as impossible."""
 
 
 def check_described(problem: Any, settings: Any) -> None:
@@ -59,3 +64,71 @@ def checked_terms(terms: Sequence[Term]) -> tuple[Term, ...]:
     for term in terms if isinstance(terms, Sequence) else [terms]:
         instance(OptionError, "a term", term, Term)
     return tuple(terms)
+
+
+def check_growth(problem: Problem) -> None:
+    """Raise ProblemError where the path grows or shrinks faster than the innermost tube may slide.
+
+    As for a path that is too long, 0.5 % of the robot's reach is accepted: a tube may run ahead of the path, or
+    behind it, where the path is fast for a moment.
+    """
+    speed = float(problem.robot.speed[2 * problem.robot.d - 1])
+    if not np.isfinite(speed):
+        return
+    lengths = np.asarray(problem.target.lengths)
+    time = problem.dt * np.arange(1, problem.frames + 1)
+    late = np.array([_behind(lengths - speed * time), _behind(-lengths - speed * time)])
+    worst, lag = int(late[:, 0].argmax()), float(late[:, 0].max()) / 2
+    if lag > (OVERLONG - 1) * problem.robot.reach:
+        _, first, last = late[worst]
+        i, j = int(first), int(last)
+        needed = abs(lengths[j] - lengths[i]) / (time[j] - time[i])
+        raise ProblemError(
+            f"the path of {problem.name} changes its length by {abs(lengths[j] - lengths[i]):.1f} mm from frame "
+            f"{i + 1} to {j + 1}, at {needed:.1f} mm/s; beta_{problem.robot.d} may slide at {speed:g} mm/s. "
+            f"Raise its speed, or give a duration of at least {problem.duration * needed / speed:.1f} s"
+        )
+
+
+def _behind(ahead: Array) -> tuple[float, int, int]:
+    """The largest ahead[j] - ahead[i] over i < j, with i and j."""
+    lowest = np.minimum.accumulate(ahead)
+    j = int((ahead - lowest).argmax())
+    i = int(ahead[: j + 1].argmin())
+    return float(ahead[j] - ahead[i]), i, j
+
+
+def check_ends(problem: Problem, chain: Chain) -> None:
+    """Raise ProblemError where no motion between two given ends keeps limits, order, speeds and accelerations.
+
+    All of these are linear, so that a linear program finds the least factor by which speeds and accelerations
+    would have to grow. Constraints of frames that are not linear are left out.
+    """
+    x0 = np.clip(np.zeros(chain.lower.size), chain.lower.ravel(), chain.upper.ravel())
+    at, size = chain.slopes(x0), x0.size
+    rows = size + np.flatnonzero(np.tile(~chain.frame.g_nonlinear, chain.frames))
+    links = np.arange(at.value.size - len(chain.offset), at.value.size)
+    own = sp.block_diag(list(at.jacobian), format="csr")[rows - size]
+    matrix = sp.csr_array(sp.vstack([own, chain.linking[:, :size]]))
+    picked = np.concatenate([rows, links])
+    shift = at.value[picked] - matrix @ x0
+    grows = np.isin(picked, links)
+    sides = []
+    for sign, bound in ((1.0, chain.bounds[1][picked]), (-1.0, -chain.bounds[0][picked])):
+        some = np.flatnonzero(np.isfinite(bound))
+        factor = sp.csr_array(np.where(grows, bound, 0.0)[some, None])
+        right = np.where(grows, 0.0, bound)[some] - sign * shift[some]
+        sides.append((some, sp.hstack([sign * matrix[some], -factor]), right))
+    index, matrices, rights = (list(part) for part in zip(*sides, strict=True))
+    cost = np.append(np.zeros(size), 1.0)
+    bounds = [*zip(chain.lower.ravel(), chain.upper.ravel(), strict=True), (0.0, None)]
+    found = linprog(cost, sp.vstack(matrices), np.concatenate(rights), bounds=bounds)
+    if not found.success:
+        raise ProblemError(f"no motion leads from start to end within limits and order: {found.message}")
+    if found.x[-1] > 1 + SLACK:
+        name, frame = chain.place(int(picked[np.concatenate(index)[found.ineqlin.marginals.argmin()]]))
+        raise ProblemError(
+            f"no motion leads from start to end in {problem.duration:g} s: {name} would have to be "
+            f"{found.x[-1]:.2f} times what is allowed, at frame {frame} among others. Raise that limit, give a "
+            "longer duration, or ends that are closer"
+        )

@@ -14,7 +14,7 @@ from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.models import MODELS, model_named, suits
+from ctr_nlp.models import DEFAULT, MODELS, model_named, suits
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
@@ -137,11 +137,11 @@ def compare(
             horizons: list[Plan] = []
             for variant in variants:
                 report = None if progress is None else progress(problem.name, variant.name)
-                if variant.formulation == "horizon" and variant.model == "dominant" and not initial:
+                if variant.formulation == "horizon" and variant.model == DEFAULT and not initial:
                     initial = per_frame_motions(problem, Ends(), chosen, report, MODELS["dominant"])
                 plan = variant.plan(problem, chosen, initial, report)
                 rows.append(row(problem.name, variant.name, plan))
-                if variant.formulation == "horizon" and variant.model == "dominant":
+                if variant.formulation == "horizon" and variant.model == DEFAULT:
                     horizons.append(plan)
                 if interrupted():
                     return Comparison(rows, agreements)

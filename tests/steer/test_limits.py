@@ -15,7 +15,7 @@ from ctr_nlp import Limits, Problem, Robot, Target, Tube, curve_from_formula, gr
 from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, Watch
-from ctr_nlp.steer.limits import check_ends, check_growth
+from ctr_nlp.steer.requests import check_ends, check_growth
 
 INF = np.inf
 LINE = curve_from_formula(lambda u: (0, 0, u), 0.0, 150.0)

@@ -39,11 +39,12 @@ from ctr_nlp.cli.plan_options import (
     add_horizon_options,
     add_model_options,
     add_motion_options,
+    add_term_options,
     add_wall_options,
     moved,
+    terms_from,
 )
 from ctr_nlp.cli.report import exit_status, print_front, print_report, write, write_front
-from ctr_nlp.cli.term_options import add_term_options, terms_from
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.settings import Settings, check_motion_weight

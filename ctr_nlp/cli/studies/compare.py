@@ -19,7 +19,7 @@ from ctr_nlp.cli.arguments import (
 from ctr_nlp.cli.command import Command
 from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, console, print_table, progress_bar
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import MODELS, model_named
 from ctr_nlp.plan.account import shown
 from ctr_nlp.problems import NAMES
 from ctr_nlp.reference.published import BASELINE, BASELINE_ELASTIC, SEED, SEED_ELASTIC
@@ -138,7 +138,7 @@ def _overview(rows: list[dict[str, Any]], model: str) -> str:
 
     An exclamation mark: the verdict on stability is no; a star: another one is.
     """
-    figures = (SEED, BASELINE) if model == "dominant" else (SEED_ELASTIC, BASELINE_ELASTIC)
+    figures = (SEED_ELASTIC, BASELINE_ELASTIC) if model_named(model).can_snap else (SEED, BASELINE)
     variants = list(dict.fromkeys(row["variant"] for row in rows))
     header = ["problem", *(f"`{variant}`" for variant in variants), "seed, published", "its baseline, published"]
     body = []

@@ -17,6 +17,7 @@ from typing import Any, Protocol
 from matplotlib.figure import Figure
 
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.support.processes import Lasting
 
 WINDOW = "ctr_nlp.figures.live.window"
 """The module that runs in the window's process."""
@@ -50,7 +51,7 @@ class View:
 
     def __init__(self, picture: Picture) -> None:
         """Open the window; raises OptionError where that cannot be done."""
-        self._process = subprocess.Popen(
+        self._process = Lasting(
             [sys.executable, "-m", WINDOW],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -90,7 +91,6 @@ class View:
         self._news.set()
         if kind is None:
             self._sender.join(PATIENCE)
-            self._process.returncode = self._process.poll() or 0  # Popen would complain of a process left alone
         else:
             self._end()
 

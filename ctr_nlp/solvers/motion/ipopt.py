@@ -46,7 +46,7 @@ class IpoptSolver:
         """Solve from x0 (T n,)."""
         chain, size = self.chain, x0.size
         low, high = chain.bounds
-        self._callback.watch, self._callback.number = watch, 0
+        self._callback.follow(watch)
         x0 = np.clip(x0, low[:size], high[:size])
         solve = self._solver(barrier)
         lbg, ubg = np.where(chain.reached, low, -np.inf)[size:], np.where(chain.reached, high, np.inf)[size:]
@@ -65,6 +65,10 @@ class _Callback(ca.Callback):
         self.watch = Watch()
         self.number = 0
         self.construct("iteration", {})
+
+    def follow(self, watch: Watch) -> None:
+        """Hand iterates to another Watch from now on."""
+        self.watch, self.number = watch, 0
 
     def get_n_in(self) -> int:
         return int(ca.nlpsol_n_out())

@@ -179,7 +179,7 @@ class Stream:
             self._send(now)
 
     def _send(self, now: float) -> None:
-        """Lines within the window. A player that was suspended between two of them sends no more before it looks."""
+        """Lines within the window; a player that was suspended between two of them looks before it sends more."""
         room = self._identity.receive - SPARE
         if self._filled:
             room = min(IN_FLIGHT, room)

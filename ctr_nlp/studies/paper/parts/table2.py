@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from ctr_nlp.models import model_named
 from ctr_nlp.plan.account import shown
 from ctr_nlp.reference import published
 from ctr_nlp.studies.paper.checks import Check, listed, named, number, order, orders
@@ -53,7 +54,7 @@ def _cell(found: Found, problem: str, method: str, model: str) -> str:
         value = row[f"{model}_{key}"]
         lower = method in OURS and problem in COMPARABLE and order(number(value), limit) == "lower"
         texts.append(f"**{mm(value)}**" if lower else mm(value))
-    return " / ".join(texts) + "*" * (row["failed"] > 0) + "!" * (model == "elastic" and row["snaps"] > 0)
+    return " / ".join(texts) + "*" * (row["failed"] > 0) + "!" * (model_named(model).can_snap and row["snaps"] > 0)
 
 
 def milliseconds(found: Found, problem: str, method: str) -> float:
