@@ -30,8 +30,8 @@ ROOMS = (
 )
 """From top to bottom: each may import those after it."""
 
-OUTSIDE = {"problems", "templates", "__main__"}
-"""Written as users write: what they need comes from the package itself."""
+OUTSIDE = {"problems", "cli", "__main__"}
+"""What takes from the package itself, as users do: names, and its version."""
 
 STRANGERS = {"figures", "hardware", "anatomy"}
 """Rooms that never import each other."""
@@ -47,6 +47,8 @@ FOREIGN = {
     "labelpad": "matplotlib's three-dimensional axes have no method for it",
     "computed_zorder": "matplotlib's three-dimensional axes have no method for it",
     "camera": "k3d's plots have no method for it",
+    "choices": "argparse offers no other way to add to what an option may be",
+    "complete": "shtab reads how an option is completed from its action",
     "total": "rich tells a task's total so",
 }
 """Attributes of other libraries' objects that may be set from outside, and why."""

@@ -19,7 +19,7 @@ from pathlib import Path
 import casadi as ca
 
 from ctr_nlp.codegen import cache, vector
-from ctr_nlp.support.processes import Lasting
+from ctr_nlp.support.pool import Lasting
 
 NOTE = (
     "the programs of this kind of robot are being compiled in the background, once for all robots of its kind; "

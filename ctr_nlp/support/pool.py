@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from multiprocessing import get_context
 from signal import SIG_IGN, SIGINT, signal
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.support.interrupt import deferred_interrupt
@@ -75,3 +76,10 @@ def _one_thread_each() -> Iterator[None]:
     finally:
         for name in added:
             del os.environ[name]
+
+
+class Lasting(subprocess.Popen[Any]):
+    """A process that nobody needs to wait for; Python warns of others that are left alone."""
+
+    def __del__(self) -> None:
+        """Nothing is to be done."""

@@ -146,9 +146,9 @@ class Problem(Value):
         try:
             told = {"problem": packed.add(self), "table": packed.table, "format": FORMAT}
             meta = np.array(json.dumps(told, allow_nan=False))
-            packed.arrays |= {"meta": meta, "target": np.array([frame.points for frame in self.samples])}
+            arrays = {"meta": meta, "target": np.array([frame.points for frame in self.samples])}
             with whole_file(path) as partial, open(partial, "wb") as file:
-                np.savez_compressed(file, **packed.arrays)  # type: ignore[arg-type]
+                np.savez_compressed(file, **packed.arrays, **arrays)  # type: ignore[arg-type]
         except (OSError, TypeError, ValueError) as error:
             raise OutputError(f"problem cannot be written to {path}: {error}") from error
 

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 from matplotlib.figure import Figure
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.support.processes import Lasting
+from ctr_nlp.support.pool import Lasting
 
 WINDOW = "ctr_nlp.figures.live.window"
 """The module that runs in the window's process."""

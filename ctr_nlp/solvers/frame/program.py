@@ -67,10 +67,9 @@ class Program:
         self.rows = np.zeros(n + m)
         given = (array.ctypes.data for array in (self.p, self.lower, self.upper))
         found = (array.ctypes.data for array in (self.x, self.multipliers, self.rows))
-        self._program = Outcome(n, m, None, None, None, *given, TOLERANCE, *found)
-        self._run, self._reference = cache.loaded(__package__, "sqp.c").sqp, ctypes.byref(self._program)
-        self._keep: Any = None
-        self.functions = dict[str, int]()
+        self._sizes, self._places = (n, m), (*given, TOLERANCE, *found)
+        self._run, self._keep = cache.loaded(__package__, "sqp.c").sqp, list[Any]()
+        self._point({})
         self.compiled = self._load(compiled.library(nlp, 1) if wait else compiled.library_soon(nlp, 1))
         if not self.compiled:
             self._interpret()
@@ -80,19 +79,21 @@ class Program:
         """Take the functions from a library, where there is one."""
         if path is None:
             return False
-        self._keep = ctypes.CDLL(str(path))
-        self._point({name: ctypes.cast(self._keep[name], ctypes.c_void_p).value or 0 for name in NAMES})
+        library = ctypes.CDLL(str(path))
+        self._keep = [library]
+        self._point({name: ctypes.cast(library[name], ctypes.c_void_p).value or 0 for name in NAMES})
         return True
 
     def _interpret(self) -> None:
         self._keep = [_callback(function) for function in self.nlp.functions[:3]]
-        addresses = (ctypes.cast(each, ctypes.c_void_p).value or 0 for each in self._keep)
+        addresses = (ctypes.cast(call, ctypes.c_void_p).value or 0 for call, _ in self._keep)
         self._point(dict(zip(NAMES, addresses, strict=True)))
 
     def _point(self, addresses: dict[str, int]) -> None:
+        """Take functions by their addresses."""
         self.functions = addresses
-        for name, address in addresses.items():
-            setattr(self._program, name, address)
+        self._program = Outcome(*self._sizes, *(addresses.get(name) for name in NAMES), *self._places)
+        self._reference = ctypes.byref(self._program)
 
     def run(self) -> Outcome:
         """Solve; what was found beside x and multipliers is overwritten by the next run."""
@@ -103,8 +104,8 @@ class Program:
         return self._program
 
 
-def _callback(function: ca.Function) -> Any:
-    """A CasADi function behind the address of a C function, as casadi.external's are."""
+def _callback(function: ca.Function) -> tuple[Any, Any]:
+    """A CasADi function as a function of C, as casadi.external's are, and what must live as long."""
     buffer, evaluate = function.buffer()
     inputs = [np.zeros(function.numel_in(i)) for i in range(function.n_in())]
     outputs = [np.zeros(function.numel_out(i)) for i in range(function.n_out())]
@@ -121,9 +122,7 @@ def _callback(function: ca.Function) -> Any:
             _copied(array, wanted[i], wanted[i], array.ctypes.data)
         return 0
 
-    call = _Called(called)
-    call.buffer = buffer, inputs, outputs  # type: ignore[attr-defined]
-    return call
+    return _Called(called), (buffer, inputs, outputs)
 
 
 def _copied(array: Array, pointer: Any, to: Any, source: Any) -> None:
