@@ -53,8 +53,8 @@ def _check(model: Model, extra: Sequence[Term]) -> None:
     if not model.bends_by_extension:
         allowed = ", ".join(repr(name) for name, each in MODELS.items() if each.bends_by_extension)
         raise OptionError(
-            f"model is {model.name!r}; two-stage formulations need one where alpha does not change curvatures: "
-            f"{allowed}"
+            f"model is {model.name!r}; two-stage formulations need {allowed}, where alpha does not change "
+            "curvatures"
         )
     if extra:
         raise OptionError(

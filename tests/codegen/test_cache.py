@@ -157,7 +157,7 @@ def test_without_a_compiler_problems_are_solved_interpreted(tools, monkeypatch):
     only(tools, monkeypatch)
     nlp = alone(table_i_robot())
     assert default_chain_solver() == "ipopt"
-    assert fastest(nlp) is nlp.functions
+    assert fastest(nlp)() is nlp.functions
     with pytest.raises(OptionError, match="install gcc or clang"):
         compiled(nlp)
 
@@ -167,7 +167,7 @@ def test_compiling_that_is_switched_off_is_not_warned_of(place, monkeypatch, cap
     nlp = alone(table_i_robot())
     assert cache.missing() == OPTED_OUT
     assert default_chain_solver() == "ipopt"
-    assert fastest(nlp) is nlp.functions
+    assert fastest(nlp)() is nlp.functions
     with pytest.raises(OptionError, match=OPTED_OUT):
         cache.library("one", never)
     assert said(caplog) == []

@@ -291,7 +291,7 @@ def test_equilibria_are_followed_from_moment_to_moment():
     robot, turned = table_i_robot(), np.linspace(0.0, 4.0, 9)
     q = np.array([[angle, 0, -angle, 10, 60, 80, 0, 0] for angle in turned])
     followed = tracking.elastic_shapes(robot, tracking.follow(robot, q).x)
-    shape = Shapes(robot, elastic=True)
+    shape = Shapes(robot, "elastic")
     np.testing.assert_allclose([shape(each) for each in q], followed, atol=1e-9)
     assert np.isnan(shape(np.full(8, np.nan))).all()
     assert np.isfinite(shape(q[0])).all()

@@ -38,6 +38,10 @@ class Bending(Model):
 
     name = "bending"
 
+    def check(self, robot):
+        if robot.d != 1:
+            raise OptionError(f"model is 'bending', and the robot has {robot.d} tubes; it describes one")
+
     def frame(self, structure, tubes, places, margin=None, tangents=False):
         x = ca.SX.sym("q", 4)
         alpha, beta, theta_x, theta_y = ca.vertsplit(x)

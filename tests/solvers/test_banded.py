@@ -393,10 +393,10 @@ def test_what_is_fixed_is_kept_exactly(case, solver):
     ],
 )
 def test_limits_of_the_cases_are_felt(case, name):
-    """At their upper bounds; else keeping them would say nothing."""
+    """At their upper bounds, and rooms between carriages at their lower; else keeping them would say nothing."""
     _, _, chain, _, solution = along_an_arc(case)
-    upper = np.flatnonzero(np.concatenate([solution.lam_x, solution.lam_g]) > 1e-3)
-    assert name in [chain.place(int(row))[0] for row in upper]
+    felt = np.concatenate([solution.lam_x, solution.lam_g]) * (-1 if name == "carriage gap" else 1) > 1e-3
+    assert name in [chain.place(int(row))[0] for row in np.flatnonzero(felt)]
 
 
 @EVERY_SOLVER

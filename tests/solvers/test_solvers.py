@@ -175,7 +175,7 @@ def test_both_solvers_agree_on_a_frame(arc_problem):
     (stage,) = FORMULATIONS["joint"](arc_problem.robot, Settings(), MODELS["dominant"])
     q0 = np.array([3.0, 3, 3, 30, 70, 105, 0, 0])
     frame = arc_problem.samples[2]
-    p = stage.nlp.pack(dict(stage.parameters(frame, q0)) | {"previous": q0, "motion_root": 0.01})
+    p = stage.nlp.pack(dict(stage.fill(frame, q0)) | {"previous": q0, "motion_root": 0.01})
     found = [SOLVERS[solver](stage.nlp)(q0, p) for solver in SOLVERS]
     assert all(solution.success for solution in found)
     assert np.ptp([solution.objective for solution in found]) < 1e-3
@@ -224,7 +224,7 @@ def test_sqp_says_of_itself_what_the_residual_says(arc_problem):
     (stage,) = FORMULATIONS["joint"](arc_problem.robot, Settings(), MODELS["dominant"])
     solve, q = Sqp(stage.nlp), np.array([3.0, 3, 3, 30, 70, 105, 0, 0])
     for frame in arc_problem.samples:
-        p = stage.nlp.pack(dict(stage.parameters(frame, q)) | {"previous": q, "motion_root": 0.01})
+        p = stage.nlp.pack(dict(stage.fill(frame, q)) | {"previous": q, "motion_root": 0.01})
         at = solve(q, p)
         own = kkt_residual(stage.nlp, at.x, p, stage.nlp.lower, stage.nlp.upper, at.lam_x, at.lam_g)
         assert at.success

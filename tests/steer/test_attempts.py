@@ -14,6 +14,7 @@ from strategies import configurations, robots, seeds
 from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_formula, growing, table_i_robot
 from ctr_nlp.exceptions import RobotError
 from ctr_nlp.formulations.horizon import Ends
+from ctr_nlp.models import MODELS
 from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, Iterate, Solution
 from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.solvers.motion.judged import judged
@@ -26,7 +27,15 @@ EVERY_SOLVER = pytest.mark.parametrize("solver", CHAIN_SOLVERS)
 
 @pytest.fixture(scope="module")
 def task(arc_problem):
-    return Task(arc_problem.robot, arc_problem.samples, arc_problem.dt, 1e-3, Ends(start=START), "banded")
+    return Task(
+        arc_problem.robot,
+        arc_problem.samples,
+        arc_problem.dt,
+        1e-3,
+        Ends(start=START),
+        "banded",
+        MODELS["dominant"],
+    )
 
 
 @pytest.fixture(scope="module")
@@ -242,7 +251,7 @@ def random_task(seed):
     problem = Problem("random", robot, growing(arc, frames), float(rng.uniform(2, 10)))
     ends = (Ends(), Ends(start=q()), Ends(end=q()), Ends(start=np.zeros(2 * d + 2)))[rng.integers(4)]
     weight = float(rng.choice([0.0, 1e-9, 1e-4, 1e-1]))
-    return Task(robot, problem.samples, problem.dt, weight, ends, "banded"), np.concatenate(
+    return Task(robot, problem.samples, problem.dt, weight, ends, "banded", MODELS["dominant"]), np.concatenate(
         [q() for _ in range(frames)]
     )
 

@@ -33,7 +33,9 @@ from ctr_nlp.cli.commands.plan import horizon as solve_horizon_program
 from ctr_nlp.cli.commands.plan import steer as solve_per_frame_program
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations import FORMULATIONS
+from ctr_nlp.formulations.terms import ShapeDistance
 from ctr_nlp.formulations.terms.feasible import CLEAR
+from ctr_nlp.models import MODELS
 from ctr_nlp.models.elastic import equilibria as branches
 from ctr_nlp.models.elastic import stability, torsion
 from ctr_nlp.models.elastic.model import STEPS
@@ -71,11 +73,14 @@ def frame(kind):
     return nlp, nlp.functions
 
 
-def packed(nlp, seed, margin=MARGIN):
+def packed(nlp, robot, seed, margin=MARGIN):
     """A target like a helix, with noise."""
     u = np.linspace(0, 1, nlp.parameters["target"].shape[0])
     target = np.stack([25 * np.sin(2 * u), 15 * u**2, 90 * u], axis=1)
-    return nlp.pack({"target": target + np.random.default_rng(seed).normal(size=target.shape), "margin": margin})
+    target = target + np.random.default_rng(seed).normal(size=target.shape)
+    return nlp.pack(
+        {"tubes": robot.numbers, "target": target, "shape_roots": ShapeDistance().roots, "margin": margin}
+    )
 
 
 def drawn(robot, seed, count=1):
@@ -114,7 +119,7 @@ def assert_derivatives(exact, found):
 @pytest.mark.parametrize("seed", range(3))
 def test_first_derivatives_match_finite_differences(kind, seed):
     """Of the objective, motors' angles, determinants and order."""
-    x, p = drawn(ROBOTS[kind], seed)[0], packed(frame(kind)[0], seed)
+    x, p = drawn(ROBOTS[kind], seed)[0], packed(frame(kind)[0], ROBOTS[kind], seed)
     assert_derivatives(slopes(kind, x, p), central(both(kind, p), x, 1e-6))
 
 
@@ -122,7 +127,7 @@ def test_first_derivatives_match_finite_differences(kind, seed):
 def test_first_derivatives_match_where_sections_vanish(kind, beta):
     """On the side where tubes end in order, by one-sided differences of order two."""
     robot, h = ROBOTS[kind], 1e-5
-    d, x, p = robot.d, drawn(robot, 5)[0], packed(frame(kind)[0], 5)
+    d, x, p = robot.d, drawn(robot, 5)[0], packed(frame(kind)[0], robot, 5)
     x[d : 2 * d] = beta
     inwards = np.ones(len(x))
     inwards[d : 2 * d - 1][np.diff(beta) == 0] = -1
@@ -136,7 +141,7 @@ def test_first_derivatives_match_where_sections_vanish(kind, beta):
 @pytest.mark.parametrize("seed", range(3))
 def test_hessians_match_finite_differences_of_slopes(kind, seed):
     nlp, functions = frame(kind)
-    rng, x, p = np.random.default_rng(seed), drawn(ROBOTS[kind], seed)[0], packed(nlp, seed)
+    rng, x, p = np.random.default_rng(seed), drawn(ROBOTS[kind], seed)[0], packed(nlp, ROBOTS[kind], seed)
     lam_f, lam_g = rng.uniform(0.5, 2), 100 * rng.normal(size=nlp.g.numel())
 
     def gradient(at):
@@ -154,10 +159,12 @@ def test_hessians_match_finite_differences_of_slopes(kind, seed):
 def test_compiled_code_is_what_is_interpreted(lanes):
     """Of the libraries that solvers of frames and of horizons use."""
     robot = ROBOTS["seed"]
-    joint = FORMULATIONS["joint"](robot, Settings(), "elastic")[0].nlp
+    joint = FORMULATIONS["joint"](robot, Settings(), MODELS["elastic"])[0].nlp
     nlp = joint if lanes == 1 else frame("seed")[0]
     x, rng = drawn(robot, 1, lanes), np.random.default_rng(1)
     known = {
+        "tubes": robot.numbers,
+        "shape_roots": ShapeDistance().roots,
         "target": rng.normal(size=(21, 3)),
         "margin": MARGIN,
         "previous": rng.normal(size=8),
@@ -192,7 +199,7 @@ def values(kind):
 def constraints(kind, x, margin=MARGIN):
     """Values of a frame's constraints by name, (T, ..)."""
     nlp, g = values(kind)
-    found = g.map(len(x))(x.T, np.tile(packed(nlp, 0, margin), (len(x), 1)).T).full().T
+    found = g.map(len(x))(x.T, np.tile(packed(nlp, COUPLED[kind], 0, margin), (len(x), 1)).T).full().T
     sizes = np.cumsum([constraint.value.numel() for constraint in nlp.constraints])[:-1]
     return dict(
         zip((constraint.name for constraint in nlp.constraints), np.split(found, sizes, axis=1), strict=True)

@@ -24,7 +24,7 @@ from ctr_nlp import (
 )
 from ctr_nlp.exceptions import OptionError, RobotError
 from ctr_nlp.formulations.frames import FrameResult
-from ctr_nlp.solvers.frame import sqp
+from ctr_nlp.solvers.frame import program
 from ctr_nlp.steer import march
 from ctr_nlp.steer.nlp_frames import NlpFrames
 
@@ -84,9 +84,12 @@ def test_sqp_agrees_with_ipopt():
 
 @pytest.mark.parametrize(("formulation", "tolerance"), [("joint", 0.01), ("two-stage", 0.2)])
 def test_synthesis_recovers_its_extensions_and_the_rotations_it_can_know(formulation, tolerance):
-    """Beta is unique, and so are differences between tubes' angles up to turns, once tube 3 shows enough."""
+    """Beta is unique, and so are differences between tubes' angles up to turns, once tube 3 shows enough.
+
+    The motion hardly counts; without it, where alpha and the tilt turn alike, rounding would decide the way.
+    """
     problem = named("synthesis", 50)
-    plan = solve_per_frame(problem, formulation, settings=Settings(motion_weight=1e-10))
+    plan = solve_per_frame(problem, formulation, settings=Settings(motion_weight=1e-9))
     assert np.abs(plan.beta - problem.truth[:, 3:6]).max() < tolerance
     between = (np.diff(plan.alpha, axis=1) - np.diff(problem.truth[:, :3], axis=1))[10:]
     assert np.abs((between + np.pi) % (2 * np.pi) - np.pi).max() < 0.02
@@ -258,7 +261,7 @@ def test_a_single_frame_and_other_numbers_of_tubes(robot):
 def test_frames_that_were_left_to_ipopt_are_in_the_plan(arc_problem, monkeypatch):
     """Compiled programs that end at once have solved nothing, unless they began at a solution."""
     plain = solve_per_frame(arc_problem, solver="sqp", direction="forward")
-    monkeypatch.setattr(sqp, "TOLERANCE", np.inf)
+    monkeypatch.setattr(program, "TOLERANCE", np.inf)
     left = solve_per_frame(arc_problem, solver="sqp", direction="forward")
     assert plain.meta["fallbacks"] == {}
     assert left.complete

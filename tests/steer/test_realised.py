@@ -11,6 +11,7 @@ from frames import horizon
 
 from ctr_nlp import Problem, Robot, Settings, Tube, curve_from_formula, growing, shapes, solve_horizon
 from ctr_nlp.formulations.horizon import Ends
+from ctr_nlp.models import MODELS
 from ctr_nlp.models.elastic import equilibria as branches
 from ctr_nlp.plan.plan import plan_from_configurations
 from ctr_nlp.solvers import CHAIN_SOLVERS
@@ -59,7 +60,11 @@ def found(margin=0.1):
     chain = horizon(ROBOT, problem.samples, problem.dt, WEIGHT, Ends(), model="elastic", margin=margin)
     start = tracking.follow(ROBOT, opposed()).x
     one = attempt(chain, CHAIN_SOLVERS["ipopt"], start.ravel(), None, lambda: False)
-    return chain, one, *realised(ROBOT, chain, CHAIN_SOLVERS["ipopt"], [one], margin, lambda: False)
+    return (
+        chain,
+        one,
+        *realised(ROBOT, MODELS["elastic"], chain, CHAIN_SOLVERS["ipopt"], [one], margin, lambda: False),
+    )
 
 
 def moved(one):
@@ -106,7 +111,7 @@ def test_moved_through_q_alone_the_robot_is_where_it_was_meant_to_be():
 
 def test_a_motion_that_needs_nothing_is_left_as_it_is():
     chain, _, best = found()
-    (same,) = realised(ROBOT, chain, CHAIN_SOLVERS["ipopt"], [best], 0.1, lambda: False)
+    (same,) = realised(ROBOT, MODELS["elastic"], chain, CHAIN_SOLVERS["ipopt"], [best], 0.1, lambda: False)
     assert same is best
 
 

@@ -14,6 +14,7 @@ from strategies import numbers, seeds
 
 from ctr_nlp import Settings, Steerer, shapes, solve_per_frame, table_i_robot
 from ctr_nlp.exceptions import OptionError, RobotError
+from ctr_nlp.formulations.terms import ShapeDistance
 from ctr_nlp.formulations.terms.shape import STRIDE
 from ctr_nlp.nlp.nlp import kkt_residual
 from ctr_nlp.robot import MM_PER_RAD
@@ -55,7 +56,9 @@ def residual(name, steerer, q, before, target, dt):
     """KKT residual of a step by the NLP's own functions and the multipliers of the solver."""
     nlp, robot = problem_of(name), ROBOTS[name]
     root = math.sqrt(WEIGHT) / dt
-    p = nlp.pack({"target": target[::STRIDE], "previous": before, "motion_root": root})
+    values = {"tubes": robot.numbers, "shape_roots": ShapeDistance().roots, "target": target[::STRIDE]}
+    values |= {} if robot.carriage_gap is None else {"gap": robot.carriage_gap}
+    p = nlp.pack(values | {"previous": before, "motion_root": root})
     lower = np.maximum(robot.lower, before - robot.speed * dt)
     upper = np.minimum(robot.upper, before + robot.speed * dt)
     lam_x, lam_g = np.split(steerer._program.multipliers, [len(q)])
