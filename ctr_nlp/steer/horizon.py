@@ -164,7 +164,7 @@ class Horizon:
             work = {"search_s": between - begin, "solve_s": time.perf_counter() - between}
             stopped = interrupted()
         options = strict_json(asdict(settings)) | {"motion_weight": weight, "starts": starts}
-        options["terms"] = [repr(term) for term in self._terms]
+        options["terms"] = [str(term) for term in self._terms]
         for name, q in (("start", self.ends.start), ("end", self.ends.end)):
             options[name] = None if q is None else q.tolist()
         meta = {**self._names, **work, "options": options, "build_s": self.build_seconds, "interrupted": stopped}

@@ -91,7 +91,7 @@ class NlpFrames:
             "formulation": formulation,
             "model": described.name,
             "solver": solver,
-            "options": strict_json(asdict(settings)) | {"terms": [repr(term) for term in terms]},
+            "options": strict_json(asdict(settings)) | {"terms": [str(term) for term in terms]},
         }
         margins, seconds = np.full(problem.frames, margin), time.perf_counter() - begin
         return cls(problem, described, settings, free, inside, margins, wall, None, seconds, description)

@@ -455,7 +455,7 @@ def kill_before(step: int) -> None:
 
 @unix
 def test_a_run_killed_at_any_step_is_completed_or_undone_by_the_next(tmp_path):
-    command = [sys.executable, "-c", KILLED, Path(__file__).parents[1], tmp_path, "0"]
+    command = [sys.executable, "-c", KILLED, Path(__file__).parent, tmp_path, "0"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     found = [json.loads(line) for line in done.stdout.splitlines()]
@@ -488,7 +488,7 @@ def test_kill_9_at_random_moments_of_publishing_loses_nothing(tmp_path, count):
     moments = random.Random(0)
     (tmp_path / "out").mkdir()
     for _ in range(count):
-        command = [sys.executable, "-c", REPEATED, Path(__file__).parents[1], tmp_path / "out"]
+        command = [sys.executable, "-c", REPEATED, Path(__file__).parent, tmp_path / "out"]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert process.stdout is not None
         process.stdout.readline()

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from ctr_nlp.models import Shape
 from ctr_nlp.nlp.nlp import Constraint, Cost, Inner, Residual
@@ -82,6 +83,16 @@ class Term(ABC):
 
     name: str
     tangents = False
+
+    def __str__(self) -> str:
+        """In one line, for a plan's options; of many numbers, how many."""
+        names: list[str] = [f.name for f in fields(self)] if is_dataclass(self) else []
+        held = {name: np.asarray(getattr(self, name)) for name in names}
+        told = (
+            f"{name}={value.size} numbers" if value.size > 1 else f"{name}={value.item()}"
+            for name, value in held.items()
+        )
+        return f"{type(self).__name__}({', '.join(told)})"
 
     @property
     def key(self) -> Hashable:
