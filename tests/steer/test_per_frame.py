@@ -185,7 +185,7 @@ class Failing(NlpFrames):
 
 
 def test_a_frame_that_fails_is_marked_and_the_motion_goes_on(cos_problem):
-    plan = march(cos_problem, Failing(cos_problem), "forward")
+    plan = march(cos_problem, Failing.of(cos_problem), "forward")
     assert plan.success.tolist() == [True, True, False, True, True, True]
     assert plan.q[2] == pytest.approx(plan.q[1])
     assert plan.meta["failures"] == {"3": "made to fail"}
@@ -202,7 +202,7 @@ class Flaky(NlpFrames):
 
 
 def test_a_frame_that_fails_is_tried_from_other_starts(cos_problem):
-    plan = march(cos_problem, Flaky(cos_problem), "forward")
+    plan = march(cos_problem, Flaky.of(cos_problem), "forward")
     assert_within_limits(plan)
 
 
@@ -216,7 +216,7 @@ class Interrupted(NlpFrames):
 
 
 def test_an_interrupted_plan_keeps_what_was_solved(cos_problem):
-    plan = march(cos_problem, Interrupted(cos_problem), "forward")
+    plan = march(cos_problem, Interrupted.of(cos_problem), "forward")
     assert plan.meta["interrupted"]
     assert plan.success.tolist() == [True, True, True, True, False, False]
     assert np.isnan(plan.q[4:]).all()
