@@ -35,7 +35,7 @@ class Robot:
     """d nested tubes, outermost first, and their limits; q = (alpha_1..d, beta_1..d, theta_x, theta_y), eq. (5).
 
     An inner tube may be as stiff as the one around it, or stiffer: only the dominant-stiffness model asks for an
-    order, and says so (models.check_model). lower, upper, speed, acceleration: (2d + 2,) in the order of q. Raises
+    order, and says so (Model.check). lower, upper, speed, acceleration: (2d + 2,) in the order of q. Raises
     RobotError.
     """
 
