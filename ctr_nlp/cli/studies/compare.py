@@ -126,7 +126,8 @@ def _write(found: Comparison, folder: Path) -> None:
             (folder / f"{name}.json").write_text(text + "\n", encoding="utf-8")
     write_csv(folder / "comparison.csv", rows)
     details = markdown(["problem", *COLUMNS], [[row["problem"], *_cells(row)] for row in rows])
-    halves = [f"e3 in mm on the {model} model:\n\n{_overview(rows, model)}\n" for model in MODELS]
+    known = [model for model in MODELS if any(row.get(f"{model}_no") is not None for row in rows)]
+    halves = [f"e3 in mm on the {model} model:\n\n{_overview(rows, model)}\n" for model in known]
     page = f"{''.join(halves)}Everything:\n\n{details}"
     if found.agreements:
         page += f"\nWhether solvers of the horizon agree:\n\n{markdown(list(AGREEMENT), _agreements(found))}"

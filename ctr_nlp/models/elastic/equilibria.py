@@ -35,6 +35,8 @@ PUSH = 0.1
 """rad that tubes are turned by against each other where a branch ends, over what lies between discretisations."""
 MOST = 20
 """Branches that may end on one step."""
+TINY = 1e-300
+"""What stands for 0 in a denominator; where tubes slide without turning, angles do not change."""
 FALL, FALLS = 0.1, 2000
 """rad that tubes turn by against each other in one step of a fall; steps at most."""
 
@@ -158,7 +160,7 @@ class Equilibria:
         """About the equilibrium at `past` that a robot falls into from one nearby."""
         d, on = self.robot.d, self._predicted(state, past) - state.x
         (energy,) = stability.energies(self._tubes, past[None])
-        step = 1e-4 * on / max(abs(on[:d]).max(), 1e-300)
+        step = on * min(1e-4 / max(abs(on[:d]).max(), TINY), 1e-2 / max(abs(on).max(), TINY))
         here, ahead = stability.differences(self._tubes, np.stack([state.x, state.x + step]))
         tips = past[:d] + energy.ends @ _fall(energy, energy.couples @ past[:d], here, ahead - here)
         return np.concatenate([tips[:-1] - tips[-1], tips[-1:], past[d:]])
