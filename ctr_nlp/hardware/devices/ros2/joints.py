@@ -20,6 +20,9 @@ DRIFT = 1e-3
 REST = 0.05
 """s over which positions must agree for the joints to be at rest."""
 
+AGREEING = 3
+"""States that must agree for the joints to be at rest, however rarely they come."""
+
 
 class Joints:
     """The joints of some hardware: their last states, and their units in ROS.
@@ -85,7 +88,7 @@ class Joints:
         elif self._seen:
             self.speed = (position - self._seen[-1][1]) / (state.stamp - self._seen[-1][0])
         self._seen.append((state.stamp, position))
-        while len(self._seen) > 2 and self._seen[1][0] <= state.stamp - REST:
+        while len(self._seen) > AGREEING and state.stamp - self._seen[1][0] >= REST:
             self._seen.popleft()
         return True
 
@@ -97,8 +100,8 @@ class Joints:
             )
 
     def still(self) -> bool:
-        """Whether all positions of the last REST s agree."""
-        if len(self._seen) < 3 or self._seen[-1][0] - self._seen[0][0] < REST:
+        """Whether the last positions agree: AGREEING of them at least, and all of REST s."""
+        if len(self._seen) < AGREEING or self._seen[-1][0] - self._seen[0][0] < REST:
             return False
         return bool((np.ptp([position for _, position in self._seen], axis=0) <= self._resolution).all())
 
