@@ -21,6 +21,7 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.target.fit import notes
 from ctr_nlp.target.problem import Problem
 
+PACKAGE = Path(__file__).parents[1]
 FILE_OPTIONS = ("branch", "entry", "target", "insertion", "tilt", "reverse", "smoothing", "trim")
 """Options that go with a centreline file or a mask alone."""
 KINDS = f"{', '.join(NAMES)}, a problem file (.py), a centreline file ({', '.join(CENTRELINES)}) or a mask"
@@ -85,7 +86,17 @@ def _called(file: str, call: Callable[[], Any]) -> Any:
         lines = [at.lineno for at in traceback.extract_tb(error.__traceback__) if at.filename == file]
         place = f"{file}, line {lines[-1]}" if lines else file
         kind = "" if isinstance(error, CtrError) else f"{type(error).__name__}: "
-        raise ProblemError(f"{place}: {kind}{error}") from error
+        raise ProblemError(f"{place}: {kind}{error}{_moved(error)}") from error
+
+
+def _moved(error: BaseException) -> str:
+    """Where a module of ours that is missing can be found now, for a file written for an older version."""
+    package, _, module = str(getattr(error, "name", "")).rpartition(".")
+    if not isinstance(error, ModuleNotFoundError) or package.partition(".")[0] != "ctr_nlp":
+        return ""
+    found = (path.relative_to(PACKAGE.parent) for path in sorted(PACKAGE.rglob(f"{module}.py")))
+    homes = [".".join(path.with_suffix("").parts) for path in found]
+    return f"; it is now {' or '.join(homes)}" if homes else ""
 
 
 @contextmanager

@@ -96,6 +96,8 @@ def check_resume(world: World, kind: str) -> str:
     assert result.outcome is Outcome.SUCCESS, result
     after = world.frames_played()[len(before) :]
     assert after == frames[-len(after) :]
+    if kind == "third_party" and after[:1] == before[-1:]:  # others had moved it away, and it was brought back
+        after = after[1:]
     if kind == "bytes_lost":  # digits that are lost move a frame, by no more than the tolerances
         assert set(world.frames_played(within=0.5)) == set(frames)
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from dataclasses import dataclass
 
@@ -22,9 +23,11 @@ from ctr_nlp import (
     solve_per_frame,
     table_i_robot,
 )
+from ctr_nlp.cli.commands.export import main
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.figures import files
 from ctr_nlp.formulations.terms import Parts, Term
+from ctr_nlp.hardware.description import bench
 from ctr_nlp.models import MODELS, Model, Shape, register
 from ctr_nlp.nlp.nlp import Inner, Residual
 from ctr_nlp.plan.metrics import by_frame, summary
@@ -111,6 +114,22 @@ def test_its_plans_have_errors_figures_verdicts_and_a_file(problem, tmp_path):
     pictures = files.save_all(again, tmp_path)
     assert pictures
     assert all(path.stat().st_size > 1000 for path in pictures)
+
+
+def test_its_plans_are_exported(problem, tmp_path):
+    """As a table and as G-code, which end where the plan does."""
+    pytest.importorskip("toppra", reason='needs toppra: pip install -e ".[hardware]"')
+    plan = solve_per_frame(problem, model="bending")
+    plan.save(tmp_path / "plan.npz")
+    assert main([str(tmp_path / "plan.npz"), "--to", "csv"]) == 0
+    with (tmp_path / "plan.csv").open(newline="") as file:
+        last = {name.rpartition("_")[0]: float(value) for name, value in list(csv.DictReader(file))[-1].items()}
+    joints = dict(zip(plan.robot.axes, plan.q[-1], strict=True))
+    for axis in bench(ROBOT).axes:
+        assert last[axis.joint] == pytest.approx(joints[axis.joint], abs=1e-6)
+        assert last[axis.letter] == pytest.approx(axis.zero + axis.scale * joints[axis.joint], abs=1e-3)
+    assert main([str(tmp_path / "plan.npz"), "--to", "gcode"]) == 0
+    assert "X" in (tmp_path / "plan.gcode").read_text()
 
 
 @pytest.mark.parametrize("solve", [solve_per_frame, solve_horizon])

@@ -1,0 +1,13 @@
+"""From the trachea into the right lower lobe, as the seed's Fig. 9 (d), on a synthetic airway."""
+
+from ctr_nlp import Problem, Robot, growing, seed_robot
+from ctr_nlp.anatomy import synthetic_airway
+from ctr_nlp.placing import placed
+
+
+def problem(frames: int = 100, duration: float = 10.0, robot: Robot | None = None) -> Problem:
+    """The last 150 mm of the airway of seed 0."""
+    airway = synthetic_airway(seed=0)
+    path, to_robot = placed(airway.part(airway.length - 150, airway.length))
+    target, lumen = growing(path, frames), airway.moved(to_robot)
+    return Problem("bronchus", robot or seed_robot(), target, duration, to_robot=to_robot, lumen=lumen)
