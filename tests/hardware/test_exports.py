@@ -20,7 +20,7 @@ from ctr_nlp.cli.commands import export as export_commands
 from ctr_nlp.cli.commands.export import main
 from ctr_nlp.cli.output.folder import MARK
 from ctr_nlp.exceptions import HardwareError, OptionError
-from ctr_nlp.hardware.arm.forward import tilt
+from ctr_nlp.hardware.arm.kinematics import tilt
 from ctr_nlp.hardware.description import Hardware, bench
 from ctr_nlp.hardware.exports import FORMATS, TEXTS
 from ctr_nlp.hardware.exports.gcode import gcode_text

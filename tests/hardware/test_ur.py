@@ -11,8 +11,7 @@ import pytest
 
 from ctr_nlp.exceptions import DeviceFault, HardwareError, OptionError
 from ctr_nlp.hardware.arm.description import Arm
-from ctr_nlp.hardware.arm.forward import insertion_error, tilt
-from ctr_nlp.hardware.arm.inverse import joints
+from ctr_nlp.hardware.arm.kinematics import insertion_error, joints, tilt
 from ctr_nlp.hardware.devices.arms import LONGEST_STEP, SimulatedArm
 from ctr_nlp.hardware.devices.ur import STALE, UrArm
 from ctr_nlp.hardware.exports.urscript import SETTLE, write_urscript

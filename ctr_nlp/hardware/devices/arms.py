@@ -12,8 +12,7 @@ import numpy as np
 
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.arm.description import JOINTS, Arm
-from ctr_nlp.hardware.arm.forward import tilt
-from ctr_nlp.hardware.arm.inverse import joints
+from ctr_nlp.hardware.arm.kinematics import joints, tilt
 from ctr_nlp.typing import Array
 
 Now = Callable[[], float]

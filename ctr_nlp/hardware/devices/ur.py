@@ -12,8 +12,7 @@ import numpy as np
 
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.arm.description import Arm
-from ctr_nlp.hardware.arm.forward import insertion_error, tilt
-from ctr_nlp.hardware.arm.inverse import joints
+from ctr_nlp.hardware.arm.kinematics import insertion_error, joints, tilt
 from ctr_nlp.hardware.devices.arms import Now, Steps
 from ctr_nlp.support.extras import needed
 from ctr_nlp.typing import Array

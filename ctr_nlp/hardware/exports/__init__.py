@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctr_nlp.exceptions import HardwareError
-from ctr_nlp.hardware.arm.inverse import joints
+from ctr_nlp.hardware.arm.kinematics import joints
 from ctr_nlp.hardware.exports import gcode, table, urscript
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 
