@@ -27,8 +27,7 @@ from ctr_nlp.anatomy.files import read_branches
 from ctr_nlp.cli.main import COMMANDS
 from ctr_nlp.hardware.arm.description import Arm
 from ctr_nlp.hardware.axis import Axis
-from ctr_nlp.hardware.connection import Connection
-from ctr_nlp.hardware.description import Hardware
+from ctr_nlp.hardware.description import Connection, Hardware
 from ctr_nlp.support.values import described, read_toml
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,13 +13,68 @@ import numpy as np
 
 from ctr_nlp.exceptions import HardwareError, RobotError
 from ctr_nlp.hardware.arm.description import Arm
-from ctr_nlp.hardware.axis import Axis
-from ctr_nlp.hardware.commissioned import read_commissioned
-from ctr_nlp.hardware.connection import Connection
-from ctr_nlp.hardware.tightening import check_fit, tightened
+from ctr_nlp.hardware.axis import Axis, check_fit, tightened
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.values import described, number, read_toml
 from ctr_nlp.typing import Array
+
+DEVICES = ("simulated", "grbl", "ros2")
+HOMING = ("manual", "cycle")
+FLOW = ("count", "wait")
+
+
+@dataclass(frozen=True)
+class Connection:
+    """Where the motors' controller is.
+
+    device: "simulated", "grbl" or "ros2". url: a serial port, "socket://host:port", or for ros2 the controller's
+    name. baud: of a serial port. homing: "cycle" lets the controller home itself and wants its soft limits,
+    "manual" takes the position that it reports for true. flow: "count" sends lines as long as counted characters
+    fit into the controller's buffer, "wait" sends a line when the one before was acknowledged. Raises
+    HardwareError.
+    """
+
+    device: str = "simulated"
+    url: str = ""
+    baud: int = 115200
+    homing: str = "manual"
+    flow: str = "count"
+
+    def __post_init__(self) -> None:
+        for name, allowed in (("device", DEVICES), ("homing", HOMING), ("flow", FLOW)):
+            if getattr(self, name) not in allowed:
+                raise HardwareError(
+                    f"{name} of the connection is {getattr(self, name)!r}; it must be {', '.join(allowed)}"
+                )
+        if self.device != "simulated" and not (isinstance(self.url, str) and self.url):
+            raise HardwareError(f"url of the connection is {self.url!r}; a {self.device} device needs one")
+        if isinstance(self.baud, bool) or not isinstance(self.baud, int) or self.baud <= 0:
+            raise HardwareError(f"baud of the connection is {self.baud!r}; it must be a positive whole number")
+
+
+def commissioned_file(hardware_file: str | Path) -> Path:
+    """Where the settings of the rig of a hardware file are kept."""
+    return Path(hardware_file).with_suffix(".commissioned.json")
+
+
+def read_commissioned(hardware_file: str | Path) -> dict[str, str] | None:
+    """Settings by name, None where the rig has not been commissioned; raises HardwareError."""
+    path = commissioned_file(hardware_file)
+    if not path.exists():
+        return None
+    try:
+        settings = json.loads(path.read_text(encoding="utf-8"))["settings"]
+        return {str(name): str(value) for name, value in settings.items()}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as exception:
+        raise HardwareError(
+            f"{path} is no record of a commissioning ({exception}): delete it, and commission the rig anew"
+        ) from exception
+
+
+def commissioned_text(settings: dict[str, str], identity: str) -> str:
+    """What the file holds; identity: what the controller tells of itself."""
+    return json.dumps({"controller": identity, "settings": settings}, indent=1) + "\n"
+
 
 KEYS = "name, robot, axes, arm, connection, approach, late"
 """Of a hardware file."""

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ctr_nlp.exceptions import DeviceFault
-from ctr_nlp.hardware.connection import Connection
+from ctr_nlp.hardware.description import Connection
 from ctr_nlp.hardware.devices import Progress
 from ctr_nlp.hardware.devices.grbl import stream
 from ctr_nlp.hardware.devices.grbl.replies import reply_of, report_of

@@ -16,8 +16,7 @@ from strategies import numbers, robots, robots_with_q
 from ctr_nlp import Limits, Robot, table_i_robot
 from ctr_nlp.exceptions import HardwareError
 from ctr_nlp.hardware.axis import Axis
-from ctr_nlp.hardware.connection import Connection
-from ctr_nlp.hardware.description import Hardware, bench
+from ctr_nlp.hardware.description import Connection, Hardware, bench
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "hardware.toml"
 LETTERS = "XYZABCUVW"
