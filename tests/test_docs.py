@@ -345,7 +345,7 @@ def test_diagrams_are_of_a_kind_that_github_draws():
 
 def test_the_wiring_is_that_of_the_example_hardware():
     """Axis, joint, unit, range, speed and acceleration; the drives agree with the emulated machine's settings."""
-    from ctr_nlp.hardware.emulator.protocol.settings import DEFAULTS
+    from ctr_nlp.hardware.emulator.reports import DEFAULTS
 
     hardware = Hardware.from_toml(ROOT / "examples" / "hardware.toml")
     rows = [

@@ -15,7 +15,7 @@ from emulated import Host, program
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.hardware.emulator import FAULTS, Firmware, Wire, fault, serving
-from ctr_nlp.hardware.emulator.mechanics.planner import BLOCKS
+from ctr_nlp.hardware.emulator.planner import BLOCKS
 
 pytestmark = pytest.mark.real_time
 

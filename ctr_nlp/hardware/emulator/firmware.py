@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.hardware.emulator.controller.commands import Commands
 from ctr_nlp.hardware.emulator.controller.stops import ESTOP
-from ctr_nlp.hardware.emulator.protocol.gcode import Refused
-from ctr_nlp.hardware.emulator.protocol.reports import BUTTONS
+from ctr_nlp.hardware.emulator.gcode import Refused
+from ctr_nlp.hardware.emulator.reports import BUTTONS
 
 SLICE_S = 0.01
 """How often lines that wait for room are tried again; the planner makes room a block at a time."""

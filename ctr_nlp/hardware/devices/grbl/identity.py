@@ -1,4 +1,4 @@
-"""Who a Grbl controller is, and which of its settings would lose its position, change its meaning, or break limits.
+"""Who a Grbl controller is, and which of its settings lose its position, change its meaning, or break limits.
 
 Numbers and meanings of settings: grblHAL, settings.c. A finding tells the value to set.
 """

@@ -1,4 +1,5 @@
-"""The planner of the firmware: straight blocks, and how fast each may be entered so that all others can be left.
+"""The planner of the firmware: straight blocks, how fast each may be entered so that all others can be left, and
+segments of 10 ms, each executed at constant speed.
 
 A block is a straight line in all six axes; its length is the norm over all of them, degrees counted like
 millimetres, as the firmware reports feed. Lengths in mm or deg, times in s.
@@ -10,7 +11,39 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ctr_nlp.hardware.emulator.mechanics.overrides import Overrides
+FEED_RESET, SPINDLE_RESET = 0x90, 0x99
+FEED_STEPS = {0x91: 10, 0x92: -10, 0x93: 1, 0x94: -1}
+RAPIDS = {0x95: 100, 0x96: 50, 0x97: 25}
+SPINDLE_STEPS = {0x9A: 10, 0x9B: -10, 0x9C: 1, 0x9D: -1}
+LOWEST, HIGHEST = 10, 200
+
+
+@dataclass(frozen=True)
+class Overrides:
+    """Percentages of what is programmed: of feeds (G1, timed lines among them), of rapids (G0), of the spindle."""
+
+    feed: int = 100
+    rapid: int = 100
+    spindle: int = 100
+
+    def after(self, byte: int) -> Overrides:
+        """What a realtime character makes of them; the same where it is none of theirs."""
+        if byte in RAPIDS:
+            return Overrides(self.feed, RAPIDS[byte], self.spindle)
+        feed = 100 if byte == FEED_RESET else self.feed + FEED_STEPS.get(byte, 0)
+        spindle = 100 if byte == SPINDLE_RESET else self.spindle + SPINDLE_STEPS.get(byte, 0)
+        return Overrides(_within(feed), self.rapid, _within(spindle))
+
+    def speed(self, asked: float, fastest: float) -> float:
+        """Speed of a block that asks for one and may go at another at most, mm/s; infinity asks for a rapid."""
+        if asked == float("inf"):
+            return fastest * self.rapid / 100
+        return min(min(asked, fastest) * self.feed / 100, fastest)
+
+
+def _within(percent: int) -> int:
+    return min(max(percent, LOWEST), HIGHEST)
+
 
 BLOCKS = 100
 """Blocks that the planner holds."""
@@ -138,3 +171,68 @@ def look_ahead(blocks: Sequence[Block], speed: float, anew: bool = False) -> Non
     for later in blocks[1:]:
         later.enter(min(later.entry, arriving))
         arriving = later.entry + 2 * later.acceleration * later.remaining
+
+
+SEGMENT_S = 0.01
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A piece of a block between two covered lengths, executed at constant speed."""
+
+    block: Block
+    begin: float
+    end: float
+    seconds: float
+    last: bool
+
+
+def ramp(speed: float, rest: float, block: Block, leaving: float) -> tuple[float, float, float]:
+    """(length, speed at the end, time taken) of the next segment: a trapezoid's next 10 ms, not beyond rest.
+
+    speed: now. rest: length left, at whose end the speed is to be leaving. Lengths in mm, speeds in mm/s.
+    """
+    acceleration, nominal = block.acceleration, block.speed
+    covered, left = 0.0, SEGMENT_S
+    while left > 0 and rest - covered > LEAST_STEP_MM:
+        ahead = rest - covered
+        braking = (speed * speed - leaving * leaving) / (2 * acceleration)
+        if braking >= ahead - LEAST_STEP_MM:
+            end = math.sqrt(max(speed * speed - 2 * acceleration * ahead, leaving * leaving))
+            length, speed, time = _braked(speed, end, ahead, acceleration, left)
+            return covered + length, speed, SEGMENT_S - left + time
+        if speed > nominal:
+            time = min((speed - nominal) / acceleration, left)
+            covered += time * (speed - acceleration * time / 2)
+            left -= time
+            speed = nominal if left > 0 else speed - acceleration * time
+            continue
+        if speed < nominal:
+            peak = min(nominal, math.sqrt(acceleration * ahead + (speed * speed + leaving * leaving) / 2))
+            if peak > speed:
+                whole = (peak - speed) / acceleration
+                time = min(whole, left)
+                covered += time * (speed + acceleration * time / 2)
+                speed = peak if time == whole else speed + acceleration * time
+                left -= time
+                if peak < nominal and left > 0:
+                    # At the top of a triangle only rounding is between rising and falling.
+                    length, speed, time = _braked(speed, leaving, rest - covered, acceleration, left)
+                    return covered + length, speed, SEGMENT_S - left + time
+                continue
+        time = min((ahead - max(braking, 0.0)) / speed, left)
+        covered += time * speed
+        left -= time
+        if time == 0:
+            break
+    return covered, speed, SEGMENT_S - left
+
+
+def _braked(
+    speed: float, end: float, ahead: float, acceleration: float, left: float
+) -> tuple[float, float, float]:
+    """(length, speed, time taken) of slowing down to a speed over a length ahead, for the time left at most."""
+    whole = 2 * ahead / (speed + end) if speed + end > 0 else 0.0
+    if whole <= left:
+        return ahead, end, whole
+    return left * (speed - acceleration * left / 2), speed - acceleration * left, left

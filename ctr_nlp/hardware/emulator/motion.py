@@ -9,17 +9,18 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from ctr_nlp.hardware.emulator.mechanics.overrides import Overrides
-from ctr_nlp.hardware.emulator.mechanics.planner import (
+from ctr_nlp.hardware.emulator.planner import (
     BLOCKS,
     LEAST_STEP_MM,
     AxisLimits,
     Block,
+    Overrides,
+    Segment,
     Vector,
     look_ahead,
+    ramp,
     straight,
 )
-from ctr_nlp.hardware.emulator.mechanics.segments import Segment, ramp
 
 PREPARED = 9
 """Segments prepared, the one being executed among them."""
