@@ -22,11 +22,9 @@ from ctr_nlp.cli.output.folder import MARK
 from ctr_nlp.exceptions import HardwareError, OptionError
 from ctr_nlp.hardware.arm.kinematics import tilt
 from ctr_nlp.hardware.description import Hardware, bench
-from ctr_nlp.hardware.exports import FORMATS, TEXTS
-from ctr_nlp.hardware.exports.gcode import gcode_text
+from ctr_nlp.hardware.exports import FORMATS, TEXTS, csv_text
 from ctr_nlp.hardware.exports.rosbag2 import STATES, STORAGES, TOLERANCE, TRAJECTORY, points, write_bag
-from ctr_nlp.hardware.exports.table import csv_text
-from ctr_nlp.hardware.motion.gcode import LEAST_FEED, MODES
+from ctr_nlp.hardware.motion.gcode import LEAST_FEED, MODES, gcode_text
 from ctr_nlp.hardware.motion.trajectory import trajectory_of
 from ctr_nlp.hardware.playing.checks import checked
 from ctr_nlp.hardware.playing.session import prepared

@@ -13,11 +13,9 @@ from ctr_nlp.hardware.devices import Device, Played, Standing
 from ctr_nlp.hardware.devices.arms import ArmFollower
 from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
-from ctr_nlp.hardware.playing.leading import Leading
-from ctr_nlp.hardware.playing.playback import Playback, Seen
-from ctr_nlp.hardware.playing.results import Ending, Outcome, Result, State
+from ctr_nlp.hardware.playing.playback import Leading, Playback, Seen
+from ctr_nlp.hardware.playing.results import Ending, Outcome, Result, State, Wishes
 from ctr_nlp.hardware.playing.trust import Memory, Trust
-from ctr_nlp.hardware.playing.wishes import Wishes
 from ctr_nlp.typing import Array
 
 
