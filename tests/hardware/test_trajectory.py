@@ -15,8 +15,7 @@ from ctr_nlp.exceptions import OptionError, TrajectoryError
 from ctr_nlp.hardware.description import bench
 from ctr_nlp.hardware.devices import Progress
 from ctr_nlp.hardware.motion import gcode
-from ctr_nlp.hardware.motion.lookahead import LONGEST
-from ctr_nlp.hardware.motion.progress import FollowedPath
+from ctr_nlp.hardware.motion.lookahead import LONGEST, FollowedPath
 from ctr_nlp.hardware.motion.trajectory import approach_to, digests, rest_of, trajectory_of
 from ctr_nlp.hardware.playing.record import Recorder
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
-from ctr_nlp.hardware.motion.trajectory import Commands
+from ctr_nlp.hardware.motion.lookahead import Commands
 from ctr_nlp.typing import Array
 
 

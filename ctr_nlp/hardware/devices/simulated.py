@@ -7,7 +7,7 @@ import numpy as np
 from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.devices import Asked, Progress, Standing
-from ctr_nlp.hardware.motion.trajectory import Commands
+from ctr_nlp.hardware.motion.lookahead import Commands
 from ctr_nlp.typing import Array
 
 STOPPING = 0.1

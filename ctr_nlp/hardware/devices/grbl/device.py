@@ -13,7 +13,7 @@ from ctr_nlp.hardware.devices.grbl.stop import stopped
 from ctr_nlp.hardware.devices.grbl.stream import Stream
 from ctr_nlp.hardware.devices.grbl.talk import GREETING, RESET, Talk, never
 from ctr_nlp.hardware.link import Link
-from ctr_nlp.hardware.motion.trajectory import Commands
+from ctr_nlp.hardware.motion.lookahead import Commands
 from ctr_nlp.typing import Array
 
 HOMING = 180.0

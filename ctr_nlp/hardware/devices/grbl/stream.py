@@ -11,13 +11,11 @@ from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices import Progress, Signs
 from ctr_nlp.hardware.devices.grbl.identity import Identity
-from ctr_nlp.hardware.devices.grbl.replies import Reply, Report, report_of
 from ctr_nlp.hardware.devices.grbl.stop import OVERHEARD
-from ctr_nlp.hardware.devices.grbl.talk import HOLD, RESUME, STATUS, Talk
+from ctr_nlp.hardware.devices.grbl.talk import HOLD, RESUME, STATUS, Reply, Report, Talk, report_of
 from ctr_nlp.hardware.motion import lookahead
 from ctr_nlp.hardware.motion.gcode import MEANING, MODES, lines
-from ctr_nlp.hardware.motion.progress import FollowedPath, Place
-from ctr_nlp.hardware.motion.trajectory import Commands
+from ctr_nlp.hardware.motion.lookahead import Commands, FollowedPath, Place
 from ctr_nlp.typing import Array, Flags
 
 AGAIN = 0.1

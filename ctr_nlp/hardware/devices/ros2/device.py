@@ -26,8 +26,7 @@ from ctr_nlp.hardware.devices.ros2.joints import REST, SILENCE, Joints
 from ctr_nlp.hardware.devices.ros2.messages import Points, Topics, address_of
 from ctr_nlp.hardware.devices.ros2.track import FIRST, Track, stop_there
 from ctr_nlp.hardware.journal import Journal
-from ctr_nlp.hardware.motion.progress import FollowedPath, Place
-from ctr_nlp.hardware.motion.trajectory import Commands
+from ctr_nlp.hardware.motion.lookahead import Commands, FollowedPath, Place
 from ctr_nlp.typing import Array
 
 DISCOVERY = 5.0
