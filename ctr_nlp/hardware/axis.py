@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.exceptions import HardwareError, RobotError
-from ctr_nlp.hardware.arm.description import Arm
+from ctr_nlp.hardware.arm.description import Arm, all_numbers, some_numbers
 from ctr_nlp.hardware.motion.lookahead import steady_speed
 from ctr_nlp.robot import Robot
-from ctr_nlp.support.values import numbers
 from ctr_nlp.typing import Array
 
 UNITS = {"beta": {"mm": 1.0}, "alpha": {"deg": math.degrees(1.0), "rad": 1.0}}
@@ -50,25 +49,16 @@ class Axis:
         if isinstance(self.sign, bool) or self.sign not in (-1, 1):
             raise HardwareError(f"sign of {self.joint} is {self.sign!r}; it must be 1 or -1")
         for name in ("speed", "acceleration", "zero", "backlash", "tolerance"):
-            value = self._numbers(name, 1)[0]
+            value = float(some_numbers(f"{name} of {self.joint}", getattr(self, name), 1)[0])
             if name != "zero" and (value < 0 or (value == 0 and name != "backlash")):
                 raise HardwareError(
                     f"{name} of {self.joint} is {value:g}; it must be positive{' or 0' * (name == 'backlash')}"
                 )
-            object.__setattr__(self, name, float(value))
-        lower, upper = self._numbers("range", 2)
+            object.__setattr__(self, name, value)
+        lower, upper = all_numbers(f"range of {self.joint}", self.range, 2)
         if lower >= upper:
             raise HardwareError(f"range of {self.joint} is [{lower:g}, {upper:g}]; the lower must be less")
-        object.__setattr__(self, "range", (float(lower), float(upper)))
-
-    def _numbers(self, name: str, size: int) -> Array:
-        value = getattr(self, name)
-        if size > 1 and np.shape(value) != (size,):
-            raise HardwareError(f"{name} of {self.joint} is {value!r}; give {size} numbers")
-        try:
-            return numbers(f"{name} of {self.joint}", value, size)
-        except RobotError as exception:
-            raise HardwareError(str(exception)) from exception
+        object.__setattr__(self, "range", (lower, upper))
 
     @property
     def scale(self) -> float:

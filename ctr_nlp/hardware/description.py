@@ -110,6 +110,10 @@ class Hardware:
             HardwareError, "late", self.late, lambda late: 0 < late < math.inf, "be a positive number of seconds"
         )
 
+    def each(self, name: str) -> Array:
+        """A number of every axis (m,), by its name in Axis."""
+        return np.array([getattr(axis, name) for axis in self.axes])
+
     @cached_property
     def letters(self) -> tuple[str, ...]:
         """Of the axes, in order."""
@@ -118,20 +122,12 @@ class Hardware:
     @cached_property
     def backlash(self) -> Array:
         """Of the axes (m,), in their units."""
-        return np.array([axis.backlash for axis in self.axes])
+        return self.each("backlash")
 
     @cached_property
     def tolerance(self) -> Array:
         """Of the axes (m,), in their units."""
-        return np.array([axis.tolerance for axis in self.axes])
-
-    @cached_property
-    def _zero(self) -> Array:
-        return np.array([axis.zero for axis in self.axes])
-
-    @cached_property
-    def _scale(self) -> Array:
-        return np.array([axis.scale for axis in self.axes])
+        return self.each("tolerance")
 
     def tightened(self, robot: Robot) -> Robot:
         """The robot with limits that these axes and the arm keep too; raises HardwareError."""
@@ -141,18 +137,18 @@ class Hardware:
     def positions(self, robot: Robot, q: Array) -> Array:
         """Positions (.., m) of the axes, in their units, at q (.., 2d + 2)."""
         columns = [robot.axes.index(axis.joint) for axis in self.axes]
-        return np.asarray(self._zero + self._scale * q[..., columns])
+        return np.asarray(self.each("zero") + self.each("scale") * q[..., columns])
 
     def joints(self, robot: Robot, positions: Array, theta: Array) -> Array:
         """The q (.., 2d + 2) at positions (.., m) of the axes and a tilt (.., 2)."""
-        q = self.in_joints(robot, positions - self._zero)
+        q = self.in_joints(robot, positions - self.each("zero"))
         q[..., -2:] = theta
         return q
 
     def in_joints(self, robot: Robot, lengths: Array) -> Array:
         """Changes (.., m) of axes, in their units, as changes of q (.., 2d + 2); the tilt does not move."""
         q = np.zeros((*np.shape(lengths)[:-1], 2 * robot.d + 2))
-        q[..., [robot.axes.index(axis.joint) for axis in self.axes]] = lengths / self._scale
+        q[..., [robot.axes.index(axis.joint) for axis in self.axes]] = lengths / self.each("scale")
         return q
 
     @classmethod

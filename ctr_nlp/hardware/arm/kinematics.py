@@ -8,9 +8,10 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ctr_nlp.exceptions import HardwareError
-from ctr_nlp.hardware.arm.description import JOINT_LIMIT, JOINTS, Arm, rotations
+from ctr_nlp.hardware.arm.description import JOINT_LIMIT, JOINTS, Arm
 from ctr_nlp.support.extras import needed
 from ctr_nlp.typing import Array
 
@@ -141,7 +142,7 @@ def joints(arm: Arm, theta: Array, start: Array | None = None) -> Array:
 def poses(arm: Arm, theta: Array) -> Array:
     """Flange poses in the arm's base frame, (T, 4, 4) in mm, that tilt the robot by theta (T, 2) rad."""
     tilted = np.tile(np.eye(4), (len(theta), 1, 1))
-    tilted[:, :3, :3] = rotations(np.asarray(theta))
+    tilted[:, :3, :3] = Rotation.from_euler("xy", theta).as_matrix()  # Ry(theta_y) Rx(theta_x)
     return np.asarray(arm.base @ tilted @ np.linalg.inv(arm.mount))
 
 

@@ -54,7 +54,7 @@ class Ros2:
     def __init__(self, hardware: Hardware, journal: Journal, clock: Clock) -> None:
         self._hardware, self._journal, self._clock = hardware, journal, clock
         self._address = address_of(hardware.connection.url)
-        self._acceleration = np.array([axis.acceleration for axis in hardware.axes])
+        self._acceleration = hardware.each("acceleration")
         self._topics: Topics | None = None
         self._track: Track | None = None
 
