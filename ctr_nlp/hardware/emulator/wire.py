@@ -34,10 +34,6 @@ class Fault:
     choice: float = 0.3
     data: bytes = b""
 
-    def due(self, time: float, sent_bytes: int) -> bool:
-        """Whether its moment has come."""
-        return time >= self.at or sent_bytes >= self.after_bytes
-
     def strike(self, line: Line) -> None:
         """Do what it does to a line or the firmware at its end."""
         self.strike_line(line, self)
@@ -146,8 +142,8 @@ class Line:
             raise ConnectionError("the link to the controller is lost")
 
     def _trigger(self) -> None:
-        due = [fault for fault in self._waiting if fault.due(self.firmware.time, self.sent_bytes)]
-        for fault in due:
+        now, sent = self.firmware.time, self.sent_bytes
+        for fault in [fault for fault in self._waiting if now >= fault.at or sent >= fault.after_bytes]:
             self._waiting.remove(fault)
             fault.strike(self)
 

@@ -33,47 +33,16 @@ TICK = 0.005
 Seen = Callable[[Trajectory, Progress], None]
 
 
-class Leading:
-    """Leads an arm through the tilts of a trajectory."""
-
-    def __init__(self, arm: ArmFollower, trajectory: Trajectory, clock: Clock) -> None:
-        self._arm, self._trajectory, self._clock = arm, trajectory, clock
-        self._tolerance = trajectory.hardware.arm.skew_tolerance if trajectory.hardware.arm else 0.0
-
-    def follow(self, progress: Progress) -> None:
-        """Let the arm follow the device's progress; raises DeviceFault where it does not."""
-        late = self._clock.now() - progress.stamp
-        now = progress.time + (min(late, AHEAD) if progress.state == "running" else 0.0)
-        self._arm.follow(self._trajectory.tilt(now))
-        around = self._trajectory.tilt(now + np.linspace(-1.0, 1.0, 21) * self._tolerance)
-        away = np.linalg.norm(around - self._arm.tilt(), axis=1).min()
-        if away > IN_STEP:
-            raise DeviceFault(
-                f"the arm is not in step: {np.degrees(away):.2g} deg from every tilt within {self._tolerance:g} s"
-            )
-
-    def arrive(self) -> float:
-        """Let the arm come to the last tilt and rest; by how much it stays off, rad."""
-        end, theta = self._clock.now() + SETTLING, self._trajectory.tilt(self._trajectory.duration)
-        self._arm.follow(theta)
-        while (off := float(np.linalg.norm(self._arm.tilt() - theta))) > 0.1 * LEVEL and self._clock.now() < end:
-            self._clock.sleep(TICK)
-            self._arm.follow(theta)
-        self._arm.hold()
-        return off
-
-    def hold(self) -> None:
-        """Let the arm stand still."""
-        self._arm.hold()
-
-
 class Playback:
-    """A trajectory in progress. to: told of the states running and hold; frame: the last that was passed."""
+    """A trajectory in progress, and an arm or None that is led by the device's progress and must keep in step.
+
+    to: told of the states running and hold; frame: the last that was passed.
+    """
 
     def __init__(
         self,
         trajectory: Trajectory,
-        arm: Leading | None,
+        arm: ArmFollower | None,
         journal: Journal,
         clock: Clock,
         wishes: Wishes,
@@ -115,7 +84,7 @@ class Playback:
                 return Ending(Outcome.CANCELLED, f"stopped on request, after frame {self.frame}")
             self._obey(played, progress, supervisor)
             if self._arm is not None and not self._held:
-                self._arm.follow(progress)
+                self._lead(self._arm, progress)
             played.feed()
             self._clock.sleep(TICK)
 
@@ -150,9 +119,33 @@ class Playback:
         self._held = held
         self._to(State.HOLD if held else State.RUNNING)
 
+    def _lead(self, arm: ArmFollower, progress: Progress) -> None:
+        """Let the arm follow the device's progress; raises DeviceFault where it does not."""
+        described = self._trajectory.hardware.arm
+        tolerance = 0.0 if described is None else described.skew_tolerance
+        late = self._clock.now() - progress.stamp
+        now = progress.time + (min(late, AHEAD) if progress.state == "running" else 0.0)
+        arm.follow(self._trajectory.tilt(now))
+        around = self._trajectory.tilt(now + np.linspace(-1.0, 1.0, 21) * tolerance)
+        away = np.linalg.norm(around - arm.tilt(), axis=1).min()
+        if away > IN_STEP:
+            raise DeviceFault(
+                f"the arm is not in step: {np.degrees(away):.2g} deg from every tilt within {tolerance:g} s"
+            )
+
+    def _settled(self, arm: ArmFollower) -> float:
+        """Let the arm come to the last tilt and rest; by how much it stays off, rad."""
+        end, theta = self._clock.now() + SETTLING, self._trajectory.tilt(self._trajectory.duration)
+        arm.follow(theta)
+        while (off := float(np.linalg.norm(arm.tilt() - theta))) > 0.1 * LEVEL and self._clock.now() < end:
+            self._clock.sleep(TICK)
+            arm.follow(theta)
+        arm.hold()
+        return off
+
     def _arrived(self, progress: Progress, resolution: Array) -> Ending:
         goal = self._trajectory.positions(self._trajectory.duration)
-        tilted = 0.0 if self._arm is None else self._arm.arrive()
+        tilted = 0.0 if self._arm is None else self._settled(self._arm)
         standing = Standing(progress.position, True)
         off = abs(progress.position - goal) / resolution
         if off.max() > 1.0:
