@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any
 
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.hardware.emulator.controller.stops import ESTOP, HARD_LIMIT
 from ctr_nlp.hardware.emulator.firmware import Firmware
 from ctr_nlp.hardware.emulator.planner import Vector
 from ctr_nlp.hardware.emulator.reports import BANNER, Status
@@ -124,6 +125,12 @@ def _flipped(data: bytes, draw: random.Random, fault: Fault) -> bytes:
     return bytes(byte ^ (1 << draw.randrange(8)) if draw.random() < fault.choice else byte for byte in data)
 
 
+def _estop(line: Line, fault: Fault) -> None:
+    """The button with the alarm that it raises on a board; the recorded controller only shows its pin."""
+    line.firmware.press("estop")
+    line.firmware.alarm(ESTOP)
+
+
 def _power_cycle_unseen(line: Line, fault: Fault) -> None:
     line.drop()
     line.firmware.reboot(loses_position=True)
@@ -144,10 +151,10 @@ _KINDS: dict[str, tuple[Strike, dict[str, Any]]] = {
         {"choice": 0.02},
     ),
     "banner": (lambda line, fault: line.firmware.reboot(loses_position=bool(fault.choice)), {"choice": 1.0}),
-    "hard_limit": (lambda line, fault: line.firmware.hard_limit(), {}),
+    "hard_limit": (lambda line, fault: line.firmware.alarm(HARD_LIMIT), {}),
     "soft_limit": (lambda line, fault: line.firmware.soft_limit(), {}),
     "error_latch": (lambda line, fault: line.firmware.refuse(int(fault.choice)), {"choice": 20}),
-    "estop": (lambda line, fault: line.firmware.press("estop", alarms=True), {}),
+    "estop": (_estop, {}),
     "power_cycle": (lambda line, fault: line.firmware.reboot(loses_position=True), {}),
     "power_cycle_unseen": (_power_cycle_unseen, {}),
     "third_party": (

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 
 from ctr_nlp.hardware.emulator.planner import (
     BLOCKS,
@@ -27,11 +28,14 @@ PREPARED = 9
 
 
 class Motion:
-    """Plans blocks, prepares segments and executes them. position: (6,), where the motors are."""
+    """Plans blocks, prepares segments and executes them. position: (6,), where the motors are.
 
-    def __init__(self, limits: AxisLimits) -> None:
-        self.limits = limits
-        self.position: Vector = (0.0,) * len(limits.speed)
+    limits: those that hold now; what is planned keeps its own.
+    """
+
+    def __init__(self, limits: Callable[[], AxisLimits]) -> None:
+        self._limits = limits
+        self.position: Vector = (0.0,) * len(limits().speed)
         self.blocks: deque[Block] = deque()
         self.segments: deque[Segment] = deque()
         self.finished: list[tuple[int | None, Vector]] = []
@@ -73,10 +77,6 @@ class Motion:
         """Say which line has been read; None or 0 for one without a number."""
         self._read = number or None
 
-    def keep(self, limits: AxisLimits) -> None:
-        """Keep other limits from now on; what is planned keeps its own."""
-        self.limits = limits
-
     def place(self, position: Vector) -> None:
         """Say where the motors are, without motion."""
         self.position = position
@@ -84,7 +84,7 @@ class Motion:
     def plan(self, target: Vector, speed: float, line: int | None = None, jog: bool = False) -> None:
         """Append a line to target (6,) at a speed in mm/s along the path, unless there is nothing to move."""
         before = self.blocks[-1] if self.blocks else None
-        new = straight(self.target, target, speed, self.limits, before, self.overrides, line, jog)
+        new = straight(self.target, target, speed, self._limits(), before, self.overrides, line, jog)
         if new is not None:
             self.blocks.append(new)
             look_ahead(list(self.blocks), self.speed)

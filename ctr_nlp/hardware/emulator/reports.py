@@ -66,7 +66,6 @@ class ControllerSettings(dict[int, float]):
         cycles = [int(self[44 + i]) for i in range(3)]
         return [axis for cycle in cycles for axis in range(6) if cycle >> axis & 1]
 
-    @property
     def limits(self) -> AxisLimits:
         """Speeds, accelerations and junction deviation for the planner."""
         speed = tuple(rate / 60 for rate in self.axes(110))

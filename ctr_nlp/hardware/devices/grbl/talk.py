@@ -205,10 +205,10 @@ class Talk:
             raise DeviceFault("a stop was asked for while the controller was to tell its status")
         raise DeviceFault(f"the controller sends no status within {seconds:g} s")
 
-    def round_trip(self, times: int = 5) -> float:
-        """The median of some times from a status question to its answer, s; raises DeviceFault."""
+    def round_trip(self) -> float:
+        """The median of five times from a status question to its answer, s; raises DeviceFault."""
         taken = []
-        for _ in range(times):
+        for _ in range(5):
             asked = self._clock.now()
             self.report()
             taken.append(self._clock.now() - asked)

@@ -102,8 +102,7 @@ class Ros2:
 
     def _take(self) -> None:
         """Take the joint states that have come."""
-        states = self._open().states()
-        self._joints.take(states, self._clock.now())
+        self._joints.take(self._open().states(), self._clock.now())
 
     def _watch(self, now: float) -> None:
         """Whether a controller is there and tells where its joints are."""

@@ -10,16 +10,16 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from ctr_nlp.hardware.emulator.controller.stops import Homing
+from ctr_nlp.hardware.emulator.controller.stops import Stopping
 from ctr_nlp.hardware.emulator.gcode import Line, Modal, Refused, read
 from ctr_nlp.hardware.emulator.planner import Vector
 from ctr_nlp.hardware.emulator.reports import HELP, VERSION, modes, offsets
 
-LOCKED = 9
+NOT_UNDERSTOOD, HOMING_OFF, NOT_IDLE, LOCKED, TRAVEL, CRITICAL = 3, 5, 8, 9, 15, 79
 
 
-class Execution(Homing):
-    """A controller that obeys G-code."""
+class Commands(Stopping):
+    """A controller that obeys G-code, and can be asked and set."""
 
     def execute(self, text: str) -> None:
         """Obey a line of G-code, now or as soon as there is room; raises Refused."""
@@ -92,13 +92,6 @@ class Execution(Homing):
         self.pending = over
         return False
 
-
-NOT_UNDERSTOOD, HOMING_OFF, NOT_IDLE, TRAVEL, CRITICAL = 3, 5, 8, 15, 79
-
-
-class Commands(Execution):
-    """A controller that can be asked and set."""
-
     def command(self, text: str) -> None:
         """Obey what follows a `$`; raises Refused."""
         upper = text.upper()
@@ -132,7 +125,6 @@ class Commands(Execution):
             raise Refused(NOT_UNDERSTOOD)
         self._check_state("Idle", "Alarm")
         number = self.settings.change(text)
-        self.motion.keep(self.settings.limits)
         if 100 <= number < 110:
             self.status.tell("homed")
         self.ok()

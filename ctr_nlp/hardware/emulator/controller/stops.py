@@ -14,7 +14,7 @@ HARD_LIMIT, SOFT_LIMIT, RESET, RESET_HOMING, ESTOP = 1, 2, 3, 6, 10
 
 
 class Stopping(Controller):
-    """A controller that can be stopped."""
+    """A controller that can be stopped, and that finds its position."""
 
     def hold(self) -> None:
         """Feed hold; it does nothing to a jog, nor to homing, and an alarm has nothing left to hold."""
@@ -122,10 +122,6 @@ class Stopping(Controller):
         self.say(f"ALARM:{number}")
         self.later(ALARM_PAUSE_S, lambda: self.say("[MSG:Reset to continue]"))
 
-    def hard_limit(self) -> None:
-        """A limit switch is met in motion: everything stops where it is."""
-        self.alarm(HARD_LIMIT)
-
     def soft_limit(self) -> None:
         """Come to a standstill, then raise the alarm."""
         if self.motion.running:
@@ -134,10 +130,6 @@ class Stopping(Controller):
             self.when_stopped = lambda: self.alarm(SOFT_LIMIT)
         else:
             self.alarm(SOFT_LIMIT)
-
-
-class Homing(Stopping):
-    """A controller that finds its position."""
 
     def start_homing(self) -> None:
         """Begin the cycle; a report says so."""
