@@ -22,6 +22,9 @@ DEVICES = ("simulated", "grbl", "ros2")
 HOMING = ("manual", "cycle")
 FLOW = ("count", "wait")
 
+KEYS = "name, robot, axes, arm, connection, approach, late"
+"""Of a hardware file."""
+
 
 @dataclass(frozen=True)
 class Connection:
@@ -74,10 +77,6 @@ def read_commissioned(hardware_file: str | Path) -> dict[str, str] | None:
 def commissioned_text(settings: dict[str, str], identity: str) -> str:
     """What the file holds; identity: what the controller tells of itself."""
     return json.dumps({"controller": identity, "settings": settings}, indent=1) + "\n"
-
-
-KEYS = "name, robot, axes, arm, connection, approach, late"
-"""Of a hardware file."""
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,14 @@ from ctr_nlp.typing import Array
 LENGTH = 100.0
 """mm that count as one radian where turning and moving are compared."""
 
+LARGEST_GAIN = 30.0
+"""Nearer to a singularity, joints would turn more than this many times as fast as the robot they hold."""
+SINGULAR = "singular: joints would turn {gain:.3g} times as fast as the robot"
+SUBSTEP = 0.01
+"""rad of tilt from one inverse kinematics to the next, so that joint solutions cannot be mixed up."""
+JUMP = 0.5
+"""rad that a joint may turn over a substep: more than LARGEST_GAIN asks for, less than lies between solutions."""
+
 
 def tilt(arm: Arm, joints: Array) -> Array:
     """Tilt (T, 2) rad, within +-pi, of joints (T, 6) rad, by forward kinematics."""
@@ -87,15 +95,6 @@ def _screws(arm: Arm, joints: Array) -> Array:
         speed = np.einsum("tij,j->ti", moved[:, :3, :3], screw[:3, 3]) - np.cross(axis, moved[:, :3, 3])
         columns.append(np.concatenate([axis, speed], axis=1))
     return np.stack(columns, axis=2)
-
-
-LARGEST_GAIN = 30.0
-"""Nearer to a singularity, joints would turn more than this many times as fast as the robot they hold."""
-SINGULAR = "singular: joints would turn {gain:.3g} times as fast as the robot"
-SUBSTEP = 0.01
-"""rad of tilt from one inverse kinematics to the next, so that joint solutions cannot be mixed up."""
-JUMP = 0.5
-"""rad that a joint may turn over a substep: more than LARGEST_GAIN asks for, less than lies between solutions."""
 
 
 class _Followed(NamedTuple):

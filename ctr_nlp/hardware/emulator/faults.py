@@ -21,6 +21,15 @@ ERRORS = (1, 9, 20, 79)
 STATES = ("Idle", "Run", "Hold:0", "Hold:1", "Jog", "Alarm", "Home", "Check")
 PRINTABLE = "".join(chr(code) for code in range(32, 127))
 
+Strike = Callable[[Line, Fault], None]
+Change = Callable[[bytes, random.Random, Fault], list[tuple[float, bytes]]]
+
+THIRD_PARTIES = (
+    *(b"~", b"!", b"\x18", b"\x19", b"\x85", 5 * b"\x91", 5 * b"\x92", b"\x97"),
+    *(b"$J=G91 X-1 F600\n", b"$1=25\n", b"$110=300\n", b"G94 G1 X-1 F600\n", b"G4 P0.3\n", b"G999\n"),
+)
+"""What pendants and other clients have been seen to send; one is drawn where a fault names none."""
+
 
 def _report(firmware: Firmware, state: str, position: Vector, line: int | None) -> str:
     """A status report without any of the rarer fields."""
@@ -62,16 +71,6 @@ LIES: dict[str, Lie] = {
     "noise": _noise,
 }
 """Name of a fault -> the line that is inserted."""
-
-
-Strike = Callable[[Line, Fault], None]
-Change = Callable[[bytes, random.Random, Fault], list[tuple[float, bytes]]]
-
-THIRD_PARTIES = (
-    *(b"~", b"!", b"\x18", b"\x19", b"\x85", 5 * b"\x91", 5 * b"\x92", b"\x97"),
-    *(b"$J=G91 X-1 F600\n", b"$1=25\n", b"$110=300\n", b"G94 G1 X-1 F600\n", b"G4 P0.3\n", b"G999\n"),
-)
-"""What pendants and other clients have been seen to send; one is drawn where a fault names none."""
 
 
 def _lasting(line: Line, fault: Fault) -> Callable[[], bool]:

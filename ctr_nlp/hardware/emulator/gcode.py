@@ -9,6 +9,37 @@ from dataclasses import dataclass, replace
 RX_BYTES = 1023
 RETURN, NEWLINE = 0x0D, 0x0A
 
+AXES = "XYZABC"
+LINEAR = 3
+"""The first axes are in mm (or inches); the others are in degrees, whatever the units."""
+
+BAD_LETTER, BAD_NUMBER, NEGATIVE = 1, 2, 4
+UNSUPPORTED, SAME_GROUP, NO_FEED, AXIS_CONFLICT, REPEATED, LINE_NUMBER = 20, 21, 22, 24, 25, 27
+NO_MOTION_MODE, NO_PLANE_WORDS, UNUSED = 31, 35, 36
+HIGHEST_LINE = 9_999_999
+
+GROUPS: dict[float, str] = {
+    code: group
+    for group, codes in {
+        "motion": (0, 1, 80),
+        "feed mode": (93, 94),
+        "distance": (90, 91),
+        "units": (20, 21),
+        "once": (4, 53),
+        "plane": (17, 18, 19),
+        "system": (54,),
+        "radius": (40,),
+        "length": (49,),
+        "path": (61,),
+        "arc distance": (91.1,),
+    }.items()
+    for code in codes
+}
+IGNORED_M = (3, 4, 5, 7, 8, 9)
+ENDING_M = (2, 30)
+WORD = re.compile(r"([A-Z])([^A-Z]*)")
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)$")
+
 
 class Lines:
     """Bytes that have come, and the line that is being read. CR, LF or both end a line."""
@@ -59,38 +90,6 @@ class Lines:
         """Forget everything."""
         self._buffer.clear()
         self._line.clear()
-
-
-AXES = "XYZABC"
-LINEAR = 3
-"""The first axes are in mm (or inches); the others are in degrees, whatever the units."""
-
-BAD_LETTER, BAD_NUMBER, NEGATIVE = 1, 2, 4
-UNSUPPORTED, SAME_GROUP, NO_FEED, AXIS_CONFLICT, REPEATED, LINE_NUMBER = 20, 21, 22, 24, 25, 27
-NO_MOTION_MODE, NO_PLANE_WORDS, UNUSED = 31, 35, 36
-HIGHEST_LINE = 9_999_999
-
-GROUPS: dict[float, str] = {
-    code: group
-    for group, codes in {
-        "motion": (0, 1, 80),
-        "feed mode": (93, 94),
-        "distance": (90, 91),
-        "units": (20, 21),
-        "once": (4, 53),
-        "plane": (17, 18, 19),
-        "system": (54,),
-        "radius": (40,),
-        "length": (49,),
-        "path": (61,),
-        "arc distance": (91.1,),
-    }.items()
-    for code in codes
-}
-IGNORED_M = (3, 4, 5, 7, 8, 9)
-ENDING_M = (2, 30)
-WORD = re.compile(r"([A-Z])([^A-Z]*)")
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)$")
 
 
 class Refused(Exception):

@@ -1,5 +1,4 @@
-"""The planner of the firmware: straight blocks, how fast each may be entered so that all others can be left, and
-segments of 10 ms, each executed at constant speed.
+"""What the firmware plans: straight blocks, the overrides of their speeds, and segments of 10 ms at constant speed.
 
 A block is a straight line in all six axes; its length is the norm over all of them, degrees counted like
 millimetres, as the firmware reports feed. Lengths in mm or deg, times in s.
@@ -8,7 +7,6 @@ millimetres, as the firmware reports feed. Lengths in mm or deg, times in s.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 FEED_RESET, SPINDLE_RESET = 0x90, 0x99
@@ -16,6 +14,16 @@ FEED_STEPS = {0x91: 10, 0x92: -10, 0x93: 1, 0x94: -1}
 RAPIDS = {0x95: 100, 0x96: 50, 0x97: 25}
 SPINDLE_STEPS = {0x9A: 10, 0x9B: -10, 0x9C: 1, 0x9D: -1}
 LOWEST, HIGHEST = 10, 200
+
+BLOCKS = 100
+"""Blocks that the planner holds."""
+LEAST_STEP_MM = 1e-9
+SLOWEST = 1 / 60
+"""A slower line is executed at this many mm/s."""
+
+Vector = tuple[float, ...]
+
+SEGMENT_S = 0.01
 
 
 @dataclass(frozen=True)
@@ -45,15 +53,6 @@ def _within(percent: int) -> int:
     return min(max(percent, LOWEST), HIGHEST)
 
 
-BLOCKS = 100
-"""Blocks that the planner holds."""
-LEAST_STEP_MM = 1e-9
-SLOWEST = 1 / 60
-"""A slower line is executed at this many mm/s."""
-
-Vector = tuple[float, ...]
-
-
 @dataclass(frozen=True)
 class AxisLimits:
     """What the settings allow. speed: (6,) mm/s. acceleration: (6,) mm/s^2. deviation: of a junction, mm."""
@@ -63,32 +62,31 @@ class AxisLimits:
     deviation: float
 
 
-@dataclass
 class Block:
-    """One line in the planner, speeds in mm/s along the path.
+    """A line in the planner from start to target (6,), after the one before; speeds in mm/s along the path.
 
     asked: as programmed. fastest: that its axes allow. speed: nominal, as overridden. corner: at which the corner
-    before it may be passed, squared. entry: at its start, squared.
+    before it may be passed, squared. entry: at its start, squared. remaining: length not yet prepared.
     """
 
-    start: Vector
-    target: Vector
-    direction: Vector
-    length: float
-    asked: float
-    fastest: float
-    acceleration: float
-    corner: float
-    line: int | None
-    jog: bool
-    speed: float = 0.0
-    highest_entry: float = 0.0
-    entry: float = 0.0
-    remaining: float = 0.0
-    """Length not yet prepared."""
-
-    def __post_init__(self) -> None:
-        self.remaining = self.length
+    def __init__(
+        self,
+        start: Vector,
+        target: Vector,
+        asked: float,
+        limits: AxisLimits,
+        before: Block | None,
+        line: int | None,
+        jog: bool,
+    ) -> None:
+        self.start, self.target, self.asked, self.line, self.jog = start, target, asked, line, jog
+        self.length = self.remaining = math.dist(start, target)
+        self.direction = tuple((b - a) / self.length for a, b in zip(start, target, strict=True))
+        used = [(i, abs(d)) for i, d in enumerate(self.direction) if d]
+        self.fastest = min(limits.speed[i] / share for i, share in used)
+        self.acceleration = min(limits.acceleration[i] / share for i, share in used)
+        self.corner = 0.0 if before is None else junction(before.direction, self.direction, limits)
+        self.speed = self.highest_entry = self.entry = 0.0
 
     def override(self, overrides: Overrides, before: float) -> None:
         """Scale its speed; before: the nominal speed of the block before it."""
@@ -115,31 +113,6 @@ class Block:
         return tuple(p + covered * d for p, d in zip(self.start, self.direction, strict=True))
 
 
-def straight(
-    start: Vector,
-    target: Vector,
-    asked: float,
-    limits: AxisLimits,
-    before: Block | None,
-    overrides: Overrides,
-    line: int | None,
-    jog: bool,
-) -> Block | None:
-    """A line between positions (6,), after another, at a speed in mm/s along the path; None if nothing moves."""
-    delta = [b - a for a, b in zip(start, target, strict=True)]
-    length = math.sqrt(sum(d * d for d in delta))
-    if length < LEAST_STEP_MM:
-        return None
-    direction = tuple(d / length for d in delta)
-    used = [i for i, d in enumerate(direction) if d]
-    fastest = min(limits.speed[i] / abs(direction[i]) for i in used)
-    acceleration = min(limits.acceleration[i] / abs(direction[i]) for i in used)
-    corner = 0.0 if before is None else junction(before.direction, direction, limits)
-    new = Block(start, target, direction, length, asked, fastest, acceleration, corner, line, jog)
-    new.override(overrides, math.inf if before is None else before.speed)
-    return new
-
-
 def junction(before: Vector, after: Vector, limits: AxisLimits) -> float:
     """Squared speed through a corner: that of an arc which leaves the corner by the junction deviation."""
     cosine = -sum(a * b for a, b in zip(before, after, strict=True))
@@ -148,32 +121,9 @@ def junction(before: Vector, after: Vector, limits: AxisLimits) -> float:
     if cosine < -0.999999:
         return math.inf
     change = [b - a for a, b in zip(before, after, strict=True)]
-    size = math.sqrt(sum(c * c for c in change))
-    limit = min(a * size / abs(c) for a, c in zip(limits.acceleration, change, strict=True) if c)
+    limit = min(a * math.hypot(*change) / abs(c) for a, c in zip(limits.acceleration, change, strict=True) if c)
     sine = math.sqrt(0.5 * (1 - cosine))
     return limit * limits.deviation * sine / (1 - sine)
-
-
-def look_ahead(blocks: Sequence[Block], speed: float, anew: bool = False) -> None:
-    """Set the highest entry speeds from which every later block, and the end, can still be reached.
-
-    speed: with which the first block is being left behind, mm/s. anew: all of them, not only those that the last
-    block changes.
-    """
-    leaving = 0.0
-    for later in reversed(blocks[1:]):
-        entry = min(later.highest_entry, leaving + 2 * later.acceleration * later.remaining)
-        if entry == later.entry and later is not blocks[-1] and not anew:
-            break
-        later.enter(entry)
-        leaving = entry
-    arriving = speed**2 + 2 * blocks[0].acceleration * blocks[0].remaining
-    for later in blocks[1:]:
-        later.enter(min(later.entry, arriving))
-        arriving = later.entry + 2 * later.acceleration * later.remaining
-
-
-SEGMENT_S = 0.01
 
 
 @dataclass(frozen=True)

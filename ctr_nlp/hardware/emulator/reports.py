@@ -27,6 +27,29 @@ _TEXTS = {int(key): value for key, _, value in (pair.partition("=") for pair in 
 DEFAULTS = {number: float(text) for number, text in _TEXTS.items()}
 DECIMALS = {number: len(text.partition(".")[2]) for number, text in _TEXTS.items()}
 
+BANNER = "\r\nGrblHAL 1.1f ['$' or '$HELP' for help]"
+UNLOCK = "[MSG:'$H'|'$X' to unlock]"
+VERSION = (
+    "[VER:1.1f.20260709:]",
+    "[OPT:VNML+,100,1024,6,0]",
+    "[AXS:6:XYZABC]",
+    "[NEWOPT:ENUMS,RT+,TC,SED]",
+    "[FIRMWARE:grblHAL]",
+    "[SIGNALS:D]",
+    "[NVS STORAGE:*EEPROM]",
+    "[DRIVER:Simulator]",
+    "[DRIVER VERSION:260324]",
+)
+HELP = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H $B ~ ! ? ctrl-x]"
+BUTTONS = {**{f"limit_{letter.lower()}": letter for letter in AXES}, "estop": "L", "reset": "R"}
+"""Button -> its letter in status reports, in the order of the letters there."""
+OFFSETS = ("G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3", "G28", "G30", "G92")
+ZERO = "0.000,0.000,0.000,0.000,0.000,0.000"
+
+IDLE_REPORTS = 10
+BUSY_OFFSET_REPORTS, BUSY_OVERRIDE_REPORTS = 30, 20
+"""How many reports go from one WCO, and from one Ov, to the next; IDLE_REPORTS where nothing moves."""
+
 
 class ControllerSettings(dict[int, float]):
     """Setting number -> value, in the firmware's units (mm/min, mm/s^2, steps/mm)."""
@@ -70,30 +93,6 @@ class ControllerSettings(dict[int, float]):
         """Speeds, accelerations and junction deviation for the planner."""
         speed = tuple(rate / 60 for rate in self.axes(110))
         return AxisLimits(speed, self.axes(120), self[11])
-
-
-BANNER = "\r\nGrblHAL 1.1f ['$' or '$HELP' for help]"
-UNLOCK = "[MSG:'$H'|'$X' to unlock]"
-VERSION = (
-    "[VER:1.1f.20260709:]",
-    "[OPT:VNML+,100,1024,6,0]",
-    "[AXS:6:XYZABC]",
-    "[NEWOPT:ENUMS,RT+,TC,SED]",
-    "[FIRMWARE:grblHAL]",
-    "[SIGNALS:D]",
-    "[NVS STORAGE:*EEPROM]",
-    "[DRIVER:Simulator]",
-    "[DRIVER VERSION:260324]",
-)
-HELP = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H $B ~ ! ? ctrl-x]"
-BUTTONS = {**{f"limit_{letter.lower()}": letter for letter in AXES}, "estop": "L", "reset": "R"}
-"""Button -> its letter in status reports, in the order of the letters there."""
-OFFSETS = ("G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3", "G28", "G30", "G92")
-ZERO = "0.000,0.000,0.000,0.000,0.000,0.000"
-
-IDLE_REPORTS = 10
-BUSY_OFFSET_REPORTS, BUSY_OVERRIDE_REPORTS = 30, 20
-"""How many reports go from one WCO, and from one Ov, to the next; IDLE_REPORTS where nothing moves."""
 
 
 def modes(modal: Modal) -> list[str]:

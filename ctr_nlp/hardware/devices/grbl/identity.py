@@ -15,6 +15,12 @@ import numpy.typing as npt
 from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.description import Hardware
 
+STATUS_MASK = 511
+"""$10: machine positions, free blocks, line numbers, feed, pins, offsets, overrides and more in status reports."""
+
+NEEDED = {0: "machine positions", 1: "the planner's free blocks", 2: "line numbers", 6: "overrides"}
+"""Bits of $10 without which a motion cannot be supervised."""
+
 
 @dataclass(frozen=True)
 class Identity:
@@ -50,13 +56,6 @@ class Identity:
     def acceleration(self, hardware: Hardware) -> npt.NDArray[np.float64]:
         """With which the controller moves the hardware's axes (m,), in unit/s^2."""
         return np.array([self.setting(120 + column) for column in self.columns(hardware)])
-
-
-STATUS_MASK = 511
-"""$10: machine positions, free blocks, line numbers, feed, pins, offsets, overrides and more in status reports."""
-
-NEEDED = {0: "machine positions", 1: "the planner's free blocks", 2: "line numbers", 6: "overrides"}
-"""Bits of $10 without which a motion cannot be supervised."""
 
 
 class Finding(NamedTuple):

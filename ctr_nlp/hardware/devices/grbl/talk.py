@@ -37,6 +37,21 @@ QUIET = 0.15
 TICK = 0.005
 """s between two looks at the link while waiting."""
 
+_PATTERNS = (
+    ("ok", re.compile(r"ok")),
+    ("error", re.compile(r"error:(\d+)")),
+    ("alarm", re.compile(r"ALARM:(\d+)")),
+    ("banner", re.compile(r"Grbl(HAL)? \d.*", re.IGNORECASE)),
+    ("message", re.compile(r"\[[A-Z0-9. ]+:?.*\]|")),
+    ("setting", re.compile(r"\$\d+=.*")),
+    ("report", re.compile(r"<[A-Z][a-z]+(:\d+)?\|.*>")),
+)
+
+REPORT = re.compile(r"<(?P<state>[A-Z][a-z]+)(:(?P<part>\d+))?\|(?P<fields>[^<>]*)>")
+NUMBERS = re.compile(r"-?\d+\.\d+(,-?\d+\.\d+)*", re.ASCII)
+WHOLE = re.compile(r"\d+", re.ASCII)
+"""Noise has digits of other kinds, as ¹, which are no numbers."""
+
 
 class Reply(NamedTuple):
     """kind: ok, error, alarm, banner, message, setting, report or unreadable; number: of an error or alarm."""
@@ -61,22 +76,6 @@ class Report:
     line: int
     free: int | None
     override: float | None
-
-
-_PATTERNS = (
-    ("ok", re.compile(r"ok")),
-    ("error", re.compile(r"error:(\d+)")),
-    ("alarm", re.compile(r"ALARM:(\d+)")),
-    ("banner", re.compile(r"Grbl(HAL)? \d.*", re.IGNORECASE)),
-    ("message", re.compile(r"\[[A-Z0-9. ]+:?.*\]|")),
-    ("setting", re.compile(r"\$\d+=.*")),
-    ("report", re.compile(r"<[A-Z][a-z]+(:\d+)?\|.*>")),
-)
-
-REPORT = re.compile(r"<(?P<state>[A-Z][a-z]+)(:(?P<part>\d+))?\|(?P<fields>[^<>]*)>")
-NUMBERS = re.compile(r"-?\d+\.\d+(,-?\d+\.\d+)*", re.ASCII)
-WHOLE = re.compile(r"\d+", re.ASCII)
-"""Noise has digits of other kinds, as ¹, which are no numbers."""
 
 
 def reply_of(text: str) -> Reply:
