@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.hardware.emulator.controller.stops import ESTOP, HARD_LIMIT
+from ctr_nlp.hardware.emulator.controller.stops import ESTOP
 from ctr_nlp.hardware.emulator.firmware import Firmware
 from ctr_nlp.hardware.emulator.planner import Vector
 from ctr_nlp.hardware.emulator.reports import BANNER, Status
@@ -150,7 +150,7 @@ _KINDS: dict[str, tuple[Strike, dict[str, Any]]] = {
         {"choice": 0.02},
     ),
     "banner": (lambda line, fault: line.firmware.reboot(loses_position=bool(fault.choice)), {"choice": 1.0}),
-    "hard_limit": (lambda line, fault: line.firmware.alarm(HARD_LIMIT), {}),
+    "hard_limit": (lambda line, fault: line.firmware.hard_limit(), {}),
     "soft_limit": (lambda line, fault: line.firmware.soft_limit(), {}),
     "error_latch": (lambda line, fault: line.firmware.refuse(int(fault.choice)), {"choice": 20}),
     "estop": (_estop, {}),

@@ -11,7 +11,6 @@ from collections.abc import Mapping
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.hardware.emulator.controller.commands import Commands
-from ctr_nlp.hardware.emulator.controller.stops import HARD_LIMIT
 from ctr_nlp.hardware.emulator.gcode import Refused
 from ctr_nlp.hardware.emulator.reports import BUTTONS
 
@@ -132,7 +131,7 @@ class Firmware(Commands):
         if button == "reset":
             self.reset()
         elif button.startswith("limit") and self.settings[21] and self.state != "Home":
-            self.alarm(HARD_LIMIT)
+            self.hard_limit()
 
     def release(self, button: str) -> None:
         """Let a button go."""

@@ -1,4 +1,4 @@
-"""What the firmware plans: straight blocks, the overrides of their speeds, and segments of 10 ms at constant speed.
+"""What the firmware plans: straight blocks, overrides of their speeds, and segments of 10 ms at constant speed.
 
 A block is a straight line in all six axes; its length is the norm over all of them, degrees counted like
 millimetres, as the firmware reports feed. Lengths in mm or deg, times in s.

@@ -122,6 +122,10 @@ class Stopping(Controller):
         self.say(f"ALARM:{number}")
         self.later(ALARM_PAUSE_S, lambda: self.say("[MSG:Reset to continue]"))
 
+    def hard_limit(self) -> None:
+        """A limit switch is met in motion: everything stops where it is."""
+        self.alarm(HARD_LIMIT)
+
     def soft_limit(self) -> None:
         """Come to a standstill, then raise the alarm."""
         if self.motion.running:
