@@ -36,14 +36,12 @@ class Progress(NamedTuple):
     """How far a device has come.
 
     state: "running", "holding" (slowing down), "held" or "done". time: s of the trajectory that have been played.
-    line: how many commands have been finished. position (m,): of the axes, in their units; stamp: when it was seen
-    there, s of the clock. away: how far it was from the path it should be on, in parts of the axes' tolerances.
-    signs: what else it shows.
+    position (m,): of the axes, in their units; stamp: when it was seen there, s of the clock. away: how far it was
+    from the path it should be on, in parts of the axes' tolerances. signs: what else it shows.
     """
 
     state: str
     time: float
-    line: int
     position: Array
     stamp: float
     away: float

@@ -43,13 +43,12 @@ AT = 0.02
 class Commands:
     """Straight pieces of a motion, one after the other, from where it starts.
 
-    time (N,) s: when each ends, from the start; frame (N,): the next frame on the path, from 1; q (N,
-    2d + 2) and positions (N, m) of the axes, in their units, at its end.
+    time (N,) s: when each ends, from the start; frame (N,): the next frame on the path, from 1; positions (N, m)
+    of the axes, in their units, at its end.
     """
 
     time: Array
     frame: npt.NDArray[np.int64]
-    q: Array
     positions: Array
 
 

@@ -92,7 +92,7 @@ class Trajectory:
             for start, end, count in zip(self.frame_time[:-1], self.frame_time[1:], counts, strict=True)
         ]
         time = np.concatenate(pieces)
-        return Commands(time, np.repeat(self.frames[1:], counts), self.at(time)[0], self.positions(time))
+        return Commands(time, np.repeat(self.frames[1:], counts), self.positions(time))
 
 
 def trajectory_of(plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: Array | None = None) -> Trajectory:

@@ -98,11 +98,9 @@ class Stream:
             self._take(reply)
         done = self._planned == len(self._lines) and self._seen.state == "Idle" and self._settled()
         state = "done" if done else "held" if self._held else "holding" if self._holding else "running"
-        time, _, line, away = self._place
-        if done:
-            time, line = float(self._path.ends[-1]), len(self._lines)
+        time = float(self._path.ends[-1]) if done else self._place.time
         position = self._seen.position[self._columns]
-        return Progress(state, time, line, position, self._stamp, away, self._signs())
+        return Progress(state, time, position, self._stamp, self._place.away, self._signs())
 
     def _signs(self) -> Signs:
         idle = self._seen.state == "Idle" and not self._holding and self._planned < len(self._lines)

@@ -148,10 +148,8 @@ class Ros2:
         if self._joints.stamp > before:
             self._follow(track, position)
         state = self._state(track, position, now)
-        time, _, line, away = self._place
-        if state == "done":
-            time, line = track.end, len(track.ends) - 1
-        return Progress(state, time, line, position, self._joints.stamp, away)
+        time = track.end if state == "done" else self._place.time
+        return Progress(state, time, position, self._joints.stamp, self._place.away)
 
     def feed(self) -> None:
         """The controller has the whole trajectory."""
