@@ -7,7 +7,6 @@ import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -160,12 +159,14 @@ class Hardware:
                 raise HardwareError(f"unknown key {min(unknown)!r}; use {KEYS}")
             if not isinstance(data.get("axes"), list):
                 raise HardwareError("hardware needs a list of axes, [[axes]] in TOML")
+            if not isinstance(data.get("robot", ""), str):
+                raise HardwareError(f"robot is {data['robot']!r}; it must be the name of a robot file")
             hardware = cls(
                 tuple(described(Axis, axis) for axis in data["axes"]),
                 described(Arm, data["arm"]) if "arm" in data else None,
                 described(Connection, data.get("connection", {})),
                 data.get("approach", cls.approach),
-                Robot.from_toml(Path(path).parent / _file(data["robot"])) if "robot" in data else None,
+                Robot.from_toml(Path(path).parent / data["robot"]) if "robot" in data else None,
                 data.get("late", cls.late),
                 read_commissioned(path),
             )
@@ -174,12 +175,6 @@ class Hardware:
             return hardware
         except (RobotError, HardwareError) as exception:
             raise HardwareError(f"hardware file {path}: {exception}") from exception
-
-
-def _file(name: Any) -> str:
-    if not isinstance(name, str):
-        raise HardwareError(f"robot is {name!r}; it must be the name of a robot file")
-    return name
 
 
 def bench(robot: Robot) -> Hardware:

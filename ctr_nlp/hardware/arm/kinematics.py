@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from functools import cache
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -114,7 +114,9 @@ def joints(arm: Arm, theta: Array, start: Array | None = None) -> Array:
     if there is none, of those that go through all frames the one that stays furthest from singularities
     and joint limits. Raises HardwareError that names the frame, counted from 1, where no joint solution goes on.
     """
-    theta = _tilts(theta)
+    theta = np.asarray(theta, dtype=float)
+    if theta.ndim != 2 or theta.shape[1] != 2 or not len(theta) or not np.isfinite(theta).all():
+        raise HardwareError(f"theta has shape {theta.shape}; it must be finite (T, 2), with at least one frame")
     near, lead = start, 0
     if start is None and arm.start_joints_deg is not None:
         near, lead = np.radians(arm.start_joints_deg), 1
@@ -199,10 +201,3 @@ def _solutions(model: str, pose: Array) -> Array:
 def _wrapped(angles: Array) -> Array:
     """The same angles within +-pi."""
     return (angles + np.pi) % (2 * np.pi) - np.pi
-
-
-def _tilts(theta: Any) -> Array:
-    theta = np.asarray(theta, dtype=float)
-    if theta.ndim != 2 or theta.shape[1] != 2 or not len(theta) or not np.isfinite(theta).all():
-        raise HardwareError(f"theta has shape {theta.shape}; it must be finite (T, 2), with at least one frame")
-    return theta
