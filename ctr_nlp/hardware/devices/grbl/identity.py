@@ -15,6 +15,9 @@ import numpy.typing as npt
 from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.description import Hardware
 
+Wrong = tuple[int | str, str, str]
+"""Which setting is wrong, the value to set, and why."""
+
 STATUS_MASK = 511
 """$10: machine positions, free blocks, line numbers, feed, pins, offsets, overrides and more in status reports."""
 
@@ -80,7 +83,8 @@ def check(identity: Identity, hardware: Hardware) -> None:
 
 def findings(identity: Identity, hardware: Hardware) -> list[Finding]:
     """Every setting that goes against safe playing on this hardware; raises DeviceFault where one is not told."""
-    return [*_reports(identity), *_positions(identity, hardware), *_limits(identity, hardware)]
+    wrong = (*_reports(identity), *_positions(identity, hardware), *_limits(identity, hardware))
+    return [Finding(str(name), identity.settings[str(name)], wanted, why) for name, wanted, why in wrong]
 
 
 def changes(identity: Identity, hardware: Hardware) -> list[Finding]:
@@ -93,25 +97,25 @@ def changes(identity: Identity, hardware: Hardware) -> list[Finding]:
     ]
 
 
-def _reports(identity: Identity) -> Iterator[Finding]:
+def _reports(identity: Identity) -> Iterator[Wrong]:
     mask = int(identity.setting(10))
     missing = [name for bit, name in NEEDED.items() if not mask >> bit & 1]
     if missing:
-        yield _finding(identity, 10, str(STATUS_MASK), f"status reports lack {', '.join(missing)}")
+        yield 10, str(STATUS_MASK), f"status reports lack {', '.join(missing)}"
     if identity.setting(13):
-        yield _finding(identity, 13, "0", "it reports in inches")
+        yield 13, "0", "it reports in inches"
     if identity.settings.get("39", "1") == "0":
-        yield _finding(identity, 39, "1", "a hold is not obeyed while a line with $ or a comment is being read")
+        yield 39, "1", "a hold is not obeyed while a line with $ or a comment is being read"
 
 
-def _positions(identity: Identity, hardware: Hardware) -> Iterator[Finding]:
+def _positions(identity: Identity, hardware: Hardware) -> Iterator[Wrong]:
     """Settings with which motors lose their place, or an axis counts as something else."""
     axes = [(axis.letter, column) for axis, column in zip(hardware.axes, identity.columns(hardware), strict=True)]
     held = int(float(identity.settings.get("37", "0")))
     limp = [letter for letter, column in axes if not held >> column & 1]
     if identity.setting(1) != 255 and limp:
         why = f"motors {' '.join(limp)} go limp after {identity.setting(1):g} ms at rest, and lose their position"
-        yield _finding(identity, 1, "255", why)
+        yield 1, "255", why
     harmful = {
         32: "it works as a laser cutter or a lathe, whose axes mean something else",
         41: "it moves an axis by itself when its door is opened",
@@ -121,25 +125,21 @@ def _positions(identity: Identity, hardware: Hardware) -> Iterator[Finding]:
         harmful[160 + column] = f"it makes up for backlash of {letter}; that is the hardware file's business"
     for number, why in harmful.items():
         if float(identity.settings.get(str(number), "0")):
-            yield _finding(identity, number, "0", why)
+            yield number, "0", why
     for name in ("N0", "N1"):
         if identity.settings.get(name):
-            yield Finding(name, identity.settings[name], "", "it is obeyed whenever the controller starts")
+            yield name, "", "it is obeyed whenever the controller starts"
 
 
-def _limits(identity: Identity, hardware: Hardware) -> Iterator[Finding]:
+def _limits(identity: Identity, hardware: Hardware) -> Iterator[Wrong]:
     for axis, column in zip(hardware.axes, identity.columns(hardware), strict=True):
         for base, name, wanted in ((110, "speed", 60 * axis.speed), (120, "acceleration", axis.acceleration)):
             number = base + column
             if identity.setting(number) < wanted * (1 - 1e-9):
                 why = f"is less than the {name} of {axis.letter} in the hardware file, so that it would be late"
-                yield _finding(identity, number, f"{wanted:g}", why)
+                yield number, f"{wanted:g}", why
     if hardware.connection.homing == "cycle":
         if not int(identity.setting(22)) % 2:
-            yield _finding(identity, 22, "1", "homing is off, though the hardware file says that it is a cycle")
+            yield 22, "1", "homing is off, though the hardware file says that it is a cycle"
         if not identity.setting(20):
-            yield _finding(identity, 20, "1", "soft limits are off, though the hardware homes by a cycle")
-
-
-def _finding(identity: Identity, number: int, wanted: str, why: str) -> Finding:
-    return Finding(str(number), identity.settings[str(number)], wanted, why)
+            yield 20, "1", "soft limits are off, though the hardware homes by a cycle"
