@@ -11,8 +11,7 @@ import numpy as np
 from ctr_nlp import table_i_robot
 from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.axis import Axis
-from ctr_nlp.hardware.connection import Connection
-from ctr_nlp.hardware.description import Hardware
+from ctr_nlp.hardware.description import Connection, Hardware
 from ctr_nlp.hardware.devices.grbl.device import Grbl
 from ctr_nlp.hardware.emulator.firmware import Firmware
 from ctr_nlp.hardware.emulator.wire import Fault, VirtualClock, Wire

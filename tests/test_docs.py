@@ -27,8 +27,7 @@ from ctr_nlp.anatomy.files import read_branches
 from ctr_nlp.cli.main import COMMANDS
 from ctr_nlp.hardware.arm.description import Arm
 from ctr_nlp.hardware.axis import Axis
-from ctr_nlp.hardware.connection import Connection
-from ctr_nlp.hardware.description import Hardware
+from ctr_nlp.hardware.description import Connection, Hardware
 from ctr_nlp.support.values import described, read_toml
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -346,7 +345,7 @@ def test_diagrams_are_of_a_kind_that_github_draws():
 
 def test_the_wiring_is_that_of_the_example_hardware():
     """Axis, joint, unit, range, speed and acceleration; the drives agree with the emulated machine's settings."""
-    from ctr_nlp.hardware.emulator.protocol.settings import DEFAULTS
+    from ctr_nlp.hardware.emulator.reports import DEFAULTS
 
     hardware = Hardware.from_toml(ROOT / "examples" / "hardware.toml")
     rows = [

@@ -9,8 +9,7 @@ from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices import Asked
-from ctr_nlp.hardware.devices.grbl.controller_settings import Finding, changes, findings
-from ctr_nlp.hardware.devices.grbl.identity import Identity
+from ctr_nlp.hardware.devices.grbl.identity import Finding, Identity, changes, findings
 from ctr_nlp.hardware.devices.grbl.stop import stopped
 from ctr_nlp.hardware.devices.grbl.talk import Talk
 from ctr_nlp.hardware.link import Link

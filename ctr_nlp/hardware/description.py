@@ -2,26 +2,80 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ctr_nlp.exceptions import HardwareError, RobotError
 from ctr_nlp.hardware.arm.description import Arm
-from ctr_nlp.hardware.axis import Axis
-from ctr_nlp.hardware.commissioned import read_commissioned
-from ctr_nlp.hardware.connection import Connection
-from ctr_nlp.hardware.tightening import check_fit, tightened
+from ctr_nlp.hardware.axis import Axis, check_fit, tightened
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.values import described, number, read_toml
 from ctr_nlp.typing import Array
 
+DEVICES = ("simulated", "grbl", "ros2")
+HOMING = ("manual", "cycle")
+FLOW = ("count", "wait")
+
 KEYS = "name, robot, axes, arm, connection, approach, late"
 """Of a hardware file."""
+
+
+@dataclass(frozen=True)
+class Connection:
+    """Where the motors' controller is.
+
+    device: "simulated", "grbl" or "ros2". url: a serial port, "socket://host:port", or for ros2 the controller's
+    name. baud: of a serial port. homing: "cycle" lets the controller home itself and wants its soft limits,
+    "manual" takes the position that it reports for true. flow: "count" sends lines as long as counted characters
+    fit into the controller's buffer, "wait" sends a line when the one before was acknowledged. Raises
+    HardwareError.
+    """
+
+    device: str = "simulated"
+    url: str = ""
+    baud: int = 115200
+    homing: str = "manual"
+    flow: str = "count"
+
+    def __post_init__(self) -> None:
+        for name, allowed in (("device", DEVICES), ("homing", HOMING), ("flow", FLOW)):
+            if getattr(self, name) not in allowed:
+                raise HardwareError(
+                    f"{name} of the connection is {getattr(self, name)!r}; it must be {', '.join(allowed)}"
+                )
+        if self.device != "simulated" and not (isinstance(self.url, str) and self.url):
+            raise HardwareError(f"url of the connection is {self.url!r}; a {self.device} device needs one")
+        if isinstance(self.baud, bool) or not isinstance(self.baud, int) or self.baud <= 0:
+            raise HardwareError(f"baud of the connection is {self.baud!r}; it must be a positive whole number")
+
+
+def commissioned_file(hardware_file: str | Path) -> Path:
+    """Where the settings of the rig of a hardware file are kept."""
+    return Path(hardware_file).with_suffix(".commissioned.json")
+
+
+def read_commissioned(hardware_file: str | Path) -> dict[str, str] | None:
+    """Settings by name, None where the rig has not been commissioned; raises HardwareError."""
+    path = commissioned_file(hardware_file)
+    if not path.exists():
+        return None
+    try:
+        settings = json.loads(path.read_text(encoding="utf-8"))["settings"]
+        return {str(name): str(value) for name, value in settings.items()}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as exception:
+        raise HardwareError(
+            f"{path} is no record of a commissioning ({exception}): delete it, and commission the rig anew"
+        ) from exception
+
+
+def commissioned_text(settings: dict[str, str], identity: str) -> str:
+    """What the file holds; identity: what the controller tells of itself."""
+    return json.dumps({"controller": identity, "settings": settings}, indent=1) + "\n"
 
 
 @dataclass(frozen=True)
@@ -54,6 +108,10 @@ class Hardware:
             HardwareError, "late", self.late, lambda late: 0 < late < math.inf, "be a positive number of seconds"
         )
 
+    def each(self, name: str) -> Array:
+        """A number of every axis (m,), by its name in Axis."""
+        return np.array([getattr(axis, name) for axis in self.axes])
+
     @cached_property
     def letters(self) -> tuple[str, ...]:
         """Of the axes, in order."""
@@ -62,20 +120,12 @@ class Hardware:
     @cached_property
     def backlash(self) -> Array:
         """Of the axes (m,), in their units."""
-        return np.array([axis.backlash for axis in self.axes])
+        return self.each("backlash")
 
     @cached_property
     def tolerance(self) -> Array:
         """Of the axes (m,), in their units."""
-        return np.array([axis.tolerance for axis in self.axes])
-
-    @cached_property
-    def _zero(self) -> Array:
-        return np.array([axis.zero for axis in self.axes])
-
-    @cached_property
-    def _scale(self) -> Array:
-        return np.array([axis.scale for axis in self.axes])
+        return self.each("tolerance")
 
     def tightened(self, robot: Robot) -> Robot:
         """The robot with limits that these axes and the arm keep too; raises HardwareError."""
@@ -85,18 +135,18 @@ class Hardware:
     def positions(self, robot: Robot, q: Array) -> Array:
         """Positions (.., m) of the axes, in their units, at q (.., 2d + 2)."""
         columns = [robot.axes.index(axis.joint) for axis in self.axes]
-        return np.asarray(self._zero + self._scale * q[..., columns])
+        return np.asarray(self.each("zero") + self.each("scale") * q[..., columns])
 
     def joints(self, robot: Robot, positions: Array, theta: Array) -> Array:
         """The q (.., 2d + 2) at positions (.., m) of the axes and a tilt (.., 2)."""
-        q = self.in_joints(robot, positions - self._zero)
+        q = self.in_joints(robot, positions - self.each("zero"))
         q[..., -2:] = theta
         return q
 
     def in_joints(self, robot: Robot, lengths: Array) -> Array:
         """Changes (.., m) of axes, in their units, as changes of q (.., 2d + 2); the tilt does not move."""
         q = np.zeros((*np.shape(lengths)[:-1], 2 * robot.d + 2))
-        q[..., [robot.axes.index(axis.joint) for axis in self.axes]] = lengths / self._scale
+        q[..., [robot.axes.index(axis.joint) for axis in self.axes]] = lengths / self.each("scale")
         return q
 
     @classmethod
@@ -109,12 +159,14 @@ class Hardware:
                 raise HardwareError(f"unknown key {min(unknown)!r}; use {KEYS}")
             if not isinstance(data.get("axes"), list):
                 raise HardwareError("hardware needs a list of axes, [[axes]] in TOML")
+            if not isinstance(data.get("robot", ""), str):
+                raise HardwareError(f"robot is {data['robot']!r}; it must be the name of a robot file")
             hardware = cls(
                 tuple(described(Axis, axis) for axis in data["axes"]),
                 described(Arm, data["arm"]) if "arm" in data else None,
                 described(Connection, data.get("connection", {})),
                 data.get("approach", cls.approach),
-                Robot.from_toml(Path(path).parent / _file(data["robot"])) if "robot" in data else None,
+                Robot.from_toml(Path(path).parent / data["robot"]) if "robot" in data else None,
                 data.get("late", cls.late),
                 read_commissioned(path),
             )
@@ -123,12 +175,6 @@ class Hardware:
             return hardware
         except (RobotError, HardwareError) as exception:
             raise HardwareError(f"hardware file {path}: {exception}") from exception
-
-
-def _file(name: Any) -> str:
-    if not isinstance(name, str):
-        raise HardwareError(f"robot is {name!r}; it must be the name of a robot file")
-    return name
 
 
 def bench(robot: Robot) -> Hardware:

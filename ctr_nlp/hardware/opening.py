@@ -7,8 +7,7 @@ from collections.abc import Callable, Sequence
 
 from ctr_nlp.hardware.arm.description import Arm
 from ctr_nlp.hardware.clock import Clock
-from ctr_nlp.hardware.connection import Connection
-from ctr_nlp.hardware.description import Hardware
+from ctr_nlp.hardware.description import Connection, Hardware
 from ctr_nlp.hardware.devices import Device
 from ctr_nlp.hardware.devices.arms import ArmFollower, SimulatedArm
 from ctr_nlp.hardware.devices.grbl.device import Grbl

@@ -207,7 +207,7 @@ def test_a_player_tells_where_the_robot_is_and_should_be(time):
     view = FakeView()
     played = Played(view)
     played.ended("nothing was seen")
-    played(program, Progress("running", time, 3, positions, 0.0, 0.0), "running")
+    played(program, Progress("running", time, positions, 0.0, 0.0), "running")
     played.ended("success")
     first, last = view.states
     np.testing.assert_allclose(first.commanded, program.at(np.array([time]))[0][0])

@@ -13,11 +13,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from ctr_nlp.exceptions import HardwareError, OptionError
-from ctr_nlp.hardware.arm import inverse
-from ctr_nlp.hardware.arm.checks import check_joints
-from ctr_nlp.hardware.arm.description import JOINT_LIMIT, MODELS, Arm
-from ctr_nlp.hardware.arm.forward import LENGTH, gains, insertion_error, tilt
-from ctr_nlp.hardware.arm.inverse import LARGEST_GAIN, joints, poses
+from ctr_nlp.hardware.arm import kinematics
+from ctr_nlp.hardware.arm.description import JOINT_LIMIT, MODELS, Arm, check_joints
+from ctr_nlp.hardware.arm.kinematics import LARGEST_GAIN, LENGTH, gains, insertion_error, joints, poses, tilt
 
 library = pytest.importorskip("ur_analytic_ik")
 
@@ -223,13 +221,13 @@ def test_a_joint_limit_is_named():
 
 def test_a_jump_is_named(monkeypatch):
     """Were the library to lose a joint solution for a moment, the next one is not taken for it."""
-    whole, calls = inverse._solutions, []
+    whole, calls = kinematics._solutions, []
 
     def losing(model, pose):
         calls.append(None)
         return whole(model, pose)[:1] if len(calls) > 3 else whole(model, pose)[1:2]
 
-    monkeypatch.setattr(inverse, "_solutions", losing)
+    monkeypatch.setattr(kinematics, "_solutions", losing)
     with pytest.raises(HardwareError, match=r"frame 4 of 9.*joint \d \(.*\) would jump by"):
         joints(Arm(), np.linspace((0, 0), (0.05, 0), 9))
 

@@ -12,8 +12,7 @@ from bench import sweep
 
 from ctr_nlp.cli.commands.play import main
 from ctr_nlp.exceptions import HardwareError
-from ctr_nlp.hardware.commissioned import commissioned_file, read_commissioned
-from ctr_nlp.hardware.description import Hardware
+from ctr_nlp.hardware.description import Hardware, commissioned_file, read_commissioned
 from ctr_nlp.hardware.emulator import Firmware, serving
 
 pytestmark = pytest.mark.real_time

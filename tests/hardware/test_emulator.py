@@ -15,7 +15,7 @@ from emulated import Host, program
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.hardware.emulator import FAULTS, Firmware, Wire, fault, serving
-from ctr_nlp.hardware.emulator.mechanics.planner import BLOCKS
+from ctr_nlp.hardware.emulator.planner import BLOCKS
 
 pytestmark = pytest.mark.real_time
 
@@ -225,7 +225,6 @@ def test_no_axis_beats_its_limits():
     draw = np.random.default_rng(1)
     firmware = Firmware()
     firmware.settings[11] = 0.0
-    firmware.motion.limits = firmware.settings.limits
     for _ in range(30):
         words = [
             f"{a}{v:.3f}" for a, v in zip("XYZABC", draw.uniform(-1, 1, 6) * [9, 9, 9, 99, 99, 99], strict=True)
@@ -236,8 +235,8 @@ def test_no_axis_beats_its_limits():
         firmware.advance(0.01)
         track.append(firmware.motion.position)
     speed = np.abs(np.diff(track, axis=0)).max(axis=0) / 0.01
-    assert (speed <= np.array(firmware.motion.limits.speed) * 1.001).all()
-    assert (speed > np.array(firmware.motion.limits.speed) * 0.2).all()
+    assert (speed <= np.array(firmware.settings.limits().speed) * 1.001).all()
+    assert (speed > np.array(firmware.settings.limits().speed) * 0.2).all()
 
 
 def test_twenty_seconds_cost_little():

@@ -20,13 +20,11 @@ from ctr_nlp.cli.commands import export as export_commands
 from ctr_nlp.cli.commands.export import main
 from ctr_nlp.cli.output.folder import MARK
 from ctr_nlp.exceptions import HardwareError, OptionError
-from ctr_nlp.hardware.arm.forward import tilt
+from ctr_nlp.hardware.arm.kinematics import tilt
 from ctr_nlp.hardware.description import Hardware, bench
-from ctr_nlp.hardware.exports import FORMATS, TEXTS
-from ctr_nlp.hardware.exports.gcode import gcode_text
+from ctr_nlp.hardware.exports import FORMATS, TEXTS, csv_text
 from ctr_nlp.hardware.exports.rosbag2 import STATES, STORAGES, TOLERANCE, TRAJECTORY, points, write_bag
-from ctr_nlp.hardware.exports.table import csv_text
-from ctr_nlp.hardware.motion.gcode import LEAST_FEED, MODES
+from ctr_nlp.hardware.motion.gcode import LEAST_FEED, MODES, gcode_text
 from ctr_nlp.hardware.motion.trajectory import trajectory_of
 from ctr_nlp.hardware.playing.checks import checked
 from ctr_nlp.hardware.playing.session import prepared
@@ -364,8 +362,9 @@ def test_a_bag_holds_the_states_of_every_command(trajectory, tmp_path, storage):
         assert state.header.stamp.sec * 10**9 + state.header.stamp.nanosec == stamp
         assert len(state.name) == len(state.position) == len(state.velocity) == 8
         if k:
-            assert state.position[3:6] * 1000 == pytest.approx(commands.q[k - 1, 3:6])
-            assert np.delete(state.position, [3, 4, 5]) == pytest.approx(np.delete(commands.q[k - 1], [3, 4, 5]))
+            q = trajectory.at(commands.time[k - 1])[0]
+            assert state.position[3:6] * 1000 == pytest.approx(q[3:6])
+            assert np.delete(state.position, [3, 4, 5]) == pytest.approx(np.delete(q, [3, 4, 5]))
 
 
 def test_the_mcap_file_explains_itself_to_another_reader(trajectory, tmp_path):
@@ -387,7 +386,7 @@ def test_the_mcap_file_explains_itself_to_another_reader(trajectory, tmp_path):
         assert np.array_equal(ours, theirs)
     states = [message for _, channel, _, message in messages if channel.topic == STATES]
     assert len(states) == len(trajectory.commands().time) + 1
-    assert states[-1].position[5] == pytest.approx(trajectory.commands().q[-1, 5] / 1000)
+    assert states[-1].position[5] == pytest.approx(trajectory.at(trajectory.duration)[0][5] / 1000)
 
 
 def test_the_sqlite_file_has_the_tables_of_ros(trajectory, tmp_path):

@@ -16,10 +16,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ctr_nlp.exceptions import DeviceFault
-from ctr_nlp.hardware.connection import Connection
+from ctr_nlp.hardware.description import Connection
 from ctr_nlp.hardware.devices import Progress
 from ctr_nlp.hardware.devices.grbl import stream
-from ctr_nlp.hardware.devices.grbl.replies import reply_of, report_of
+from ctr_nlp.hardware.devices.grbl.talk import reply_of, report_of
 from ctr_nlp.hardware.emulator.faults import FAULTS
 from ctr_nlp.hardware.emulator.firmware import Firmware
 from ctr_nlp.hardware.motion.trajectory import Trajectory

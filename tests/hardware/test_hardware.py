@@ -16,8 +16,7 @@ from strategies import numbers, robots, robots_with_q
 from ctr_nlp import Limits, Robot, table_i_robot
 from ctr_nlp.exceptions import HardwareError
 from ctr_nlp.hardware.axis import Axis
-from ctr_nlp.hardware.connection import Connection
-from ctr_nlp.hardware.description import Hardware, bench
+from ctr_nlp.hardware.description import Connection, Hardware, bench
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "hardware.toml"
 LETTERS = "XYZABCUVW"
@@ -77,9 +76,9 @@ def rigs(draw, robot):
         ({"range": (5, 5)}, r"range of beta_1 is \[5, 5\]; the lower must be less"),
         ({"range": (50, 0)}, r"range of beta_1 is \[50, 0\]; the lower must be less"),
         ({"range": (0, math.inf)}, r"range of beta_1 is \(0, inf\)"),
-        ({"range": (0, 1, 2)}, r"range of beta_1 is \(0, 1, 2\); give 2 numbers"),
-        ({"range": 50}, "range of beta_1 is 50; give 2 numbers"),
-        ({"range": "all"}, "range of beta_1 is 'all'; give 2 numbers"),
+        ({"range": (0, 1, 2)}, r"range of beta_1 is \(0, 1, 2\); it must be 2 numbers"),
+        ({"range": 50}, "range of beta_1 is 50; it must be 2 numbers"),
+        ({"range": "all"}, "range of beta_1 is 'all'; it must be 2 numbers"),
         ({"range": ("low", "high")}, r"range of beta_1 is \('low', 'high'\)"),
     ],
 )
@@ -310,7 +309,7 @@ def test_the_commented_lines_of_the_example_are_a_controller(tmp_path):
         ('letter = "Y"', 'letter = "X"', "letter X is given to 2 axes"),
         ('joint = "alpha_1"\nletter = "A"\nunit = "deg"', 'joint = "alpha_1"\nletter = "A"\nunit = "mm"',
          "unit of alpha_1 is 'mm'; it must be deg or rad"),
-        ("range = [0, 107]", "range = [107]", r"range of beta_2 is \[107\]; give 2 numbers"),
+        ("range = [0, 107]", "range = [107]", r"range of beta_2 is \[107\]; it must be 2 numbers"),
         ("speed = 600 ", "speed = inf ", "speed of alpha_1 is inf"),
         ('device = "simulated"  ', 'device = "grbl"', "url of the connection is ''"),
         ('device = "simulated"  ', 'devise = "grbl"', "unknown key 'devise' in connection"),

@@ -7,7 +7,7 @@ import pytest
 from emulated import Host, program
 
 from ctr_nlp.hardware.emulator import Wire, fault
-from ctr_nlp.hardware.emulator.lies import LIES
+from ctr_nlp.hardware.emulator.faults import LIES
 
 
 def playing(name, **options):

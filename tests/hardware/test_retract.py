@@ -13,7 +13,7 @@ from bench import Killed, World, homing_hardware, plan_of, sweep
 
 from ctr_nlp.exceptions import DeviceFault, TrajectoryError
 from ctr_nlp.hardware.devices import Progress
-from ctr_nlp.hardware.motion.progress import FollowedPath
+from ctr_nlp.hardware.motion.lookahead import FollowedPath
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.results import Outcome
 from ctr_nlp.hardware.playing.retract import innermost_first

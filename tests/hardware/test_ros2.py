@@ -18,8 +18,7 @@ import pytest
 from ctr_nlp import Plan, Problem, curve_from_formula, growing, table_i_robot
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.clock import RealClock
-from ctr_nlp.hardware.connection import Connection
-from ctr_nlp.hardware.description import bench
+from ctr_nlp.hardware.description import Connection, bench
 from ctr_nlp.hardware.devices.ros2.device import Ros2
 from ctr_nlp.hardware.devices.ros2.joints import SILENCE
 from ctr_nlp.hardware.devices.ros2.messages import (

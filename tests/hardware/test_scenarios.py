@@ -17,8 +17,7 @@ from bench import plan_of, sweep
 from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.axis import Axis
 from ctr_nlp.hardware.clock import RealClock
-from ctr_nlp.hardware.connection import Connection
-from ctr_nlp.hardware.description import Hardware
+from ctr_nlp.hardware.description import Connection, Hardware
 from ctr_nlp.hardware.devices import Progress
 from ctr_nlp.hardware.devices.grbl.device import Grbl
 from ctr_nlp.hardware.devices.grbl.talk import Talk

@@ -30,7 +30,7 @@ def supervisor() -> Supervisor:
 
 def progress(time: float, stamp: float, state: str = "running", **changes: Any) -> Progress:
     """A device that plays as it should, but for changes."""
-    return Progress(state, time, int(10 * time), np.array([time, -time]), stamp, 0.1)._replace(**changes)
+    return Progress(state, time, np.array([time, -time]), stamp, 0.1)._replace(**changes)
 
 
 def watched(seen: list[tuple[float, Progress]], by: Supervisor | None = None) -> list[str]:

@@ -14,8 +14,7 @@ from ctr_nlp.cli.play_report import JOURNAL, claim
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.clock import RealClock
 from ctr_nlp.hardware.commission import STEP, Commissioning, Controller
-from ctr_nlp.hardware.commissioned import commissioned_file, commissioned_text
-from ctr_nlp.hardware.description import Hardware
+from ctr_nlp.hardware.description import Hardware, commissioned_file, commissioned_text
 from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.opening import memory_of, recorded_link
 from ctr_nlp.support.interrupt import deferred_interrupt

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ctr_nlp.exceptions import HardwareError, RobotError
 from ctr_nlp.support.values import frozen, numbers
@@ -63,17 +64,17 @@ class Arm:
         if not (self.host is None or (isinstance(self.host, str) and self.host)):
             raise HardwareError(f"host of the arm is {self.host!r}; it must be a name or an address")
         for name in ("insertion_point", "insertion_rotation_deg", "mount_translation", "mount_rotation_deg"):
-            object.__setattr__(self, name, _listed(name, getattr(self, name), 3))
+            object.__setattr__(self, name, all_numbers(f"{name} of the arm", getattr(self, name), 3))
         if self.start_joints_deg is not None:
-            start = _listed("start_joints_deg", self.start_joints_deg, 6)
+            start = all_numbers("start_joints_deg of the arm", self.start_joints_deg, 6)
             if max(map(abs, start)) > 360:
                 raise HardwareError(
                     f"start_joints_deg of the arm is {list(start)}; joints turn by at most 360 deg"
                 )
             object.__setattr__(self, "start_joints_deg", start)
-        joints, tilts = ("joint_speed_deg", "joint_acceleration_deg"), ("tilt_speed_deg", "tilt_acceleration_deg")
-        for name, size in (*((n, 6) for n in joints), *((n, 2) for n in tilts), ("skew_tolerance", 1)):
-            if not (_numbers(name, getattr(self, name), size) > 0).all():
+        positive = {"joint_speed_deg": 6, "joint_acceleration_deg": 6, "skew_tolerance": 1}
+        for name, size in {**positive, "tilt_speed_deg": 2, "tilt_acceleration_deg": 2}.items():
+            if not (some_numbers(f"{name} of the arm", getattr(self, name), size) > 0).all():
                 raise HardwareError(f"{name} of the arm is {getattr(self, name)!r}; it must be positive")
 
     @cached_property
@@ -84,53 +85,75 @@ class Arm:
     @cached_property
     def base(self) -> Array:
         """The robot's base frame at zero tilt in the arm's base frame, (4, 4), mm."""
-        return frozen(_placed(self.insertion_point, self.insertion_rotation_deg))
+        return _placed(self.insertion_point, self.insertion_rotation_deg)
 
     @cached_property
     def mount(self) -> Array:
         """The robot's base frame in the flange's, (4, 4), mm."""
-        return frozen(_placed(self.mount_translation, self.mount_rotation_deg))
+        return _placed(self.mount_translation, self.mount_rotation_deg)
 
     @cached_property
     def joint_speed(self) -> Array:
         """Largest joint speeds, (6,) rad/s."""
-        return frozen(np.radians(_numbers("joint_speed_deg", self.joint_speed_deg, 6)))
+        return frozen(np.radians(some_numbers("joint_speed_deg", self.joint_speed_deg, 6)))
 
     @cached_property
     def joint_acceleration(self) -> Array:
         """Largest joint accelerations, (6,) rad/s^2."""
-        return frozen(np.radians(_numbers("joint_acceleration_deg", self.joint_acceleration_deg, 6)))
-
-
-def rotations(theta: Array) -> Array:
-    """R = Ry(theta_y) Rx(theta_x), (.., 3, 3), of theta (.., 2) rad."""
-    (cx, cy), (sx, sy), zero = (
-        np.moveaxis(np.cos(theta), -1, 0),
-        np.moveaxis(np.sin(theta), -1, 0),
-        0 * theta[..., 0],
-    )
-    rows = [[cy, sy * sx, sy * cx], [zero, cx, -sx], [-sy, cy * sx, cy * cx]]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+        return frozen(np.radians(some_numbers("joint_acceleration_deg", self.joint_acceleration_deg, 6)))
 
 
 def _placed(translation: Any, rotation_deg: Any) -> Array:
-    """A frame (4, 4): mm, and (roll, pitch, yaw) in degrees."""
-    roll, pitch, yaw = np.radians(rotation_deg)
-    c, s, frame = math.cos(yaw), math.sin(yaw), np.eye(4)
-    frame[:3, :3] = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ rotations(np.array([roll, pitch]))
+    """A read-only frame (4, 4): mm, and (roll, pitch, yaw) in degrees about the fixed axes."""
+    frame = np.eye(4)
+    frame[:3, :3] = Rotation.from_euler("xyz", rotation_deg, degrees=True).as_matrix()
     frame[:3, 3] = translation
-    return frame
+    return frozen(frame)
 
 
-def _numbers(name: str, value: Any, size: int) -> Array:
+def some_numbers(what: str, value: Any, size: int) -> Array:
+    """So many numbers (size,), or one that stands for all; raises HardwareError."""
     try:
-        return numbers(name, value, size)
+        return numbers(what, value, size)
     except RobotError as exception:
-        raise HardwareError(f"{exception} (arm)") from exception
+        raise HardwareError(str(exception)) from exception
 
 
-def _listed(name: str, value: Any, size: int) -> tuple[float, ...]:
-    """Exactly size numbers: one does not stand for all here."""
+def all_numbers(what: str, value: Any, size: int) -> tuple[float, ...]:
+    """Exactly size numbers: one does not stand for all here; raises HardwareError."""
     if np.shape(value) != (size,):
-        raise HardwareError(f"{name} of the arm is {value!r}; it must be {size} numbers")
-    return tuple(_numbers(name, value, size).tolist())
+        raise HardwareError(f"{what} is {value!r}; it must be {size} numbers")
+    return tuple(some_numbers(what, value, size).tolist())
+
+
+def check_joints(arm: Arm, time: Array, joints: Array) -> None:
+    """Raise HardwareError, which names frame, joint and value, unless joints (T, 6) rad keep the arm's limits.
+
+    time: (T,) s. Speeds are means from frame to frame; accelerations are between those means, with the arm at
+    rest before and after. Give frames for these: between samples of a motion that is linear from frame to frame,
+    they show corners that the arm's controller rounds.
+    """
+    time, joints = np.asarray(time, dtype=float), np.asarray(joints, dtype=float)
+    if joints.shape != (len(time), 6) or not (np.isfinite(time).all() and np.isfinite(joints).all()):
+        raise HardwareError(f"joints have shape {joints.shape}, times {time.shape}; give finite (T, 6) and (T,)")
+    step = np.diff(time)
+    if not (step > 0).all():
+        raise HardwareError(f"time of frame {int(np.argmin(step)) + 2} does not come after the one before")
+    if not len(step):
+        return
+    speed = np.diff(joints, axis=0) / step[:, None]
+    around = np.concatenate([step[:1], (step[1:] + step[:-1]) / 2, step[-1:]])
+    acceleration = np.diff(speed, axis=0, prepend=0.0, append=0.0) / around[:, None]
+    for name, unit, value, limit, lead in (
+        ("speed", "deg/s", speed, arm.joint_speed, 2),
+        ("acceleration", "deg/s^2", acceleration, arm.joint_acceleration, 1),
+    ):
+        over = np.abs(value) / limit
+        frame, joint = np.unravel_index(over.argmax(), over.shape)
+        if over[frame, joint] > 1 + 1e-9:
+            raise HardwareError(
+                f"{name} of joint {joint + 1} ({JOINTS[joint]}) to frame {frame + lead} of {len(time)} "
+                f"({time[min(frame + lead, len(time)) - 1]:.4g} s) is "
+                f"{math.degrees(abs(value[frame, joint])):.4g} {unit}; it must be at most "
+                f"{math.degrees(limit[joint]):.4g}"
+            )

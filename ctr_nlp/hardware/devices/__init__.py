@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
-from ctr_nlp.hardware.motion.trajectory import Commands
+from ctr_nlp.hardware.motion.lookahead import Commands
 from ctr_nlp.typing import Array
 
 
@@ -36,14 +36,12 @@ class Progress(NamedTuple):
     """How far a device has come.
 
     state: "running", "holding" (slowing down), "held" or "done". time: s of the trajectory that have been played.
-    line: how many commands have been finished. position (m,): of the axes, in their units; stamp: when it was seen
-    there, s of the clock. away: how far it was from the path it should be on, in parts of the axes' tolerances.
-    signs: what else it shows.
+    position (m,): of the axes, in their units; stamp: when it was seen there, s of the clock. away: how far it was
+    from the path it should be on, in parts of the axes' tolerances. signs: what else it shows.
     """
 
     state: str
     time: float
-    line: int
     position: Array
     stamp: float
     away: float

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 import numpy as np
 
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.arm.description import JOINTS, Arm
-from ctr_nlp.hardware.arm.forward import tilt
-from ctr_nlp.hardware.arm.inverse import joints
+from ctr_nlp.hardware.arm.kinematics import joints, tilt
 from ctr_nlp.typing import Array
 
 Now = Callable[[], float]
@@ -22,17 +21,46 @@ LONGEST_STEP = 0.1
 """s: a longer silence between two commands does not allow a longer step."""
 
 
-class ArmFollower(Protocol):
-    """An arm that tilts the robot. Every method raises DeviceFault where the arm does not do what it should."""
+class ArmFollower(ABC):
+    """An arm that tilts the robot. Every method raises DeviceFault where the arm does not do what it should.
 
+    Its commands are of one joint solution, from where it stands, and none is further from the one before than the
+    largest joint speeds allow. A kind of arm says how it is looked at, measured, sent joints and halted.
+    """
+
+    def __init__(self, arm: Arm, clock: Now) -> None:
+        self._arm, self._clock = arm, clock
+        self._last: tuple[Array, float] | None = None
+        """The last command (6,) rad and its time, s of the clock; None where the arm does not follow."""
+
+    @abstractmethod
     def connect(self) -> None:
         """Get ready to follow from where the arm stands; nothing moves."""
 
+    @abstractmethod
+    def _look(self) -> None:
+        """Find out how the arm is now."""
+
+    @abstractmethod
+    def _measured(self) -> Array:
+        """Joint angles (6,) rad, as last looked at."""
+
+    @abstractmethod
+    def _send(self, wanted: Array) -> None:
+        """Command joint angles (6,) rad."""
+
+    @abstractmethod
+    def _halt(self) -> None:
+        """Stop what was commanded."""
+
     def joints(self) -> Array:
         """Measured joint angles now, (6,) rad."""
+        self._look()
+        return self._measured()
 
     def tilt(self) -> Array:
         """Measured tilt now, (2,) rad."""
+        return tilt(self._arm, self.joints()[None])[0]
 
     def follow(self, theta: Array) -> None:
         """Go to a tilt (2,) rad, now; called at a regular rate.
@@ -40,44 +68,49 @@ class ArmFollower(Protocol):
         Nothing is sent where a joint would have to step further than its largest speed allows since the command
         before, or where the path there leaves the joint solution.
         """
+        if self._last is None:
+            raise DeviceFault("the arm was told to follow, but is not connected or was stopped")
+        self._look()
+        now = self._clock()
+        wanted = self._step(*self._last, theta, now)
+        self._last = wanted, now
+        self._send(wanted)
 
-    def hold(self) -> None:
-        """Stand still, and be ready to follow from there."""
-
-    def stop(self) -> None:
-        """Stand still for good; nothing is sent afterwards, until the arm is connected again."""
-
-    def close(self) -> None:
-        """Stop, let go of the connection; raises nothing."""
-
-
-class Steps:
-    """Joint commands from where an arm stands: of one joint solution, none longer than joint speeds allow."""
-
-    def __init__(self, arm: Arm, start: Array, now: float) -> None:
-        self.arm, self.last, self.time = arm, start, now
-
-    def to(self, theta: Array, now: float) -> Array:
-        """The joints (6,) of a tilt (2,) rad, once they are allowed; raises DeviceFault."""
-        path = np.array([tilt(self.arm, self.last[None])[0], theta])
+    def _step(self, last: Array, since: float, theta: Array, now: float) -> Array:
+        """The joints (6,) of a tilt (2,) rad, once they are allowed after the last ones, since when; s."""
+        path = np.array([tilt(self._arm, last[None])[0], theta])
         try:
-            wanted = joints(self.arm, path, self.last)[-1]
+            wanted = joints(self._arm, path, last)[-1]
         except HardwareError as exception:
             raise DeviceFault(f"the arm cannot follow: {exception}") from exception
-        elapsed = min(now - self.time, LONGEST_STEP)
-        step = np.abs(wanted - self.last)
-        over = step - self.arm.joint_speed * elapsed
+        elapsed = min(now - since, LONGEST_STEP)
+        step = np.abs(wanted - last)
+        over = step - self._arm.joint_speed * elapsed
         joint = int(over.argmax())
         if over[joint] > 1e-9:
             raise DeviceFault(
                 f"joint {joint + 1} ({JOINTS[joint]}) of the arm was to turn {math.degrees(step[joint]):.3g} deg "
-                f"in {elapsed:.3g} s; its largest speed is {math.degrees(self.arm.joint_speed[joint]):.4g} deg/s"
+                f"in {elapsed:.3g} s; its largest speed is {math.degrees(self._arm.joint_speed[joint]):.4g} deg/s"
             )
-        self.last, self.time = wanted, now
         return wanted
 
+    def hold(self) -> None:
+        """Stand still, and be ready to follow from there."""
+        if self._last is not None:
+            self._halt()
+            self._last = self.joints(), self._clock()
 
-class SimulatedArm:
+    def stop(self) -> None:
+        """Stand still for good; nothing is sent afterwards, until the arm is connected again."""
+        self.hold()
+        self._last = None
+
+    def close(self) -> None:
+        """Stop, let go of the connection; raises nothing."""
+        self.stop()
+
+
+class SimulatedArm(ArmFollower):
     """An arm that is not there: it moves exactly on command, or with a lag, or no faster than it can.
 
     theta: (2,) rad, where it stands. lag: s until a command takes effect. speed: rad/s that its joints manage,
@@ -93,53 +126,17 @@ class SimulatedArm:
         speed: float = math.inf,
         clock: Now = time.monotonic,
     ) -> None:
-        self._arm, self._lag, self._speed, self._clock = arm, lag, speed, clock
-        self._at = joints(arm, np.array([theta], dtype=float))[0]
-        self._steps: Steps | None = None
+        super().__init__(arm, clock)
+        self._lag, self._speed = lag, speed
+        self._at = self._target = joints(arm, np.array([theta], dtype=float))[0]
         self._time = clock()
         self._coming: deque[tuple[float, Array]] = deque()
-        self._target = self._at
 
     def connect(self) -> None:
         """Get ready to follow."""
-        self._advance()
-        self._steps = Steps(self._arm, self._at, self._clock())
+        self._last = self.joints(), self._clock()
 
-    def joints(self) -> Array:
-        """Joint angles now, (6,) rad."""
-        self._advance()
-        return self._at.copy()
-
-    def tilt(self) -> Array:
-        """Tilt now, (2,) rad."""
-        return tilt(self._arm, self.joints()[None])[0]
-
-    def follow(self, theta: Array) -> None:
-        """Go to a tilt (2,) rad; raises DeviceFault."""
-        if self._steps is None:
-            raise DeviceFault("the arm was told to follow, but is not connected or was stopped")
-        self._advance()
-        now = self._clock()
-        self._coming.append((now + self._lag, self._steps.to(theta, now)))
-
-    def hold(self) -> None:
-        """Stand still."""
-        self._advance()
-        self._coming.clear()
-        self._target = self._at
-        if self._steps is not None:
-            self._steps = Steps(self._arm, self._at, self._clock())
-
-    def stop(self) -> None:
-        """Stand still for good."""
-        self.hold()
-        self._steps = None
-
-    def close(self) -> None:
-        """Stop."""
-        self.stop()
-
-    def _advance(self) -> None:
+    def _look(self) -> None:
         now = self._clock()
         while self._coming and self._coming[0][0] <= now:
             when, target = self._coming.popleft()
@@ -154,3 +151,14 @@ class SimulatedArm:
             reach = self._speed * max(now - self._time, 0.0)
             self._at = self._at + np.clip(self._target - self._at, -reach, reach)
         self._time = now
+
+    def _measured(self) -> Array:
+        return self._at.copy()
+
+    def _send(self, wanted: Array) -> None:
+        self._coming.append((self._clock() + self._lag, wanted))
+
+    def _halt(self) -> None:
+        self._look()
+        self._coming.clear()
+        self._target = self._at

@@ -7,7 +7,7 @@ import numpy as np
 from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.devices import Asked, Progress, Standing
-from ctr_nlp.hardware.motion.trajectory import Commands
+from ctr_nlp.hardware.motion.lookahead import Commands
 from ctr_nlp.typing import Array
 
 STOPPING = 0.1
@@ -63,11 +63,10 @@ class Simulated:
         self._pace += change
         self._time = min(self._time, float(self._ends[-1]))
         self._position = np.array([np.interp(self._time, self._ends, axis) for axis in self._path.T])
-        line = int(np.searchsorted(self._ends[1:], self._time, "right"))
-        return Progress(self._state(line), self._time, line, self._position, now, 0.0)
+        return Progress(self._state(), self._time, self._position, now, 0.0)
 
-    def _state(self, line: int) -> str:
-        if line == len(self._ends) - 1:
+    def _state(self) -> str:
+        if self._time >= self._ends[-1]:
             return "done"
         if self._goal == 0.0:
             return "held" if self._pace == 0.0 else "holding"

@@ -12,9 +12,8 @@ import numpy as np
 
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.arm.description import Arm
-from ctr_nlp.hardware.arm.forward import insertion_error, tilt
-from ctr_nlp.hardware.arm.inverse import joints
-from ctr_nlp.hardware.devices.arms import Now, Steps
+from ctr_nlp.hardware.arm.kinematics import insertion_error, joints, tilt
+from ctr_nlp.hardware.devices.arms import ArmFollower, Now
 from ctr_nlp.support.extras import needed
 from ctr_nlp.typing import Array
 
@@ -24,30 +23,22 @@ START_TOLERANCE = 0.02
 """rad by which joints may be off what holds the insertion point when an arm is connected."""
 RUNNING = 7
 """The robot mode of a UR that is powered, with its brakes released."""
+SERVO = (0.02, 0.05, 500.0)
+"""servoj's t, lookahead_time and gain: the s between commands, over which the controller interpolates; s by about
+which the arm is behind, 0.03 to 0.2; and how stiffly it follows, 100 to 2000."""
 
 
-class UrArm:
+class UrArm(ArmFollower):
     """A Universal Robots arm over RTDE, by ur_rtde's servoJ. Not yet tried on a robot.
 
-    period: s between commands, what the controller interpolates over. lookahead_time (s, 0.03 to 0.2) and gain
-    (100 to 2000) are servoj's: the arm is behind by about lookahead_time. Where commands stop coming, the
-    controller keeps to the last one. The speed slider of the pendant must be at 100 %: servoj gets slower with it.
+    Where commands stop coming, the controller keeps to the last one. The speed slider of the pendant must be at
+    100 %: servoj gets slower with it.
     """
 
-    def __init__(
-        self,
-        arm: Arm,
-        *,
-        period: float = 0.02,
-        lookahead_time: float = 0.05,
-        gain: float = 500.0,
-        clock: Now = time.monotonic,
-    ) -> None:
-        self._arm, self._clock = arm, clock
-        self._servo = (period, lookahead_time, gain)
+    def __init__(self, arm: Arm, clock: Now = time.monotonic) -> None:
+        super().__init__(arm, clock)
         self._receive: Any = None
         self._control: Any = None
-        self._steps: Steps | None = None
         self._news = (math.nan, 0.0)
 
     def connect(self) -> None:
@@ -64,43 +55,29 @@ class UrArm:
         except DeviceFault:
             self.close()
             raise
-        self._steps = Steps(self._arm, start, self._clock())
+        self._last = start, self._clock()
 
-    def joints(self) -> Array:
-        """Measured joint angles now, (6,) rad; raises DeviceFault."""
-        self._check()
+    def _measured(self) -> Array:
         with self._faults("does not answer"):
             return np.array(self._receive.getActualQ(), dtype=float)
 
-    def tilt(self) -> Array:
-        """Measured tilt now, (2,) rad; raises DeviceFault."""
-        return tilt(self._arm, self.joints()[None])[0]
-
-    def follow(self, theta: Array) -> None:
-        """Send the joints of a tilt (2,) rad; raises DeviceFault, and sends nothing, where they are too far."""
-        if self._steps is None:
-            raise DeviceFault("the arm was told to follow, but is not connected or was stopped")
-        self._check()
-        wanted = self._steps.to(theta, self._clock())
+    def _send(self, wanted: Array) -> None:
         with self._faults("does not take commands"):
             # servoJ has arguments for speed and acceleration and does not use them.
-            taken = self._control.servoJ(wanted.tolist(), 0.5, 0.5, *self._servo)
+            taken = self._control.servoJ(wanted.tolist(), 0.5, 0.5, *SERVO)
         if not taken:
             raise DeviceFault(
                 f"the arm at {self._arm.address} refused a position: its control program is not running; "
                 "was it stopped at the pendant?"
             )
 
-    def hold(self) -> None:
-        """Slow down and stand still; following goes on from there. Raises DeviceFault."""
-        if self._steps is not None:
-            with self._faults("could not be told to hold"):
-                self._control.servoStop()
-            self._steps = Steps(self._arm, self.joints(), self._clock())
+    def _halt(self) -> None:
+        with self._faults("could not be told to hold"):
+            self._control.servoStop()
 
     def stop(self) -> None:
         """Slow down and end the control program; raises DeviceFault where the arm cannot be told."""
-        control, self._control, self._steps = self._control, None, None
+        control, self._control, self._last = self._control, None, None
         if control is None:
             return
         try:
@@ -122,7 +99,7 @@ class UrArm:
                 self._receive.disconnect()
             self._receive = None
 
-    def _check(self) -> None:
+    def _look(self) -> None:
         """Raise DeviceFault unless the arm is connected, powered and not stopped by its safety functions."""
         if self._receive is None:
             raise DeviceFault(f"the arm at {self._arm.address} is not connected")

@@ -8,8 +8,18 @@ from functools import partial
 from typing import Any
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.hardware.emulator.lies import LIES
+from ctr_nlp.hardware.emulator.controller.stops import ESTOP
+from ctr_nlp.hardware.emulator.firmware import Firmware
+from ctr_nlp.hardware.emulator.planner import Vector
+from ctr_nlp.hardware.emulator.reports import BANNER, Status
 from ctr_nlp.hardware.emulator.wire import Fault, Line
+
+Lie = Callable[[Firmware, random.Random], str]
+
+ALARMS = (1, 2, 3, 10)
+ERRORS = (1, 9, 20, 79)
+STATES = ("Idle", "Run", "Hold:0", "Hold:1", "Jog", "Alarm", "Home", "Check")
+PRINTABLE = "".join(chr(code) for code in range(32, 127))
 
 Strike = Callable[[Line, Fault], None]
 Change = Callable[[bytes, random.Random, Fault], list[tuple[float, bytes]]]
@@ -19,6 +29,48 @@ THIRD_PARTIES = (
     *(b"$J=G91 X-1 F600\n", b"$1=25\n", b"$110=300\n", b"G94 G1 X-1 F600\n", b"G4 P0.3\n", b"G999\n"),
 )
 """What pendants and other clients have been seen to send; one is drawn where a fault names none."""
+
+
+def _report(firmware: Firmware, state: str, position: Vector, line: int | None) -> str:
+    """A status report without any of the rarer fields."""
+    status, speed = Status(until_offset=9, until_overrides=9, changed=frozenset()), firmware.motion.speed * 60
+    buffers, overrides = (firmware.motion.free, firmware.lines.free), firmware.motion.overrides
+    return status.report(state, position, buffers, line, speed, overrides, (), bool(firmware.homed))
+
+
+def _past(firmware: Firmware, draw: random.Random) -> str:
+    """Idle where a line that is done with ended, or at zero."""
+    line, position = draw.choice(firmware.executed or [(None, (0.0,) * 6)])
+    return _report(firmware, "Idle", position, line)
+
+
+def _future(firmware: Firmware, draw: random.Random) -> str:
+    """Idle where all that is planned will end."""
+    return _report(firmware, "Idle", firmware.motion.target, firmware.motion.line)
+
+
+def _wrong_state(firmware: Firmware, draw: random.Random) -> str:
+    """Where it is, in a state in which it is not."""
+    states = [state for state in STATES if not state.startswith(firmware.state)]
+    return _report(firmware, draw.choice(states), firmware.motion.position, firmware.motion.line)
+
+
+def _noise(firmware: Firmware, draw: random.Random) -> str:
+    """Printable characters without sense."""
+    return "".join(draw.choice(PRINTABLE) for _ in range(draw.randint(1, 40)))
+
+
+LIES: dict[str, Lie] = {
+    "false_alarm": lambda firmware, draw: f"ALARM:{draw.choice(ALARMS)}",
+    "false_banner": lambda firmware, draw: BANNER,
+    "false_ok": lambda firmware, draw: "ok",
+    "false_error": lambda firmware, draw: f"error:{draw.choice(ERRORS)}",
+    "false_past": _past,
+    "false_future": _future,
+    "false_state": _wrong_state,
+    "noise": _noise,
+}
+"""Name of a fault -> the line that is inserted."""
 
 
 def _lasting(line: Line, fault: Fault) -> Callable[[], bool]:
@@ -72,6 +124,12 @@ def _flipped(data: bytes, draw: random.Random, fault: Fault) -> bytes:
     return bytes(byte ^ (1 << draw.randrange(8)) if draw.random() < fault.choice else byte for byte in data)
 
 
+def _estop(line: Line, fault: Fault) -> None:
+    """The button with the alarm that it raises on a board; the recorded controller only shows its pin."""
+    line.firmware.press("estop")
+    line.firmware.alarm(ESTOP)
+
+
 def _power_cycle_unseen(line: Line, fault: Fault) -> None:
     line.drop()
     line.firmware.reboot(loses_position=True)
@@ -95,7 +153,7 @@ _KINDS: dict[str, tuple[Strike, dict[str, Any]]] = {
     "hard_limit": (lambda line, fault: line.firmware.hard_limit(), {}),
     "soft_limit": (lambda line, fault: line.firmware.soft_limit(), {}),
     "error_latch": (lambda line, fault: line.firmware.refuse(int(fault.choice)), {"choice": 20}),
-    "estop": (lambda line, fault: line.firmware.press("estop", alarms=True), {}),
+    "estop": (_estop, {}),
     "power_cycle": (lambda line, fault: line.firmware.reboot(loses_position=True), {}),
     "power_cycle_unseen": (_power_cycle_unseen, {}),
     "third_party": (

@@ -11,9 +11,8 @@ from collections.abc import Mapping
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.hardware.emulator.controller.commands import Commands
-from ctr_nlp.hardware.emulator.controller.stops import ESTOP
-from ctr_nlp.hardware.emulator.protocol.gcode import Refused
-from ctr_nlp.hardware.emulator.protocol.reports import BUTTONS
+from ctr_nlp.hardware.emulator.gcode import Refused
+from ctr_nlp.hardware.emulator.reports import BUTTONS
 
 SLICE_S = 0.01
 """How often lines that wait for room are tried again; the planner makes room a block at a time."""
@@ -124,29 +123,19 @@ class Firmware(Commands):
                 self._act(self._deferred.popleft())
             self._work()
 
-    def press(self, button: str, alarms: bool = False) -> None:
-        """Push a button and keep it down: estop, reset or limit_x .. limit_c.
-
-        alarms: whether the emergency stop raises ALARM:10, as on a board; the recorded one only shows its pin.
-        """
-        self._known(button)
+    def press(self, button: str) -> None:
+        """Push a button and keep it down: estop, reset or limit_x .. limit_c; raises OptionError for others."""
+        if button not in BUTTONS:
+            raise OptionError(f"no button {button!r}; there are {', '.join(BUTTONS)}")
         self.pressed.add(button)
         if button == "reset":
             self.reset()
-        elif button == "estop" and alarms:
-            self.alarm(ESTOP)
         elif button.startswith("limit") and self.settings[21] and self.state != "Home":
             self.hard_limit()
 
     def release(self, button: str) -> None:
         """Let a button go."""
-        self._known(button)
         self.pressed.discard(button)
-
-    @staticmethod
-    def _known(button: str) -> None:
-        if button not in BUTTONS:
-            raise OptionError(f"no button {button!r}; there are {', '.join(BUTTONS)}")
 
     def stall(self, seconds: float) -> None:
         """Do nothing at all for so many seconds: no motion, no reading of lines, no replies."""

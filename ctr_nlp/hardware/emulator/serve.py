@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.hardware.emulator.faults import Fault
 from ctr_nlp.hardware.emulator.firmware import Firmware
-from ctr_nlp.hardware.emulator.wire import BAUD, Line
+from ctr_nlp.hardware.emulator.wire import Line
 
 LOOPBACK = "127.0.0.1"
 TICK_S = 0.002
@@ -100,27 +100,23 @@ Port = TcpPort | PtyPort
 
 def open_port(kind: str, number: int = 0) -> Port:
     """A "tcp" port of a number, 0 for a free one, or a "pty"."""
-    if kind == "tcp":
-        return TcpPort(number)
+    if kind not in ("tcp", "pty"):
+        raise OptionError(f"no port of kind {kind!r}; there are tcp, pty")
     if kind == "pty" and not hasattr(os, "openpty"):
         raise OptionError("this system has no pseudo-terminals; use tcp")
-    if kind == "pty":
-        return PtyPort()
-    raise OptionError(f"no port of kind {kind!r}; there are tcp, pty")
+    return PtyPort() if kind == "pty" else TcpPort(number)
 
 
-def run(
-    firmware: Firmware, port: Port, stop: threading.Event, faults: tuple[Fault, ...] = (), baud: float = BAUD
-) -> None:
+def run(firmware: Firmware, port: Port, stop: threading.Event, faults: tuple[Fault, ...] = ()) -> None:
     """Serve in real time until told to stop. Faults strike the first connection; the next lines are clean."""
     line: Line | None = None
-    idle = Line(firmware, (), baud)
+    idle = Line(firmware)
     last = time.monotonic()
     opened = False
     while not stop.is_set():
         connected = port.exchange(line)
         if connected and line is None:
-            line = Line(firmware, () if opened else faults, baud)
+            line = Line(firmware, () if opened else faults)
             opened = True
             firmware.take()
         elif not connected:
@@ -136,13 +132,11 @@ def run(
 
 
 @contextmanager
-def serving(
-    firmware: Firmware, kind: str = "tcp", number: int = 0, faults: tuple[Fault, ...] = (), baud: float = BAUD
-) -> Iterator[str]:
+def serving(firmware: Firmware, kind: str = "tcp", faults: tuple[Fault, ...] = ()) -> Iterator[str]:
     """Serve in a thread; gives the URL to connect to. kind: "tcp" or "pty"."""
-    port = open_port(kind, number)
+    port = open_port(kind)
     stop = threading.Event()
-    thread = threading.Thread(target=run, args=(firmware, port, stop, faults, baud), daemon=True)
+    thread = threading.Thread(target=run, args=(firmware, port, stop, faults), daemon=True)
     thread.start()
     try:
         yield port.url

@@ -8,11 +8,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ctr_nlp.exceptions import OptionError
 from ctr_nlp.hardware.emulator.firmware import Firmware
 
-BAUD = 115200
-BITS_PER_BYTE = 10
+BYTE_S = 10 / 115200
+"""What a byte takes: ten bits at 115200 baud."""
 STEP_S = 0.001
 
 
@@ -33,10 +32,6 @@ class Fault:
     seed: int = 0
     choice: float = 0.3
     data: bytes = b""
-
-    def due(self, time: float, sent_bytes: int) -> bool:
-        """Whether its moment has come."""
-        return time >= self.at or sent_bytes >= self.after_bytes
 
     def strike(self, line: Line) -> None:
         """Do what it does to a line or the firmware at its end."""
@@ -68,14 +63,11 @@ class VirtualClock:
 class Line:
     """The two directions of a serial line between a host and the firmware, with the faults on it.
 
-    Bytes take their time at a baud rate. Whoever owns it calls advance() and moves bytes in and out.
+    Bytes take their time. Whoever owns it calls advance() and moves bytes in and out.
     """
 
-    def __init__(self, firmware: Firmware, faults: tuple[Fault, ...] = (), baud: float = BAUD) -> None:
-        if baud <= 0:
-            raise OptionError(f"baud is {baud}; it must be positive")
+    def __init__(self, firmware: Firmware, faults: tuple[Fault, ...] = ()) -> None:
         self.firmware = firmware
-        self.byte_s = BITS_PER_BYTE / baud
         self.time = 0.0
         self.sent_bytes = 0
         self.cut = False
@@ -105,8 +97,8 @@ class Line:
             data = alter(data)
         start = max(self.time, self._outbound_free)
         for i, byte in enumerate(data):
-            self._to_device.append((start + (i + 1) * self.byte_s, byte))
-        self._outbound_free = start + len(data) * self.byte_s
+            self._to_device.append((start + (i + 1) * BYTE_S, byte))
+        self._outbound_free = start + len(data) * BYTE_S
 
     def get(self) -> bytes:
         """Bytes that have arrived at the host."""
@@ -146,8 +138,8 @@ class Line:
             raise ConnectionError("the link to the controller is lost")
 
     def _trigger(self) -> None:
-        due = [fault for fault in self._waiting if fault.due(self.firmware.time, self.sent_bytes)]
-        for fault in due:
+        now, sent = self.firmware.time, self.sent_bytes
+        for fault in [fault for fault in self._waiting if now >= fault.at or sent >= fault.after_bytes]:
             self._waiting.remove(fault)
             fault.strike(self)
 
@@ -165,24 +157,22 @@ class Line:
                 self._send(wait, piece)
 
     def _send(self, wait: float, piece: bytes) -> None:
-        self._inbound_free = max(self.time, self._inbound_free) + len(piece) * self.byte_s
+        self._inbound_free = max(self.time, self._inbound_free) + len(piece) * BYTE_S
         heapq.heappush(self._to_host, (self._inbound_free + wait, next(self._order), piece))
 
 
 class Wire:
     """A host's connection to the firmware. Opening one ends the one before; motion goes on without any.
 
-    faults: struck on this connection at their moments. baud: bits per second, ten to a byte.
+    faults: struck on this connection at their moments.
     """
 
-    def __init__(
-        self, firmware: Firmware, clock: VirtualClock, faults: tuple[Fault, ...] = (), baud: float = BAUD
-    ) -> None:
+    def __init__(self, firmware: Firmware, clock: VirtualClock, faults: tuple[Fault, ...] = ()) -> None:
         before = clock.lines.get(firmware)
         if before is not None:
             before.drop()
             firmware.take()
-        self.line = clock.lines[firmware] = Line(firmware, faults, baud)
+        self.line = clock.lines[firmware] = Line(firmware, faults)
         self.clock = clock
 
     def write(self, data: bytes) -> None:

@@ -1,7 +1,9 @@
-"""Files that other machines play: one format a file."""
+"""Files that other machines play: one format a file, and the table for spreadsheets and scripts."""
 
 from __future__ import annotations
 
+import csv
+import io
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,12 +11,48 @@ from dataclasses import dataclass
 import numpy as np
 
 from ctr_nlp.exceptions import HardwareError
-from ctr_nlp.hardware.arm.inverse import joints
-from ctr_nlp.hardware.exports import gcode, table, urscript
+from ctr_nlp.hardware.arm.kinematics import joints
+from ctr_nlp.hardware.exports.urscript import write_urscript
+from ctr_nlp.hardware.motion.gcode import OPENING, gcode_text
 from ctr_nlp.hardware.motion.trajectory import Trajectory
+
+DECIMALS = 9
+"""Of numbers in the table."""
 
 PERIOD = 0.008
 """s from sample to sample of the arm's motion."""
+
+
+def csv_text(trajectory: Trajectory) -> str:
+    """The table, comma-separated, with names and units in its first row.
+
+    time_s; frame: the next one to be reached in a row; at_frame: 1 where it is reached. Then joints, as in
+    alpha_1_rad, beta_1_mm, theta_x_rad, and positions of axes, backlash included, as in X_mm, A_deg.
+    """
+    commands = trajectory.commands()
+    time = np.append(0.0, commands.time)
+    frame = np.append(trajectory.frames[0], commands.frame)
+    names = [f"{name}_{'mm' if name.startswith('beta') else 'rad'}" for name in trajectory.robot.axes]
+    axes = [f"{axis.letter}_{axis.unit}" for axis in trajectory.hardware.axes]
+    values = np.hstack([trajectory.at(time)[0], trajectory.positions(time)])
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(["time_s", "frame", "at_frame", *names, *axes])
+    reached = [True, *(np.diff(frame) > 0)[1:], True]
+    for t, number, there, row in zip(time, frame, reached, values, strict=True):
+        numbers = [f"{value:.{DECIMALS}f}" for value in np.round(row, DECIMALS) + 0.0]  # no minus before a zero
+        writer.writerow([f"{t:.{DECIMALS}f}", number, int(there), *numbers])
+    return file.getvalue()
+
+
+def _urscript(trajectory: Trajectory, title: str) -> str:
+    holder = trajectory.hardware.arm
+    if holder is None:
+        raise HardwareError("this hardware has no arm, so that there is nothing to write for one")
+    time = PERIOD * np.arange(np.ceil(trajectory.duration / PERIOD - 1e-6) + 1)
+    sampled = joints(holder, trajectory.tilt(time))
+    name = re.sub(r"\W", "_", f"ctr_nlp_{title}", flags=re.ASCII)
+    return write_urscript(time, sampled, period=PERIOD, name=name)
 
 
 @dataclass(frozen=True)
@@ -26,19 +64,9 @@ class Text:
     opening: str
 
 
-def _urscript(trajectory: Trajectory, title: str) -> str:
-    holder = trajectory.hardware.arm
-    if holder is None:
-        raise HardwareError("this hardware has no arm, so that there is nothing to write for one")
-    time = PERIOD * np.arange(np.ceil(trajectory.duration / PERIOD - 1e-6) + 1)
-    sampled = joints(holder, trajectory.tilt(time))
-    name = re.sub(r"\W", "_", f"ctr_nlp_{title}", flags=re.ASCII)
-    return urscript.write_urscript(time, sampled, period=PERIOD, name=name)
-
-
 TEXTS = {
-    "csv": Text(lambda trajectory, title: table.csv_text(trajectory), ".csv", "time_s,frame,at_frame,"),
-    "gcode": Text(gcode.gcode_text, ".gcode", gcode.OPENING),
+    "csv": Text(lambda trajectory, title: csv_text(trajectory), ".csv", "time_s,frame,at_frame,"),
+    "gcode": Text(gcode_text, ".gcode", OPENING),
     "urscript": Text(_urscript, ".script", "def ctr_nlp_"),
 }
 """Formats of one file, by name."""

@@ -1,11 +1,16 @@
-"""Commands as G-code: inverse time (G93), absolute millimetres and degrees, one straight piece a numbered line."""
+"""A motion as G-code: lines for a controller beside which a computer stands, and a file for one that plays alone.
+
+Inverse time (G93), absolute millimetres and degrees, one straight piece a numbered line.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
 
+from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.typing import Array
 
 MEANING = "G21 G90 G93"
@@ -15,6 +20,9 @@ MODES = f"{MEANING} G54"
 """What a program begins with: also the first work offset, which is 0."""
 
 DECIMALS = 4
+
+OPENING = "(ctr_nlp"
+"""With which a file begins."""
 
 LEAST_FEED = 1.0 / 60.0
 """Units/s: Grbl goes no slower, and a line in which nothing moves takes no time there."""
@@ -43,3 +51,63 @@ def lines(letters: Sequence[str], start: Array, positions: Array, time: Array, m
             found.append(line(n, letters, position, seconds, meaning))
             there = position
     return found
+
+
+def gcode_text(trajectory: Trajectory, title: str) -> str:
+    """The file: a pause, the slow approach to the first frame, another pause, and the trajectory's numbered lines.
+
+    title: of the plan.
+    """
+    letters, commands = trajectory.hardware.letters, trajectory.commands()
+    start, seconds = trajectory.positions(0.0), approach_time(trajectory)
+    head = [
+        f"ctr_nlp: {title[:60]}",
+        f"digest {trajectory.digests.plan}",
+        f"{len(trajectory.frames)} frames in {trajectory.duration:.3f} s from the second pause on",
+        *(f"{axis.letter} in {axis.unit} moves {axis.joint}" for axis in trajectory.hardware.axes),
+        "positions are those of the machine: no work offset may be active",
+        "rates and accelerations of the controller: at least those of the hardware",
+        f"after the first pause: to the first frame in {seconds:.1f} s, all axes at once",
+        "after the second pause: the motion",
+    ]
+    if np.any(trajectory.tilt(trajectory.frame_time)):
+        head += [
+            "THE TILT OF THE ARM IS NOT IN THIS FILE: export it with --to urscript",
+            "and end the second pause when the arm starts",
+        ]
+    return "\n".join(
+        [
+            *map(_comment, head),
+            MODES,
+            "M0",
+            line(0, letters, start, seconds),
+            "M0",
+            *lines(letters, start, commands.positions, commands.time),
+            "G94",
+            "M2",
+            "",
+        ]
+    )
+
+
+def approach_time(trajectory: Trajectory) -> float:
+    """Seconds that are enough to come from any place in the axes' ranges, at hardware.approach of their speeds.
+
+    As time, and not as a feed, this holds however a controller counts degrees beside millimetres.
+    """
+    robot, hardware = trajectory.robot, trajectory.hardware
+    seconds = [
+        max(abs(position - end) for end in axis.range)
+        / (abs(axis.scale) * robot.speed[robot.axes.index(axis.joint)] * hardware.approach)
+        for axis, position in zip(hardware.axes, trajectory.positions(0.0), strict=True)
+    ]
+    return float(max(seconds))
+
+
+def _comment(text: str) -> str:
+    """In parentheses, without what ends a comment or is obeyed within one.
+
+    Grbl takes ? ! ~ wherever they are; readers that do not know parentheses take G28 and M3.
+    """
+    harmless = re.sub(r"[^A-Za-z0-9 _.,:+=/-]", "_", text)
+    return "(" + re.sub(r"([GMNTgmnt])(?=[0-9])", r"\1_", harmless) + ")"

@@ -1,17 +1,19 @@
-"""How much motion a controller may have in hand: nothing can call it back once the link or the player is gone.
+"""The straight pieces that a controller is given: how many it may have in hand, and where on them it is.
 
-A controller plays what it was given to the end, whatever becomes of the host. So what it was given and has not
-done, counted from the position that it last confirmed, is bounded in time and in the travel of every slide. Too
-little of it would slow the motion down: a controller runs no faster than it can come to rest within what it was
-given.
+A controller plays what it was given to the end, whatever becomes of the host: nothing can call it back once the
+link or the player is gone. So what it was given and has not done, counted from the position that it last
+confirmed, is bounded in time and in the travel of every slide. Too little of it would slow the motion down: a
+controller runs no faster than it can come to rest within what it was given.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from ctr_nlp.typing import Array, Flags
 
@@ -32,6 +34,22 @@ POLL = 0.02
 
 ROUND_TRIP = 0.025
 """s from such a question to its answer on an ordinary link: 9 ms are a report of 100 bytes at 115200 baud."""
+
+AT = 0.02
+"""Parts of tolerances within which a device is at a place."""
+
+
+@dataclass(frozen=True)
+class Commands:
+    """Straight pieces of a motion, one after the other, from where it starts.
+
+    time (N,) s: when each ends, from the start; frame (N,): the next frame on the path, from 1; positions (N, m)
+    of the axes, in their units, at its end.
+    """
+
+    time: Array
+    frame: npt.NDArray[np.int64]
+    positions: Array
 
 
 class LinkTiming(NamedTuple):
@@ -93,3 +111,40 @@ def sustainable(speed: Array, acceleration: Array, slides: Flags, link: LinkTimi
         if fastest > 0:
             parts.append(steady_speed(float(change), bool(slide), link) / float(fastest))
     return float(min(parts))
+
+
+class Place(NamedTuple):
+    """A place on a path: the time (s) at which it is passed, how many pieces lie behind, and the distance to it.
+
+    until: when it is left, where it is rested at. away: of the axis furthest off, in parts of its tolerance.
+    """
+
+    time: float
+    until: float
+    line: int
+    away: float
+
+
+class FollowedPath:
+    """From a position (m,) along commands; tolerance (m,): of the axes."""
+
+    def __init__(self, start: Array, commands: Commands, tolerance: Array) -> None:
+        self.ends = np.append(0.0, commands.time)
+        self.points = np.vstack([start, commands.positions])
+        self._scale = 1.0 / tolerance
+
+    def nearest(self, position: Array, first: int, last: int) -> Place:
+        """The place on pieces first to last - 1, from 0, nearest to a position (m,); the earliest of equals."""
+        last = max(last, first + 1)
+        start, piece = self.points[first:last], np.diff(self.points[first : last + 1], axis=0) * self._scale
+        gone = (position - start) * self._scale
+        length = (piece**2).sum(axis=1)
+        part = np.clip((piece * gone).sum(axis=1) / np.where(length > 0, length, 1.0), 0.0, 1.0)
+        away = abs(gone - part[:, None] * piece).max(axis=1)
+        best = int((away > away.min() + 1e-9).argmin())
+        k = first + best
+        time = float(self.ends[k] + part[best] * (self.ends[k + 1] - self.ends[k]))
+        apart = abs((self.points[k + 1 :] - position) * self._scale).max(axis=1) > AT
+        resting = int(apart.argmax()) if apart.any() else len(apart)
+        until = max(time, float(self.ends[k + resting]))
+        return Place(time, until, k + bool(part[best] >= 1.0 - 1e-9), float(away[best]))

@@ -14,7 +14,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from ctr_nlp.exceptions import OptionError, TrajectoryError
 from ctr_nlp.hardware.description import Hardware
-from ctr_nlp.hardware.motion.lookahead import LONGEST
+from ctr_nlp.hardware.motion.lookahead import LONGEST, Commands
 from ctr_nlp.hardware.motion.path import made_up, path_through
 from ctr_nlp.hardware.motion.timing import Motion, timed
 from ctr_nlp.plan.plan import Plan
@@ -30,20 +30,6 @@ class Digests(NamedTuple):
 
     plan: str
     hardware: str
-
-
-@dataclass(frozen=True)
-class Commands:
-    """Straight pieces of a motion, one after the other, from where it starts.
-
-    time (N,) s: when each ends, from the start; frame (N,): the next frame on the path, from 1; q (N,
-    2d + 2) and positions (N, m) of the axes, in their units, at its end.
-    """
-
-    time: Array
-    frame: npt.NDArray[np.int64]
-    q: Array
-    positions: Array
 
 
 @dataclass(frozen=True)
@@ -106,7 +92,7 @@ class Trajectory:
             for start, end, count in zip(self.frame_time[:-1], self.frame_time[1:], counts, strict=True)
         ]
         time = np.concatenate(pieces)
-        return Commands(time, np.repeat(self.frames[1:], counts), self.at(time)[0], self.positions(time))
+        return Commands(time, np.repeat(self.frames[1:], counts), self.positions(time))
 
 
 def trajectory_of(plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: Array | None = None) -> Trajectory:

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.exceptions import HardwareError, RobotError, TrajectoryError
-from ctr_nlp.hardware.arm.checks import check_joints
-from ctr_nlp.hardware.arm.inverse import joints
+from ctr_nlp.hardware.arm.description import check_joints
+from ctr_nlp.hardware.arm.kinematics import joints
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.models import MODELS, Snap
 from ctr_nlp.plan.plan import Plan

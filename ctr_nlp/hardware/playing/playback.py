@@ -1,4 +1,4 @@
-"""One trajectory played on a device that has been started: watched, paused, and led to its last frame."""
+"""One trajectory played on a device that has been started, and led to its last frame, the arm in step with it."""
 
 from __future__ import annotations
 
@@ -6,30 +6,43 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ctr_nlp.exceptions import TrajectoryError
+from ctr_nlp.exceptions import DeviceFault, TrajectoryError
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.devices import Played, Progress, Standing
+from ctr_nlp.hardware.devices.arms import ArmFollower
 from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
-from ctr_nlp.hardware.playing.leading import LEVEL, Leading
-from ctr_nlp.hardware.playing.results import Ending, Outcome, State
+from ctr_nlp.hardware.playing.results import Ending, Outcome, State, Wishes
 from ctr_nlp.hardware.playing.supervision import Supervisor
-from ctr_nlp.hardware.playing.wishes import Wishes
 from ctr_nlp.typing import Array
 
+AHEAD = 0.1
+"""s for which the arm goes on without news from the device."""
+
+IN_STEP = 0.005
+"""rad by which the arm may be off where the device's progress, within the skew tolerance, puts it."""
+
+LEVEL = 1e-3
+"""rad by which the arm may be off the last frame, SETTLING s after the axes are there."""
+
+SETTLING = 0.5
+
 TICK = 0.005
-"""s between two looks at the device."""
+"""s between two looks at the device, or at the arm while it settles."""
 
 Seen = Callable[[Trajectory, Progress], None]
 
 
 class Playback:
-    """A trajectory in progress. to: told of the states running and hold; frame: the last that was passed."""
+    """A trajectory in progress, and an arm or None that is led by the device's progress and must keep in step.
+
+    to: told of the states running and hold; frame: the last that was passed.
+    """
 
     def __init__(
         self,
         trajectory: Trajectory,
-        arm: Leading | None,
+        arm: ArmFollower | None,
         journal: Journal,
         clock: Clock,
         wishes: Wishes,
@@ -71,7 +84,7 @@ class Playback:
                 return Ending(Outcome.CANCELLED, f"stopped on request, after frame {self.frame}")
             self._obey(played, progress, supervisor)
             if self._arm is not None and not self._held:
-                self._arm.follow(progress)
+                self._lead(self._arm, progress)
             played.feed()
             self._clock.sleep(TICK)
 
@@ -106,9 +119,33 @@ class Playback:
         self._held = held
         self._to(State.HOLD if held else State.RUNNING)
 
+    def _lead(self, arm: ArmFollower, progress: Progress) -> None:
+        """Let the arm follow the device's progress; raises DeviceFault where it does not."""
+        described = self._trajectory.hardware.arm
+        tolerance = 0.0 if described is None else described.skew_tolerance
+        late = self._clock.now() - progress.stamp
+        now = progress.time + (min(late, AHEAD) if progress.state == "running" else 0.0)
+        arm.follow(self._trajectory.tilt(now))
+        around = self._trajectory.tilt(now + np.linspace(-1.0, 1.0, 21) * tolerance)
+        away = np.linalg.norm(around - arm.tilt(), axis=1).min()
+        if away > IN_STEP:
+            raise DeviceFault(
+                f"the arm is not in step: {np.degrees(away):.2g} deg from every tilt within {tolerance:g} s"
+            )
+
+    def _settled(self, arm: ArmFollower) -> float:
+        """Let the arm come to the last tilt and rest; by how much it stays off, rad."""
+        end, theta = self._clock.now() + SETTLING, self._trajectory.tilt(self._trajectory.duration)
+        arm.follow(theta)
+        while (off := float(np.linalg.norm(arm.tilt() - theta))) > 0.1 * LEVEL and self._clock.now() < end:
+            self._clock.sleep(TICK)
+            arm.follow(theta)
+        arm.hold()
+        return off
+
     def _arrived(self, progress: Progress, resolution: Array) -> Ending:
         goal = self._trajectory.positions(self._trajectory.duration)
-        tilted = 0.0 if self._arm is None else self._arm.arrive()
+        tilted = 0.0 if self._arm is None else self._settled(self._arm)
         standing = Standing(progress.position, True)
         off = abs(progress.position - goal) / resolution
         if off.max() > 1.0:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 
 import numpy as np
 
@@ -13,11 +12,9 @@ from ctr_nlp.hardware.devices import Device, Played, Standing
 from ctr_nlp.hardware.devices.arms import ArmFollower
 from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
-from ctr_nlp.hardware.playing.leading import Leading
 from ctr_nlp.hardware.playing.playback import Playback, Seen
-from ctr_nlp.hardware.playing.results import Ending, Outcome, Result, State
+from ctr_nlp.hardware.playing.results import Ending, Outcome, Result, State, Wishes
 from ctr_nlp.hardware.playing.trust import Memory, Trust
-from ctr_nlp.hardware.playing.wishes import Wishes
 from ctr_nlp.typing import Array
 
 
@@ -57,13 +54,17 @@ class Player:
         with. Where an abort is asked for meanwhile, the device is stopped, and Stopped is raised.
         """
         self._expect("connects", State.DISCONNECTED)
-        with self._faults():
+        try:
             self._trust.claim()
             standing = self._opened(stop_first, home)
             if self._arm is not None:
                 self._arm.connect()
             self._trust.look_back(self.device, standing, home, session)
             self._to(State.HOMED if standing.homed and not self.doubt else State.IDLE)
+        except BaseException:
+            with self.journal.forgiving():
+                self._to(State.FAULT)
+            raise
         return standing
 
     def _opened(self, stop_first: bool, home: bool) -> Standing:
@@ -128,8 +129,7 @@ class Player:
         seen is told of it and of the progress every few ms. Nothing is sent where axes are not at the start.
         """
         self._expect("plays", State.HOMED)
-        arm = None if self._arm is None else Leading(self._arm, trajectory, self._clock)
-        playback = Playback(trajectory, arm, self.journal, self._clock, self._wishes, self._to)
+        playback = Playback(trajectory, self._arm, self.journal, self._clock, self._wishes, self._to)
         try:
             played = self._begun(playback, trajectory)
             ending = played if isinstance(played, Ending) else playback.run(played, self.device.resolution, seen)
@@ -198,16 +198,6 @@ class Player:
         if self.state not in states:
             wanted = " or ".join(state.value for state in states)
             raise DeviceFault(f"the player is {self.state.value}; only one that is {wanted} {what}")
-
-    @contextmanager
-    def _faults(self) -> Iterator[None]:
-        """Whatever goes wrong within ends in the state fault."""
-        try:
-            yield
-        except BaseException:
-            with self.journal.forgiving():
-                self._to(State.FAULT)
-            raise
 
     def _to(self, state: State) -> None:
         self.state = state

@@ -11,7 +11,7 @@ import numpy as np
 from ctr_nlp.exceptions import DeviceFault, Stopped, TrajectoryError
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices import Standing
-from ctr_nlp.hardware.motion.progress import FollowedPath
+from ctr_nlp.hardware.motion.lookahead import FollowedPath
 from ctr_nlp.hardware.motion.trajectory import Trajectory, approach_to, rest_of, trajectory_of
 from ctr_nlp.hardware.playing.checks import Checked, check_plan, checked
 from ctr_nlp.hardware.playing.playback import Seen

@@ -55,82 +55,74 @@ class Supervisor:
 
     def violation(self, progress: Progress, now: float) -> Ending | None:
         """What is wrong at a moment (s of the clock), None where nothing is; the gravest first."""
-        return (
-            self._unexpected(progress)
-            or self._path(progress)
-            or self._held(progress, now)
-            or self._silent(progress, now)
-            or self._pace(progress, now)
+        fault, off_path = Outcome.DEVICE_FAULT, Outcome.PATH_TOLERANCE_VIOLATED
+        found = (
+            (fault, self._unexpected(progress)),
+            (off_path, self._path(progress)),
+            (fault, self._held(progress, now)),
+            (fault, self._silent(progress, now)),
+            (off_path, self._pace(progress, now)),
         )
+        return next((Ending(outcome, what) for outcome, what in found if what), None)
 
-    def _unexpected(self, progress: Progress) -> Ending | None:
+    def _unexpected(self, progress: Progress) -> str:
+        """The device shows nothing that no device shows that plays as it should."""
         signs = progress.signs
         if signs.said:
-            return _fault(signs.said)
+            return signs.said
         if signs.override is not None and signs.override != 100:
-            return _fault(f"the feed override is {signs.override:g} %, and must be 100 %: somebody changed it")
+            return f"the feed override is {signs.override:g} %, and must be 100 %: somebody changed it"
         if signs.stalled > STALLED:
-            return _fault(
+            return (
                 f"nothing has moved for {signs.stalled:.2g} s, though the device was given more to do: replies or "
                 "lines were lost"
             )
-        return None
+        return ""
 
-    def _path(self, progress: Progress) -> Ending | None:
-        if progress.away > 1.0:
-            return _off_path(f"the axes are {progress.away:.3g} tolerances from their path; 1 is allowed")
-        return None
+    def _path(self, progress: Progress) -> str:
+        """The axes are within their tolerances of the path."""
+        away = progress.away
+        return f"the axes are {away:.3g} tolerances from their path; 1 is allowed" if away > 1.0 else ""
 
-    def _held(self, progress: Progress, now: float) -> Ending | None:
+    def _held(self, progress: Progress, now: float) -> str:
         """A hold comes to rest in time, nothing moves in it, and nobody but the player ends it."""
         if progress.state not in ("holding", "held"):
-            if self._rest is None:
-                return None
-            return _fault("the motion goes on after a hold, though the player did not resume it")
+            on = self._rest is not None
+            return "the motion goes on after a hold, though the player did not resume it" if on else ""
         self._holding = now if self._holding is None else self._holding
         lasted = now - self._holding
         if progress.state == "holding":
             if self._rest is not None:
-                return _fault("the axes no longer rest in a hold, though the player did not resume the motion")
-            return _fault(f"a hold has not come to rest in {HOLDING:g} s") if lasted > HOLDING else None
+                return "the axes no longer rest in a hold, though the player did not resume the motion"
+            return f"a hold has not come to rest in {HOLDING:g} s" if lasted > HOLDING else ""
         if self._rest is None:
             self._rest = progress.position
         moved = abs(progress.position - self._rest)
         if (moved > self.at_rest).any():
-            return _fault(f"an axis has moved by {moved.max():.3g} in a hold")
-        if lasted > UNASKED and not self._paused:
-            return _fault(f"somebody else has held the motion for {UNASKED:g} s")
-        return None
+            return f"an axis has moved by {moved.max():.3g} in a hold"
+        asked = self._paused or lasted <= UNASKED
+        return "" if asked else f"somebody else has held the motion for {UNASKED:g} s"
 
-    def _silent(self, progress: Progress, now: float) -> Ending | None:
+    def _silent(self, progress: Progress, now: float) -> str:
         """Neither the device nor the player itself is away for long."""
         away, self._looked = 0.0 if self._looked is None else now - self._looked, now
         if away > HELD_UP and progress.state != "held":
-            return _fault(f"the player itself was held up for {away:.2g} s; {HELD_UP:g} s are allowed")
+            return f"the player itself was held up for {away:.2g} s; {HELD_UP:g} s are allowed"
         silent = now - progress.stamp
         if silent > SILENCE:
-            return _fault(f"the device has told no position for {silent:.2g} s; {SILENCE:g} s are allowed")
-        return None
+            return f"the device has told no position for {silent:.2g} s; {SILENCE:g} s are allowed"
+        return ""
 
-    def _pace(self, progress: Progress, now: float) -> Ending | None:
+    def _pace(self, progress: Progress, now: float) -> str:
         """A running device keeps its schedule, which begins with the first progress and after every hold."""
         if progress.state != "running":
-            return None
+            return ""
         if self._since is None:
             self._since = now, progress.time
         begun, at = self._since
         late = (now - begun) - (progress.time - at)
-        early = -late
-        if early > EARLY:
-            return _off_path(f"the axes are {early:.2g} s ahead of their schedule; {EARLY:g} s are allowed")
+        if -late > EARLY:
+            return f"the axes are {-late:.2g} s ahead of their schedule; {EARLY:g} s are allowed"
         if late > self.late:
-            return _off_path(f"the axes are {late:.2g} s behind their schedule; {self.late:g} s are allowed")
-        return None
-
-
-def _fault(what: str) -> Ending:
-    return Ending(Outcome.DEVICE_FAULT, what)
-
-
-def _off_path(what: str) -> Ending:
-    return Ending(Outcome.PATH_TOLERANCE_VIOLATED, what)
+            return f"the axes are {late:.2g} s behind their schedule; {self.late:g} s are allowed"
+        return ""

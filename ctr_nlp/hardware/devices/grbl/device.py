@@ -8,13 +8,12 @@ from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices import Asked, Standing
-from ctr_nlp.hardware.devices.grbl.controller_settings import check
-from ctr_nlp.hardware.devices.grbl.identity import Identity
+from ctr_nlp.hardware.devices.grbl.identity import Identity, check
 from ctr_nlp.hardware.devices.grbl.stop import stopped
 from ctr_nlp.hardware.devices.grbl.stream import Stream
 from ctr_nlp.hardware.devices.grbl.talk import GREETING, RESET, Talk, never
 from ctr_nlp.hardware.link import Link
-from ctr_nlp.hardware.motion.trajectory import Commands
+from ctr_nlp.hardware.motion.lookahead import Commands
 from ctr_nlp.typing import Array
 
 HOMING = 180.0

@@ -1,14 +1,28 @@
-"""Who a Grbl controller is: its axes, buffers and settings, and the steps in which it counts."""
+"""Who a Grbl controller is, and which of its settings lose its position, change its meaning, or break limits.
+
+Numbers and meanings of settings: grblHAL, settings.c. A finding tells the value to set.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.description import Hardware
+
+Wrong = tuple[int | str, str, str]
+"""Which setting is wrong, the value to set, and why."""
+
+STATUS_MASK = 511
+"""$10: machine positions, free blocks, line numbers, feed, pins, offsets, overrides and more in status reports."""
+
+NEEDED = {0: "machine positions", 1: "the planner's free blocks", 2: "line numbers", 6: "overrides"}
+"""Bits of $10 without which a motion cannot be supervised."""
 
 
 @dataclass(frozen=True)
@@ -45,3 +59,87 @@ class Identity:
     def acceleration(self, hardware: Hardware) -> npt.NDArray[np.float64]:
         """With which the controller moves the hardware's axes (m,), in unit/s^2."""
         return np.array([self.setting(120 + column) for column in self.columns(hardware)])
+
+
+class Finding(NamedTuple):
+    """A setting that is wrong: its name, its value, the value to set, and why."""
+
+    name: str
+    value: str
+    wanted: str
+    why: str
+
+    def __str__(self) -> str:
+        return f"the controller's ${self.name} is {self.value}, and {self.why}: set ${self.name}={self.wanted}"
+
+
+def check(identity: Identity, hardware: Hardware) -> None:
+    """Raise DeviceFault with the first wrong setting, and how many more there are."""
+    wrong = [*findings(identity, hardware), *changes(identity, hardware)]
+    if wrong:
+        more = f" ({len(wrong) - 1} more: play.py --commission lists all)" if len(wrong) > 1 else ""
+        raise DeviceFault(f"{wrong[0]}{more}")
+
+
+def findings(identity: Identity, hardware: Hardware) -> list[Finding]:
+    """Every setting that goes against safe playing on this hardware; raises DeviceFault where one is not told."""
+    wrong = (*_reports(identity), *_positions(identity, hardware), *_limits(identity, hardware))
+    return [Finding(str(name), identity.settings[str(name)], wanted, why) for name, wanted, why in wrong]
+
+
+def changes(identity: Identity, hardware: Hardware) -> list[Finding]:
+    """Every setting that is not what it was when the rig was commissioned; none where it has not been."""
+    before = hardware.commissioned or {}
+    return [
+        Finding(name, identity.settings.get(name, "not told"), value, f"was {value} when the rig was commissioned")
+        for name, value in sorted(before.items())
+        if identity.settings.get(name) != value
+    ]
+
+
+def _reports(identity: Identity) -> Iterator[Wrong]:
+    mask = int(identity.setting(10))
+    missing = [name for bit, name in NEEDED.items() if not mask >> bit & 1]
+    if missing:
+        yield 10, str(STATUS_MASK), f"status reports lack {', '.join(missing)}"
+    if identity.setting(13):
+        yield 13, "0", "it reports in inches"
+    if identity.settings.get("39", "1") == "0":
+        yield 39, "1", "a hold is not obeyed while a line with $ or a comment is being read"
+
+
+def _positions(identity: Identity, hardware: Hardware) -> Iterator[Wrong]:
+    """Settings with which motors lose their place, or an axis counts as something else."""
+    axes = [(axis.letter, column) for axis, column in zip(hardware.axes, identity.columns(hardware), strict=True)]
+    held = int(float(identity.settings.get("37", "0")))
+    limp = [letter for letter, column in axes if not held >> column & 1]
+    if identity.setting(1) != 255 and limp:
+        why = f"motors {' '.join(limp)} go limp after {identity.setting(1):g} ms at rest, and lose their position"
+        yield 1, "255", why
+    harmful = {
+        32: "it works as a laser cutter or a lathe, whose axes mean something else",
+        41: "it moves an axis by itself when its door is opened",
+        62: "it goes to sleep by itself, and its motors go limp",
+    }
+    for letter, column in axes:
+        harmful[160 + column] = f"it makes up for backlash of {letter}; that is the hardware file's business"
+    for number, why in harmful.items():
+        if float(identity.settings.get(str(number), "0")):
+            yield number, "0", why
+    for name in ("N0", "N1"):
+        if identity.settings.get(name):
+            yield name, "", "it is obeyed whenever the controller starts"
+
+
+def _limits(identity: Identity, hardware: Hardware) -> Iterator[Wrong]:
+    for axis, column in zip(hardware.axes, identity.columns(hardware), strict=True):
+        for base, name, wanted in ((110, "speed", 60 * axis.speed), (120, "acceleration", axis.acceleration)):
+            number = base + column
+            if identity.setting(number) < wanted * (1 - 1e-9):
+                why = f"is less than the {name} of {axis.letter} in the hardware file, so that it would be late"
+                yield number, f"{wanted:g}", why
+    if hardware.connection.homing == "cycle":
+        if not int(identity.setting(22)) % 2:
+            yield 22, "1", "homing is off, though the hardware file says that it is a cycle"
+        if not identity.setting(20):
+            yield 20, "1", "soft limits are off, though the hardware homes by a cycle"

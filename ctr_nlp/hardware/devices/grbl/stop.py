@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.clock import Clock
-from ctr_nlp.hardware.devices.grbl.replies import Report
-from ctr_nlp.hardware.devices.grbl.talk import ANSWER, HOLD, JOG_CANCEL, RESET, Talk
+from ctr_nlp.hardware.devices.grbl.talk import ANSWER, HOLD, JOG_CANCEL, RESET, Report, Talk
 
 ASKING = 0.02
 """s between status questions while it comes to rest."""

@@ -11,13 +11,11 @@ from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices import Progress, Signs
 from ctr_nlp.hardware.devices.grbl.identity import Identity
-from ctr_nlp.hardware.devices.grbl.replies import Reply, Report, report_of
 from ctr_nlp.hardware.devices.grbl.stop import OVERHEARD
-from ctr_nlp.hardware.devices.grbl.talk import HOLD, RESUME, STATUS, Talk
+from ctr_nlp.hardware.devices.grbl.talk import HOLD, RESUME, STATUS, Reply, Report, Talk, report_of
 from ctr_nlp.hardware.motion import lookahead
 from ctr_nlp.hardware.motion.gcode import MEANING, MODES, lines
-from ctr_nlp.hardware.motion.progress import FollowedPath, Place
-from ctr_nlp.hardware.motion.trajectory import Commands
+from ctr_nlp.hardware.motion.lookahead import Commands, FollowedPath, Place
 from ctr_nlp.typing import Array, Flags
 
 AGAIN = 0.1
@@ -100,11 +98,9 @@ class Stream:
             self._take(reply)
         done = self._planned == len(self._lines) and self._seen.state == "Idle" and self._settled()
         state = "done" if done else "held" if self._held else "holding" if self._holding else "running"
-        time, _, line, away = self._place
-        if done:
-            time, line = float(self._path.ends[-1]), len(self._lines)
+        time = float(self._path.ends[-1]) if done else self._place.time
         position = self._seen.position[self._columns]
-        return Progress(state, time, line, position, self._stamp, away, self._signs())
+        return Progress(state, time, position, self._stamp, self._place.away, self._signs())
 
     def _signs(self) -> Signs:
         idle = self._seen.state == "Idle" and not self._holding and self._planned < len(self._lines)

@@ -1,17 +1,24 @@
-"""Questions and answers with a Grbl controller: who it is, how it is set, where it stands."""
+"""Questions and answers with a Grbl controller: who it is, how it is set, where it stands.
+
+What Grbl and grblHAL say, one line at a time: github.com/gnea/grbl/wiki/Grbl-v1.1-Interface.
+"""
 
 from __future__ import annotations
 
 import re
 import statistics
 from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
 
 from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.devices import Asked
 from ctr_nlp.hardware.devices.grbl.identity import Identity
-from ctr_nlp.hardware.devices.grbl.replies import Reply, Report, reply_of, report_of
 from ctr_nlp.hardware.link import Link
+from ctr_nlp.typing import Array
 
 STATUS, HOLD, RESUME, RESET, JOG_CANCEL = b"?", b"!", b"~", b"\x18", b"\x85"
 
@@ -29,6 +36,75 @@ QUIET = 0.15
 
 TICK = 0.005
 """s between two looks at the link while waiting."""
+
+_PATTERNS = (
+    ("ok", re.compile(r"ok")),
+    ("error", re.compile(r"error:(\d+)")),
+    ("alarm", re.compile(r"ALARM:(\d+)")),
+    ("banner", re.compile(r"Grbl(HAL)? \d.*", re.IGNORECASE)),
+    ("message", re.compile(r"\[[A-Z0-9. ]+:?.*\]|")),
+    ("setting", re.compile(r"\$\d+=.*")),
+    ("report", re.compile(r"<[A-Z][a-z]+(:\d+)?\|.*>")),
+)
+
+REPORT = re.compile(r"<(?P<state>[A-Z][a-z]+)(:(?P<part>\d+))?\|(?P<fields>[^<>]*)>")
+NUMBERS = re.compile(r"-?\d+\.\d+(,-?\d+\.\d+)*", re.ASCII)
+WHOLE = re.compile(r"\d+", re.ASCII)
+"""Noise has digits of other kinds, as ¹, which are no numbers."""
+
+
+class Reply(NamedTuple):
+    """kind: ok, error, alarm, banner, message, setting, report or unreadable; number: of an error or alarm."""
+
+    kind: str
+    text: str
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class Report:
+    """A status report. position (m,): MPos, in the order of the controller's axes, mm and deg.
+
+    state: Idle, Run, Hold, Jog, Alarm, Home, Check, ...; stopped: whether a Hold has come to rest. line: number
+    of the line that is being played, 0 where that is not told. free: empty blocks of the planner; override: of the
+    feed, in %; None where that is not told, as an override is for many reports after the one that told it.
+    """
+
+    state: str
+    stopped: bool
+    position: Array
+    line: int
+    free: int | None
+    override: float | None
+
+
+def reply_of(text: str) -> Reply:
+    """The reply that a line is."""
+    for kind, pattern in _PATTERNS:
+        found = pattern.fullmatch(text)
+        if found:
+            return Reply(kind, text, int(found[1]) if kind in ("error", "alarm") else 0)
+    return Reply("unreadable", text)
+
+
+def report_of(text: str, axes: int) -> Report | None:
+    """The report that a line of this many axes is, or None where it is damaged."""
+    found = REPORT.fullmatch(text)
+    if not found:
+        return None
+    fields = dict(field.partition(":")[::2] for field in found["fields"].split("|"))
+    place, line = fields.get("MPos", ""), fields.get("Ln", "0")
+    free, override = (fields.get(name, "").partition(",")[0] for name in ("Bf", "Ov"))
+    if not (NUMBERS.fullmatch(place) and place.count(",") == axes - 1 and WHOLE.fullmatch(line)):
+        return None
+    return Report(
+        found["state"],
+        found["state"] == "Hold" and found["part"] == "0",
+        np.array([float(value) for value in place.split(",")]),
+        int(line),
+        int(free) if WHOLE.fullmatch(free) else None,
+        float(override) if WHOLE.fullmatch(override) else None,
+    )
 
 
 def never() -> bool:
@@ -128,10 +204,10 @@ class Talk:
             raise DeviceFault("a stop was asked for while the controller was to tell its status")
         raise DeviceFault(f"the controller sends no status within {seconds:g} s")
 
-    def round_trip(self, times: int = 5) -> float:
-        """The median of some times from a status question to its answer, s; raises DeviceFault."""
+    def round_trip(self) -> float:
+        """The median of five times from a status question to its answer, s; raises DeviceFault."""
         taken = []
-        for _ in range(times):
+        for _ in range(5):
             asked = self._clock.now()
             self.report()
             taken.append(self._clock.now() - asked)

@@ -26,8 +26,7 @@ from ctr_nlp.hardware.devices.ros2.joints import REST, SILENCE, Joints
 from ctr_nlp.hardware.devices.ros2.messages import Points, Topics, address_of
 from ctr_nlp.hardware.devices.ros2.track import FIRST, Track, stop_there
 from ctr_nlp.hardware.journal import Journal
-from ctr_nlp.hardware.motion.progress import FollowedPath, Place
-from ctr_nlp.hardware.motion.trajectory import Commands
+from ctr_nlp.hardware.motion.lookahead import Commands, FollowedPath, Place
 from ctr_nlp.typing import Array
 
 DISCOVERY = 5.0
@@ -55,7 +54,7 @@ class Ros2:
     def __init__(self, hardware: Hardware, journal: Journal, clock: Clock) -> None:
         self._hardware, self._journal, self._clock = hardware, journal, clock
         self._address = address_of(hardware.connection.url)
-        self._acceleration = np.array([axis.acceleration for axis in hardware.axes])
+        self._acceleration = hardware.each("acceleration")
         self._topics: Topics | None = None
         self._track: Track | None = None
 
@@ -103,8 +102,7 @@ class Ros2:
 
     def _take(self) -> None:
         """Take the joint states that have come."""
-        states = self._open().states()
-        self._joints.take(states, self._clock.now())
+        self._joints.take(self._open().states(), self._clock.now())
 
     def _watch(self, now: float) -> None:
         """Whether a controller is there and tells where its joints are."""
@@ -150,10 +148,8 @@ class Ros2:
         if self._joints.stamp > before:
             self._follow(track, position)
         state = self._state(track, position, now)
-        time, _, line, away = self._place
-        if state == "done":
-            time, line = track.end, len(track.ends) - 1
-        return Progress(state, time, line, position, self._joints.stamp, away)
+        time = track.end if state == "done" else self._place.time
+        return Progress(state, time, position, self._joints.stamp, self._place.away)
 
     def feed(self) -> None:
         """The controller has the whole trajectory."""

@@ -32,9 +32,9 @@ class Joints:
 
     def __init__(self, hardware: Hardware, resolution: Array) -> None:
         self.names = [axis.joint for axis in hardware.axes]
-        self._zero = np.array([axis.zero for axis in hardware.axes])
-        metres = [1e-3 if axis.joint.startswith("beta") else 1.0 for axis in hardware.axes]
-        self._per_unit = np.array(metres) / [axis.scale for axis in hardware.axes]
+        self._zero = hardware.each("zero")
+        metres = [1e-3 if name.startswith("beta") else 1.0 for name in self.names]
+        self._per_unit = np.array(metres) / hardware.each("scale")
         self._resolution = resolution
         self._seen: deque[tuple[float, Array]] = deque()
         self._lag = np.inf

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from ctr_nlp.hardware.devices.ros2.messages import Points
-from ctr_nlp.hardware.motion.trajectory import Commands
+from ctr_nlp.hardware.motion.lookahead import Commands
 from ctr_nlp.typing import Array
 
 FIRST = 0.1

@@ -9,13 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ctr_nlp.hardware.emulator.mechanics.motion import Motion
-from ctr_nlp.hardware.emulator.mechanics.overrides import Overrides
-from ctr_nlp.hardware.emulator.mechanics.planner import Vector
-from ctr_nlp.hardware.emulator.protocol.gcode import Modal
-from ctr_nlp.hardware.emulator.protocol.lines import Lines
-from ctr_nlp.hardware.emulator.protocol.reports import Status
-from ctr_nlp.hardware.emulator.protocol.settings import ControllerSettings
+from ctr_nlp.hardware.emulator.gcode import Lines, Modal
+from ctr_nlp.hardware.emulator.motion import Motion
+from ctr_nlp.hardware.emulator.planner import Overrides, Vector
+from ctr_nlp.hardware.emulator.reports import ControllerSettings, Status
 from ctr_nlp.typing import Array
 
 

@@ -1,20 +1,20 @@
-"""How motion is stopped: feed hold, the end of a jog, reset, power failure and alarms."""
+"""How motion is stopped: feed hold, the end of a jog, reset, power failure and alarms; and the homing cycle."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ctr_nlp.hardware.emulator.controller.base import Controller
-from ctr_nlp.hardware.emulator.mechanics.overrides import Overrides
-from ctr_nlp.hardware.emulator.protocol.gcode import Modal
-from ctr_nlp.hardware.emulator.protocol.reports import BANNER, UNLOCK, Status
+from ctr_nlp.hardware.emulator.controller.base import Controller, HomingMove
+from ctr_nlp.hardware.emulator.gcode import Modal
+from ctr_nlp.hardware.emulator.planner import Overrides
+from ctr_nlp.hardware.emulator.reports import BANNER, UNLOCK, Status
 
 ALARM_PAUSE_S = 0.1
 HARD_LIMIT, SOFT_LIMIT, RESET, RESET_HOMING, ESTOP = 1, 2, 3, 6, 10
 
 
 class Stopping(Controller):
-    """A controller that can be stopped."""
+    """A controller that can be stopped, and that finds its position."""
 
     def hold(self) -> None:
         """Feed hold; it does nothing to a jog, nor to homing, and an alarm has nothing left to hold."""
@@ -134,3 +134,52 @@ class Stopping(Controller):
             self.when_stopped = lambda: self.alarm(SOFT_LIMIT)
         else:
             self.alarm(SOFT_LIMIT)
+
+    def start_homing(self) -> None:
+        """Begin the cycle; a report says so."""
+        self.state = "Home"
+        self.report()
+        self.report_due = False
+        seek, slow, pull = self.settings[25] / 60, self.settings[24] / 60, self.settings[27]
+        pause = self.settings[26] / 1000
+        for axis in self.settings.homing_axes():
+            here = self.motion.position[axis]
+            switch = -float(self.slip[axis])
+            for place, seconds in (
+                (switch, abs(switch - here) / seek),
+                (switch - pull, pull / seek),
+                (switch, pull / slow),
+                (switch - pull, pull / seek),
+            ):
+                self.homing.append(HomingMove(axis, place, seconds + pause))
+
+    def advance_homing(self, seconds: float) -> None:
+        """Let time pass in the cycle; at its end the axes are homed and the report that was asked for is sent."""
+        moves = self.homing
+        while seconds > 0 and moves:
+            axis, place, left = moves[0]
+            share = min(1.0, seconds / left) if left > 0 else 1.0
+            at = list(self.motion.position)
+            at[axis] += share * (place - at[axis])
+            self.motion.place(tuple(at))
+            if share < 1.0:
+                moves[0] = HomingMove(axis, place, left - seconds)
+                return
+            moves.popleft()
+            seconds -= left
+        if not moves:
+            self.place_at_pull_off()
+            if self.report_due:
+                self.report()
+            self.state = "Idle"
+            self.say("[MSG:]")
+            self.ok()
+
+    def place_at_pull_off(self) -> None:
+        """The axes that are homed stand at the pull-off and know it."""
+        axes, pull_off = self.settings.homing_axes(), self.settings[27]
+        at = self.motion.position
+        self.motion.place(tuple(-pull_off if i in axes else p for i, p in enumerate(at)))
+        self.slip[axes] = 0.0
+        self.homed = set(axes)
+        self.status.tell("homed")

@@ -8,29 +8,32 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 
-from ctr_nlp.hardware.emulator.mechanics.overrides import Overrides
-from ctr_nlp.hardware.emulator.mechanics.planner import (
+from ctr_nlp.hardware.emulator.planner import (
     BLOCKS,
     LEAST_STEP_MM,
     AxisLimits,
     Block,
+    Overrides,
+    Segment,
     Vector,
-    look_ahead,
-    straight,
+    ramp,
 )
-from ctr_nlp.hardware.emulator.mechanics.segments import Segment, ramp
 
 PREPARED = 9
 """Segments prepared, the one being executed among them."""
 
 
 class Motion:
-    """Plans blocks, prepares segments and executes them. position: (6,), where the motors are."""
+    """Plans blocks, prepares segments and executes them. position: (6,), where the motors are.
 
-    def __init__(self, limits: AxisLimits) -> None:
-        self.limits = limits
-        self.position: Vector = (0.0,) * len(limits.speed)
+    limits: those that hold now; what is planned keeps its own.
+    """
+
+    def __init__(self, limits: Callable[[], AxisLimits]) -> None:
+        self._limits = limits
+        self.position: Vector = (0.0,) * len(limits().speed)
         self.blocks: deque[Block] = deque()
         self.segments: deque[Segment] = deque()
         self.finished: list[tuple[int | None, Vector]] = []
@@ -72,21 +75,19 @@ class Motion:
         """Say which line has been read; None or 0 for one without a number."""
         self._read = number or None
 
-    def keep(self, limits: AxisLimits) -> None:
-        """Keep other limits from now on; what is planned keeps its own."""
-        self.limits = limits
-
     def place(self, position: Vector) -> None:
         """Say where the motors are, without motion."""
         self.position = position
 
     def plan(self, target: Vector, speed: float, line: int | None = None, jog: bool = False) -> None:
         """Append a line to target (6,) at a speed in mm/s along the path, unless there is nothing to move."""
+        if math.dist(self.target, target) < LEAST_STEP_MM:
+            return
         before = self.blocks[-1] if self.blocks else None
-        new = straight(self.target, target, speed, self.limits, before, self.overrides, line, jog)
-        if new is not None:
-            self.blocks.append(new)
-            look_ahead(list(self.blocks), self.speed)
+        block = Block(self.target, target, speed, self._limits(), before, line, jog)
+        block.override(self.overrides, math.inf if before is None else before.speed)
+        self.blocks.append(block)
+        self._look_ahead()
 
     def override(self, overrides: Overrides) -> None:
         """Scale the speeds of what is planned and of what will be; what is prepared goes on as it is."""
@@ -95,8 +96,27 @@ class Motion:
         for block in self.blocks:
             block.override(overrides, before)
             before = block.speed
-        if self.blocks:
-            look_ahead(list(self.blocks), self.speed, anew=True)
+        self._look_ahead(anew=True)
+
+    def _look_ahead(self, anew: bool = False) -> None:
+        """Set the highest entry speeds from which every later block, and the end, can still be reached.
+
+        anew: all of them, not only those that the last block changes.
+        """
+        if not self.blocks:
+            return
+        first, *later_blocks = self.blocks
+        leaving = 0.0
+        for later in reversed(later_blocks):
+            entry = min(later.highest_entry, leaving + 2 * later.acceleration * later.remaining)
+            if entry == later.entry and later is not self.blocks[-1] and not anew:
+                break
+            later.enter(entry)
+            leaving = entry
+        arriving = self.speed**2 + 2 * first.acceleration * first.remaining
+        for later in later_blocks:
+            later.enter(min(later.entry, arriving))
+            arriving = later.entry + 2 * later.acceleration * later.remaining
 
     def _prepare(self) -> None:
         """Fill the segment buffer from the blocks."""
@@ -177,15 +197,14 @@ class Motion:
         self.segments.clear()
         self.blocks[0].begin_at(self.position)
         self.speed = 0.0
-        look_ahead(list(self.blocks), self.speed)
+        self._look_ahead()
 
     def _settle(self) -> None:
         """At a standstill: a hold has its segments ready for going on."""
         self.running = self._stopped = False
         self.speed = 0.0
         if self.holding:
-            if self.blocks:
-                look_ahead(list(self.blocks), self.speed)
+            self._look_ahead()
             self._prepare()
 
     def advance(self, seconds: float) -> None:

@@ -1,16 +1,20 @@
-"""The G-code that the firmware understands, read into words and modal state."""
+"""What the firmware reads: its receive buffer, and G-code as words and modal state."""
 
 from __future__ import annotations
 
 import re
+from collections import deque
 from dataclasses import dataclass, replace
+
+RX_BYTES = 1023
+RETURN, NEWLINE = 0x0D, 0x0A
 
 AXES = "XYZABC"
 LINEAR = 3
 """The first axes are in mm (or inches); the others are in degrees, whatever the units."""
 
 BAD_LETTER, BAD_NUMBER, NEGATIVE = 1, 2, 4
-UNSUPPORTED, SAME_GROUP, NO_FEED, NOT_WHOLE, AXIS_CONFLICT, REPEATED, LINE_NUMBER = 20, 21, 22, 23, 24, 25, 27
+UNSUPPORTED, SAME_GROUP, NO_FEED, AXIS_CONFLICT, REPEATED, LINE_NUMBER = 20, 21, 22, 24, 25, 27
 NO_MOTION_MODE, NO_PLANE_WORDS, UNUSED = 31, 35, 36
 HIGHEST_LINE = 9_999_999
 
@@ -35,6 +39,57 @@ IGNORED_M = (3, 4, 5, 7, 8, 9)
 ENDING_M = (2, 30)
 WORD = re.compile(r"([A-Z])([^A-Z]*)")
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)$")
+
+
+class Lines:
+    """Bytes that have come, and the line that is being read. CR, LF or both end a line."""
+
+    def __init__(self) -> None:
+        self._buffer: deque[int] = deque()
+        self._line = bytearray()
+        self._after_return = False
+
+    @property
+    def waiting(self) -> int:
+        """Bytes in the buffer."""
+        return len(self._buffer)
+
+    @property
+    def begun(self) -> int:
+        """Bytes read of a line whose end has not come."""
+        return len(self._line)
+
+    @property
+    def free(self) -> int:
+        """Bytes for which the buffer has room."""
+        return RX_BYTES - len(self._buffer)
+
+    def put(self, byte: int) -> bool:
+        """Append a byte; False where it is lost because the buffer is full."""
+        if not self.free:
+            return False
+        self._buffer.append(byte)
+        return True
+
+    def take(self) -> str | None:
+        """The next line, without its end and blanks around it; None where its end has not come."""
+        while self._buffer:
+            byte = self._buffer.popleft()
+            after_return, self._after_return = self._after_return, byte == RETURN
+            if byte == NEWLINE and after_return:
+                continue
+            if byte not in (NEWLINE, RETURN):
+                self._line.append(byte)
+                continue
+            text = self._line.decode("ascii", "replace").strip()
+            self._line.clear()
+            return text
+        return None
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._buffer.clear()
+        self._line.clear()
 
 
 class Refused(Exception):

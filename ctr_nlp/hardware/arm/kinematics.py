@@ -1,18 +1,22 @@
-"""Inverse kinematics: the joint angles of a tilting motion, all of one joint solution."""
+"""Kinematics of the arm: what joints do to the robot that it holds, and the joints of a tilting motion."""
 
 from __future__ import annotations
 
 import math
+from functools import cache
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ctr_nlp.exceptions import HardwareError
-from ctr_nlp.hardware.arm.description import JOINT_LIMIT, JOINTS, Arm, rotations
-from ctr_nlp.hardware.arm.forward import gains
+from ctr_nlp.hardware.arm.description import JOINT_LIMIT, JOINTS, Arm
 from ctr_nlp.support.extras import needed
 from ctr_nlp.typing import Array
+
+LENGTH = 100.0
+"""mm that count as one radian where turning and moving are compared."""
 
 LARGEST_GAIN = 30.0
 """Nearer to a singularity, joints would turn more than this many times as fast as the robot they hold."""
@@ -21,6 +25,76 @@ SUBSTEP = 0.01
 """rad of tilt from one inverse kinematics to the next, so that joint solutions cannot be mixed up."""
 JUMP = 0.5
 """rad that a joint may turn over a substep: more than LARGEST_GAIN asks for, less than lies between solutions."""
+
+
+def tilt(arm: Arm, joints: Array) -> Array:
+    """Tilt (T, 2) rad, within +-pi, of joints (T, 6) rad, by forward kinematics."""
+    turned = arm.base[:3, :3].T @ _held(arm, joints)[:, :3, :3]
+    theta_x = np.arctan2(-turned[:, 1, 2], turned[:, 1, 1])
+    return np.stack([theta_x, np.arctan2(-turned[:, 2, 0], turned[:, 0, 0])], axis=1)
+
+
+def insertion_error(arm: Arm, joints: Array) -> Array:
+    """Distance (T,) in mm of what joints (T, 6) rad hold at the insertion point from there."""
+    return np.asarray(np.linalg.norm(_held(arm, joints)[:, :3, 3] - arm.base[:3, 3], axis=1))
+
+
+def gains(arm: Arm, joints: Array) -> Array:
+    """How many times as fast (T,) joints (T, 6) rad may have to turn as the robot they hold.
+
+    1 / the smallest singular value of the Jacobian at the insertion point, LENGTH counting as a radian; infinite
+    at a singularity.
+    """
+    screws, at = _screws(arm, joints), arm.base[:3, 3]
+    turning, moving = screws[:, :3], screws[:, 3:] + np.cross(screws[:, :3], at, axisa=1, axisb=0, axisc=1)
+    with np.errstate(divide="ignore"):
+        smallest = np.linalg.svd(np.concatenate([turning, moving / LENGTH], axis=1), compute_uv=False)[:, -1]
+        return np.asarray(1 / smallest)
+
+
+@cache
+def _turns(model: str) -> tuple[Array, Array, Array]:
+    """Forward kinematics in parts, mm: the flange with all joints at 0 (4, 4), and of each joint's turn about
+    where its axis then lies what goes with its cosine and with its sine, (6, 4, 4) each.
+
+    A pose depends on a joint by these two alone: the library's poses a quarter turn to either side give both
+    exactly, and serve whole arrays of joints.
+    """
+
+    def pose(*joints: float) -> Array:
+        found = np.array(getattr(needed("ur_analytic_ik"), model).forward_kinematics(*joints))
+        found[:3, 3] *= 1000
+        return found
+
+    home = pose(*np.zeros(6))
+    back = np.linalg.inv(home)
+    quarters = np.array([[pose(*(s * np.pi / 2 * e)) @ back for e in np.eye(6)] for s in (1, -1)])
+    return home, np.eye(4) - quarters.mean(axis=0), (quarters[0] - quarters[1]) / 2
+
+
+def _placements(arm: Arm, joints: Array) -> list[Array]:
+    """What joints (T, 6) rad do to a frame fixed to each link from the base to the flange, 7 of (T, 4, 4), mm."""
+    _, cosine, sine = _turns(arm.model)
+    c, s = np.cos(joints)[..., None, None], np.sin(joints)[..., None, None]
+    moved = [np.tile(np.eye(4), (len(joints), 1, 1))]
+    for i in range(6):
+        moved.append(moved[-1] @ (np.eye(4) + (c[:, i] - 1) * cosine[i] + s[:, i] * sine[i]))
+    return moved
+
+
+def _held(arm: Arm, joints: Array) -> Array:
+    """The robot's base frame in the arm's, (T, 4, 4) mm."""
+    return np.asarray(_placements(arm, np.asarray(joints))[-1] @ _turns(arm.model)[0] @ arm.mount)
+
+
+def _screws(arm: Arm, joints: Array) -> Array:
+    """(T, 6, 6): a column a joint, its axis above the speed that it gives a point at the origin, mm/rad."""
+    columns = []
+    for moved, screw in zip(_placements(arm, joints), _turns(arm.model)[2], strict=False):
+        axis = moved[:, :3, :3] @ np.array([screw[2, 1], screw[0, 2], screw[1, 0]])
+        speed = np.einsum("tij,j->ti", moved[:, :3, :3], screw[:3, 3]) - np.cross(axis, moved[:, :3, 3])
+        columns.append(np.concatenate([axis, speed], axis=1))
+    return np.stack(columns, axis=2)
 
 
 class _Followed(NamedTuple):
@@ -40,7 +114,9 @@ def joints(arm: Arm, theta: Array, start: Array | None = None) -> Array:
     if there is none, of those that go through all frames the one that stays furthest from singularities
     and joint limits. Raises HardwareError that names the frame, counted from 1, where no joint solution goes on.
     """
-    theta = _tilts(theta)
+    theta = np.asarray(theta, dtype=float)
+    if theta.ndim != 2 or theta.shape[1] != 2 or not len(theta) or not np.isfinite(theta).all():
+        raise HardwareError(f"theta has shape {theta.shape}; it must be finite (T, 2), with at least one frame")
     near, lead = start, 0
     if start is None and arm.start_joints_deg is not None:
         near, lead = np.radians(arm.start_joints_deg), 1
@@ -67,7 +143,7 @@ def joints(arm: Arm, theta: Array, start: Array | None = None) -> Array:
 def poses(arm: Arm, theta: Array) -> Array:
     """Flange poses in the arm's base frame, (T, 4, 4) in mm, that tilt the robot by theta (T, 2) rad."""
     tilted = np.tile(np.eye(4), (len(theta), 1, 1))
-    tilted[:, :3, :3] = rotations(np.asarray(theta))
+    tilted[:, :3, :3] = Rotation.from_euler("xy", theta).as_matrix()  # Ry(theta_y) Rx(theta_x)
     return np.asarray(arm.base @ tilted @ np.linalg.inv(arm.mount))
 
 
@@ -125,10 +201,3 @@ def _solutions(model: str, pose: Array) -> Array:
 def _wrapped(angles: Array) -> Array:
     """The same angles within +-pi."""
     return (angles + np.pi) % (2 * np.pi) - np.pi
-
-
-def _tilts(theta: Any) -> Array:
-    theta = np.asarray(theta, dtype=float)
-    if theta.ndim != 2 or theta.shape[1] != 2 or not len(theta) or not np.isfinite(theta).all():
-        raise HardwareError(f"theta has shape {theta.shape}; it must be finite (T, 2), with at least one frame")
-    return theta
