@@ -443,15 +443,20 @@ class TestUrScript:
         assert np.array(kept.group(2).split(","), dtype=float) == pytest.approx(self.JOINTS[-1], abs=1e-7)
 
     def test_other_periods(self):
-        program = write_urscript(0.002 * np.arange(40), self.JOINTS, period=0.002)
+        program = write_urscript(0.002 * np.arange(40), self.JOINTS, period=0.002, lookahead_time=0.05, gain=500)
         assert played(program)[2] == {0.002}
+        assert "lookahead_time=0.05, gain=500)" in program
 
     @pytest.mark.parametrize(
         ("options", "message"),
         [
             ({"period": 0.003}, r"period is 0.003 s; it must be a multiple of 0.002"),
-            ({"period": 0.0}, r"period is 0.0 s; it must lie in \[0.002, 0.1\]"),
-            ({"period": float("nan")}, r"period is nan s"),
+            ({"period": 0.0}, r"period is 0.0; it must lie in \[0.002, 0.1\]"),
+            ({"period": float("nan")}, r"period is nan"),
+            ({"lookahead_time": 0.3}, r"lookahead_time is 0.3"),
+            ({"gain": 50}, r"gain is 50"),
+            ({"gain": float("nan")}, r"gain is nan"),
+            ({"approach_speed": 2}, r"approach_speed is 2"),
             ({"name": "a b"}, r"name is 'a b'"),
         ],
     )

@@ -9,25 +9,30 @@ import numpy as np
 
 from ctr_nlp.exceptions import HardwareError, OptionError
 from ctr_nlp.hardware.arm.description import JOINT_LIMIT
-from ctr_nlp.support.values import number
 
 CYCLE = 0.002
 """s: the controller's own cycle; 0.008 before the e-series."""
 SETTLE = 0.5
 """s for which the last sample is kept, so that the arm, which is behind by the lookahead time, arrives."""
-LOOKAHEAD, GAIN = 0.1, 300.0
-"""Of servoj: s, 0.03 to 0.2; 100 to 2000."""
-APPROACH_SPEED = 0.1
-"""rad/s at which the first sample is gone to."""
 DECIMALS = 7
 """Of angles in rad: 0.1 micrometre at a metre."""
 
 
-def write_urscript(time: Any, joints: Any, *, period: float = 0.008, name: str = "ctr_nlp_arm") -> str:
+def write_urscript(
+    time: Any,
+    joints: Any,
+    *,
+    period: float = 0.008,
+    lookahead_time: float = 0.1,
+    gain: float = 300.0,
+    approach_speed: float = 0.1,
+    name: str = "ctr_nlp_arm",
+) -> str:
     """The program that plays joints (N, 6) rad sampled at time (N,) s, every period seconds.
 
-    It moves slowly from wherever the arm is to the first sample, waits for somebody to confirm, plays, and stops.
-    period: a multiple of the controller's cycle, 0.008 suits all; longer ones make shorter programs.
+    It moves slowly (approach_speed, rad/s) from wherever the arm is to the first sample, waits for somebody to
+    confirm, plays, and stops. period: a multiple of the controller's cycle, 0.008 suits all; longer ones make
+    shorter programs. lookahead_time (s, 0.03 to 0.2), gain (100 to 2000): servoj's.
 
     There is one servoj a sample and no table of samples: each lasts a period, so that the controller's watchdog
     against programs that compute without moving stays quiet, and neither lists nor loops over lists, whose sizes
@@ -37,18 +42,14 @@ def write_urscript(time: Any, joints: Any, *, period: float = 0.008, name: str =
 
     Raises OptionError, and HardwareError for times and joints that cannot be played.
     """
-    number(OptionError, "period", period, lambda s: CYCLE <= s <= 0.1, f"lie in [{CYCLE:g}, 0.1]", " s")
-    if abs(period / CYCLE - round(period / CYCLE)) > 1e-9:
-        raise OptionError(f"period is {period:g} s; it must be a multiple of {CYCLE:g} s, the controller's cycle")
-    if not (name.isascii() and name.isidentifier()):
-        raise OptionError(f"name is {name!r}; it must be letters, digits and underscores")
+    _check_options(period, lookahead_time, gain, approach_speed, name)
     samples = _samples(time, joints, period)
     first, last = _listed(samples[0]), _listed(samples[-1])
-    how = f"t={period:g}, lookahead_time={LOOKAHEAD:g}, gain={GAIN:g}"
+    how = f"t={period:g}, lookahead_time={lookahead_time:g}, gain={gain:g}"
     lines = [
         f"def {name}():",
         f"  # {len(samples)} samples, {(len(samples) - 1) * period:.3f} s; speed slider at 100 %",
-        f"  movej({first}, a=0.5, v={APPROACH_SPEED:g})",
+        f"  movej({first}, a=0.5, v={approach_speed:g})",
         '  popup("At the start. Continue to play, speed slider at 100 %.", title="ctr_nlp", blocking=True)',
         *(f"  servoj({_listed(sample)}, {how})" for sample in samples),
         "  i = 0",
@@ -60,6 +61,21 @@ def write_urscript(time: Any, joints: Any, *, period: float = 0.008, name: str =
         "end",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _check_options(period: float, lookahead_time: float, gain: float, approach_speed: float, name: str) -> None:
+    for option, value, low, high in (
+        ("period", period, CYCLE, 0.1),
+        ("lookahead_time", lookahead_time, 0.03, 0.2),
+        ("gain", gain, 100.0, 2000.0),
+        ("approach_speed", approach_speed, 0.01, 1.0),
+    ):
+        if not low <= value <= high:
+            raise OptionError(f"{option} is {value!r}; it must lie in [{low:g}, {high:g}]")
+    if abs(period / CYCLE - round(period / CYCLE)) > 1e-9:
+        raise OptionError(f"period is {period:g} s; it must be a multiple of {CYCLE:g} s, the controller's cycle")
+    if not (name.isascii() and name.isidentifier()):
+        raise OptionError(f"name is {name!r}; it must be letters, digits and underscores")
 
 
 def _samples(time: Any, joints: Any, period: float) -> Any:
