@@ -120,9 +120,9 @@ def _named(key: str) -> tuple[str, Compiler]:
 
 
 @functools.cache
-def loaded(package: str, name: str) -> ctypes.CDLL:
-    """A package's file of C, compiled; raises OptionError where nothing can be compiled."""
-    code = files(package).joinpath(name).read_text(encoding="utf-8")
+def loaded(package: str, *names: str) -> ctypes.CDLL:
+    """A package's files of C, compiled as one; raises OptionError where nothing can be compiled."""
+    code = "".join(files(package).joinpath(name).read_text(encoding="utf-8") for name in names)
     return ctypes.CDLL(str(library(code, lambda: code)))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -34,7 +36,7 @@ class FrameResult:
 
 
 class FrameSolver(Protocol):
-    """Solves single frames of one problem; frames count from 0."""
+    """Solves frames of one problem; these count from 0."""
 
     @property
     def build_seconds(self) -> float:
@@ -49,6 +51,19 @@ class FrameSolver(Protocol):
 
     def step(self, frame: int, before: FrameResult) -> FrameResult:
         """The answer for a frame within the robot's speed limits of the frame before."""
+
+    def run(self, frames: Sequence[int], before: FrameResult) -> Iterator[tuple[FrameResult, float]]:
+        """Answers for frames, each from the one before, and the seconds that each took."""
+
+
+def one_by_one(
+    step: Callable[[int, FrameResult], FrameResult], frames: Sequence[int], before: FrameResult
+) -> Iterator[tuple[FrameResult, float]]:
+    """What FrameSolver.run gives, step by step."""
+    for frame in frames:
+        begin = time.perf_counter()
+        before = step(frame, before)
+        yield before, time.perf_counter() - begin
 
 
 def starts(robot: Robot, target: Frame, count: int, seed: int = 0) -> Array:

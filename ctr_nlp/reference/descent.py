@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
 
-from ctr_nlp.formulations.frames import FrameResult, starts
+from ctr_nlp.formulations.frames import FrameResult, one_by_one, starts
 from ctr_nlp.robot import Robot
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import Frame
@@ -49,6 +49,10 @@ class ReferenceFrames:
     def step(self, frame: int, before: FrameResult) -> FrameResult:
         """The answer for a frame, from the one before it."""
         return self._method(self.problem.samples[frame], before.q, before.q)
+
+    def run(self, frames: Sequence[int], before: FrameResult) -> Iterator[tuple[FrameResult, float]]:
+        """Answers for frames, each from the one before it, and the seconds that each took."""
+        return one_by_one(self.step, frames, before)
 
 
 def extensions(robot: Robot, fractions: Array, last: Array | None = None) -> Array:

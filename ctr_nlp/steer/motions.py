@@ -41,17 +41,18 @@ def per_frame_motions(
     """
     stride = -(-problem.frames // MOST_FRAMES)
     picked = np.arange(problem.frames)[::-1][::stride][::-1]
-    curves, lengths = problem.target.curves, problem.target.lengths
-    coarse = replace(
-        problem,
-        target=Target(tuple(curves[i] for i in picked), tuple(lengths[i] for i in picked)),
-        duration=problem.dt * stride * len(picked),
-        truth=None,
-    )
+    coarse = problem if stride == 1 else _thinned(problem, picked, stride)
     solver = NlpFrames.of(coarse, model=model, settings=replace(settings, contact_weight=0.0), terms=terms)
     passes, _ = run_passes(coarse, solver, "best", ends.start, ends.end, progress)
     passes.sort(key=lambda one: one.badness(coarse, model))
     return [_filled(one.unknowns(coarse), picked, problem.frames) for one in passes]
+
+
+def _thinned(problem: Problem, picked: npt.NDArray[np.int_], stride: int) -> Problem:
+    """Every so many frames of a problem."""
+    curves, lengths = problem.target.curves, problem.target.lengths
+    target = Target(tuple(curves[i] for i in picked), tuple(lengths[i] for i in picked))
+    return replace(problem, target=target, duration=problem.dt * stride * len(picked), truth=None)
 
 
 def _filled(motion: Array, picked: npt.NDArray[np.int_], frames: int) -> Array:

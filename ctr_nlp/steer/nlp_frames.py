@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from ctr_nlp.formulations.wall import ROUNDS, SETTLED, Wall, wall_of
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.simulation.forward import other_way
 from ctr_nlp.solvers import SOLVERS, NlpSolver, Solution, default_solver
+from ctr_nlp.steer.at_once import AtOnce, reach_of
 from ctr_nlp.steer.requests import checked_terms
 from ctr_nlp.support.values import check_choice, strict_json
 from ctr_nlp.target.problem import Problem
@@ -30,6 +32,8 @@ RETRY_STARTS = 8
 """Further starts for a frame on which the solver failed."""
 TWIN_ROOM = 0.3
 """Least distance in rad from the limits of tilt at which the other way to write a shape is tried too."""
+STRETCH = 16
+"""Frames that are solved in one call; between calls, progress is told and Ctrl-C is heeded."""
 DISTINCT = 1e-3
 """Two answers are distinct where their objectives differ by more than this part."""
 DEFAULTS = Settings()
@@ -99,8 +103,7 @@ class NlpFrames:
     def search(self, frame: int) -> list[FrameResult]:
         """Distinct answers for a frame without a past, best first; at least one."""
         guesses = starts(self.problem.robot, self.problem.samples[frame], SEARCH_STARTS, self.settings.seed)
-        tried = [FrameResult(guess, x=self._unknowns(guess)) for guess in guesses]
-        results = sorted(map(self._unwound, self._attempts(frame, tried, None)), key=lambda r: r.objective)
+        results = sorted(map(self._unwound, self._searched(frame, guesses)), key=lambda r: r.objective)
         distinct: list[FrameResult] = []
         for result in results:
             if not distinct or result.objective > distinct[-1].objective * (1 + DISTINCT) + 1e-9:
@@ -109,6 +112,42 @@ class NlpFrames:
             return [FrameResult(guesses[0], success=False, status="no start was solved")]
         best, *others = distinct
         return [best, *(replace(best, q=twin, warm=None) for twin in self._twin(best.q)), *others]
+
+    def _searched(self, frame: int, guesses: Array) -> list[FrameResult]:
+        """What is found from guesses (n, 2d + 2)."""
+        if self._at_once is not None:
+            return self._at_once.search(frame, self.model.guess(self.problem.robot, guesses))
+        return self._attempts(frame, [FrameResult(guess, x=self._unknowns(guess)) for guess in guesses], None)
+
+    def run(self, frames: Sequence[int], before: FrameResult) -> Iterator[tuple[FrameResult, float]]:
+        """Answers for frames, each from the one before, and the seconds that they took.
+
+        Many are solved at once where that is possible, and single ones where it fails.
+        """
+        left = list(frames)
+        while left:
+            found = [] if self._at_once is None else self._at_once.follow(left[:STRETCH], self._placed(before))
+            if len(found) < min(len(left), STRETCH):
+                begin, last = time.perf_counter(), found[-1][0] if found else before
+                found.append((self.step(left[len(found)], last), time.perf_counter() - begin))
+            left, before = left[len(found) :], found[-1][0]
+            yield from found
+
+    @cached_property
+    def _at_once(self) -> AtOnce | None:
+        """What solves many frames in one call: for one program for all of q, far from any wall."""
+        if self.near is not None or len(self.free) > 1:
+            return None
+        ((stage, solver),) = self.free
+        root = math.sqrt(self.settings.motion_weight) / self.problem.dt
+        reach = reach_of(self.problem.robot, self.problem.dt, self.model.several_equilibria)
+        return AtOnce.of(stage, solver, self.problem.samples, self.margins, root, reach)
+
+    def _placed(self, before: FrameResult) -> FrameResult:
+        """A result with the model's unknowns: those of a robot at rest where they are not known."""
+        if before.x is not None or not self.model.several_equilibria:
+            return before
+        return replace(before, x=self.model.rest(self.problem.robot, before.q))
 
     def _unwound(self, result: FrameResult) -> FrameResult:
         """An answer without whole turns that a search may have gone through; on the elastic model they count."""
@@ -131,8 +170,7 @@ class NlpFrames:
 
     def step(self, frame: int, before: FrameResult) -> FrameResult:
         """The answer for a frame within speed limits of the one before; other starts are tried on failure."""
-        if before.x is None and self.model.several_equilibria:
-            before = replace(before, x=self.model.rest(self.problem.robot, before.q))
+        before = self._placed(before)
         result = self._solve(frame, before, before)
         if result.success:
             return result

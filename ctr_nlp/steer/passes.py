@@ -36,15 +36,15 @@ class Pass:
     seconds: dict[int, float] = field(default_factory=dict)
 
     def run(self, solver: FrameSolver) -> Iterator[int]:
-        """Solve the frames that have no result yet, in order; yields how many have one."""
-        before = self.before
-        for frame in self.order:
-            if frame not in self.results:
-                assert before is not None
-                begin = time.perf_counter()
-                self.results[frame] = solver.step(frame, before)
-                self.seconds[frame] = time.perf_counter() - begin
-            before = self.results[frame]
+        """Solve the frames that have no result yet, in order, after those that have; yields how many have one."""
+        known = [frame for frame in self.order if frame in self.results]
+        left = [frame for frame in self.order if frame not in self.results]
+        before = self.results[known[-1]] if known else self.before
+        assert before is not None
+        if known:
+            yield len(known)
+        for frame, (result, seconds) in zip(left, solver.run(left, before), strict=True):
+            self.results[frame], self.seconds[frame] = result, seconds
             yield len(self.results)
 
     def motion(self, problem: Problem) -> Array:

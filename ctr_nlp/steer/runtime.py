@@ -8,17 +8,19 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.exceptions import OptionError, RobotError
-from ctr_nlp.formulations.joint import joint, tip_steps
+from ctr_nlp.formulations.joint import joint
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.formulations.terms import ShapeDistance
 from ctr_nlp.formulations.terms.shape import STRIDE
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.robot import Robot
-from ctr_nlp.solvers.frame.adapter import FEASIBLE, OPTIMAL
+from ctr_nlp.solvers.frame.adapter import OPTIMAL
 from ctr_nlp.solvers.frame.program import Program
+from ctr_nlp.solvers.frame.run import Run
+from ctr_nlp.steer.at_once import reach_of
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.support.values import instance, number
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.curve import curve_from_formula
+from ctr_nlp.target.target import SIGMA, growing
 from ctr_nlp.typing import Array
 
 
@@ -53,21 +55,15 @@ class Steerer:
         described.check(robot)
         self.q = robot.check(q).copy()
         (stage,) = joint(robot, settings, described)
-        self._program = Program(stage.nlp, wait=True)
-        self._picks, self._x = stage.nlp.configuration, described.rest(robot, self.q)
-        self._tips = len(self._picks) - len(self.q)
-        free, most = np.full(self._tips, np.inf), np.append(robot.speed * dt, tip_steps(robot, dt)[: self._tips])
-        self._limits = np.append(robot.lower, -free), np.append(robot.upper, free), most
-        places = {name: self._program.p[stage.nlp.place(name)] for name in stage.nlp.parameters}
-        places["tubes"][:] = robot.numbers.ravel(order="F")
-        places["shape_roots"][:] = ShapeDistance().roots
-        if "gap" in places:
-            places["gap"][:] = robot.carriage_gap
-        self._target = places["target"].reshape(3, -1)
-        self._previous = places["previous"]
-        places["motion_root"][:] = math.sqrt(settings.motion_weight) / dt
-        if "margin" in places:
-            places["margin"][:] = settings.stability_margin
+        self._x, reach = described.rest(robot, self.q), reach_of(robot, dt, described.several_equilibria)
+        straight = growing(curve_from_formula(lambda u: (0.0, 0.0, u), 0.0, 1.0), 1).sample()[0]
+        root = math.sqrt(settings.motion_weight) / dt
+        self._run = run = Run(Program(stage.nlp, wait=True), 1, math.inf)
+        run.p[0] = stage.nlp.pack({**stage.fill(straight, self.q), "motion_root": root})
+        run.low[:], run.high[:], run.most[:] = reach
+        run.here[:] = np.append(self.q, self._x[: len(run.here) - len(self.q)])
+        run.program.x[:] = self._x
+        self._target = run.p[0, stage.nlp.place("target")].reshape(3, -1)
         self.solved, self.objective, self.kkt, self.iterations = False, math.nan, math.nan, 0
 
     def step(self, target: Array) -> Array:
@@ -79,19 +75,14 @@ class Steerer:
             raise OptionError(f"target has shape {np.shape(target)}; it must be {(len(SIGMA), 3)}")
         if not np.isfinite(target).all():
             raise OptionError(f"target has {target[~np.isfinite(target)][0]} mm; all of it must be finite")
-        at, (lower, upper, most), n = self._program, self._limits, len(self._x)
+        run = self._run
         self._target[:] = target[::STRIDE].T
-        self._previous[:], at.x[:] = self.q, self._x
-        here = np.append(self.q, self._x[: self._tips])
-        low, high = np.maximum(lower, here - most), np.minimum(upper, here + most)
-        at.lower[self._picks], at.upper[self._picks] = low, high
-        found = at.run()
-        self.solved = found.kkt <= OPTIMAL and found.violation <= FEASIBLE
-        self.objective, self.kkt, self.iterations = found.objective, found.kkt, found.iterations
-        if found.violation <= FEASIBLE:
-            self._x = np.clip(at.x, at.lower[:n], at.upper[:n])
-            values = np.append(self._x, at.rows[n:])[self._picks]
-            self.q = np.clip(values, low, high)[: len(self.q)]
+        done = run(1)
+        if done:
+            self._x[:] = run.x[0]
+            self.q = run.here[: len(self.q)].copy()
         else:
-            at.multipliers[:] = 0.0
+            run.program.x[:], run.program.multipliers[:] = self._x, 0.0
+        self.objective, self.kkt, self.iterations = run.objective[0], run.kkt[0], run.iterations[0]
+        self.solved = bool(done and self.kkt <= OPTIMAL)
         return self.q.copy()

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,7 +15,7 @@ from scipy.interpolate import CubicHermiteSpline
 from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.support.equal import Kept, Value
 from ctr_nlp.support.packing import packable
-from ctr_nlp.support.values import floats, instance, number, whole_number
+from ctr_nlp.support.values import floats, frozen, instance, number, whole_number
 from ctr_nlp.target.curve import Curve
 from ctr_nlp.typing import Array
 
@@ -30,22 +32,36 @@ QUADRATURE.flags.writeable = False
 class Frame(Kept):
     """The target of one frame at SIGMA.
 
-    points (101, 3) mm; tangents (101, 3); curvature (101,) 1/mm; turning (101,) rad, the integral of
-    curvature over arc length from 0; length mm; radius (101,) mm of the lumen, or None; number: from 0, in its
-    target. Arrays are read-only.
+    points (101, 3) mm; tangents (101, 3); length mm; radius (101,) mm of the lumen, or None; curve: that of which
+    it is the first part of this length; number: from 0, in its target. Arrays are read-only.
     """
 
     points: Array
     tangents: Array
-    curvature: Array
-    turning: Array
     length: float
     radius: Array | None
+    curve: Curve
     number: int = 0
 
     def at(self, sigma: Array) -> Array:
         """Points (n, 3) in mm at any sigma (n,), by the cubic through points and tangents."""
         return CubicHermiteSpline(SIGMA, self.points, self.tangents * self.length)(sigma)
+
+    @cached_property
+    def curvature(self) -> Array:
+        """(101,) 1/mm, read-only; raises ProblemError where it is not known all along."""
+        return self._curvature(SIGMA * self.length)
+
+    @cached_property
+    def turning(self) -> Array:
+        """The integral of curvature over arc length from 0, (101,) rad, read-only; raises as curvature."""
+        steps = np.linspace(0.0, self.length, FINER * (len(SIGMA) - 1) + 1)
+        turned = np.cumsum(self._curvature((steps[1:] + steps[:-1]) / 2) * np.diff(steps))
+        return frozen(np.append(0.0, turned)[::FINER])
+
+    def _curvature(self, s: Array) -> Array:
+        name = f"curvature of frame {self.number + 1} of the target"
+        return floats(ProblemError, name, self.curve.curvature(s), (len(s),))
 
 
 @packable("target")
@@ -81,8 +97,12 @@ class Target(Value):
 
     def sample(self) -> tuple[Frame, ...]:
         """The target at SIGMA, frame by frame; raises ProblemError where a curve is not known all along."""
-        pairs = zip(self.curves, self.lengths, strict=True)
-        return tuple(_sampled(curve, length, frame) for frame, (curve, length) in enumerate(pairs, start=1))
+        found, frames = list[Frame](), range(len(self))
+        for _, run in itertools.groupby(frames, lambda frame: id(self.curves[frame])):
+            found += _sampled(
+                self.curves[len(found)], np.array([self.lengths[frame] for frame in run]), len(found)
+            )
+        return tuple(found)
 
 
 def growing(path: Curve, frames: int = 100) -> Target:
@@ -120,30 +140,33 @@ FINER = 8
 """Steps of the curvature's quadrature between two neighbours of SIGMA."""
 
 
-def _sampled(curve: Curve, length: float, frame: int) -> Frame:
-    s = SIGMA * length
-    fine = np.linspace(0.0, length, FINER * (len(SIGMA) - 1) + 1)
+def _sampled(curve: Curve, lengths: Array, first: int) -> list[Frame]:
+    """Frames of these lengths (n,), mm, along one curve, which is evaluated for all of them at once."""
+    frames = range(first, first + len(lengths))
+    s = SIGMA * lengths[:, None]
 
-    def known(name: str, values: Any, *shape: int) -> Array:
-        return floats(ProblemError, f"{name} of frame {frame} of the target", values, shape)
+    def known(name: str, values: Array, *shape: int) -> list[Array]:
+        """Of every frame, finite and read-only; raises ProblemError."""
+        names = (f"{name} of frame {frame + 1} of the target" for frame in frames)
+        parts = np.reshape(values, (*s.shape, *shape))
+        return [floats(ProblemError, *each, (len(SIGMA), *shape)) for each in zip(names, parts, strict=True)]
 
-    points = known("point", curve.point(s), len(s), 3)
-    chords = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-    if chords > length * (1 + TURNED_BACK):
-        raise ProblemError(
-            f"frame {frame} of the target has {chords:.2f} mm between points that should be {length:.2f} mm apart "
-            "along its curve: it turns back on itself and has no direction there"
-        )
-    middle = known("curvature", curve.curvature((fine[1:] + fine[:-1]) / 2), len(fine) - 1)
-    return Frame(
-        points,
-        known("tangent", curve.tangent(s), len(s), 3),
-        known("curvature", curve.curvature(s), len(s)),
-        np.concatenate([[0.0], np.cumsum(middle * np.diff(fine))])[::FINER],
-        length,
-        None if curve.radius is None else known("radius", curve.radius(s), len(s)),
-        frame - 1,
-    )
+    points, tangents = known("point", curve.point(s.ravel()), 3), known("tangent", curve.tangent(s.ravel()), 3)
+    _check_direction(np.array(points), lengths, frames)
+    radii = [None] * len(lengths) if curve.radius is None else known("radius", curve.radius(s.ravel()))
+    each = zip(points, tangents, lengths.tolist(), radii, frames, strict=True)
+    return [Frame(point, tangent, length, radius, curve, k) for point, tangent, length, radius, k in each]
+
+
+def _check_direction(points: Array, lengths: Array, frames: range) -> None:
+    """Raise ProblemError where a curve through points (n, 101, 3), as long as lengths (n,), turns back."""
+    chords = np.linalg.norm(np.diff(points, axis=1), axis=2).sum(axis=1)
+    for frame, chord, length in zip(frames, chords, lengths, strict=True):
+        if chord > length * (1 + TURNED_BACK):
+            raise ProblemError(
+                f"frame {frame + 1} of the target has {chord:.2f} mm between points that should be "
+                f"{length:.2f} mm apart along its curve: it turns back on itself and has no direction there"
+            )
 
 
 def _within(most: float, length: float) -> bool:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import functools
 import math
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from ctr_nlp import Limits, Robot, Settings, Tube, shapes, table_i_robot
+from ctr_nlp import Limits, Robot, Settings, Tube, curve_from_formula, shapes, table_i_robot
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations import curvature as terms
 from ctr_nlp.formulations.terms import feasible, motion
@@ -57,6 +58,17 @@ def wavy_turning(sigma, length):
     return length * (0.012 * sigma - 0.006 / 5 * (np.cos(5 * sigma + 0.4) - math.cos(0.4)))
 
 
+@dataclass(frozen=True)
+class Wavy:
+    """The curvature of a curve, and nothing else of it."""
+
+    length: float
+
+    def curvature(self, s):
+        """At arc lengths (n,), mm."""
+        return wavy(s / self.length)
+
+
 @functools.cache
 def frame(length=140.0):
     """A planar target of the wavy curvature."""
@@ -64,7 +76,7 @@ def frame(length=140.0):
     angle = wavy_turning(fine, length)
     steps = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=1)
     points = np.vstack([np.zeros(3), np.cumsum((steps[1:] + steps[:-1]) / 2 * length * 1e-5, axis=0)])
-    return Frame(points[::1000], steps[::1000], wavy(SIGMA), wavy_turning(SIGMA, length), length, None)
+    return Frame(points[::1000], steps[::1000], length, None, Wavy(length))
 
 
 def inside(robot, rng):
@@ -237,9 +249,8 @@ def test_simpson_is_exact_where_the_distance_grows_linearly(beta):
     straight = Robot(tuple(Tube(150, 150, 0.0, 6 - i, 5.5 - i) for i in range(3)))
     length = 140.0
     direction = np.array([0.6, 0, 0.8])
-    target = Frame(
-        np.outer(SIGMA * length, direction), np.tile(direction, (101, 1)), 0 * SIGMA, 0 * SIGMA, length, None
-    )
+    curve = curve_from_formula(lambda u: (0.6 * u, 0, 0.8 * u), 0, length)
+    target = Frame(np.outer(SIGMA * length, direction), np.tile(direction, (101, 1)), length, None, curve)
     q = np.array([0, 0, 0, *beta, 0, 0], dtype=float)
     tip = np.linalg.norm(beta[-1] * np.array([0, 0, 1]) - length * direction)
     assert rotation_value(straight, q, target) == pytest.approx(tip**2 / 3, rel=1e-10)

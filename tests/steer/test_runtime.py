@@ -20,6 +20,7 @@ from ctr_nlp.nlp.nlp import kkt_residual
 from ctr_nlp.robot import MM_PER_RAD
 from ctr_nlp.solvers import FEASIBLE
 from ctr_nlp.solvers.frame.adapter import OPTIMAL
+from ctr_nlp.solvers.frame.run import Run
 from ctr_nlp.target.target import SIGMA
 
 Q0 = np.array([3.0, 3, 3, 30, 70, 105, 0, 0])
@@ -61,7 +62,7 @@ def residual(name, steerer, q, before, target, dt):
     p = nlp.pack(values | {"previous": before, "motion_root": root})
     lower = np.maximum(robot.lower, before - robot.speed * dt)
     upper = np.minimum(robot.upper, before + robot.speed * dt)
-    lam_x, lam_g = np.split(steerer._program.multipliers, [len(q)])
+    lam_x, lam_g = np.split(steerer._run.multipliers[0], [len(q)])
     return kkt_residual(nlp, q, p, lower, upper, lam_x, lam_g)
 
 
@@ -199,17 +200,17 @@ def test_after_a_target_beyond_all_arithmetic_the_robot_stands_and_the_next_step
 def test_where_nothing_better_is_found_the_robot_stays_and_the_next_step_is_as_ever(arc_problem, monkeypatch):
     """The solver itself ends outside the limits of the first step."""
     steerer, target = Steerer(arc_problem.robot, Q0, DT), arc_problem.samples[2].points
-    run = steerer._program.run
+    call = Run.__call__
 
-    def lost():
-        found = run()
-        steerer._program.x[:] = np.nan
-        steerer._program.multipliers[:] = np.nan
-        found.violation = found.kkt = math.nan
-        return found
+    def lost(run, frames):
+        call(run, frames)
+        run.here[:], run.kkt[:] = Q0, math.nan
+        run.program.x[:] = np.nan
+        run.program.multipliers[:] = np.nan
+        return 0
 
     with monkeypatch.context() as patched:
-        patched.setattr(steerer._program, "run", lost)
+        patched.setattr(Run, "__call__", lost)
         np.testing.assert_array_equal(steerer.step(target), Q0)
     assert not steerer.solved
     np.testing.assert_array_equal(steerer.step(target), Steerer(arc_problem.robot, Q0, DT).step(target))
@@ -239,14 +240,14 @@ def test_a_robot_that_has_the_targets_shape_stays_without_an_iteration():
 
 def test_a_step_that_ends_far_from_a_kkt_point_is_not_called_solved(arc_problem, monkeypatch):
     steerer = Steerer(arc_problem.robot, Q0, DT)
-    run = steerer._program.run
+    call = Run.__call__
 
-    def unsure():
-        found = run()
-        found.kkt = 2 * OPTIMAL
-        return found
+    def unsure(run, frames):
+        solved = call(run, frames)
+        run.kkt[:] = 2 * OPTIMAL
+        return solved
 
-    monkeypatch.setattr(steerer._program, "run", unsure)
+    monkeypatch.setattr(Run, "__call__", unsure)
     assert_limits(arc_problem.robot, Q0, steerer.step(arc_problem.samples[2].points))
     assert not steerer.solved
 

@@ -6,7 +6,7 @@ import functools
 import threading
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -43,6 +43,21 @@ class Solution:
     q: Array
 
 
+class Reach(NamedTuple):
+    """Limits of a configuration (k,), and by how much its entries may change from frame to frame."""
+
+    low: Array
+    high: Array
+    most: Array
+
+
+class Timed(NamedTuple):
+    """A solution, and the seconds that it took."""
+
+    solution: Solution
+    seconds: float
+
+
 class NlpSolver(ABC):
     """A solver built for one Nlp, called for any start, parameters and bounds; not from two threads at once."""
 
@@ -64,6 +79,19 @@ class NlpSolver(ABC):
         lower, upper: bounds of the configuration, where they are not the program's own. warm: the solution of a
         neighbouring problem, whose multipliers to start from.
         """
+
+    def follow(self, x0: Array, p: Array, reach: Reach, here: Array, warm: Solution | None) -> list[Timed]:
+        """Solutions for parameters p (frames, n_p), each from the one before, up to the first that is not found.
+
+        Those named previous are the configuration here (k,) before the first, then the last that was found. A
+        solver that takes one program at a time finds none.
+        """
+        return []
+
+    def each(self, x0: Array, p: Array, reach: Reach) -> list[Solution]:
+        """The solutions for parameters p (n_p,) from starts x0 (starts, n), without those that are not found."""
+        found = (self(x, p, reach.low, reach.high) for x in x0)
+        return [solution for solution in found if solution.success]
 
 
 class Ipopt(NlpSolver):

@@ -68,7 +68,7 @@ class Program:
         given = (array.ctypes.data for array in (self.p, self.lower, self.upper))
         found = (array.ctypes.data for array in (self.x, self.multipliers, self.rows))
         self._sizes, self._places = (n, m), (*given, TOLERANCE, *found)
-        self._run, self._keep = cache.loaded(__package__, "sqp.c").sqp, list[Any]()
+        self._run, self._keep = cache.loaded(__package__, "sqp.c", "run.c").sqp, list[Any]()
         self._point({})
         self.compiled = self._load(compiled.library(nlp, 1) if wait else compiled.library_soon(nlp, 1))
         if not self.compiled:
@@ -95,11 +95,20 @@ class Program:
         self._program = Outcome(*self._sizes, *(addresses.get(name) for name in NAMES), *self._places)
         self._reference = ctypes.byref(self._program)
 
-    def run(self) -> Outcome:
-        """Solve; what was found beside x and multipliers is overwritten by the next run."""
+    @property
+    def address(self) -> int:
+        """Of the program in C; another one once its functions have been compiled."""
+        return ctypes.addressof(self._program)
+
+    def refresh(self) -> None:
+        """Take compiled functions, where they have come meanwhile."""
         if not self.compiled and time.monotonic() - self._looked > compiled.POLL:
             self.compiled = self._load(compiled.library_soon(self.nlp, 1))
             self._looked = time.monotonic()
+
+    def run(self) -> Outcome:
+        """Solve; what was found beside x and multipliers is overwritten by the next run."""
+        self.refresh()
         self._run(self._reference)
         return self._program
 

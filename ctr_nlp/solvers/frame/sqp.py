@@ -13,8 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from ctr_nlp.nlp.nlp import Nlp
-from ctr_nlp.solvers.frame.adapter import FEASIBLE, OPTIMAL, Ipopt, NlpSolver, Solution
+from ctr_nlp.solvers.frame.adapter import FEASIBLE, OPTIMAL, Ipopt, NlpSolver, Reach, Solution, Timed
 from ctr_nlp.solvers.frame.program import Program
+from ctr_nlp.solvers.frame.run import Run
 from ctr_nlp.typing import Array
 
 FALLBACK = "by IPOPT after"
@@ -30,6 +31,7 @@ class Sqp(NlpSolver):
         super().__init__(nlp)
         self.program, self._picks, self._own = Program(nlp), nlp.configuration, nlp.row_bounds()
         self._ipopt: Ipopt | None = None
+        self._room = Run(self.program, 1, OPTIMAL)
 
     def __call__(
         self,
@@ -60,3 +62,34 @@ class Sqp(NlpSolver):
         return replace(
             other, status=f"{other.status} {FALLBACK} {status}", iterations=other.iterations + iterations
         )
+
+    def follow(self, x0: Array, p: Array, reach: Reach, here: Array, warm: Solution | None) -> list[Timed]:
+        """As NlpSolver, in one call."""
+        run = self._filled(p, reach)
+        run.here[:], run.program.x[:] = here, x0
+        run.program.multipliers[:] = 0.0 if warm is None else np.concatenate([warm.lam_x, warm.lam_g])
+        return [Timed(self._found(k), float(run.seconds[k])) for k in range(run(len(p)))]
+
+    def each(self, x0: Array, p: Array, reach: Reach) -> list[Solution]:
+        """As NlpSolver, in one call; IPOPT is asked only where nothing else is found."""
+        far = reach._replace(most=np.full(len(reach.low), np.inf))
+        run = self._filled(np.broadcast_to(p, (len(x0), len(p))), far)
+        run.starts[: len(x0)] = x0
+        run(len(x0), from_starts=True)
+        return [self._found(k) for k in range(len(x0)) if run.solved[k]] or super().each(x0, p, reach)
+
+    def _filled(self, p: Array, reach: Reach) -> Run:
+        """Room for parameters p (frames, n_p), filled with these and limits."""
+        if len(p) > len(self._room.p):
+            self._room = Run(self.program, len(p), OPTIMAL)
+        run = self._room
+        run.p[: len(p)], run.low[:], run.high[:], run.most[:] = p, *reach
+        return run
+
+    def _found(self, k: int) -> Solution:
+        """What the last run found of a frame."""
+        run, n = self._room, self._room.x.shape[1]
+        lam_x, lam_g = np.split(run.multipliers[k].copy(), [n])
+        q = run.rows[k][self._picks]
+        numbers = float(run.objective[k]), float(run.kkt[k]), True, STATUS[run.status[k]], int(run.iterations[k])
+        return Solution(run.x[k].copy(), *numbers, lam_x, lam_g, q)

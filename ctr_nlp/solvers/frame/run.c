@@ -1,0 +1,68 @@
+/* Frames solved one after the other, each from the one before it; sqp.c comes before this file. */
+
+#include <time.h>
+
+/* What is given of every frame, and what is found: rows of arrays that are stored frame by frame.
+
+   picks: which rows of the program are the configuration and what else may only change so much from frame to frame.
+   low, high: their limits; most: by how much they may change. previous: where in p the configuration of the frame
+   before stands; decided: how many of its entries. here: of the frame before, updated. starts: where each frame is
+   begun, of which none then depends on the one before; null where they do. */
+typedef struct {
+    Program *program;
+    long frames, sizes_p, picked, decided, previous;
+    const long *picks;
+    const double *p, *low, *high, *most, *starts;
+    double feasible, optimal;
+    double *here, *x, *rows, *multipliers, *objective, *kkt, *seconds;
+    long *iterations, *status, *solved;
+} Run;
+
+static double now(void) {
+    struct timespec at;
+    clock_gettime(CLOCK_MONOTONIC, &at);
+    return at.tv_sec + 1e-9 * at.tv_nsec;
+}
+
+static double within(double value, double low, double high) { return value < low ? low : value > high ? high : value; }
+
+/* How many frames were solved; where they depend on each other, the first that is not is the last that is tried. The
+   program's x and multipliers are where the first frame starts, and its bounds those of rows that are not picked. */
+long run(Run *r) {
+    Program *o = r->program;
+    long n = o->n, rows = n + o->m;
+    double *p = (double *)o->p, *lower = (double *)o->lower, *upper = (double *)o->upper;
+    long solved = 0;
+    for (long frame = 0; frame < r->frames; ++frame) {
+        double begun = now(), *found = r->rows + frame * rows;
+        memcpy(p, r->p + frame * r->sizes_p, r->sizes_p * sizeof *p);
+        if (r->starts) {
+            memcpy(o->x, r->starts + frame * n, n * sizeof *p);
+            memset(o->multipliers, 0, rows * sizeof *p);
+        } else
+            memcpy(p + r->previous, r->here, r->decided * sizeof *p);
+        for (long k = 0; k < r->picked; ++k) {
+            lower[r->picks[k]] = most(r->low[k], r->here[k] - r->most[k]);
+            upper[r->picks[k]] = -most(-r->high[k], -r->here[k] - r->most[k]);
+        }
+        for (long i = 0; i < n; ++i) o->x[i] = within(o->x[i], lower[i], upper[i]);
+        sqp(o);
+        for (long i = 0; i < n; ++i) o->x[i] = within(o->x[i], lower[i], upper[i]);
+        memcpy(found, o->x, n * sizeof *found);
+        memcpy(found + n, o->rows + n, o->m * sizeof *found);
+        memcpy(r->x + frame * n, o->x, n * sizeof *found);
+        memcpy(r->multipliers + frame * rows, o->multipliers, rows * sizeof *found);
+        r->objective[frame] = o->objective, r->kkt[frame] = o->kkt;
+        r->iterations[frame] = o->iterations, r->status[frame] = o->status;
+        r->seconds[frame] = now() - begun;
+        r->solved[frame] = o->violation <= r->feasible && o->kkt <= r->optimal;
+        solved += r->solved[frame];
+        if (r->starts) continue;
+        if (!r->solved[frame]) break;
+        for (long k = 0; k < r->picked; ++k) {
+            long row = r->picks[k];
+            r->here[k] = within(found[row], lower[row], upper[row]);
+        }
+    }
+    return solved;
+}

@@ -1,0 +1,78 @@
+"""Frames of one Nlp solved one after the other, each from the one before it, in one call of run.c."""
+
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+
+from ctr_nlp.codegen import cache
+from ctr_nlp.solvers.frame.adapter import FEASIBLE
+from ctr_nlp.solvers.frame.program import Program
+
+
+class _Given(ctypes.Structure):
+    """The struct Run of run.c."""
+
+    program: int
+    frames: int
+    starts: int | None
+    _fields_ = [
+        ("program", ctypes.c_void_p),
+        *((name, ctypes.c_long) for name in ("frames", "sizes_p", "picked", "decided", "previous")),
+        *((name, ctypes.c_void_p) for name in ("picks", "p", "low", "high", "most", "starts")),
+        *((name, ctypes.c_double) for name in ("feasible", "optimal")),
+        *((name, ctypes.c_void_p) for name in ("here", "x", "rows", "multipliers", "objective", "kkt", "seconds")),
+        *((name, ctypes.c_void_p) for name in ("iterations", "status", "solved")),
+    ]
+
+
+class Run:
+    """Room for so many frames of a program, filled before a call and read after it; not from two threads at once.
+
+    p (frames, n_p): packed parameters, but for those named previous, which are the configuration of the frame
+    before. low, high, most (k,): within which the program's configuration may be, and by how much each entry may
+    change from frame to frame. here (k,): the configuration before the first frame, then of the last that was
+    solved. x (frames, n), rows (frames, n + m), multipliers, objective mm^2, kkt, iterations, status, seconds, and
+    whether it was solved are what was found of each frame.
+    """
+
+    def __init__(self, program: Program, frames: int, optimal: float) -> None:
+        """optimal: the KKT residual up to which a frame counts as solved; all of them must be feasible."""
+        nlp, (n, rows) = program.nlp, (len(program.x), len(program.rows))
+        self._picks = np.ascontiguousarray(nlp.configuration, dtype=np.int64)
+        self.program, self.p = program, np.zeros((frames, len(program.p)))
+        self.low, self.high, self.most, self.here = np.zeros((4, len(self._picks)))
+        self.x, self.rows, self.multipliers = (np.zeros((frames, width)) for width in (n, rows, rows))
+        self.objective, self.kkt, self.seconds = np.zeros((3, frames))
+        self.starts = np.zeros((frames, n))
+        self.iterations, self.status, self.solved = np.zeros((3, frames), dtype=np.int64)
+        previous = nlp.place("previous")
+        limits = self._picks, self.p, self.low, self.high, self.most
+        found = self.here, self.x, self.rows, self.multipliers, self.objective, self.kkt, self.seconds
+        self._given = _Given(
+            program.address,
+            frames,
+            len(program.p),
+            len(self.here),
+            previous.stop - previous.start,
+            previous.start,
+            *(array.ctypes.data for array in limits),
+            None,
+            FEASIBLE,
+            optimal,
+            *(array.ctypes.data for array in (*found, self.iterations, self.status, self.solved)),
+        )
+        self._reference, self._run = ctypes.byref(self._given), cache.loaded(__package__, "sqp.c", "run.c").run
+        self._run.restype = ctypes.c_long
+
+    def __call__(self, frames: int, from_starts: bool = False) -> int:
+        """Solve the first so many frames from the program's x and multipliers; how many were solved.
+
+        Where one is not, it is the last that was tried: what was found of it is there too. from_starts: each from
+        its own row of starts instead, whatever comes of the others.
+        """
+        self.program.refresh()
+        self._given.program, self._given.frames = self.program.address, frames
+        self._given.starts = self.starts.ctypes.data if from_starts else None
+        return int(self._run(self._reference))

@@ -1,0 +1,76 @@
+"""Many frames in one call, where all of q is decided by one program."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ctr_nlp.formulations import Stage
+from ctr_nlp.formulations.frames import FrameResult
+from ctr_nlp.formulations.joint import tip_steps
+from ctr_nlp.robot import Robot
+from ctr_nlp.solvers import NlpSolver, Solution
+from ctr_nlp.solvers.frame.adapter import Reach
+from ctr_nlp.target.target import Frame
+from ctr_nlp.typing import Array
+
+
+def reach_of(robot: Robot, dt: float, several_equilibria: bool) -> Reach:
+    """Limits of q and, where q does not determine the unknowns, of the tips' angles, and how they may change."""
+    free = np.full(robot.d * several_equilibria, np.inf)
+    own, more = (robot.lower, robot.upper, robot.speed * dt), (-free, free, tip_steps(robot, dt)[: len(free)])
+    return Reach(*(np.append(*pair) for pair in zip(own, more, strict=True)))
+
+
+@dataclass(frozen=True)
+class AtOnce:
+    """One program for all frames: p (T, n_p) are its parameters, that of motion among them, within a reach.
+
+    tips: how many of the unknowns are tips' angles, which only so change from frame to frame; 0 where q is all.
+    """
+
+    stage: Stage
+    solver: NlpSolver
+    p: Array
+    reach: Reach
+    tips: int
+
+    @classmethod
+    def of(
+        cls, stage: Stage, solver: NlpSolver, samples: Sequence[Frame], margins: Array, root: float, reach: Reach
+    ) -> AtOnce:
+        """For target samples with least margins (T,) and sqrt(lambda) / dt."""
+        q, packed = np.zeros(len(stage.decides)), list[Array]()
+        for sample, margin in zip(samples, margins, strict=True):
+            values = {**stage.fill(sample, q), "motion_root": root}
+            packed.append(stage.nlp.pack(values | ({"margin": margin} if "margin" in values else {})))
+        return cls(stage, solver, np.array(packed), reach, len(reach.low) - len(q))
+
+    def search(self, frame: int, x0: Array) -> list[FrameResult]:
+        """Answers for a frame without a past from starts x0 (n, n_x), as many as are found."""
+        p = self.p[frame].copy()
+        p[self.stage.nlp.place("motion_root")] = 0.0
+        return [self._result(solution) for solution in self.solver.each(x0, p, self.reach)]
+
+    def follow(self, frames: Sequence[int], before: FrameResult) -> list[tuple[FrameResult, float]]:
+        """Answers for frames, each from the one before, up to the first that is not found; and their seconds."""
+        warm = before.warm[0] if before.warm else None
+        known = before.q if before.x is None else before.x
+        x0 = known if warm is None else warm.x
+        here = np.append(before.q, known[: self.tips])
+        found = self.solver.follow(x0, self.p[list(frames)], self.reach, here, warm)
+        return [(self._result(each.solution), each.seconds) for each in found]
+
+    def _result(self, solution: Solution) -> FrameResult:
+        return FrameResult(
+            solution.q[: len(self.stage.decides)],
+            True,
+            solution.objective,
+            solution.kkt,
+            solution.iterations,
+            solution.status,
+            (solution,),
+            solution.x if self.tips else None,
+        )
