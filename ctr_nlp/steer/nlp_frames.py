@@ -81,7 +81,6 @@ class NlpFrames:
         described.check(problem.robot)
         solver = default_solver() if solver is None else solver
         check_choice("solver", solver, SOLVERS)
-        assert problem.samples
         begin = time.perf_counter()
         wall = wall_of(problem.robot, problem.lumen, described, settings) if formulation == "joint" else None
         at = problem.robot, settings, described, terms
@@ -90,6 +89,9 @@ class NlpFrames:
             [(stage, SOLVERS[solver](stage.nlp)) for stage in stages]
             for stages in (FORMULATIONS[formulation](*at), walled)
         )
+        for stage in free:  # a target that is not known all along is told before anything is solved
+            for sample in problem.samples:
+                stage[0].fill(sample, np.zeros(len(problem.robot.axes)))
         margin = math.nan if settings.stability_margin is None else settings.stability_margin
         description = {
             "formulation": formulation,

@@ -25,6 +25,7 @@ from ctr_nlp import (
 from ctr_nlp.exceptions import OptionError, RobotError
 from ctr_nlp.formulations.frames import FrameResult
 from ctr_nlp.solvers.frame import program
+from ctr_nlp.solvers.frame.sqp import Sqp
 from ctr_nlp.steer import march
 from ctr_nlp.steer.nlp_frames import NlpFrames
 
@@ -178,6 +179,8 @@ def test_more_motion_weight_makes_a_smoother_motion(cos_problem):
 class Failing(NlpFrames):
     """Fails on one frame, whatever the start."""
 
+    _at_once = None
+
     def _solve(self, index, guess, before):
         if index == 2:
             return FrameResult(guess.q, success=False, status="made to fail")
@@ -195,6 +198,8 @@ def test_a_frame_that_fails_is_marked_and_the_motion_goes_on(cos_problem):
 class Flaky(NlpFrames):
     """Fails on frame 2 from the frame before it, but not from other starts."""
 
+    _at_once = None
+
     def _solve(self, index, guess, before):
         if index == 2 and guess.warm is not None:
             return FrameResult(guess.q, success=False, status="made to fail")
@@ -209,6 +214,8 @@ def test_a_frame_that_fails_is_tried_from_other_starts(cos_problem):
 class Interrupted(NlpFrames):
     """Ctrl-C on frame 3."""
 
+    _at_once = None
+
     def step(self, frame, before):
         if frame == 3:
             signal.raise_signal(signal.SIGINT)
@@ -221,6 +228,23 @@ def test_an_interrupted_plan_keeps_what_was_solved(cos_problem):
     assert plan.success.tolist() == [True, True, True, True, False, False]
     assert np.isnan(plan.q[4:]).all()
     assert np.isfinite(summary(plan)["e3"])
+
+
+class Short(Sqp):
+    """Solves no more than two frames in one go."""
+
+    def follow(self, x0, p, reach, here, warm):
+        return super().follow(x0, p[:2], reach, here, warm)
+
+
+@pytest.mark.parametrize("model", ["dominant", "elastic"])
+def test_what_is_not_solved_in_one_go_is_solved_by_steps(cos_problem, model):
+    whole, short = (NlpFrames.of(cos_problem, model=model) for _ in range(2))
+    one = short._at_once
+    short.__dict__["_at_once"] = replace(one, solver=Short(one.stage.nlp))
+    plans = [march(cos_problem, frames, "forward") for frames in (whole, short)]
+    assert all(plan.complete for plan in plans)
+    np.testing.assert_allclose(plans[1].q, plans[0].q, atol=1e-5)
 
 
 TUBES = table_i_robot().tubes

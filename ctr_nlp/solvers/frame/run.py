@@ -47,7 +47,7 @@ class Run:
         self.objective, self.kkt, self.seconds = np.zeros((3, frames))
         self.starts = np.zeros((frames, n))
         self.iterations, self.status, self.solved = np.zeros((3, frames), dtype=np.int64)
-        previous = nlp.place("previous")
+        previous = nlp.place("previous") if "previous" in nlp.parameters else slice(0, 0)
         limits = self._picks, self.p, self.low, self.high, self.most
         found = self.here, self.x, self.rows, self.multipliers, self.objective, self.kkt, self.seconds
         self._given = _Given(
