@@ -10,9 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.anatomy.branch import checked
-from ctr_nlp.anatomy.files import title
-from ctr_nlp.anatomy.followed import way_through
-from ctr_nlp.anatomy.formats.table import read_table
+from ctr_nlp.anatomy.choose import way_through
+from ctr_nlp.anatomy.files import read_table, title
 from ctr_nlp.exceptions import CurveError, OptionError, RobotError
 from ctr_nlp.robot import Robot, table_i_robot
 from ctr_nlp.robot.units import angle_meant, between, did_you_mean

@@ -1,4 +1,4 @@
-"""A plan as files and as a table on the terminal."""
+"""A plan as files, as a film, and as a table on the terminal."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, console, print_table
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, console, print_table, progress_bar
+from ctr_nlp.cli.output.folder import name_within
 from ctr_nlp.figures import save_all
+from ctr_nlp.figures.film import film
 from ctr_nlp.plan import account
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.studies.pareto import save_front
-from ctr_nlp.studies.trade_off import Point
+from ctr_nlp.studies.trade_off import Point, save_front
 
 
 def write(plan: Plan, folder: Path) -> None:
@@ -74,3 +75,19 @@ def print_front(points: Sequence[Point]) -> None:
             for point in points
         ],
     )
+
+
+def write_film(plans: Sequence[Plan], file: Path, out: Path, place: Path, staging: Path) -> Path:
+    """Write a film of plans and show how far it is; returns where it will be. Raises OptionError, OutputError.
+
+    out: the output folder that was asked for; place: the one that takes staging's files, another where the run was
+    interrupted, which then takes all films. Otherwise a file that is not within out is written where it is to be.
+    """
+    inner = name_within(out, file)
+    if inner is None and place == out:
+        target = found = file
+    else:
+        target, found = staging / (inner or file.name), place / (inner or file.name)
+    with progress_bar() as labelled:
+        film(plans, target, labelled(file.name))
+    return found

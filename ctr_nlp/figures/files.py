@@ -8,12 +8,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ctr_nlp.exceptions import OutputError
-from ctr_nlp.figures.clearance import clearance
-from ctr_nlp.figures.frames import by_frame
+from ctr_nlp.figures.errors import by_frame, errors
+from ctr_nlp.figures.margins import clearance, stability
 from ctr_nlp.figures.motion import configuration
 from ctr_nlp.figures.overlay import shapes
-from ctr_nlp.figures.stability import stability
-from ctr_nlp.figures.violins import errors
 from ctr_nlp.plan.plan import Plan
 
 PICTURES = {"shapes": shapes, "errors": errors, "by_frame": by_frame, "configuration": configuration}

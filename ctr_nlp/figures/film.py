@@ -14,7 +14,7 @@ from matplotlib.animation import FFMpegWriter, PillowWriter
 from matplotlib.figure import Figure
 
 from ctr_nlp.exceptions import OptionError, OutputError
-from ctr_nlp.figures.frames import CURVES
+from ctr_nlp.figures.errors import CURVES
 from ctr_nlp.figures.overlay import TARGET
 from ctr_nlp.figures.parts.page import STYLE, curve, frame_axis, outcome, printable, shade_failures
 from ctr_nlp.figures.parts.palette import BLACK

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 
 from ctr_nlp.figures.parts.page import STYLE, at_least, curve, head, shade, shade_failures
 from ctr_nlp.figures.parts.palette import AMBIGUOUS, TILT, tube_colour, tube_width
-from ctr_nlp.figures.truth import error_from_truth, indistinct
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.typing import Array
+from ctr_nlp.simulation.forward import other_way
+from ctr_nlp.typing import Array, Flags
 
 NAMES = ("α (rad)", "β (mm)", "θ (rad)")
 LEAST_SPAN = (0.1, 1.0, 0.1)
@@ -95,3 +95,37 @@ def _limits(axes: Axes, plan: Plan) -> None:
         for i, value in enumerate(robot.split(bound)[1]):
             axes.axhline(value, color=tube_colour(i), lw=0.9, ls=(0, (5, 3)), zorder=1)
     axes.plot([], [], color="0.4", lw=0.9, ls=(0, (5, 3)), label="limits")
+
+
+def error_from_truth(plan: Plan) -> Array:
+    """The error q - truth (T, 2d + 2) in rad, mm, where the truth is known; NaN for frames never reached.
+
+    Two things that leave every shape as it is do not count. Whole turns of any angle. And the two ways to
+    write one rotation, R(theta_x, theta_y) Rz(alpha) = R(pi - theta_x, theta_y + pi) Rz(alpha + pi): the
+    truth is written in the way that is nearer to the plan, the same for the whole motion.
+    """
+    assert plan.truth is not None
+    q, d = plan.q, plan.robot.d
+    angles = np.r_[:d, 2 * d : 2 * d + 2]
+    errors = []
+    for truth in (plan.truth, other_way(plan.robot, plan.truth)):
+        error = q - truth
+        error[:, angles] = without_whole_turns(error[:, angles])
+        errors.append(error)
+    return min(errors, key=lambda error: float(np.nansum(np.abs(error[:, angles]))))
+
+
+def without_whole_turns(angle: Array) -> Array:
+    """Angles (T, n) in rad without jumps of whole turns from frame to frame, and each column nearest to zero."""
+    result = np.array(angle, dtype=float)
+    known = np.isfinite(result).all(axis=1)
+    if known.any():
+        smooth = np.unwrap(result[known], axis=0)
+        result[known] = smooth - 2 * np.pi * np.round(np.median(smooth, axis=0) / (2 * np.pi))
+    return result
+
+
+def indistinct(plan: Plan) -> Flags:
+    """Frames (T,) whose known theta_x is within 0.05 rad of +-pi/2, where alpha and theta_y are one rotation."""
+    assert plan.truth is not None
+    return np.abs(np.cos(plan.truth[:, -2])) < np.sin(0.05)

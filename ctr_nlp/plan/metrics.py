@@ -7,9 +7,17 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.plan.contacts import contacts, depth
-from ctr_nlp.plan.errors import e1, e3, nearest, rms_over_sigma, root_mean_square, tip_angle
-from ctr_nlp.plan.limits_used import rate_parts
+from ctr_nlp.plan.measures import (
+    contacts,
+    depth,
+    e1,
+    e3,
+    nearest,
+    rate_parts,
+    rms_over_sigma,
+    root_mean_square,
+    tip_angle,
+)
 from ctr_nlp.plan.record import Record
 from ctr_nlp.plan.verdicts import verdicts
 from ctr_nlp.support.runs import runs

@@ -14,10 +14,9 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.exceptions import CtrError, OutputError
-from ctr_nlp.plan.errors import e3
+from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.moved import elsewhere, lost, moved
-from ctr_nlp.plan.record import Record
-from ctr_nlp.plan.stored import FORMAT, check_arrays, check_meta, stored
+from ctr_nlp.plan.record import FORMAT, Record, check_arrays, check_meta, stored
 from ctr_nlp.plan.stretches import joined, resampled, rows, stretch, turned
 from ctr_nlp.plan.verdicts import Verdicts, verdicts
 from ctr_nlp.robot import Robot

@@ -8,9 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.plan.contacts import depth
-from ctr_nlp.plan.errors import e3
-from ctr_nlp.plan.limits_used import most_used
+from ctr_nlp.plan.measures import depth, e3, most_used
 from ctr_nlp.plan.record import Record
 
 YES, NO, NOT_ASKED, NOT_KNOWN = "yes", "no", "not asked", "not known"

@@ -11,8 +11,7 @@ import numpy as np
 from ctr_nlp.anatomy.branch import Branch, Branches, moved
 from ctr_nlp.anatomy.files import CENTRELINES, read_branches
 from ctr_nlp.cli.arguments import add_entry_option
-from ctr_nlp.cli.command import Command
-from ctr_nlp.cli.console import SOLVED, console, print_table, progress_bar
+from ctr_nlp.cli.console import SOLVED, Command, console, print_table, progress_bar
 from ctr_nlp.cli.output.file import check_file
 from ctr_nlp.exceptions import CurveError, OptionError, OutputError
 from ctr_nlp.figures import save

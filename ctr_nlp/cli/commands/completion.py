@@ -6,8 +6,7 @@ import argparse
 import sys
 from typing import Any
 
-from ctr_nlp.cli.command import Command
-from ctr_nlp.cli.console import SOLVED
+from ctr_nlp.cli.console import SOLVED, Command
 from ctr_nlp.cli.main import parser as whole_parser
 from ctr_nlp.problems import NAMES
 from ctr_nlp.support.extras import needed

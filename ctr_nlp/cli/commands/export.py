@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ctr_nlp.cli.command import Command
-from ctr_nlp.cli.console import SOLVED, console
+from ctr_nlp.cli.console import SOLVED, Command, console
 from ctr_nlp.cli.output.file import check_file, write_text
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.play_report import print_trajectory

@@ -24,9 +24,7 @@ from ctr_nlp.cli.arguments import (
     read_start,
     settings_from,
 )
-from ctr_nlp.cli.command import Command
-from ctr_nlp.cli.console import INTERRUPTED, console, progress_bar
-from ctr_nlp.cli.film import write_film
+from ctr_nlp.cli.console import INTERRUPTED, Command, console, progress_bar
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.cli.output.names import path_component
 from ctr_nlp.cli.plan_options import (
@@ -44,7 +42,7 @@ from ctr_nlp.cli.plan_options import (
     moved,
     terms_from,
 )
-from ctr_nlp.cli.report import exit_status, print_front, print_report, write, write_front
+from ctr_nlp.cli.report import exit_status, print_front, print_report, write, write_film, write_front
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.settings import Settings, check_motion_weight

@@ -1,8 +1,12 @@
-"""Single output files, written whole or not at all."""
+"""Single output files, written whole or not at all, and folders that one process holds against others."""
 
 from __future__ import annotations
 
+import os
 import secrets
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from ctr_nlp.cli.output.manifest import MARK
@@ -42,3 +46,42 @@ def write_text(file: Path, text: str) -> None:
             partial.write_text(text, encoding="utf-8", newline="")
     except OSError as error:
         raise OutputError(f"output file {file} cannot be written: {error}") from error
+
+
+try:
+    import fcntl
+except ImportError:  # on Windows
+    fcntl = None  # type: ignore[assignment]
+
+POLL = 0.02
+"""Seconds between two attempts to get hold of a folder."""
+
+
+@contextmanager
+def locked(folder: Path, patience: float = 0.0) -> Iterator[bool]:
+    """Hold a folder within the block; what is yielded is False where the file system knows no such locks.
+
+    Raises BlockingIOError where another process still holds it after so many seconds of patience, and OSError.
+    """
+    if fcntl is None:
+        yield False
+        return
+    door = os.open(folder, os.O_RDONLY)
+    try:
+        yield _taken(door, folder, time.monotonic() + patience)
+    finally:
+        os.close(door)
+
+
+def _taken(door: int, folder: Path, deadline: float) -> bool:
+    while True:
+        try:
+            fcntl.flock(door, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            if time.monotonic() > deadline:
+                raise BlockingIOError(f"another run is writing into {folder}") from error
+            time.sleep(POLL)
+        except OSError:
+            return False
+        else:
+            return True

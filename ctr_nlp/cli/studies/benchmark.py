@@ -9,19 +9,16 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 
-from ctr_nlp.cli.command import Command
-from ctr_nlp.cli.console import SOLVED, SOME_FAILED, console, print_table
+from ctr_nlp.cli.console import SOLVED, SOME_FAILED, Command, console, print_table
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.problems import NAMES, named
 from ctr_nlp.studies.benchmarks import Record, regressions
-from ctr_nlp.studies.benchmarks.elastic import forward, planned
-from ctr_nlp.studies.benchmarks.frames import frames
+from ctr_nlp.studies.benchmarks.builds import sizes, start_up
+from ctr_nlp.studies.benchmarks.frames import forward, frames, planned
 from ctr_nlp.studies.benchmarks.horizons import growth, horizons
 from ctr_nlp.studies.benchmarks.records import RATIO
-from ctr_nlp.studies.benchmarks.sizes import sizes
-from ctr_nlp.studies.benchmarks.start_up import start_up
 from ctr_nlp.target.problem import Problem
 
 SHAPES = ("cos", "arc", "line", "line_arc", "synthesis")

@@ -16,8 +16,7 @@ from ctr_nlp.cli.arguments import (
     add_settings,
     settings_from,
 )
-from ctr_nlp.cli.command import Command
-from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, console, print_table, progress_bar
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, Command, console, print_table, progress_bar
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.models import MODELS, model_named
 from ctr_nlp.plan.account import shown

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ctr_nlp.cli.arguments import add_frames_option, add_out_option, whole
-from ctr_nlp.cli.command import Command
-from ctr_nlp.cli.console import SOLVED, SOME_FAILED, console, print_table, progress_bar
+from ctr_nlp.cli.console import SOLVED, SOME_FAILED, Command, console, print_table, progress_bar
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.problems import named
 from ctr_nlp.studies.paper import SECTIONS, Found, study

@@ -15,7 +15,7 @@ from ctr_nlp.anatomy import synthetic_airway
 from ctr_nlp.anatomy.problem_files import problem_from_file
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.plan.contacts import depth
+from ctr_nlp.plan.measures import depth
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import table_i_robot

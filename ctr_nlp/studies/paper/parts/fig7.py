@@ -7,14 +7,12 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from ctr_nlp.figures.motion import configuration_errors
+from ctr_nlp.figures.motion import configuration_errors, error_from_truth, indistinct
 from ctr_nlp.figures.overlay import shapes
-from ctr_nlp.figures.truth import error_from_truth, indistinct
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.reference.published import SEED as PRINTED
-from ctr_nlp.studies.paper.checks import Check, number, order
 from ctr_nlp.studies.paper.runs import BASELINE, HORIZON, NAMES, SEED, Found
-from ctr_nlp.studies.paper.section import Section, Table, beside, by_frames, mm, motions
+from ctr_nlp.studies.paper.section import Check, Section, Table, beside, by_frames, mm, motions, number, order
 
 NAME = "synthesis"
 METHODS = HORIZON, SEED

@@ -1,4 +1,4 @@
-"""A whole motion while it is solved for: some of its shapes, its objective and how far from optimal it is."""
+"""What windows show: a motion while it is solved for, and a robot while it is moved."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from ctr_nlp.figures.overlay import TARGET
 from ctr_nlp.figures.parts.page import outcome, printable
-from ctr_nlp.figures.parts.palette import BLACK, BLUE
+from ctr_nlp.figures.parts.palette import BLACK, BLUE, FAILED
 from ctr_nlp.figures.parts.space import Body, frame, insertion_point, key, points_of_all, span, wall
 from ctr_nlp.models import MODELS
 from ctr_nlp.plan.metrics import summary
@@ -98,3 +98,71 @@ class Solving:
 
     def _tell(self, words: str) -> None:
         self._now.set_text(f"frames {', '.join(str(j + 1) for j in self._frames)}; {words}")
+
+
+COMMANDED: dict[str, Any] = {"color": FAILED, "lw": 8.0, "zorder": 3}
+"""A broad light band, which the robot is to lie in."""
+
+
+class Now(NamedTuple):
+    """A moment. state: in words; frame: the last that was passed, 0 for none; time: s of the program.
+
+    measured, commanded: q (2d + 2,).
+    """
+
+    state: str
+    frame: int
+    time: float
+    measured: Array
+    commanded: Array
+
+
+@dataclass
+class Playing:
+    """The picture of a plan that is played; states are Now."""
+
+    plan: Plan
+    size = (5.2, 7.0)
+
+    def begin(self, figure: Figure) -> None:
+        """Draw what stays: box, wall, insertion point."""
+        plan = self.plan
+        axes: Any = figure.add_axes((0.0, 0.08, 1.0, 0.84), projection="3d")
+        if plan.lumen is not None:
+            wall(axes, plan.lumen)
+        insertion_point(axes)
+        self._commanded = Body(axes, plan.robot.d, **COMMANDED), Shapes(plan.robot, plan.evaluated)
+        self._measured = Body(axes, plan.robot.d), Shapes(plan.robot, plan.evaluated)
+        self._target = axes.plot([], [], [], zorder=5, **TARGET)[0]
+        points = points_of_all([plan.shape, plan.target], plan.lumen)
+        frame(axes, points, span(points))
+        figure.suptitle(printable(f"{plan.meta['problem']['name']}, played"), fontsize=10, parse_math=False)
+        self._now = figure.text(0.5, 0.925, "waiting", ha="center", va="center")
+        commanded = Line2D([], [], label="commanded", **{name: COMMANDED[name] for name in ("color", "lw")})
+        figure.legend(handles=[*key(plan.robot.d, plan.lumen is not None), commanded], loc="lower center", ncols=4)
+
+    def show(self, state: Now) -> None:
+        """A moment; nothing is drawn of a robot whose equilibrium is lost."""
+        d, plan = self.plan.robot.d, self.plan
+        for (body, shape), q in ((self._commanded, state.commanded), (self._measured, state.measured)):
+            body.show(shape(q), q[d : 2 * d])
+        self._target.set_data_3d(*plan.target[np.clip(state.frame, 1, len(plan.time)) - 1].T)
+        where = f"frame {state.frame} of {len(plan.time)}" if state.frame else "on the way to frame 1"
+        self._now.set_text(f"{state.state}, {where}, {state.time:.1f} s")
+
+
+class Shapes:
+    """Shapes of one robot at one configuration after the other, each equilibrium from the one before."""
+
+    def __init__(self, robot: Robot, model: str) -> None:
+        self._robot, self._model = robot, MODELS[model]
+        self._before: tuple[Array, Array] | None = None
+
+    def __call__(self, q: Array) -> Array:
+        """The shape (101, 3) mm at q (2d + 2,); NaN where no equilibrium is found."""
+        passage, x0 = (
+            (q[None], None) if self._before is None else (np.stack([self._before[0], q]), self._before[1])
+        )
+        x = self._model.follow(self._robot, passage, x0).x[-1]
+        self._before = (q, x) if np.isfinite(x).all() else None
+        return self._model.points(self._robot, x[None], SIGMA)[0]
