@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,16 +9,22 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
-from ctr_nlp.anatomy.branch import Branch, Branches, moved
+from ctr_nlp.anatomy.branch import Branch, Branches, blamed, checked_point, moved, written
 from ctr_nlp.anatomy.files import is_mask, read_branches
 from ctr_nlp.exceptions import CurveError, OptionError
 from ctr_nlp.target.curve import Curve, curve_from_points
 from ctr_nlp.target.points import SHORTEST_MM
 from ctr_nlp.typing import Array
 
+UNKNOWN_LUMEN_MM = 5.0
+"""How far from a branch without a radius a point may lie."""
+SPACING_MM = 0.25
+"""Places along a curve among which the nearest one is looked for, before it is refined."""
+LISTED = 20
+
 
 @dataclass(frozen=True)
-class Way:
+class Passage:
     """A whole branch in LPS, from where to where along it, in mm, and to_lps (4, 4) from the file's own."""
 
     branch: Curve
@@ -33,14 +38,14 @@ class Way:
         return self.branch.part(self.start, self.stop)
 
 
-def way_through(
+def passage(
     path: str | Path,
     branch: str | int | None = None,
     entry: npt.ArrayLike | None = None,
     target: npt.ArrayLike | None = None,
     reverse: bool = False,
-) -> Way:
-    """The way along a branch of a file, by its name or its number from 1, from entry to target.
+) -> Passage:
+    """The passage along a branch of a file, by its name or its number from 1, from entry to target.
 
     entry, target: (3,) mm in the file's own coordinates, by default the ends of the branch. reverse: the file's
     lines run from the tip to the root. A mask has one branch, between the two points. Raises CurveError and
@@ -58,28 +63,16 @@ def way_through(
         branches = read_branches(path, target if reverse else entry)
     if reverse:
         branches = branches.reversed()
-    try:
-        return _way(branches, None if branch is None else str(branch), entry, target)
-    except CurveError as error:
-        raise CurveError(f"{path}: {error}") from error
-
-
-def _way(branches: Branches, name: str | None, entry: npt.ArrayLike | None, target: npt.ArrayLike | None) -> Way:
-    found = chosen(branches, name, entry, target)
-    curve = curve_from_points(found.points, found.radius)
-    start, stop = extent(curve, branches, entry, target)
-    if stop - start < SHORTEST_MM:
-        raise CurveError(
-            f"from entry to target the path is {stop - start:.3g} mm long; it must be at least {SHORTEST_MM:g} mm"
-        )
-    return Way(curve, start, stop, branches.to_lps)
-
-
-UNKNOWN_LUMEN_MM = 5.0
-"""How far from a branch without a radius a point may lie."""
-SPACING_MM = 0.25
-"""Places along a curve among which the nearest one is looked for, before it is refined."""
-LISTED = 20
+    with blamed(path):
+        found = chosen(branches, None if branch is None else str(branch), entry, target)
+        curve = curve_from_points(found.points, found.radius)
+        start, stop = extent(curve, branches, entry, target)
+        if stop - start < SHORTEST_MM:
+            raise CurveError(
+                f"from entry to target the path is {stop - start:.3g} mm long; it must be at least "
+                f"{SHORTEST_MM:g} mm"
+            )
+    return Passage(curve, start, stop, branches.to_lps)
 
 
 def chosen(
@@ -113,7 +106,7 @@ def chosen(
         distance, lumen = _distance(found, at)
         if distance > lumen:
             raise CurveError(
-                f"{name} {_written(points[name])} is {distance:.1f} mm away from branch {found.name!r}; it must "
+                f"{name} {written(points[name])} is {distance:.1f} mm away from branch {found.name!r}; it must "
                 f"lie in its lumen, within {lumen:.1f} mm, and be given in mm in the file's coordinates, "
                 f"{branches.space}"
             )
@@ -127,11 +120,9 @@ def extent(
 
     entry, target: (3,) mm in the file's own coordinates. Raises CurveError where target does not come after entry.
     """
-    start = 0.0 if entry is None else _nearest(curve, moved(checked_point("entry", entry), branches.to_lps))
-    stop = (
-        curve.length
-        if target is None
-        else _nearest(curve, moved(checked_point("target", target), branches.to_lps))
+    start, stop = (
+        end if point is None else _nearest(curve, moved(checked_point(name, point), branches.to_lps))
+        for name, point, end in (("entry", entry, 0.0), ("target", target, curve.length))
     )
     if start >= stop:
         raise CurveError(
@@ -159,17 +150,6 @@ def _named(branches: Branches, branch: str) -> Branch:
     raise CurveError(f"branch is {branch!r}; {problem}: {listed(branches)}")
 
 
-def checked_point(name: str, given: npt.ArrayLike) -> Array:
-    """A point (3,) in mm; raises CurveError where it is none."""
-    try:
-        point = np.asarray(given, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise CurveError(f"{name} is {given!r}; it must be three finite numbers in mm") from error
-    if point.shape != (3,) or not np.isfinite(point).all():
-        raise CurveError(f"{name} is {_written(point.ravel())}; it must be three finite numbers in mm")
-    return point
-
-
 def _distance(branch: Branch, point: Array) -> tuple[float, float]:
     """Distance in mm of a point to the lines through a branch's points, and the lumen's radius there."""
     start, step = branch.points[:-1], np.diff(branch.points, axis=0)
@@ -192,7 +172,3 @@ def _nearest(curve: Curve, point: Array) -> float:
     bounds = places[max(k - 1, 0)], places[min(k + 1, len(places) - 1)]
     refined = minimize_scalar(lambda s: float(distance(s)[0]), bounds=bounds, method="bounded")
     return float(min((places[k], refined.x), key=lambda s: float(distance(s)[0])))
-
-
-def _written(point: Iterable[float]) -> str:
-    return f"({', '.join(f'{number:g}' for number in point)})"

@@ -7,13 +7,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.anatomy.branch import Branch, Branches, checked
-from ctr_nlp.anatomy.choose import checked_point
+from ctr_nlp.anatomy.branch import Branch, Branches, checked, checked_point
 from ctr_nlp.anatomy.formats.images import NIFTI, NRRD
 from ctr_nlp.anatomy.formats.slicer import read_slicer
 from ctr_nlp.anatomy.formats.vtk import read_vtk
 from ctr_nlp.exceptions import CurveError, OptionError
-from ctr_nlp.typing import Array
 
 TABLE, MARKUPS, LINES = (".csv",), (".mrk.json", ".json"), (".vtp", ".vtk", ".vtu")
 CENTRELINES, MASKS = (*TABLE, *MARKUPS, *LINES), (*NIFTI, *NRRD)
@@ -72,11 +70,6 @@ def read_table(path: str | Path) -> Branches:
 
     Such a file says nothing of the patient's axes: its coordinates are kept as they are.
     """
-    points, radius = _columns(path)
-    return Branches((Branch(Path(path).stem, points, radius),), "xyz", np.eye(4))
-
-
-def _columns(path: str | Path) -> tuple[Array, Array | None]:
     try:
         lines = [line for line in Path(path).read_text(encoding="utf-8-sig").splitlines() if line.strip()]
     except (OSError, UnicodeDecodeError) as error:
@@ -87,7 +80,8 @@ def _columns(path: str | Path) -> tuple[Array, Array | None]:
     rows = [_row(path, number, line, len(names)) for number, line in enumerate(lines[1:], start=2)]
     table = np.array(rows).reshape(len(rows), len(names))
     points = table[:, [names.index(name) for name in COLUMNS]]
-    return points, table[:, names.index("radius_mm")] if "radius_mm" in names else None
+    radius = table[:, names.index("radius_mm")] if "radius_mm" in names else None
+    return Branches((Branch(Path(path).stem, points, radius),), "xyz", np.eye(4))
 
 
 def _row(path: str | Path, number: int, line: str, width: int) -> list[float]:

@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from ctr_nlp.cli.console import console, print_table
 from ctr_nlp.cli.output.file import check_file
 from ctr_nlp.cli.output.folder import check_folder, published
-from ctr_nlp.cli.report import write_table
 from ctr_nlp.exceptions import OutputError
 from ctr_nlp.figures import save, tracking
 from ctr_nlp.hardware.description import Hardware
@@ -21,6 +20,7 @@ from ctr_nlp.hardware.playing.checks import Checked
 from ctr_nlp.hardware.playing.record import Tracking
 from ctr_nlp.hardware.playing.results import Result
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.support.tables import by_line, write_csv
 
 JOURNAL = "journal.jsonl"
 """In the output folder: the record of all sessions, to which each adds its own."""
@@ -78,7 +78,7 @@ def _written(table: dict[str, list[Any]], picture: Figure, out: Path) -> list[st
     """Write tracking.csv and tracking.png; without them the motion has been played all the same."""
     try:
         with published(out, "play") as staging:
-            write_table(staging / "tracking.csv", table)
+            write_csv(staging / "tracking.csv", by_line(table))
             save(picture, staging / "tracking.png")
     except OutputError as exception:
         sys.stderr.write(f"error: {exception}\n")

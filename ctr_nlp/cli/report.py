@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, console, print_table, progress_bar
 from ctr_nlp.cli.output.folder import name_within
@@ -17,23 +15,17 @@ from ctr_nlp.plan import account
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.studies.trade_off import Point, save_front
+from ctr_nlp.support.tables import by_line, write_csv
 
 
 def write(plan: Plan, folder: Path) -> None:
     """plan.npz, errors.csv, summary.json and the pictures."""
     plan.save(folder / "plan.npz")
-    write_table(folder / "errors.csv", {name: column.tolist() for name, column in by_frame(plan).items()})
+    columns = {name: column.tolist() for name, column in by_frame(plan).items()}
+    write_csv(folder / "errors.csv", by_line(columns))
     text = json.dumps(summary(plan), indent=2, allow_nan=False)
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
     save_all(plan, folder)
-
-
-def write_table(path: Path, columns: Mapping[str, Sequence[Any]]) -> None:
-    """Named columns as CSV."""
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows(zip(*columns.values(), strict=True))
 
 
 def print_report(plan: Plan, folder: Path, files: Sequence[str]) -> None:
@@ -55,8 +47,7 @@ def exit_status(plan: Plan) -> int:
 
 def write_front(points: Sequence[Point], problem: str, folder: Path) -> None:
     """pareto.csv and its picture."""
-    names = [field.name for field in fields(Point)]
-    write_table(folder / "pareto.csv", {name: [getattr(point, name) for point in points] for name in names})
+    write_csv(folder / "pareto.csv", [asdict(point) for point in points])
     save_front(points, problem, folder)
 
 

@@ -44,27 +44,15 @@ class Plan(Record):
         """Whether the plan does what was asked of it, one verdict a matter."""
         return verdicts(self)
 
-    def reversed(self) -> Plan:
-        """The same motion played backwards, at the same pace."""
-        return turned(self)
-
     def on(self, model: str) -> Plan:
         """The same motion on another model: shapes, tip directions and stability of the robot moved through it."""
         found = moved(self.robot, self.q, model, target=self.target, lumen=self.lumen, free=self.free)
         return replace(self, **found.arrays, meta=self.meta | found.told | {"evaluated": model})
 
-    def __getitem__(self, frames: slice) -> Plan:
-        return stretch(self, frames)
-
-    def joined(self, other: Plan) -> Plan:
-        """Another plan after this one; see stretches.joined, which also says what they must share."""
-        return joined(self, other)
-
-    __add__ = joined
-
-    def resampled(self, frames: int | None = None, dt: float | None = None) -> Plan:
-        """The same motion at as many frames, or dt s apart; see stretches.resampled for what is kept of it."""
-        return resampled(self, frames, dt)
+    __getitem__ = stretch
+    reversed = turned
+    joined = __add__ = joined
+    resampled = resampled
 
     def __repr__(self) -> str:
         failed, error = int((~self.success).sum()), e3(self)

@@ -20,3 +20,8 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
+
+
+def by_line(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
+    """Named columns of one length as the rows that write_csv takes."""
+    return [dict(zip(columns, line, strict=True)) for line in zip(*columns.values(), strict=True)]

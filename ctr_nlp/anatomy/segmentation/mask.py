@@ -9,18 +9,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import binary_erosion, distance_transform_edt
+from scipy.ndimage import binary_erosion, distance_transform_edt, find_objects
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from ctr_nlp.anatomy.branch import Branch, Branches, moved
-from ctr_nlp.anatomy.choose import checked_point
+from ctr_nlp.anatomy.branch import Branch, Branches, blamed, checked_point, moved
 from ctr_nlp.anatomy.formats.images import TO_LPS, Image, read_image
 from ctr_nlp.anatomy.segmentation.middle import centred, holds
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.typing import Array, Flags
-
-Flags = Flags
 
 LEAST_VOXELS = 3.0
 """Of a voxel's diagonal, at least, between entry and target."""
@@ -36,19 +33,16 @@ def read_mask(path: str | Path, entry: npt.ArrayLike, target: npt.ArrayLike) -> 
     the cross-section, so that a lumen that ends or is cut open is not narrow there. The border of the image is no
     wall. Raises CurveError, and OptionError where nibabel or pynrrd is missing.
 
-    The way is found by Dijkstra's algorithm at a cost that grows towards the wall (after Antiga and Steinman, IEEE
-    TMI 23(6), 2004), then centred in its cross-sections and smoothed.
+    The route is found by Dijkstra's algorithm at a cost that grows towards the wall (after Antiga and Steinman,
+    IEEE TMI 23(6), 2004), then centred in its cross-sections and smoothed.
     """
     image = read_image(path)
     to_lps = TO_LPS[image.space]
-    try:
-        lumen, offset = _cropped(_lumen(image.voxels))
-        cropped = replace(image, voxels=lumen, affine=image.affine @ _shift(offset))
-        ends = np.array([_end(cropped, "entry", entry), _end(cropped, "target", target)])
-        tube = _tube(lumen, image.spacing, ends)
-    except CurveError as error:
-        raise CurveError(f"{path}: {error}") from error
-    points = moved(moved(tube[:, :3] / image.spacing, cropped.affine), to_lps)
+    with blamed(path):
+        lumen = _cropped(image)
+        ends = np.array([_end(lumen, "entry", entry), _end(lumen, "target", target)])
+        tube = _tube(lumen.voxels, image.spacing, ends)
+    points = moved(moved(tube[:, :3] / image.spacing, lumen.affine), to_lps)
     return Branches((Branch(Path(path).name.partition(".")[0], points, tube[:, 3]),), image.space, to_lps)
 
 
@@ -68,20 +62,13 @@ def _lumen(voxels: npt.NDArray[Any]) -> Flags:
     return lumen
 
 
-def _cropped(lumen: Flags) -> tuple[Flags, Array]:
-    """The mask's box, a voxel of wall around it where the image has one, and the index (3,) of its first voxel."""
-    spans = []
-    for axis in range(3):
-        found = np.flatnonzero(lumen.any(axis=tuple({0, 1, 2} - {axis})))
-        spans.append((max(0, int(found[0]) - 1), min(lumen.shape[axis], int(found[-1]) + 2)))
-    box = tuple(slice(*span) for span in spans)
-    return np.ascontiguousarray(lumen[box]), np.array([float(first) for first, _ in spans])
-
-
-def _shift(offset: Array) -> Array:
-    transform = np.eye(4)
-    transform[:3, 3] = offset
-    return transform
+def _cropped(image: Image) -> Image:
+    """The part of a mask that holds the lumen, with a voxel of wall around it where the image has one."""
+    lumen, affine = _lumen(image.voxels), image.affine.copy()
+    (tight,) = find_objects(lumen.view(np.uint8))
+    box = tuple(slice(max(0, part.start - 1), part.stop + 1) for part in tight)
+    affine[:3, 3] = moved([part.start for part in box], image.affine)
+    return replace(image, voxels=np.ascontiguousarray(lumen[box]), affine=affine)
 
 
 def _end(mask: Image, name: str, given: npt.ArrayLike) -> Array:
@@ -91,7 +78,9 @@ def _end(mask: Image, name: str, given: npt.ArrayLike) -> Array:
     index = moved(point, to_index)
     if holds(mask.voxels, one, index[None])[0]:
         return index
-    nearest = _nearest(mask, index)
+    voxels = np.argwhere(mask.voxels)
+    there = np.clip(index, voxels - 0.49, voxels + 0.49)
+    nearest = np.asarray(there[(((there - index) * mask.spacing) ** 2).sum(axis=1).argmin()])
     away = float(np.linalg.norm((nearest - index) * mask.spacing))
     allowed = float(np.linalg.norm(mask.spacing))
     if away <= allowed:
@@ -103,13 +92,6 @@ def _end(mask: Image, name: str, given: npt.ArrayLike) -> Array:
         f"{name} {point.tolist()} is {away:.3g} mm outside the mask; it must lie in it or within {allowed:.2g} mm "
         f"of it, in mm in the file's coordinates, {mask.space}{hint}"
     )
-
-
-def _nearest(mask: Image, index: Array) -> Array:
-    """The index (3,), not whole, of the point of the lumen's voxels that is nearest to an index."""
-    voxels = np.argwhere(mask.voxels)
-    there = np.clip(index, voxels - 0.49, voxels + 0.49)
-    return np.asarray(there[(((there - index) * mask.spacing) ** 2).sum(axis=1).argmin()])
 
 
 def _tube(lumen: Flags, spacing: Array, ends: Array) -> Array:
@@ -141,7 +123,6 @@ def _tube(lumen: Flags, spacing: Array, ends: Array) -> Array:
     return tube
 
 
-Flags = Flags
 Index = npt.NDArray[np.integer[Any]]
 
 POWER = 3.0

@@ -17,8 +17,6 @@ from scipy.sparse.linalg import spsolve
 
 from ctr_nlp.typing import Array, Flags
 
-Flags = Flags
-
 STEP_MM = 1.0
 """Between neighbouring cross-sections, and between points of the result."""
 LEAST_SECTIONS = 13

@@ -28,7 +28,7 @@ from ctr_nlp.hardware.opening import arm_follower, device_of, memory_of
 from ctr_nlp.hardware.playing.playback import Seen
 from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.record import Recorder
-from ctr_nlp.hardware.playing.results import Outcome, Result
+from ctr_nlp.hardware.playing.results import Outcome
 from ctr_nlp.hardware.playing.retract import retract
 from ctr_nlp.hardware.playing.session import begin, prepared, resume
 from ctr_nlp.plan.plan import Plan
@@ -145,8 +145,14 @@ def _played(
         if interrupted():
             player.abort()
         seen = _seen(player, recorder, labelled(plan.meta["problem"]["name"]), told)
+        how: dict[str, Any] = {"verified": arguments.position_verified, "seen": seen}
         try:
-            result = _result(arguments, player, plan, hardware, records, seen)
+            if arguments.retract:
+                result = retract(player, plan, hardware, records, **how)
+            elif records is not None:
+                result = resume(player, plan, hardware, records, **how)
+            else:
+                result = begin(player, plan, hardware, _tempo(arguments), home=arguments.home, **how)
         except DeviceFault as exception:
             sys.stderr.write(f"error: {exception}\nnothing was played; what was said is in {out / JOURNAL}\n")
             return SOME_FAILED
@@ -161,23 +167,6 @@ def _played(
     if result.outcome is Outcome.INVALID_PLAN:
         return BAD_INPUT
     return INTERRUPTED if interrupted() else SOME_FAILED
-
-
-def _result(
-    arguments: argparse.Namespace,
-    player: Player,
-    plan: Plan,
-    hardware: Hardware,
-    records: list[dict[str, Any]] | None,
-    seen: Seen,
-) -> Result:
-    """What came of what was asked for."""
-    verified = arguments.position_verified
-    if arguments.retract:
-        return retract(player, plan, hardware, records, verified=verified, seen=seen)
-    if records is not None:
-        return resume(player, plan, hardware, records, verified=verified, seen=seen)
-    return begin(player, plan, hardware, _tempo(arguments), home=arguments.home, verified=verified, seen=seen)
 
 
 def _stood(hardware: Hardware, records: list[dict[str, Any]] | None) -> Any:

@@ -38,14 +38,21 @@ def try_beside(path: Path) -> None:
     trial.rmdir()
 
 
-def write_text(file: Path, text: str) -> None:
-    """Write a file whole or not at all; raises OutputError."""
+@contextmanager
+def output_file(file: Path) -> Iterator[Path]:
+    """What is written to the path that is yielded becomes the file, whole or not at all; raises OutputError."""
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(file) as partial:
-            partial.write_text(text, encoding="utf-8", newline="")
+            yield partial
     except OSError as error:
         raise OutputError(f"output file {file} cannot be written: {error}") from error
+
+
+def write_text(file: Path, text: str) -> None:
+    """Write a file whole or not at all; raises OutputError."""
+    with output_file(file) as partial:
+        partial.write_text(text, encoding="utf-8", newline="")
 
 
 try:
