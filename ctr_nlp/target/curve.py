@@ -15,8 +15,7 @@ from ctr_nlp.support.equal import Kept, Value
 from ctr_nlp.support.packing import packable
 from ctr_nlp.support.values import floats, number
 from ctr_nlp.target.arc_length import ByArcLength, Formula, Radii, Spline
-from ctr_nlp.target.points import checked_points, checked_radii
-from ctr_nlp.target.smoothing import evened
+from ctr_nlp.target.points import checked_points, checked_radii, evened
 from ctr_nlp.typing import Array, Field
 
 CELLS = 2000

@@ -14,11 +14,10 @@ from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.problems import NAMES, named
-from ctr_nlp.studies.benchmarks import Record, regressions
+from ctr_nlp.studies.benchmarks import RATIO, Record, regressions
 from ctr_nlp.studies.benchmarks.builds import sizes, start_up
 from ctr_nlp.studies.benchmarks.frames import forward, frames, planned
 from ctr_nlp.studies.benchmarks.horizons import growth, horizons
-from ctr_nlp.studies.benchmarks.records import RATIO
 from ctr_nlp.target.problem import Problem
 
 SHAPES = ("cos", "arc", "line", "line_arc", "synthesis")

@@ -18,8 +18,8 @@ from ctr_nlp.formulations.terms import Order, ShapeDistance
 from ctr_nlp.models import MODELS
 from ctr_nlp.robot import Robot, Tube, table_i_robot
 from ctr_nlp.solvers.frame.program import Program
+from ctr_nlp.studies.benchmarks import Record
 from ctr_nlp.studies.benchmarks.frames import evaluation
-from ctr_nlp.studies.benchmarks.records import Record
 
 STRIDES = (20, 10, 5, 2, 1)
 TUBES = (2, 3, 4, 5, 6)

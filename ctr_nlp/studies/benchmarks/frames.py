@@ -28,7 +28,7 @@ from ctr_nlp.solvers import SOLVERS, NlpSolver, Solution
 from ctr_nlp.solvers.frame.program import Program
 from ctr_nlp.steer import solve_horizon, solve_per_frame
 from ctr_nlp.steer.nlp_frames import NlpFrames
-from ctr_nlp.studies.benchmarks.records import RATIO, Record
+from ctr_nlp.studies.benchmarks import RATIO, Record
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array

@@ -21,7 +21,7 @@ from ctr_nlp.solvers.motion.banded import BandedSolver
 from ctr_nlp.solvers.motion.ipopt import IpoptSolver
 from ctr_nlp.steer import Horizon
 from ctr_nlp.steer.motions import per_frame_motions
-from ctr_nlp.studies.benchmarks.records import RATIO, Record
+from ctr_nlp.studies.benchmarks import RATIO, Record
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
