@@ -7,34 +7,12 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.plan.measures import (
-    contacts,
-    depth,
-    e1,
-    e3,
-    nearest,
-    rate_parts,
-    rms_over_sigma,
-    root_mean_square,
-    tip_angle,
-)
+from ctr_nlp.plan.measures import contacts, depth, e1, e3, nearest, rate_parts, rms_over_sigma, tip_angle
+from ctr_nlp.plan.measures import root_mean_square as root_mean_square
 from ctr_nlp.plan.record import Record
 from ctr_nlp.plan.verdicts import verdicts
 from ctr_nlp.support.runs import runs
 from ctr_nlp.typing import Array
-
-__all__ = [
-    "bound_by_stability",
-    "by_frame",
-    "e1",
-    "e3",
-    "missed_margin",
-    "nearest",
-    "rms_over_sigma",
-    "root_mean_square",
-    "summary",
-    "tip_angle",
-]
 
 BINDS = 0.005
 """A frame whose margin exceeds the one asked for by less is held back by it."""

@@ -27,8 +27,6 @@ from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Flags
 
-__all__ = ["Plan", "elsewhere", "plan_from_configurations"]
-
 SHOWN = 5
 """Frames in a notebook's picture."""
 

@@ -17,6 +17,8 @@ from ctr_nlp.cli.studies.reproduce import main
 from ctr_nlp.reference import published
 from ctr_nlp.studies.comparison import row
 from ctr_nlp.studies.paper import SECTIONS, Found, page, runs
+from ctr_nlp.studies.paper.checks import Check, order, orders, part
+from ctr_nlp.studies.paper.checks import named as where
 from ctr_nlp.studies.paper.parts import fig3, fig4, fig6, fig10, table2
 from ctr_nlp.studies.paper.runs import (
     BASELINE,
@@ -31,8 +33,7 @@ from ctr_nlp.studies.paper.runs import (
     fits,
     study,
 )
-from ctr_nlp.studies.paper.section import Check, mm, order, orders, part
-from ctr_nlp.studies.paper.section import named as where
+from ctr_nlp.studies.paper.section import mm
 from ctr_nlp.support.pool import side_by_side
 
 FRAMES = 4

@@ -11,7 +11,7 @@ from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 
-from ctr_nlp.cli import live, problems
+from ctr_nlp.cli import live, plan_options, problems
 from ctr_nlp.cli.arguments import (
     DEFAULTS,
     FRAME_SETTINGS,
@@ -27,21 +27,7 @@ from ctr_nlp.cli.arguments import (
 from ctr_nlp.cli.console import INTERRUPTED, Command, console, progress_bar
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.cli.output.names import path_component
-from ctr_nlp.cli.plan_options import (
-    FRAMES_ALONE,
-    HORIZON,
-    HORIZON_ALONE,
-    WALL,
-    add_file_options,
-    add_frame_options,
-    add_horizon_options,
-    add_model_options,
-    add_motion_options,
-    add_term_options,
-    add_wall_options,
-    moved,
-    terms_from,
-)
+from ctr_nlp.cli.plan_options import HORIZON
 from ctr_nlp.cli.report import exit_status, print_front, print_report, write, write_film, write_front
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations import FORMULATIONS
@@ -74,7 +60,7 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
     if len(formulations) > 1:
         help = "horizon: all frames at once; the others frame by frame " * (horizon and frames)
         parser.add_argument("--formulation", choices=formulations, help=f"{help}(default {formulations[0]})")
-    add_model_options(parser)
+    plan_options.add_model_options(parser)
     solvers = [*SOLVERS] * frames + [*CHAIN_SOLVERS] * horizon
     compiled = " or ".join(["sqp"] * frames + ["banded"] * horizon)
     parser.add_argument(
@@ -85,17 +71,17 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
     add_compile_option(parser)
     add_out_option(parser, "runs/PROBLEM-FORMULATION-MODEL")
     add_film_option(parser)
-    add_motion_options(parser)
+    plan_options.add_motion_options(parser)
     if frames:
-        add_frame_options(parser)
+        plan_options.add_frame_options(parser)
     if horizon:
-        add_horizon_options(parser)
+        plan_options.add_horizon_options(parser)
     weights = ["motion costs a tenth of the start's shape errors"] * horizon
     weights += [f"{DEFAULTS.motion_weight:g}{' frame by frame' * horizon}"] * frames
     add_settings(parser, "; ".join(weights), jumps=frames)
-    add_file_options(parser)
-    add_term_options(parser)
-    add_wall_options(parser)
+    plan_options.add_file_options(parser)
+    plan_options.add_term_options(parser)
+    plan_options.add_wall_options(parser)
     return parser
 
 
@@ -104,7 +90,7 @@ def _run(arguments: argparse.Namespace) -> int:
     _check_fit(arguments)
     for weight in swept or ():
         check_motion_weight(weight)
-    problem = moved(problems.load(arguments.problem, arguments), arguments)
+    problem = plan_options.moved(problems.load(arguments.problem, arguments), arguments)
     name = f"{path_component(problem.name)}-{arguments.formulation}-{arguments.model}"
     out, film = Path(arguments.out or f"runs/{name}"), film_file(arguments)
     check_folder(out, "plan", film)
@@ -132,7 +118,7 @@ def _run(arguments: argparse.Namespace) -> int:
 def _check_fit(arguments: argparse.Namespace) -> None:
     """Raise OptionError for an option that the chosen formulation does not have."""
     whole = arguments.formulation == HORIZON
-    for name in FRAMES_ALONE if whole else HORIZON_ALONE:
+    for name in plan_options.FRAMES_ALONE if whole else plan_options.HORIZON_ALONE:
         if not any(getattr(arguments, name, None) is unset for unset in (None, False)):
             fitting = f"one of {', '.join(FORMULATIONS)}" if whole else HORIZON
             raise OptionError(
@@ -143,9 +129,9 @@ def _check_fit(arguments: argparse.Namespace) -> None:
 
 def _settings(arguments: argparse.Namespace, problem: Problem, *names: str) -> Settings:
     """The Settings of the wall and of these names; raises OptionError, and ProblemError without a wall."""
-    if any(getattr(arguments, name) for name in WALL):
+    if any(getattr(arguments, name) for name in plan_options.WALL):
         check_radii(problem)
-    return settings_from(arguments, *names, *WALL)
+    return settings_from(arguments, *names, *plan_options.WALL)
 
 
 def _by_frame(arguments: argparse.Namespace, problem: Problem) -> Plan:
@@ -154,7 +140,7 @@ def _by_frame(arguments: argparse.Namespace, problem: Problem) -> Plan:
     start = None if arguments.start is None else read_start(arguments.start)
     checked_ends(problem, direction, start)
     chosen = arguments.formulation, arguments.solver, arguments.model, settings
-    solver = NlpFrames.of(problem, *chosen, terms_from(arguments))
+    solver = NlpFrames.of(problem, *chosen, plan_options.terms_from(arguments))
     problems.tell(problem)
     end_if_interrupted()
     with progress_bar() as labelled:
@@ -172,7 +158,7 @@ def _at_once(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan, lis
     initial = checked_motions(problem, [Plan.load(path).q for path in arguments.initial or ()])
     points: list[Point] = []
     with live.solving(problem, arguments.model) if arguments.live else nullcontext() as seen:
-        terms = terms_from(arguments)
+        terms = plan_options.terms_from(arguments)
         horizon = Horizon(problem, arguments.model, arguments.solver, start, end, settings, terms)
         problems.tell(problem)
         end_if_interrupted()

@@ -14,9 +14,10 @@ from ctr_nlp.figures.parts.palette import BLACK, tube_colour, tube_width
 from ctr_nlp.models.dominant import shape as dominant
 from ctr_nlp.plan.account import shown
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.studies.paper.checks import Check, number
 from ctr_nlp.studies.paper.clips import FOOT, LEFT, WIDTH, Group, clips
 from ctr_nlp.studies.paper.runs import BASELINE, HORIZON, NAMES, SEED, Found
-from ctr_nlp.studies.paper.section import Check, Section, Table, errors, motions, number
+from ctr_nlp.studies.paper.section import Section, Table, errors, motions
 from ctr_nlp.typing import Array
 
 PROBLEMS = {"euler": "(a) three Euler curves", "euler_mixed": "(b) a line, an arc and an Euler curve"}

@@ -12,9 +12,10 @@ from ctr_nlp.figures.parts.page import STYLE
 from ctr_nlp.plan.account import shown as written
 from ctr_nlp.plan.metrics import by_frame
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.studies.paper.checks import Check, number
 from ctr_nlp.studies.paper.clips import Group, clips, shown
 from ctr_nlp.studies.paper.runs import HORIZON, NAMES, SEED, Found
-from ctr_nlp.studies.paper.section import PRIMITIVE, Check, Section, Table, beside, motions, number
+from ctr_nlp.studies.paper.section import PRIMITIVE, Section, Table, beside, motions
 
 TOLERANCE = 1e-6
 """rad or mm by which a step may exceed what speeds allow."""

@@ -10,8 +10,9 @@ from matplotlib.figure import Figure
 from ctr_nlp.figures.errors import errors_compared, spread
 from ctr_nlp.plan.account import shown
 from ctr_nlp.plan.metrics import e1
+from ctr_nlp.studies.paper.checks import Check, number
 from ctr_nlp.studies.paper.runs import HORIZON, NAMES, SEED, Found
-from ctr_nlp.studies.paper.section import ALL, Check, Section, Table, beside, motions, number
+from ctr_nlp.studies.paper.section import ALL, Section, Table, beside, motions
 
 METHODS = HORIZON, SEED
 QUANTILES = {"quarter": 0.25, "median": 0.5, "three_quarters": 0.75, "most": 1.0}

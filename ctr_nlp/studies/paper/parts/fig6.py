@@ -8,8 +8,9 @@ from matplotlib.figure import Figure
 from ctr_nlp.figures.errors import by_frame_compared
 from ctr_nlp.plan.account import shown
 from ctr_nlp.plan.metrics import by_frame
+from ctr_nlp.studies.paper.checks import Check, part
 from ctr_nlp.studies.paper.runs import BASELINE, HORIZON, NAMES, SEED, Found
-from ctr_nlp.studies.paper.section import Check, Section, Table, beside, by_frames, motions, part
+from ctr_nlp.studies.paper.section import Section, Table, beside, by_frames, motions
 from ctr_nlp.typing import Array
 
 PROBLEMS = "cos", "arc", "synthesis", "bronchus"

@@ -11,8 +11,9 @@ from ctr_nlp.figures.motion import configuration_errors, error_from_truth, indis
 from ctr_nlp.figures.overlay import shapes
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.reference.published import SEED as PRINTED
+from ctr_nlp.studies.paper.checks import Check, number, order
 from ctr_nlp.studies.paper.runs import BASELINE, HORIZON, NAMES, SEED, Found
-from ctr_nlp.studies.paper.section import Check, Section, Table, beside, by_frames, mm, motions, number, order
+from ctr_nlp.studies.paper.section import Section, Table, beside, by_frames, mm, motions
 
 NAME = "synthesis"
 METHODS = HORIZON, SEED

@@ -7,9 +7,10 @@ from matplotlib.figure import Figure
 
 from ctr_nlp.figures.parts.page import STYLE
 from ctr_nlp.plan.account import shown as written
+from ctr_nlp.studies.paper.checks import Check, number
 from ctr_nlp.studies.paper.clips import Group, clips
 from ctr_nlp.studies.paper.runs import HORIZON, NAMES, SEED, TIP, Found
-from ctr_nlp.studies.paper.section import Check, Section, Table, by_frames, motions, number
+from ctr_nlp.studies.paper.section import Section, Table, by_frames, motions
 
 NAME = "bronchus"
 METHODS = HORIZON, SEED, TIP

@@ -8,21 +8,9 @@ from typing import Any
 from ctr_nlp.models import model_named
 from ctr_nlp.plan.account import shown
 from ctr_nlp.reference import published
+from ctr_nlp.studies.paper.checks import Check, listed, named, number, order, orders
 from ctr_nlp.studies.paper.runs import BASELINE, ELASTIC, HORIZON, JOINT, NAMES, OURS, SEED, Found
-from ctr_nlp.studies.paper.section import (
-    ALL,
-    COMPARABLE,
-    Check,
-    Section,
-    Table,
-    listed,
-    mm,
-    motions,
-    named,
-    number,
-    order,
-    orders,
-)
+from ctr_nlp.studies.paper.section import ALL, COMPARABLE, Section, Table, mm, motions
 
 METHODS = SEED, BASELINE, JOINT, HORIZON, ELASTIC
 MODELS = {"dominant": "stiffness", "elastic": "compliant"}
