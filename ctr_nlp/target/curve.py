@@ -53,19 +53,11 @@ class Curve(Value):
     deviation_share: float = 0.0
 
     def __post_init__(self) -> None:
-        number(
-            CurveError,
-            "length of a curve",
-            self.length,
-            lambda x: 0 < x < math.inf,
-            "be a finite number > 0",
-            " mm",
-        )
+        what, allowed = "length of a curve", "be a finite number > 0"
+        number(CurveError, what, self.length, lambda x: 0 < x < math.inf, allowed, " mm")
         for name in ("point", "tangent", "curvature"):
-            if not callable(getattr(self, name)):
-                raise CurveError(
-                    f"{name} of a curve is {getattr(self, name)!r:.80}; it must be a function of arc length"
-                )
+            if not callable(given := getattr(self, name)):
+                raise CurveError(f"{name} of a curve is {given!r:.80}; it must be a function of arc length")
 
     def __repr__(self) -> str:
         walled = ", within a lumen" if self.radius else ""
@@ -82,13 +74,13 @@ class Curve(Value):
             number(CurveError, f"{name} of a piece", end, math.isfinite, "be a finite number of mm")
         if not 0 <= start < stop <= self.length:
             raise CurveError(f"piece [{start:g}, {stop:g}] mm of a curve: it must lie within [0, {self.length:g}]")
-        return self._through(Piece(self, start), stop - start)
+        return self._through(Piece(self, start, 1.0), stop - start)
 
     def reversed(self) -> Curve:
         """The same curve from its last point to its first."""
-        return self._through(Turned(self), self.length)
+        return self._through(Piece(self, self.length, -1.0), self.length)
 
-    def _through(self, piece: Piece | Turned, length: float) -> Curve:
+    def _through(self, piece: Piece, length: float) -> Curve:
         radius = None if self.radius is None else piece.radius
         smoothed = self.deviation, self.deviation_share
         return Curve(length, piece.point, piece.tangent, piece.curvature, radius, None, *smoothed)
@@ -133,14 +125,15 @@ class Curve(Value):
 @packable("piece")
 @dataclass(frozen=True, eq=False)
 class Piece(Value):
-    """A curve from arc length start on, in mm."""
+    """A curve from arc length start on, in mm; direction: 1 along it, -1 back towards its first point."""
 
     curve: Curve
     start: float
+    direction: float
 
     def at(self, s: Array) -> Array:
         """The curve's arc length, (n,) mm."""
-        return s + self.start
+        return self.start + self.direction * s
 
     def point(self, s: Array) -> Array:
         """(n, 3) mm."""
@@ -148,7 +141,7 @@ class Piece(Value):
 
     def tangent(self, s: Array) -> Array:
         """(n, 3), of length 1."""
-        return self.curve.tangent(self.at(s))
+        return self.direction * self.curve.tangent(self.at(s))
 
     def curvature(self, s: Array) -> Array:
         """(n,) 1/mm."""
@@ -158,22 +151,6 @@ class Piece(Value):
         """Of the lumen, (n,) mm, where the curve knows it."""
         assert self.curve.radius is not None
         return self.curve.radius(self.at(s))
-
-
-@packable("turned")
-@dataclass(frozen=True, eq=False)
-class Turned(Piece):
-    """A curve from its last point to its first."""
-
-    start: float = 0.0
-
-    def at(self, s: Array) -> Array:
-        """The curve's arc length, (n,) mm."""
-        return np.asarray(self.curve.length - s)
-
-    def tangent(self, s: Array) -> Array:
-        """(n, 3), of length 1."""
-        return -self.curve.tangent(self.at(s))
 
 
 @packable("moved")
