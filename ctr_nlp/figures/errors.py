@@ -14,7 +14,15 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from ctr_nlp.figures.parts.page import STYLE, curve, frame_axis, head, panels, root_scale, shade_failures
+from ctr_nlp.figures.parts.page import (
+    STYLE,
+    by_frames,
+    curve,
+    frame_axis,
+    head,
+    panels,
+    root_scale,
+)
 from ctr_nlp.figures.parts.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
 from ctr_nlp.plan import metrics
 from ctr_nlp.plan.plan import Plan
@@ -42,12 +50,10 @@ def by_frame(plan: Plan) -> Figure:
     """Maximum of e1, e2, tip distance and distance to the nearest target point by frame, in mm."""
     figure = Figure(figsize=(7.0, 3.6), layout="constrained")
     axes = figure.subplots()
-    columns = metrics.by_frame(plan)
-    shade_failures(axes, plan, columns["frame"], 1.0)
+    columns, frames = metrics.by_frame(plan), by_frames(axes, plan)
     for name, look in CURVES.items():
-        curve(axes, columns["frame"], columns[name], **look)
+        curve(axes, frames, columns[name], **look)
     axes.set_ylim(bottom=0.0)
-    frame_axis(axes, len(plan.time))
     axes.set_ylabel("distance (mm)")
     figure.legend(loc="outside lower center", ncols=4)
     head(figure, plan, "Error by frame")

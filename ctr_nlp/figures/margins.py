@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import matplotlib
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 
-from ctr_nlp.figures.parts.page import STYLE, curve, frame_axis, head, shade_failures
+from ctr_nlp.figures.parts.page import STYLE, by_frames, curve, head, legend_of, shade_failures
 from ctr_nlp.figures.parts.palette import BLUE, CONTACT, ORANGE, ROOMY, VERMILLION, tube_colour, tube_width
 from ctr_nlp.plan.measures import contacts
 from ctr_nlp.plan.plan import Plan
@@ -22,8 +21,7 @@ def stability(plan: Plan) -> Figure:
     """Stability margin at every frame and on the way to it, the one asked for, and snaps."""
     figure = Figure(figsize=(7.0, 3.2), layout="constrained")
     axes = figure.subplots()
-    frames = np.arange(1, len(plan.time) + 1)
-    shade_failures(axes, plan, frames, 1.0)
+    frames = by_frames(axes, plan)
     curve(axes, frames, plan.stability_between, color=ORANGE, lw=1.2, ls="--", label="on the way to a frame")
     curve(axes, frames, plan.stability, color=BLUE, lw=2.0, ls="-", label="at a frame")
     asked = plan.meta["options"].get("stability_margin")
@@ -34,7 +32,6 @@ def stability(plan: Plan) -> Figure:
     axes.axhline(0.0, color="0.3", lw=0.6)
     low = float(np.nanmin(np.append(plan.stability_between[np.isfinite(plan.stability_between)], 0.0)))
     axes.set_ylim(min(1.15 * low, -0.02), 1.05)
-    frame_axis(axes, len(frames))
     axes.set_ylabel("stability margin")
     figure.legend(loc="outside lower center", ncols=4)
     head(figure, plan, "Stability")
@@ -55,15 +52,11 @@ def clearance(plan: Plan) -> Figure:
     assert plan.clearance is not None
     figure = Figure(figsize=(7.0, 5.8), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
-    frames = np.arange(1, len(plan.time) + 1)
-    for axes in (upper, lower):
-        shade_failures(axes, plan, frames, 1.0)
+    shade_failures(upper, plan, by_frames(lower, plan), 1.0)
     _map(figure, upper, plan, plan.clearance)
     _ends(upper, plan)
-    _least(lower, frames, plan.clearance.min(axis=1))
-    frame_axis(lower, len(frames))
-    named = [axes.get_legend_handles_labels() for axes in (lower, upper)]
-    handles = {label: handle for some, labels in named for handle, label in zip(some, labels, strict=True)}
+    _least(lower, plan.clearance.min(axis=1))
+    handles = legend_of(lower, upper)
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4)
     head(figure, plan, "Clearance from the lumen's wall")
     return figure
@@ -98,8 +91,9 @@ def _ends(axes: Axes, plan: Plan) -> None:
         axes.plot(*deepest.T, color="black", mfc="white", ls="", marker="o", ms=5, label="deepest in contact")
 
 
-def _least(axes: Axes, frames: npt.NDArray[np.int_], least: Array) -> None:
+def _least(axes: Axes, least: Array) -> None:
     """The least of every frame over what is beyond the wall."""
+    frames = np.arange(1, len(least) + 1)
     curve(axes, frames, least, color=BLUE, lw=1.8)
     touching = least < 0
     if touching.any():

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ctr_nlp.figures.parts.page import STYLE, at_least, curve, head, shade, shade_failures
+from ctr_nlp.figures.parts.page import STYLE, at_least, curve, head, legend_of, shade, shade_failures
 from ctr_nlp.figures.parts.palette import AMBIGUOUS, TILT, tube_colour, tube_width
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.simulation.forward import other_way
@@ -83,8 +83,7 @@ def _look(name: str, i: int, d: int) -> dict[str, Any]:
 
 def _legend(row: npt.NDArray[np.object_]) -> None:
     """One legend to the right of the row for all that its panels name."""
-    named = [axes.get_legend_handles_labels() for axes in row]
-    handles = {label: handle for some, labels in named for handle, label in zip(some, labels, strict=True)}
+    handles = legend_of(*row)
     row[-1].legend(handles.values(), handles.keys(), loc="center left", bbox_to_anchor=(1.01, 0.5))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -78,26 +79,18 @@ def _tubes(k3d: Any, plan: Plan, scales: Sequence[Scale]) -> list[Any]:
     sigma = _visible(plan)
     for i in range(plan.robot.d):
         vertices = _over_time(_at(sigma[:, i], plan.shape))
-        look = {"width": float(radius[i]), "shader": "mesh", "radial_segments": 16}
-        colour = _packed(tube_colour(i))
-        found.append(
-            k3d.line(vertices, color=colour, name=f"tube {i + 1}", custom_data={"colouring": BY_TUBE}, **look)
-        )
-        for scale in scales:
-            if scale.key in known:
-                values = np.clip(np.nan_to_num(known[scale.key], nan=scale.low), scale.low, scale.high)
-                found.append(
-                    k3d.line(
-                        vertices,
-                        attribute=_over_time(_at(sigma[:, i], values[..., None])[..., 0]),
-                        color_map=[part for at, colour in scale.stops for part in (at, *to_rgb(colour))],
-                        color_range=[scale.low, scale.high],
-                        visible=False,
-                        name=f"tube {i + 1} by {scale.key}",
-                        custom_data={"colouring": scale.key},
-                        **look,
-                    )
-                )
+        tube = partial(k3d.line, vertices, width=float(radius[i]), shader="mesh", radial_segments=16)
+        named = {"name": f"tube {i + 1}", "custom_data": {"colouring": BY_TUBE}}
+        found.append(tube(color=_packed(tube_colour(i)), **named))
+        for scale in (scale for scale in scales if scale.key in known):
+            values = np.clip(np.nan_to_num(known[scale.key], nan=scale.low), scale.low, scale.high)
+            coloured = {
+                "attribute": _over_time(_at(sigma[:, i], values[..., None])[..., 0]),
+                "color_map": [part for at, colour in scale.stops for part in (at, *to_rgb(colour))],
+                "color_range": [scale.low, scale.high],
+            }
+            named = {"name": f"tube {i + 1} by {scale.key}", "custom_data": {"colouring": scale.key}}
+            found.append(tube(visible=False, **coloured, **named))
     return found
 
 
@@ -105,39 +98,17 @@ def _surroundings(k3d: Any, plan: Plan) -> list[Any]:
     """Target, insertion point and axis, the robot's holder with its tilt, and the wall where it is known."""
     tilted = Rotation.from_euler("xy", np.nan_to_num(plan.theta)).apply([0.0, 0.0, -HOLDER])
     radius = float(outer_radius(plan.robot)[0])
+    line, black = partial(k3d.line, shader="mesh"), _packed(BLACK)
+    axis, holder = [[0.0, 0.0, -1.5 * HOLDER], [0.0, 0.0, HOLDER]], np.stack([tilted, 0 * tilted], axis=1)
     found = [
-        k3d.line(_over_time(plan.target), color=_packed(BLACK), width=TARGET_RADIUS, shader="mesh", name="target"),
-        k3d.points(
-            [[0.0, 0.0, 0.0]], point_size=POINT_SIZE * radius, color=_packed(BLACK), name="insertion point"
-        ),
-        k3d.line(
-            [[0.0, 0.0, -1.5 * HOLDER], [0.0, 0.0, HOLDER]],
-            color=AXIS,
-            width=AXIS_RADIUS,
-            shader="mesh",
-            name="insertion axis",
-        ),
-        k3d.line(
-            _over_time(np.stack([tilted, np.zeros_like(tilted)], axis=1)),
-            color=HELD,
-            width=1.5 * radius,
-            shader="mesh",
-            name="holder, tilted",
-        ),
+        line(_over_time(plan.target), color=black, width=TARGET_RADIUS, name="target"),
+        k3d.points([[0.0, 0.0, 0.0]], point_size=POINT_SIZE * radius, color=black, name="insertion point"),
+        line(axis, color=AXIS, width=AXIS_RADIUS, name="insertion axis"),
+        line(_over_time(holder), color=HELD, width=1.5 * radius, name="holder, tilted"),
     ]
     if plan.lumen is not None:
-        vertices, indices = _wall(plan.lumen)
-        found.append(
-            k3d.mesh(
-                vertices,
-                indices,
-                color=WALL,
-                opacity=OPACITY,
-                flat_shading=False,
-                side="double",
-                name="lumen",
-            )
-        )
+        look = {"color": WALL, "opacity": OPACITY, "flat_shading": False, "side": "double"}
+        found.append(k3d.mesh(*_wall(plan.lumen), name="lumen", **look))
     return found
 
 
@@ -173,12 +144,8 @@ def _over_time(frames: Any) -> dict[str, npt.NDArray[np.float32]]:
 
 def box(plans: Sequence[Plan]) -> tuple[Array, Array]:
     """Corners (3,) mm of all that is ever seen of plans."""
-    points = np.concatenate(
-        [
-            [[0.0, 0.0, -HOLDER], [0.0, 0.0, HOLDER]],
-            *(points_of_all([plan.target, plan.shape], plan.lumen) for plan in plans),
-        ]
-    )
+    seen = [points_of_all([plan.target, plan.shape], plan.lumen) for plan in plans]
+    points = np.concatenate([[[0.0, 0.0, -HOLDER], [0.0, 0.0, HOLDER]], *seen])
     return np.nanmin(points, axis=0), np.nanmax(points, axis=0)
 
 

@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from ctr_nlp.figures.overlay import TARGET
 from ctr_nlp.figures.parts.page import outcome, printable
 from ctr_nlp.figures.parts.palette import BLACK, BLUE, FAILED
-from ctr_nlp.figures.parts.space import Body, frame, insertion_point, key, points_of_all, span, wall
+from ctr_nlp.figures.parts.space import Body, frame, key, points_of_all, stage
 from ctr_nlp.models import MODELS
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
@@ -53,17 +53,13 @@ class Solving:
 
     def begin(self, figure: Figure) -> None:
         """Draw what stays: box, wall, insertion point and targets."""
-        axes: Any = figure.add_axes((0.0, 0.08, 0.5, 0.84), projection="3d")
+        axes = stage(figure, (0.0, 0.08, 0.5, 0.84), self.lumen)
         count = len(self.target)
         self._frames = np.unique(np.ceil(np.arange(1, SHOWN + 1) * count / SHOWN).astype(int) - 1)
-        if self.lumen is not None:
-            wall(axes, self.lumen)
-        insertion_point(axes)
         self._bodies = [Body(axes, self.robot.d) for _ in self._frames]
         for j in self._frames:
             axes.plot(*self.target[j].T, zorder=5, **TARGET)
-        points = points_of_all([self.target], self.lumen)
-        frame(axes, points, span(points))
+        frame(axes, points_of_all([self.target], self.lumen))
         self._curves = list[tuple[Axes, Line2D]]()
         for row, (label, colour) in enumerate((("objective (mm²)", BLUE), ("KKT residual", BLACK))):
             panel = figure.add_axes((0.6, 0.57 - 0.4 * row, 0.36, 0.33))
@@ -72,31 +68,29 @@ class Solving:
             self._curves.append((panel, panel.plot([], [], color=colour, lw=0.8, marker=".", ms=2)[0]))
             panel.xaxis.set_major_locator(MaxNLocator(integer=True))
         panel.set_xlabel("iterate, of all starts")
-        figure.suptitle(
-            printable(f"{self.name}: the motion while it is solved for"), fontsize=10, parse_math=False
-        )
+        title = printable(f"{self.name}: the motion while it is solved for")
+        figure.suptitle(title, fontsize=10, parse_math=False)
         self._now = figure.text(0.25, 0.925, "looking for motions to start from", ha="center", va="center")
         figure.legend(handles=key(self.robot.d, self.lumen is not None), loc="lower center", ncols=6)
 
     def show(self, state: Stage | Plan) -> None:
         """The newest motion and all iterates; or a plan, in their place."""
         if isinstance(state, Plan):
-            self._draw(state.shape[self._frames], state.beta[self._frames])
-            self._tell(f"the plan: {outcome(summary(state))}")
+            shapes, beta = state.shape[self._frames], state.beta[self._frames]
+            self._show(shapes, beta, f"the plan: {outcome(summary(state))}")
             return
         motion = state.motion[self._frames]
-        self._draw(MODELS[self.model].points(self.robot, motion, SIGMA), self.robot.split(motion)[1])
+        shapes, beta = MODELS[self.model].points(self.robot, motion, SIGMA), self.robot.split(motion)[1]
         for (panel, line), values in zip(self._curves, (state.objective, state.error), strict=True):
             line.set_data(np.arange(len(values)), np.where(values > 0, values, np.nan))
             panel.relim()
             panel.autoscale_view()
-        self._tell(f"iterate {np.isfinite(state.error).sum()}, objective {state.objective[-1]:.4g} mm²")
+        number = np.isfinite(state.error).sum()
+        self._show(shapes, beta, f"iterate {number}, objective {state.objective[-1]:.4g} mm²")
 
-    def _draw(self, shapes: Array, beta: Array) -> None:
+    def _show(self, shapes: Array, beta: Array, words: str) -> None:
         for body, shape, row in zip(self._bodies, shapes, beta, strict=True):
             body.show(shape, row)
-
-    def _tell(self, words: str) -> None:
         self._now.set_text(f"frames {', '.join(str(j + 1) for j in self._frames)}; {words}")
 
 
@@ -127,15 +121,11 @@ class Playing:
     def begin(self, figure: Figure) -> None:
         """Draw what stays: box, wall, insertion point."""
         plan = self.plan
-        axes: Any = figure.add_axes((0.0, 0.08, 1.0, 0.84), projection="3d")
-        if plan.lumen is not None:
-            wall(axes, plan.lumen)
-        insertion_point(axes)
+        axes = stage(figure, (0.0, 0.08, 1.0, 0.84), plan.lumen)
         self._commanded = Body(axes, plan.robot.d, **COMMANDED), Shapes(plan.robot, plan.evaluated)
         self._measured = Body(axes, plan.robot.d), Shapes(plan.robot, plan.evaluated)
         self._target = axes.plot([], [], [], zorder=5, **TARGET)[0]
-        points = points_of_all([plan.shape, plan.target], plan.lumen)
-        frame(axes, points, span(points))
+        frame(axes, points_of_all([plan.shape, plan.target], plan.lumen))
         figure.suptitle(printable(f"{plan.meta['problem']['name']}, played"), fontsize=10, parse_math=False)
         self._now = figure.text(0.5, 0.925, "waiting", ha="center", va="center")
         commanded = Line2D([], [], label="commanded", **{name: COMMANDED[name] for name in ("color", "lw")})

@@ -90,6 +90,20 @@ def alone(y: npt.NDArray[np.float64]) -> npt.NDArray[np.int_]:
     return np.flatnonzero(known[1:-1] & ~known[:-2] & ~known[2:])
 
 
+def by_frames(axes: Axes, plan: Plan) -> npt.NDArray[np.int_]:
+    """A horizontal axis of a plan's frames, those that failed shaded behind it; their numbers (T,), from 1."""
+    frames = np.arange(1, len(plan.time) + 1)
+    shade_failures(axes, plan, frames, 1.0)
+    frame_axis(axes, len(frames))
+    return frames
+
+
+def legend_of(*panels: Axes) -> dict[str, Any]:
+    """What panels name: labels, each once, and handles for a legend."""
+    named = [axes.get_legend_handles_labels() for axes in panels]
+    return {label: handle for some, labels in named for handle, label in zip(some, labels, strict=True)}
+
+
 def frame_axis(axes: Axes, frames: int) -> None:
     """Frames, from 1, along the horizontal axis."""
     axes.set_xlim(0.5, max(frames, 1) + 0.5)
