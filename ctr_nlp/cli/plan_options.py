@@ -40,7 +40,7 @@ def add_motion_options(parser: argparse.ArgumentParser) -> None:
     """What is asked of any motion."""
     group = parser.add_argument_group("the motion")
     group.add_argument("--start", metavar="Q.json", help="configuration at time 0, where the robot stands now")
-    group.add_argument("--retract", action="store_true", help="plan the way back: the frames in opposite order")
+    group.add_argument("--retract", action="store_true", help="plan the retraction: the frames in opposite order")
     group.add_argument("--lock-tilt", action="store_true", help="no arm: the tilt stays 0")
     for kind, units in (("speed", "rad/s, mm/s, rad/s"), ("acceleration", "rad/s^2, mm/s^2, rad/s^2")):
         group.add_argument(

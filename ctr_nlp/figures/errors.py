@@ -96,7 +96,10 @@ def errors(plan: Plan) -> Figure:
     groups = _groups(plan)
     for values, begin, end in spread(plan):
         _violin(axes, values, (begin + end) / 2, 0.85 * (end - begin), SKY)
-    _label(axes, plan, sorted({len(group) for group in groups}))
+    sizes = sorted({len(group) for group in groups})
+    count = " or ".join(map(str, sizes)) + (" frame" if sizes == [1] else " frames")
+    _over_time(axes, plan, f"time (s)\n{count} a violin; bar and dot: middle half and median")
+    axes.set_ylim(bottom=0.0)
     head(figure, plan, "Distance from robot to target")
     return figure
 
@@ -113,19 +116,11 @@ def errors_compared(plans: Mapping[str, Mapping[str, Plan]]) -> Figure:
             for values, begin, end in spread(plan):
                 half = (end - begin) / 2
                 _violin(axes, values, begin + (k + 0.5) * half, 0.85 * half, colour)
-        axes.set_xlim(0.0, plan.time[-1])
-        axes.grid(visible=False, axis="x")
+        _over_time(axes, plan, "time (s)")
         root_scale(axes)
-        axes.set_xlabel("time (s)")
-        axes.set_ylabel("e1 (mm)")
-    figure.legend(
-        handles=[
-            Patch(facecolor=colour, edgecolor=BLACK, lw=0.6, label=name)
-            for name, colour in zip(pair, COLOURS, strict=True)
-        ],
-        loc="outside lower center",
-        ncols=2,
-    )
+    look: dict[str, Any] = {"edgecolor": BLACK, "lw": 0.6}
+    handles = [Patch(facecolor=c, label=name, **look) for name, c in zip(pair, COLOURS, strict=True)]
+    figure.legend(handles=handles, loc="outside lower center", ncols=2)
     return figure
 
 
@@ -156,10 +151,8 @@ def _violin(axes: Axes, values: Array, centre: float, width: float, colour: str)
     axes.plot([centre], [median], marker="o", ms=4, mfc="white", mec=BLACK, mew=0.8)
 
 
-def _label(axes: Axes, plan: Plan, sizes: list[int]) -> None:
+def _over_time(axes: Axes, plan: Plan, label: str) -> None:
     axes.set_xlim(0.0, plan.time[-1])
-    axes.set_ylim(bottom=0.0)
     axes.grid(visible=False, axis="x")
-    count = " or ".join(str(size) for size in sizes) + (" frame" if sizes == [1] else " frames")
-    axes.set_xlabel(f"time (s)\n{count} a violin; bar and dot: middle half and median")
+    axes.set_xlabel(label)
     axes.set_ylabel("e1 (mm)")

@@ -37,7 +37,7 @@ TOUCHED, MISSED = 1e-5, 1e-2
 
 @dataclass(frozen=True)
 class Variant:
-    """A way to solve a problem: formulation:solver[:model], or the name of a reference method.
+    """A method for solving a problem: formulation:solver[:model], or the name of a reference method.
 
     plan: (problem, settings, initial, progress) -> Plan, with motions that a horizon starts from.
     """

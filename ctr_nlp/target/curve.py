@@ -15,7 +15,7 @@ from ctr_nlp.support.equal import Kept, Value
 from ctr_nlp.support.packing import packable
 from ctr_nlp.support.values import floats, number
 from ctr_nlp.target.arc_length import ByArcLength, Formula, Radii, Spline
-from ctr_nlp.target.points import checked_points, checked_radii, evened
+from ctr_nlp.target.points import checked_points, checked_radii, evened, walked
 from ctr_nlp.typing import Array, Field
 
 CELLS = 2000
@@ -191,7 +191,7 @@ def curve_from_points(points: npt.ArrayLike, radius: npt.ArrayLike | None = None
     """
     given = checked_points(points)
     radii = None if radius is None else checked_radii(radius, len(given))
-    chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(given, axis=0), axis=1))])
+    chord = walked(given)
     per_span = max(1, CELLS // (len(chord) - 1))
     breaks = np.interp(np.arange(per_span * (len(chord) - 1) + 1) / per_span, np.arange(len(chord)), chord)
     by_chord = _by_arc_length(Spline(chord, given, by_smoothing=True), breaks)

@@ -65,6 +65,11 @@ def check_coordinates(points: Array) -> None:
         )
 
 
+def walked(points: Array) -> Array:
+    """Lengths (n,) of the straight lines from point to point, from the first of points (n, 3) on, mm."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+
+
 def checked_radii(radius: npt.ArrayLike, count: int) -> Array:
     """A read-only copy of the lumen's radii (count,) in mm; raises CurveError."""
     try:

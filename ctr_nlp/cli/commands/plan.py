@@ -11,19 +11,9 @@ from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 
+from ctr_nlp.cli import arguments as options
 from ctr_nlp.cli import live, plan_options, problems
-from ctr_nlp.cli.arguments import (
-    DEFAULTS,
-    FRAME_SETTINGS,
-    add_compile_option,
-    add_film_option,
-    add_out_option,
-    add_problem_options,
-    add_settings,
-    film_file,
-    read_start,
-    settings_from,
-)
+from ctr_nlp.cli.arguments import DEFAULTS, FRAME_SETTINGS, film_file, read_start, settings_from
 from ctr_nlp.cli.console import INTERRUPTED, Command, console, progress_bar
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.cli.output.names import path_component
@@ -55,7 +45,7 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
         "goes into DIR/interrupted, and DIR's own files stay).",
     )
     parser.add_argument("problem", metavar="PROBLEM", help=problems.KINDS)
-    add_problem_options(parser)
+    options.add_problem_options(parser)
     parser.set_defaults(formulation=formulations[0])
     if len(formulations) > 1:
         help = "horizon: all frames at once; the others frame by frame " * (horizon and frames)
@@ -68,9 +58,9 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
         choices=list(dict.fromkeys(solvers)),
         help=f"(default {compiled} where there is a C compiler, else ipopt)",
     )
-    add_compile_option(parser)
-    add_out_option(parser, "runs/PROBLEM-FORMULATION-MODEL")
-    add_film_option(parser)
+    options.add_compile_option(parser)
+    options.add_out_option(parser, "runs/PROBLEM-FORMULATION-MODEL")
+    options.add_film_option(parser)
     plan_options.add_motion_options(parser)
     if frames:
         plan_options.add_frame_options(parser)
@@ -78,7 +68,7 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
         plan_options.add_horizon_options(parser)
     weights = ["motion costs a tenth of the start's shape errors"] * horizon
     weights += [f"{DEFAULTS.motion_weight:g}{' frame by frame' * horizon}"] * frames
-    add_settings(parser, "; ".join(weights), jumps=frames)
+    options.add_settings(parser, "; ".join(weights), jumps=frames)
     plan_options.add_file_options(parser)
     plan_options.add_term_options(parser)
     plan_options.add_wall_options(parser)

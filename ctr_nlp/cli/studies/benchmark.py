@@ -21,7 +21,7 @@ from ctr_nlp.studies.benchmarks.horizons import growth, horizons
 from ctr_nlp.target.problem import Problem
 
 SHAPES = ("cos", "arc", "line", "line_arc", "synthesis")
-"""The five problems of the seed whose targets are known."""
+"""The five problems of the paper whose targets are known."""
 SIZES = (100, 1000, 5000)
 """Frames over which the time and memory of an iteration are followed."""
 BASELINE = Path(__file__).resolve().parents[3] / "scripts" / "benchmark_baseline.json"

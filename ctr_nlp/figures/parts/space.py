@@ -13,6 +13,7 @@ from ctr_nlp.figures import overlay
 from ctr_nlp.figures.overlay import parts
 from ctr_nlp.figures.parts.palette import BLACK, tube_colour, tube_width
 from ctr_nlp.target.lumen import rings
+from ctr_nlp.target.points import walked
 from ctr_nlp.typing import Array
 
 SLIM = 0.3
@@ -82,7 +83,7 @@ def _facing(points: Array) -> float:
 def wall(axes: Any, lumen: Array) -> None:
     """The wall of a lumen (N, 4): x, y, z and radius in mm, as rings and lines along it."""
     surface = rings(lumen, np.linspace(0.0, 2 * np.pi, AROUND))
-    along = np.append(0.0, np.linalg.norm(np.diff(lumen[:, :3], axis=0), axis=1).cumsum())
+    along = walked(lumen[:, :3])
     chosen = np.searchsorted(along, np.append(np.arange(0.0, along[-1], RINGS), along[-1]))
     lines = [*surface[chosen], *surface.swapaxes(0, 1)[:: (AROUND - 1) // MESHES][:-1]]
     apart = np.full((1, 3), np.nan)

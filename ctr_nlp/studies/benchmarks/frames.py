@@ -149,22 +149,18 @@ ELASTIC_ROUNDS = 5
 def planned(problem: Problem) -> Iterator[Record]:
     """Times of an elastic frame by compiled SQP and by interpreted IPOPT, each from where SQP stood before."""
     solvers = {name: NlpFrames.of(problem, "joint", name, "elastic") for name in ("sqp", "ipopt")}
-    seconds: dict[str, list[float]] = {name: [] for name in solvers}
-    failed = dict.fromkeys(solvers, 0)
+    times = {name: Times() for name in solvers}
     before = solvers["sqp"].search(0)[0]
     for frame in range(1, problem.frames):
         found: dict[str, FrameResult] = {}
         for name in solvers if frame % EVERY == 0 else ("sqp",):
-            begin = time.perf_counter()
-            found[name] = solvers[name].step(frame, before)
-            seconds[name].append(time.perf_counter() - begin)
-            failed[name] += not found[name].success
+            found[name] = times[name].take(solvers[name].step, frame, before)
         before = found["sqp"]
-    median = {name: statistics.median(taken) for name, taken in seconds.items()}
-    for name in solvers:
+    median = {name: statistics.median(taken.seconds) for name, taken in times.items()}
+    for name, taken in times.items():
         which = f"{problem.name}, an elastic frame, {name}"
         yield Record(f"{which}: median", 1e6 * median[name], "us", "less")
-        yield Record(f"{which}: not solved", failed[name], "", "less", 0.0 if name == "sqp" else None)
+        yield Record(f"{which}: not solved", taken.failed, "", "less", 0.0 if name == "sqp" else None)
     ratio = median["ipopt"] / median["sqp"]
     yield Record(f"{problem.name}, an elastic frame: ipopt / sqp", ratio, "", "more", RATIO)
 

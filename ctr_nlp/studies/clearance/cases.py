@@ -27,7 +27,7 @@ from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import growing
 
 Source = Path | int
-"""A centreline file with radii, or the paper of a synthetic airway."""
+"""A centreline file with radii, or the seed of a synthetic airway."""
 FOLLOWED_MM = 150.0
 """mm of a synthetic airway that are followed, its last."""
 WITHOUT, WITH, FIRST = Settings(contact_weight=0.0), Settings(), Settings(clearance_cost=math.inf)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from ctr_nlp.figures.errors import errors_compared, spread
 from ctr_nlp.plan.account import shown
@@ -61,11 +60,6 @@ def rows(found: Found) -> list[dict[str, Any]]:
     ]
 
 
-def draw(found: Found) -> Figure:
-    """Violins of both methods for all six problems."""
-    return errors_compared({problem: found.named(problem, METHODS) for problem in ALL})
-
-
 SECTION = Section(
     "fig5",
     "Fig. 5: distance between robot and target over the shape and over time",
@@ -77,5 +71,5 @@ SECTION = Section(
     tables,
     checks,
     rows,
-    draw,
+    lambda found: errors_compared({problem: found.named(problem, METHODS) for problem in ALL}),
 )

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from ctr_nlp.figures.errors import by_frame_compared
 from ctr_nlp.plan.account import shown
 from ctr_nlp.plan.metrics import by_frame
 from ctr_nlp.studies.paper.checks import Check, part
 from ctr_nlp.studies.paper.runs import BASELINE, HORIZON, NAMES, SEED, Found
-from ctr_nlp.studies.paper.section import Section, Table, beside, by_frames, motions
+from ctr_nlp.studies.paper.section import Section, beside, by_frames, motions
 from ctr_nlp.typing import Array
 
 PROBLEMS = "cos", "arc", "synthesis", "bronchus"
@@ -23,11 +22,6 @@ INFERIOR = 1.5
 """Times by which an error is larger that is significantly so."""
 CONSISTENT = 0.9
 """Part of the frames in which what is so consistently is so."""
-
-
-def tables(found: Found) -> list[Table]:
-    """Published e3 and e4 beside ours."""
-    return [beside(found, PROBLEMS)]
 
 
 def checks(found: Found) -> list[Check]:
@@ -109,11 +103,6 @@ def _apart(a: float, b: float) -> float:
     return max(a, b) / min(a, b) - 1
 
 
-def draw(found: Found) -> Figure:
-    """All three methods on all four problems."""
-    return by_frame_compared({problem: found.named(problem, METHODS) for problem in PROBLEMS})
-
-
 SECTION = Section(
     "fig6",
     "Fig. 6: largest error and RMSE by frame",
@@ -123,8 +112,8 @@ SECTION = Section(
     "The curves of the paper's Fig. 6: only the statements below and Table II are known. Its weights of the "
     "motion term, 100 for its method and 500 for the baseline, have no unit; both re-implementations here use "
     "ours. Its bronchus is not public, ours is another.",
-    tables,
+    lambda found: [beside(found, PROBLEMS)],
     checks,
     by_frames(PROBLEMS, METHODS, ("e2", "max")),
-    draw,
+    lambda found: by_frame_compared({problem: found.named(problem, METHODS) for problem in PROBLEMS}),
 )

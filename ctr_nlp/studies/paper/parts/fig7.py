@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from ctr_nlp.figures.motion import configuration_errors, error_from_truth, indistinct
 from ctr_nlp.figures.overlay import shapes
@@ -84,11 +83,6 @@ def rows_of_errors(found: Found) -> list[dict[str, Any]]:
     return result
 
 
-def draw_errors(found: Found) -> Figure:
-    """Errors of both methods."""
-    return configuration_errors(found.named(NAME, METHODS))
-
-
 FIG7 = Section(
     "fig7",
     "Fig. 7: time-varying target shapes",
@@ -113,5 +107,5 @@ FIG8 = Section(
     tables_of_errors,
     checks_of_errors,
     rows_of_errors,
-    draw_errors,
+    lambda found: configuration_errors(found.named(NAME, METHODS)),
 )
