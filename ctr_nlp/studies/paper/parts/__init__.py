@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from ctr_nlp.studies.paper.parts import fig3, fig4, fig5, fig6, fig7, fig9, fig10, table2
+from ctr_nlp.studies.paper.parts import fig3, fig4, fig6, fig7, fig10, table2
 from ctr_nlp.studies.paper.section import Section
 
 SECTIONS: dict[str, Section] = {
     section.name: section
     for section in (
         fig3.SECTION,
-        fig4.SECTION,
+        fig4.FIG4,
         table2.SECTION,
-        fig5.SECTION,
-        fig6.SECTION,
+        fig6.FIG5,
+        fig6.FIG6,
         fig7.FIG7,
         fig7.FIG8,
-        fig9.SECTION,
+        fig4.FIG9,
         fig10.SECTION,
     )
 }
