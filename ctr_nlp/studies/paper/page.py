@@ -7,7 +7,7 @@ import platform
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from ctr_nlp.figures.files import save
+from ctr_nlp.figures import save
 from ctr_nlp.studies.paper.runs import NAMES, SETTINGS, Found
 from ctr_nlp.studies.paper.section import Section
 from ctr_nlp.support import tables
