@@ -53,19 +53,11 @@ def write_front(points: Sequence[Point], problem: str, folder: Path) -> None:
 
 def print_front(points: Sequence[Point]) -> None:
     """A line a weight, then a line a method."""
-    print_table(
-        "error against roughness (a star: not solved everywhere)",
-        ("", "weight s²", "e3 mm", "roughness mm²/s"),
-        [
-            (
-                point.method + ("" if point.solved else " *"),
-                f"{point.motion_weight:.2g}",
-                point.e3,
-                f"{point.roughness:.0f}",
-            )
-            for point in points
-        ],
-    )
+    rows = [
+        (p.method + " *" * (not p.solved), f"{p.motion_weight:.2g}", p.e3, f"{p.roughness:.0f}") for p in points
+    ]
+    title = "error against roughness (a star: not solved everywhere)"
+    print_table(title, ("", "weight s²", "e3 mm", "roughness mm²/s"), rows)
 
 
 def write_film(plans: Sequence[Plan], file: Path, out: Path, place: Path, staging: Path) -> Path:

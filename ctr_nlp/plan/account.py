@@ -33,15 +33,11 @@ def title(found: dict[str, Any]) -> str:
 
 def verdict_rows(found: dict[str, Any]) -> list[tuple[str, str, str, str]]:
     """Of every matter: its name, the verdict's word, its number with unit, and why."""
-    return [
-        (
-            each["matter"],
-            each["word"],
-            "" if each["number"] is None else f"{shown(each['number'])} {each['unit']}".rstrip(),
-            each["why"],
-        )
-        for each in found["verdicts"].values()
-    ]
+    rows = []
+    for each in found["verdicts"].values():
+        value = "" if each["number"] is None else f"{shown(each['number'])} {each['unit']}".rstrip()
+        rows.append((each["matter"], each["word"], value, each["why"]))
+    return rows
 
 
 def failed(found: Mapping[str, Any]) -> str:

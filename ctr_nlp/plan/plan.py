@@ -27,6 +27,8 @@ from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Flags
 
+DESCRIBED = "name", "frames", "duration", "deviation", "deviation_share"
+"""What meta tells of the problem."""
 SHOWN = 5
 """Frames in a notebook's picture."""
 
@@ -141,13 +143,7 @@ def plan_from_configurations(
         meta=meta
         | found.told
         | {
-            "problem": {
-                "name": problem.name,
-                "frames": problem.frames,
-                "duration": problem.duration,
-                "deviation": problem.deviation,
-                "deviation_share": problem.deviation_share,
-            },
+            "problem": {key: getattr(problem, key) for key in DESCRIBED},
             "robot": robot.to_dict(),
             "versions": {
                 "ctr_nlp": importlib.metadata.version("ctr_nlp"),

@@ -161,21 +161,15 @@ def check_arrays(arrays: Mapping[str, npt.NDArray[Any]], tubes: int) -> None:
     missing = [name for name in REQUIRED if name not in arrays]
     if missing:
         raise OutputError(f"it has no {missing[0]}")
-    frames = arrays["time"].size
-    sizes = {
-        "T": frames,
-        "d": tubes,
-        "q": 2 * tubes + 2,
-        "N": len(np.atleast_1d(arrays.get("lumen", np.empty(0)))),
-    }
+    frames, points = arrays["time"].size, len(np.atleast_1d(arrays.get("lumen", np.empty(0))))
+    sizes = {"T": frames, "d": tubes, "q": 2 * tubes + 2, "N": points}
     for name, array in arrays.items():
         wanted = tuple(sizes.get(size, size) if isinstance(size, str) else size for size in SHAPES[name])
         if array.shape != wanted:
             raise OutputError(f"{name} has shape {array.shape}, not {wanted}")
         if array.dtype.kind not in ("b" if name == "success" else "iuf"):
-            raise OutputError(
-                f"{name} holds {array.dtype}; it must be {'bool' if name == 'success' else 'numbers'}"
-            )
+            kind = "bool" if name == "success" else "numbers"
+            raise OutputError(f"{name} holds {array.dtype}; it must be {kind}")
     if not frames:
         raise OutputError("it has no frames")
     time = arrays["time"]

@@ -114,12 +114,8 @@ def _within_limits(plan: Record) -> Judgement:
     if not most.exceeded:
         return YES, most.part, "of a limit", f"No limit is exceeded; the {most.what} uses most of its own."
     hint = "acceleration" in most.what and plan.meta["formulation"] != "horizon"
-    return (
-        NO,
-        most.part,
-        "of a limit",
-        f"The {most.what} exceeds what is allowed" + ("; only a horizon keeps accelerations." if hint else "."),
-    )
+    told = f"The {most.what} exceeds what is allowed" + "; only a horizon keeps accelerations" * hint
+    return NO, most.part, "of a limit", f"{told}."
 
 
 def _within_wall(plan: Record) -> Judgement:

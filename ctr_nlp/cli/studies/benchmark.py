@@ -36,13 +36,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         epilog="Exit status: 0 measured, 1 worse than the baseline, 2 bad input.",
     )
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="(default all)")
-    parser.add_argument(
-        "--problems",
-        nargs="+",
-        metavar="NAME",
-        choices=NAMES,
-        help="(default all that suit a part)",
-    )
+    suiting = "(default all that suit a part)"
+    parser.add_argument("--problems", nargs="+", metavar="NAME", choices=NAMES, help=suiting)
     parser.add_argument("--json", metavar="FILE", help="also write the records to a file")
     parser.add_argument("--check", action="store_true", help=f"compare the ratios with a clone's {BASELINE.name}")
     return parser

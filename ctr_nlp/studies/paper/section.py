@@ -92,12 +92,8 @@ def mm(value: float | None) -> str:
 
 def beside(found: Found, problems: Sequence[str], methods: Sequence[str] = (HORIZON, SEED, BASELINE)) -> Table:
     """What the paper printed of problems, and what methods of this run have."""
-    header = [
-        "problem",
-        "the paper (published)",
-        "its baseline (published)",
-        *(NAMES[method] for method in methods),
-    ]
+    published = "the paper (published)", "its baseline (published)"
+    header = ["problem", *published, *(NAMES[method] for method in methods)]
     body = [
         [
             f"`{problem}`",

@@ -90,12 +90,8 @@ CONSISTENT = 0.9
 def checks(found: Found) -> list[Check]:
     """What the paper says of each panel."""
     e2 = {p: {m: known(by_frame(found.plan(p, m))["e2"]) for m in METHODS} for p in PROBLEMS}
-    return [
-        escalating(e2["cos"]),
-        comparable(e2["arc"]),
-        inferior(e2["synthesis"]),
-        in_the_middle(e2["bronchus"]),
-    ]
+    verdicts = zip((escalating, comparable, inferior, in_the_middle), PROBLEMS, strict=True)
+    return [verdict(e2[problem]) for verdict, problem in verdicts]
 
 
 def known(e2: Array) -> Array:
