@@ -11,9 +11,8 @@ from ctr_nlp.exceptions import OutputError
 from ctr_nlp.figures.errors import by_frame, errors
 from ctr_nlp.figures.film import check_film, film
 from ctr_nlp.figures.margins import clearance, stability
-from ctr_nlp.figures.motion import configuration
+from ctr_nlp.figures.motion import configuration, tracking
 from ctr_nlp.figures.overlay import shapes
-from ctr_nlp.figures.tracking import tracking
 from ctr_nlp.plan.plan import Plan
 
 __all__ = ["check_film", "film", "save", "save_all", "tracking"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import matplotlib
 import numpy as np
+import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
@@ -52,10 +53,11 @@ def clearance(plan: Plan) -> Figure:
     assert plan.clearance is not None
     figure = Figure(figsize=(7.0, 5.8), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
-    shade_failures(upper, plan, by_frames(lower, plan), 1.0)
+    frames = by_frames(lower, plan)
+    shade_failures(upper, plan, frames, 1.0)
     _map(figure, upper, plan, plan.clearance)
     _ends(upper, plan)
-    _least(lower, plan.clearance.min(axis=1))
+    _least(lower, frames, plan.clearance.min(axis=1))
     handles = legend_of(lower, upper)
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4)
     head(figure, plan, "Clearance from the lumen's wall")
@@ -91,9 +93,8 @@ def _ends(axes: Axes, plan: Plan) -> None:
         axes.plot(*deepest.T, color="black", mfc="white", ls="", marker="o", ms=5, label="deepest in contact")
 
 
-def _least(axes: Axes, least: Array) -> None:
+def _least(axes: Axes, frames: npt.NDArray[np.int_], least: Array) -> None:
     """The least of every frame over what is beyond the wall."""
-    frames = np.arange(1, len(least) + 1)
     curve(axes, frames, least, color=BLUE, lw=1.8)
     touching = least < 0
     if touching.any():

@@ -15,8 +15,7 @@ import numpy.typing as npt
 from ctr_nlp.exceptions import OutputError
 from ctr_nlp.models import MODELS
 from ctr_nlp.robot import Robot
-from ctr_nlp.support.equal import Value
-from ctr_nlp.support.read_only import read_only
+from ctr_nlp.support.equal import Value, read_only
 from ctr_nlp.support.values import frozen
 from ctr_nlp.typing import Array, Flags
 

@@ -15,8 +15,7 @@ from ctr_nlp.plan import account
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.report.plots import cursors, figures
-from ctr_nlp.report.scales import Scale, quantities, scales
-from ctr_nlp.report.scene import BY_TUBE, DATA, box, frame, scene
+from ctr_nlp.report.scene import BY_TUBE, DATA, Scale, box, frame, quantities, scales, scene
 from ctr_nlp.support.extras import needed
 
 READOUT = {"e2": "mm", "max": "mm", "clearance": "mm", "stability": ""}

@@ -87,7 +87,7 @@ class Lumen:
 
 
 def rings(table: Array, angle: Array) -> Array:
-    """Points (N, n, 3) mm of the wall around a table (N, 4), at angles (n,) in rotation-minimising frames."""
+    """Points (N, n, 3) mm of the wall around a table (N, 4), at angles (n,) in rotation-minimising axes."""
     centre, radius = table[:, :3], table[:, 3]
     tangents = np.gradient(centre, walked(centre), axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)

@@ -15,8 +15,8 @@ from ctr_nlp.cli import arguments as options
 from ctr_nlp.cli import live, plan_options, problems
 from ctr_nlp.cli.arguments import DEFAULTS, FRAME_SETTINGS, film_file, read_start, settings_from
 from ctr_nlp.cli.console import INTERRUPTED, Command, console, progress_bar
+from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
-from ctr_nlp.cli.output.names import path_component
 from ctr_nlp.cli.plan_options import HORIZON
 from ctr_nlp.cli.report import exit_status, print_front, print_report, write, write_film, write_front
 from ctr_nlp.exceptions import OptionError

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ctr_nlp.figures import save
-from ctr_nlp.studies.clearance.alone import CLEAR, STARTS
-from ctr_nlp.studies.clearance.cases import FOLLOWED_MM, WITH, Case
+from ctr_nlp.studies.clearance.cases import CLEAR, FOLLOWED_MM, STARTS, WITH, Case
 from ctr_nlp.studies.clearance.cost import cost_of_clearance
 from ctr_nlp.support.tables import markdown, write_csv
 

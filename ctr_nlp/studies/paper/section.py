@@ -77,10 +77,10 @@ def _by_frame(plan: Plan, keys: Sequence[str]) -> list[dict[str, Any]]:
     ]
 
 
-def errors(found: Found, problem: str, method: str, model: str = "dominant") -> str:
-    """e3 and e4 of a run, as text; a star where frames failed."""
+def errors(found: Found, problem: str, method: str) -> str:
+    """e3 and e4 of a run on the stiffness-dominant model, as text; a star where frames failed."""
     row = found.row(problem, method)
-    numbers = " / ".join(mm(row[f"{model}_{key}"]) for key in ("e3", "e4"))
+    numbers = " / ".join(mm(row[f"dominant_{key}"]) for key in ("e3", "e4"))
     return numbers + "*" * (row["failed"] > 0)
 
 
