@@ -1,6 +1,7 @@
 """The middle of a lumen and its radius, from cross-sections along a route through it.
 
-A tube is an array (n, 4): points and radius in mm, along the axes of the image, from the middle of its first voxel.
+A tube is an array (n, 4): points and radius in mm, along the axes of the image, counted from the middle of its
+first voxel.
 """
 
 from __future__ import annotations
