@@ -11,7 +11,6 @@ from ctr_nlp.cli.arguments import DEFAULTS, add_entry_option, add_live_option, a
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.terms import ShapeDistance, Term, TipDirection, TipPosition
 from ctr_nlp.models import MODELS
-from ctr_nlp.steer import DIRECTIONS
 from ctr_nlp.studies.trade_off import WEIGHTS
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import SIGMA
@@ -55,12 +54,6 @@ def moved(problem: Problem, arguments: argparse.Namespace) -> Problem:
             robot = robot.with_limits(**dict(zip(names, getattr(arguments, kind), strict=True)))
     problem = replace(problem, robot=robot)
     return problem.retraction() if arguments.retract else problem
-
-
-def add_frame_options(parser: argparse.ArgumentParser) -> None:
-    """What is asked of a motion found frame by frame."""
-    group = parser.add_argument_group("frame by frame")
-    group.add_argument("--direction", choices=DIRECTIONS, help="order in which frames are solved (default best)")
 
 
 def add_horizon_options(parser: argparse.ArgumentParser) -> None:

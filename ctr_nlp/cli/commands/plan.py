@@ -24,7 +24,7 @@ from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.settings import Settings, check_motion_weight
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS
-from ctr_nlp.steer import Horizon, march
+from ctr_nlp.steer import DIRECTIONS, Horizon, march
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.requests import Direction, check_search, checked_ends, checked_motions
 from ctr_nlp.studies.trade_off import WEIGHTS, Point, trade_off
@@ -63,7 +63,11 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
     options.add_film_option(parser)
     plan_options.add_motion_options(parser)
     if frames:
-        plan_options.add_frame_options(parser)
+        group, order = (
+            parser.add_argument_group("frame by frame"),
+            "order in which frames are solved (default best)",
+        )
+        group.add_argument("--direction", choices=DIRECTIONS, help=order)
     if horizon:
         plan_options.add_horizon_options(parser)
     weights = ["motion costs a tenth of the start's shape errors"] * horizon

@@ -93,14 +93,6 @@ def _each(
     yield from _means(found, kind)
 
 
-def _frames(named: Named, chosen: list[str]) -> Iterator[Record]:
-    yield from _each(frames, (named(name) for name in SHAPES if name in chosen), "a frame: ")
-
-
-def _horizons(named: Named, chosen: list[str]) -> Iterator[Record]:
-    yield from _each(horizons, map(named, chosen), "horizon: ")
-
-
 def _elastic(named: Named, chosen: list[str]) -> Iterator[Record]:
     yield from _each(planned, (named(name) for name in SHAPES if name in chosen), "an elastic frame: ")
     yield from forward(named("cos"))
@@ -118,8 +110,8 @@ def _means(records: list[Record], kind: str) -> Iterator[Record]:
 
 PARTS: dict[str, Callable[[Named, list[str]], Iterator[Record]]] = {
     "start-up": lambda named, chosen: start_up(),
-    "frames": _frames,
-    "horizons": _horizons,
+    "frames": lambda named, chosen: _each(frames, (named(n) for n in SHAPES if n in chosen), "a frame: "),
+    "horizons": lambda named, chosen: _each(horizons, map(named, chosen), "horizon: "),
     "elastic": _elastic,
     "growth": lambda named, chosen: growth([named("cos", count) for count in SIZES]),
     "sizes": lambda named, chosen: sizes(),

@@ -196,7 +196,9 @@ def page(cases: Sequence[Case]) -> str:
         if some:
             parts.append(f"\n## {title}\n\n{markdown(HEADER, [_cells(case) for case in some])}")
     if synthetic:
-        parts.append(f"\nTheir spread, column by column:\n\n{markdown(HEADER, _spread(synthetic))}")
+        table = np.quantile([_numbers(case) for case in synthetic], list(QUARTILES.values()), axis=0)
+        spread = [[name, *_shown(line)] for name, line in zip(QUARTILES, table.tolist(), strict=True)]
+        parts.append(f"\nTheir spread, column by column:\n\n{markdown(HEADER, spread)}")
     return "".join([*parts, "\n", REMAKING.format(**numbers)])
 
 
@@ -216,11 +218,6 @@ def _cells(case: Case) -> list[str]:
     cells = [name, *_shown(_numbers(case))]
     cells[alone] = [""] * len(cells[alone])
     return cells
-
-
-def _spread(cases: Sequence[Case]) -> list[list[str]]:
-    table = np.quantile([_numbers(case) for case in cases], list(QUARTILES.values()), axis=0)
-    return [[name, *_shown(line)] for name, line in zip(QUARTILES, table.tolist(), strict=True)]
 
 
 def _shown(numbers: Sequence[float]) -> list[str]:

@@ -30,6 +30,8 @@ HORIZON, JOINT, ELASTIC = "horizon", "joint", "elastic"
 SEED, BASELINE, TIP = "seed-two-stage", "euclidean", "tip-jacobian"
 """Re-implemented: the paper's method, its Euclidean baseline, its control of the tip alone."""
 OURS = HORIZON, JOINT, ELASTIC
+LONGEST = {ELASTIC: 0, HORIZON: 1}
+"""What has to be compiled comes first, that nothing long is begun last."""
 NAMES = {
     HORIZON: "ours (all frames at once)",
     JOINT: "ours (frame by frame)",
@@ -122,7 +124,7 @@ def study(
 
     jobs: in how many processes. Raises OptionError, and after Ctrl-C KeyboardInterrupt: half of a figure is none.
     """
-    wanted, begin = sorted(dict.fromkeys(tasks), key=_length), time.perf_counter()
+    wanted, begin = sorted(dict.fromkeys(tasks), key=lambda task: LONGEST.get(task.method, 2)), time.perf_counter()
     results: dict[Task, Any] = {}
     seconds: dict[Task, float] = {}
     with deferred_interrupt() as interrupted:
@@ -141,11 +143,6 @@ def study(
         time.perf_counter() - begin,
         seconds,
     )
-
-
-def _length(task: Task) -> int:
-    """Sorts what has to be compiled first, that nothing long is begun last."""
-    return [ELASTIC, HORIZON].index(task.method) if task.method in (ELASTIC, HORIZON) else 2
 
 
 def _timed(load: Load, task: Task) -> tuple[Any, float]:
