@@ -21,8 +21,7 @@ from ctr_nlp.support.tables import by_line, write_csv
 def write(plan: Plan, folder: Path) -> None:
     """plan.npz, errors.csv, summary.json and the pictures."""
     plan.save(folder / "plan.npz")
-    columns = {name: column.tolist() for name, column in by_frame(plan).items()}
-    write_csv(folder / "errors.csv", by_line(columns))
+    write_csv(folder / "errors.csv", by_line(by_frame(plan)))
     text = json.dumps(summary(plan), indent=2, allow_nan=False)
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
     save_all(plan, folder)

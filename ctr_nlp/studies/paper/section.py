@@ -15,6 +15,7 @@ from ctr_nlp.reference.published import BASELINE as BASELINE_PRINTED
 from ctr_nlp.reference.published import SEED as SEED_PRINTED
 from ctr_nlp.studies.paper.checks import Check
 from ctr_nlp.studies.paper.runs import BASELINE, HORIZON, NAMES, SEED, Found, Motion, Task
+from ctr_nlp.support.tables import by_line
 
 PRIMITIVE = "cos", "arc", "line", "line_arc"
 ALL = *PRIMITIVE, "synthesis", "bronchus"
@@ -70,11 +71,7 @@ def by_frames(
 
 def _by_frame(plan: Plan, keys: Sequence[str]) -> list[dict[str, Any]]:
     columns = by_frame(plan)
-    numbers = zip(*(columns[key].tolist() for key in keys), strict=True)
-    return [
-        {"frame": frame} | {f"{key}_mm": value for key, value in zip(keys, line, strict=True)}
-        for frame, line in enumerate(numbers, 1)
-    ]
+    return by_line({"frame": columns["frame"]} | {f"{key}_mm": columns[key] for key in keys})
 
 
 def errors(found: Found, problem: str, method: str) -> str:
