@@ -40,11 +40,11 @@ class Near(NamedTuple):
 
 
 class Lumen:
-    """A path and the radius of the lumen around it, from a table (N, 4), read-only: x, y, z and radius, mm."""
+    """A path and the radius of the lumen around it, from a table (N, 4): x, y, z and radius, mm."""
 
     def __init__(self, table: Array) -> None:
-        self.table = floats(CurveError, "table of a lumen", table, (None, 4))
-        centre, radius = self.table[:, :3], self.table[:, 3]
+        self._table = floats(CurveError, "table of a lumen", table, (None, 4))
+        centre, radius = self._table[:, :3], self._table[:, 3]
         if (radius <= 0).any():
             raise CurveError(f"radius of a lumen is {radius.min():g} mm; it must be positive all along")
         self._along = walked(centre)
@@ -59,6 +59,11 @@ class Lumen:
         assert curve.radius is not None
         s = np.linspace(0.0, curve.length, int(np.ceil(curve.length / SPACING)) + 1)
         return cls(np.column_stack([curve.point(s), curve.radius(s)]))
+
+    @property
+    def table(self) -> Array:
+        """(N, 4), read-only: x, y, z and radius, mm."""
+        return self._table
 
     def near(self, points: Array) -> Near:
         """The path and the wall near to points (.., 3) in mm; everything is NaN for points that are."""
