@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from ctr_nlp.support.values import check_choice
 from ctr_nlp.target.curve import Curve, curve_from_points
+from ctr_nlp.target.points import walked
 from ctr_nlp.typing import Array
 
 
@@ -70,31 +71,31 @@ def synthetic_airway(seed: int = 0, lobe: str = "right lower") -> Curve:
     widest = np.minimum(ROUNDING_MM[1], room / np.tan(angles / 2))
     rounding = random.uniform(np.minimum(ROUNDING_MM[0], widest), widest)
     points, corners = _path(lengths, angles, rolls, rounding)
-    walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    middles = np.concatenate([[0.0], (corners[1:] + corners[:-1]) / 2, [walked[-1]]])
-    return curve_from_points(points, np.interp(walked, middles, diameters / 2))
+    along = walked(points)
+    middles = np.concatenate([[0.0], (corners[1:] + corners[:-1]) / 2, [along[-1]]])
+    return curve_from_points(points, np.interp(along, middles, diameters / 2))
 
 
 def _path(lengths: Array, angles: Array, rolls: Array, rounding: Array) -> tuple[Array, Array]:
     """Points every SPACING_MM along straight bronchi and rounded corners; arc length at corners' middles.
 
-    The frame's third axis points along the path, its first towards the side of the next bend.
+    The third of the axes points along the path, its first towards the side of the next bend.
     """
     cut = rounding * np.tan(angles / 2)
     straights = lengths - np.append(0.0, cut) - np.append(cut, 0.0)
-    frame, pieces, corners, walked = Rotation.identity(), [np.zeros((1, 3))], [], 0.0
+    axes, pieces, corners, length = Rotation.identity(), [np.zeros((1, 3))], [], 0.0
     for i, straight in enumerate(straights):
         if straight > TINY_MM:
-            pieces.append(pieces[-1][-1] + np.outer(_steps(straight), frame.apply([0.0, 0.0, 1.0])))
-        walked += straight
+            pieces.append(pieces[-1][-1] + np.outer(_steps(straight), axes.apply([0.0, 0.0, 1.0])))
+        length += straight
         if i < len(angles):
-            frame = frame * Rotation.from_euler("z", rolls[i])
+            axes = axes * Rotation.from_euler("z", rolls[i])
             turn = _steps(rounding[i] * angles[i]) / rounding[i]
             bend = rounding[i] * np.column_stack([1 - np.cos(turn), 0 * turn, np.sin(turn)])
-            pieces.append(pieces[-1][-1] + frame.apply(bend))
-            frame = frame * Rotation.from_euler("y", angles[i])
-            corners.append(walked + rounding[i] * angles[i] / 2)
-            walked += rounding[i] * angles[i]
+            pieces.append(pieces[-1][-1] + axes.apply(bend))
+            axes = axes * Rotation.from_euler("y", angles[i])
+            corners.append(length + rounding[i] * angles[i] / 2)
+            length += rounding[i] * angles[i]
     return np.vstack(pieces), np.array(corners)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -58,6 +60,31 @@ def moved(points: npt.ArrayLike, transform: Array) -> Array:
     return np.asarray(points, dtype=float) @ transform[:3, :3].T + transform[:3, 3]
 
 
+@contextmanager
+def blamed(where: str | Path) -> Iterator[None]:
+    """A CurveError within the block is raised with the name of its file before it."""
+    try:
+        yield
+    except CurveError as error:
+        raise CurveError(f"{where}: {error}") from error
+
+
+def checked_point(name: str, given: npt.ArrayLike) -> Array:
+    """A point (3,) in mm; raises CurveError where it is none."""
+    try:
+        point = np.asarray(given, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise CurveError(f"{name} is {given!r}; it must be three finite numbers in mm") from error
+    if point.shape != (3,) or not np.isfinite(point).all():
+        raise CurveError(f"{name} is {written(point.ravel())}; it must be three finite numbers in mm")
+    return point
+
+
+def written(point: Iterable[float]) -> str:
+    """The coordinates of a point in brackets."""
+    return f"({', '.join(f'{number:g}' for number in point)})"
+
+
 def check_points(points: Array) -> None:
     """Raise CurveError unless points (n, 3) are finite and can be coordinates in millimetres."""
     check_coordinates(points)
@@ -74,17 +101,15 @@ def checked(path: str | Path, branches: Branches) -> Branches:
     """The branches of a file, each fit to be a curve; raises CurveError, which names file and branch."""
     for branch in branches.branches:
         where = f"{path}, {branch.name}" if len(branches.branches) > 1 else str(path)
-        try:
+        with blamed(where):
             check_points(branch.points)
-        except CurveError as error:
-            raise CurveError(f"{where}: {error}") from error
-        if len(branch.points) < LEAST_POINTS:
-            raise CurveError(f"{where}: {len(branch.points)} points; a centreline needs at least {LEAST_POINTS}")
-        if branch.radius is not None:
-            bad = np.flatnonzero(~(np.isfinite(branch.radius) & (branch.radius > 0)))
+            if len(branch.points) < LEAST_POINTS:
+                raise CurveError(f"{len(branch.points)} points; a centreline needs at least {LEAST_POINTS}")
+            radius = np.ones(0) if branch.radius is None else branch.radius
+            bad = np.flatnonzero(~(np.isfinite(radius) & (radius > 0)))
             if bad.size:
                 raise CurveError(
-                    f"{where}: the lumen radius at point {bad[0] + 1} is {branch.radius[bad[0]]:g}; "
-                    "radii must be positive finite numbers in mm"
+                    f"the lumen radius at point {bad[0] + 1} is {radius[bad[0]]:g}; radii must be positive finite "
+                    "numbers in mm"
                 )
     return branches

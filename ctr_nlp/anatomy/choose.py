@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
-from ctr_nlp.anatomy.branch import Branch, Branches, moved
-from ctr_nlp.exceptions import CurveError
-from ctr_nlp.target.curve import Curve
+from ctr_nlp.anatomy.branch import Branch, Branches, blamed, checked_point, moved, written
+from ctr_nlp.anatomy.files import is_mask, read_branches
+from ctr_nlp.exceptions import CurveError, OptionError
+from ctr_nlp.target.curve import Curve, curve_from_points
+from ctr_nlp.target.points import SHORTEST_MM
 from ctr_nlp.typing import Array
 
 UNKNOWN_LUMEN_MM = 5.0
@@ -18,6 +21,58 @@ UNKNOWN_LUMEN_MM = 5.0
 SPACING_MM = 0.25
 """Places along a curve among which the nearest one is looked for, before it is refined."""
 LISTED = 20
+
+
+@dataclass(frozen=True)
+class Passage:
+    """A whole branch in LPS, from where to where along it, in mm, and to_lps (4, 4) from the file's own."""
+
+    branch: Curve
+    start: float
+    stop: float
+    to_lps: Array
+
+    @property
+    def path(self) -> Curve:
+        """The part that is followed."""
+        return self.branch.part(self.start, self.stop)
+
+
+def passage(
+    path: str | Path,
+    branch: str | int | None = None,
+    entry: npt.ArrayLike | None = None,
+    target: npt.ArrayLike | None = None,
+    reverse: bool = False,
+) -> Passage:
+    """The passage along a branch of a file, by its name or its number from 1, from entry to target.
+
+    entry, target: (3,) mm in the file's own coordinates, by default the ends of the branch. reverse: the file's
+    lines run from the tip to the root. A mask has one branch, between the two points. Raises CurveError and
+    OptionError.
+    """
+    if is_mask(path):
+        for option, value in (("branch", branch), ("reverse", reverse or None)):
+            if value is not None:
+                raise OptionError(
+                    f"{option} does not go with a mask, as {path} is one: its path leads from entry to target"
+                )
+        branches = read_branches(path, entry, target)
+        entry = target = None
+    else:
+        branches = read_branches(path, target if reverse else entry)
+    if reverse:
+        branches = branches.reversed()
+    with blamed(path):
+        found = chosen(branches, None if branch is None else str(branch), entry, target)
+        curve = curve_from_points(found.points, found.radius)
+        start, stop = extent(curve, branches, entry, target)
+        if stop - start < SHORTEST_MM:
+            raise CurveError(
+                f"from entry to target the path is {stop - start:.3g} mm long; it must be at least "
+                f"{SHORTEST_MM:g} mm"
+            )
+    return Passage(curve, start, stop, branches.to_lps)
 
 
 def chosen(
@@ -51,7 +106,7 @@ def chosen(
         distance, lumen = _distance(found, at)
         if distance > lumen:
             raise CurveError(
-                f"{name} {_written(points[name])} is {distance:.1f} mm away from branch {found.name!r}; it must "
+                f"{name} {written(points[name])} is {distance:.1f} mm away from branch {found.name!r}; it must "
                 f"lie in its lumen, within {lumen:.1f} mm, and be given in mm in the file's coordinates, "
                 f"{branches.space}"
             )
@@ -65,11 +120,9 @@ def extent(
 
     entry, target: (3,) mm in the file's own coordinates. Raises CurveError where target does not come after entry.
     """
-    start = 0.0 if entry is None else _nearest(curve, moved(checked_point("entry", entry), branches.to_lps))
-    stop = (
-        curve.length
-        if target is None
-        else _nearest(curve, moved(checked_point("target", target), branches.to_lps))
+    start, stop = (
+        end if point is None else _nearest(curve, moved(checked_point(name, point), branches.to_lps))
+        for name, point, end in (("entry", entry, 0.0), ("target", target, curve.length))
     )
     if start >= stop:
         raise CurveError(
@@ -97,17 +150,6 @@ def _named(branches: Branches, branch: str) -> Branch:
     raise CurveError(f"branch is {branch!r}; {problem}: {listed(branches)}")
 
 
-def checked_point(name: str, given: npt.ArrayLike) -> Array:
-    """A point (3,) in mm; raises CurveError where it is none."""
-    try:
-        point = np.asarray(given, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise CurveError(f"{name} is {given!r}; it must be three finite numbers in mm") from error
-    if point.shape != (3,) or not np.isfinite(point).all():
-        raise CurveError(f"{name} is {_written(point.ravel())}; it must be three finite numbers in mm")
-    return point
-
-
 def _distance(branch: Branch, point: Array) -> tuple[float, float]:
     """Distance in mm of a point to the lines through a branch's points, and the lumen's radius there."""
     start, step = branch.points[:-1], np.diff(branch.points, axis=0)
@@ -130,7 +172,3 @@ def _nearest(curve: Curve, point: Array) -> float:
     bounds = places[max(k - 1, 0)], places[min(k + 1, len(places) - 1)]
     refined = minimize_scalar(lambda s: float(distance(s)[0]), bounds=bounds, method="bounded")
     return float(min((places[k], refined.x), key=lambda s: float(distance(s)[0])))
-
-
-def _written(point: Iterable[float]) -> str:
-    return f"({', '.join(f'{number:g}' for number in point)})"

@@ -9,10 +9,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.anatomy.branch import checked
-from ctr_nlp.anatomy.files import title
-from ctr_nlp.anatomy.followed import way_through
-from ctr_nlp.anatomy.formats.table import read_table
+from ctr_nlp.anatomy.branch import blamed, checked
+from ctr_nlp.anatomy.choose import passage
+from ctr_nlp.anatomy.files import read_table, title
 from ctr_nlp.exceptions import CurveError, OptionError, RobotError
 from ctr_nlp.robot import Robot, table_i_robot
 from ctr_nlp.robot.units import angle_meant, between, did_you_mean
@@ -55,17 +54,15 @@ def problem_from_file(
         instance(RobotError, "robot", robot, Robot)
     robot = _tilting(robot or table_i_robot(), tilt)
     along = None if insertion is None else unit(insertion)
-    way = way_through(path, branch, entry, target, reverse)
-    try:
-        followed = way.path.smoothed(smoothing)
+    found = passage(path, branch, entry, target, reverse)
+    with blamed(path):
+        followed = found.path.smoothed(smoothing)
         if trim is not None:
             followed = trimmed(followed, robot.reach, trim)
-        followed, to_robot = placed(followed, None if along is None else way.to_lps[:3, :3] @ along)
-    except CurveError as error:
-        raise CurveError(f"{path}: {error}") from error
-    lumen = None if way.branch.radius is None else way.branch.moved(to_robot)
+        followed, to_robot = placed(followed, None if along is None else found.to_lps[:3, :3] @ along)
+    lumen = None if found.branch.radius is None else found.branch.moved(to_robot)
     return Problem(
-        title(path), robot, growing(followed, frames), duration, to_robot=to_robot @ way.to_lps, lumen=lumen
+        title(path), robot, growing(followed, frames), duration, to_robot=to_robot @ found.to_lps, lumen=lumen
     )
 
 
@@ -73,10 +70,8 @@ def read_csv(path: str | Path, smoothing: float = 0.0) -> Curve:
     """The curve of a CSV file with columns x_mm, y_mm, z_mm and optionally radius_mm; raises CurveError."""
     path = checked_path(CurveError, path)
     (branch,) = checked(path, read_table(path)).branches
-    try:
+    with blamed(path):
         return curve_from_points(branch.points, branch.radius, smoothing)
-    except CurveError as error:
-        raise CurveError(f"{path}: {error}") from error
 
 
 def _tilting(robot: Robot, tilt: float | None) -> Robot:

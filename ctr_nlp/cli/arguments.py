@@ -48,20 +48,24 @@ def add_settings(
         f"another); none: any (default {DEFAULTS.stability_margin:g})",
     )
     group = parser.add_argument_group("weights and starts")
-    group.add_argument(
-        "--motion-weight",
-        metavar="S2",
-        type=float,
-        help=f"lambda of the motion term in s^2 (default: {motion})",
-    )
+    add_numbers(group, ("motion-weight", "S2", f"lambda of the motion term in s^2 (default: {motion})"))
     if jumps:
-        group.add_argument(
-            "--jump-width",
-            metavar="MM",
-            type=float,
-            help=f"final width of two-stage's smoothed curvature jumps (default {DEFAULTS.jump_width:g})",
-        )
+        what = f"final width of two-stage's smoothed curvature jumps (default {DEFAULTS.jump_width:g})"
+        add_numbers(group, ("jump-width", "MM", what))
     group.add_argument("--seed", metavar="N", type=whole, default=0, help="of the random starts (default 0)")
+
+
+def add_numbers(parser: argparse._ActionsContainer, *options: tuple[str, str, str]) -> None:
+    """Options that are numbers, None where not given: name, what stands for the number, and help."""
+    for name, metavar, what in options:
+        parser.add_argument(f"--{name}", metavar=metavar, type=float, help=what)
+
+
+def add_triple(
+    parser: argparse._ActionsContainer, name: str, what: str, metavar: tuple[str, ...] = ("X", "Y", "Z")
+) -> None:
+    """An option that is three numbers, None where not given."""
+    parser.add_argument(f"--{name}", metavar=metavar, nargs=3, type=float, help=what)
 
 
 def settings_from(arguments: argparse.Namespace, *names: str) -> Settings:
@@ -132,13 +136,7 @@ def add_live_option(parser: argparse._ActionsContainer, what: str) -> None:
 
 def add_entry_option(parser: argparse._ActionsContainer, default: str) -> None:
     """Where the robot enters."""
-    parser.add_argument(
-        "--entry",
-        metavar=("X", "Y", "Z"),
-        nargs=3,
-        type=float,
-        help=f"point where the robot enters, in the file's coordinates (default: {default})",
-    )
+    add_triple(parser, "entry", f"point where the robot enters, in the file's coordinates (default: {default})")
 
 
 def whole(text: str) -> int:

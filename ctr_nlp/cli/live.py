@@ -60,13 +60,8 @@ class Played:
 
 def _now(trajectory: Trajectory, progress: Progress, state: str) -> Now:
     time = np.array([progress.time])
-    return Now(
-        state,
-        trajectory.passed(progress.time),
-        progress.time,
-        trajectory.joints(time, progress.position[None])[0],
-        trajectory.at(time)[0][0],
-    )
+    measured, commanded = trajectory.joints(time, progress.position[None])[0], trajectory.at(time)[0][0]
+    return Now(state, trajectory.passed(progress.time), progress.time, measured, commanded)
 
 
 @contextmanager

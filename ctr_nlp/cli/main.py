@@ -12,7 +12,7 @@ import ctr_nlp
 if TYPE_CHECKING:
     import argparse
 
-    from ctr_nlp.cli.command import Command
+    from ctr_nlp.cli.console import Command
 
 
 class Entry(NamedTuple):

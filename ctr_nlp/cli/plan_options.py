@@ -7,11 +7,10 @@ import math
 from dataclasses import replace
 
 from ctr_nlp.anatomy.files import CENTRELINES, MASKS
-from ctr_nlp.cli.arguments import DEFAULTS, add_entry_option, add_live_option, whole
+from ctr_nlp.cli.arguments import DEFAULTS, add_entry_option, add_live_option, add_numbers, add_triple, whole
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.terms import ShapeDistance, Term, TipDirection, TipPosition
 from ctr_nlp.models import MODELS
-from ctr_nlp.steer import DIRECTIONS
 from ctr_nlp.studies.trade_off import WEIGHTS
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import SIGMA
@@ -40,16 +39,10 @@ def add_motion_options(parser: argparse.ArgumentParser) -> None:
     """What is asked of any motion."""
     group = parser.add_argument_group("the motion")
     group.add_argument("--start", metavar="Q.json", help="configuration at time 0, where the robot stands now")
-    group.add_argument("--retract", action="store_true", help="plan the way back: the frames in opposite order")
+    group.add_argument("--retract", action="store_true", help="plan the retraction: the frames in opposite order")
     group.add_argument("--lock-tilt", action="store_true", help="no arm: the tilt stays 0")
     for kind, units in (("speed", "rad/s, mm/s, rad/s"), ("acceleration", "rad/s^2, mm/s^2, rad/s^2")):
-        group.add_argument(
-            f"--{kind}",
-            metavar=("ALPHA", "BETA", "THETA"),
-            nargs=3,
-            type=float,
-            help=f"largest {kind}s in {units} (default: the robot's)",
-        )
+        add_triple(group, kind, f"largest {kind}s in {units} (default: the robot's)", ("ALPHA", "BETA", "THETA"))
 
 
 def moved(problem: Problem, arguments: argparse.Namespace) -> Problem:
@@ -61,12 +54,6 @@ def moved(problem: Problem, arguments: argparse.Namespace) -> Problem:
             robot = robot.with_limits(**dict(zip(names, getattr(arguments, kind), strict=True)))
     problem = replace(problem, robot=robot)
     return problem.retraction() if arguments.retract else problem
-
-
-def add_frame_options(parser: argparse.ArgumentParser) -> None:
-    """What is asked of a motion found frame by frame."""
-    group = parser.add_argument_group("frame by frame")
-    group.add_argument("--direction", choices=DIRECTIONS, help="order in which frames are solved (default best)")
 
 
 def add_horizon_options(parser: argparse.ArgumentParser) -> None:
@@ -114,7 +101,7 @@ def add_wall_options(parser: argparse.ArgumentParser) -> None:
         ),
     ):
         default = getattr(DEFAULTS, option.replace("-", "_"))
-        group.add_argument(f"--{option}", metavar=metavar, type=float, help=f"{what} (default {default:g})")
+        add_numbers(group, (option, metavar, f"{what} (default {default:g})"))
 
 
 def add_file_options(parser: argparse.ArgumentParser) -> None:
@@ -127,27 +114,17 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
         "--branch", metavar="NAME|NUMBER", help="which branch of several; `ctr-nlp branches` lists them"
     )
     add_entry_option(group, "the branch's first")
-    for option, what in (
-        ("target", "point where it is to arrive (default: the branch's last); a mask needs both"),
-        ("insertion", "direction in which it is inserted (default: that of the path's first 10 mm)"),
-    ):
-        group.add_argument(f"--{option}", metavar=("X", "Y", "Z"), nargs=3, type=float, help=what)
-    group.add_argument(
-        "--tilt",
-        metavar="DEG",
-        type=float,
-        help="how far the base may tilt about each axis (default: the robot's)",
-    )
+    add_triple(group, "target", "point where it is to arrive (default: the branch's last); a mask needs both")
+    add_triple(group, "insertion", "direction in which it is inserted (default: that of the path's first 10 mm)")
+    add_numbers(group, ("tilt", "DEG", "how far the base may tilt about each axis (default: the robot's)"))
     group.add_argument(
         "--reverse", action="store_true", default=None, help="the file's lines run from the tip to the root"
     )
-    group.add_argument(
-        "--smoothing",
-        metavar="MM",
-        type=float,
-        help="how far the followed curve may keep from the path, never more than half of the lumen's radius "
-        "(default 0: through all points)",
+    smoothing = (
+        "how far the followed curve may keep from the path, never more than half of the lumen's radius "
+        "(default 0: through all points)"
     )
+    add_numbers(group, ("smoothing", "MM", smoothing))
     group.add_argument(
         "--trim", choices=("start", "end"), help="which end to drop where it is longer than the robot reaches"
     )
@@ -156,25 +133,14 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
 def add_term_options(parser: argparse.ArgumentParser) -> None:
     """What counts beside the mean distance of the whole shape; None where not given."""
     group = parser.add_argument_group("what counts beside the mean distance of the shape, not with two stages")
-    group.add_argument(
-        "--tip-direction-weight",
-        metavar="W",
-        type=float,
-        help="weight of the squared angle between the tip and the target's end, in mm^2/rad^2 (default 0)",
+    angle = "weight of the squared angle between the tip and the target's end, in mm^2/rad^2 (default 0)"
+    distance = "weight of the squared distance between the tip and the target's end, without unit (default 0)"
+    depth = (
+        "the shape's distance counts in proportion to sigma^P, so that deeper parts of the robot count more "
+        "(default 0: all parts alike)"
     )
-    group.add_argument(
-        "--tip-weight",
-        metavar="W",
-        type=float,
-        help="weight of the squared distance between the tip and the target's end, without unit (default 0)",
-    )
-    group.add_argument(
-        "--depth-power",
-        metavar="P",
-        type=float,
-        help="the shape's distance counts in proportion to sigma^P, so that deeper parts of the robot count more "
-        "(default 0: all parts alike)",
-    )
+    weights = ("tip-direction-weight", "W", angle), ("tip-weight", "W", distance), ("depth-power", "P", depth)
+    add_numbers(group, *weights)
 
 
 def terms_from(arguments: argparse.Namespace) -> list[Term]:

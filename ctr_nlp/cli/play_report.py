@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from ctr_nlp.cli.console import console, print_table
 from ctr_nlp.cli.output.file import check_file
 from ctr_nlp.cli.output.folder import check_folder, published
-from ctr_nlp.cli.report import write_table
 from ctr_nlp.exceptions import OutputError
 from ctr_nlp.figures import save, tracking
 from ctr_nlp.hardware.description import Hardware
@@ -21,6 +20,8 @@ from ctr_nlp.hardware.playing.checks import Checked
 from ctr_nlp.hardware.playing.record import Tracking
 from ctr_nlp.hardware.playing.results import Result
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.support.tables import by_line, write_csv
+from ctr_nlp.typing import Array
 
 JOURNAL = "journal.jsonl"
 """In the output folder: the record of all sessions, to which each adds its own."""
@@ -74,11 +75,11 @@ def report(plan: Plan, hardware: Hardware, result: Result, seen: Tracking | None
     console().print(f"wrote {out}: {', '.join(files)}", markup=False)
 
 
-def _written(table: dict[str, list[Any]], picture: Figure, out: Path) -> list[str]:
+def _written(table: dict[str, Array], picture: Figure, out: Path) -> list[str]:
     """Write tracking.csv and tracking.png; without them the motion has been played all the same."""
     try:
         with published(out, "play") as staging:
-            write_table(staging / "tracking.csv", table)
+            write_csv(staging / "tracking.csv", by_line(table))
             save(picture, staging / "tracking.png")
     except OutputError as exception:
         sys.stderr.write(f"error: {exception}\n")
@@ -86,13 +87,8 @@ def _written(table: dict[str, list[Any]], picture: Figure, out: Path) -> list[st
     return ["tracking.csv", "tracking.png"]
 
 
-def _columns(seen: Tracking, names: list[str]) -> dict[str, list[Any]]:
-    columns: dict[str, list[Any]] = {
-        "frame": seen.frame.tolist(),
-        "time_s": seen.time.tolist(),
-        "late_s": seen.late.tolist(),
-    }
+def _columns(seen: Tracking, names: list[str]) -> dict[str, Array]:
+    columns: dict[str, Any] = {"frame": seen.frame, "time_s": seen.time, "late_s": seen.late}
     for k, name in enumerate(names):
-        columns[f"commanded {name}"] = seen.commanded[:, k].tolist()
-        columns[f"measured {name}"] = seen.measured[:, k].tolist()
+        columns |= {f"commanded {name}": seen.commanded[:, k], f"measured {name}": seen.measured[:, k]}
     return columns

@@ -7,8 +7,7 @@ import math
 import runpy
 import sys
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -68,11 +67,15 @@ def from_python(file: str, frames: int, duration: float, robot: Robot | None) ->
 
     The file may import others beside it. A CtrError that it raises passes, with the file's name before it.
     """
-    with _names_beside(Path(file)):
+    folder = str(Path(file).resolve().parent)
+    sys.path.insert(0, folder)
+    try:
         make = _called(file, lambda: runpy.run_path(file)).get("problem")
         if not callable(make):
             raise ProblemError(f"{file} defines no problem(frames, duration, robot); see `ctr-nlp new problem`")
         made = _called(file, lambda: make(frames, duration, robot))
+    finally:
+        sys.path.remove(folder)
     if not isinstance(made, Problem):
         raise ProblemError(f"{file}: problem() returned {made!r:.60}; it must return a ctr_nlp.Problem")
     return made
@@ -97,17 +100,6 @@ def _moved(error: BaseException) -> str:
     found = (path.relative_to(PACKAGE.parent) for path in sorted(PACKAGE.rglob(f"{module}.py")))
     homes = [".".join(path.with_suffix("").parts) for path in found]
     return f"; it is now {' or '.join(homes)}" if homes else ""
-
-
-@contextmanager
-def _names_beside(file: Path) -> Iterator[None]:
-    """Within the block the modules in a file's folder can be imported, as where Python itself runs the file."""
-    folder = str(file.resolve().parent)
-    sys.path.insert(0, folder)
-    try:
-        yield
-    finally:
-        sys.path.remove(folder)
 
 
 def tell(problem: Problem) -> None:

@@ -1,38 +1,30 @@
-"""A plan as files and as a table on the terminal."""
+"""A plan as files, as a film, and as a table on the terminal."""
 
 from __future__ import annotations
 
-import csv
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
-from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, console, print_table
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, console, print_table, progress_bar
+from ctr_nlp.cli.output.folder import name_within
 from ctr_nlp.figures import save_all
+from ctr_nlp.figures.film import film
 from ctr_nlp.plan import account
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.studies.pareto import save_front
-from ctr_nlp.studies.trade_off import Point
+from ctr_nlp.studies.trade_off import Point, save_front
+from ctr_nlp.support.tables import by_line, write_csv
 
 
 def write(plan: Plan, folder: Path) -> None:
     """plan.npz, errors.csv, summary.json and the pictures."""
     plan.save(folder / "plan.npz")
-    write_table(folder / "errors.csv", {name: column.tolist() for name, column in by_frame(plan).items()})
+    write_csv(folder / "errors.csv", by_line(by_frame(plan)))
     text = json.dumps(summary(plan), indent=2, allow_nan=False)
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
     save_all(plan, folder)
-
-
-def write_table(path: Path, columns: Mapping[str, Sequence[Any]]) -> None:
-    """Named columns as CSV."""
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows(zip(*columns.values(), strict=True))
 
 
 def print_report(plan: Plan, folder: Path, files: Sequence[str]) -> None:
@@ -54,23 +46,30 @@ def exit_status(plan: Plan) -> int:
 
 def write_front(points: Sequence[Point], problem: str, folder: Path) -> None:
     """pareto.csv and its picture."""
-    names = [field.name for field in fields(Point)]
-    write_table(folder / "pareto.csv", {name: [getattr(point, name) for point in points] for name in names})
+    write_csv(folder / "pareto.csv", [asdict(point) for point in points])
     save_front(points, problem, folder)
 
 
 def print_front(points: Sequence[Point]) -> None:
     """A line a weight, then a line a method."""
-    print_table(
-        "error against roughness (a star: not solved everywhere)",
-        ("", "weight s²", "e3 mm", "roughness mm²/s"),
-        [
-            (
-                point.method + ("" if point.solved else " *"),
-                f"{point.motion_weight:.2g}",
-                point.e3,
-                f"{point.roughness:.0f}",
-            )
-            for point in points
-        ],
-    )
+    rows = [
+        (p.method + " *" * (not p.solved), f"{p.motion_weight:.2g}", p.e3, f"{p.roughness:.0f}") for p in points
+    ]
+    title = "error against roughness (a star: not solved everywhere)"
+    print_table(title, ("", "weight s²", "e3 mm", "roughness mm²/s"), rows)
+
+
+def write_film(plans: Sequence[Plan], file: Path, out: Path, place: Path, staging: Path) -> Path:
+    """Write a film of plans and show how far it is; returns where it will be. Raises OptionError, OutputError.
+
+    out: the output folder that was asked for; place: the one that takes staging's files, another where the run was
+    interrupted, which then takes all films. Otherwise a file that is not within out is written where it is to be.
+    """
+    inner = name_within(out, file)
+    if inner is None and place == out:
+        target = found = file
+    else:
+        target, found = staging / (inner or file.name), place / (inner or file.name)
+    with progress_bar() as labelled:
+        film(plans, target, labelled(file.name))
+    return found

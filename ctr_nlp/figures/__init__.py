@@ -1,25 +1,41 @@
-"""Plans to pictures: what the paper shows in its Figs. 4, 5, 6 and 8, for any plan."""
+"""Plans to pictures: what the paper shows in its Figs. 4, 5, 6 and 8, for any plan; and pictures to files."""
 
-from ctr_nlp.figures.clearance import clearance
-from ctr_nlp.figures.files import save, save_all
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ctr_nlp.exceptions import OutputError
+from ctr_nlp.figures.errors import by_frame, errors
 from ctr_nlp.figures.film import check_film, film
-from ctr_nlp.figures.frames import by_frame
-from ctr_nlp.figures.motion import configuration
+from ctr_nlp.figures.margins import clearance, stability
+from ctr_nlp.figures.motion import configuration, tracking
 from ctr_nlp.figures.overlay import shapes
-from ctr_nlp.figures.stability import stability
-from ctr_nlp.figures.tracking import tracking
-from ctr_nlp.figures.violins import errors
+from ctr_nlp.plan.plan import Plan
 
-__all__ = [
-    "by_frame",
-    "check_film",
-    "clearance",
-    "configuration",
-    "errors",
-    "film",
-    "save",
-    "save_all",
-    "shapes",
-    "stability",
-    "tracking",
-]
+__all__ = ["check_film", "film", "save", "save_all", "tracking"]
+
+PICTURES = {"shapes": shapes, "errors": errors, "by_frame": by_frame, "configuration": configuration}
+"""Of every plan, by the names of their files."""
+DPI = 150
+
+
+def save_all(plan: Plan, folder: str | Path) -> list[Path]:
+    """Write shapes.png, errors.png, by_frame.png, configuration.png; stability.png and clearance.png where known.
+
+    Into a folder that exists; returns where they lie. Raises OutputError where they cannot be written.
+    """
+    pictures = PICTURES | ({"stability": stability} if np.isfinite(plan.stability).any() else {})
+    pictures |= {} if plan.clearance is None else {"clearance": clearance}
+    return [save(picture(plan), Path(folder) / f"{name}.png") for name, picture in pictures.items()]
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a picture; raises OutputError where it cannot be written."""
+    try:
+        figure.savefig(path, dpi=DPI)
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error}") from error
+    return path

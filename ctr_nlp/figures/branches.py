@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -102,14 +102,12 @@ def _frame(axes: Axes, view: View, middle: Array, side: Array, directions: str) 
 def _draw(axes: Axes, view: View, paths: Sequence[Array], dpi: float) -> None:
     """The branches, later ones thinner, so that all are seen where they share a trunk; then their numbers."""
     for k, path in enumerate(paths):
-        axes.plot(
-            *path[:, [view.across, view.up]].T,
-            color=tube_colour(k),
-            lw=tube_width(k, len(paths)),
-            solid_capstyle="round",
-        )
+        across, up = path[:, [view.across, view.up]].T
+        axes.plot(across, up, color=tube_colour(k), lw=tube_width(k, len(paths)), solid_capstyle="round")
     for root in {tuple(np.round(path[0], 3)) for path in paths}:
         axes.plot(root[view.across], root[view.up], "o", ms=5, mfc="white", mec=BLACK, zorder=5)
+    edge = [withStroke(linewidth=2, foreground="white")]
+    look: dict[str, Any] = {"color": BLACK, "fontsize": 8, "path_effects": edge, "zorder": 6}
     for number, place in enumerate(_places(axes, view, paths, dpi), start=1):
         axes.annotate(
             str(number),
@@ -117,10 +115,7 @@ def _draw(axes: Axes, view: View, paths: Sequence[Array], dpi: float) -> None:
             xycoords="figure points",
             ha="center",
             va="center",
-            fontsize=8,
-            color=BLACK,
-            path_effects=[withStroke(linewidth=2, foreground="white")],
-            zorder=6,
+            **look,
         )
 
 

@@ -14,11 +14,18 @@ from matplotlib.animation import FFMpegWriter, PillowWriter
 from matplotlib.figure import Figure
 
 from ctr_nlp.exceptions import OptionError, OutputError
-from ctr_nlp.figures.frames import CURVES
+from ctr_nlp.figures.errors import CURVES
 from ctr_nlp.figures.overlay import TARGET
-from ctr_nlp.figures.parts.page import STYLE, curve, frame_axis, outcome, printable, shade_failures
+from ctr_nlp.figures.parts.page import (
+    STYLE,
+    by_frames,
+    curve,
+    legend_of,
+    outcome,
+    printable,
+)
 from ctr_nlp.figures.parts.palette import BLACK
-from ctr_nlp.figures.parts.space import Body, frame, insertion_point, key, points_of_all, span, wall
+from ctr_nlp.figures.parts.space import Body, frame, key, points_of_all, span, stage
 from ctr_nlp.plan import account, metrics
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.support.whole_file import whole_file
@@ -92,8 +99,7 @@ def _stage(plans: Sequence[Plan]) -> tuple[Figure, list[_Column]]:
     for column in columns:
         column.errors.set_ylim(0.0, highest)
     handles = key(max(plan.robot.d for plan in plans), any(plan.lumen is not None for plan in plans))
-    named = [column.errors.get_legend_handles_labels() for column in columns]
-    curves = {label: handle for some, labels in named for handle, label in zip(some, labels, strict=True)}
+    curves = legend_of(*(column.errors for column in columns))
     figure.legend(handles=[*handles, *curves.values()], loc="lower center", ncols=4 * len(plans))
     return figure, columns
 
@@ -103,33 +109,19 @@ class _Column:
 
     def __init__(self, figure: Figure, left: float, width: float, plan: Plan, points: Array, side: Array) -> None:
         self._plan, numbers = plan, metrics.summary(plan)
-        space: Any = figure.add_axes((left, 0.31, width, 0.605), projection="3d")
-        if plan.lumen is not None:
-            wall(space, plan.lumen)
-        insertion_point(space)
+        space = stage(figure, (left, 0.31, width, 0.605), plan.lumen)
         self._target = space.plot([], [], [], zorder=5, **TARGET)[0]
         self._body = Body(space, plan.robot.d)
         frame(space, points, side)
-        figure.text(
-            left + width / 2,
-            0.985,
-            f"{textwrap.fill(printable(account.title(numbers)), LINE)}\n{outcome(numbers)}",
-            ha="center",
-            va="top",
-            parse_math=False,
-        )
+        told = f"{textwrap.fill(printable(account.title(numbers)), LINE)}\n{outcome(numbers)}"
+        figure.text(left + width / 2, 0.985, told, ha="center", va="top", parse_math=False)
         self._now = figure.text(left + width / 2, 0.91, "", ha="center", va="center")
         self.errors = figure.add_axes((left + 0.13 * width, 0.125, 0.82 * width, 0.125))
-        self._draw_errors()
-        self._cursor = self.errors.axvline(0.0, color=BLACK, lw=1.0)
-
-    def _draw_errors(self) -> None:
-        frames, distance = np.arange(1, len(self._plan.time) + 1), metrics.e1(self._plan)
-        shade_failures(self.errors, self._plan, frames, 1.0)
+        distance, frames = metrics.e1(plan), by_frames(self.errors, plan)
         curve(self.errors, frames, distance.max(axis=1), **CURVES["max"])
         curve(self.errors, frames, metrics.rms_over_sigma(distance), **CURVES["e2"])
-        frame_axis(self.errors, len(frames))
         self.errors.set_ylabel("distance (mm)")
+        self._cursor = self.errors.axvline(0.0, color=BLACK, lw=1.0)
 
     def show(self, part: float) -> None:
         """The frame at a part of the motion, in (0, 1]."""

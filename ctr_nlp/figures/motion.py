@@ -1,8 +1,8 @@
-"""The configuration over time and its distance from the known one, as Fig. 8 of the paper."""
+"""The configuration over time, its distance from the known one, as Fig. 8, and how a device tracked it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib
@@ -11,11 +11,21 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ctr_nlp.figures.parts.page import STYLE, at_least, curve, head, shade, shade_failures
+from ctr_nlp.figures.parts.page import (
+    STYLE,
+    at_least,
+    curve,
+    frame_axis,
+    head,
+    legend_of,
+    printable,
+    shade,
+    shade_failures,
+)
 from ctr_nlp.figures.parts.palette import AMBIGUOUS, TILT, tube_colour, tube_width
-from ctr_nlp.figures.truth import error_from_truth, indistinct
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.typing import Array
+from ctr_nlp.simulation.forward import other_way
+from ctr_nlp.typing import Array, Flags
 
 NAMES = ("α (rad)", "β (mm)", "θ (rad)")
 LEAST_SPAN = (0.1, 1.0, 0.1)
@@ -83,8 +93,7 @@ def _look(name: str, i: int, d: int) -> dict[str, Any]:
 
 def _legend(row: npt.NDArray[np.object_]) -> None:
     """One legend to the right of the row for all that its panels name."""
-    named = [axes.get_legend_handles_labels() for axes in row]
-    handles = {label: handle for some, labels in named for handle, label in zip(some, labels, strict=True)}
+    handles = legend_of(*row)
     row[-1].legend(handles.values(), handles.keys(), loc="center left", bbox_to_anchor=(1.01, 0.5))
 
 
@@ -95,3 +104,65 @@ def _limits(axes: Axes, plan: Plan) -> None:
         for i, value in enumerate(robot.split(bound)[1]):
             axes.axhline(value, color=tube_colour(i), lw=0.9, ls=(0, (5, 3)), zorder=1)
     axes.plot([], [], color="0.4", lw=0.9, ls=(0, (5, 3)), label="limits")
+
+
+def error_from_truth(plan: Plan) -> Array:
+    """The error q - truth (T, 2d + 2) in rad, mm, where the truth is known; NaN for frames never reached.
+
+    Two things that leave every shape as it is do not count. Whole turns of any angle. And the two ways to
+    write one rotation, R(theta_x, theta_y) Rz(alpha) = R(pi - theta_x, theta_y + pi) Rz(alpha + pi): the
+    truth is written in the way that is nearer to the plan, the same for the whole motion.
+    """
+    assert plan.truth is not None
+    q, d = plan.q, plan.robot.d
+    angles = np.r_[:d, 2 * d : 2 * d + 2]
+    errors = []
+    for truth in (plan.truth, other_way(plan.robot, plan.truth)):
+        error = q - truth
+        error[:, angles] = without_whole_turns(error[:, angles])
+        errors.append(error)
+    return min(errors, key=lambda error: float(np.nansum(np.abs(error[:, angles]))))
+
+
+def without_whole_turns(angle: Array) -> Array:
+    """Angles (T, n) in rad without jumps of whole turns from frame to frame, and each column nearest to zero."""
+    result = np.array(angle, dtype=float)
+    known = np.isfinite(result).all(axis=1)
+    if known.any():
+        smooth = np.unwrap(result[known], axis=0)
+        result[known] = smooth - 2 * np.pi * np.round(np.median(smooth, axis=0) / (2 * np.pi))
+    return result
+
+
+def indistinct(plan: Plan) -> Flags:
+    """Frames (T,) whose known theta_x is within 0.05 rad of +-pi/2, where alpha and theta_y are one rotation."""
+    assert plan.truth is not None
+    return np.abs(np.cos(plan.truth[:, -2])) < np.sin(0.05)
+
+
+@matplotlib.rc_context(STYLE)
+def tracking(
+    title: str, frame: npt.NDArray[Any], error: npt.NDArray[Any], late: npt.NDArray[Any], names: Sequence[str]
+) -> Figure:
+    """Errors of sliding axes (mm), of turning ones, and lateness (ms) over frames (T,).
+
+    error: (T, m), measured less commanded. late: (T,) s. names: (m,), of the axes, each with its unit, "X (mm)".
+    """
+    figure = Figure(figsize=(6.4, 6.2), layout="constrained")
+    rows = figure.subplots(3, 1, sharex=True)
+    slides = [k for k, name in enumerate(names) if name.endswith("(mm)")]
+    turns = [k for k in range(len(names)) if k not in slides]
+    for axes, some in ((rows[0], slides), (rows[1], turns)):
+        units = dict.fromkeys(names[k].rpartition("(")[2].rstrip(")") for k in some)
+        axes.set_ylabel(f"error when due ({', '.join(units)})")
+        axes.axhline(0.0, color="0.6", lw=0.9)
+        for i, k in enumerate(some):
+            axes.plot(frame, error[:, k], color=tube_colour(i), lw=tube_width(i, len(some)), label=names[k])
+        at_least(axes, 0.02)
+        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))
+    rows[2].plot(frame, 1e3 * late, color="0.2", lw=1.2)
+    at_least(rows[2], 20.0)
+    rows[2].set_ylabel("late (ms)")
+    frame_axis(rows[2], int(frame[-1]))
+    figure.suptitle(printable(title), fontsize=10, parse_math=False)
+    return figure

@@ -50,8 +50,9 @@ def shapes(plan: Plan, frames: Sequence[int] | None = None) -> Figure:
     index = np.array(shown) - 1
     points = np.concatenate([plan.target[index], plan.shape[index]]).reshape(-1, 3)
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
-    views = _views(high - low)
-    panel = _panel(high - low)
+    extent, margin = high - low, 0.05 * (high - low).max()
+    views = [axis for axis in (0, 1) if extent[axis] > FLAT * extent.max()] or [int(extent[1] > extent[0])]
+    panel = np.array([max(extent[:2].max(), SLIM * extent.max()), extent[2]]) + 2 * margin
     figure, grid = _grid(len(shown), len(views), panel)
     columns = grid.shape[1]
     for k, number in enumerate(shown):
@@ -78,18 +79,6 @@ def _shown(plan: Plan, frames: Sequence[int] | None) -> list[int]:
     if not frames:
         raise OptionError("frames is empty; name at least one")
     return list(frames)
-
-
-def _views(extent: Array) -> list[int]:
-    """The horizontal axes, 0 for x and 1 for y, of the views that show something; at least one."""
-    wide = [axis for axis in (0, 1) if extent[axis] > FLAT * extent.max()]
-    return wide or [int(extent[1] > extent[0])]
-
-
-def _panel(extent: Array) -> Array:
-    """Width and height in mm of every panel; they share one scale."""
-    margin = 0.05 * extent.max()
-    return np.array([max(extent[:2].max(), SLIM * extent.max()), extent[2]]) + 2 * margin
 
 
 def _grid(count: int, views: int, panel: Array) -> tuple[Figure, npt.NDArray[np.object_]]:

@@ -33,14 +33,11 @@ def title(found: dict[str, Any]) -> str:
 
 def verdict_rows(found: dict[str, Any]) -> list[tuple[str, str, str, str]]:
     """Of every matter: its name, the verdict's word, its number with unit, and why."""
-    return [
-        (each["matter"], each["word"], _measured(each["number"], each["unit"]), each["why"])
-        for each in found["verdicts"].values()
-    ]
-
-
-def _measured(number: float | None, unit: str) -> str:
-    return "" if number is None else f"{shown(number)} {unit}".rstrip()
+    rows = []
+    for each in found["verdicts"].values():
+        value = "" if each["number"] is None else f"{shown(each['number'])} {each['unit']}".rstrip()
+        rows.append((each["matter"], each["word"], value, each["why"]))
+    return rows
 
 
 def failed(found: Mapping[str, Any]) -> str:
@@ -51,27 +48,29 @@ def failed(found: Mapping[str, Any]) -> str:
 
 def rows(found: dict[str, Any]) -> list[Row]:
     """The numbers that tell how good a plan is; lengths in mm."""
+    failed, steps = found["failed"], " / ".join(map(shown, found["max_step"].values()))
     return [
         ("e3, RMS over frames of e2", found["e3"], "mm"),
         ("e4, median over frames of e2", found["e4"], "mm"),
         ("largest error, at equal arc length", found["e_max"], "mm"),
         ("largest distance to the target", found["nearest_max"], "mm"),
         ("largest tip error", found["tip_max"], "mm"),
-        (
-            "largest step of alpha, beta, theta",
-            " / ".join(map(shown, found["max_step"].values())),
-            "rad / mm / rad",
-        ),
+        ("largest step of alpha, beta, theta", steps, "rad / mm / rad"),
         *_stability(found),
         *_clearance(found),
         *_effort(found),
-        ("frames", _frames(found["frames"], found["failed"]), ""),
+        ("frames", f"{found['frames']}, {f'{failed} not solved' if failed else 'all solved'}", ""),
     ]
 
 
 def remarks(plan: Plan, found: dict[str, Any]) -> list[str]:
     """Sentences on limits that bind or are exceeded, snaps, contacts and failures; none where all is well."""
-    return [*_limits(plan, found), *_snaps(found), *_contacts(plan, found), *_failures(plan)]
+    snaps = [
+        f"snap on the way to frame {snap['frame']}: tips of tubes {', '.join(map(str, snap['tubes']))} turn by "
+        f"{snap['jump']:.2f} rad"
+        for snap in found["snaps"]
+    ]
+    return [*_limits(plan, found), *snaps, *_contacts(plan, found), *_failures(plan)]
 
 
 def _limits(plan: Plan, found: dict[str, Any]) -> list[str]:
@@ -85,14 +84,6 @@ def _limits(plan: Plan, found: dict[str, Any]) -> list[str]:
         frame, least = found["stability_missed"]
         told.append(f"the margin is missed between frames: {least:.3f} on the way to frame {frame}")
     return told
-
-
-def _snaps(found: dict[str, Any]) -> list[str]:
-    return [
-        f"snap on the way to frame {snap['frame']}: tips of tubes {', '.join(map(str, snap['tubes']))} turn by "
-        f"{snap['jump']:.2f} rad"
-        for snap in found["snaps"]
-    ]
 
 
 def _contacts(plan: Plan, found: dict[str, Any]) -> list[str]:
@@ -127,10 +118,6 @@ def _failures(plan: Plan) -> list[str]:
     return told
 
 
-def _frames(frames: int, failed: int) -> str:
-    return f"{frames}, {failed} not solved" if failed else f"{frames}, all solved"
-
-
 def _stability(found: dict[str, Any]) -> list[Row]:
     """The least margins, where the model has any."""
     if found["stability_min"] is None:
@@ -157,17 +144,11 @@ def _effort(found: dict[str, Any]) -> list[Row]:
     times = found["solve_ms"]
     if times["median"] is not None:
         return [("time a frame, median and 99 %", f"{shown(times['median'])} / {shown(times['p99'])}", "ms")]
+    rough = f"{found['roughness']:.0f} / {found['weights']['motion_s2']:.2g}"
+    seconds = f"{shown(found['search_s'])} / {shown(times['total'] / 1e3)}"
     return [
-        (
-            "roughness, and its weight in the objective",
-            f"{found['roughness']:.0f} / {found['weights']['motion_s2']:.2g}",
-            "mm²/s / s²",
-        ),
-        (
-            "time for the start, and for the horizon",
-            f"{shown(found['search_s'])} / {shown(times['total'] / 1e3)}",
-            "s",
-        ),
+        ("roughness, and its weight in the objective", rough, "mm²/s / s²"),
+        ("time for the start, and for the horizon", seconds, "s"),
     ]
 
 

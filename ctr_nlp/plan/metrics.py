@@ -7,26 +7,12 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.plan.contacts import contacts, depth
-from ctr_nlp.plan.errors import e1, e3, nearest, rms_over_sigma, root_mean_square, tip_angle
-from ctr_nlp.plan.limits_used import rate_parts
+from ctr_nlp.plan.measures import contacts, depth, e1, e3, nearest, rate_parts, rms_over_sigma, tip_angle
+from ctr_nlp.plan.measures import root_mean_square as root_mean_square
 from ctr_nlp.plan.record import Record
 from ctr_nlp.plan.verdicts import verdicts
 from ctr_nlp.support.runs import runs
 from ctr_nlp.typing import Array
-
-__all__ = [
-    "bound_by_stability",
-    "by_frame",
-    "e1",
-    "e3",
-    "missed_margin",
-    "nearest",
-    "rms_over_sigma",
-    "root_mean_square",
-    "summary",
-    "tip_angle",
-]
 
 BINDS = 0.005
 """A frame whose margin exceeds the one asked for by less is held back by it."""
@@ -39,7 +25,7 @@ def by_frame(plan: Record) -> dict[str, Array]:
     """
     if not isinstance(plan, Record):
         raise OptionError(f"plan is {plan!r:.80}; it must be a Plan")
-    distance, near = e1(plan), nearest(plan)
+    distance, near, has_margins = e1(plan), nearest(plan), np.isfinite(plan.stability).any()
     return {
         "frame": np.arange(1, len(plan.time) + 1),
         "time": plan.time,
@@ -49,16 +35,10 @@ def by_frame(plan: Record) -> dict[str, Array]:
         "nearest": rms_over_sigma(near),
         "nearest_max": near.max(axis=1),
         "tip_angle": tip_angle(plan),
-        **_stability(plan),
+        **({"stability": plan.stability, "stability_between": plan.stability_between} if has_margins else {}),
         **({} if plan.clearance is None else {"clearance": plan.clearance.min(axis=1)}),
         "success": plan.success.astype(int),
     }
-
-
-def _stability(plan: Record) -> dict[str, Array]:
-    """Margins (T,), where the model has any."""
-    found = {"stability": plan.stability, "stability_between": plan.stability_between}
-    return found if np.isfinite(plan.stability).any() else {}
 
 
 def bound_by_stability(plan: Record) -> list[tuple[int, int]]:
@@ -101,11 +81,7 @@ def summary(plan: Record) -> dict[str, Any]:
         "tip_angle_max_deg": _number(np.degrees(columns["tip_angle"][known].max(initial=-np.inf))),
         "nearest_max": _number(columns["nearest_max"][known].max(initial=-np.inf)),
         "roughness": _number(((steps * robot.mm_per_unit) ** 2).sum() / plan.dt),
-        "max_step": {
-            "alpha": float(alpha.max()),
-            "beta": float(beta.max()),
-            "theta": float(theta.max()),
-        },
+        "max_step": {"alpha": float(alpha.max()), "beta": float(beta.max()), "theta": float(theta.max())},
         "acceleration_used": float(rate_parts(plan, 2).max(initial=0.0)),
         "stability_min": _least(plan.stability),
         "stability_between_min": _least(plan.stability_between),

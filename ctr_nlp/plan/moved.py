@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ctr_nlp.models import Snap
-from ctr_nlp.plan.errors import rms_over_sigma, root_mean_square
+from ctr_nlp.plan.measures import rms_over_sigma, root_mean_square
 from ctr_nlp.robot import Robot
 from ctr_nlp.simulation.forward import Simulation, simulated
 from ctr_nlp.target.lumen import Lumen

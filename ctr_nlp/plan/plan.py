@@ -14,10 +14,9 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.exceptions import CtrError, OutputError
-from ctr_nlp.plan.errors import e3
+from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.moved import elsewhere, lost, moved
-from ctr_nlp.plan.record import Record
-from ctr_nlp.plan.stored import FORMAT, check_arrays, check_meta, stored
+from ctr_nlp.plan.record import FORMAT, Record, check_arrays, check_meta, stored
 from ctr_nlp.plan.stretches import joined, resampled, rows, stretch, turned
 from ctr_nlp.plan.verdicts import Verdicts, verdicts
 from ctr_nlp.robot import Robot
@@ -28,8 +27,8 @@ from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Flags
 
-__all__ = ["Plan", "elsewhere", "plan_from_configurations"]
-
+DESCRIBED = "name", "frames", "duration", "deviation", "deviation_share"
+"""What meta tells of the problem."""
 SHOWN = 5
 """Frames in a notebook's picture."""
 
@@ -45,27 +44,15 @@ class Plan(Record):
         """Whether the plan does what was asked of it, one verdict a matter."""
         return verdicts(self)
 
-    def reversed(self) -> Plan:
-        """The same motion played backwards, at the same pace."""
-        return turned(self)
-
     def on(self, model: str) -> Plan:
         """The same motion on another model: shapes, tip directions and stability of the robot moved through it."""
         found = moved(self.robot, self.q, model, target=self.target, lumen=self.lumen, free=self.free)
         return replace(self, **found.arrays, meta=self.meta | found.told | {"evaluated": model})
 
-    def __getitem__(self, frames: slice) -> Plan:
-        return stretch(self, frames)
-
-    def joined(self, other: Plan) -> Plan:
-        """Another plan after this one; see stretches.joined, which also says what they must share."""
-        return joined(self, other)
-
-    __add__ = joined
-
-    def resampled(self, frames: int | None = None, dt: float | None = None) -> Plan:
-        """The same motion at as many frames, or dt s apart; see stretches.resampled for what is kept of it."""
-        return resampled(self, frames, dt)
+    __getitem__ = stretch
+    reversed = turned
+    joined = __add__ = joined
+    resampled = resampled
 
     def __repr__(self) -> str:
         failed, error = int((~self.success).sum()), e3(self)
@@ -156,13 +143,7 @@ def plan_from_configurations(
         meta=meta
         | found.told
         | {
-            "problem": {
-                "name": problem.name,
-                "frames": problem.frames,
-                "duration": problem.duration,
-                "deviation": problem.deviation,
-                "deviation_share": problem.deviation_share,
-            },
+            "problem": {key: getattr(problem, key) for key in DESCRIBED},
             "robot": robot.to_dict(),
             "versions": {
                 "ctr_nlp": importlib.metadata.version("ctr_nlp"),

@@ -1,17 +1,21 @@
-"""What a plan holds: arrays over its frames, and meta, which tells how they were made."""
+"""What a plan holds, in memory and in its file: arrays over its frames, and meta, which tells how it was made."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from ctr_nlp.exceptions import OutputError
 from ctr_nlp.models import MODELS
 from ctr_nlp.robot import Robot
-from ctr_nlp.support.equal import Value
-from ctr_nlp.support.read_only import read_only
+from ctr_nlp.support.equal import Value, read_only
 from ctr_nlp.support.values import frozen
 from ctr_nlp.typing import Array, Flags
 
@@ -96,3 +100,79 @@ class Record(Value):
     def options(self) -> dict[str, Any]:
         """What the plan was made with, by name; empty where whoever made it does not tell."""
         return dict(self.meta.get("options", {}))
+
+
+FORMAT = 1
+SHAPES: dict[str, tuple[int | str, ...]] = {
+    **dict.fromkeys(
+        ("time", "solve_time", "success", "objective", "kkt", "stability", "stability_between"), ("T",)
+    ),
+    **dict.fromkeys(("alpha", "beta"), ("T", "d")),
+    "theta": ("T", 2),
+    **dict.fromkeys(("target", "shape"), ("T", 101, 3)),
+    **dict.fromkeys(("target_direction", "tip_direction"), ("T", 3)),
+    **dict.fromkeys(("lumen_radius", "clearance"), ("T", 101)),
+    **dict.fromkeys(("truth", "free"), ("T", "q")),
+    "to_robot": (4, 4),
+    "lumen": ("N", 4),
+}
+"""Sizes of the arrays: T frames, d tubes, q = 2d + 2 joints, N points of a lumen."""
+OPTIONAL = "lumen_radius", "clearance", "truth", "free", "lumen"
+REQUIRED = tuple(name for name in SHAPES if name not in OPTIONAL)
+META: dict[str, type] = {"robot": dict, "problem": dict, "model": str}
+"""What meta must tell, and as what."""
+TOLD: dict[str, type] = {"options": dict, "formulation": str, "solver": str}
+"""What meta may tell, and as what."""
+
+
+def stored(path: Path) -> tuple[dict[str, npt.NDArray[Any]], Any]:
+    """The arrays of a plan.npz that belong to a plan, and its meta; raises OutputError."""
+    try:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as data:
+            if "meta" not in data.files:
+                raise OutputError("it has no meta")
+            arrays = {name: data[name] for name in data.files if name in SHAPES}
+            return arrays, json.loads(str(data["meta"]))
+    except OutputError:
+        raise
+    except Exception as error:  # whatever the readers of zip archives, arrays and JSON meet in a damaged file
+        raise OutputError(f"it is damaged, or another file: {error}") from error
+
+
+def check_meta(meta: Any) -> None:
+    """Raise OutputError unless meta tells what every plan tells."""
+    if not isinstance(meta, dict):
+        raise OutputError(f"meta is {meta!r:.60}; it must be a JSON object")
+    if meta.get("format") != FORMAT:
+        raise OutputError(f"it has format {meta.get('format')!r}; this version reads {FORMAT}")
+    for key, kind in (META | {key: kind for key, kind in TOLD.items() if key in meta}).items():
+        if not isinstance(meta.get(key), kind):
+            raise OutputError(f"{key} of meta is {meta.get(key)!r:.60}; it must be a {kind.__name__}")
+    if not isinstance(meta["problem"].get("name"), str):
+        raise OutputError(f"name of meta's problem is {meta['problem'].get('name')!r:.60}; it must be a str")
+    for key in ("model", "evaluated"):
+        if str(meta.get(key, "dominant")) not in MODELS:
+            raise OutputError(f"{key} of meta is {meta[key]!r:.60}; it must be one of {', '.join(MODELS)}")
+
+
+def check_arrays(arrays: Mapping[str, npt.NDArray[Any]], tubes: int) -> None:
+    """Raise OutputError unless arrays are numbers of the sizes that a plan for so many tubes has."""
+    missing = [name for name in REQUIRED if name not in arrays]
+    if missing:
+        raise OutputError(f"it has no {missing[0]}")
+    frames, points = arrays["time"].size, len(np.atleast_1d(arrays.get("lumen", np.empty(0))))
+    sizes = {"T": frames, "d": tubes, "q": 2 * tubes + 2, "N": points}
+    for name, array in arrays.items():
+        wanted = tuple(sizes.get(size, size) if isinstance(size, str) else size for size in SHAPES[name])
+        if array.shape != wanted:
+            raise OutputError(f"{name} has shape {array.shape}, not {wanted}")
+        if array.dtype.kind not in ("b" if name == "success" else "iuf"):
+            kind = "bool" if name == "success" else "numbers"
+            raise OutputError(f"{name} holds {array.dtype}; it must be {kind}")
+    if not frames:
+        raise OutputError("it has no frames")
+    time = arrays["time"]
+    if not (np.isfinite(time).all() and (np.diff(time, prepend=0.0) > 0).all()):
+        raise OutputError(
+            f"time runs from {time[0]} to {time[-1]} s; it must be finite and grow from frame to frame"
+        )

@@ -98,12 +98,12 @@ def joined(plan: AnyPlan, other: Record) -> AnyPlan:
     absent = {name: None for name in (*first, *second) if name not in both}
     q = np.concatenate([plan.q, other.q])
     found = moved(plan.robot, q, plan.evaluated, target=both["target"], lumen=plan.lumen, free=both.get("free"))
-    away = _away(found.arrays["shape"], both["shape"])
+    apart = np.linalg.norm(found.arrays["shape"] - both["shape"], axis=-1).max(axis=1)
+    away = np.isfinite(both["shape"]).all(axis=(1, 2)) & ~(apart < SAME_PLACE)
     alpha, beta, theta = plan.robot.split(np.abs(other.q[0] - plan.q[-1]))
     meta: dict[str, Any] = dict(plan.meta) | found.told
     for name in BY_FRAME:
-        later = _renumbered(other.meta.get(name, {}), count, len(q))
-        meta[name] = {**plan.meta.get(name, {}), **later}
+        meta[name] = {**plan.meta.get(name, {}), **_renumbered(other.meta.get(name, {}), count, len(q))}
     meta["failures"] = lost(both["success"] & away, found.simulation.snaps) | meta["failures"]
     both["success"] = both["success"] & ~away
     meta["joined"] = {
@@ -117,10 +117,8 @@ def joined(plan: AnyPlan, other: Record) -> AnyPlan:
         for name, judge in STRICTEST.items()
         if name in plan.options and name in other.options
     }
-    meta["interpolated"] = [
-        *plan.meta.get("interpolated", []),
-        *(j + count for j in other.meta.get("interpolated", [])),
-    ]
+    later = [j + count for j in other.meta.get("interpolated", [])]
+    meta["interpolated"] = [*plan.meta.get("interpolated", []), *later]
     return replace(plan, **(both | absent | found.arrays), meta=meta | _timed(meta, len(q), plan.dt))
 
 
@@ -143,9 +141,8 @@ def resampled(plan: AnyPlan, frames: int | None = None, dt: float | None = None)
     step = plan.dt * (len(plan.time) - 1) / (len(at) - 1)
     between["time"] = step * np.arange(1.0, len(at) + 1)
     q = np.hstack([between["alpha"], between["beta"], between["theta"]])
-    found = moved(
-        plan.robot, q, plan.evaluated, target=between["target"], lumen=plan.lumen, free=between.get("free")
-    )
+    target, free = between["target"], between.get("free")
+    found = moved(plan.robot, q, plan.evaluated, target=target, lumen=plan.lumen, free=free)
     fine = _solved_around(plan, at)
     success = own & fine & plan.success[at.astype(int)]
     failures = {
@@ -179,19 +176,13 @@ def _places(plan: Record, frames: int | None, dt: float | None) -> Array:
     if span < 1:
         raise OptionError("a plan of one frame has no motion to resample")
     if dt is not None:
-        number(
-            OptionError,
-            "dt",
-            dt,
-            lambda x: 0 < x <= span * plan.dt * (1 + 1e-9),
-            f"lie in (0, {span * plan.dt:g}]",
-            " s",
-        )
-        steps = max(1, round(span * plan.dt / dt))
-        if abs(steps * dt - span * plan.dt) > 1e-6 * plan.dt:
+        seconds = span * plan.dt
+        number(OptionError, "dt", dt, lambda x: 0 < x <= seconds * (1 + 1e-9), f"lie in (0, {seconds:g}]", " s")
+        steps = max(1, round(seconds / dt))
+        if abs(steps * dt - seconds) > 1e-6 * plan.dt:
             raise OptionError(
-                f"dt is {dt:g} s; the {span * plan.dt:g} s from the first frame to the last must be a multiple of "
-                f"it, as of {span * plan.dt / steps:g} s"
+                f"dt is {dt:g} s; the {seconds:g} s from the first frame to the last must be a multiple of it, as "
+                f"of {seconds / steps:g} s"
             )
         frames = steps + 1
     at = np.linspace(0.0, span, whole_number(OptionError, "frames", frames, 2))
@@ -218,12 +209,6 @@ def _check_alike(plan: Record, other: Record) -> None:
         raise OptionError(
             f"dt of two plans to be joined is {plan.dt:g} and {other.dt:g} s; it must be the same (resampled())"
         )
-
-
-def _away(shape: Array | None, planned: Array) -> Flags:
-    """Frames (T,) whose shape is not the one planned, both (T, 101, 3) mm, of those that had one."""
-    apart = np.linalg.norm(np.asarray(shape) - planned, axis=-1).max(axis=1)
-    return np.isfinite(planned).all(axis=(1, 2)) & ~(apart < SAME_PLACE)
 
 
 def _renumbered(told: Mapping[str, Any], by: int, count: int) -> dict[str, Any]:

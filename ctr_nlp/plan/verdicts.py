@@ -8,9 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.plan.contacts import depth
-from ctr_nlp.plan.errors import e3
-from ctr_nlp.plan.limits_used import most_used
+from ctr_nlp.plan.measures import depth, e3, most_used
 from ctr_nlp.plan.record import Record
 
 YES, NO, NOT_ASKED, NOT_KNOWN = "yes", "no", "not asked", "not known"
@@ -116,12 +114,8 @@ def _within_limits(plan: Record) -> Judgement:
     if not most.exceeded:
         return YES, most.part, "of a limit", f"No limit is exceeded; the {most.what} uses most of its own."
     hint = "acceleration" in most.what and plan.meta["formulation"] != "horizon"
-    return (
-        NO,
-        most.part,
-        "of a limit",
-        f"The {most.what} exceeds what is allowed" + ("; only a horizon keeps accelerations." if hint else "."),
-    )
+    told = f"The {most.what} exceeds what is allowed" + "; only a horizon keeps accelerations" * hint
+    return NO, most.part, "of a limit", f"{told}."
 
 
 def _within_wall(plan: Record) -> Judgement:

@@ -8,7 +8,6 @@ from importlib import resources
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.figures.parts.palette import tube_colour
@@ -16,8 +15,7 @@ from ctr_nlp.plan import account
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.report.plots import cursors, figures
-from ctr_nlp.report.scales import Scale, quantities, scales
-from ctr_nlp.report.scene import BY_TUBE, DATA, box, frame, scene
+from ctr_nlp.report.scene import BY_TUBE, DATA, Scale, box, frame, quantities, scales, scene
 from ctr_nlp.support.extras import needed
 
 READOUT = {"e2": "mm", "max": "mm", "clearance": "mm", "stability": ""}
@@ -94,28 +92,21 @@ def _moving(plan: Plan, packed: str, spans: list[str]) -> dict[str, Any]:
         "cursors": spans,
         "colourings": [BY_TUBE, *quantities(plan)],
         "readout": {
-            name: {"unit": unit, "values": _numbers(columns[name])}
+            name: {
+                "unit": unit,
+                "values": [float(f"{value:.4g}") if np.isfinite(value) else None for value in columns[name]],
+            }
             for name, unit in READOUT.items()
             if name in columns
         },
     }
 
 
-def _numbers(column: npt.NDArray[np.float64]) -> list[float | None]:
-    """A column as JSON has it, without NaN."""
-    return [float(f"{value:.4g}") if np.isfinite(value) else None for value in column]
-
-
 def _legend(scale: Scale) -> dict[str, Any]:
     gradient = ", ".join(f"{colour} {100 * at:.2f}%" for at, colour in scale.stops)
     zero = 100 * (0.0 - scale.low) / (scale.high - scale.low)
-    return {
-        "key": scale.key,
-        "name": scale.name,
-        "gradient": f"linear-gradient(90deg, {gradient})",
-        "zero": zero,
-        "high": f"{scale.high:.3g}",
-    }
+    told = {"key": scale.key, "name": scale.name, "zero": zero, "high": f"{scale.high:.3g}"}
+    return told | {"gradient": f"linear-gradient(90deg, {gradient})"}
 
 
 def _text(name: str) -> str:

@@ -25,7 +25,8 @@ HEIGHT = 190
 """Of a plot in pixels."""
 LEFT = 64
 """Pixels left of all plots, so that their time axes lie below one another."""
-LIMIT = "#777777"
+WIDTH, LIMIT = 1.8, "#777777"
+"""Of lines, and the colour of limits."""
 DASHES = ("solid", "dashed", "dotdash", "dotted")
 MARGIN = 0.06
 """Above and below what is shown, as a part of it."""
@@ -41,7 +42,6 @@ class Line:
     y: Array
     colour: str
     dash: str = "solid"
-    width: float = 1.8
 
 
 @dataclass(frozen=True)
@@ -57,14 +57,8 @@ class Panel:
 def panels(plan: Plan) -> Iterator[Panel]:
     """What there is to plot of a plan, from top to bottom."""
     columns = by_frame(plan)
-    yield Panel(
-        ERROR,
-        (
-            Line("RMSE e2", columns["e2"], BLUE),
-            Line("maximum of e1", columns["max"], VERMILLION, "dashed"),
-        ),
-        (0.0,),
-    )
+    errors = Line("RMSE e2", columns["e2"], BLUE), Line("maximum of e1", columns["max"], VERMILLION, "dashed")
+    yield Panel(ERROR, errors, (0.0,))
     if "clearance" in columns:
         yield Panel(CLEARANCE, (Line("least clearance", columns["clearance"], BLUE),), (0.0,))
     if "stability" in columns:
@@ -83,15 +77,10 @@ def _motion(plan: Plan, values: Array, names: Sequence[str], limits: tuple[Array
     """Three panels of values (T, 2d + 2) in the order of q, with limits (2d + 2,)."""
     split = plan.robot.split
     for name, part, *sides in zip(names, split(values), *map(split, limits), strict=True):
-        tilt = "θ" in name
+        columns = range(part.shape[1])
+        looks = [(f"θ{'xy'[i]}", TILT[i]) if "θ" in name else (f"tube {i + 1}", tube_colour(i)) for i in columns]
         lines = tuple(
-            Line(
-                f"θ{'xy'[i]}" if tilt else f"tube {i + 1}",
-                part[:, i],
-                TILT[i] if tilt else tube_colour(i),
-                DASHES[i % len(DASHES)],
-            )
-            for i in range(part.shape[1])
+            Line(label, part[:, i], colour, DASHES[i % len(DASHES)]) for i, (label, colour) in enumerate(looks)
         )
         yield Panel(name, lines, limits=tuple(value for value in np.unique(sides).tolist() if np.isfinite(value)))
 
@@ -109,9 +98,8 @@ def figures(plans: Sequence[Plan]) -> list[dict[str, Any]]:
     found = []
     for plan, some in zip(plans, shown, strict=True):
         times = models.Range1d(0.0, float(plan.time[-1] + plan.dt / 2), bounds="auto")
-        found.append(
-            {name: _figure(plan, some[name], times, ranges[name]) if name in some else None for name in names}
-        )
+        drawn = {name: _figure(plan, panel, times, ranges[name]) for name, panel in some.items()}
+        found.append({name: drawn.get(name) for name in names})
     return found
 
 
@@ -144,25 +132,17 @@ def _figure(plan: Plan, panel: Panel, times: Any, values: Any) -> Any:
         toolbar_location="right",
     )
     for line in panel.lines:
-        figure.line(
-            "time",
-            line.name,
-            source=source,
-            color=line.colour,
-            line_dash=line.dash,
-            line_width=line.width,
-            legend_label=line.name,
-        )
+        look = {"color": line.colour, "legend_label": line.name}
+        figure.line("time", line.name, source=source, line_dash=line.dash, line_width=WIDTH, **look)
         if len(single := alone(line.y)):
-            figure.scatter(plan.time[single], line.y[single], color=line.colour, legend_label=line.name)
+            figure.scatter(plan.time[single], line.y[single], **look)
     for limit in (limit for limit in panel.limits if values.start < limit < values.end):
         figure.line([0.0, plan.time[-1]], limit, color=LIMIT, line_dash="dotted", legend_label="limit")
     tips = [("frame", "@frame"), ("time", "@time{0.00} s")]
     tips += [(line.name, f"@{{{line.name}}}{{0.000}}") for line in panel.lines]
     figure.add_tools(models.HoverTool(tooltips=tips, mode="vline", renderers=figure.renderers[:1]))
-    figure.add_layout(
-        models.Span(location=float(plan.time[0]), dimension="height", line_color=BLACK, name="cursor")
-    )
+    begin = float(plan.time[0])
+    figure.add_layout(models.Span(location=begin, dimension="height", line_color=BLACK, name="cursor"))
     figure.toolbar.update(autohide=True, logo=None)
     figure.add_layout(figure.legend[0], "above")
     figure.legend.update(orientation="horizontal", border_line_color=None, padding=0, spacing=12, margin=2)

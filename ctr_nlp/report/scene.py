@@ -1,25 +1,86 @@
-"""A plan as a moving scene in three dimensions: tubes, target, wall, insertion point and tilt."""
+"""A plan as a moving scene in three dimensions, and what its robot may be coloured by."""
 
 from __future__ import annotations
 
 import base64
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.colors import to_rgb
+from matplotlib import colormaps
+from matplotlib.colors import to_hex, to_rgb
 from scipy.spatial.transform import Rotation
 
 from ctr_nlp.figures.overlay import tube_ends
-from ctr_nlp.figures.parts.palette import BLACK, tube_colour
+from ctr_nlp.figures.parts.palette import BLACK, CONTACT, ERROR, tube_colour
 from ctr_nlp.figures.parts.space import points_of_all
+from ctr_nlp.plan.metrics import e1
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.report.scales import Scale, quantities
 from ctr_nlp.support.extras import needed
 from ctr_nlp.target.lumen import outer_radius, rings
 from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
+
+SHADES = np.linspace(0.0, 1.0, 17)
+BELOW = 1 / 8
+"""What is shown of a scale below 0, as a part of what is above."""
+LEAST_SPAN = 0.1
+"""Of a scale: less is rounding noise."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A quantity along the robot: its key, its name with unit, the values at both ends, and colours between them.
+
+    stops: (position in [0, 1], colour), in order; two at one position are a jump.
+    """
+
+    key: str
+    name: str
+    low: float
+    high: float
+    stops: tuple[tuple[float, str], ...]
+
+
+def quantities(plan: Plan) -> dict[str, Array]:
+    """Values (T, 101) at uniform sigma of what is known of a plan: error and clearance in mm, stability margin."""
+    found = {"error": e1(plan), "stability": np.repeat(plan.stability[:, None], len(SIGMA), axis=1)}
+    if plan.clearance is not None:
+        found["clearance"] = plan.clearance
+    return {key: values for key, values in found.items() if np.isfinite(values).any()}
+
+
+def scales(plans: Sequence[Plan]) -> list[Scale]:
+    """One for each quantity that is known of any plan."""
+    known = [quantities(plan) for plan in plans]
+    most = {
+        key: max(LEAST_SPAN, *(float(np.nanmax(some[key])) for some in known if key in some))
+        for key in dict.fromkeys(key for some in known for key in some)
+    }
+    errors = tuple(zip(SHADES.tolist(), _colours(SHADES), strict=True))
+    every = [
+        Scale("error", "error at equal arc length (mm)", 0.0, most.get("error", 0.0), errors),
+        _room("clearance", "clearance from the wall (mm), contact below 0", most.get("clearance", 0.0)),
+        _room("stability", "stability margin, unstable below 0", 1.0),
+    ]
+    return [scale for scale in every if scale.key in most]
+
+
+def _room(key: str, name: str, high: float) -> Scale:
+    """The colour of contact below 0, then as errors, the other way round, with more shades near to 0."""
+    zero = BELOW / (1 + BELOW)
+    roomy = zip(zero + (1 - zero) * SHADES, _colours(1.0 - np.sqrt(SHADES)), strict=True)
+    stops = ((0.0, CONTACT), (zero, CONTACT), *((float(at), colour) for at, colour in roomy))
+    return Scale(key, name, -BELOW * high, high, stops)
+
+
+def _colours(bad: Array) -> list[str]:
+    """From good, dark, to bad, light."""
+    return [to_hex(colour) for colour in colormaps[ERROR](bad)]
+
 
 BY_TUBE = "tube"
 """Colouring that is always there: every tube in its own colour."""
@@ -78,26 +139,18 @@ def _tubes(k3d: Any, plan: Plan, scales: Sequence[Scale]) -> list[Any]:
     sigma = _visible(plan)
     for i in range(plan.robot.d):
         vertices = _over_time(_at(sigma[:, i], plan.shape))
-        look = {"width": float(radius[i]), "shader": "mesh", "radial_segments": 16}
-        colour = _packed(tube_colour(i))
-        found.append(
-            k3d.line(vertices, color=colour, name=f"tube {i + 1}", custom_data={"colouring": BY_TUBE}, **look)
-        )
-        for scale in scales:
-            if scale.key in known:
-                values = np.clip(np.nan_to_num(known[scale.key], nan=scale.low), scale.low, scale.high)
-                found.append(
-                    k3d.line(
-                        vertices,
-                        attribute=_over_time(_at(sigma[:, i], values[..., None])[..., 0]),
-                        color_map=[part for at, colour in scale.stops for part in (at, *to_rgb(colour))],
-                        color_range=[scale.low, scale.high],
-                        visible=False,
-                        name=f"tube {i + 1} by {scale.key}",
-                        custom_data={"colouring": scale.key},
-                        **look,
-                    )
-                )
+        tube = partial(k3d.line, vertices, width=float(radius[i]), shader="mesh", radial_segments=16)
+        named = {"name": f"tube {i + 1}", "custom_data": {"colouring": BY_TUBE}}
+        found.append(tube(color=_packed(tube_colour(i)), **named))
+        for scale in (scale for scale in scales if scale.key in known):
+            values = np.clip(np.nan_to_num(known[scale.key], nan=scale.low), scale.low, scale.high)
+            coloured = {
+                "attribute": _over_time(_at(sigma[:, i], values[..., None])[..., 0]),
+                "color_map": [part for at, colour in scale.stops for part in (at, *to_rgb(colour))],
+                "color_range": [scale.low, scale.high],
+            }
+            named = {"name": f"tube {i + 1} by {scale.key}", "custom_data": {"colouring": scale.key}}
+            found.append(tube(visible=False, **coloured, **named))
     return found
 
 
@@ -105,39 +158,17 @@ def _surroundings(k3d: Any, plan: Plan) -> list[Any]:
     """Target, insertion point and axis, the robot's holder with its tilt, and the wall where it is known."""
     tilted = Rotation.from_euler("xy", np.nan_to_num(plan.theta)).apply([0.0, 0.0, -HOLDER])
     radius = float(outer_radius(plan.robot)[0])
+    line, black = partial(k3d.line, shader="mesh"), _packed(BLACK)
+    axis, holder = [[0.0, 0.0, -1.5 * HOLDER], [0.0, 0.0, HOLDER]], np.stack([tilted, 0 * tilted], axis=1)
     found = [
-        k3d.line(_over_time(plan.target), color=_packed(BLACK), width=TARGET_RADIUS, shader="mesh", name="target"),
-        k3d.points(
-            [[0.0, 0.0, 0.0]], point_size=POINT_SIZE * radius, color=_packed(BLACK), name="insertion point"
-        ),
-        k3d.line(
-            [[0.0, 0.0, -1.5 * HOLDER], [0.0, 0.0, HOLDER]],
-            color=AXIS,
-            width=AXIS_RADIUS,
-            shader="mesh",
-            name="insertion axis",
-        ),
-        k3d.line(
-            _over_time(np.stack([tilted, np.zeros_like(tilted)], axis=1)),
-            color=HELD,
-            width=1.5 * radius,
-            shader="mesh",
-            name="holder, tilted",
-        ),
+        line(_over_time(plan.target), color=black, width=TARGET_RADIUS, name="target"),
+        k3d.points([[0.0, 0.0, 0.0]], point_size=POINT_SIZE * radius, color=black, name="insertion point"),
+        line(axis, color=AXIS, width=AXIS_RADIUS, name="insertion axis"),
+        line(_over_time(holder), color=HELD, width=1.5 * radius, name="holder, tilted"),
     ]
     if plan.lumen is not None:
-        vertices, indices = _wall(plan.lumen)
-        found.append(
-            k3d.mesh(
-                vertices,
-                indices,
-                color=WALL,
-                opacity=OPACITY,
-                flat_shading=False,
-                side="double",
-                name="lumen",
-            )
-        )
+        look = {"color": WALL, "opacity": OPACITY, "flat_shading": False, "side": "double"}
+        found.append(k3d.mesh(*_wall(plan.lumen), name="lumen", **look))
     return found
 
 
@@ -173,12 +204,8 @@ def _over_time(frames: Any) -> dict[str, npt.NDArray[np.float32]]:
 
 def box(plans: Sequence[Plan]) -> tuple[Array, Array]:
     """Corners (3,) mm of all that is ever seen of plans."""
-    points = np.concatenate(
-        [
-            [[0.0, 0.0, -HOLDER], [0.0, 0.0, HOLDER]],
-            *(points_of_all([plan.target, plan.shape], plan.lumen) for plan in plans),
-        ]
-    )
+    seen = [points_of_all([plan.target, plan.shape], plan.lumen) for plan in plans]
+    points = np.concatenate([[[0.0, 0.0, -HOLDER], [0.0, 0.0, HOLDER]], *seen])
     return np.nanmin(points, axis=0), np.nanmax(points, axis=0)
 
 

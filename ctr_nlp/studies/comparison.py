@@ -15,7 +15,6 @@ from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import DEFAULT, MODELS, model_named, suits
-from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.reference import METHODS, reference_frames
@@ -38,7 +37,7 @@ TOUCHED, MISSED = 1e-5, 1e-2
 
 @dataclass(frozen=True)
 class Variant:
-    """A way to solve a problem: formulation:solver[:model], or the name of a reference method.
+    """A method for solving a problem: formulation:solver[:model], or the name of a reference method.
 
     plan: (problem, settings, initial, progress) -> Plan, with motions that a horizon starts from.
     """
@@ -69,15 +68,18 @@ def parse_variant(name: str) -> Variant:
 
     Reference methods go forward, as published; frame formulations in the better direction.
     """
+
+    def reference(problem: Problem, settings: Settings, _: Sequence[Array], progress: Progress | None) -> Plan:
+        return march(problem, reference_frames(problem, name, settings), "forward", progress=progress)
+
+    def whole(problem: Problem, settings: Settings, initial: Sequence[Array], progress: Progress | None) -> Plan:
+        return Horizon(problem, model, solver, settings=settings).solve(initial, progress=progress)
+
+    def by_frame(problem: Problem, settings: Settings, _: Sequence[Array], progress: Progress | None) -> Plan:
+        return march(problem, NlpFrames.of(problem, formulation, solver, model, settings), progress=progress)
+
     if name in METHODS:
-        return Variant(
-            name,
-            name,
-            "dominant",
-            lambda problem, settings, initial, progress: march(
-                problem, reference_frames(problem, name, settings), "forward", progress=progress
-            ),
-        )
+        return Variant(name, name, "dominant", reference)
     parts = name.split(":")
     if len(parts) not in (2, 3):
         raise OptionError(f"variant is {name!r}; it must be one of {', '.join(VARIANTS)}")
@@ -88,23 +90,7 @@ def parse_variant(name: str) -> Variant:
         ("model", model, MODELS),
     ):
         check_choice(f"{kind} of variant {name!r}", value, allowed)
-    if formulation == "horizon":
-        return Variant(
-            name,
-            formulation,
-            model,
-            lambda problem, settings, initial, progress: Horizon(problem, model, solver, settings=settings).solve(
-                initial, progress=progress
-            ),
-        )
-    return Variant(
-        name,
-        formulation,
-        model,
-        lambda problem, settings, initial, progress: march(
-            problem, NlpFrames.of(problem, formulation, solver, model, settings), progress=progress
-        ),
-    )
+    return Variant(name, formulation, model, whole if formulation == "horizon" else by_frame)
 
 
 class Comparison(NamedTuple):
@@ -156,9 +142,10 @@ def agreement(problem: Problem, first: Plan, second: Plan) -> dict[str, Any]:
     chain = horizon(robot, problem.samples, problem.dt, weight, Ends(), MODELS["dominant"])
     objectives = [float(plan.objective.mean()) for plan in (first, second)]
     difference = abs(objectives[0] - objectives[1])
-    distances = [_to_limits(chain, plan) for plan in (first, second)]
-    touched, missed = ([part < TOUCHED for part in distances], [part > MISSED for part in distances])
-    differing = int(((touched[0] & missed[1]) | (touched[1] & missed[0])).sum())
+    values = [chain.evaluate(plan.q.ravel())[1] for plan in (first, second)]
+    low, high = chain.bounds
+    one, other = (np.minimum(value - low, high - value) for value in values)  # from the nearer bound, rad or mm
+    differing = int((((one < TOUCHED) & (other > MISSED)) | ((other < TOUCHED) & (one > MISSED))).sum())
     same = difference <= max(SAME[0] * min(objectives), SAME[1]) and differing == 0
     return {
         "problem": problem.name,
@@ -172,13 +159,6 @@ def agreement(problem: Problem, first: Plan, second: Plan) -> dict[str, Any]:
         "first_s": first.meta["solve_s"],
         "second_s": second.meta["solve_s"],
     }
-
-
-def _to_limits(chain: Chain, plan: Plan) -> Array:
-    """Distance of every row from its nearer bound, rad or mm."""
-    low, high = chain.bounds
-    value = chain.evaluate(plan.q.ravel())[1]
-    return np.minimum(value - low, high - value)
 
 
 def row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
@@ -196,15 +176,9 @@ def row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
     return {
         "problem": problem,
         "variant": variant,
-        "e3": found["e3"],
-        "e4": found["e4"],
-        "e_max": found["e_max"],
-        "tip_max": found["tip_max"],
-        "step_alpha": found["max_step"]["alpha"],
-        "step_beta": found["max_step"]["beta"],
-        "step_theta": found["max_step"]["theta"],
-        "roughness": found["roughness"],
-        "objective": found["objective"],
+        **{key: found[key] for key in ("e3", "e4", "e_max", "tip_max")},
+        **{f"step_{name}": step for name, step in found["max_step"].items()},
+        **{key: found[key] for key in ("roughness", "objective")},
         "median_ms": found["solve_ms"]["median"],
         "p99_ms": found["solve_ms"]["p99"],
         "total_s": found["solve_ms"]["total"] / 1e3,

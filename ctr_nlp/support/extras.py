@@ -8,25 +8,14 @@ from typing import Any
 from ctr_nlp.exceptions import OptionError
 
 EXTRAS = {
-    "toppra": "hardware",
-    "serial": "hardware",
-    "filelock": "hardware",
-    "ur_analytic_ik": "hardware",
-    "rosbags": "hardware",
-    "rtde_control": "ur",
-    "rtde_receive": "ur",
-    "cyclonedds": "ros2",
-    "nibabel": "anatomy",
-    "nrrd": "anatomy",
-    "networkx": "anatomy",
-    "pyvista": "anatomy",
-    "vtkmodules": "anatomy",
-    "k3d": "report",
-    "bokeh": "report",
-    "jinja2": "report",
-    "shtab": "completion",
+    "hardware": ("toppra", "serial", "filelock", "ur_analytic_ik", "rosbags"),
+    "ur": ("rtde_control", "rtde_receive"),
+    "ros2": ("cyclonedds",),
+    "anatomy": ("nibabel", "nrrd", "networkx", "pyvista", "vtkmodules"),
+    "report": ("k3d", "bokeh", "jinja2"),
+    "completion": ("shtab",),
 }
-"""Which extra of this package brings a module."""
+"""The modules that each extra of this package brings."""
 
 
 def needed(module: str) -> Any:
@@ -34,7 +23,7 @@ def needed(module: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        extra = EXTRAS[module.partition(".")[0]]
+        (extra,) = (extra for extra, modules in EXTRAS.items() if module.partition(".")[0] in modules)
         raise OptionError(
             f'{module} is not installed; pip install "ctr_nlp[{extra}]" brings it ({error})'
         ) from error

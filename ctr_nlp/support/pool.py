@@ -34,16 +34,13 @@ def side_by_side(
     if jobs < 1:
         raise OptionError(f"jobs is {jobs}; it must be at least 1")
     with deferred_interrupt() as interrupted:
-        yield from (_here if jobs == 1 else _elsewhere)(work, things, jobs, interrupted)
-
-
-def _here(
-    work: Callable[[Thing], Found], things: Sequence[Thing], _: int, interrupted: Callable[[], bool]
-) -> Iterator[tuple[int, Found]]:
-    for number, thing in enumerate(things):
-        if interrupted():
+        if jobs > 1:
+            yield from _elsewhere(work, things, jobs, interrupted)
             return
-        yield number, work(thing)
+        for number, thing in enumerate(things):
+            if interrupted():
+                return
+            yield number, work(thing)
 
 
 def _elsewhere(

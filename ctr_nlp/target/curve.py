@@ -14,10 +14,8 @@ from ctr_nlp.exceptions import CurveError
 from ctr_nlp.support.equal import Kept, Value
 from ctr_nlp.support.packing import packable
 from ctr_nlp.support.values import floats, number
-from ctr_nlp.target.arc_length import ByArcLength, Radii, Spline
-from ctr_nlp.target.formula import Formula
-from ctr_nlp.target.points import checked_points, checked_radii
-from ctr_nlp.target.smoothing import evened
+from ctr_nlp.target.arc_length import ByArcLength, Formula, Radii, Spline
+from ctr_nlp.target.points import checked_points, checked_radii, evened, walked
 from ctr_nlp.typing import Array, Field
 
 CELLS = 2000
@@ -55,19 +53,11 @@ class Curve(Value):
     deviation_share: float = 0.0
 
     def __post_init__(self) -> None:
-        number(
-            CurveError,
-            "length of a curve",
-            self.length,
-            lambda x: 0 < x < math.inf,
-            "be a finite number > 0",
-            " mm",
-        )
+        what, allowed = "length of a curve", "be a finite number > 0"
+        number(CurveError, what, self.length, lambda x: 0 < x < math.inf, allowed, " mm")
         for name in ("point", "tangent", "curvature"):
-            if not callable(getattr(self, name)):
-                raise CurveError(
-                    f"{name} of a curve is {getattr(self, name)!r:.80}; it must be a function of arc length"
-                )
+            if not callable(given := getattr(self, name)):
+                raise CurveError(f"{name} of a curve is {given!r:.80}; it must be a function of arc length")
 
     def __repr__(self) -> str:
         walled = ", within a lumen" if self.radius else ""
@@ -84,13 +74,13 @@ class Curve(Value):
             number(CurveError, f"{name} of a piece", end, math.isfinite, "be a finite number of mm")
         if not 0 <= start < stop <= self.length:
             raise CurveError(f"piece [{start:g}, {stop:g}] mm of a curve: it must lie within [0, {self.length:g}]")
-        return self._through(Piece(self, start), stop - start)
+        return self._through(Piece(self, start, 1.0), stop - start)
 
     def reversed(self) -> Curve:
         """The same curve from its last point to its first."""
-        return self._through(Turned(self), self.length)
+        return self._through(Piece(self, self.length, -1.0), self.length)
 
-    def _through(self, piece: Piece | Turned, length: float) -> Curve:
+    def _through(self, piece: Piece, length: float) -> Curve:
         radius = None if self.radius is None else piece.radius
         smoothed = self.deviation, self.deviation_share
         return Curve(length, piece.point, piece.tangent, piece.curvature, radius, None, *smoothed)
@@ -135,14 +125,15 @@ class Curve(Value):
 @packable("piece")
 @dataclass(frozen=True, eq=False)
 class Piece(Value):
-    """A curve from arc length start on, in mm."""
+    """A curve from arc length start on, in mm; direction: 1 along it, -1 back towards its first point."""
 
     curve: Curve
     start: float
+    direction: float
 
     def at(self, s: Array) -> Array:
         """The curve's arc length, (n,) mm."""
-        return s + self.start
+        return self.start + self.direction * s
 
     def point(self, s: Array) -> Array:
         """(n, 3) mm."""
@@ -150,7 +141,7 @@ class Piece(Value):
 
     def tangent(self, s: Array) -> Array:
         """(n, 3), of length 1."""
-        return self.curve.tangent(self.at(s))
+        return self.direction * self.curve.tangent(self.at(s))
 
     def curvature(self, s: Array) -> Array:
         """(n,) 1/mm."""
@@ -160,22 +151,6 @@ class Piece(Value):
         """Of the lumen, (n,) mm, where the curve knows it."""
         assert self.curve.radius is not None
         return self.curve.radius(self.at(s))
-
-
-@packable("turned")
-@dataclass(frozen=True, eq=False)
-class Turned(Piece):
-    """A curve from its last point to its first."""
-
-    start: float = 0.0
-
-    def at(self, s: Array) -> Array:
-        """The curve's arc length, (n,) mm."""
-        return np.asarray(self.curve.length - s)
-
-    def tangent(self, s: Array) -> Array:
-        """(n, 3), of length 1."""
-        return -self.curve.tangent(self.at(s))
 
 
 @packable("moved")
@@ -216,7 +191,7 @@ def curve_from_points(points: npt.ArrayLike, radius: npt.ArrayLike | None = None
     """
     given = checked_points(points)
     radii = None if radius is None else checked_radii(radius, len(given))
-    chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(given, axis=0), axis=1))])
+    chord = walked(given)
     per_span = max(1, CELLS // (len(chord) - 1))
     breaks = np.interp(np.arange(per_span * (len(chord) - 1) + 1) / per_span, np.arange(len(chord)), chord)
     by_chord = _by_arc_length(Spline(chord, given, by_smoothing=True), breaks)

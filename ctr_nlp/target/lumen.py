@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +12,7 @@ from ctr_nlp.exceptions import CurveError
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.values import floats
 from ctr_nlp.target.curve import Curve
+from ctr_nlp.target.points import walked
 from ctr_nlp.typing import Array, Index
 
 SPACING = 0.5
@@ -44,12 +44,14 @@ class Lumen:
 
     def __init__(self, table: Array) -> None:
         self._table = floats(CurveError, "table of a lumen", table, (None, 4))
-        if (self._table[:, 3] <= 0).any():
-            raise CurveError(f"radius of a lumen is {self._table[:, 3].min():g} mm; it must be positive all along")
-        if len(self._table) < 2 or (np.diff(self._along) <= 0).any():
-            raise CurveError(
-                f"table of a lumen has {len(self._table)} points; it must have two, and none repeated"
-            )
+        centre, radius = self._table[:, :3], self._table[:, 3]
+        if (radius <= 0).any():
+            raise CurveError(f"radius of a lumen is {radius.min():g} mm; it must be positive all along")
+        self._along = walked(centre)
+        if len(centre) < 2 or (np.diff(self._along) <= 0).any():
+            raise CurveError(f"table of a lumen has {len(centre)} points; it must have two, and none repeated")
+        self._path, self._radius = CubicSpline(self._along, centre), PchipInterpolator(self._along, radius)
+        self._tree = cKDTree(centre)
 
     @classmethod
     def around(cls, curve: Curve) -> Lumen:
@@ -62,23 +64,6 @@ class Lumen:
     def table(self) -> Array:
         """(N, 4), read-only: x, y, z and radius, mm."""
         return self._table
-
-    @cached_property
-    def _along(self) -> Array:
-        steps = np.linalg.norm(np.diff(self.table[:, :3], axis=0), axis=1)
-        return np.concatenate([[0.0], np.cumsum(steps)])
-
-    @cached_property
-    def _path(self) -> CubicSpline:
-        return CubicSpline(self._along, self.table[:, :3])
-
-    @cached_property
-    def _radius(self) -> PchipInterpolator:
-        return PchipInterpolator(self._along, self.table[:, 3])
-
-    @cached_property
-    def _tree(self) -> cKDTree:
-        return cKDTree(self.table[:, :3])
 
     def near(self, points: Array) -> Near:
         """The path and the wall near to points (.., 3) in mm; everything is NaN for points that are."""
@@ -107,10 +92,9 @@ class Lumen:
 
 
 def rings(table: Array, angle: Array) -> Array:
-    """Points (N, n, 3) mm of the wall around a table (N, 4), at angles (n,) in rotation-minimising frames."""
+    """Points (N, n, 3) mm of the wall around a table (N, 4), at angles (n,) in rotation-minimising axes."""
     centre, radius = table[:, :3], table[:, 3]
-    steps = np.linalg.norm(np.diff(centre, axis=0), axis=1)
-    tangents = np.gradient(centre, np.append(0.0, steps.cumsum()), axis=0)
+    tangents = np.gradient(centre, walked(centre), axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     side, sides = np.eye(3)[abs(tangents[0]).argmin()], np.empty_like(tangents)
     for j, tangent in enumerate(tangents):

@@ -17,10 +17,10 @@ HEADING_MM = 10.0
 
 
 def placed(curve: Curve, direction: npt.ArrayLike | None = None) -> tuple[Curve, Array]:
-    """Move a curve before the robot; also the rigid transform (4, 4) from the curve's frame to the robot's.
+    """Move a curve before the robot; also the rigid transform (4, 4) from the curve's axes to the robot's.
 
     Its first point goes to the origin; the insertion direction turns to +z by the smallest rotation. direction:
-    (3,) of any length in the curve's frame, by default the curve's mean direction over its first 10 mm. Raises
+    (3,) of any length in the curve's axes, by default the curve's mean direction over its first 10 mm. Raises
     CurveError, also where direction leads away from the path, and OptionError where it is none.
     """
     heading = _heading(curve)

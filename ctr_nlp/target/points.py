@@ -1,4 +1,4 @@
-"""Points that are to be a path, given or by a formula: which of them no curve can lead through."""
+"""Points that are to be a path: which of them no curve can lead through, and evening them out."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import solveh_banded
 
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.support.values import frozen
@@ -64,6 +65,11 @@ def check_coordinates(points: Array) -> None:
         )
 
 
+def walked(points: Array) -> Array:
+    """Lengths (n,) of the straight lines from point to point, from the first of points (n, 3) on, mm."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+
+
 def checked_radii(radius: npt.ArrayLike, count: int) -> Array:
     """A read-only copy of the lumen's radii (count,) in mm; raises CurveError."""
     try:
@@ -91,3 +97,42 @@ def symbolic_point(formula: Callable[[Any], tuple[Any, Any, Any]], u: ca.SX) -> 
     if x.shape != (3, 1) or not all(ca.is_equal(s, u) for s in ca.symvar(x)):
         raise CurveError(f"formula gives {x}; it must give three coordinates that depend on its argument alone")
     return x
+
+
+WEAKEST, STRONGEST = -4.0, 13.0
+"""Powers of ten between which the penalty on bending is looked for; beyond, double precision ends."""
+HALVINGS = 24
+
+
+def evened(points: Array, allowed: Array) -> Array:
+    """The least bent path that keeps within allowed (n,) mm of points (n, 3), each of its own, evenly spaced.
+
+    It minimises sum |(x - points) / allowed|^2 + penalty sum |x_{k-1} - 2 x_k + x_{k+1}|^2 (Whittaker 1923; a
+    smoothing spline for close points) at the largest penalty that keeps the bound.
+    """
+    weight = (allowed.min() / allowed) ** 2
+    best, weakest, strongest = points, WEAKEST, STRONGEST
+    for _ in range(HALVINGS):
+        power = (weakest + strongest) / 2
+        step = _step(points, weight, 10.0**power)
+        if (np.linalg.norm(step, axis=1) <= allowed).all():
+            best, weakest = points + step, power
+        else:
+            strongest = power
+    return best
+
+
+def _step(points: Array, weight: Array, penalty: float) -> Array:
+    """From points (n, 3) to the minimum at a penalty."""
+    count, bend = len(points), np.diff(points, 2, axis=0)
+    slope = np.zeros_like(points)
+    bands = np.zeros((3, count))
+    for k, factor in enumerate((1.0, -2.0, 1.0)):
+        bands[2, k : count - 2 + k] += factor**2
+        slope[k : count - 2 + k] += factor * bend
+    bands[1, 1:-1] += -2.0
+    bands[1, 2:] += -2.0
+    bands[0, 2:] = 1.0
+    bands *= penalty
+    bands[2] += weight
+    return np.asarray(solveh_banded(bands, -penalty * slope))

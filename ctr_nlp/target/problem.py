@@ -53,29 +53,21 @@ class Problem(Value):
         for name, kind in (("name", str), ("robot", Robot), ("target", Target)):
             instance(ProblemError, f"{name} of a problem", getattr(self, name), kind)
         number(ProblemError, "duration", self.duration, lambda x: 0 < x < math.inf, "be a finite number > 0", " s")
-        self._check_arrays()
+        for name, shape in (("to_robot", (4, 4)), ("truth", (self.frames, 2 * self.robot.d + 2))):
+            if getattr(self, name) is not None:  # a read-only copy is kept
+                object.__setattr__(self, name, floats(ProblemError, name, getattr(self, name), shape))
         longest, reach = max(self.target.lengths), self.robot.reach
         if longest > reach * OVERLONG:
             raise ProblemError(
                 f"the target of {self.name} is {longest:.2f} mm long and the robot reaches {reach:.2f} mm "
                 f"(0.5 % more is accepted); say which end to drop, --trim start or --trim end"
             )
+        first = self.target.curves[0]
         if self.lumen is None:
-            object.__setattr__(self, "lumen", self._walled())
+            alone = all(curve is first for curve in self.target.curves)
+            object.__setattr__(self, "lumen", first if alone and first.radius is not None else None)
         elif not isinstance(self.lumen, Curve) or self.lumen.radius is None:
             raise ProblemError("lumen is a curve without a radius; give one, or None where no wall is known")
-
-    def _check_arrays(self) -> None:
-        """Keep read-only copies of what was given as arrays."""
-        for name, shape in (("to_robot", (4, 4)), ("truth", (self.frames, 2 * self.robot.d + 2))):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, floats(ProblemError, name, getattr(self, name), shape))
-
-    def _walled(self) -> Curve | None:
-        """The one curve of all frames, where it has a radius."""
-        first = self.target.curves[0]
-        alone = all(curve is first for curve in self.target.curves)
-        return first if alone and first.radius is not None else None
 
     @property
     def frames(self) -> int:
@@ -98,7 +90,7 @@ class Problem(Value):
         return max(curve.deviation_share for curve in self.target.curves)
 
     def retraction(self) -> Problem:
-        """The same frames in the opposite order: the robot's way back, named so."""
+        """The same frames in the opposite order, named so."""
         target = Target(self.target.curves[::-1], self.target.lengths[::-1])
         truth = None if self.truth is None else self.truth[::-1]
         return replace(self, name=f"{self.name}-retraction", target=target, truth=truth)

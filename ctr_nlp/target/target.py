@@ -19,13 +19,10 @@ from ctr_nlp.support.values import floats, frozen, instance, number, whole_numbe
 from ctr_nlp.target.curve import Curve
 from ctr_nlp.typing import Array
 
-SIGMA = np.linspace(0.0, 1.0, 101)
+SIGMA = frozen(np.linspace(0.0, 1.0, 101))
 """Normalised arc lengths at which targets and shapes are sampled and errors measured."""
-SIGMA.flags.writeable = False
-QUADRATURE = np.full(101, 0.01)
+QUADRATURE = frozen(np.r_[0.005, np.full(99, 0.01), 0.005])
 """Trapezoidal weights on SIGMA; they sum to 1."""
-QUADRATURE[[0, -1]] = 0.005
-QUADRATURE.flags.writeable = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,10 +14,9 @@ from ctr_nlp import Plan, Problem, Robot, Tube, curve_from_formula, growing, sol
 from ctr_nlp import shapes as robot_shapes
 from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.figures import by_frame, configuration, errors, save_all, shapes
+from ctr_nlp.figures.motion import error_from_truth, without_whole_turns
 from ctr_nlp.figures.parts.palette import TUBES
-from ctr_nlp.figures.truth import error_from_truth, without_whole_turns
-from ctr_nlp.studies.pareto import pareto, save_front
-from ctr_nlp.studies.trade_off import Point
+from ctr_nlp.studies.trade_off import Point, pareto, save_front
 
 FRAMES = 6
 

@@ -24,7 +24,7 @@ from ctr_nlp.cli.commands import play
 from ctr_nlp.cli.live import Played, Solved
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.figures.live import Now, Playing, Solving, Stage, View
-from ctr_nlp.figures.live.playing import Shapes
+from ctr_nlp.figures.live.pictures import Shapes
 from ctr_nlp.figures.parts.palette import TUBES
 from ctr_nlp.hardware.description import bench
 from ctr_nlp.hardware.devices import Progress

@@ -12,7 +12,7 @@ from test_metrics_plan import made
 from ctr_nlp.cli import report
 from ctr_nlp.figures import clearance as picture
 from ctr_nlp.figures import save, save_all
-from ctr_nlp.plan.contacts import Contact, contacts, depth
+from ctr_nlp.plan.measures import Contact, contacts, depth
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.target.target import SIGMA
 

@@ -17,7 +17,7 @@ from ctr_nlp.cli.commands import report as make_report
 from ctr_nlp.figures.parts.palette import CONTACT, TUBES
 from ctr_nlp.plan.metrics import by_frame, e1, summary
 from ctr_nlp.report import page
-from ctr_nlp.report.scales import quantities, scales
+from ctr_nlp.report.scene import quantities, scales
 from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.target.target import SIGMA
 

@@ -9,9 +9,8 @@ from problems import named
 
 from ctr_nlp.cli.studies import benchmark
 from ctr_nlp.cli.studies.benchmark import main
-from ctr_nlp.studies.benchmarks import Record, horizons, regressions
+from ctr_nlp.studies.benchmarks import RATIO, Record, horizons, regressions
 from ctr_nlp.studies.benchmarks.frames import EVERY, REFERENCES, ROUNDS, race
-from ctr_nlp.studies.benchmarks.records import RATIO
 
 # Regressions
 

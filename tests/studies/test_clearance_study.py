@@ -9,12 +9,10 @@ from lumens import straight
 
 from ctr_nlp import Problem, growing, table_i_robot
 from ctr_nlp.cli.studies.clearance import main
-from ctr_nlp.plan.contacts import depth
+from ctr_nlp.plan.measures import depth
 from ctr_nlp.studies.clearance import Case
-from ctr_nlp.studies.clearance.alone import Alone
-from ctr_nlp.studies.clearance.cases import plans_of, problem_of
-from ctr_nlp.studies.clearance.claims import claims
-from ctr_nlp.studies.clearance.report import findings, page
+from ctr_nlp.studies.clearance.cases import Alone, plans_of, problem_of
+from ctr_nlp.studies.clearance.report import claims, findings, page
 
 FRAMES = 12
 """Of the thin slice."""

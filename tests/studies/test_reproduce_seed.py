@@ -19,9 +19,20 @@ from ctr_nlp.studies.comparison import row
 from ctr_nlp.studies.paper import SECTIONS, Found, page, runs
 from ctr_nlp.studies.paper.checks import Check, order, orders, part
 from ctr_nlp.studies.paper.checks import named as where
-from ctr_nlp.studies.paper.fits import Fit, fits
 from ctr_nlp.studies.paper.parts import fig3, fig4, fig6, fig10, table2
-from ctr_nlp.studies.paper.runs import BASELINE, HORIZON, JOINT, OURS, SEED, Fitting, Motion, Moved, study
+from ctr_nlp.studies.paper.runs import (
+    BASELINE,
+    HORIZON,
+    JOINT,
+    OURS,
+    SEED,
+    Fit,
+    Fitting,
+    Motion,
+    Moved,
+    fits,
+    study,
+)
 from ctr_nlp.studies.paper.section import mm
 from ctr_nlp.support.pool import side_by_side
 

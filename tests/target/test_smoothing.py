@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 from strategies import numbers, seeds
 
 from ctr_nlp import curve_from_points, read_csv
-from ctr_nlp.target.smoothing import evened
+from ctr_nlp.target.points import evened
 
 S = np.linspace(0, 1, 300)
 ARC = 80 * np.column_stack([1 - np.cos(1.5 * S), 0 * S, np.sin(1.5 * S)])

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.anatomy.branch import SPACES
+from ctr_nlp.anatomy.branch import SPACES, blamed
 from ctr_nlp.exceptions import CtrError, CurveError
 from ctr_nlp.support.extras import needed
 from ctr_nlp.typing import Array
@@ -57,9 +57,8 @@ def read_image(path: str | Path) -> Image:
         allowed = ", ".join((*NIFTI, *NRRD))
         raise CurveError(f"{path} is not a known kind of image; its name must end in {allowed}")
     try:
-        voxels, affine, space = _nifti(Path(path)) if name.endswith(NIFTI) else _nrrd(Path(path))
-    except CurveError as error:
-        raise CurveError(f"{path}: {error}") from error
+        with blamed(path):
+            voxels, affine, space = _nifti(Path(path)) if name.endswith(NIFTI) else _nrrd(Path(path))
     except CtrError:
         raise
     except Exception as error:  # whatever the readers of both formats meet in a damaged file

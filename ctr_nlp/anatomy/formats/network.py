@@ -46,7 +46,12 @@ class Network:
         joined = self._joined()
         if not joined.lines:
             raise CurveError("it holds no line of two or more points")
-        return joined._whole() or [path for tree in joined._trees() for path in tree.to_tips(entry)]
+        if whole := joined._whole():
+            return whole
+        edges: Indices = np.concatenate([np.column_stack([line[:-1], line[1:]]) for line in joined.lines])
+        parts = needed("networkx").connected_components(_graph(edges))
+        trees = [Tree(joined, edges[np.isin(edges[:, 0], list(part))]) for part in parts]
+        return [path for tree in trees for path in tree.to_tips(entry)]
 
     def _joined(self) -> Network:
         """With one index for points in the same place, and no line that stands still."""
@@ -78,13 +83,6 @@ class Network:
         far = np.flatnonzero(np.linalg.norm(offsets, axis=1) >= HEADING_MM)
         offset = offsets[far[0] if far.size else -1]
         return np.asarray(offset / max(np.linalg.norm(offset), SAME_MM))
-
-    def _trees(self) -> list[Tree]:
-        edges: Indices = np.concatenate([np.column_stack([line[:-1], line[1:]]) for line in self.lines])
-        return [
-            Tree(self, edges[np.isin(edges[:, 0], list(part))])
-            for part in needed("networkx").connected_components(_graph(edges))
-        ]
 
 
 class Tree:

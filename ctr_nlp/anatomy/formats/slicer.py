@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.anatomy.branch import SPACES, Branch, Branches, moved
+from ctr_nlp.anatomy.branch import SPACES, Branch, Branches, blamed, moved
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.typing import Array
 
@@ -40,23 +40,17 @@ def read_slicer(path: str | Path) -> Branches:
     markups = found.get("markups") if isinstance(found, dict) else None
     if not (isinstance(markups, list) and markups and all(isinstance(markup, dict) for markup in markups)):
         raise CurveError(f'{path} is not a markups file of 3D Slicer: it must have a list "markups" of curves')
-    alone = len(markups) == 1
+    stem = Path(path).name.partition(".")[0] or Path(path).stem
     names = [
-        str(markup.get("name") or (_stem(path) if alone else f"curve {k}"))
+        str(markup.get("name") or (stem if len(markups) == 1 else f"curve {k}"))
         for k, markup in enumerate(markups, start=1)
     ]
-    try:
+    with blamed(path):
         spaces = [_space(name, markup) for name, markup in zip(names, markups, strict=True)]
         if len(set(spaces)) > 1:
             raise CurveError("its curves are in different coordinate systems, LPS and RAS; save them in one")
         branches = [_branch(name, markup) for name, markup in zip(names, markups, strict=True)]
-    except CurveError as error:
-        raise CurveError(f"{path}: {error}") from error
     return Branches(tuple(branches), spaces[0], SPACES[spaces[0]])
-
-
-def _stem(path: str | Path) -> str:
-    return Path(path).name.partition(".")[0] or Path(path).stem
 
 
 def _space(name: str, markup: dict[str, Any]) -> str:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.anatomy.branch import SPACES, Branch, Branches, check_points, moved
+from ctr_nlp.anatomy.branch import SPACES, Branch, Branches, blamed, check_points, moved
 from ctr_nlp.anatomy.formats.network import SAME_MM, Network
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.support.extras import needed
@@ -43,24 +43,22 @@ def read_vtk(path: str | Path, entry: npt.ArrayLike | None = None) -> Branches:
     """The paths from root to tips of the lines in a .vtp, .vtu or legacy .vtk file.
 
     entry: (3,) mm in the file's coordinates, which settles where a tree starts when the file does not; see
-    anatomy/network.py. Points that repeat the one before them are left out. Raises CurveError, and OptionError
+    formats/network.py. Points that repeat the one before them are left out. Raises CurveError, and OptionError
     where pyvista is missing.
     """
     mesh, stated = _read(path)
     space = stated or "LPS"
     points = np.array(mesh.points, dtype=float)
-    try:
+    with blamed(path):
         if space not in SPACES:
             raise CurveError(f"SPACE is {space!r}; it must be one of {', '.join(SPACES)}")
         check_points(points)
         radius = _radius(mesh, len(points))
         network = Network(points, radius, tuple(_lines(mesh)))
         paths = network.paths(None if entry is None else np.asarray(entry, dtype=float))
-    except CurveError as error:
-        raise CurveError(f"{path}: {error}") from error
     branches = [
-        Branch(f"branch {k}", moved(points[way], SPACES[space]), None if radius is None else radius[way])
-        for k, way in enumerate(paths, start=1)
+        Branch(f"branch {k}", moved(points[line], SPACES[space]), None if radius is None else radius[line])
+        for k, line in enumerate(paths, start=1)
     ]
     return Branches(tuple(branches), space, SPACES[space])
 
@@ -122,7 +120,8 @@ def _lines(mesh: Any) -> list[Indices]:
     cells = np.flatnonzero(np.isin(mesh.celltypes, (LINE, POLYLINE)))
     if not cells.size:
         raise CurveError("it holds no lines; centrelines are saved as lines, not as a surface or as points")
-    every = list(_cells(np.array(mesh.cells)))
+    ends = needed("pyvista").convert_array(mesh.GetCells().GetOffsetsArray())[1:-1]
+    every = np.split(mesh.cell_connectivity, ends)
     lines = [every[i] for i in cells]
     last = max(line.max(initial=0) for line in lines) + 1
     if last > mesh.n_points:
@@ -130,14 +129,6 @@ def _lines(mesh: Any) -> list[Indices]:
     if not set(TRACTS) <= set(mesh.cell_data):
         return lines
     return _untracted(lines, mesh.points, *(np.array(mesh.cell_data[name])[cells] for name in TRACTS))
-
-
-def _cells(flat: Indices) -> Iterator[Indices]:
-    """The points of each cell, of all cells' counts and points in a row."""
-    at = 0
-    while at < len(flat):
-        yield flat[at + 1 : at + 1 + flat[at]]
-        at += 1 + flat[at]
 
 
 def _untracted(lines: list[Indices], points: Array, centreline: Indices, tract: Indices) -> list[Indices]:

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import binary_erosion, distance_transform_edt, find_objects
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
 
-from ctr_nlp.anatomy.branch import Branch, Branches, moved
-from ctr_nlp.anatomy.choose import checked_point
+from ctr_nlp.anatomy.branch import Branch, Branches, blamed, checked_point, moved
 from ctr_nlp.anatomy.formats.images import TO_LPS, Image, read_image
 from ctr_nlp.anatomy.segmentation.middle import centred, holds
-from ctr_nlp.anatomy.segmentation.route import cheapest_route, depths
 from ctr_nlp.exceptions import CurveError
 from ctr_nlp.typing import Array, Flags
-
-Flags = Flags
 
 LEAST_VOXELS = 3.0
 """Of a voxel's diagonal, at least, between entry and target."""
@@ -33,19 +33,16 @@ def read_mask(path: str | Path, entry: npt.ArrayLike, target: npt.ArrayLike) -> 
     the cross-section, so that a lumen that ends or is cut open is not narrow there. The border of the image is no
     wall. Raises CurveError, and OptionError where nibabel or pynrrd is missing.
 
-    The way is found by Dijkstra's algorithm at a cost that grows towards the wall (after Antiga and Steinman, IEEE
-    TMI 23(6), 2004), then centred in its cross-sections and smoothed.
+    The route is found by Dijkstra's algorithm at a cost that grows towards the wall (after Antiga and Steinman,
+    IEEE TMI 23(6), 2004), then centred in its cross-sections and smoothed.
     """
     image = read_image(path)
     to_lps = TO_LPS[image.space]
-    try:
-        lumen, offset = _cropped(_lumen(image.voxels))
-        cropped = replace(image, voxels=lumen, affine=image.affine @ _shift(offset))
-        ends = np.array([_end(cropped, "entry", entry), _end(cropped, "target", target)])
-        tube = _tube(lumen, image.spacing, ends)
-    except CurveError as error:
-        raise CurveError(f"{path}: {error}") from error
-    points = moved(moved(tube[:, :3] / image.spacing, cropped.affine), to_lps)
+    with blamed(path):
+        lumen = _cropped(image)
+        ends = np.array([_end(lumen, "entry", entry), _end(lumen, "target", target)])
+        tube = _tube(lumen.voxels, image.spacing, ends)
+    points = moved(moved(tube[:, :3] / image.spacing, lumen.affine), to_lps)
     return Branches((Branch(Path(path).name.partition(".")[0], points, tube[:, 3]),), image.space, to_lps)
 
 
@@ -65,20 +62,13 @@ def _lumen(voxels: npt.NDArray[Any]) -> Flags:
     return lumen
 
 
-def _cropped(lumen: Flags) -> tuple[Flags, Array]:
-    """The mask's box, a voxel of wall around it where the image has one, and the index (3,) of its first voxel."""
-    spans = []
-    for axis in range(3):
-        found = np.flatnonzero(lumen.any(axis=tuple({0, 1, 2} - {axis})))
-        spans.append((max(0, int(found[0]) - 1), min(lumen.shape[axis], int(found[-1]) + 2)))
-    box = tuple(slice(*span) for span in spans)
-    return np.ascontiguousarray(lumen[box]), np.array([float(first) for first, _ in spans])
-
-
-def _shift(offset: Array) -> Array:
-    transform = np.eye(4)
-    transform[:3, 3] = offset
-    return transform
+def _cropped(image: Image) -> Image:
+    """The part of a mask that holds the lumen, with a voxel of wall around it where the image has one."""
+    lumen, affine = _lumen(image.voxels), image.affine.copy()
+    (tight,) = find_objects(lumen.view(np.uint8))
+    box = tuple(slice(max(0, part.start - 1), part.stop + 1) for part in tight)
+    affine[:3, 3] = moved([part.start for part in box], image.affine)
+    return replace(image, voxels=np.ascontiguousarray(lumen[box]), affine=affine)
 
 
 def _end(mask: Image, name: str, given: npt.ArrayLike) -> Array:
@@ -88,7 +78,9 @@ def _end(mask: Image, name: str, given: npt.ArrayLike) -> Array:
     index = moved(point, to_index)
     if holds(mask.voxels, one, index[None])[0]:
         return index
-    nearest = _nearest(mask, index)
+    voxels = np.argwhere(mask.voxels)
+    there = np.clip(index, voxels - 0.49, voxels + 0.49)
+    nearest = np.asarray(there[(((there - index) * mask.spacing) ** 2).sum(axis=1).argmin()])
     away = float(np.linalg.norm((nearest - index) * mask.spacing))
     allowed = float(np.linalg.norm(mask.spacing))
     if away <= allowed:
@@ -100,13 +92,6 @@ def _end(mask: Image, name: str, given: npt.ArrayLike) -> Array:
         f"{name} {point.tolist()} is {away:.3g} mm outside the mask; it must lie in it or within {allowed:.2g} mm "
         f"of it, in mm in the file's coordinates, {mask.space}{hint}"
     )
-
-
-def _nearest(mask: Image, index: Array) -> Array:
-    """The index (3,), not whole, of the point of the lumen's voxels that is nearest to an index."""
-    voxels = np.argwhere(mask.voxels)
-    there = np.clip(index, voxels - 0.49, voxels + 0.49)
-    return np.asarray(there[(((there - index) * mask.spacing) ** 2).sum(axis=1).argmin()])
 
 
 def _tube(lumen: Flags, spacing: Array, ends: Array) -> Array:
@@ -136,3 +121,83 @@ def _tube(lumen: Flags, spacing: Array, ends: Array) -> Array:
             "the lumen is too narrow there for its voxels"
         )
     return tube
+
+
+Index = npt.NDArray[np.integer[Any]]
+
+POWER = 3.0
+"""A millimetre at distance d from the wall costs d^-POWER: enough to keep to the middle in a bend."""
+STRIDE = 2
+"""Of the finest voxels, between neighbouring nodes where the lumen is wide."""
+MARGIN = 4
+"""Strides around start and stop where every voxel is a node."""
+STEPS = np.array([step for step in product((-1, 0, 1), repeat=3) if step > (0, 0, 0)])
+"""To half of a voxel's 26 neighbours: each pair of neighbours once."""
+
+
+def depths(lumen: Flags, spacing: Array) -> npt.NDArray[np.float32]:
+    """Distance in mm from the voxels (l, m, n) of a lumen to the wall, about; 0 outside of it.
+
+    The Euclidean distance transform to the voxels that touch the wall. The border of the image is no wall.
+    """
+    edge = lumen & ~binary_erosion(lumen, np.ones((3, 3, 3)), border_value=1)
+    to_edge = distance_transform_edt(~edge, sampling=spacing)
+    return np.where(lumen, to_edge + spacing.min() / 2, 0.0).astype(np.float32)
+
+
+def cheapest_route(depth: npt.NDArray[np.float32], spacing: Array, ends: Index) -> Index | None:
+    """Indices (n, 3) of voxels from one end to the other, ends (2, 3); None where the lumen does not join them.
+
+    depth: (l, m, n) mm, as `depths` gives it. Dijkstra's algorithm with the cost of Antiga and Steinman, IEEE TMI
+    23(6), 2004, a function of the distance to the wall. Its nodes are coarse where balls of that distance cover
+    the edges between them; narrow places, where every voxel is a node, are added if they are needed.
+    """
+    strides = np.maximum(1, np.round(STRIDE * spacing.min() / spacing)).astype(int)
+    diagonal = float(np.linalg.norm(strides * spacing))
+    room = np.pad(depth, [(s, s) for s in strides])
+    every = tuple(slice(s, -s, s) for s in strides)
+    coarse, fine = np.zeros(room.shape, bool), np.zeros(room.shape, bool)
+    coarse[every] = room[every] > diagonal / 2 + spacing.min()
+    for end in ends + strides:
+        near = tuple(slice(max(0, i - MARGIN * s), i + MARGIN * s + 1) for i, s in zip(end, strides, strict=True))
+        fine[near] = room[near] > 0
+    route = _dijkstra(room, spacing, ((coarse, strides), (fine, np.ones(3, int))), ends + strides)
+    if route is None:
+        fine |= (room > 0) & (room < 1.5 * diagonal + 2 * spacing.min())
+        route = _dijkstra(room, spacing, ((coarse, strides), (fine, np.ones(3, int))), ends + strides)
+    return None if route is None else route - strides
+
+
+def _dijkstra(
+    depth: npt.NDArray[np.float32], spacing: Array, levels: tuple[tuple[Flags, Index], ...], ends: Index
+) -> Index | None:
+    """The cheapest route over nodes (l, m, n) that are linked to their neighbours at a stride (3,)."""
+    member = np.flatnonzero(np.any([nodes for nodes, _ in levels], axis=0))
+    number = np.full(depth.size, -1, np.int32)
+    number[member] = np.arange(len(member), dtype=np.int32)
+    cost = depth.ravel()[member].astype(float) ** -POWER
+    pitch = np.array(depth.strides) // depth.itemsize
+    links = [
+        _links(nodes, number, cost, step @ pitch, float(np.linalg.norm(step * spacing)))
+        for nodes, stride in levels
+        for step in STEPS * stride
+    ]
+    tails, heads, costs = (np.concatenate(parts) for parts in zip(*links, strict=True))
+    graph = coo_array((costs, (tails, heads)), shape=(len(member), len(member))).tocsr()
+    start, at = (int(number[np.ravel_multi_index(tuple(end), depth.shape)]) for end in ends)
+    reached, before = dijkstra(graph, False, start, return_predecessors=True)
+    if not np.isfinite(reached[at]):
+        return None
+    walked = [at]
+    while before[at] >= 0:
+        at = int(before[at])
+        walked.append(at)
+    return np.column_stack(np.unravel_index(member[walked[::-1]], depth.shape))
+
+
+def _links(nodes: Flags, number: Index, cost: Array, step: int, length: float) -> tuple[Index, Index, Array]:
+    """Pairs of nodes that are a step apart in the flattened image, and the cost of going between them."""
+    here = np.flatnonzero(nodes)
+    here = here[nodes.ravel()[here + step]]
+    tails, heads = number[here], number[here + step]
+    return tails, heads, length * (cost[tails] + cost[heads]) / 2

@@ -1,7 +1,7 @@
 """The middle of a lumen and its radius, from cross-sections along a route through it.
 
-A tube is an array (n, 4): points and radius in mm, in the frame whose axes are the image's and whose origin is the
-middle of its first voxel.
+A tube is an array (n, 4): points and radius in mm, along the axes of the image, counted from the middle of its
+first voxel.
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 from scipy.sparse.linalg import spsolve
 
+from ctr_nlp.target.points import walked
 from ctr_nlp.typing import Array, Flags
-
-Flags = Flags
 
 STEP_MM = 1.0
 """Between neighbouring cross-sections, and between points of the result."""
@@ -56,9 +55,9 @@ def centred(lumen: Flags, spacing: Array, route: Array, depth: Array, ends: Arra
     trusted = np.ones(len(tube), bool)
     for _ in range(PASSES):
         tube = _between(_smoothed(tube, trusted, SMOOTHED * spacing.max()), ends, lumen, spacing)
-        walked = _walked(tube)
-        from_end = np.minimum(walked, walked[-1] - walked)
-        trusted = from_end > np.minimum(voxel + CAPPED * tube[:, 3], walked[-1] / 4)
+        along = walked(tube[:, :3])
+        from_end = np.minimum(along, along[-1] - along)
+        trusted = from_end > np.minimum(voxel + CAPPED * tube[:, 3], along[-1] / 4)
         tube = np.where(trusted[:, None], _recentred(lumen, spacing, tube), tube)
     return _between(_smoothed(tube, trusted, SMOOTHED * spacing.max()), ends, lumen, spacing)
 
@@ -70,14 +69,10 @@ def holds(lumen: Flags, spacing: Array, points: Array) -> Flags:
     return within & lumen[tuple(np.clip(index, 0, np.array(lumen.shape) - 1).T)]
 
 
-def _walked(tube: Array) -> Array:
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tube[:, :3], axis=0), axis=1))])
-
-
 def _resampled(tube: Array) -> Array:
-    walked = _walked(tube)
-    even = np.linspace(0, walked[-1], max(LEAST_SECTIONS, round(walked[-1] / STEP_MM) + 1))
-    return np.column_stack([np.interp(even, walked, column) for column in tube.T])
+    along = walked(tube[:, :3])
+    even = np.linspace(0, along[-1], max(LEAST_SECTIONS, round(along[-1] / STEP_MM) + 1))
+    return np.column_stack([np.interp(even, along, column) for column in tube.T])
 
 
 def _straightened(tube: Array, end: Array, slack: float) -> Array:
@@ -85,10 +80,10 @@ def _straightened(tube: Array, end: Array, slack: float) -> Array:
 
     It comes from the last point, in the tube's first third, from which a ball up to the wall holds the end.
     """
-    walked = _walked(tube)
+    along = walked(tube[:, :3])
     away = np.linalg.norm(tube[:, :3] - end, axis=1) > ASTRAY * tube[:, 3] + slack
-    first = int((away | (walked > walked[-1] / 3)).argmax())
-    ahead = int(np.clip(np.searchsorted(walked, walked[first] + tube[first, 3]), first + 1, len(tube) - 1))
+    first = int((away | (along > along[-1] / 3)).argmax())
+    ahead = int(np.clip(np.searchsorted(along, along[first] + tube[first, 3]), first + 1, len(tube) - 1))
     outwards = tube[first, :3] - tube[ahead, :3]
     outwards /= np.linalg.norm(outwards)
     beginning = tube[first].copy()
@@ -102,7 +97,7 @@ def _smoothed(tube: Array, trusted: Flags, length: float) -> Array:
     Third differences are small in points, so that they go on at a constant curvature, second ones in radii.
     """
     tube_at, kept = np.pad(tube, ((BEYOND, BEYOND), (0, 0))), np.pad(trusted, BEYOND).astype(float)
-    step = _walked(tube)[-1] / (len(tube) - 1)
+    step = walked(tube[:, :3])[-1] / (len(tube) - 1)
 
     def smooth(values: Array, order: int) -> Array:
         differences = sparse.csc_array(np.diff(np.eye(len(kept)), order, axis=0))

@@ -8,16 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.anatomy.branch import Branch, Branches, moved
+from ctr_nlp.anatomy.branch import Branch, Branches, blamed, moved
 from ctr_nlp.anatomy.files import CENTRELINES, read_branches
 from ctr_nlp.cli.arguments import add_entry_option
-from ctr_nlp.cli.command import Command
-from ctr_nlp.cli.console import SOLVED, console, print_table, progress_bar
-from ctr_nlp.cli.output.file import check_file
-from ctr_nlp.exceptions import CurveError, OptionError, OutputError
+from ctr_nlp.cli.console import SOLVED, Command, console, print_table, progress_bar
+from ctr_nlp.cli.output.file import check_file, output_file
+from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.figures import save
 from ctr_nlp.figures.branches import tree
-from ctr_nlp.support.whole_file import whole_file
 from ctr_nlp.target.curve import curve_from_points
 from ctr_nlp.target.fit import JAGGED, sharpest_bend
 
@@ -76,28 +74,17 @@ def _check_out(out: Path) -> None:
 
 def _row(file: str, number: int, branches: Branches) -> list[Any]:
     branch = branches.branches[number - 1]
-    try:
+    with blamed(f"{file}, {branch.name}"):
         curve = curve_from_points(branch.points, branch.radius)
-    except CurveError as error:
-        raise CurveError(f"{file}, {branch.name}: {error}") from error
     s = np.linspace(0, curve.length, max(2, round(curve.length / SPACING_MM)))
     sharpest = float(curve.curvature(s).max())
     bend = 1 / sharpest if sharpest > STRAIGHT else None
-    radii: list[float | None] = [None] * 3
-    if curve.radius is not None:
-        radius = curve.radius(s)
-        radii = [float(radius[0]), float(radius.min()), float(radius[-1])]
+    radius = None if curve.radius is None else curve.radius(s)
+    radii = [None] * 3 if radius is None else [float(radius[0]), float(radius.min()), float(radius[-1])]
     tip = moved(branch.points[-1], branches.from_lps)
     at = " ".join(f"{coordinate:.1f}" for coordinate in tip)
-    return [
-        number,
-        branch.name,
-        float(curve.length),
-        bend,
-        *radii,
-        at,
-        _remark(branch, sharpest_bend(curve, curve.length)[0]),
-    ]
+    remark = _remark(branch, sharpest_bend(curve, curve.length)[0])
+    return [number, branch.name, float(curve.length), bend, *radii, at, remark]
 
 
 def _remark(branch: Branch, sharpest: float) -> str:
@@ -115,12 +102,8 @@ def _draw(branches: Branches, name: str, out: Path) -> None:
     every = branches.branches
     title = f"{name}\n{len(every)} {'branches' if len(every) > 1 else 'branch'}, in the file's coordinates"
     paths = [moved(branch.points, branches.from_lps) for branch in every]
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(out) as partial:
-            save(tree(paths, [branch.name for branch in every], title, branches.space), partial)
-    except OSError as error:
-        raise OutputError(f"output file {out} cannot be written: {error}") from error
+    with output_file(out) as partial:
+        save(tree(paths, [branch.name for branch in every], title, branches.space), partial)
 
 
 main = Command("ctr-nlp branches", _parser, _run)

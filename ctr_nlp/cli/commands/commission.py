@@ -7,8 +7,7 @@ import sys
 from pathlib import Path
 
 from ctr_nlp.cli.arguments import add_out_option
-from ctr_nlp.cli.command import Command
-from ctr_nlp.cli.console import SOLVED, SOME_FAILED, console, print_table
+from ctr_nlp.cli.console import SOLVED, SOME_FAILED, Command, console, print_table
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.cli.play_report import JOURNAL, claim
 from ctr_nlp.exceptions import DeviceFault, HardwareError

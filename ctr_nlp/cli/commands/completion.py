@@ -6,8 +6,7 @@ import argparse
 import sys
 from typing import Any
 
-from ctr_nlp.cli.command import Command
-from ctr_nlp.cli.console import SOLVED
+from ctr_nlp.cli.console import SOLVED, Command
 from ctr_nlp.cli.main import parser as whole_parser
 from ctr_nlp.problems import NAMES
 from ctr_nlp.support.extras import needed
@@ -42,16 +41,12 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 def _run(arguments: argparse.Namespace) -> int:
     shtab = needed("shtab")
     parser = whole_parser(every_option=True)
-    for command in _commands(parser):
+    (subparsers,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    for command in subparsers.choices.values():
         for action in command._actions:
             _complete(action, shtab)
     sys.stdout.write(shtab.complete(parser, shell=arguments.shell, preamble=PREAMBLE))
     return SOLVED
-
-
-def _commands(parser: argparse.ArgumentParser) -> list[argparse.ArgumentParser]:
-    (subparsers,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
-    return list(subparsers.choices.values())
 
 
 def _complete(action: argparse.Action, shtab: Any) -> None:

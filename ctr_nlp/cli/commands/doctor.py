@@ -10,13 +10,13 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
 
 import ctr_nlp
-from ctr_nlp.cli.command import Command
-from ctr_nlp.cli.console import SOLVED, SOME_FAILED, console, print_table
+from ctr_nlp.cli.console import SOLVED, SOME_FAILED, Command, console, print_table
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import CtrError
 
@@ -92,21 +92,14 @@ def _version(spec: str) -> str | None:
 
 
 def _compiler() -> Iterator[Finding]:
-    why, chosen = cache.missing(), cache.compiler()
-    seen = why or ("" if chosen is None else f"{' '.join(chosen.command[:2])}{_features()}")
-    yield Finding(
-        "C compiler", why is None, seen, "install gcc or clang; without, planning is thirty times slower"
-    )
-
-
-def _features() -> str:
-    """Those of VECTORS that Linux tells of the processor; empty where that is not told."""
-    try:
+    """The compiler, and those of VECTORS that Linux, where it does, tells of the processor."""
+    why, chosen, told = cache.missing(), cache.compiler(), set[str]()
+    with suppress(OSError):
         told = set(Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").split())
-    except OSError:
-        return ""
-    found = [name for name in VECTORS if name in told]
-    return f"; vectors: {', '.join(found)}" if found else ""
+    vectors = ", ".join(name for name in VECTORS if name in told)
+    found = "" if chosen is None else " ".join(chosen.command[:2]) + (f"; vectors: {vectors}" if vectors else "")
+    remedy = "install gcc or clang; without, planning is thirty times slower"
+    yield Finding("C compiler", why is None, why or found, remedy)
 
 
 def _cache() -> Iterator[Finding]:
@@ -117,9 +110,7 @@ def _cache() -> Iterator[Finding]:
             writable = True
     except OSError:
         writable = False
-    seen = (
-        f"{folder}: {len(sizes)} libraries, {sum(sizes) / 1e6:.0f} MB{'' if writable else ', cannot be written'}"
-    )
+    seen = f"{folder}: {len(sizes)} libraries, {sum(sizes) / 1e6:.0f} MB" + ", cannot be written" * (not writable)
     yield Finding("cache", writable, seen, f"let {cache.FOLDER} name another folder")
 
 
@@ -129,9 +120,8 @@ def _devices() -> Iterator[Finding]:
     ports = [*Path("/dev").glob("ttyUSB*"), *Path("/dev").glob("ttyACM*")]
     usable = all(os.access(port, os.R_OK | os.W_OK) for port in ports)
     if ports:
-        yield Finding(
-            "serial ports", usable, " ".join(map(str, ports)), "join the group that owns them, often dialout"
-        )
+        remedy = "join the group that owns them, often dialout"
+        yield Finding("serial ports", usable, " ".join(map(str, ports)), remedy)
 
 
 def _plan() -> Iterator[Finding]:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ctr_nlp.cli.command import Command
-from ctr_nlp.cli.console import SOLVED, console
+from ctr_nlp.cli.console import SOLVED, Command, console
 from ctr_nlp.cli.output.file import check_file, write_text
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.play_report import print_trajectory
@@ -51,7 +50,8 @@ def _run(arguments: argparse.Namespace) -> int:
     to, source = arguments.to, Path(arguments.plan)
     if arguments.storage and to != BAG:
         raise OptionError(f"--storage goes with --to {BAG}; a {to} file has none")
-    out = Path(arguments.out) if arguments.out else _beside(source, to)
+    beside = source.with_name(f"{source.stem}_bag") if to == BAG else source.with_suffix(TEXTS[to].suffix)
+    out = Path(arguments.out or beside)
     _check_out(out, to)
     plan = Plan.load(source)
     title = str(plan.meta["problem"]["name"])
@@ -67,10 +67,6 @@ def _run(arguments: argparse.Namespace) -> int:
     print_trajectory(f"{title} for {len(trajectory.hardware.axes)} axes", trajectory, found)
     console().print(f"wrote {out}")
     return SOLVED
-
-
-def _beside(source: Path, to: str) -> Path:
-    return source.with_name(f"{source.stem}_bag") if to == BAG else source.with_suffix(TEXTS[to].suffix)
 
 
 def _check_out(out: Path, to: str) -> None:

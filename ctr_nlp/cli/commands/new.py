@@ -6,8 +6,7 @@ import argparse
 from importlib.resources import files
 from pathlib import Path
 
-from ctr_nlp.cli.command import Command
-from ctr_nlp.cli.console import SOLVED, console
+from ctr_nlp.cli.console import SOLVED, Command, console
 from ctr_nlp.cli.output.file import check_file, write_text
 from ctr_nlp.exceptions import OptionError, OutputError
 

@@ -11,46 +11,20 @@ from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 
-from ctr_nlp.cli import live, problems
-from ctr_nlp.cli.arguments import (
-    DEFAULTS,
-    FRAME_SETTINGS,
-    add_compile_option,
-    add_film_option,
-    add_out_option,
-    add_problem_options,
-    add_settings,
-    film_file,
-    read_start,
-    settings_from,
-)
-from ctr_nlp.cli.command import Command
-from ctr_nlp.cli.console import INTERRUPTED, console, progress_bar
-from ctr_nlp.cli.film import write_film
+from ctr_nlp.cli import arguments as options
+from ctr_nlp.cli import live, plan_options, problems
+from ctr_nlp.cli.arguments import DEFAULTS, FRAME_SETTINGS, film_file, read_start, settings_from
+from ctr_nlp.cli.console import INTERRUPTED, Command, console, progress_bar
+from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
-from ctr_nlp.cli.output.names import path_component
-from ctr_nlp.cli.plan_options import (
-    FRAMES_ALONE,
-    HORIZON,
-    HORIZON_ALONE,
-    WALL,
-    add_file_options,
-    add_frame_options,
-    add_horizon_options,
-    add_model_options,
-    add_motion_options,
-    add_term_options,
-    add_wall_options,
-    moved,
-    terms_from,
-)
-from ctr_nlp.cli.report import exit_status, print_front, print_report, write, write_front
+from ctr_nlp.cli.plan_options import HORIZON
+from ctr_nlp.cli.report import exit_status, print_front, print_report, write, write_film, write_front
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.settings import Settings, check_motion_weight
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS
-from ctr_nlp.steer import Horizon, march
+from ctr_nlp.steer import DIRECTIONS, Horizon, march
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.requests import Direction, check_search, checked_ends, checked_motions
 from ctr_nlp.studies.trade_off import WEIGHTS, Point, trade_off
@@ -71,12 +45,12 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
         "goes into DIR/interrupted, and DIR's own files stay).",
     )
     parser.add_argument("problem", metavar="PROBLEM", help=problems.KINDS)
-    add_problem_options(parser)
+    options.add_problem_options(parser)
     parser.set_defaults(formulation=formulations[0])
     if len(formulations) > 1:
         help = "horizon: all frames at once; the others frame by frame " * (horizon and frames)
         parser.add_argument("--formulation", choices=formulations, help=f"{help}(default {formulations[0]})")
-    add_model_options(parser)
+    plan_options.add_model_options(parser)
     solvers = [*SOLVERS] * frames + [*CHAIN_SOLVERS] * horizon
     compiled = " or ".join(["sqp"] * frames + ["banded"] * horizon)
     parser.add_argument(
@@ -84,20 +58,24 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
         choices=list(dict.fromkeys(solvers)),
         help=f"(default {compiled} where there is a C compiler, else ipopt)",
     )
-    add_compile_option(parser)
-    add_out_option(parser, "runs/PROBLEM-FORMULATION-MODEL")
-    add_film_option(parser)
-    add_motion_options(parser)
+    options.add_compile_option(parser)
+    options.add_out_option(parser, "runs/PROBLEM-FORMULATION-MODEL")
+    options.add_film_option(parser)
+    plan_options.add_motion_options(parser)
     if frames:
-        add_frame_options(parser)
+        group, order = (
+            parser.add_argument_group("frame by frame"),
+            "order in which frames are solved (default best)",
+        )
+        group.add_argument("--direction", choices=DIRECTIONS, help=order)
     if horizon:
-        add_horizon_options(parser)
+        plan_options.add_horizon_options(parser)
     weights = ["motion costs a tenth of the start's shape errors"] * horizon
     weights += [f"{DEFAULTS.motion_weight:g}{' frame by frame' * horizon}"] * frames
-    add_settings(parser, "; ".join(weights), jumps=frames)
-    add_file_options(parser)
-    add_term_options(parser)
-    add_wall_options(parser)
+    options.add_settings(parser, "; ".join(weights), jumps=frames)
+    plan_options.add_file_options(parser)
+    plan_options.add_term_options(parser)
+    plan_options.add_wall_options(parser)
     return parser
 
 
@@ -106,7 +84,7 @@ def _run(arguments: argparse.Namespace) -> int:
     _check_fit(arguments)
     for weight in swept or ():
         check_motion_weight(weight)
-    problem = moved(problems.load(arguments.problem, arguments), arguments)
+    problem = plan_options.moved(problems.load(arguments.problem, arguments), arguments)
     name = f"{path_component(problem.name)}-{arguments.formulation}-{arguments.model}"
     out, film = Path(arguments.out or f"runs/{name}"), film_file(arguments)
     check_folder(out, "plan", film)
@@ -134,7 +112,7 @@ def _run(arguments: argparse.Namespace) -> int:
 def _check_fit(arguments: argparse.Namespace) -> None:
     """Raise OptionError for an option that the chosen formulation does not have."""
     whole = arguments.formulation == HORIZON
-    for name in FRAMES_ALONE if whole else HORIZON_ALONE:
+    for name in plan_options.FRAMES_ALONE if whole else plan_options.HORIZON_ALONE:
         if not any(getattr(arguments, name, None) is unset for unset in (None, False)):
             fitting = f"one of {', '.join(FORMULATIONS)}" if whole else HORIZON
             raise OptionError(
@@ -145,9 +123,9 @@ def _check_fit(arguments: argparse.Namespace) -> None:
 
 def _settings(arguments: argparse.Namespace, problem: Problem, *names: str) -> Settings:
     """The Settings of the wall and of these names; raises OptionError, and ProblemError without a wall."""
-    if any(getattr(arguments, name) for name in WALL):
+    if any(getattr(arguments, name) for name in plan_options.WALL):
         check_radii(problem)
-    return settings_from(arguments, *names, *WALL)
+    return settings_from(arguments, *names, *plan_options.WALL)
 
 
 def _by_frame(arguments: argparse.Namespace, problem: Problem) -> Plan:
@@ -156,7 +134,7 @@ def _by_frame(arguments: argparse.Namespace, problem: Problem) -> Plan:
     start = None if arguments.start is None else read_start(arguments.start)
     checked_ends(problem, direction, start)
     chosen = arguments.formulation, arguments.solver, arguments.model, settings
-    solver = NlpFrames.of(problem, *chosen, terms_from(arguments))
+    solver = NlpFrames.of(problem, *chosen, plan_options.terms_from(arguments))
     problems.tell(problem)
     end_if_interrupted()
     with progress_bar() as labelled:
@@ -174,7 +152,7 @@ def _at_once(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan, lis
     initial = checked_motions(problem, [Plan.load(path).q for path in arguments.initial or ()])
     points: list[Point] = []
     with live.solving(problem, arguments.model) if arguments.live else nullcontext() as seen:
-        terms = terms_from(arguments)
+        terms = plan_options.terms_from(arguments)
         horizon = Horizon(problem, arguments.model, arguments.solver, start, end, settings, terms)
         problems.tell(problem)
         end_if_interrupted()

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import os
+import signal
 import sys
-from collections.abc import Callable
-from contextlib import nullcontext
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +16,10 @@ import numpy as np
 
 from ctr_nlp.cli import live
 from ctr_nlp.cli.arguments import add_live_option
-from ctr_nlp.cli.command import Command
 from ctr_nlp.cli.commands.commission import commission
-from ctr_nlp.cli.console import BAD_INPUT, INTERRUPTED, SOLVED, SOME_FAILED, progress_bar
-from ctr_nlp.cli.output.names import path_component
+from ctr_nlp.cli.console import BAD_INPUT, INTERRUPTED, SOLVED, SOME_FAILED, Command, progress_bar
+from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.play_report import JOURNAL, claim, print_trajectory, report
-from ctr_nlp.cli.wishes import obeying
 from ctr_nlp.exceptions import DeviceFault, OptionError
 from ctr_nlp.hardware.clock import RealClock
 from ctr_nlp.hardware.description import Hardware, bench
@@ -29,7 +30,7 @@ from ctr_nlp.hardware.opening import arm_follower, device_of, memory_of
 from ctr_nlp.hardware.playing.playback import Seen
 from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.record import Recorder
-from ctr_nlp.hardware.playing.results import Outcome, Result
+from ctr_nlp.hardware.playing.results import Outcome
 from ctr_nlp.hardware.playing.retract import retract
 from ctr_nlp.hardware.playing.session import begin, prepared, resume
 from ctr_nlp.plan.plan import Plan
@@ -146,8 +147,14 @@ def _played(
         if interrupted():
             player.abort()
         seen = _seen(player, recorder, labelled(plan.meta["problem"]["name"]), told)
+        how: dict[str, Any] = {"verified": arguments.position_verified, "seen": seen}
         try:
-            result = _result(arguments, player, plan, hardware, records, seen)
+            if arguments.retract:
+                result = retract(player, plan, hardware, records, **how)
+            elif records is not None:
+                result = resume(player, plan, hardware, records, **how)
+            else:
+                result = begin(player, plan, hardware, _tempo(arguments), home=arguments.home, **how)
         except DeviceFault as exception:
             sys.stderr.write(f"error: {exception}\nnothing was played; what was said is in {out / JOURNAL}\n")
             return SOME_FAILED
@@ -162,23 +169,6 @@ def _played(
     if result.outcome is Outcome.INVALID_PLAN:
         return BAD_INPUT
     return INTERRUPTED if interrupted() else SOME_FAILED
-
-
-def _result(
-    arguments: argparse.Namespace,
-    player: Player,
-    plan: Plan,
-    hardware: Hardware,
-    records: list[dict[str, Any]] | None,
-    seen: Seen,
-) -> Result:
-    """What came of what was asked for."""
-    verified = arguments.position_verified
-    if arguments.retract:
-        return retract(player, plan, hardware, records, verified=verified, seen=seen)
-    if records is not None:
-        return resume(player, plan, hardware, records, verified=verified, seen=seen)
-    return begin(player, plan, hardware, _tempo(arguments), home=arguments.home, verified=verified, seen=seen)
 
 
 def _stood(hardware: Hardware, records: list[dict[str, Any]] | None) -> Any:
@@ -208,3 +198,44 @@ def _seen(
 
 
 main = Command("ctr-nlp play", _parser, _run)
+
+
+WISHES = {"p": "pause", "r": "resume", "a": "abort"}
+
+
+@contextmanager
+def obeying(player: Player, interrupted: Callable[[], bool]) -> Iterator[None]:
+    """Within the block what is typed, and signals that end programs, are wishes of the player's.
+
+    Ctrl-C is one as often as it is pressed: a stop is never itself interrupted, and always ends.
+    """
+    threading.Thread(target=_listen, args=(player,), daemon=True).start()
+    signals = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = {number: signal.signal(number, lambda *_: player.abort()) for number in signals}
+    remember = signal.getsignal(signal.SIGINT)
+
+    def interrupt(number: int, frame: Any) -> None:
+        player.abort()
+        if callable(remember) and not interrupted():
+            remember(number, frame)
+
+    before[signal.SIGINT] = signal.signal(signal.SIGINT, interrupt)
+    if hasattr(signal, "SIGTTIN"):  # in the background, reading a terminal must fail and not stop the program
+        before[signal.SIGTTIN] = signal.signal(signal.SIGTTIN, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _listen(player: Player) -> None:
+    """Obey lines of standard input, past its buffer, whose lock would be in the way when the program ends."""
+    try:
+        while typed := os.read(sys.stdin.fileno(), 1024).decode(errors="replace"):
+            for line in typed.splitlines():
+                wish = WISHES.get(line.strip().lower()[:1])
+                if wish is not None:
+                    getattr(player, wish)()
+    except (OSError, ValueError, AttributeError):
+        return

@@ -6,11 +6,10 @@ import argparse
 from pathlib import Path
 
 from ctr_nlp.cli.arguments import add_film_option, add_out_option, film_file
-from ctr_nlp.cli.command import Command
-from ctr_nlp.cli.console import SOLVED, console
-from ctr_nlp.cli.film import write_film
+from ctr_nlp.cli.console import SOLVED, Command, console
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.cli.report import write_film
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.report import page
 

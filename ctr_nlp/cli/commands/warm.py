@@ -9,15 +9,13 @@ import time
 
 from ctr_nlp.cli import problems
 from ctr_nlp.cli.arguments import add_problem_options
-from ctr_nlp.cli.command import Command
-from ctr_nlp.cli.console import INTERRUPTED, SOLVED, console, print_table, progress_bar
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command, console, print_table, progress_bar
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import MODELS, suits
 from ctr_nlp.problems import NAMES
 from ctr_nlp.steer import solve_horizon, solve_per_frame
 from ctr_nlp.support.interrupt import deferred_interrupt
-from ctr_nlp.target.problem import Problem
 
 FRAMES = 3
 """Of each problem; what is compiled does not depend on their number."""
@@ -62,19 +60,15 @@ def _run(arguments: argparse.Namespace) -> int:
             if interrupted():
                 break
             report(number, len(tasks), f"{problem.name}, {model}, {how}")
-            rows.append((problem.name, model, how, _seconds(problem, model, how)))
+            begin = time.perf_counter()
+            BUILDS[how](problem, model)
+            rows.append((problem.name, model, how, time.perf_counter() - begin))
         stopped = len(rows) < len(tasks)
     print_table("ready", ("problem", "model", "how", "s"), rows, text=("model", "how"))
     console().print(f"kept in {cache.folder()}", markup=False)
     if stopped:
         sys.stderr.write("interrupted; what was compiled is kept\n")
     return INTERRUPTED if stopped else SOLVED
-
-
-def _seconds(problem: Problem, model: str, how: str) -> float:
-    begin = time.perf_counter()
-    BUILDS[how](problem, model)
-    return time.perf_counter() - begin
 
 
 main = Command("ctr-nlp warm", _parser, _run)

@@ -1,8 +1,15 @@
-"""Single output files, written whole or not at all."""
+"""Single output files, written whole or not at all, their names, and folders held against other processes."""
 
 from __future__ import annotations
 
+import hashlib
+import os
+import re
 import secrets
+import time
+import unicodedata
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from ctr_nlp.cli.output.manifest import MARK
@@ -34,11 +41,88 @@ def try_beside(path: Path) -> None:
     trial.rmdir()
 
 
-def write_text(file: Path, text: str) -> None:
-    """Write a file whole or not at all; raises OutputError."""
+@contextmanager
+def output_file(file: Path) -> Iterator[Path]:
+    """What is written to the path that is yielded becomes the file, whole or not at all; raises OutputError."""
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(file) as partial:
-            partial.write_text(text, encoding="utf-8", newline="")
+            yield partial
     except OSError as error:
         raise OutputError(f"output file {file} cannot be written: {error}") from error
+
+
+def write_text(file: Path, text: str) -> None:
+    """Write a file whole or not at all; raises OutputError."""
+    with output_file(file) as partial:
+        partial.write_text(text, encoding="utf-8", newline="")
+
+
+try:
+    import fcntl
+except ImportError:  # on Windows
+    fcntl = None  # type: ignore[assignment]
+
+POLL = 0.02
+"""Seconds between two attempts to get hold of a folder."""
+
+
+@contextmanager
+def locked(folder: Path, patience: float = 0.0) -> Iterator[bool]:
+    """Hold a folder within the block; what is yielded is False where the file system knows no such locks.
+
+    Raises BlockingIOError where another process still holds it after so many seconds of patience, and OSError.
+    """
+    if fcntl is None:
+        yield False
+        return
+    door = os.open(folder, os.O_RDONLY)
+    try:
+        yield _taken(door, folder, time.monotonic() + patience)
+    finally:
+        os.close(door)
+
+
+def _taken(door: int, folder: Path, deadline: float) -> bool:
+    while True:
+        try:
+            fcntl.flock(door, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            if time.monotonic() > deadline:
+                raise BlockingIOError(f"another run is writing into {folder}") from error
+            time.sleep(POLL)
+        except OSError:
+            return False
+        else:
+            return True
+
+
+LONGEST = 80
+"""Bytes of UTF-8 that a name may take in a path, well below the 255 that file systems allow."""
+RESERVED = re.compile(r"(con|prn|aux|nul|(com|lpt)\w)(\..*)?", re.IGNORECASE)
+"""Names that Windows keeps for devices, whatever their suffix."""
+
+
+def path_component(name: str) -> str:
+    """A name as one component of a path: a name that is safe as it stands, anything else changed and marked.
+
+    Safe are letters, digits and the characters - _ . and space, with a letter, a digit or _ at the beginning and
+    no dot or space at the end, up to LONGEST bytes. In other names everything else becomes _, and ~ with eight
+    digits of the whole name's SHA-256 follows, so that names that differ stay different.
+    """
+    if _safe(name):
+        return name
+    digest = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()[:8]
+    kept = re.sub(r"[^\w .-]", "_", unicodedata.normalize("NFC", name)).lstrip("-. ")
+    prefix = "_" if RESERVED.fullmatch(kept) or not kept else ""
+    short = f"{prefix}{kept}".encode()[: LONGEST - 9].decode(errors="ignore")
+    return f"{short.rstrip('. ')}~{digest}"
+
+
+def _safe(name: str) -> bool:
+    return (
+        re.fullmatch(r"\w[\w .-]*(?<![. ])", name) is not None
+        and unicodedata.is_normalized("NFC", name)
+        and len(name.encode()) <= LONGEST
+        and RESERVED.fullmatch(name) is None
+    )

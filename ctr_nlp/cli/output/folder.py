@@ -10,8 +10,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from itertools import count
 from pathlib import Path
 
-from ctr_nlp.cli.output.file import try_beside
-from ctr_nlp.cli.output.lock import locked
+from ctr_nlp.cli.output.file import locked, try_beside
 from ctr_nlp.cli.output.manifest import MARK, STAGING, Manifest, Written, read, standard, written
 from ctr_nlp.exceptions import OutputError
 from ctr_nlp.support.interrupt import ignored_interrupt
@@ -122,7 +121,8 @@ def _publish(staging: Path, target: Path, kind: str) -> None:
     new = {path.relative_to(staging).as_posix(): written(kind, path) for path in sorted(paths)}
     try:
         for path in paths:
-            _keep_on_disk(path)
+            with open(path, "rb+") as file:
+                os.fsync(file.fileno())
         with locked(target, PATIENCE):
             _tidy(target)
             _check(target, list(new))
@@ -134,11 +134,6 @@ def _publish(staging: Path, target: Path, kind: str) -> None:
     except (OSError, OutputError) as error:
         kept = _kept(staging, target, new)
         raise OutputError(f"{error}" if kept is None else f"{error}. The results are in {kept}") from error
-
-
-def _keep_on_disk(path: Path) -> None:
-    with open(path, "rb+") as file:
-        os.fsync(file.fileno())
 
 
 def _write(manifest: Manifest, staging: Path, folder: Path) -> None:

@@ -9,23 +9,19 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 
-from ctr_nlp.cli.command import Command
-from ctr_nlp.cli.console import SOLVED, SOME_FAILED, console, print_table
+from ctr_nlp.cli.console import SOLVED, SOME_FAILED, Command, console, print_table
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.problems import NAMES, named
-from ctr_nlp.studies.benchmarks import Record, regressions
-from ctr_nlp.studies.benchmarks.elastic import forward, planned
-from ctr_nlp.studies.benchmarks.frames import frames
+from ctr_nlp.studies.benchmarks import RATIO, Record, regressions
+from ctr_nlp.studies.benchmarks.builds import sizes, start_up
+from ctr_nlp.studies.benchmarks.frames import forward, frames, planned
 from ctr_nlp.studies.benchmarks.horizons import growth, horizons
-from ctr_nlp.studies.benchmarks.records import RATIO
-from ctr_nlp.studies.benchmarks.sizes import sizes
-from ctr_nlp.studies.benchmarks.start_up import start_up
 from ctr_nlp.target.problem import Problem
 
 SHAPES = ("cos", "arc", "line", "line_arc", "synthesis")
-"""The five problems of the seed whose targets are known."""
+"""The five problems of the paper whose targets are known."""
 SIZES = (100, 1000, 5000)
 """Frames over which the time and memory of an iteration are followed."""
 BASELINE = Path(__file__).resolve().parents[3] / "scripts" / "benchmark_baseline.json"
@@ -40,13 +36,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         epilog="Exit status: 0 measured, 1 worse than the baseline, 2 bad input.",
     )
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="(default all)")
-    parser.add_argument(
-        "--problems",
-        nargs="+",
-        metavar="NAME",
-        choices=NAMES,
-        help="(default all that suit a part)",
-    )
+    suiting = "(default all that suit a part)"
+    parser.add_argument("--problems", nargs="+", metavar="NAME", choices=NAMES, help=suiting)
     parser.add_argument("--json", metavar="FILE", help="also write the records to a file")
     parser.add_argument("--check", action="store_true", help=f"compare the ratios with a clone's {BASELINE.name}")
     return parser
@@ -102,14 +93,6 @@ def _each(
     yield from _means(found, kind)
 
 
-def _frames(named: Named, chosen: list[str]) -> Iterator[Record]:
-    yield from _each(frames, (named(name) for name in SHAPES if name in chosen), "a frame: ")
-
-
-def _horizons(named: Named, chosen: list[str]) -> Iterator[Record]:
-    yield from _each(horizons, map(named, chosen), "horizon: ")
-
-
 def _elastic(named: Named, chosen: list[str]) -> Iterator[Record]:
     yield from _each(planned, (named(name) for name in SHAPES if name in chosen), "an elastic frame: ")
     yield from forward(named("cos"))
@@ -127,8 +110,8 @@ def _means(records: list[Record], kind: str) -> Iterator[Record]:
 
 PARTS: dict[str, Callable[[Named, list[str]], Iterator[Record]]] = {
     "start-up": lambda named, chosen: start_up(),
-    "frames": _frames,
-    "horizons": _horizons,
+    "frames": lambda named, chosen: _each(frames, (named(n) for n in SHAPES if n in chosen), "a frame: "),
+    "horizons": lambda named, chosen: _each(horizons, map(named, chosen), "horizon: "),
     "elastic": _elastic,
     "growth": lambda named, chosen: growth([named("cos", count) for count in SIZES]),
     "sizes": lambda named, chosen: sizes(),

@@ -6,8 +6,7 @@ import argparse
 from pathlib import Path
 
 from ctr_nlp.cli.arguments import add_frames_option, add_out_option, whole
-from ctr_nlp.cli.command import Command
-from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, console, progress_bar
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, Command, console, progress_bar
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.studies.clearance import Source, study

@@ -7,17 +7,9 @@ import json
 from pathlib import Path
 from typing import Any
 
+from ctr_nlp.cli import arguments as options
 from ctr_nlp.cli import problems
-from ctr_nlp.cli.arguments import (
-    FRAME_SETTINGS,
-    add_compile_option,
-    add_out_option,
-    add_problem_options,
-    add_settings,
-    settings_from,
-)
-from ctr_nlp.cli.command import Command
-from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, console, print_table, progress_bar
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, Command, console, print_table, progress_bar
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.models import MODELS, model_named
 from ctr_nlp.plan.account import shown
@@ -32,12 +24,12 @@ COLUMNS = {
     "e3 mm": ("e3",),
     "e4 mm": ("e4",),
     "max mm": ("e_max",),
-    "seed e3, e4": ("seed_e3", "seed_e4"),
+    "paper e3, e4": ("seed_e3", "seed_e4"),
     "steps rad, mm, rad": ("step_alpha", "step_beta", "step_theta"),
     "roughness mm²/s": ("roughness",),
     "ms 50, 99 %": ("median_ms", "p99_ms"),
     "total s": ("total_s",),
-    "seed s": ("seed_t_s",),
+    "paper s": ("seed_t_s",),
     "build s": ("build_s",),
     "failed": ("failed",),
     "on dominant e3, e4": ("dominant_e3", "dominant_e4"),
@@ -61,7 +53,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
         description="Solve problems with every variant, one after the other, and print errors, steps and times "
-        "beside the seed's Table II; write comparison.md, .csv and .json.",
+        "beside the paper's Table II; write comparison.md, .csv and .json.",
         epilog="Exit status: 0 no verdict on a plan of ours is no, 1 one is, 2 bad input, 130 interrupted (what "
         "was done goes into DIR/interrupted, and DIR's own files stay).",
     )
@@ -72,15 +64,15 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         nargs="+",
         help=f"(default all that work here, of {', '.join(VARIANTS)})",
     )
-    add_out_option(parser, "runs/comparison")
-    add_problem_options(parser)
-    add_compile_option(parser)
-    add_settings(parser)
+    options.add_out_option(parser, "runs/comparison")
+    options.add_problem_options(parser)
+    options.add_compile_option(parser)
+    options.add_settings(parser)
     return parser
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    settings, out = settings_from(arguments, *FRAME_SETTINGS), Path(arguments.out)
+    settings, out = options.settings_from(arguments, *options.FRAME_SETTINGS), Path(arguments.out)
     variants = [parse_variant(name) for name in arguments.variants or variants_here()]
     chosen = [problems.load(name, arguments) for name in arguments.problems or NAMES]
     check_folder(out, "comparison")
@@ -103,19 +95,15 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _agreements(found: Comparison) -> list[list[str]]:
-    return [
-        [
-            row["problem"],
-            f"{row['first']} {row['first_objective']:.6f}, {row['second']} {row['second_objective']:.6f}",
-            f"{row['difference']:.1e}",
-            str(row["differing_limits"]),
-            "yes"
-            if row["agree"]
-            else f"no: {row['first' if row['first_objective'] < row['second_objective'] else 'second']} is better",
-            f"{row['first_s']:.2f} / {row['second_s']:.2f}",
-        ]
-        for row in found.agreements
-    ]
+    cells = []
+    for row in found.agreements:
+        better = row["first" if row["first_objective"] < row["second_objective"] else "second"]
+        objectives = f"{row['first']} {row['first_objective']:.6f}, {row['second']} {row['second_objective']:.6f}"
+        agree = "yes" if row["agree"] else f"no: {better} is better"
+        seconds = f"{row['first_s']:.2f} / {row['second_s']:.2f}"
+        numbers = f"{row['difference']:.1e}", str(row["differing_limits"])
+        cells.append([row["problem"], objectives, *numbers, agree, seconds])
+    return cells
 
 
 def _write(found: Comparison, folder: Path) -> None:
@@ -135,13 +123,18 @@ def _write(found: Comparison, folder: Path) -> None:
 
 
 def _overview(rows: list[dict[str, Any]], model: str) -> str:
-    """A row a problem, a column a variant: e3 in mm on a model; the seed's figures last.
+    """A row a problem, a column a variant: e3 in mm on a model; the paper's figures last.
 
     An exclamation mark: the verdict on stability is no; a star: another one is.
     """
     figures = (SEED_ELASTIC, BASELINE_ELASTIC) if model_named(model).can_snap else (SEED, BASELINE)
     variants = list(dict.fromkeys(row["variant"] for row in rows))
-    header = ["problem", *(f"`{variant}`" for variant in variants), "seed, published", "its baseline, published"]
+    header = [
+        "problem",
+        *(f"`{variant}`" for variant in variants),
+        "the paper, published",
+        "its baseline, published",
+    ]
     body = []
     for problem in dict.fromkeys(row["problem"] for row in rows):
         found = {row["variant"]: row for row in rows if row["problem"] == problem}

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ctr_nlp.cli.arguments import add_frames_option, add_out_option, whole
-from ctr_nlp.cli.command import Command
-from ctr_nlp.cli.console import SOLVED, SOME_FAILED, console, print_table, progress_bar
+from ctr_nlp.cli.console import SOLVED, SOME_FAILED, Command, console, print_table, progress_bar
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.problems import named
 from ctr_nlp.studies.paper import SECTIONS, Found, study
@@ -22,7 +21,7 @@ from ctr_nlp.target.target import check_frames
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
-        description="Remake the seed's Figs. 3 to 8, 9 (d) and 10 and its Table II beside what it printed, and "
+        description="Remake the paper's Figs. 3 to 8, 9 (d) and 10 and its Table II beside what it printed, and "
         "write seed.md with pictures and the numbers behind them.",
         epilog="Exit status: 0 every frame of our methods solved, 1 some not, 2 bad input, 130 interrupted "
         "(nothing written).",

@@ -1,8 +1,9 @@
-"""What all pictures share: style, heading, and marks behind some of the frames."""
+"""What all pictures share: style, heading, marks behind frames, panels with letters, and a scale of roots."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from string import ascii_lowercase
 from typing import Any
 
 import numpy as np
@@ -89,6 +90,20 @@ def alone(y: npt.NDArray[np.float64]) -> npt.NDArray[np.int_]:
     return np.flatnonzero(known[1:-1] & ~known[:-2] & ~known[2:])
 
 
+def by_frames(axes: Axes, plan: Plan) -> npt.NDArray[np.int_]:
+    """A horizontal axis of a plan's frames, those that failed shaded behind it; their numbers (T,), from 1."""
+    frames = np.arange(1, len(plan.time) + 1)
+    shade_failures(axes, plan, frames, 1.0)
+    frame_axis(axes, len(frames))
+    return frames
+
+
+def legend_of(*panels: Axes) -> dict[str, Any]:
+    """What panels name: labels, each once, and handles for a legend."""
+    named = [axes.get_legend_handles_labels() for axes in panels]
+    return {label: handle for some, labels in named for handle, label in zip(some, labels, strict=True)}
+
+
 def frame_axis(axes: Axes, frames: int) -> None:
     """Frames, from 1, along the horizontal axis."""
     axes.set_xlim(0.5, max(frames, 1) + 0.5)
@@ -102,3 +117,34 @@ def at_least(axes: Axes, span: float) -> None:
     if high - low < span:
         middle = (low + high) / 2
         axes.set_ylim(middle - span / 2, middle + span / 2)
+
+
+TICKS = tuple(digit * 10.0**power for power in range(-6, 4) for digit in (1, 2, 5))
+APART = 0.13
+"""Least distance of two ticks, as a part of the axis."""
+
+
+def panels(titles: Sequence[str], columns: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
+    """A figure with a panel for each title, (a), (b), ... in reading order; size: of a panel in inches."""
+    rows = -(-len(titles) // columns)
+    figure = Figure(figsize=(columns * size[0], rows * size[1]), layout="constrained")
+    grid: npt.NDArray[Any] = figure.subplots(rows, columns, squeeze=False)
+    for letter, title, axes in zip(ascii_lowercase, titles, grid.flat, strict=False):
+        axes.set_title(f"({letter}) {title}", loc="left")
+    for spare in grid.flat[len(titles) :]:
+        spare.remove()
+    return figure, list(grid.flat[: len(titles)])
+
+
+def root_scale(axes: Axes) -> None:
+    """A square-root scale from 0 upwards: small errors are seen beside large ones, and 0 has its place."""
+    top = max(axes.get_ylim()[1], 2 * TICKS[0])
+    axes.set_yscale("function", functions=(lambda y: np.sqrt(np.maximum(y, 0.0)), np.square))
+    axes.set_ylim(0.0, top)
+    chosen: list[float] = []
+    for tick in sorted((tick for tick in TICKS if tick <= top), reverse=True):
+        height = np.sqrt(tick / top)
+        if height >= APART and (not chosen or np.sqrt(chosen[-1] / top) - height >= APART):
+            chosen.append(tick)
+    axes.set_yticks([0.0, *chosen])
+    axes.yaxis.set_major_formatter("{x:g}")

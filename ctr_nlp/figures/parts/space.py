@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from ctr_nlp.figures import overlay
 from ctr_nlp.figures.overlay import parts
 from ctr_nlp.figures.parts.palette import BLACK, tube_colour, tube_width
 from ctr_nlp.target.lumen import rings
+from ctr_nlp.target.points import walked
 from ctr_nlp.typing import Array
 
 SLIM = 0.3
@@ -31,6 +33,15 @@ WALL: dict[str, Any] = {"color": GREY, "lw": 0.5}
 INSERTION: dict[str, Any] = {"marker": "o", "ls": "", "ms": 5, "mfc": "white", "mec": BLACK}
 
 
+def stage(figure: Figure, place: tuple[float, float, float, float], lumen: Array | None) -> Any:
+    """Axes in space at a place of a figure, with the insertion point and, where known, the wall of a lumen."""
+    axes: Any = figure.add_axes(place, projection="3d")
+    if lumen is not None:
+        wall(axes, lumen)
+    axes.plot([0.0], [0.0], [0.0], zorder=6, **INSERTION)
+    return axes
+
+
 def span(points: Array) -> Array:
     """The sides (3,) in mm of a box that holds points (.., 3) and the insertion point; NaN is left out."""
     low, high = _corners(points)
@@ -44,12 +55,12 @@ def _corners(points: Array) -> tuple[Array, Array]:
     return known.min(axis=0), known.max(axis=0)
 
 
-def frame(axes: Any, points: Array, side: Array) -> None:
-    """A box of sides (3,) mm around points (.., 3), to scale, seen so that a planar motion is seen as such.
+def frame(axes: Any, points: Array, side: Array | None = None) -> None:
+    """A box around points (.., 3) mm, to scale, seen so that a planar motion is seen as such.
 
-    Call it when everything that changes limits has been drawn.
+    side: (3,) mm, by default what holds the points. Call it when everything that changes limits has been drawn.
     """
-    low, high = _corners(points)
+    (low, high), side = _corners(points), span(points) if side is None else side
     for name, middle, extent in zip("xyz", (low + high) / 2, side, strict=True):
         getattr(axes, f"set_{name}lim")(middle - extent / 2, middle + extent / 2)
         getattr(axes, f"set_{name}label")(f"{name} (mm)")
@@ -72,31 +83,20 @@ def _facing(points: Array) -> float:
 def wall(axes: Any, lumen: Array) -> None:
     """The wall of a lumen (N, 4): x, y, z and radius in mm, as rings and lines along it."""
     surface = rings(lumen, np.linspace(0.0, 2 * np.pi, AROUND))
-    along = np.append(0.0, np.linalg.norm(np.diff(lumen[:, :3], axis=0), axis=1).cumsum())
+    along = walked(lumen[:, :3])
     chosen = np.searchsorted(along, np.append(np.arange(0.0, along[-1], RINGS), along[-1]))
     lines = [*surface[chosen], *surface.swapaxes(0, 1)[:: (AROUND - 1) // MESHES][:-1]]
     apart = np.full((1, 3), np.nan)
     axes.plot(*np.concatenate([part for line in lines for part in (line, apart)]).T, zorder=1, **WALL)
 
 
-def insertion_point(axes: Any) -> None:
-    """A circle at the origin."""
-    axes.plot([0.0], [0.0], [0.0], zorder=6, **INSERTION)
-
-
 class Body:
     """A robot's tubes as lines in space, each where it is the outermost one; look: changes how they are drawn."""
 
     def __init__(self, axes: Any, d: int, **look: Any) -> None:
-        self.lines = [
-            axes.plot(
-                [],
-                [],
-                [],
-                **{"color": tube_colour(i), "lw": tube_width(i, d), "solid_capstyle": "butt", "zorder": 4} | look,
-            )[0]
-            for i in range(d)
-        ]
+        common: dict[str, Any] = {"solid_capstyle": "butt", "zorder": 4}
+        looks = [{"color": tube_colour(i), "lw": tube_width(i, d)} | common | look for i in range(d)]
+        self.lines = [axes.plot([], [], [], **look)[0] for look in looks]
 
     def show(self, shape: Array, beta: Array) -> None:
         """Draw a shape (101, 3) mm of a robot with tubes beta (d,) mm long; nothing where it is not known."""

@@ -1,4 +1,4 @@
-"""Single frames: every method on the same frames from the same past."""
+"""Single frames: every method on the same frames from the same past, and what the elastic model costs."""
 
 from __future__ import annotations
 
@@ -13,25 +13,30 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from ctr_nlp.formulations.frame import filled
+from ctr_nlp.formulations.frame import program as built
 from ctr_nlp.formulations.frames import FrameResult, reachable
 from ctr_nlp.formulations.joint import joint
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.stage import Stage
+from ctr_nlp.formulations.terms import Order, ShapeDistance
 from ctr_nlp.models import MODELS
+from ctr_nlp.models.protocol import SUBSTEPS
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.reference import reference_frames
 from ctr_nlp.solvers import SOLVERS, NlpSolver, Solution
 from ctr_nlp.solvers.frame.program import Program
-from ctr_nlp.steer import solve_per_frame
+from ctr_nlp.steer import solve_horizon, solve_per_frame
 from ctr_nlp.steer.nlp_frames import NlpFrames
-from ctr_nlp.studies.benchmarks.records import RATIO, Record
+from ctr_nlp.studies.benchmarks import RATIO, Record
 from ctr_nlp.target.problem import Problem
+from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
 
 Found = TypeVar("Found", Solution, FrameResult)
 
 EVERY = 5
-"""The methods that take a second a frame are asked for every EVERY-th frame only."""
+"""The methods that take much longer are asked for every EVERY-th frame only."""
 REFERENCES = ("seed-two-stage", "euclidean")
 ROUNDS = 3
 """Times that solvers have their turn on all frames."""
@@ -135,3 +140,46 @@ def evaluation(program: Program, function: str = "slopes") -> float:
     for _ in itertools.repeat(None, EVALUATIONS):
         run(arg, res, None, None, 0)
     return (time.perf_counter() - begin) / EVALUATIONS
+
+
+ELASTIC_ROUNDS = 5
+"""Times that forward solutions have their turn."""
+
+
+def planned(problem: Problem) -> Iterator[Record]:
+    """Times of an elastic frame by compiled SQP and by interpreted IPOPT, each from where SQP stood before."""
+    solvers = {name: NlpFrames.of(problem, "joint", name, "elastic") for name in ("sqp", "ipopt")}
+    times = {name: Times() for name in solvers}
+    before = solvers["sqp"].search(0)[0]
+    for frame in range(1, problem.frames):
+        found: dict[str, FrameResult] = {}
+        for name in solvers if frame % EVERY == 0 else ("sqp",):
+            found[name] = times[name].take(solvers[name].step, frame, before)
+        before = found["sqp"]
+    median = {name: statistics.median(taken.seconds) for name, taken in times.items()}
+    for name, taken in times.items():
+        which = f"{problem.name}, an elastic frame, {name}"
+        yield Record(f"{which}: median", 1e6 * median[name], "us", "less")
+        yield Record(f"{which}: not solved", taken.failed, "", "less", 0.0 if name == "sqp" else None)
+    ratio = median["ipopt"] / median["sqp"]
+    yield Record(f"{problem.name}, an elastic frame: ipopt / sqp", ratio, "", "more", RATIO)
+
+
+def forward(problem: Problem) -> Iterator[Record]:
+    """A forward solution with margin and shape along a motion, beside the dominant model's compiled shape."""
+    robot, q = problem.robot, solve_horizon(problem, model="elastic").q
+    model, elastic, rigid = MODELS["elastic"], [], []
+    terms = ShapeDistance(stride=1), Order(robot.carriage_gap)
+    program = Program(built("frame", robot.structure, MODELS["dominant"], terms), wait=True)
+    program.p[:] = program.nlp.pack(filled(robot, terms, problem.samples[-1]))
+    program.x[:] = q[-1]
+    for _ in range(ELASTIC_ROUNDS):
+        begin = time.perf_counter()
+        found = model.follow(robot, q)
+        model.points(robot, np.repeat(found.x, SUBSTEPS, axis=0), SIGMA)
+        elastic.append((time.perf_counter() - begin) / (len(q) * SUBSTEPS))
+        rigid.append(evaluation(program, "value"))
+    times = min(elastic), min(rigid)
+    yield Record(f"{problem.name}, elastic: a forward solution, margin and shape", 1e6 * times[0], "us", "less")
+    yield Record(f"{problem.name}, dominant: the same samples, in C", 1e6 * times[1], "us", "less")
+    yield Record(f"{problem.name}: elastic / dominant", times[0] / times[1], "", "less", RATIO)

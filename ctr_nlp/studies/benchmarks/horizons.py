@@ -21,7 +21,7 @@ from ctr_nlp.solvers.motion.banded import BandedSolver
 from ctr_nlp.solvers.motion.ipopt import IpoptSolver
 from ctr_nlp.steer import Horizon
 from ctr_nlp.steer.motions import per_frame_motions
-from ctr_nlp.studies.benchmarks.records import RATIO, Record
+from ctr_nlp.studies.benchmarks import RATIO, Record
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
@@ -34,16 +34,8 @@ def chain_of(problem: Problem) -> tuple[Chain, Array]:
     """A compiled horizon with its default weight, and the best motion to start from."""
     motions = per_frame_motions(problem, Ends(), Settings(), None, MODELS["dominant"])
     weight = Horizon(problem, settings=Settings(contact_weight=0.0)).balanced_weight(motions[0])
-    at = (
-        problem.robot,
-        problem.samples,
-        problem.dt,
-        weight,
-        Ends(),
-        MODELS["dominant"],
-        lambda nlp: lambda: compiled(nlp),
-    )
-    return horizon(*at), motions[0].ravel()
+    at = problem.robot, problem.samples, problem.dt, weight, Ends(), MODELS["dominant"]
+    return horizon(*at, lambda nlp: lambda: compiled(nlp)), motions[0].ravel()
 
 
 def horizons(problem: Problem) -> Iterator[Record]:

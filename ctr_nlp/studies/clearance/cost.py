@@ -43,16 +43,8 @@ def _contact(axes: Axes, ranked: Sequence[Case]) -> None:
     look: dict[str, Any] = {"ls": "", "clip_on": False, "zorder": 3}
     axes.plot(place, without, color=ORANGE, marker="o", ms=3.5, label="without clearance", **look)
     axes.plot(place, kept, color=BLUE, marker="s", ms=3.2, label="with clearance", **look)
-    axes.plot(
-        place[left],
-        alone[left],
-        color=BLACK,
-        marker="_",
-        ms=7,
-        mew=1.2,
-        label="clearance alone, at full length",
-        **look,
-    )
+    look |= {"color": BLACK, "marker": "_", "ms": 7, "mew": 1.2}
+    axes.plot(place[left], alone[left], label="clearance alone, at full length", **look)
     axes.set_yscale("symlog", linthresh=LINEAR, linscale=0.6)
     axes.yaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=LINEAR, subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_major_formatter("{x:g}")

@@ -2,18 +2,81 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ctr_nlp.figures.files import save
-from ctr_nlp.studies.clearance.alone import CLEAR, STARTS
-from ctr_nlp.studies.clearance.cases import FOLLOWED_MM, WITH, Case
-from ctr_nlp.studies.clearance.claims import claims, frames_missed
+from ctr_nlp.figures import save
+from ctr_nlp.studies.clearance.cases import CLEAR, FOLLOWED_MM, STARTS, WITH, Case
 from ctr_nlp.studies.clearance.cost import cost_of_clearance
 from ctr_nlp.support.tables import markdown, write_csv
+
+ROUNDING = 1e-6
+"""% of e3 that rounding may add."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A sentence, the cases that it is about, and those among them that it does not hold for."""
+
+    says: str
+    about: tuple[Case, ...]
+    exceptions: tuple[Case, ...]
+
+    @property
+    def holds(self) -> bool:
+        """In every case that it is about."""
+        return not self.exceptions
+
+    def __str__(self) -> str:
+        held = f"{len(self.about) - len(self.exceptions)} of {len(self.about)}"
+        but = f"; not in {', '.join(case.name for case in self.exceptions)}" if self.exceptions else ""
+        return f"{self.says}: in {held} cases{but}"
+
+
+def claims(cases: Sequence[Case]) -> tuple[Claim, Claim, Claim]:
+    """That clearance is cheap, that it helps, and that all of it is had where it can be had.
+
+    The last is said the other way round: cases without any contact left are not asked what clearance alone
+    could have.
+    """
+    most = 100 * WITH.clearance_cost
+    return (
+        _claim(
+            f"with clearance e3 is at most {most:g} % above that without",
+            cases,
+            lambda case: case.growth <= most + ROUNDING,
+        ),
+        _claim(
+            "summed contact depth is lower with clearance than without, where there is any without",
+            [case for case in cases if case.contact_without > 0],
+            lambda case: case.contact_with < case.contact_without,
+        ),
+        _claim(
+            "where contact is left with clearance, clearance alone leaves some too",
+            [case for case in cases if case.contact_with > 0],
+            lambda case: not case.clearable,
+        ),
+    )
+
+
+def _claim(says: str, about: Sequence[Case], holds: Callable[[Case], bool]) -> Claim:
+    return Claim(says, tuple(about), tuple(case for case in about if not holds(case)))
+
+
+def frames_missed(cases: Sequence[Case]) -> str:
+    """The last claim frame by frame, as a sentence."""
+    left = [case for case in cases if case.frames_with]
+    missed, touching = (sum(getattr(case, name) for case in left) for name in ("alone_clear", "frames_with"))
+    total = sum(case.frames for case in cases)
+    some = sum(case.alone_clear > 0 for case in left)
+    return (
+        f"frame by frame: {touching} of {total} frames are in contact with clearance, in {len(left)} cases; "
+        f"in {missed} of these, in {some} cases, clearance alone leaves no contact"
+    )
+
 
 HEADER = (
     "airway",
@@ -133,7 +196,9 @@ def page(cases: Sequence[Case]) -> str:
         if some:
             parts.append(f"\n## {title}\n\n{markdown(HEADER, [_cells(case) for case in some])}")
     if synthetic:
-        parts.append(f"\nTheir spread, column by column:\n\n{markdown(HEADER, _spread(synthetic))}")
+        table = np.quantile([_numbers(case) for case in synthetic], list(QUARTILES.values()), axis=0)
+        spread = [[name, *_shown(line)] for name, line in zip(QUARTILES, table.tolist(), strict=True)]
+        parts.append(f"\nTheir spread, column by column:\n\n{markdown(HEADER, spread)}")
     return "".join([*parts, "\n", REMAKING.format(**numbers)])
 
 
@@ -153,11 +218,6 @@ def _cells(case: Case) -> list[str]:
     cells = [name, *_shown(_numbers(case))]
     cells[alone] = [""] * len(cells[alone])
     return cells
-
-
-def _spread(cases: Sequence[Case]) -> list[list[str]]:
-    table = np.quantile([_numbers(case) for case in cases], list(QUARTILES.values()), axis=0)
-    return [[name, *_shown(line)] for name, line in zip(QUARTILES, table.tolist(), strict=True)]
 
 
 def _shown(numbers: Sequence[float]) -> list[str]:

@@ -1,6 +1,6 @@
 """The paper's figures and its Table II remade from one run, beside what the paper printed."""
 
+from ctr_nlp.studies.paper.parts import SECTIONS
 from ctr_nlp.studies.paper.runs import Found, study
-from ctr_nlp.studies.paper.sections import SECTIONS
 
 __all__ = ["SECTIONS", "Found", "study"]

@@ -37,7 +37,7 @@ class Group:
     @property
     def frames(self) -> list[int]:
         """The frames that are shown, from 1."""
-        return shown(len(self.plan.time))
+        return frames_shown(len(self.plan.time))
 
     def box(self) -> Array:
         """Lowest and highest of the horizontal axis and of z, (2, 2) in mm."""
@@ -48,7 +48,7 @@ class Group:
         return np.array([low - MARGIN - [missing, 0.0], high + MARGIN + [missing, 0.0]])
 
 
-def shown(frames: int) -> list[int]:
+def frames_shown(frames: int) -> list[int]:
     """The frames that are shown of so many, from 1."""
     return sorted({max(1, round(part * frames)) for part in QUARTERS})
 

@@ -7,7 +7,7 @@ import platform
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from ctr_nlp.figures.files import save
+from ctr_nlp.figures import save
 from ctr_nlp.studies.paper.runs import NAMES, SETTINGS, Found
 from ctr_nlp.studies.paper.section import Section
 from ctr_nlp.support import tables
@@ -107,17 +107,14 @@ def _section(found: Found, section: Section) -> str:
         f"{table.caption}:\n\n{tables.markdown(table.header, table.body)}\n" for table in section.tables(found)
     )
     checks = "".join(
-        f"- **{_capital(check.verdict)}.** {check.whose}: {check.says}. Found: {check.finds}.\n"
+        f"- **{check.verdict[0].upper()}{check.verdict[1:]}.** {check.whose}: {check.says}. "
+        f"Found: {check.finds}.\n"
         for check in section.checks(found)
     )
     return (
         f"## {section.title}\n\n{picture}{section.about} Numbers: [`{section.name}.csv`]({section.name}.csv).\n\n"
         f"{numbers}{checks}\n**Not known.** {section.unknown}\n\n"
     )
-
-
-def _capital(text: str) -> str:
-    return text[0].upper() + text[1:]
 
 
 def _anchor(title: str) -> str:

@@ -4,24 +4,34 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from ctr_nlp.formulations.frame import filled, program
 from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.formulations.terms import Order, ShapeDistance
+from ctr_nlp.models import MODELS
+from ctr_nlp.plan.metrics import rms_over_sigma
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.solvers import default_chain_solver, default_solver
+from ctr_nlp.reference.seed_two_stage import seed_two_stage
+from ctr_nlp.simulation.forward import shapes
+from ctr_nlp.solvers import SOLVERS, default_chain_solver, default_solver
 from ctr_nlp.studies.comparison import parse_variant, row
-from ctr_nlp.studies.paper.fits import Fit, fits
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.pool import side_by_side
 from ctr_nlp.target.problem import Problem
+from ctr_nlp.typing import Array
 
 HORIZON, JOINT, ELASTIC = "horizon", "joint", "elastic"
 """Ours: all frames at once, frame by frame, all frames at once on the elastic model."""
 SEED, BASELINE, TIP = "seed-two-stage", "euclidean", "tip-jacobian"
 """Re-implemented: the paper's method, its Euclidean baseline, its control of the tip alone."""
 OURS = HORIZON, JOINT, ELASTIC
+LONGEST = {ELASTIC: 0, HORIZON: 1}
+"""What has to be compiled comes first, that nothing long is begun last."""
 NAMES = {
     HORIZON: "ours (all frames at once)",
     JOINT: "ours (frame by frame)",
@@ -114,7 +124,7 @@ def study(
 
     jobs: in how many processes. Raises OptionError, and after Ctrl-C KeyboardInterrupt: half of a figure is none.
     """
-    wanted, begin = sorted(dict.fromkeys(tasks), key=_length), time.perf_counter()
+    wanted, begin = sorted(dict.fromkeys(tasks), key=lambda task: LONGEST.get(task.method, 2)), time.perf_counter()
     results: dict[Task, Any] = {}
     seconds: dict[Task, float] = {}
     with deferred_interrupt() as interrupted:
@@ -133,11 +143,6 @@ def study(
         time.perf_counter() - begin,
         seconds,
     )
-
-
-def _length(task: Task) -> int:
-    """Sorts what has to be compiled first, that nothing long is begun last."""
-    return [ELASTIC, HORIZON].index(task.method) if task.method in (ELASTIC, HORIZON) else 2
 
 
 def _timed(load: Load, task: Task) -> tuple[Any, float]:
@@ -160,3 +165,52 @@ def moved(problem: Problem, method: str) -> Moved:
     variant = variants.get(method, method)
     plan = parse_variant(variant).plan(problem, SETTINGS, (), None)
     return Moved(plan, row(problem.name, variant, plan))
+
+
+ON_SEGMENT = (1, 2, 3, 4, 6, 8, 12)
+"""Points on each tube's segment for the paper's method; the last at its end."""
+ALONG = (2, 4, 5, 10, 20, 50, 100)
+"""Points along the whole robot for ours, evenly spread, the last at the tip; they divide 100."""
+
+
+class Fit(NamedTuple):
+    """points: how many; e3: over all frames in mm, always at 101 samples; failed: frames not solved."""
+
+    points: int
+    e3: float
+    failed: int
+
+
+def fits(problem: Problem, plan: Plan, method: str) -> tuple[Fit, ...]:
+    """Fits of every frame by itself, from where a plan has it, with each number of points.
+
+    method: "joint", or "seed-two-stage" for the paper's. Without a motion term and with the same starts
+    throughout, only the number of points makes a difference.
+    """
+    found = _joint(problem, plan.q) if method == "joint" else _two_stage(problem, plan.q)
+    return tuple(Fit(points, _e3(plan, q), failed) for points, q, failed in found)
+
+
+def _two_stage(problem: Problem, q: Array) -> Iterator[tuple[int, Array, int]]:
+    for points in ON_SEGMENT:
+        solve = seed_two_stage(problem, 0.0, points)
+        results = [solve(frame, guess, None) for frame, guess in zip(problem.samples, q, strict=True)]
+        yield points, np.array([r.q for r in results]), sum(not r.success for r in results)
+
+
+def _joint(problem: Problem, q: Array) -> Iterator[tuple[int, Array, int]]:
+    robot = problem.robot
+    for points in ALONG:
+        terms = ShapeDistance(stride=100 // points), Order(robot.carriage_gap)
+        nlp = program("frame", robot.structure, MODELS["dominant"], terms)
+        solve = SOLVERS["ipopt"](nlp)  # to compile each size would take longer than to solve it
+        results = [
+            solve(guess, nlp.pack(filled(robot, terms, frame)), robot.lower, robot.upper)
+            for frame, guess in zip(problem.samples, q, strict=True)
+        ]
+        yield points, np.array([r.q for r in results]), sum(not r.success for r in results)
+
+
+def _e3(plan: Plan, q: Array) -> float:
+    distance = np.linalg.norm(shapes(plan.robot, q) - plan.target, axis=-1)
+    return float(np.sqrt((rms_over_sigma(distance) ** 2).mean()))

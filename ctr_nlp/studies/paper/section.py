@@ -15,6 +15,7 @@ from ctr_nlp.reference.published import BASELINE as BASELINE_PRINTED
 from ctr_nlp.reference.published import SEED as SEED_PRINTED
 from ctr_nlp.studies.paper.checks import Check
 from ctr_nlp.studies.paper.runs import BASELINE, HORIZON, NAMES, SEED, Found, Motion, Task
+from ctr_nlp.support.tables import by_line
 
 PRIMITIVE = "cos", "arc", "line", "line_arc"
 ALL = *PRIMITIVE, "synthesis", "bronchus"
@@ -70,17 +71,13 @@ def by_frames(
 
 def _by_frame(plan: Plan, keys: Sequence[str]) -> list[dict[str, Any]]:
     columns = by_frame(plan)
-    numbers = zip(*(columns[key].tolist() for key in keys), strict=True)
-    return [
-        {"frame": frame} | {f"{key}_mm": value for key, value in zip(keys, line, strict=True)}
-        for frame, line in enumerate(numbers, 1)
-    ]
+    return by_line({"frame": columns["frame"]} | {f"{key}_mm": columns[key] for key in keys})
 
 
-def errors(found: Found, problem: str, method: str, model: str = "dominant") -> str:
-    """e3 and e4 of a run, as text; a star where frames failed."""
+def errors(found: Found, problem: str, method: str) -> str:
+    """e3 and e4 of a run on the stiffness-dominant model, as text; a star where frames failed."""
     row = found.row(problem, method)
-    numbers = " / ".join(mm(row[f"{model}_{key}"]) for key in ("e3", "e4"))
+    numbers = " / ".join(mm(row[f"dominant_{key}"]) for key in ("e3", "e4"))
     return numbers + "*" * (row["failed"] > 0)
 
 
@@ -92,12 +89,8 @@ def mm(value: float | None) -> str:
 
 def beside(found: Found, problems: Sequence[str], methods: Sequence[str] = (HORIZON, SEED, BASELINE)) -> Table:
     """What the paper printed of problems, and what methods of this run have."""
-    header = [
-        "problem",
-        "the paper (published)",
-        "its baseline (published)",
-        *(NAMES[method] for method in methods),
-    ]
+    published = "the paper (published)", "its baseline (published)"
+    header = ["problem", *published, *(NAMES[method] for method in methods)]
     body = [
         [
             f"`{problem}`",

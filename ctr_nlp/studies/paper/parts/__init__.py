@@ -1,1 +1,22 @@
-"""One figure or table of the paper a file."""
+"""All that is remade, in the paper's order: one figure or table of the paper a file."""
+
+from __future__ import annotations
+
+from ctr_nlp.studies.paper.parts import fig3, fig4, fig6, fig7, fig10, table2
+from ctr_nlp.studies.paper.section import Section
+
+SECTIONS: dict[str, Section] = {
+    section.name: section
+    for section in (
+        fig3.SECTION,
+        fig4.FIG4,
+        table2.SECTION,
+        fig6.FIG5,
+        fig6.FIG6,
+        fig7.FIG7,
+        fig7.FIG8,
+        fig4.FIG9,
+        fig10.SECTION,
+    )
+}
+"""By the names that options use."""

@@ -18,6 +18,7 @@ from ctr_nlp.studies.paper.checks import Check, number
 from ctr_nlp.studies.paper.clips import FOOT, LEFT, WIDTH, Group, clips
 from ctr_nlp.studies.paper.runs import BASELINE, HORIZON, NAMES, SEED, Found
 from ctr_nlp.studies.paper.section import Section, Table, errors, motions
+from ctr_nlp.support.tables import by_line
 from ctr_nlp.typing import Array
 
 PROBLEMS = {"euler": "(a) three Euler curves", "euler_mixed": "(b) a line, an arc and an Euler curve"}
@@ -80,10 +81,9 @@ def rows(found: Found) -> list[dict[str, Any]]:
     """A line for each problem and mm along the robot in the last frame; 1/mm, nothing beyond a tube's tip."""
     result: list[dict[str, Any]] = []
     for problem in PROBLEMS:
-        columns = curvatures(found.plan(problem, HORIZON))
-        for values in zip(*(column.tolist() for column in columns.values()), strict=True):
-            line = {name: "" if np.isnan(value) else value for name, value in zip(columns, values, strict=True)}
-            result.append({"problem": problem, **line})
+        for line in by_line(curvatures(found.plan(problem, HORIZON))):
+            numbers = {name: "" if np.isnan(value) else value for name, value in line.items()}
+            result.append({"problem": problem, **numbers})
     return result
 
 

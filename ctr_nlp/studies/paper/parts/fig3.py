@@ -13,8 +13,7 @@ from matplotlib.ticker import FixedLocator, NullLocator
 from ctr_nlp.figures.parts.page import STYLE
 from ctr_nlp.figures.parts.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, VERMILLION
 from ctr_nlp.studies.paper.checks import Check, named
-from ctr_nlp.studies.paper.fits import ALONG, ON_SEGMENT, Fit
-from ctr_nlp.studies.paper.runs import JOINT, NAMES, SEED, Fitting, Found
+from ctr_nlp.studies.paper.runs import ALONG, JOINT, NAMES, ON_SEGMENT, SEED, Fit, Fitting, Found
 from ctr_nlp.studies.paper.section import ALL, Section, Table, mm
 
 LEVEL, ENOUGH = 0.01, 0.1

@@ -1,4 +1,4 @@
-"""Fig. 4: clips of motions along primitive shapes."""
+"""Fig. 4, clips along primitive shapes, and Fig. 9 (d): the whole shape in a bronchus, and the tip alone."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ctr_nlp.figures.parts.page import STYLE
-from ctr_nlp.plan.account import shown as written
+from ctr_nlp.plan.account import shown
 from ctr_nlp.plan.metrics import by_frame
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.studies.paper.checks import Check, number
-from ctr_nlp.studies.paper.clips import Group, clips, shown
-from ctr_nlp.studies.paper.runs import HORIZON, NAMES, SEED, Found
-from ctr_nlp.studies.paper.section import PRIMITIVE, Section, Table, beside, motions
+from ctr_nlp.studies.paper.clips import Group, clips, frames_shown
+from ctr_nlp.studies.paper.runs import HORIZON, NAMES, SEED, TIP, Found
+from ctr_nlp.studies.paper.section import PRIMITIVE, Section, Table, beside, by_frames, motions
 
 TOLERANCE = 1e-6
 """rad or mm by which a step may exceed what speeds allow."""
@@ -28,7 +28,7 @@ def tables(found: Found) -> list[Table]:
     for problem in PRIMITIVE:
         row = found.row(problem, HORIZON)
         keys = ("e_max", "step_alpha", "step_beta", "step_theta")
-        body.append([f"`{problem}`", *(written(row[key]) for key in keys)])
+        body.append([f"`{problem}`", *(shown(row[key]) for key in keys)])
     steps = Table("Ours: the largest distance, and the largest steps from frame to frame", header, body)
     return [beside(found, PRIMITIVE, (HORIZON, SEED)), steps]
 
@@ -67,7 +67,7 @@ def rows(found: Found) -> list[dict[str, Any]]:
     result = []
     for problem in PRIMITIVE:
         columns = by_frame(found.plan(problem, HORIZON))
-        for frame in shown(found.frames):
+        for frame in frames_shown(found.frames):
             numbers = {f"{key}_mm": float(columns[key][frame - 1]) for key in ("e2", "max", "tip")}
             result.append({"problem": problem, "frame": frame, **numbers})
     return result
@@ -83,7 +83,7 @@ def draw(found: Found) -> Figure:
     return clips([[group("a", "cos"), group("c", "line"), group("d", "line_arc")], [group("b", "arc")]])
 
 
-SECTION = Section(
+FIG4 = Section(
     "fig4",
     "Fig. 4: following primitive shapes",
     motions(PRIMITIVE, (HORIZON, SEED)),
@@ -97,4 +97,64 @@ SECTION = Section(
     checks,
     rows,
     draw,
+)
+
+
+BRONCHUS = "bronchus"
+TIP_METHODS = HORIZON, SEED, TIP
+ARRIVED = 1.0
+"""mm from its target within which a tip tracks it closely."""
+
+
+def tip_tables(found: Found) -> list[Table]:
+    """Errors of shape and tip."""
+    header = ["method", "e3, mm", "largest e1, mm", "largest tip error, mm"]
+    body = [
+        [NAMES[m], *(shown(found.row(BRONCHUS, m)[key]) for key in ("e3", "e_max", "tip_max"))]
+        for m in TIP_METHODS
+    ]
+    return [Table("Shape and tip on the stiffness-dominant model", header, body)]
+
+
+def tip_checks(found: Found) -> list[Check]:
+    """That a tip alone is well controlled and leaves the shape to itself."""
+    tip, e3 = (number(found.row(BRONCHUS, TIP)[key]) for key in ("tip_max", "e3"))
+    shape = {m: number(found.row(BRONCHUS, m)["e3"]) for m in (SEED, HORIZON)}
+    better = [value < e3 for value in shape.values()]
+    return [
+        Check(
+            "control of the tip alone tracks the path closely with the tip and leaves the shape misaligned; "
+            "control of the shape aligns it better",
+            f"the tip alone stays within {shown(tip)} mm ({ARRIVED:g} mm counts as close) at an e3 of "
+            f"{shown(e3)} mm; " + ", ".join(f"{shown(shape[m])} mm for {NAMES[m]}" for m in shape),
+            int(tip <= ARRIVED) + sum(better),
+            1 + len(better),
+        )
+    ]
+
+
+@matplotlib.rc_context(STYLE)
+def draw_tip(found: Found) -> Figure:
+    """Clips of ours above and of the tip alone below, seen from two sides."""
+    views = ((0, "seen along y"), (1, "seen along x"))
+    return clips(
+        [
+            [Group(f"{NAMES[m]}, {view}", found.plan(BRONCHUS, m), side) for side, view in views]
+            for m in (HORIZON, TIP)
+        ]
+    )
+
+
+FIG9 = Section(
+    "fig9d",
+    "Fig. 9 (d): the whole shape, and the tip alone",
+    motions((BRONCHUS,), TIP_METHODS),
+    "Ours above; below, control of the tip alone by the damped inverse of its Jacobian. All clips are to one "
+    "scale.",
+    "The paper's bronchus, and its numbers for the tip alone. Parts (a) to (c) of Fig. 9 are photographs of "
+    "hardware.",
+    tip_tables,
+    tip_checks,
+    by_frames((BRONCHUS,), TIP_METHODS, ("e2", "max", "tip")),
+    draw_tip,
 )

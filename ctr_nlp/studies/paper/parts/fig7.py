@@ -5,16 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from ctr_nlp.figures.motion import configuration_errors
+from ctr_nlp.figures.motion import configuration_errors, error_from_truth, indistinct
 from ctr_nlp.figures.overlay import shapes
-from ctr_nlp.figures.truth import error_from_truth, indistinct
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.reference.published import SEED as PRINTED
 from ctr_nlp.studies.paper.checks import Check, number, order
 from ctr_nlp.studies.paper.runs import BASELINE, HORIZON, NAMES, SEED, Found
 from ctr_nlp.studies.paper.section import Section, Table, beside, by_frames, mm, motions
+from ctr_nlp.support.tables import by_line
 
 NAME = "synthesis"
 METHODS = HORIZON, SEED
@@ -75,19 +74,13 @@ def checks_of_errors(found: Found) -> list[Check]:
 
 def rows_of_errors(found: Found) -> list[dict[str, Any]]:
     """A line for each method and frame with the error of every coordinate, rad and mm."""
-    result = []
+    result: list[dict[str, Any]] = []
     for method in METHODS:
         plan = found.plan(NAME, method)
-        aside = indistinct(plan)
-        for frame, values in enumerate(error_from_truth(plan).tolist()):
-            errors = dict(zip(plan.robot.axes, values, strict=True))
-            result.append({"method": method, "frame": frame + 1, "determined": not aside[frame], **errors})
+        errors = dict(zip(plan.robot.axes, error_from_truth(plan).T, strict=True))
+        known = {"frame": np.arange(1, len(plan.time) + 1), "determined": ~indistinct(plan)}
+        result += [{"method": method, **line} for line in by_line(known | errors)]
     return result
-
-
-def draw_errors(found: Found) -> Figure:
-    """Errors of both methods."""
-    return configuration_errors(found.named(NAME, METHODS))
 
 
 FIG7 = Section(
@@ -114,5 +107,5 @@ FIG8 = Section(
     tables_of_errors,
     checks_of_errors,
     rows_of_errors,
-    draw_errors,
+    lambda found: configuration_errors(found.named(NAME, METHODS)),
 )

@@ -137,17 +137,14 @@ def rows(found: Found) -> list[dict[str, Any]]:
     for method in METHODS:
         for problem in ALL:
             if method in PRINTED_NAMES:
-                result.append(_line(PRINTED_NAMES[method], problem, _printed(method, problem), "", ""))
+                (e3, e4, seconds), compliant = (PRINTED[model, method][problem] for model in MODELS)
+                printed = [e3, e4, *compliant, 1e3 * seconds]
+                result.append(_line(PRINTED_NAMES[method], problem, printed, "", ""))
             row = found.row(problem, method)
             values = [row[f"{model}_{key}"] for model in MODELS for key in ("e3", "e4")]
             values.append(milliseconds(found, problem, method))
             result.append(_line(method, problem, values, row["failed"], row["snaps"]))
     return result
-
-
-def _printed(method: str, problem: str) -> list[float]:
-    (e3, e4, seconds), compliant = (PRINTED[model, method][problem] for model in MODELS)
-    return [e3, e4, *compliant, 1e3 * seconds]
 
 
 def _line(method: str, problem: str, values: list[Any], failed: Any, snaps: Any) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What is left between tubes and the lumen's wall, along the robot over time."""
+"""How far a motion keeps from the snap, and its tubes from the lumen's wall."""
 
 from __future__ import annotations
 
@@ -9,12 +9,35 @@ from matplotlib.axes import Axes
 from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 
-from ctr_nlp.figures.parts.page import STYLE, curve, frame_axis, head, shade_failures
-from ctr_nlp.figures.parts.palette import BLUE, CONTACT, ROOMY, VERMILLION, tube_colour, tube_width
-from ctr_nlp.plan.contacts import contacts
+from ctr_nlp.figures.parts.page import STYLE, by_frames, curve, head, legend_of, shade_failures
+from ctr_nlp.figures.parts.palette import BLUE, CONTACT, ORANGE, ROOMY, VERMILLION, tube_colour, tube_width
+from ctr_nlp.plan.measures import contacts
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
+
+
+@matplotlib.rc_context(STYLE)
+def stability(plan: Plan) -> Figure:
+    """Stability margin at every frame and on the way to it, the one asked for, and snaps."""
+    figure = Figure(figsize=(7.0, 3.2), layout="constrained")
+    axes = figure.subplots()
+    frames = by_frames(axes, plan)
+    curve(axes, frames, plan.stability_between, color=ORANGE, lw=1.2, ls="--", label="on the way to a frame")
+    curve(axes, frames, plan.stability, color=BLUE, lw=2.0, ls="-", label="at a frame")
+    asked = plan.meta["options"].get("stability_margin")
+    if asked is not None:
+        axes.axhline(asked, color="0.3", lw=0.9, ls=":", label=f"asked for, {asked:g}")
+    for k, snap in enumerate(plan.meta.get("snaps", [])):
+        axes.axvline(snap["frame"], color=VERMILLION, lw=1.2, label=None if k else "snap")
+    axes.axhline(0.0, color="0.3", lw=0.6)
+    low = float(np.nanmin(np.append(plan.stability_between[np.isfinite(plan.stability_between)], 0.0)))
+    axes.set_ylim(min(1.15 * low, -0.02), 1.05)
+    axes.set_ylabel("stability margin")
+    figure.legend(loc="outside lower center", ncols=4)
+    head(figure, plan, "Stability")
+    return figure
+
 
 SPREAD = 0.5
 """Power of the scale of colours: the last millimetre has more shades than others."""
@@ -30,15 +53,12 @@ def clearance(plan: Plan) -> Figure:
     assert plan.clearance is not None
     figure = Figure(figsize=(7.0, 5.8), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
-    frames = np.arange(1, len(plan.time) + 1)
-    for axes in (upper, lower):
-        shade_failures(axes, plan, frames, 1.0)
+    frames = by_frames(lower, plan)
+    shade_failures(upper, plan, frames, 1.0)
     _map(figure, upper, plan, plan.clearance)
     _ends(upper, plan)
     _least(lower, frames, plan.clearance.min(axis=1))
-    frame_axis(lower, len(frames))
-    named = [axes.get_legend_handles_labels() for axes in (lower, upper)]
-    handles = {label: handle for some, labels in named for handle, label in zip(some, labels, strict=True)}
+    handles = legend_of(lower, upper)
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4)
     head(figure, plan, "Clearance from the lumen's wall")
     return figure

@@ -1,19 +1,25 @@
-"""How a frame grows with samples and with tubes."""
+"""What a user waits for before the first frame, and how a frame grows with samples and with tubes."""
 
 from __future__ import annotations
 
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Iterator
 
 import numpy as np
 
+from ctr_nlp.codegen import cache
 from ctr_nlp.formulations.frame import program
 from ctr_nlp.formulations.terms import Order, ShapeDistance
 from ctr_nlp.models import MODELS
 from ctr_nlp.robot import Robot, Tube, table_i_robot
 from ctr_nlp.solvers.frame.program import Program
+from ctr_nlp.studies.benchmarks import Record
 from ctr_nlp.studies.benchmarks.frames import evaluation
-from ctr_nlp.studies.benchmarks.records import Record
 
 STRIDES = (20, 10, 5, 2, 1)
 TUBES = (2, 3, 4, 5, 6)
@@ -49,3 +55,37 @@ def _nested(count: int) -> Robot:
         Tube(90.0 + 60 * i, 50.0 + 20 * i, 0.006 + 0.001 * i, 6.0 - 0.9 * i, 5.3 - 0.9 * i) for i in range(count)
     )
     return Robot(tuple(tubes))
+
+
+REPEATS = 5
+IMPORT = """
+import time; begin = time.perf_counter()
+import ctr_nlp, sys
+print(time.perf_counter() - begin, int("matplotlib" in sys.modules))
+"""
+BUILD = """
+import time, numpy, ctr_nlp, ctr_nlp.steer
+begin = time.perf_counter()
+robot = ctr_nlp.table_i_robot()
+ctr_nlp.Steerer(robot, numpy.zeros(8), 0.1)
+print(time.perf_counter() - begin)
+"""
+
+
+def start_up() -> Iterator[Record]:
+    """Seconds in processes of their own."""
+    imports = [_told(IMPORT, None) for _ in range(REPEATS)]
+    yield Record("import ctr_nlp", statistics.median(seconds for seconds, _ in imports), "s", "less")
+    yield Record("import ctr_nlp: matplotlib with it", imports[0][1], "", "less", 0.0)
+    with tempfile.TemporaryDirectory() as empty:
+        first, *others = (_told(BUILD, empty)[0] for _ in range(1 + REPEATS))
+    yield Record("a frame's NLP, first build", first, "s", "less")
+    yield Record("a frame's NLP, from the cache", statistics.median(others), "s", "less")
+
+
+def _told(program: str, folder: str | None) -> list[float]:
+    environment = os.environ | ({} if folder is None else {cache.FOLDER: folder})
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+    )
+    return [float(word) for word in done.stdout.split()]

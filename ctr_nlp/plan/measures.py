@@ -1,0 +1,154 @@
+"""What is measured of a motion: its errors, section IV of the paper, its contacts, and the limits that it uses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from ctr_nlp.plan.record import Record
+from ctr_nlp.support.runs import runs
+from ctr_nlp.target.lumen import Lumen, outermost
+from ctr_nlp.target.target import QUADRATURE, SIGMA
+from ctr_nlp.typing import Array
+
+
+def rms_over_sigma(distance: Array) -> Array:
+    """Root mean square over sigma of (.., 101) distances in mm, with trapezoidal weights."""
+    return np.sqrt(distance**2 @ QUADRATURE)
+
+
+def e1(plan: Record) -> Array:
+    """Distance (T, 101) in mm between shape and target at the same sigma."""
+    return np.linalg.norm(plan.shape - plan.target, axis=-1)
+
+
+def nearest(plan: Record) -> Array:
+    """Distance (T, 101) in mm from each point of the shape to the nearest point of its frame's target."""
+    return np.array([_to_polyline(shape, target) for shape, target in zip(plan.shape, plan.target, strict=True)])
+
+
+def _to_polyline(points: Array, line: Array) -> Array:
+    """Distance (n,) from points (n, 3) to the polyline through line (m, 3)."""
+    start, span = line[:-1], np.diff(line, axis=0)
+    offset = points[:, None] - start
+    along = np.clip((offset * span).sum(-1) / np.maximum((span**2).sum(-1), 1e-30), 0.0, 1.0)
+    return np.linalg.norm(offset - along[..., None] * span, axis=-1).min(axis=1)
+
+
+def e3(plan: Record) -> float | None:
+    """Root mean square over frames of e2, mm, of those whose shape is known; None without any."""
+    return root_mean_square(rms_over_sigma(e1(plan)))
+
+
+def root_mean_square(values: Array) -> float | None:
+    """That of those among (T,) values that are known; None without any."""
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else None
+
+
+def tip_angle(plan: Record) -> Array:
+    """Angle (T,) in rad between the tip's direction and the target's."""
+    cross = np.linalg.norm(np.cross(plan.tip_direction, plan.target_direction), axis=-1)
+    return np.arctan2(cross, (plan.tip_direction * plan.target_direction).sum(-1))
+
+
+class Contact(NamedTuple):
+    """Frames first to last, from 1, all of them, in which the robot touches the wall, and where it is worst.
+
+    depth: by how much it is there beyond the wall, mm, in which frame; of which tube, from 1; arc_length: mm along
+    the robot; path: mm along the lumen's path; both from the insertion point.
+    """
+
+    first: int
+    last: int
+    depth: float
+    frame: int
+    tube: int
+    arc_length: float
+    path: float
+
+
+def depth(plan: Record) -> Array:
+    """By how much the robot is beyond the wall at most, (T,) mm; 0 where nothing touches, NaN where unknown."""
+    if plan.clearance is None:
+        return np.full(len(plan.time), np.nan)
+    return np.maximum(0.0, -plan.clearance.min(axis=1))
+
+
+def contacts(plan: Record) -> list[Contact]:
+    """All of a plan's, in order of time; none where no wall is known."""
+    if plan.clearance is None or plan.lumen is None:
+        return []
+    deep, lumen, found = depth(plan), Lumen(plan.lumen), []
+    for first, stop in runs(deep > 0):
+        frame = first + int(deep[first:stop].argmax())
+        sample = int(plan.clearance[frame].argmin())
+        tube = outermost(plan.beta[frame][None], SIGMA)[0, sample]
+        start, place = lumen.near(np.stack([np.zeros(3), plan.shape[frame, sample]])).behind
+        s = SIGMA[sample] * plan.beta[frame, -1]
+        numbers = float(deep[frame]), frame + 1, int(tube) + 1, float(s), float(place - start)
+        found.append(Contact(first + 1, stop, *numbers))
+    return found
+
+
+SLACK = 1e-5
+"""rad or mm by which positions, and steps from frame to frame, may exceed their limits: what solvers leave."""
+
+
+class Used(NamedTuple):
+    """part: of a limit, 1 for all of it. exceeded: by more than SLACK. what: which limit, and in which frame."""
+
+    part: float
+    exceeded: bool
+    what: str
+
+
+def most_used(plan: Record) -> Used | None:
+    """The limit that a motion exceeds by most, or else the speed or acceleration that uses most of its limit.
+
+    Positions count only where they exceed limits, since tubes are meant to go all the way: as 1 and what is beyond
+    as a part of the robot's reach, or of half a turn. None where the robot does not move.
+    """
+    found = [used for used in (*_rates(plan), *_positions(plan)) if used.part > 0]
+    return max(found, key=lambda used: (used.exceeded, used.part), default=None)
+
+
+def rate_parts(plan: Record, order: int) -> Array:
+    """What speeds (order 1) or accelerations (2) between frames use of their limits, (T - order, 2d + 2)."""
+    limit = (plan.robot.speed, plan.robot.acceleration)[order - 1]
+    return np.nan_to_num(np.abs(np.diff(plan.q, n=order, axis=0)) / plan.dt**order / limit)
+
+
+def _rates(plan: Record) -> Iterator[Used]:
+    robot = plan.robot
+    for order, name, limit in ((1, "speed", robot.speed), (2, "acceleration", robot.acceleration)):
+        parts = rate_parts(plan, order)
+        if parts.size:
+            j, i = np.unravel_index(parts.argmax(), parts.shape)
+            part = float(parts[j, i])
+            exceeded = (part - 1) * float(limit[i]) * plan.dt**order > SLACK
+            yield Used(part, exceeded, f"{name} of {robot.axes[i]} on the way to frame {j + 1 + order}")
+
+
+def _positions(plan: Record) -> Iterator[Used]:
+    robot, d, reach = plan.robot, plan.robot.d, plan.robot.reach
+    scale = np.where(np.char.startswith(robot.axes, "beta"), reach, math.pi)
+    growth = np.diff(plan.beta, axis=1)
+    between = [f"{i} and {i + 1}" for i in range(1, d)]
+    kinds = [
+        (robot.lower - plan.q, scale, [f"lower limit of {axis}" for axis in robot.axes]),
+        (plan.q - robot.upper, scale, [f"upper limit of {axis}" for axis in robot.axes]),
+        (-growth, np.full(d - 1, reach), [f"order of tubes {pair}" for pair in between]),
+    ]
+    if robot.carriage_gap is not None:
+        apart = np.diff([tube.length for tube in robot.tubes]) - growth
+        gaps = [f"gap between carriages {pair}" for pair in between]
+        kinds.append((robot.carriage_gap - apart, np.full(d - 1, reach), gaps))
+    for excess, scales, names in kinds:
+        beyond = np.nan_to_num(excess)
+        if beyond.size and beyond.max() > SLACK:
+            j, i = np.unravel_index(beyond.argmax(), beyond.shape)
+            yield Used(1 + float(beyond[j, i] / scales[i]), True, f"{names[i]} in frame {j + 1}")
