@@ -89,9 +89,8 @@ class NlpFrames:
             [(stage, SOLVERS[solver](stage.nlp)) for stage in stages]
             for stages in (FORMULATIONS[formulation](*at), walled)
         )
-        for stage in free:  # a target that is not known all along is told before anything is solved
-            for sample in problem.samples:
-                stage[0].fill(sample, np.zeros(len(problem.robot.axes)))
+        for sample in problem.samples:  # a target that is not known all along is told before anything is solved
+            free[0][0].fill(sample, np.zeros(len(problem.robot.axes)))
         margin = math.nan if settings.stability_margin is None else settings.stability_margin
         description = {
             "formulation": formulation,
