@@ -1,4 +1,4 @@
-"""The seed's arc, Fig. 4 (b), its misprint mended."""
+"""The paper's arc, Fig. 4 (b), its misprint mended."""
 
 import math
 

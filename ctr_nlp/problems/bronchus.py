@@ -1,4 +1,4 @@
-"""From the trachea into the right lower lobe, as the seed's Fig. 9 (d), on a synthetic airway."""
+"""From the trachea into the right lower lobe, as the paper's Fig. 9 (d), on a synthetic airway."""
 
 from ctr_nlp import Problem, Robot, growing, table_i_robot
 from ctr_nlp.anatomy import synthetic_airway

@@ -1,4 +1,4 @@
-"""The seed's cosine, Fig. 4 (a)."""
+"""The paper's cosine, Fig. 4 (a)."""
 
 import math
 

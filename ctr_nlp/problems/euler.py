@@ -17,7 +17,7 @@ def problem(frames: int = 100, duration: float = 10.0, robot: Robot | None = Non
 
 
 def bent(curvatures: tuple[float | tuple[float, float], ...]) -> Robot:
-    """The seed's robot with other pre-curvatures, 1/mm."""
+    """The paper's robot with other pre-curvatures, 1/mm."""
     robot = table_i_robot()
     tubes = (replace(tube, curvature=k) for tube, k in zip(robot.tubes, curvatures, strict=True))
     return replace(robot, tubes=tuple(tubes))

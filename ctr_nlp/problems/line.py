@@ -1,4 +1,4 @@
-"""The seed's straight line, Fig. 4 (c): the hardest for pre-curved tubes."""
+"""The paper's straight line, Fig. 4 (c): the hardest for pre-curved tubes."""
 
 from ctr_nlp import Problem, Robot, curve_from_formula, growing, table_i_robot
 

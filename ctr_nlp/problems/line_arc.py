@@ -1,4 +1,4 @@
-"""The seed's line followed by an arc, Fig. 4 (d), joined with a common tangent."""
+"""The paper's line followed by an arc, Fig. 4 (d), joined with a common tangent."""
 
 import math
 

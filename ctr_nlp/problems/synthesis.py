@@ -1,4 +1,4 @@
-"""The seed's time-varying target, section IV.B: shapes of the robot itself, so that q is known."""
+"""The paper's time-varying target, section IV.B: shapes of the robot itself, so that q is known."""
 
 import math
 

@@ -12,13 +12,13 @@ from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import MODELS
 from ctr_nlp.reference.descent import Method, ReferenceFrames
 from ctr_nlp.reference.euclidean import euclidean
-from ctr_nlp.reference.seed_two_stage import seed_two_stage
+from ctr_nlp.reference.paper_two_stage import paper_two_stage
 from ctr_nlp.reference.tip_jacobian import tip_jacobian
 from ctr_nlp.support.values import check_choice
 from ctr_nlp.target.problem import Problem
 
 METHODS: dict[str, Callable[[Problem, float], Method]] = {
-    "seed-two-stage": seed_two_stage,
+    "paper-two-stage": paper_two_stage,
     "euclidean": euclidean,
     "tip-jacobian": tip_jacobian,
 }

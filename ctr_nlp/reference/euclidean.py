@@ -1,4 +1,4 @@
-"""The seed's baseline: L-BFGS-B on all of q with the distance (8) under arc length, eq. (9)."""
+"""The paper's baseline: L-BFGS-B on all of q with the distance (8) under arc length, eq. (9)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the seed printed: Table II, as (e3 in mm, e4 in mm, time a frame in s)."""
+"""What the paper printed: Table II, as (e3 in mm, e4 in mm, time a frame in s)."""
 
 SEED = {
     "cos": (1.81, 1.67, 0.25),

@@ -56,6 +56,10 @@ VARIANTS = (
 """Every variant on the default model."""
 
 
+RENAMED = {"seed-two-stage": "paper-two-stage"}
+"""Names of variants that are understood for one more version, and what they are called now."""
+
+
 def variants_here() -> list[str]:
     """Those that work here: without a C compiler, IPOPT's and the reference methods; also on the elastic model."""
     compiled = {"banded", "sqp"} if cache.missing() else set()
@@ -78,6 +82,7 @@ def parse_variant(name: str) -> Variant:
     def by_frame(problem: Problem, settings: Settings, _: Sequence[Array], progress: Progress | None) -> Plan:
         return march(problem, NlpFrames.of(problem, formulation, solver, model, settings), progress=progress)
 
+    name = RENAMED.get(name, name)
     if name in METHODS:
         return Variant(name, name, "dominant", reference)
     parts = name.split(":")

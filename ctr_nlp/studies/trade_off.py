@@ -25,7 +25,7 @@ from ctr_nlp.support.interrupt import deferred_interrupt
 
 WEIGHTS = tuple(10.0 ** (k / 2 - 8) for k in range(13))
 """Default lambdas of a sweep, s^2."""
-BESIDE = ("joint:ipopt", "two-stage:ipopt", "seed-two-stage", "euclidean")
+BESIDE = ("joint:ipopt", "two-stage:ipopt", "paper-two-stage", "euclidean")
 """The variants whose points stand beside the front."""
 
 

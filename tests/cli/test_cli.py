@@ -262,10 +262,12 @@ def test_ctrl_c_writes_what_was_solved_and_exits_with_130(tmp_path):
 
 def test_comparison_prints_every_variant_and_writes_three_files(tmp_path, capsys):
     out = tmp_path / "out"
-    variants = ["joint:ipopt", "seed-two-stage", "tip-jacobian"]
-    arguments = ["arc", "line", "--variants", *variants, "--frames", "3", "--out", str(out)]
+    variants = ["joint:ipopt", "paper-two-stage", "tip-jacobian"]
+    asked = ["joint:ipopt", "seed-two-stage", "tip-jacobian"]
+    arguments = ["arc", "line", "--variants", *asked, "--frames", "3", "--out", str(out)]
     assert compare_solvers(arguments) == 0
-    printed = capsys.readouterr().out
+    printed, told = capsys.readouterr()
+    assert "note: the variant seed-two-stage is called paper-two-stage now" in told
     assert all(variant in printed for variant in variants)
     rows = json.loads((out / "comparison.json").read_text())
     assert [(row["problem"], row["variant"]) for row in rows] == [

@@ -97,7 +97,7 @@ def test_a_sweep_draws_and_lists_the_trade_off(tmp_path, capsys):
     assert {path.name for path in out.iterdir()} == FILES | {"pareto.csv", "pareto.png"}
     with open(out / "pareto.csv", newline="") as file:
         rows = list(csv.DictReader(file))
-    methods = ["horizon", "horizon", "joint:ipopt", "two-stage:ipopt", "seed-two-stage", "euclidean"]
+    methods = ["horizon", "horizon", "joint:ipopt", "two-stage:ipopt", "paper-two-stage", "euclidean"]
     assert [row["method"] for row in rows] == methods
     exact, smooth = rows[:2]
     assert (float(exact["motion_weight"]), float(smooth["motion_weight"])) == (1e-5, 1e-2)

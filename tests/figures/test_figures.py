@@ -261,7 +261,7 @@ FRONT = [
     Point("horizon", 1e-2, 0.53, 3500.0, True),
     Point("horizon", 1e-5, 9.99, 6000.0, False),
     Point("joint:ipopt", 1e-6, 0.29, 10800.0, True),
-    Point("seed-two-stage", 1e-6, 4.6, 24500.0, False),
+    Point("paper-two-stage", 1e-6, 4.6, 24500.0, False),
 ]
 
 
@@ -278,7 +278,7 @@ def test_other_methods_stand_beside_the_front_and_failures_are_named():
     figure = pareto(FRONT, "a name with 漢字")
     (axes,) = figure.axes
     labels = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert labels == ["horizon, by weight λ", "joint:ipopt", "seed-two-stage, not all solved"]
+    assert labels == ["horizon, by weight λ", "joint:ipopt", "paper-two-stage, not all solved"]
     assert [tuple(line.get_xydata()[0]) for line in axes.get_lines()[1:]] == [(10800.0, 0.29), (24500.0, 4.6)]
     assert "漢" not in figure.get_suptitle()
 

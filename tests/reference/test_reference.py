@@ -46,7 +46,7 @@ def test_descent_finds_a_bounded_minimum():
     assert cost == pytest.approx(4)
 
 
-@pytest.mark.parametrize("method", ["seed-two-stage", "euclidean"])
+@pytest.mark.parametrize("method", ["paper-two-stage", "euclidean"])
 def test_descent_methods_recover_synthetic_shapes(method):
     assert summary(run("synthesis", method))["e3"] < 0.3
 

@@ -26,7 +26,7 @@ ANY = {"alpha_speed": INF, "beta_speed": INF, "theta_speed": INF}
 
 
 def path(lengths, duration, speed):
-    """The seed's robot, which reaches 150 mm, before a straight path of given lengths."""
+    """The paper's robot, which reaches 150 mm, before a straight path of given lengths."""
     robot = table_i_robot().with_limits(beta_speed=[INF, INF, speed])
     return Problem("line", robot, Target((LINE,) * len(lengths), tuple(lengths)), duration)
 

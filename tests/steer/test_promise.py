@@ -37,7 +37,7 @@ FRAMES = {way: {"dominant": 50, "elastic": 20 if "frame" in way[0] else 12}[way[
 
 
 def drawn(seed, lobe, frames):
-    """The seed's robot advancing into a synthetic airway."""
+    """The paper's robot advancing into a synthetic airway."""
     airway = synthetic_airway(seed, lobe)
     path, to_robot = placed(airway.part(airway.length - WAY, airway.length))
     lumen = airway.moved(to_robot)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from ctr_nlp.models import MODELS, model_named
 from ctr_nlp.plan.account import shown
 from ctr_nlp.problems import NAMES
 from ctr_nlp.reference.published import BASELINE, BASELINE_ELASTIC, SEED, SEED_ELASTIC
-from ctr_nlp.studies.comparison import VARIANTS, Comparison, compare, parse_variant, variants_here
+from ctr_nlp.studies.comparison import RENAMED, VARIANTS, Comparison, compare, parse_variant, variants_here
 from ctr_nlp.support.interrupt import end_if_interrupted
 from ctr_nlp.support.tables import markdown, write_csv
 
@@ -73,7 +74,10 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 def _run(arguments: argparse.Namespace) -> int:
     settings, out = options.settings_from(arguments, *options.FRAME_SETTINGS), Path(arguments.out)
-    variants = [parse_variant(name) for name in arguments.variants or variants_here()]
+    names = arguments.variants or variants_here()
+    for name in RENAMED.keys() & set(names):
+        sys.stderr.write(f"note: the variant {name} is called {RENAMED[name]} now\n")
+    variants = [parse_variant(name) for name in names]
     chosen = [problems.load(name, arguments) for name in arguments.problems or NAMES]
     check_folder(out, "comparison")
     end_if_interrupted()

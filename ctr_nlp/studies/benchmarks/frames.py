@@ -37,7 +37,7 @@ Found = TypeVar("Found", Solution, FrameResult)
 
 EVERY = 5
 """The methods that take much longer are asked for every EVERY-th frame only."""
-REFERENCES = ("seed-two-stage", "euclidean")
+REFERENCES = ("paper-two-stage", "euclidean")
 ROUNDS = 3
 """Times that solvers have their turn on all frames."""
 EVALUATIONS = 2000

@@ -16,7 +16,7 @@ from ctr_nlp.formulations.terms import Order, ShapeDistance
 from ctr_nlp.models import MODELS
 from ctr_nlp.plan.metrics import rms_over_sigma
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.reference.seed_two_stage import seed_two_stage
+from ctr_nlp.reference.paper_two_stage import paper_two_stage
 from ctr_nlp.simulation.forward import shapes
 from ctr_nlp.solvers import SOLVERS, default_chain_solver, default_solver
 from ctr_nlp.studies.comparison import parse_variant, row
@@ -27,7 +27,7 @@ from ctr_nlp.typing import Array
 
 HORIZON, JOINT, ELASTIC = "horizon", "joint", "elastic"
 """Ours: all frames at once, frame by frame, all frames at once on the elastic model."""
-SEED, BASELINE, TIP = "seed-two-stage", "euclidean", "tip-jacobian"
+SEED, BASELINE, TIP = "paper-two-stage", "euclidean", "tip-jacobian"
 """Re-implemented: the paper's method, its Euclidean baseline, its control of the tip alone."""
 OURS = HORIZON, JOINT, ELASTIC
 LONGEST = {ELASTIC: 0, HORIZON: 1}
@@ -184,7 +184,7 @@ class Fit(NamedTuple):
 def fits(problem: Problem, plan: Plan, method: str) -> tuple[Fit, ...]:
     """Fits of every frame by itself, from where a plan has it, with each number of points.
 
-    method: "joint", or "seed-two-stage" for the paper's. Without a motion term and with the same starts
+    method: "joint", or "paper-two-stage" for the paper's. Without a motion term and with the same starts
     throughout, only the number of points makes a difference.
     """
     found = _joint(problem, plan.q) if method == "joint" else _two_stage(problem, plan.q)
@@ -193,7 +193,7 @@ def fits(problem: Problem, plan: Plan, method: str) -> tuple[Fit, ...]:
 
 def _two_stage(problem: Problem, q: Array) -> Iterator[tuple[int, Array, int]]:
     for points in ON_SEGMENT:
-        solve = seed_two_stage(problem, 0.0, points)
+        solve = paper_two_stage(problem, 0.0, points)
         results = [solve(frame, guess, None) for frame, guess in zip(problem.samples, q, strict=True)]
         yield points, np.array([r.q for r in results]), sum(not r.success for r in results)
 

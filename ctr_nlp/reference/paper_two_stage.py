@@ -1,4 +1,4 @@
-"""The seed's method: L-BFGS-B on curvature for extensions, eq. (11), then on points for rotations, eq. (12)."""
+"""The paper's method: L-BFGS-B on curvature for extensions, eq. (11), then on points for rotations, eq. (12)."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from ctr_nlp.typing import Array
 SAMPLES = 20
 """Midpoints per segment of the integral (11); they move with the segment, so that the sum has a gradient."""
 POINTS = 2
-"""On a segment in (12): its middle and its end, what the seed found sufficient."""
+"""On a segment in (12): its middle and its end, what the paper found sufficient."""
 
 
-def seed_two_stage(problem: Problem, motion_weight: float, points: int = POINTS) -> Method:
+def paper_two_stage(problem: Problem, motion_weight: float, points: int = POINTS) -> Method:
     """The method for a problem; motion_weight: lambda / dt^2 of both stages.
 
     points: samples of the shape on a segment in stage two, the last at its end; Fig. 3 asks how many it takes.
