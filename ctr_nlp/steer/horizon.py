@@ -33,11 +33,10 @@ from ctr_nlp.steer.attempts import (
     together,
     within_limits,
 )
-from ctr_nlp.steer.forecast import Forecast
 from ctr_nlp.steer.inside import Outcome, affordable, distinct
 from ctr_nlp.steer.motions import per_frame_motions, wandered
 from ctr_nlp.steer.nlp_frames import DEFAULTS
-from ctr_nlp.steer.passes import Progress
+from ctr_nlp.steer.passes import Forecast, Progress
 from ctr_nlp.steer.realised import realised
 from ctr_nlp.steer.requests import (
     check_described,

@@ -81,7 +81,7 @@ class NlpFrames:
         described.check(problem.robot)
         solver = default_solver() if solver is None else solver
         check_choice("solver", solver, SOLVERS)
-        begin = time.perf_counter()
+        samples, begin = problem.samples, time.perf_counter()
         wall = wall_of(problem.robot, problem.lumen, described, settings) if formulation == "joint" else None
         at = problem.robot, settings, described, terms
         walled = () if wall is None else joint(*at, walled=True)
@@ -89,7 +89,7 @@ class NlpFrames:
             [(stage, SOLVERS[solver](stage.nlp)) for stage in stages]
             for stages in (FORMULATIONS[formulation](*at), walled)
         )
-        for sample in problem.samples:  # a target that is not known all along is told before anything is solved
+        for sample in samples:  # a target that is not known all along is told before anything is solved
             free[0][0].fill(sample, np.zeros(len(problem.robot.axes)))
         margin = math.nan if settings.stability_margin is None else settings.stability_margin
         description = {

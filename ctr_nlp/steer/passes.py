@@ -1,7 +1,8 @@
-"""Runs through all frames of a problem, each frame from the one before it."""
+"""Runs through all frames of a problem, each frame from the one before it; and how work that goes on is told."""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -13,6 +14,8 @@ from ctr_nlp.formulations.frames import FrameResult, FrameSolver
 from ctr_nlp.models import Model
 from ctr_nlp.plan.metrics import rms_over_sigma
 from ctr_nlp.simulation.forward import simulated
+from ctr_nlp.solvers import Iterate
+from ctr_nlp.solvers.motion.banded import MOST_ITERATIONS, TOLERANCE
 from ctr_nlp.steer.requests import Direction, checked_ends
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.target.problem import Problem
@@ -23,6 +26,10 @@ Progress = Callable[[int, int, str], None]
 
 CANDIDATES = 4
 """Distinct answers of the first frame from which a whole motion is tried, in each direction."""
+
+
+WINDOW = 12
+"""Iterations over which the fall of the KKT residual is looked at."""
 
 
 @dataclass
@@ -121,3 +128,25 @@ def _first_frames(
                 Pass(name, order, None, {order[0]: again if again.success else first}, {order[0]: seconds})
             )
     return passes
+
+
+class Forecast:
+    """Tells progress how far a solver is: iterations done, and how many its KKT residual's fall lets expect."""
+
+    def __init__(self, progress: Progress, frames: int, number: int, count: int) -> None:
+        self._progress = progress
+        self._frames = frames
+        self._which = f"start {number} of {count}, " if count > 1 else ""
+        self._best: list[float] = []
+
+    def __call__(self, iterate: Iterate) -> None:
+        """Tell of one more iterate."""
+        error = math.log(max(iterate.error, TOLERANCE))
+        self._best.append(min([error, *self._best[-1:]]))
+        recent = self._best[-WINDOW:]
+        fall = (recent[0] - recent[-1]) / max(len(recent) - 1, 1)
+        left = (recent[-1] - math.log(TOLERANCE)) / fall if fall > 0 else WINDOW
+        total = iterate.number + max(1, min(math.ceil(left), MOST_ITERATIONS - iterate.number))
+        objective, violation = iterate.objective / self._frames, max(iterate.violation, 0.0)
+        note = f"{self._which}objective {objective:.4g} mm², violation {violation:.0e}"
+        self._progress(iterate.number, total, note)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -142,15 +142,16 @@ def _sampled(curve: Curve, lengths: Array, first: int) -> list[Frame]:
     frames = range(first, first + len(lengths))
     s = SIGMA * lengths[:, None]
 
-    def known(name: str, values: Array, *shape: int) -> list[Array]:
-        """Of every frame, finite and read-only; raises ProblemError."""
+    def known(name: str, function: Callable[[Array], Any], *shape: int) -> list[Array]:
+        """A function of arc length in every frame, finite and read-only; raises ProblemError."""
+        whole = np.asarray(function(s.ravel()))
+        parts = whole.reshape(*s.shape, *shape) if whole.shape == (s.size, *shape) else map(function, s)
         names = (f"{name} of frame {frame + 1} of the target" for frame in frames)
-        parts = np.reshape(values, (*s.shape, *shape))
         return [floats(ProblemError, *each, (len(SIGMA), *shape)) for each in zip(names, parts, strict=True)]
 
-    points, tangents = known("point", curve.point(s.ravel()), 3), known("tangent", curve.tangent(s.ravel()), 3)
+    points, tangents = known("point", curve.point, 3), known("tangent", curve.tangent, 3)
     _check_direction(np.array(points), lengths, frames)
-    radii = [None] * len(lengths) if curve.radius is None else known("radius", curve.radius(s.ravel()))
+    radii = [None] * len(lengths) if curve.radius is None else known("radius", curve.radius)
     each = zip(points, tangents, lengths.tolist(), radii, frames, strict=True)
     return [Frame(point, tangent, length, radius, curve, k) for point, tangent, length, radius, k in each]
 

@@ -218,6 +218,7 @@ def test_failed_frames_make_exit_status_1(tmp_path, monkeypatch, capsys):
         return type(result)(before.q, success=False, status="made to fail") if frame == 1 else result
 
     monkeypatch.setattr(NlpFrames, "step", step)
+    monkeypatch.setattr(NlpFrames, "_at_once", None)
     out = tmp_path / "out"
     assert solve("arc", "--frames", 3, "--direction", "forward", "--out", out) == 1
     assert json.loads((out / "summary.json").read_text())["failed"] == 1

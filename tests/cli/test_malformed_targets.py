@@ -111,7 +111,7 @@ TARGETS = [
     (lambda: Problem("p", SEED, sequence([CIRCLE])).samples, None, "a closed curve is a shape too"),
     (lambda: sequence([replace(PATH, point=lambda s: PATH.point(s)[:, :2])]).sample(), ProblemError,
      r"point of frame 1 of the target has shape \(101, 2\); it must be \(101, 3\)"),
-    (lambda: sequence([replace(PATH, curvature=lambda s: 0.0)]).sample(), ProblemError,
+    (lambda: sequence([replace(PATH, curvature=lambda s: 0.0)]).sample()[0].turning, ProblemError,
      r"curvature of frame 1 of the target has shape \(\); it must be \(800,\)"),
     (lambda: sequence([replace(PATH, radius=lambda s: np.nan * s)]).sample(), ProblemError,
      "radius of frame 1 of the target has nan"),

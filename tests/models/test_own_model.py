@@ -25,7 +25,7 @@ from ctr_nlp import (
 )
 from ctr_nlp.cli.commands.export import main
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.figures import files
+from ctr_nlp.figures import save_all
 from ctr_nlp.formulations.terms import Parts, Term
 from ctr_nlp.hardware.description import bench
 from ctr_nlp.models import MODELS, Model, Shape, register
@@ -111,7 +111,7 @@ def test_its_plans_have_errors_figures_verdicts_and_a_file(problem, tmp_path):
     )
     assert not again.verdicts.failed
     assert again.verdicts.stable.word == "not asked"
-    pictures = files.save_all(again, tmp_path)
+    pictures = save_all(again, tmp_path)
     assert pictures
     assert all(path.stat().st_size > 1000 for path in pictures)
 

@@ -6,13 +6,11 @@
 
    picks: which rows of the program are the configuration and what else may only change so much from frame to frame.
    low, high: their limits; most: by how much they may change. previous: where in p the configuration of the frame
-   before stands; decided: how many of its entries. here: of the frame before, updated. starts: where each frame is
-   begun, of which none then depends on the one before; null where they do. */
+   before stands; decided: how many of its entries. here: of the frame before, updated. */
 typedef struct {
-    Program *program;
-    long frames, sizes_p, picked, decided, previous;
+    long sizes_p, picked, decided, previous;
     const long *picks;
-    const double *p, *low, *high, *most, *starts;
+    const double *p, *low, *high, *most;
     double feasible, optimal;
     double *here, *x, *rows, *multipliers, *objective, *kkt, *seconds;
     long *iterations, *status, *solved;
@@ -26,18 +24,19 @@ static double now(void) {
 
 static double within(double value, double low, double high) { return value < low ? low : value > high ? high : value; }
 
-/* How many frames were solved; where they depend on each other, the first that is not is the last that is tried. The
-   program's x and multipliers are where the first frame starts, and its bounds those of rows that are not picked. */
-long run(Run *r) {
-    Program *o = r->program;
+/* Solve so many frames; how many were solved. The program's x and multipliers are where the first frame starts, and its
+   bounds those of rows that are not picked. Where a frame is not solved, it is the last that is tried.
+
+   starts: where each frame is begun, of which none then depends on the one before; null where they do. */
+long run(const Run *r, Program *o, long frames, const double *starts) {
     long n = o->n, rows = n + o->m;
     double *p = (double *)o->p, *lower = (double *)o->lower, *upper = (double *)o->upper;
     long solved = 0;
-    for (long frame = 0; frame < r->frames; ++frame) {
+    for (long frame = 0; frame < frames; ++frame) {
         double begun = now(), *found = r->rows + frame * rows;
         memcpy(p, r->p + frame * r->sizes_p, r->sizes_p * sizeof *p);
-        if (r->starts) {
-            memcpy(o->x, r->starts + frame * n, n * sizeof *p);
+        if (starts) {
+            memcpy(o->x, starts + frame * n, n * sizeof *p);
             memset(o->multipliers, 0, rows * sizeof *p);
         } else
             memcpy(p + r->previous, r->here, r->decided * sizeof *p);
@@ -57,7 +56,7 @@ long run(Run *r) {
         r->seconds[frame] = now() - begun;
         r->solved[frame] = o->violation <= r->feasible && o->kkt <= r->optimal;
         solved += r->solved[frame];
-        if (r->starts) continue;
+        if (starts) continue;
         if (!r->solved[frame]) break;
         for (long k = 0; k < r->picked; ++k) {
             long row = r->picks[k];

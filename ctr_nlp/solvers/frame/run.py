@@ -14,17 +14,17 @@ from ctr_nlp.solvers.frame.program import Program
 class _Given(ctypes.Structure):
     """The struct Run of run.c."""
 
-    program: int
-    frames: int
-    starts: int | None
     _fields_ = [
-        ("program", ctypes.c_void_p),
-        *((name, ctypes.c_long) for name in ("frames", "sizes_p", "picked", "decided", "previous")),
-        *((name, ctypes.c_void_p) for name in ("picks", "p", "low", "high", "most", "starts")),
+        *((name, ctypes.c_long) for name in ("sizes_p", "picked", "decided", "previous")),
+        *((name, ctypes.c_void_p) for name in ("picks", "p", "low", "high", "most")),
         *((name, ctypes.c_double) for name in ("feasible", "optimal")),
         *((name, ctypes.c_void_p) for name in ("here", "x", "rows", "multipliers", "objective", "kkt", "seconds")),
         *((name, ctypes.c_void_p) for name in ("iterations", "status", "solved")),
     ]
+
+
+_RUN = ctypes.CFUNCTYPE(ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_long, ctypes.c_void_p)
+"""The function run of run.c."""
 
 
 class Run:
@@ -51,20 +51,17 @@ class Run:
         limits = self._picks, self.p, self.low, self.high, self.most
         found = self.here, self.x, self.rows, self.multipliers, self.objective, self.kkt, self.seconds
         self._given = _Given(
-            program.address,
-            frames,
             len(program.p),
             len(self.here),
             previous.stop - previous.start,
             previous.start,
             *(array.ctypes.data for array in limits),
-            None,
             FEASIBLE,
             optimal,
             *(array.ctypes.data for array in (*found, self.iterations, self.status, self.solved)),
         )
-        self._reference, self._run = ctypes.byref(self._given), cache.loaded(__package__, "sqp.c", "run.c").run
-        self._run.restype = ctypes.c_long
+        self._reference = ctypes.byref(self._given)
+        self._run = _RUN(("run", cache.loaded(__package__, "sqp.c", "run.c")))
 
     def __call__(self, frames: int, from_starts: bool = False) -> int:
         """Solve the first so many frames from the program's x and multipliers; how many were solved.
@@ -73,6 +70,5 @@ class Run:
         its own row of starts instead, whatever comes of the others.
         """
         self.program.refresh()
-        self._given.program, self._given.frames = self.program.address, frames
-        self._given.starts = self.starts.ctypes.data if from_starts else None
-        return int(self._run(self._reference))
+        starts = self.starts.ctypes.data if from_starts else None
+        return int(self._run(self._reference, self.program.address, frames, starts))
