@@ -25,6 +25,8 @@ SAMPLE_MM = 0.05
 MOST_SAMPLES = 50_000
 RIGID = 1e-6
 """By how much the axes of a rigid transform may miss being perpendicular and of length 1."""
+FINER = 8
+"""Places in each cell of a smoothed curve at which it is measured how far it was moved."""
 ROOM_SPENT = 0.5
 """How much of the lumen's radius smoothing may take at any place."""
 
@@ -112,8 +114,11 @@ class Curve(Value):
         bound = np.full(len(s), allowed) if radius is None else np.minimum(allowed, ROOM_SPENT * radius)
         points = evened(given, np.maximum(bound - s[1] / 2, bound / 2))
         away = np.linalg.norm(points - given, axis=1)
-        curve = _by_arc_length(Spline(s, points), s)
-        found = replace(curve, by_parameter=None, deviation=float(away.max()))
+        spline = Spline(s, points)
+        between = np.linspace(0.0, self.length, FINER * (len(s) - 1) + 1)
+        moved = np.linalg.norm(spline.derivative(between, 0) - self.point(between), axis=1)
+        curve = _by_arc_length(spline, s)
+        found = replace(curve, by_parameter=None, deviation=float(moved.max()))
         if radius is None:
             return found
         lengths = np.array([curve.length_at(fraction) for fraction in s / self.length])

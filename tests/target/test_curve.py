@@ -8,7 +8,7 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.spatial import cKDTree
@@ -157,6 +157,8 @@ def test_unevenly_spaced_points_give_the_same_curve():
 
 
 @given(numbers(0.02, 2.0), seeds)
+@example(0.5, 5883)
+@example(0.5, 3768)
 def test_smoothing_keeps_its_bound_and_reports_the_deviation(bound, seed):
     noise = np.random.default_rng(seed).normal(0, 0.3, (60, 3))
     points = helix_points(np.linspace(0, 150, 60)) + noise
