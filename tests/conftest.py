@@ -34,6 +34,11 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ.setdefault(name, "1")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests of what happens in real time come last: each of them waits until nothing else runs."""
+    items.sort(key=lambda item: item.get_closest_marker("real_time") is not None)
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
     """Tests of what happens in real time have the machine to themselves; others run side by side."""

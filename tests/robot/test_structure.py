@@ -42,9 +42,15 @@ def one_frame(robot):
     return Problem("drawn", robot, growing(path, 1))
 
 
+KINDS = [
+    *((d, "dominant") for d in (2, 3, 4)),
+    *((d, "elastic") for d in (2, 3)),
+    pytest.param(4, "elastic", marks=pytest.mark.slow),
+]
+
+
 @COUNTS
-@pytest.mark.parametrize("d", [2, 3, 4])
-@pytest.mark.parametrize("model", ["dominant", "elastic"])
+@pytest.mark.parametrize(("d", "model"), KINDS)
 def test_random_robots_of_one_structure_are_compiled_once(d, model, count, monkeypatch, capsys):
     """The first robot compiles; the others are planned with what it left. Times are told, and not judged."""
     if cache.missing():
