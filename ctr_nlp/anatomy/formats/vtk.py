@@ -52,9 +52,10 @@ def read_vtk(path: str | Path, entry: npt.ArrayLike | None = None) -> Branches:
     with blamed(path):
         if space not in SPACES:
             raise CurveError(f"SPACE is {space!r}; it must be one of {', '.join(SPACES)}")
+        lines = _lines(mesh)  # before points are looked at: those that a file cut short lacks are whatever VTK finds
         check_points(points)
         radius = _radius(mesh, len(points))
-        network = Network(points, radius, tuple(_lines(mesh)))
+        network = Network(points, radius, tuple(lines))
         paths = network.paths(None if entry is None else np.asarray(entry, dtype=float))
     branches = [
         Branch(f"branch {k}", moved(points[line], SPACES[space]), None if radius is None else radius[line])
