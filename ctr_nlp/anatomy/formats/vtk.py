@@ -52,7 +52,7 @@ def read_vtk(path: str | Path, entry: npt.ArrayLike | None = None) -> Branches:
     with blamed(path):
         if space not in SPACES:
             raise CurveError(f"SPACE is {space!r}; it must be one of {', '.join(SPACES)}")
-        lines = _lines(mesh)  # before points are looked at: those that a file cut short lacks are whatever VTK finds
+        lines = _lines(mesh)  # first of all: a file cut short has none, and its points may be anything
         check_points(points)
         radius = _radius(mesh, len(points))
         network = Network(points, radius, tuple(lines))
