@@ -451,13 +451,17 @@ def kill_before(step: int) -> None:
         counted(name)
 
 
+COUNTED = 15 if sys.version_info >= (3, 11) else 10
+"""Steps of publishing that can be counted at least: before 3.11, pathlib held on to functions of its own."""
+
+
 @unix
 def test_a_run_killed_at_any_step_is_completed_or_undone_by_the_next(tmp_path):
     command = [sys.executable, "-c", KILLED, Path(__file__).parent, tmp_path, "0"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     found = [json.loads(line) for line in done.stdout.splitlines()]
-    assert len(found) > 15
+    assert len(found) > COUNTED
     assert [one["killed"] for one in found] == [True] * (len(found) - 1) + [False]
     old = PLAN | {"deep/film.gif": "first", "notes.txt": "mine"}
     new = {"plan.npz": "second", "errors.csv": "second", "stability.png": "second", "notes.txt": "mine"}
@@ -465,7 +469,7 @@ def test_a_run_killed_at_any_step_is_completed_or_undone_by_the_next(tmp_path):
     assert all(one["files"] in states for one in found)
     completed = [one["files"] == new for one in found]
     assert completed == sorted(completed)
-    assert 5 < sum(completed) < len(found) - 5
+    assert COUNTED // 3 < sum(completed) < len(found) - COUNTED // 3
     assert not any(name.startswith(f"{MARK}-") for one in found for name in one["all"])
 
 

@@ -126,7 +126,8 @@ class Tree:
         for edges in (self._edges, self._edges[:, ::-1]):
             starts = self._ends[np.isin(self._ends, edges[:, 0])]
             if len(starts) == 1:
-                before = dict(needed("networkx").bfs_predecessors(self._graph, int(starts[0])))
+                walked = needed("networkx").bfs_edges(self._graph, int(starts[0]))
+                before = {there: here for here, there in walked}
                 if all(before.get(there) == here for here, there in edges.tolist()):
                     return int(starts[0])
         return None
