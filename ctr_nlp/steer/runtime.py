@@ -30,9 +30,6 @@ class Steerer:
     A step is a few tens of microseconds of compiled code, and at most sqp.c's MOST_ITERATIONS of some ten
     microseconds each. It never leaves limits of position and speed: where no better configuration is found, the
     robot stays where it is. Not for two threads at once: one for each.
-
-    q (2d + 2,): where the robot stands. solved: whether the last step ended at a KKT point; objective: mm^2;
-    kkt: residual; iterations.
     """
 
     def __init__(
@@ -53,36 +50,58 @@ class Steerer:
         number(OptionError, "dt", dt, lambda x: 0 < x < math.inf, "be a finite number > 0", " s")
         described = model_named(model)
         described.check(robot)
-        self.q = robot.check(q).copy()
+        q = robot.check(q)
         (stage,) = joint(robot, settings, described)
-        self._x, reach = described.rest(robot, self.q), reach_of(robot, dt, described.several_equilibria)
+        x, reach = described.rest(robot, q), reach_of(robot, dt, described.several_equilibria)
         straight = growing(curve_from_formula(lambda u: (0.0, 0.0, u), 0.0, 1.0), 1).sample()[0]
         root = math.sqrt(settings.motion_weight) / dt
         self._run = run = Run(Program(stage.nlp, wait=True), 1, math.inf)
-        run.p[0] = stage.nlp.pack({**stage.fill(straight, self.q), "motion_root": root})
+        run.p[0] = stage.nlp.pack({**stage.fill(straight, q), "motion_root": root})
         run.low[:], run.high[:], run.most[:] = reach
-        run.here[:] = np.append(self.q, self._x[: len(run.here) - len(self.q)])
-        run.program.x[:] = self._x
+        self._size = len(q)
+        run.here[:] = np.append(q, x[: len(run.here) - len(q)])
+        run.program.x[:] = x
         self._target = run.p[0, stage.nlp.place("target")].reshape(3, -1)
-        self.solved, self.objective, self.kkt, self.iterations = False, math.nan, math.nan, 0
+        self._whole, self._none = np.zeros((2, len(SIGMA), 3))
+        self._sampled = self._whole[::STRIDE].T
+        self._done, run.objective[:], run.kkt[:] = False, math.nan, math.nan
+
+    @property
+    def q(self) -> Array:
+        """Where the robot stands, (2d + 2,)."""
+        return self._run.here[: self._size].copy()
+
+    @property
+    def objective(self) -> float:
+        """Of the last step, mm^2; NaN before the first."""
+        return float(self._run.objective[0])
+
+    @property
+    def kkt(self) -> float:
+        """The KKT residual of the last step; NaN before the first."""
+        return float(self._run.kkt[0])
+
+    @property
+    def iterations(self) -> int:
+        """Of the last step."""
+        return int(self._run.iterations[0])
+
+    @property
+    def solved(self) -> bool:
+        """Whether the last step ended at a KKT point."""
+        return self._done and self.kkt <= OPTIMAL
 
     def step(self, target: Array) -> Array:
         """The configuration (2d + 2,) dt s later, for a target (101, 3) in mm at uniform sigma.
 
         Raises OptionError where the target has another shape or numbers that are not finite.
         """
-        if np.shape(target) != (len(SIGMA), 3):
-            raise OptionError(f"target has shape {np.shape(target)}; it must be {(len(SIGMA), 3)}")
-        if not np.isfinite(target).all():
-            raise OptionError(f"target has {target[~np.isfinite(target)][0]} mm; all of it must be finite")
-        run = self._run
-        self._target[:] = target[::STRIDE].T
-        done = run(1)
-        if done:
-            self._x[:] = run.x[0]
-            self.q = run.here[: len(self.q)].copy()
-        else:
-            run.program.x[:], run.program.multipliers[:] = self._x, 0.0
-        self.objective, self.kkt, self.iterations = run.objective[0], run.kkt[0], run.iterations[0]
-        self.solved = bool(done and self.kkt <= OPTIMAL)
-        return self.q.copy()
+        if np.shape(target) != self._whole.shape:
+            raise OptionError(f"target has shape {np.shape(target)}; it must be {self._whole.shape}")
+        self._whole[:] = target
+        if np.vdot(self._whole, self._none) != 0.0:  # NaN, where a number is not finite: the quickest way to know
+            bad = self._whole[~np.isfinite(self._whole)][0]
+            raise OptionError(f"target has {bad} mm; all of it must be finite")
+        self._target[:] = self._sampled
+        self._done = self._run(1) == 1
+        return self.q

@@ -6,13 +6,14 @@
 
    picks: which rows of the program are the configuration and what else may only change so much from frame to frame.
    low, high: their limits; most: by how much they may change. previous: where in p the configuration of the frame
-   before stands; decided: how many of its entries. here: of the frame before, updated. */
+   before stands; decided: how many of its entries. here: of the frame before, updated. moved: by how much x changed in
+   the frame before, updated: a frame is begun where x would go on so. */
 typedef struct {
     long sizes_p, picked, decided, previous;
     const long *picks;
     const double *p, *low, *high, *most;
     double feasible, optimal;
-    double *here, *x, *rows, *multipliers, *objective, *kkt, *seconds;
+    double *here, *moved, *x, *rows, *multipliers, *objective, *kkt, *seconds;
     long *iterations, *status, *solved;
 } Run;
 
@@ -25,7 +26,8 @@ static double now(void) {
 static double within(double value, double low, double high) { return value < low ? low : value > high ? high : value; }
 
 /* Solve so many frames; how many were solved. The program's x and multipliers are where the first frame starts, and its
-   bounds those of rows that are not picked. Where a frame is not solved, it is the last that is tried.
+   bounds those of rows that are not picked. Where a frame is not solved, it is the last that is tried, and x is again
+   where the frame before ended.
 
    starts: where each frame is begun, of which none then depends on the one before; null where they do. */
 long run(const Run *r, Program *o, long frames, const double *starts) {
@@ -33,13 +35,15 @@ long run(const Run *r, Program *o, long frames, const double *starts) {
     double *p = (double *)o->p, *lower = (double *)o->lower, *upper = (double *)o->upper;
     long solved = 0;
     for (long frame = 0; frame < frames; ++frame) {
-        double begun = now(), *found = r->rows + frame * rows;
+        double begun = now(), *found = r->rows + frame * rows, before[n];
         memcpy(p, r->p + frame * r->sizes_p, r->sizes_p * sizeof *p);
         if (starts) {
             memcpy(o->x, starts + frame * n, n * sizeof *p);
             memset(o->multipliers, 0, rows * sizeof *p);
-        } else
+        } else {
             memcpy(p + r->previous, r->here, r->decided * sizeof *p);
+            for (long i = 0; i < n; ++i) before[i] = o->x[i], o->x[i] += r->moved[i];
+        }
         for (long k = 0; k < r->picked; ++k) {
             lower[r->picks[k]] = most(r->low[k], r->here[k] - r->most[k]);
             upper[r->picks[k]] = -most(-r->high[k], -r->here[k] - r->most[k]);
@@ -57,11 +61,16 @@ long run(const Run *r, Program *o, long frames, const double *starts) {
         r->solved[frame] = o->violation <= r->feasible && o->kkt <= r->optimal;
         solved += r->solved[frame];
         if (starts) continue;
-        if (!r->solved[frame]) break;
+        if (!r->solved[frame]) {
+            memcpy(o->x, before, sizeof before), memset(o->multipliers, 0, rows * sizeof *p);
+            memset(r->moved, 0, sizeof before);
+            break;
+        }
         for (long k = 0; k < r->picked; ++k) {
             long row = r->picks[k];
             r->here[k] = within(found[row], lower[row], upper[row]);
         }
+        for (long i = 0; i < n; ++i) r->moved[i] = o->x[i] - before[i];
     }
     return solved;
 }

@@ -231,29 +231,36 @@ static double violation(const Program *o, const double *value) {
     return sum;
 }
 
+/* What is known of the problem at one x: its functions' results, and the values of all rows. */
+typedef struct {
+    double f, *gradient, *value, *jacobian, *hessian;
+} Point;
+
 /* Stationarity, infeasibility and complementarity, of the problem itself. */
-static void judge(Program *o, double objective, const double *gradient, const double *jacobian, const double *value) {
-    o->objective = objective, o->kkt = o->violation = 0;
+static void judge(Program *o, const Point *point) {
+    o->objective = point->f, o->kkt = o->violation = 0;
     for (long j = 0; j < o->n; ++j) {
-        double slope = gradient[j] + o->multipliers[j];
-        for (long i = 0; i < o->m; ++i) slope += jacobian[j * o->m + i] * o->multipliers[o->n + i];
+        double slope = point->gradient[j] + o->multipliers[j];
+        for (long i = 0; i < o->m; ++i) slope += point->jacobian[j * o->m + i] * o->multipliers[o->n + i];
         o->kkt = most(fabs(slope), o->kkt);
     }
     for (long i = 0; i < o->n + o->m; ++i) {
-        double multiplier = o->multipliers[i], slack = fabs((multiplier > 0 ? o->upper : o->lower)[i] - value[i]);
-        o->violation = most(most(o->lower[i] - value[i], value[i] - o->upper[i]), o->violation);
+        double multiplier = o->multipliers[i], value = point->value[i];
+        double slack = fabs((multiplier > 0 ? o->upper : o->lower)[i] - value);
+        o->violation = most(most(o->lower[i] - value, value - o->upper[i]), o->violation);
         o->kkt = most(fabs(multiplier) * (slack < INFINITY ? slack : 1), o->kkt);
     }
     o->kkt = most(o->violation, o->kkt);
 }
 
-static void at(Program *o, Function function, const double *x, double *f, double *gradient, double *value,
-               double *jacobian, double *hessian) {
-    double one = 1;
-    const double *arg[] = {x, o->p, &one, o->multipliers + o->n};
-    double *values[] = {f, value + o->n}, *all[] = {f, gradient, value + o->n, jacobian, hessian};
-    memcpy(value, x, o->n * sizeof *x);
+static void at(Program *o, Function function, Point *point) {
+    double one = 1, *constraints = point->value + o->n;
+    const double *arg[] = {o->x, o->p, &one, o->multipliers + o->n};
+    double *values[] = {&point->f, constraints};
+    double *all[] = {&point->f, point->gradient, constraints, point->jacobian, point->hessian};
+    memcpy(point->value, o->x, o->n * sizeof *o->x);
     function(arg, function == o->value ? values : all, 0, 0, 0);
+    ++*(function == o->expansion ? &o->expansions : &o->evaluations);
 }
 
 /* The Hessian as a matrix that a quadratic problem can have: exact where rows with multipliers stay active. */
@@ -276,51 +283,55 @@ static void prepare(const Program *o, const double *jacobian, const double *valu
     for (long i = 0; i < n; ++i) h[i * n + i] += DAMPING * most(largest, 1);
 }
 
-/* Go along d as far as the l1 merit function falls enough; returns by how much it fell, -1 where it never does. */
-static double search(Program *o, const double *d, double merit, double slope, double penalty, double *step) {
-    long n = o->n;
-    double to[n], value[n + o->m], found;
+/* Go along d, and as far towards the next multipliers, until the l1 merit function falls enough; by how much it fell,
+   -1 where it never does. The whole step is tried first, with the function given for it. */
+static double search(Program *o, Point *point, Function whole, const double *d, const double *next, double merit,
+                     double slope, double penalty, double *step) {
+    long n = o->n, rows = n + o->m;
+    double from[n], before[rows];
+    memcpy(from, o->x, sizeof from), memcpy(before, o->multipliers, sizeof before);
     *step = 1;
     for (int halvings = 0; halvings < MOST_HALVINGS; ++halvings, *step /= 2) {
-        for (long j = 0; j < n; ++j) to[j] = o->x[j] + *step * d[j];
-        at(o, o->value, to, &found, 0, value, 0, 0), ++o->evaluations;
-        found += penalty * violation(o, value);
-        if (!(found <= merit + 1e-4 * *step * slope + 1e-12 * fabs(merit))) continue;
-        memcpy(o->x, to, sizeof to);
-        return most(merit - found, 0);
+        for (long j = 0; j < n; ++j) o->x[j] = from[j] + *step * d[j];
+        for (long i = 0; i < rows; ++i) o->multipliers[i] = before[i] + *step * (next[i] - before[i]);
+        at(o, halvings ? o->value : whole, point);
+        double found = point->f + penalty * violation(o, point->value);
+        if (found <= merit + 1e-4 * *step * slope + 1e-12 * fabs(merit)) return most(merit - found, 0);
     }
+    memcpy(o->x, from, sizeof from), memcpy(o->multipliers, next, sizeof before);
     return -1;
+}
+
+static double largest(long n, const double *d) {
+    double found = 0;
+    for (long j = 0; j < n; ++j) found = most(fabs(d[j]), found);
+    return found;
 }
 
 void sqp(Program *o) {
     long n = o->n, rows = n + o->m, calm = 0;
-    double f, gradient[n], *value = o->rows, jacobian[n * o->m + 1], hessian[n * n];
-    double d[n], next[rows], penalty = 0, small = INFINITY;
+    double gradient[n], jacobian[n * o->m + 1], hessian[n * n], d[n], next[rows], penalty = 0, step;
+    Point point = {0, gradient, o->rows, jacobian, hessian};
+    Function known = o->expansion;
     o->expansions = o->evaluations = 0;
+    at(o, known, &point);
     for (o->iterations = 0;; ++o->iterations) {
-        o->status = SOLVED;
-        if (small < NEAR) {
-            at(o, o->slopes, o->x, &f, gradient, value, jacobian, 0), ++o->evaluations;
-            judge(o, f, gradient, jacobian, value);
-            if (o->kkt <= o->tolerance) return;
-        }
-        at(o, o->expansion, o->x, &f, gradient, value, jacobian, hessian), ++o->expansions;
-        judge(o, f, gradient, jacobian, value);
-        if (o->kkt <= o->tolerance) return;
-        o->status = calm >= STALL ? STUCK : STOPPED;
-        if (calm >= STALL || o->iterations == MOST_ITERATIONS) return;
-        prepare(o, jacobian, value, hessian);
+        judge(o, &point);
+        o->status = o->kkt <= o->tolerance ? SOLVED : calm >= STALL ? STUCK : STOPPED;
+        if (o->status != STOPPED || o->iterations == MOST_ITERATIONS) return;
+        if (known != o->expansion) at(o, o->expansion, &point);
+        prepare(o, jacobian, point.value, hessian);
         o->status = NO_STEP;
-        if (!quadratic(o, hessian, gradient, jacobian, value, d, next)) return;
-        double slope = 0, outside = violation(o, value), step;
+        if (!quadratic(o, hessian, gradient, jacobian, point.value, d, next)) return;
+        double slope = 0, outside = violation(o, point.value), size = largest(n, d);
         for (long j = 0; j < n; ++j) slope += gradient[j] * d[j];
         for (long i = 0; i < rows; ++i) penalty = most(1.1 * fabs(next[i]), penalty);
-        double merit = f + penalty * outside;
-        double fell = search(o, d, merit, slope - penalty * outside, penalty, &step);
+        double merit = point.f + penalty * outside;
+        known = size < NEAR ? o->slopes : o->expansion;
+        double fell = search(o, &point, known, d, next, merit, slope - penalty * outside, penalty, &step);
         calm = fell < 0 ? STALL : fell < STALLED * (1e-6 + fabs(merit)) ? calm + 1 : 0;
-        if (fell < 0) step = 1, small = INFINITY;
-        else small = 0;
-        for (long j = 0; j < n && fell >= 0; ++j) small = most(fabs(step * d[j]), small);
-        for (long i = 0; i < rows; ++i) o->multipliers[i] += step * (next[i] - o->multipliers[i]);
+        if (fell >= 0 && step == 1) continue;
+        known = fell >= 0 && step * size < NEAR ? o->slopes : o->expansion;
+        at(o, known, &point);
     }
 }
