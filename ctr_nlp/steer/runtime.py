@@ -55,7 +55,7 @@ class Steerer:
         x, reach = described.rest(robot, q), reach_of(robot, dt, described.several_equilibria)
         straight = growing(curve_from_formula(lambda u: (0.0, 0.0, u), 0.0, 1.0), 1).sample()[0]
         root = math.sqrt(settings.motion_weight) / dt
-        self._run = run = Run(Program(stage.nlp, wait=True), 1, math.inf)
+        self._run = run = Run(Program(stage.nlp, wait=True), 1, math.inf, goes_on=True)
         run.p[0] = stage.nlp.pack({**stage.fill(straight, q), "motion_root": root})
         run.low[:], run.high[:], run.most[:] = reach
         self._size = len(q)

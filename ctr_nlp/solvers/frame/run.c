@@ -7,7 +7,7 @@
    picks: which rows of the program are the configuration and what else may only change so much from frame to frame.
    low, high: their limits; most: by how much they may change. previous: where in p the configuration of the frame
    before stands; decided: how many of its entries. here: of the frame before, updated. moved: by how much x changed in
-   the frame before, updated: a frame is begun where x would go on so. */
+   the frame before, updated: a frame is begun where x would go on so; null where each is begun at x. */
 typedef struct {
     long sizes_p, picked, decided, previous;
     const long *picks;
@@ -25,6 +25,23 @@ static double now(void) {
 
 static double within(double value, double low, double high) { return value < low ? low : value > high ? high : value; }
 
+static void bring_within(Program *o) {
+    for (long i = 0; i < o->n; ++i) o->x[i] = within(o->x[i], o->lower[i], o->upper[i]);
+}
+
+/* Begin a frame where the motion would go on, if that is better than where the frame before ended. */
+static void go_on(const Run *r, Program *o) {
+    long n = o->n;
+    double before[n], rows[n + o->m];
+    Point stay = {.value = rows}, further = stay;
+    memcpy(before, o->x, sizeof before);
+    at(o, o->value, &stay);
+    for (long i = 0; i < n; ++i) o->x[i] += r->moved[i];
+    bring_within(o);
+    at(o, o->value, &further);
+    if (!(further.f < stay.f && violation(o, rows) <= r->feasible)) memcpy(o->x, before, sizeof before);
+}
+
 /* Solve so many frames; how many were solved. The program's x and multipliers are where the first frame starts, and its
    bounds those of rows that are not picked. Where a frame is not solved, it is the last that is tried, and x is again
    where the frame before ended.
@@ -37,20 +54,20 @@ long run(const Run *r, Program *o, long frames, const double *starts) {
     for (long frame = 0; frame < frames; ++frame) {
         double begun = now(), *found = r->rows + frame * rows, before[n];
         memcpy(p, r->p + frame * r->sizes_p, r->sizes_p * sizeof *p);
-        if (starts) {
-            memcpy(o->x, starts + frame * n, n * sizeof *p);
-            memset(o->multipliers, 0, rows * sizeof *p);
-        } else {
-            memcpy(p + r->previous, r->here, r->decided * sizeof *p);
-            for (long i = 0; i < n; ++i) before[i] = o->x[i], o->x[i] += r->moved[i];
-        }
+        if (!starts) memcpy(p + r->previous, r->here, r->decided * sizeof *p);
         for (long k = 0; k < r->picked; ++k) {
             lower[r->picks[k]] = most(r->low[k], r->here[k] - r->most[k]);
             upper[r->picks[k]] = -most(-r->high[k], -r->here[k] - r->most[k]);
         }
-        for (long i = 0; i < n; ++i) o->x[i] = within(o->x[i], lower[i], upper[i]);
+        if (starts) {
+            memcpy(o->x, starts + frame * n, sizeof before);
+            memset(o->multipliers, 0, rows * sizeof *p);
+        }
+        memcpy(before, o->x, sizeof before);
+        bring_within(o);
+        if (r->moved) go_on(r, o);
         sqp(o);
-        for (long i = 0; i < n; ++i) o->x[i] = within(o->x[i], lower[i], upper[i]);
+        bring_within(o);
         memcpy(found, o->x, n * sizeof *found);
         memcpy(found + n, o->rows + n, o->m * sizeof *found);
         memcpy(r->x + frame * n, o->x, n * sizeof *found);
@@ -63,14 +80,14 @@ long run(const Run *r, Program *o, long frames, const double *starts) {
         if (starts) continue;
         if (!r->solved[frame]) {
             memcpy(o->x, before, sizeof before), memset(o->multipliers, 0, rows * sizeof *p);
-            memset(r->moved, 0, sizeof before);
+            if (r->moved) memset(r->moved, 0, sizeof before);
             break;
         }
         for (long k = 0; k < r->picked; ++k) {
             long row = r->picks[k];
             r->here[k] = within(found[row], lower[row], upper[row]);
         }
-        for (long i = 0; i < n; ++i) r->moved[i] = o->x[i] - before[i];
+        for (long i = 0; r->moved && i < n; ++i) r->moved[i] = o->x[i] - before[i];
     }
     return solved;
 }

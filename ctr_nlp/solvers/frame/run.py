@@ -18,7 +18,10 @@ class _Given(ctypes.Structure):
         *((name, ctypes.c_long) for name in ("sizes_p", "picked", "decided", "previous")),
         *((name, ctypes.c_void_p) for name in ("picks", "p", "low", "high", "most")),
         *((name, ctypes.c_double) for name in ("feasible", "optimal")),
-        *((name, ctypes.c_void_p) for name in ("here", "moved", "x", "rows", "multipliers", "objective", "kkt", "seconds")),
+        *(
+            (name, ctypes.c_void_p)
+            for name in ("here", "moved", "x", "rows", "multipliers", "objective", "kkt", "seconds")
+        ),
         *((name, ctypes.c_void_p) for name in ("iterations", "status", "solved")),
     ]
 
@@ -33,24 +36,26 @@ class Run:
     p (frames, n_p): packed parameters, but for those named previous, which are the configuration of the frame
     before. low, high, most (k,): within which the program's configuration may be, and by how much each entry may
     change from frame to frame. here (k,): the configuration before the first frame, then of the last that was
-    solved. moved (n,): by how much x changed from the frame before that to it, as which a frame is begun to go on;
-    zeros where nothing came before. x (frames, n), rows (frames, n + m), multipliers, objective mm^2, kkt, iterations, status, seconds, and
+    solved. x (frames, n), rows (frames, n + m), multipliers, objective mm^2, kkt, iterations, status, seconds, and
     whether it was solved are what was found of each frame.
     """
 
-    def __init__(self, program: Program, frames: int, optimal: float) -> None:
-        """optimal: the KKT residual up to which a frame counts as solved; all of them must be feasible."""
+    def __init__(self, program: Program, frames: int, optimal: float, goes_on: bool = False) -> None:
+        """optimal: the KKT residual up to which a frame counts as solved; all of them must be feasible.
+
+        goes_on: whether a frame is begun as much further as x moved in the frame before it, where that is better.
+        """
         nlp, (n, rows) = program.nlp, (len(program.x), len(program.rows))
         self._picks = np.ascontiguousarray(nlp.configuration, dtype=np.int64)
         self.program, self.p = program, np.zeros((frames, len(program.p)))
         self.low, self.high, self.most, self.here = np.zeros((4, len(self._picks)))
         self.x, self.rows, self.multipliers = (np.zeros((frames, width)) for width in (n, rows, rows))
         self.objective, self.kkt, self.seconds = np.zeros((3, frames))
-        self.starts, self.moved = np.zeros((frames, n)), np.zeros(n)
+        self.starts, self._moved = np.zeros((frames, n)), np.zeros(n)
         self.iterations, self.status, self.solved = np.zeros((3, frames), dtype=np.int64)
         previous = nlp.place("previous") if "previous" in nlp.parameters else slice(0, 0)
         limits = self._picks, self.p, self.low, self.high, self.most
-        found = self.here, self.moved, self.x, self.rows, self.multipliers, self.objective, self.kkt, self.seconds
+        found = self.x, self.rows, self.multipliers, self.objective, self.kkt, self.seconds
         self._given = _Given(
             len(program.p),
             len(self.here),
@@ -59,6 +64,8 @@ class Run:
             *(array.ctypes.data for array in limits),
             FEASIBLE,
             optimal,
+            self.here.ctypes.data,
+            self._moved.ctypes.data if goes_on else None,
             *(array.ctypes.data for array in (*found, self.iterations, self.status, self.solved)),
         )
         self._reference = ctypes.byref(self._given)

@@ -66,8 +66,6 @@ class Sqp(NlpSolver):
     def follow(self, x0: Array, p: Array, reach: Reach, here: Array, warm: Solution | None) -> list[Timed]:
         """As NlpSolver, in one call."""
         run = self._filled(p, reach)
-        if not np.array_equal(run.program.x, x0):  # else it goes on from where the last call ended
-            run.moved[:] = 0.0
         run.here[:], run.program.x[:] = here, x0
         run.program.multipliers[:] = 0.0 if warm is None else np.concatenate([warm.lam_x, warm.lam_g])
         return [Timed(self._found(k), float(run.seconds[k])) for k in range(run(len(p)))]
