@@ -35,18 +35,21 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests of what happens in real time come last: each of them waits until nothing else runs."""
+    """Tests of what happens in real time come last: each of them waits until no other kind runs."""
     items.sort(key=lambda item: item.get_closest_marker("real_time") is not None)
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """Tests of what happens in real time have the machine to themselves; others run side by side."""
-    alone = item.get_closest_marker("real_time") is not None
+    """Tests of what happens in real time, which wait more than they work, run beside their own kind alone."""
+    kinds = ["work", "real_time"]
+    own = item.get_closest_marker("real_time") is not None
     folder = Path(os.environ["CTR_NLP_CACHE"]).parent
-    with open(folder / "door", "w") as door, open(folder / "room", "w") as room:
-        fcntl.flock(door, fcntl.LOCK_EX)  # who waits for an empty room lets nobody else in
-        fcntl.flock(room, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+    with open(folder / "door", "w") as door, open(folder / kinds[own], "w") as room:
+        fcntl.flock(door, fcntl.LOCK_EX)  # who waits until the other kind has left lets nobody else in
+        with open(folder / kinds[not own], "w") as other:
+            fcntl.flock(other, fcntl.LOCK_EX)
+        fcntl.flock(room, fcntl.LOCK_SH)
         fcntl.flock(door, fcntl.LOCK_UN)
         return (yield)
 

@@ -259,9 +259,16 @@ ROBOTS = {
     "Table I taken literally": table_i_robot(literal=True),
 }
 
+THIN = "two tubes", "carriages kept apart"
+"""Robots for which every formulation and solver is tried in each run."""
+SOLVED = [
+    pytest.param(name, *way, marks=[] if way == ("joint", "sqp") or name in THIN else [pytest.mark.slow])
+    for name in ROBOTS
+    for way in (("joint", "ipopt"), ("joint", "sqp"), ("two-stage", "sqp"))
+]
 
-@pytest.mark.parametrize("name", ROBOTS)
-@pytest.mark.parametrize(("formulation", "solver"), [("joint", "ipopt"), ("joint", "sqp"), ("two-stage", "sqp")])
+
+@pytest.mark.parametrize(("name", "formulation", "solver"), SOLVED)
 def test_any_robot_follows_a_gentle_curve_within_its_limits(name, formulation, solver):
     path = curve_from_formula(lambda u: (0.002 * u**2, 0.0003 * u**2, u), 0.0, 95.0)
     plan = solve_per_frame(
