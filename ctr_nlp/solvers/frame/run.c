@@ -6,8 +6,16 @@
 
    picks: which rows of the program are the configuration and what else may only change so much from frame to frame.
    low, high: their limits; most: by how much they may change. previous: where in p the configuration of the frame
-   before stands; decided: how many of its entries. here: of the frame before, updated. */
+   before stands; decided: how many of its entries. here: of the frame before, updated.
+
+   around: where some parameters hold near a robot only, what gives these, described entries from place in p on, and
+   then the slack that they need, x's last entry; null where all hold everywhere. A mm of it costs p[weight] mm^2, and
+   firm mm^2 a mm^2. Rounds around solutions end where the slack needed changes by no more than settled mm. */
 typedef struct {
+    void (*around)(void *, const double *, double *);
+    void *of;
+    long place, described, weight, rounds;
+    double firm, settled, *found;
     long sizes_p, picked, decided, previous;
     const long *picks;
     const double *p, *low, *high, *most;
@@ -24,6 +32,52 @@ static double now(void) {
 
 static double within(double value, double low, double high) { return value < low ? low : value > high ? high : value; }
 
+static void keep_within(Program *o) {
+    for (long i = 0; i < o->n; ++i) o->x[i] = within(o->x[i], o->lower[i], o->upper[i]);
+}
+
+static int solved(const Run *r, const Program *o) { return o->violation <= r->feasible && o->kkt <= r->optimal; }
+
+static double cost(const Run *r, const Program *o, double slack) {
+    return o->p[r->weight] * slack + r->firm * slack * slack;
+}
+
+/* The parameters around the robot as it is, and the slack that they need. */
+static double surround(const Run *r, const Program *o) {
+    r->around(r->of, o->x, r->found);
+    return r->found[r->described];
+}
+
+/* Solve a frame again around its own solution until that needs the same slack; the best of these is kept. */
+static void settle(const Run *r, Program *o) {
+    long n = o->n, rows = n + o->m, iterations = 0;
+    double x[n], multipliers[rows], values[rows], least = INFINITY, needed = surround(r, o);
+    Program best = *o;
+    for (long round = 0; round < r->rounds; ++round) {
+        o->x[n - 1] = needed;
+        memcpy((double *)o->p + r->place, r->found, r->described * sizeof *x);
+        sqp(o);
+        keep_within(o);
+        iterations += o->iterations;
+        if (!solved(r, o)) break;
+        double slack = o->x[n - 1];
+        needed = surround(r, o);
+        double objective = o->objective + cost(r, o, needed) - cost(r, o, slack);
+        if (objective < least) {
+            least = objective, best = *o;
+            memcpy(x, o->x, sizeof x), memcpy(values, o->rows, sizeof values);
+            memcpy(multipliers, o->multipliers, sizeof multipliers);
+        }
+        if (fabs(needed - slack) <= r->settled) break;
+    }
+    if (least < INFINITY) {
+        *o = best, o->objective = least;
+        memcpy(o->x, x, sizeof x), memcpy(o->rows, values, sizeof values);
+        memcpy(o->multipliers, multipliers, sizeof multipliers);
+    }
+    o->iterations = iterations;
+}
+
 /* Solve so many frames; how many were solved. The program's x and multipliers are where the first frame starts, and its
    bounds those of rows that are not picked. Where a frame is not solved, it is the last that is tried.
 
@@ -31,7 +85,7 @@ static double within(double value, double low, double high) { return value < low
 long run(const Run *r, Program *o, long frames, const double *starts) {
     long n = o->n, rows = n + o->m;
     double *p = (double *)o->p, *lower = (double *)o->lower, *upper = (double *)o->upper;
-    long solved = 0;
+    long found_all = 0;
     for (long frame = 0; frame < frames; ++frame) {
         double begun = now(), *found = r->rows + frame * rows;
         memcpy(p, r->p + frame * r->sizes_p, r->sizes_p * sizeof *p);
@@ -44,9 +98,9 @@ long run(const Run *r, Program *o, long frames, const double *starts) {
             lower[r->picks[k]] = most(r->low[k], r->here[k] - r->most[k]);
             upper[r->picks[k]] = -most(-r->high[k], -r->here[k] - r->most[k]);
         }
-        for (long i = 0; i < n; ++i) o->x[i] = within(o->x[i], lower[i], upper[i]);
-        sqp(o);
-        for (long i = 0; i < n; ++i) o->x[i] = within(o->x[i], lower[i], upper[i]);
+        keep_within(o);
+        (r->around ? settle(r, o) : sqp(o));
+        keep_within(o);
         memcpy(found, o->x, n * sizeof *found);
         memcpy(found + n, o->rows + n, o->m * sizeof *found);
         memcpy(r->x + frame * n, o->x, n * sizeof *found);
@@ -54,8 +108,8 @@ long run(const Run *r, Program *o, long frames, const double *starts) {
         r->objective[frame] = o->objective, r->kkt[frame] = o->kkt;
         r->iterations[frame] = o->iterations, r->status[frame] = o->status;
         r->seconds[frame] = now() - begun;
-        r->solved[frame] = o->violation <= r->feasible && o->kkt <= r->optimal;
-        solved += r->solved[frame];
+        r->solved[frame] = solved(r, o);
+        found_all += r->solved[frame];
         if (starts) continue;
         if (!r->solved[frame]) break;
         for (long k = 0; k < r->picked; ++k) {
@@ -63,5 +117,5 @@ long run(const Run *r, Program *o, long frames, const double *starts) {
             r->here[k] = within(found[row], lower[row], upper[row]);
         }
     }
-    return solved;
+    return found_all;
 }
