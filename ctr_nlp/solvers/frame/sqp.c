@@ -314,13 +314,13 @@ void sqp(Program *o) {
         if (!quadratic(o, hessian, gradient, jacobian, value, d, next)) return;
         double slope = 0, outside = violation(o, value), step;
         for (long j = 0; j < n; ++j) slope += gradient[j] * d[j];
-        for (long i = 0; i < rows; ++i) penalty = most(1.1 * fabs(next[i]), penalty);
+        for (long i = n; i < rows; ++i) penalty = most(1.1 * fabs(next[i]), penalty);
         double merit = f + penalty * outside;
         double fell = search(o, d, merit, slope - penalty * outside, penalty, &step);
         calm = fell < 0 ? STALL : fell < STALLED * (1e-6 + fabs(merit)) ? calm + 1 : 0;
         if (fell < 0) step = 1, small = INFINITY;
         else small = 0;
         for (long j = 0; j < n && fell >= 0; ++j) small = most(fabs(step * d[j]), small);
-        for (long i = 0; i < rows; ++i) o->multipliers[i] += step * (next[i] - o->multipliers[i]);
+        memcpy(o->multipliers, next, sizeof next);
     }
 }
