@@ -49,7 +49,9 @@ class Around:
     finer: samples a place. clearance, mm, is to be kept. tiny: what stands for nothing in a denominator.
     """
 
-    def __init__(self, robot: Robot, lumen: Lumen, model: Model, clearance: float, finer: int, tiny: float) -> None:
+    def __init__(
+        self, robot: Robot, lumen: Lumen, model: Model, clearance: float, finer: int, tiny: float
+    ) -> None:
         """Prepare; raises OptionError where nothing can be compiled."""
         count, d = robot.d * PLACES * finer, robot.d
         samples = -(-count // LANES)
@@ -59,7 +61,7 @@ class Around:
         given = (
             _shares(d, PLACES * finer, samples),
             np.tile(robot.numbers.ravel(order="F"), LANES),
-            *(np.ascontiguousarray(each) for each in (lumen.table[:, :3].T, lumen.along, *lumen.pieces)),
+            *(np.ascontiguousarray(each) for each in (lumen.table[:, :3], lumen.along, *lumen.pieces)),
             outer_radius(robot),
         )
         own = (np.zeros(size) for size in (LANES * unknowns, LANES * samples * 3, unknowns, rows * COLUMNS + 1))
@@ -87,7 +89,7 @@ class Around:
         return self._compiled is not None
 
     def __call__(self, x: Array) -> tuple[Array, Array]:
-        """What describes the wall, (T, d PLACES, COLUMNS), around unknowns x (T, n), and slacks (T,) needed, mm."""
+        """What describes the wall, (T, d PLACES, COLUMNS), near unknowns x (T, n), and slacks (T,) needed, mm."""
         x, found = np.ascontiguousarray(x, dtype=float), np.empty((len(x), self._rows * COLUMNS + 1))
         self._library.around_all(ctypes.byref(self._wall), ctypes.c_long(len(x)), x.ctypes, found.ctypes)
         return found[:, :-1].reshape(len(x), COLUMNS, self._rows).transpose(0, 2, 1), found[:, -1].copy()
@@ -99,7 +101,7 @@ class Around:
 
 
 def _shares(d: int, count: int, samples: int) -> Array:
-    """How much of every extension the arc lengths of so many samples a tube are: (samples, d) by columns, by lanes.
+    """How much of every extension the arc lengths of count samples a tube are: (samples, d) by columns, by lanes.
 
     As terms.lumen.arc_lengths; samples more than there are stand at the innermost tip.
     """

@@ -4,12 +4,13 @@
 #include <string.h>
 
 #define NEWTON 4     /* steps from the nearest point of the table to the nearest of the path */
+#define CLOSE 1e-9   /* mm: a step to the nearest of the path that is as good as none */
 #define COLUMNS 13   /* of what describes a place, as in terms/lumen.py */
 
 typedef int (*Function)(const double **, double **, long long *, double *, int);
 
 /* points: of so many samples a lane, from x, shares of the extensions and the tubes' numbers, in every lane.
-   table: points (3, nodes), mm; along: their arc lengths; path, radius: cubic pieces between them, by falling powers.
+   table: points (nodes, 3), mm; along: their arc lengths; path, radius: cubic pieces between them, by falling powers.
    widest: the longest step of the table. known: whether what is kept was found, at x kept. */
 typedef struct {
     Function points;
@@ -29,22 +30,24 @@ static double most(double a, double b) { return a > b || a != a ? a : b; }
 static double within(double value, double low, double high) { return value < low ? low : value > high ? high : value; }
 static double dot(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
-static double distance(const Wall *w, long i, const double *p) {
-    double sum = 0;
-    for (int k = 0; k < 3; ++k) sum += (p[k] - w->table[k * w->nodes + i]) * (p[k] - w->table[k * w->nodes + i]);
-    return sqrt(sum);
+static double square(const Wall *w, long i, const double *p) {
+    double x = p[0] - w->table[3 * i], y = p[1] - w->table[3 * i + 1], z = p[2] - w->table[3 * i + 2];
+    return x * x + y * y + z * z;
 }
 
-/* The table's point that is nearest to p: exactly, from a guess. A point i that is further away than the best has
-   none nearer within the difference of the path. */
+/* The table's point that is nearest to p: exactly, from a guess. Where a point is further away than the best by so
+   much, none within that of the path is nearer. */
 static long nearest(const Wall *w, const double *p, long guess) {
-    double least = distance(w, guess, p);
+    double least = square(w, guess, p), root = sqrt(least), next = (root + w->widest) * (root + w->widest);
     long found = guess;
     for (int side = -1; side <= 1; side += 2)
         for (long i = guess + side; i >= 0 && i < w->nodes;) {
-            double at = distance(w, i, p);
-            if (at < least) least = at, found = i;
-            i += side * ((long)((at - least) / w->widest) + 1);
+            double at = square(w, i, p);
+            if (at < least) {
+                least = at, root = sqrt(least), next = (root + w->widest) * (root + w->widest), found = i;
+                i += side;
+            } else
+                i += at < next ? side : side * ((long)((sqrt(at) - root) / w->widest) + 1);
         }
     return found;
 }
@@ -77,7 +80,7 @@ static void look(const Wall *w, const double *p, long *guess, Near *near) {
         if (step == NEWTON) break;
         double further = dot(away, tangent) / most(dot(tangent, tangent) - dot(away, bend), 0.1), before = s;
         s = within(s + within(further, -w->spacing, w->spacing), 0, end);
-        if (fabs(s - before) < 1e-13 * end) break;
+        if (fabs(s - before) < CLOSE) break;
         i = piece(w, s, i);
     }
     const double *c = w->radius + i;

@@ -7,19 +7,21 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError, RobotError
 from ctr_nlp.formulations.joint import joint
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms.shape import STRIDE
+from ctr_nlp.formulations.wall import ROUNDS, SETTLED, Wall, wall_of
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.robot import Robot
-from ctr_nlp.solvers.frame.adapter import OPTIMAL
+from ctr_nlp.solvers.frame.adapter import OPTIMAL, Surroundings
 from ctr_nlp.solvers.frame.program import Program
 from ctr_nlp.solvers.frame.run import Run
 from ctr_nlp.steer.at_once import reach_of
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.support.values import instance, number
-from ctr_nlp.target.curve import curve_from_formula
+from ctr_nlp.target.curve import Curve, curve_from_formula
 from ctr_nlp.target.target import SIGMA, growing
 from ctr_nlp.typing import Array
 
@@ -42,11 +44,13 @@ class Steerer:
         dt: float,
         settings: Settings = DEFAULTS,
         model: str | Model = "dominant",
+        lumen: Curve | None = None,
     ) -> None:
         """Build for a robot that stands at q and moves every dt s; raises OptionError, RobotError.
 
         OptionError also where nothing can be compiled. On the elastic model the robot is taken to have been turned
-        to q from where all its tubes were aligned.
+        to q from where all its tubes were aligned. lumen: the path with a radius whose wall it is kept within, at
+        the settings' clearance and weight of contact; None for no wall.
         """
         instance(RobotError, "robot", robot, Robot)
         instance(OptionError, "settings", settings, Settings)
@@ -54,12 +58,20 @@ class Steerer:
         described = model_named(model)
         described.check(robot)
         self.q = robot.check(q).copy()
-        (stage,) = joint(robot, settings, described)
+        if lumen is not None and (not isinstance(lumen, Curve) or lumen.radius is None):
+            raise OptionError(f"lumen is {lumen!r:.80}; it must be a curve with a radius, or None for no wall")
+        self._wall = wall_of(robot, lumen, described, settings)
+        (stage,) = joint(robot, settings, described, walled=self._wall is not None)
         self._x, reach = described.rest(robot, self.q), reach_of(robot, dt, described.several_equilibria)
+        self._x = np.append(self._x, np.zeros(stage.nlp.slacks))
         straight = growing(curve_from_formula(lambda u: (0.0, 0.0, u), 0.0, 1.0), 1).sample()[0]
         root = math.sqrt(settings.motion_weight) / dt
         self._run = run = Run(Program(stage.nlp, wait=True), 1, math.inf)
-        run.p[0] = stage.nlp.pack({**stage.fill(straight, self.q), "motion_root": root})
+        values = {**stage.fill(straight, self.q), "motion_root": root}
+        if self._wall is not None:
+            run.keep_near(_described(self._wall))
+            values["contact_weight"] = self._wall.weight
+        run.p[0] = stage.nlp.pack(values)
         run.low[:], run.high[:], run.most[:] = reach
         run.here[:] = np.append(self.q, self._x[: len(run.here) - len(self.q)])
         run.program.x[:] = self._x
@@ -86,3 +98,12 @@ class Steerer:
         self.objective, self.kkt, self.iterations = run.objective[0], run.kkt[0], run.iterations[0]
         self.solved = bool(done and self.kkt <= OPTIMAL)
         return self.q.copy()
+
+
+def _described(wall: Wall) -> Surroundings:
+    """What describes a wall in C, compiled now where it is not yet; raises OptionError."""
+    around = wall.around
+    if around is None:
+        raise OptionError(f"a lumen is given, and nothing can be compiled: {cache.missing()}")
+    around.ready(wait=True)
+    return around.surroundings(SETTLED, ROUNDS)

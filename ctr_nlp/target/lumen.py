@@ -72,7 +72,7 @@ class Lumen:
 
     @property
     def pieces(self) -> tuple[Array, Array]:
-        """Cubic pieces of the path (4, N - 1, 3) and of the radius (4, N - 1), mm: coefficients by falling powers."""
+        """Cubic pieces of path (4, N - 1, 3) and radius (4, N - 1), mm: coefficients by falling powers."""
         return self._path.c, self._radius.c
 
     def near(self, points: Array) -> Near:
