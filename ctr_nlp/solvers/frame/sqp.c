@@ -10,6 +10,7 @@
 #define STALL 6          /* iterations that lower the merit by less than STALLED of it end the work */
 #define STALLED 1e-13
 #define NEAR 1e-2        /* a step as small as this may be the last: derivatives of first order tell */
+#define STILL 1e-6       /* after a step as small as this, multipliers are those of the next point, whole */
 #define ACTIVE 1e-9      /* how near to its bound a row is held */
 #define DAMPING 1e-9
 #define HELD 1e3         /* curvature across active rows, in parts of the largest there is */
@@ -222,11 +223,12 @@ static int quadratic(const Program *o, double *h, const double *gradient, const 
     return 1;
 }
 
-static double violation(const Program *o, const double *value) {
+/* What rows leave their bounds by, each weighed by the penalty of its kind: x's own rows, then constraints. */
+static double violation(const Program *o, const double *value, const double *penalty) {
     double sum = 0;
     for (long i = 0; i < o->n + o->m; ++i) {
-        sum += most(o->lower[i] - value[i], 0);
-        sum += most(value[i] - o->upper[i], 0);
+        sum += penalty[i >= o->n] * most(o->lower[i] - value[i], 0);
+        sum += penalty[i >= o->n] * most(value[i] - o->upper[i], 0);
     }
     return sum;
 }
@@ -277,14 +279,15 @@ static void prepare(const Program *o, const double *jacobian, const double *valu
 }
 
 /* Go along d as far as the l1 merit function falls enough; returns by how much it fell, -1 where it never does. */
-static double search(Program *o, const double *d, double merit, double slope, double penalty, double *step) {
+static double search(Program *o, const double *d, double merit, double slope, const double *penalty,
+                     double *step) {
     long n = o->n;
     double to[n], value[n + o->m], found;
     *step = 1;
     for (int halvings = 0; halvings < MOST_HALVINGS; ++halvings, *step /= 2) {
         for (long j = 0; j < n; ++j) to[j] = o->x[j] + *step * d[j];
         at(o, o->value, to, &found, 0, value, 0, 0), ++o->evaluations;
-        found += penalty * violation(o, value);
+        found += violation(o, value, penalty);
         if (!(found <= merit + 1e-4 * *step * slope + 1e-12 * fabs(merit))) continue;
         memcpy(o->x, to, sizeof to);
         return most(merit - found, 0);
@@ -295,7 +298,7 @@ static double search(Program *o, const double *d, double merit, double slope, do
 void sqp(Program *o) {
     long n = o->n, rows = n + o->m, calm = 0;
     double f, gradient[n], *value = o->rows, jacobian[n * o->m + 1], hessian[n * n];
-    double d[n], next[rows], penalty = 0, small = INFINITY;
+    double d[n], next[rows], penalty[] = {0, 0}, small = INFINITY;
     o->expansions = o->evaluations = 0;
     for (o->iterations = 0;; ++o->iterations) {
         o->status = SOLVED;
@@ -312,15 +315,16 @@ void sqp(Program *o) {
         prepare(o, jacobian, value, hessian);
         o->status = NO_STEP;
         if (!quadratic(o, hessian, gradient, jacobian, value, d, next)) return;
-        double slope = 0, outside = violation(o, value), step;
+        double slope = 0, step;
         for (long j = 0; j < n; ++j) slope += gradient[j] * d[j];
-        for (long i = n; i < rows; ++i) penalty = most(1.1 * fabs(next[i]), penalty);
-        double merit = f + penalty * outside;
-        double fell = search(o, d, merit, slope - penalty * outside, penalty, &step);
+        for (long i = 0; i < rows; ++i) penalty[i >= n] = most(1.1 * fabs(next[i]), penalty[i >= n]);
+        double outside = violation(o, value, penalty), merit = f + outside;
+        double fell = search(o, d, merit, slope - outside, penalty, &step);
         calm = fell < 0 ? STALL : fell < STALLED * (1e-6 + fabs(merit)) ? calm + 1 : 0;
         if (fell < 0) step = 1, small = INFINITY;
         else small = 0;
         for (long j = 0; j < n && fell >= 0; ++j) small = most(fabs(step * d[j]), small);
-        memcpy(o->multipliers, next, sizeof next);
+        double part = small < STILL ? 1 : step;
+        for (long i = 0; i < rows; ++i) o->multipliers[i] += part * (next[i] - o->multipliers[i]);
     }
 }
