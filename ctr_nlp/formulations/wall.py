@@ -8,10 +8,14 @@ changes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
+from ctr_nlp.codegen import cache
+from ctr_nlp.formulations.around import Around
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms.lumen import CENTRED, PLACES, arc_lengths, contact
 from ctr_nlp.models import Model
@@ -55,8 +59,24 @@ class Wall:
         """Of slacks, mm^2."""
         return np.asarray(contact(slack, self.weight))
 
+    @cached_property
+    def around(self) -> Around | None:
+        """The same in C; None where nothing can be compiled."""
+        if cache.missing():
+            return None
+        return Around(self.robot, self.lumen, self.model, self.clearance, FINER, TINY)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {each.name: getattr(self, each.name) for each in fields(self)}
+
     def surroundings(self, x: Array) -> tuple[dict[str, Array], Array]:
-        """Parameters (T, ..) of frames near to unknowns x (T, n) of the model, and slacks (T,) needed, mm.
+        """Parameters (T, ..) of frames near to unknowns x (T, n) of the model, and slacks (T,) needed, mm."""
+        found = self.around
+        wall, slack = self.described(x) if found is None or not found.ready() else found(x)
+        return {"wall": wall, "contact_weight": np.full(len(x), self.weight)}, slack
+
+    def described(self, x: Array) -> tuple[Array, Array]:
+        """What describes the wall (T, d PLACES, COLUMNS), and slacks (T,), without compiled code.
 
         Bends sharper than the lumen is wide are noise of the path's points.
         """
@@ -70,5 +90,4 @@ class Wall:
         sharpest = 1.0 / near.radius / np.maximum(np.linalg.norm(near.bend, axis=-1), TINY)
         bend = near.bend * np.minimum(sharpest, 1.0)[..., None]
         wall = np.concatenate([near.centre, near.tangent, bend, numbers], axis=-1)
-        described = {"wall": wall[:, FINER - 1 :: FINER], "contact_weight": np.full(len(x), self.weight)}
-        return described, np.maximum(-left.min(axis=1), 0.0)
+        return wall[:, FINER - 1 :: FINER], np.maximum(-left.min(axis=1), 0.0)

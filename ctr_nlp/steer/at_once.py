@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,7 @@ from ctr_nlp.formulations.frames import FrameResult
 from ctr_nlp.formulations.joint import tip_steps
 from ctr_nlp.robot import Robot
 from ctr_nlp.solvers import NlpSolver, Solution
-from ctr_nlp.solvers.frame.adapter import Reach
+from ctr_nlp.solvers.frame.adapter import Reach, Surroundings
 from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
@@ -29,6 +29,7 @@ class AtOnce:
     """One program for all frames: p (T, n_p) are its parameters, that of motion among them, within a reach.
 
     tips: how many of the unknowns are tips' angles, which only so change from frame to frame; 0 where q is all.
+    near: what gives parameters that hold near a robot only, None where there are none.
     """
 
     stage: Stage
@@ -36,17 +37,25 @@ class AtOnce:
     p: Array
     reach: Reach
     tips: int
+    near: Surroundings | None = None
 
     @classmethod
     def of(
-        cls, stage: Stage, solver: NlpSolver, samples: Sequence[Frame], margins: Array, root: float, reach: Reach
+        cls,
+        stage: Stage,
+        solver: NlpSolver,
+        samples: Sequence[Frame],
+        margins: Array,
+        values: Mapping[str, float],
+        reach: Reach,
+        near: Surroundings | None = None,
     ) -> AtOnce:
-        """For target samples with least margins (T,) and sqrt(lambda) / dt."""
+        """For target samples with least margins (T,); values: of further parameters, the same in all frames."""
         q, packed = np.zeros(len(stage.decides)), list[Array]()
         for sample, margin in zip(samples, margins, strict=True):
-            values = {**stage.fill(sample, q), "motion_root": root}
-            packed.append(stage.nlp.pack(values | ({"margin": margin} if "margin" in values else {})))
-        return cls(stage, solver, np.array(packed), reach, len(reach.low) - len(q))
+            filled = {**stage.fill(sample, q), **values}
+            packed.append(stage.nlp.pack(filled | ({"margin": margin} if "margin" in filled else {})))
+        return cls(stage, solver, np.array(packed), reach, len(reach.low) - len(q), near)
 
     def search(self, frame: int, x0: Array) -> list[FrameResult]:
         """Answers for a frame without a past from starts x0 (n, n_x), as many as are found."""
@@ -58,9 +67,9 @@ class AtOnce:
         """Answers for frames, each from the one before, up to the first that is not found; and their seconds."""
         warm = before.warm[0] if before.warm else None
         known = before.q if before.x is None else before.x
-        x0 = known if warm is None else warm.x
+        x0 = np.append(known, np.zeros(self.stage.nlp.slacks)) if warm is None else warm.x
         here = np.append(before.q, known[: self.tips])
-        found = self.solver.follow(x0, self.p[list(frames)], self.reach, here, warm)
+        found = self.solver.follow(x0, self.p[list(frames)], self.reach, here, warm, self.near)
         return [(self._result(each.solution), each.seconds) for each in found]
 
     def _result(self, solution: Solution) -> FrameResult:
@@ -72,5 +81,5 @@ class AtOnce:
             solution.iterations,
             solution.status,
             (solution,),
-            solution.x if self.tips else None,
+            solution.x[: len(solution.x) - self.stage.nlp.slacks] if self.tips else None,
         )

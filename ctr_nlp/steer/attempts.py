@@ -84,6 +84,11 @@ def best_of(attempts: Sequence[Attempt]) -> Attempt:
     return min(attempts, key=badness)
 
 
+def hopeless(attempts: Sequence[Attempt], bound: float) -> bool:
+    """Whether some attempt is a solution of an objective, mm^2, that is no more than a bound of another's."""
+    return any(one.solution.success and one.solution.objective <= bound for one in attempts)
+
+
 def failures(chain: Chain, one: Attempt) -> dict[str, str]:
     """Why an attempt is no solution, by frame where limits are exceeded, else for all; empty where it is one."""
     if one.solution.success:
@@ -138,7 +143,8 @@ def attempt(
     begin, tried, missing = time.perf_counter(), list[Attempt](), np.inf
     near, x0 = chain.around(motion)
     while len(tried) < ROUNDS and missing > SETTLED and not (tried and (stop() or not tried[-1].solution.success)):
-        one = _solved(near, solver(near), x0, NEAR if tried else WIDE, report, stop)
+        known = np.concatenate([tried[-1].solution.lam_x, tried[-1].solution.lam_g]) if tried else None
+        one = _solved(near, solver(near), x0, NEAR if tried else WIDE, report, stop, known)
         near, x0 = chain.around(one.motion)
         missing = float(abs(x0 - one.solution.x).max())
         objective = near.evaluate(x0)[0] if missing > 0 else one.solution.objective
@@ -154,14 +160,23 @@ def attempt(
 
 
 def _solved(
-    chain: Chain, solve: ChainSolver, x0: Array, barrier: float, report: Report | None, stop: Callable[[], bool]
+    chain: Chain,
+    solve: ChainSolver,
+    x0: Array,
+    barrier: float,
+    report: Report | None,
+    stop: Callable[[], bool],
+    multipliers: Array | None,
 ) -> Attempt:
-    """Solve a chain from x0 (T n,) as it is; where the result would be worse, once more, from near it."""
+    """Solve a chain from x0 (T n,) as it is; where the result would be worse, once more, from near it.
+
+    multipliers: of all rows, where a neighbouring chain's are known.
+    """
     x0 = within_limits(chain, x0)
     objective, value = chain.evaluate(x0)
     start = objective if chain.violation(value) <= FEASIBLE else np.inf
     watch = Watch(report, stop, Iterate(0, objective, chain.violation(value), np.inf, x0))
-    solution = _kept(chain, solve(x0, watch, barrier), watch, start)
+    solution = _kept(chain, solve(x0, watch, barrier, multipliers), watch, start)
     if not (solution.success or watch.best is None or stop()):
         again = _kept(chain, solve(watch.best.x, watch, NEAR), watch, start)
         solution = replace(again, iterations=solution.iterations + again.iterations)

@@ -30,6 +30,7 @@ from ctr_nlp.steer.attempts import (
     attempt_in_processes,
     best_of,
     failures,
+    hopeless,
     together,
     within_limits,
 )
@@ -52,8 +53,8 @@ from ctr_nlp.support.values import check_choice, strict_json
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
-Run = Callable[[Wall | None, Sequence[Array]], list[Attempt]]
-"""Attempts near a wall, or far from any, from motions."""
+Run = Callable[[Wall | None, Sequence[Array], Sequence[float]], list[Attempt]]
+"""Attempts near a wall, or far from any, from motions, and bounds of what objectives can come of these, mm^2."""
 MOTION_SHARE = 0.1
 """What the motion of the start costs by default, as a part of its shape errors."""
 LEAST_MOTION_WEIGHT = 1e-9
@@ -156,7 +157,7 @@ class Horizon:
             wall, free = None, None
             attempts: Sequence[Attempt] = []
             if not interrupted():
-                attempts = run(None, self._picked(weight, found, starts or len(found)))
+                attempts = run(None, self._picked(weight, found, starts or len(found)), ())
             if self._wall is not None and not interrupted():
                 free = self._q(best_of(attempts).motion)
                 wall, attempts = self._kept_inside(self._wall, run, attempts, given, interrupted)
@@ -175,13 +176,20 @@ class Horizon:
     ) -> tuple[Wall | None, Sequence[Attempt]]:
         """Attempts within a wall, from those free of it and from given motions, and the wall that they afford.
 
-        Those free of it where none within the wall keeps e3 and its frames, as far as was tried.
+        Those free of it where none within the wall keeps e3 and its frames, as far as was tried. A motion is left
+        out that costs more without the wall than another does within it.
         """
-        motions, best = [*distinct(free), *given], best_of(free)
+        others, best = distinct(free), best_of(free)
+        motions = [*(one.motion for one in others), *given]
+        bounds = [one.solution.objective for one in others]
 
         def solve(tried: Wall) -> list[Attempt]:
-            attempts = run(tried, motions)
+            attempts = run(tried, motions, bounds)
             found = best_of(attempts)
+            if bounds and not found.made:
+                attempts = run(tried, motions, ())
+                found = best_of(attempts)
+            bounds.clear()
             motions[:] = [best.motion, found.motion] if found.made else [best.motion]
             return attempts
 
@@ -230,8 +238,13 @@ class Horizon:
         interrupted: Callable[[], bool],
         wall: Wall | None,
         motions: Sequence[Array],
+        bounds: Sequence[float],
     ) -> list[Attempt]:
-        """What comes of motions near a wall, or far from any; on the elastic model, that the robot makes."""
+        """What comes of motions near a wall, or far from any; on the elastic model, that the robot makes.
+
+        bounds: objectives of the first motions, mm^2, that nothing that comes of these falls below; where motions
+        are solved one after the other, those are left out that something better is known for.
+        """
         problem, settings, names = self.problem, self._settings, self._names
         chain, solver, count = self._near(wall, weight), CHAIN_SOLVERS[names["solver"]], len(motions)
         attempts = list[Attempt]()
@@ -239,9 +252,12 @@ class Horizon:
             own = names["solver"], self._model, settings.stability_margin, wall, self._terms
             task = Task(problem.robot, problem.samples, problem.dt, weight, self.ends, *own)
             attempts = attempt_in_processes(task, motions, jobs, progress, interrupted, seen)
+        least = [*bounds, *itertools.repeat(-np.inf, count - len(bounds))]
         for number, motion in enumerate(() if attempts else motions, start=1):
             if attempts and interrupted():
                 break
+            if hopeless(attempts, least[number - 1]):
+                continue
             forecast = None if progress is None else Forecast(progress, problem.frames, number, count)
             attempts.append(attempt(chain, solver, motion, together(seen, forecast), interrupted))
         if not self._model.several_equilibria or interrupted():

@@ -81,12 +81,12 @@ class Outcome:
         return found <= largest_e3(least, cost)
 
 
-def distinct(attempts: Sequence[Attempt]) -> list[Array]:
-    """The best motions of attempts, best first, without those met before."""
+def distinct(attempts: Sequence[Attempt]) -> list[Attempt]:
+    """The best attempts, best first, without those met before."""
     ranked = sorted(attempts, key=lambda one: (not one.solution.success, one.solution.objective))
     objectives = [one.solution.objective for one in ranked]
     found = [
-        one.motion
+        one
         for k, one in enumerate(ranked)
         if k == 0 or abs(objectives[k] - objectives[k - 1]) > SAME * (1 + abs(objectives[k]))
     ]

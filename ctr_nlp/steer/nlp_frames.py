@@ -136,13 +136,19 @@ class NlpFrames:
 
     @cached_property
     def _at_once(self) -> AtOnce | None:
-        """What solves many frames in one call: for one program for all of q, far from any wall."""
-        if self.near is not None or len(self.free) > 1:
+        """What solves many frames in one call: for one program for all of q, and walls that C can describe."""
+        if len(self.free) > 1:
             return None
-        ((stage, solver),) = self.free
-        root = math.sqrt(self.settings.motion_weight) / self.problem.dt
+        values = {"motion_root": math.sqrt(self.settings.motion_weight) / self.problem.dt}
         reach = reach_of(self.problem.robot, self.problem.dt, self.model.several_equilibria)
-        return AtOnce.of(stage, solver, self.problem.samples, self.margins, root, reach)
+        at = self.problem.samples, self.margins
+        if self.near is None:
+            return AtOnce.of(*self.free[0], *at, values, reach)
+        around = self.near.around
+        if around is None or not around.ready():
+            return None
+        values["contact_weight"] = self.near.weight
+        return AtOnce.of(*self.inside[0], *at, values, reach, around.surroundings(SETTLED, ROUNDS))
 
     def _placed(self, before: FrameResult) -> FrameResult:
         """A result with the model's unknowns: those of a robot at rest where they are not known."""

@@ -7,19 +7,21 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError, RobotError
 from ctr_nlp.formulations.joint import joint
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms.shape import STRIDE
+from ctr_nlp.formulations.wall import ROUNDS, SETTLED, Wall, wall_of
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.robot import Robot
-from ctr_nlp.solvers.frame.adapter import OPTIMAL
+from ctr_nlp.solvers.frame.adapter import OPTIMAL, Surroundings
 from ctr_nlp.solvers.frame.program import Program
 from ctr_nlp.solvers.frame.run import Run
 from ctr_nlp.steer.at_once import reach_of
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.support.values import instance, number
-from ctr_nlp.target.curve import curve_from_formula
+from ctr_nlp.target.curve import Curve, curve_from_formula
 from ctr_nlp.target.target import SIGMA, growing
 from ctr_nlp.typing import Array
 
@@ -39,11 +41,13 @@ class Steerer:
         dt: float,
         settings: Settings = DEFAULTS,
         model: str | Model = "dominant",
+        lumen: Curve | None = None,
     ) -> None:
         """Build for a robot that stands at q and moves every dt s; raises OptionError, RobotError.
 
         OptionError also where nothing can be compiled. On the elastic model the robot is taken to have been turned
-        to q from where all its tubes were aligned.
+        to q from where all its tubes were aligned. lumen: the path with a radius whose wall it is kept within, at
+        the settings' clearance and weight of contact; None for no wall.
         """
         instance(RobotError, "robot", robot, Robot)
         instance(OptionError, "settings", settings, Settings)
@@ -51,16 +55,23 @@ class Steerer:
         described = model_named(model)
         described.check(robot)
         q = robot.check(q)
-        (stage,) = joint(robot, settings, described)
+        if lumen is not None and (not isinstance(lumen, Curve) or lumen.radius is None):
+            raise OptionError(f"lumen is {lumen!r:.80}; it must be a curve with a radius, or None for no wall")
+        self._wall = wall_of(robot, lumen, described, settings)
+        (stage,) = joint(robot, settings, described, walled=self._wall is not None)
         x, reach = described.rest(robot, q), reach_of(robot, dt, described.several_equilibria)
         straight = growing(curve_from_formula(lambda u: (0.0, 0.0, u), 0.0, 1.0), 1).sample()[0]
         root = math.sqrt(settings.motion_weight) / dt
         self._run = run = Run(Program(stage.nlp, wait=True), 1, math.inf, goes_on=True)
-        run.p[0] = stage.nlp.pack({**stage.fill(straight, q), "motion_root": root})
+        values = {**stage.fill(straight, q), "motion_root": root}
+        if self._wall is not None:
+            run.keep_near(_described(self._wall))
+            values["contact_weight"] = self._wall.weight
+        run.p[0] = stage.nlp.pack(values)
         run.low[:], run.high[:], run.most[:] = reach
         self._size = len(q)
         run.here[:] = np.append(q, x[: len(run.here) - len(q)])
-        run.program.x[:] = x
+        run.program.x[:] = np.append(x, np.zeros(stage.nlp.slacks))
         self._target = run.p[0, stage.nlp.place("target")].reshape(3, -1)
         self._whole, self._none = np.zeros((2, len(SIGMA), 3))
         self._sampled = self._whole[::STRIDE].T
@@ -105,3 +116,12 @@ class Steerer:
         self._target[:] = self._sampled
         self._done = self._run(1) == 1
         return self.q
+
+
+def _described(wall: Wall) -> Surroundings:
+    """What describes a wall in C, compiled now where it is not yet; raises OptionError."""
+    around = wall.around
+    if around is None:
+        raise OptionError(f"a lumen is given, and nothing can be compiled: {cache.missing()}")
+    around.ready(wait=True)
+    return around.surroundings(SETTLED, ROUNDS)

@@ -65,6 +65,16 @@ class Lumen:
         """(N, 4), read-only: x, y, z and radius, mm."""
         return self._table
 
+    @property
+    def along(self) -> Array:
+        """Arc lengths (N,) of the table's points, mm."""
+        return self._along
+
+    @property
+    def pieces(self) -> tuple[Array, Array]:
+        """Cubic pieces of path (4, N - 1, 3) and radius (4, N - 1), mm: coefficients by falling powers."""
+        return self._path.c, self._radius.c
+
     def near(self, points: Array) -> Near:
         """The path and the wall near to points (.., 3) in mm; everything is NaN for points that are."""
         known = np.isfinite(points).all(axis=-1, keepdims=True)

@@ -68,7 +68,7 @@ class Fake:
         self.chain, self.shown, self.returned, self.success = chain, shown, returned, success
         self.starts, self.answers = [], []
 
-    def __call__(self, x0, watch, barrier=0.0):
+    def __call__(self, x0, watch, barrier=0.0, multipliers=None):
         self.starts.append(x0)
         for number, x in enumerate(self.shown):
             objective, value = self.chain.evaluate(x)

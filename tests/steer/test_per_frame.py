@@ -233,8 +233,8 @@ def test_an_interrupted_plan_keeps_what_was_solved(cos_problem):
 class Short(Sqp):
     """Solves no more than two frames in one go."""
 
-    def follow(self, x0, p, reach, here, warm):
-        return super().follow(x0, p[:2], reach, here, warm)
+    def follow(self, x0, p, reach, here, warm, near=None):
+        return super().follow(x0, p[:2], reach, here, warm, near)
 
 
 @pytest.mark.parametrize("model", ["dominant", "elastic"])

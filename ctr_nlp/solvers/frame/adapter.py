@@ -51,6 +51,24 @@ class Reach(NamedTuple):
     most: Array
 
 
+class Surroundings(NamedTuple):
+    """What gives the parameters of a program that hold near a robot only, where a slack is its last unknown.
+
+    call, of: addresses of a function of C and of what it is given first, then x, then room for the parameter named
+    described and, after it, the slack needed there, mm. Slack costs the parameter named weight a mm, mm^2, and
+    firm a mm^2. A frame is solved again around its solution until that needs the same slack within settled mm, or
+    rounds times.
+    """
+
+    call: int
+    of: int
+    described: str
+    weight: str
+    firm: float
+    settled: float
+    rounds: int
+
+
 class Timed(NamedTuple):
     """A solution, and the seconds that it took."""
 
@@ -80,11 +98,19 @@ class NlpSolver(ABC):
         neighbouring problem, whose multipliers to start from.
         """
 
-    def follow(self, x0: Array, p: Array, reach: Reach, here: Array, warm: Solution | None) -> list[Timed]:
+    def follow(
+        self,
+        x0: Array,
+        p: Array,
+        reach: Reach,
+        here: Array,
+        warm: Solution | None,
+        near: Surroundings | None = None,
+    ) -> list[Timed]:
         """Solutions for parameters p (frames, n_p), each from the one before, up to the first that is not found.
 
-        Those named previous are the configuration here (k,) before the first, then the last that was found. A
-        solver that takes one program at a time finds none.
+        Those named previous are the configuration here (k,) before the first, then the last that was found. near:
+        what gives parameters that hold near a robot only. A solver that takes one program at a time finds none.
         """
         return []
 

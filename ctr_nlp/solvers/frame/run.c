@@ -7,8 +7,16 @@
    picks: which rows of the program are the configuration and what else may only change so much from frame to frame.
    low, high: their limits; most: by how much they may change. previous: where in p the configuration of the frame
    before stands; decided: how many of its entries. here: of the frame before, updated. moved: by how much x changed in
-   the frame before, updated: a frame is begun where x would go on so; null where each is begun at x. */
+   the frame before, updated: a frame is begun where x would go on so; null where each is begun at x.
+
+   around: where some parameters hold near a robot only, what gives these, described entries from place in p on, and
+   then the slack that they need, x's last entry; null where all hold everywhere. A mm of it costs p[weight] mm^2, and
+   firm mm^2 a mm^2. Rounds around solutions end where the slack needed changes by no more than settled mm. */
 typedef struct {
+    void (*around)(void *, const double *, double *);
+    void *of;
+    long place, described, weight, rounds;
+    double firm, settled, *found;
     long sizes_p, picked, decided, previous;
     const long *picks;
     const double *p, *low, *high, *most;
@@ -25,21 +33,75 @@ static double now(void) {
 
 static double within(double value, double low, double high) { return value < low ? low : value > high ? high : value; }
 
-static void bring_within(Program *o) {
+static void keep_within(Program *o) {
     for (long i = 0; i < o->n; ++i) o->x[i] = within(o->x[i], o->lower[i], o->upper[i]);
+}
+
+static int solved(const Run *r, const Program *o) { return o->violation <= r->feasible && o->kkt <= r->optimal; }
+
+static double cost(const Run *r, const Program *o, double slack) {
+    return o->p[r->weight] * slack + r->firm * slack * slack;
+}
+
+/* What is around the robot as it is; returns the slack that it needs. */
+static double surround(const Run *r, const Program *o) {
+    r->around(r->of, o->x, r->found);
+    return r->found[r->described];
+}
+
+/* Take what surround has found. */
+static void take(const Run *r, Program *o) {
+    o->x[o->n - 1] = r->found[r->described];
+    memcpy((double *)o->p + r->place, r->found, r->described * sizeof *o->p);
+}
+
+static double objective(const Run *r, Program *o, Point *point) {
+    if (r->around) surround(r, o), take(r, o);
+    at(o, o->value, point);
+    return point->f;
 }
 
 /* Begin a frame where the motion would go on, if that is better than where the frame before ended. */
 static void go_on(const Run *r, Program *o) {
     long n = o->n;
     double before[n], rows[n + o->m];
-    Point stay = {.value = rows}, further = stay;
+    const double even[] = {1, 1};
+    Point point = {.value = rows};
     memcpy(before, o->x, sizeof before);
-    at(o, o->value, &stay);
-    for (long i = 0; i < n; ++i) o->x[i] += r->moved[i];
-    bring_within(o);
-    at(o, o->value, &further);
-    if (!(further.f < stay.f && violation(o, rows) <= r->feasible)) memcpy(o->x, before, sizeof before);
+    double stay = objective(r, o, &point);
+    for (long i = 0; i < n; ++i) o->x[i] = before[i] + r->moved[i];
+    keep_within(o);
+    if (!(objective(r, o, &point) < stay && violation(o, rows, even) <= r->feasible))
+        memcpy(o->x, before, sizeof before);
+}
+
+/* Solve a frame again around its own solution until that needs the same slack; the best of these is kept. */
+static void settle(const Run *r, Program *o) {
+    long n = o->n, rows = n + o->m, iterations = 0;
+    double x[n], multipliers[rows], values[rows], least = INFINITY;
+    Program best = *o;
+    surround(r, o);
+    for (long round = 0; round < r->rounds; ++round) {
+        take(r, o);
+        sqp(o);
+        keep_within(o);
+        iterations += o->iterations;
+        if (!solved(r, o)) break;
+        double slack = o->x[n - 1];
+        double needed = surround(r, o), whole = o->objective + cost(r, o, needed) - cost(r, o, slack);
+        if (whole < least) {
+            least = whole, best = *o;
+            memcpy(x, o->x, sizeof x), memcpy(values, o->rows, sizeof values);
+            memcpy(multipliers, o->multipliers, sizeof multipliers);
+        }
+        if (fabs(needed - slack) <= r->settled) break;
+    }
+    if (least < INFINITY) {
+        *o = best, o->objective = least;
+        memcpy(o->x, x, sizeof x), memcpy(o->rows, values, sizeof values);
+        memcpy(o->multipliers, multipliers, sizeof multipliers);
+    }
+    o->iterations = iterations;
 }
 
 /* Solve so many frames; how many were solved. The program's x and multipliers are where the first frame starts, and its
@@ -50,24 +112,24 @@ static void go_on(const Run *r, Program *o) {
 long run(const Run *r, Program *o, long frames, const double *starts) {
     long n = o->n, rows = n + o->m;
     double *p = (double *)o->p, *lower = (double *)o->lower, *upper = (double *)o->upper;
-    long solved = 0;
+    long found_all = 0;
     for (long frame = 0; frame < frames; ++frame) {
         double begun = now(), *found = r->rows + frame * rows, before[n];
         memcpy(p, r->p + frame * r->sizes_p, r->sizes_p * sizeof *p);
-        if (!starts) memcpy(p + r->previous, r->here, r->decided * sizeof *p);
+        if (starts) {
+            memcpy(o->x, starts + frame * n, sizeof before);
+            memset(o->multipliers, 0, rows * sizeof *p);
+        } else
+            memcpy(p + r->previous, r->here, r->decided * sizeof *p);
+        memcpy(before, o->x, sizeof before);
         for (long k = 0; k < r->picked; ++k) {
             lower[r->picks[k]] = most(r->low[k], r->here[k] - r->most[k]);
             upper[r->picks[k]] = -most(-r->high[k], -r->here[k] - r->most[k]);
         }
-        if (starts) {
-            memcpy(o->x, starts + frame * n, sizeof before);
-            memset(o->multipliers, 0, rows * sizeof *p);
-        }
-        memcpy(before, o->x, sizeof before);
-        bring_within(o);
+        keep_within(o);
         if (r->moved) go_on(r, o);
-        sqp(o);
-        bring_within(o);
+        (r->around ? settle(r, o) : sqp(o));
+        keep_within(o);
         memcpy(found, o->x, n * sizeof *found);
         memcpy(found + n, o->rows + n, o->m * sizeof *found);
         memcpy(r->x + frame * n, o->x, n * sizeof *found);
@@ -75,8 +137,8 @@ long run(const Run *r, Program *o, long frames, const double *starts) {
         r->objective[frame] = o->objective, r->kkt[frame] = o->kkt;
         r->iterations[frame] = o->iterations, r->status[frame] = o->status;
         r->seconds[frame] = now() - begun;
-        r->solved[frame] = o->violation <= r->feasible && o->kkt <= r->optimal;
-        solved += r->solved[frame];
+        r->solved[frame] = solved(r, o);
+        found_all += r->solved[frame];
         if (starts) continue;
         if (!r->solved[frame]) {
             memcpy(o->x, before, sizeof before), memset(o->multipliers, 0, rows * sizeof *p);
@@ -89,5 +151,5 @@ long run(const Run *r, Program *o, long frames, const double *starts) {
         }
         for (long i = 0; r->moved && i < n; ++i) r->moved[i] = o->x[i] - before[i];
     }
-    return solved;
+    return found_all;
 }

@@ -7,7 +7,7 @@ import ctypes
 import numpy as np
 
 from ctr_nlp.codegen import cache
-from ctr_nlp.solvers.frame.adapter import FEASIBLE
+from ctr_nlp.solvers.frame.adapter import FEASIBLE, Surroundings
 from ctr_nlp.solvers.frame.program import Program
 
 
@@ -15,6 +15,10 @@ class _Given(ctypes.Structure):
     """The struct Run of run.c."""
 
     _fields_ = [
+        *((name, ctypes.c_void_p) for name in ("around", "of")),
+        *((name, ctypes.c_long) for name in ("place", "described", "weight", "rounds")),
+        *((name, ctypes.c_double) for name in ("firm", "settled")),
+        ("found", ctypes.c_void_p),
         *((name, ctypes.c_long) for name in ("sizes_p", "picked", "decided", "previous")),
         *((name, ctypes.c_void_p) for name in ("picks", "p", "low", "high", "most")),
         *((name, ctypes.c_double) for name in ("feasible", "optimal")),
@@ -56,7 +60,9 @@ class Run:
         previous = nlp.place("previous") if "previous" in nlp.parameters else slice(0, 0)
         limits = self._picks, self.p, self.low, self.high, self.most
         found = self.x, self.rows, self.multipliers, self.objective, self.kkt, self.seconds
+        self._found = np.zeros(0)
         self._given = _Given(
+            *(None, None, 0, 0, 0, 0, 0.0, 0.0, None),
             len(program.p),
             len(self.here),
             previous.stop - previous.start,
@@ -70,6 +76,18 @@ class Run:
         )
         self._reference = ctypes.byref(self._given)
         self._run = _RUN(("run", cache.loaded(__package__, "sqp.c", "run.c")))
+
+    def keep_near(self, near: Surroundings | None) -> None:
+        """From now on, solve every frame again around its solution; None: as it is, once."""
+        given, nlp = self._given, self.program.nlp
+        given.around = None if near is None else near.call
+        if near is None:
+            return
+        place = nlp.place(near.described)
+        self._found = np.zeros(place.stop - place.start + 1)
+        given.of, given.place, given.described = near.of, place.start, len(self._found) - 1
+        given.weight, given.rounds = nlp.place(near.weight).start, near.rounds
+        given.firm, given.settled, given.found = near.firm, near.settled, self._found.ctypes.data
 
     def __call__(self, frames: int, from_starts: bool = False) -> int:
         """Solve the first so many frames from the program's x and multipliers; how many were solved.

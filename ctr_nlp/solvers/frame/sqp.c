@@ -10,6 +10,7 @@
 #define STALL 6          /* iterations that lower the merit by less than STALLED of it end the work */
 #define STALLED 1e-13
 #define NEAR 1e-2        /* a step as small as this may be the last: derivatives of first order tell */
+#define STILL 1e-6       /* after a step as small as this, multipliers are those of the next point, whole */
 #define ACTIVE 1e-9      /* how near to its bound a row is held */
 #define DAMPING 1e-9
 #define HELD 1e3         /* curvature across active rows, in parts of the largest there is */
@@ -222,11 +223,12 @@ static int quadratic(const Program *o, double *h, const double *gradient, const 
     return 1;
 }
 
-static double violation(const Program *o, const double *value) {
+/* What rows leave their bounds by, each weighed by the penalty of its kind: x's own rows, then constraints. */
+static double violation(const Program *o, const double *value, const double *penalty) {
     double sum = 0;
     for (long i = 0; i < o->n + o->m; ++i) {
-        sum += most(o->lower[i] - value[i], 0);
-        sum += most(value[i] - o->upper[i], 0);
+        sum += penalty[i >= o->n] * most(o->lower[i] - value[i], 0);
+        sum += penalty[i >= o->n] * most(value[i] - o->upper[i], 0);
     }
     return sum;
 }
@@ -283,34 +285,35 @@ static void prepare(const Program *o, const double *jacobian, const double *valu
     for (long i = 0; i < n; ++i) h[i * n + i] += DAMPING * most(largest, 1);
 }
 
-/* Go along d, and as far towards the next multipliers, until the l1 merit function falls enough; by how much it fell,
-   -1 where it never does. The whole step is tried first, with the function given for it. */
-static double search(Program *o, Point *point, Function whole, const double *d, const double *next, double merit,
-                     double slope, double penalty, double *step) {
-    long n = o->n, rows = n + o->m;
-    double from[n], before[rows];
-    memcpy(from, o->x, sizeof from), memcpy(before, o->multipliers, sizeof before);
-    *step = 1;
-    for (int halvings = 0; halvings < MOST_HALVINGS; ++halvings, *step /= 2) {
-        for (long j = 0; j < n; ++j) o->x[j] = from[j] + *step * d[j];
-        for (long i = 0; i < rows; ++i) o->multipliers[i] = before[i] + *step * (next[i] - before[i]);
-        at(o, halvings ? o->value : whole, point);
-        double found = point->f + penalty * violation(o, point->value);
-        if (found <= merit + 1e-4 * *step * slope + 1e-12 * fabs(merit)) return most(merit - found, 0);
-    }
-    memcpy(o->x, from, sizeof from), memcpy(o->multipliers, next, sizeof before);
-    return -1;
-}
-
 static double largest(long n, const double *d) {
     double found = 0;
     for (long j = 0; j < n; ++j) found = most(fabs(d[j]), found);
     return found;
 }
 
+/* Go along d, and as far towards the next multipliers, until the l1 merit function falls enough; by how much it fell,
+   -1 where it never does. The whole step is tried first, with the function given for it. */
+static double search(Program *o, Point *point, Function whole, const double *d, const double *next, double merit,
+                     double slope, const double *penalty, double *step) {
+    long n = o->n, rows = n + o->m;
+    double from[n], before[rows], size = largest(n, d);
+    memcpy(from, o->x, sizeof from), memcpy(before, o->multipliers, sizeof before);
+    *step = 1;
+    for (int halvings = 0; halvings < MOST_HALVINGS; ++halvings, *step /= 2) {
+        for (long j = 0; j < n; ++j) o->x[j] = from[j] + *step * d[j];
+        double part = *step * size < STILL ? 1 : *step;
+        for (long i = 0; i < rows; ++i) o->multipliers[i] = before[i] + part * (next[i] - before[i]);
+        at(o, halvings ? o->value : whole, point);
+        double found = point->f + violation(o, point->value, penalty);
+        if (found <= merit + 1e-4 * *step * slope + 1e-12 * fabs(merit)) return most(merit - found, 0);
+    }
+    memcpy(o->x, from, sizeof from), memcpy(o->multipliers, next, sizeof before);
+    return -1;
+}
+
 void sqp(Program *o) {
     long n = o->n, rows = n + o->m, calm = 0;
-    double gradient[n], jacobian[n * o->m + 1], hessian[n * n], d[n], next[rows], penalty = 0, step;
+    double gradient[n], jacobian[n * o->m + 1], hessian[n * n], d[n], next[rows], penalty[] = {0, 0}, step;
     Point point = {0, gradient, o->rows, jacobian, hessian};
     Function known = o->expansion;
     o->expansions = o->evaluations = 0;
@@ -323,12 +326,12 @@ void sqp(Program *o) {
         prepare(o, jacobian, point.value, hessian);
         o->status = NO_STEP;
         if (!quadratic(o, hessian, gradient, jacobian, point.value, d, next)) return;
-        double slope = 0, outside = violation(o, point.value), size = largest(n, d);
+        double slope = 0, size = largest(n, d);
         for (long j = 0; j < n; ++j) slope += gradient[j] * d[j];
-        for (long i = 0; i < rows; ++i) penalty = most(1.1 * fabs(next[i]), penalty);
-        double merit = point.f + penalty * outside;
+        for (long i = 0; i < rows; ++i) penalty[i >= n] = most(1.1 * fabs(next[i]), penalty[i >= n]);
+        double outside = violation(o, point.value, penalty), merit = point.f + outside;
         known = size < NEAR ? o->slopes : o->expansion;
-        double fell = search(o, &point, known, d, next, merit, slope - penalty * outside, penalty, &step);
+        double fell = search(o, &point, known, d, next, merit, slope - outside, penalty, &step);
         calm = fell < 0 ? STALL : fell < STALLED * (1e-6 + fabs(merit)) ? calm + 1 : 0;
         if (fell >= 0 && step == 1) continue;
         known = fell >= 0 && step * size < NEAR ? o->slopes : o->expansion;

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from ctr_nlp.nlp.nlp import Nlp
-from ctr_nlp.solvers.frame.adapter import FEASIBLE, OPTIMAL, Ipopt, NlpSolver, Reach, Solution, Timed
+from ctr_nlp.solvers.frame.adapter import FEASIBLE, OPTIMAL, Ipopt, NlpSolver, Reach, Solution, Surroundings, Timed
 from ctr_nlp.solvers.frame.program import Program
 from ctr_nlp.solvers.frame.run import Run
 from ctr_nlp.typing import Array
@@ -63,9 +63,18 @@ class Sqp(NlpSolver):
             other, status=f"{other.status} {FALLBACK} {status}", iterations=other.iterations + iterations
         )
 
-    def follow(self, x0: Array, p: Array, reach: Reach, here: Array, warm: Solution | None) -> list[Timed]:
+    def follow(
+        self,
+        x0: Array,
+        p: Array,
+        reach: Reach,
+        here: Array,
+        warm: Solution | None,
+        near: Surroundings | None = None,
+    ) -> list[Timed]:
         """As NlpSolver, in one call."""
         run = self._filled(p, reach)
+        run.keep_near(near)
         run.here[:], run.program.x[:] = here, x0
         run.program.multipliers[:] = 0.0 if warm is None else np.concatenate([warm.lam_x, warm.lam_g])
         return [Timed(self._found(k), float(run.seconds[k])) for k in range(run(len(p)))]
@@ -74,6 +83,7 @@ class Sqp(NlpSolver):
         """As NlpSolver, in one call; IPOPT is asked only where nothing else is found."""
         far = reach._replace(most=np.full(len(reach.low), np.inf))
         run = self._filled(np.broadcast_to(p, (len(x0), len(p))), far)
+        run.keep_near(None)
         run.starts[: len(x0)] = x0
         run(len(x0), from_starts=True)
         return [self._found(k) for k in range(len(x0)) if run.solved[k]] or super().each(x0, p, reach)

@@ -31,6 +31,8 @@ DAMPING = 1e-6
 """Added to the diagonal of the Newton matrix, mm^2 per squared unit of x; more where rounding calls for it."""
 MOST_DAMPING = 1e6
 MOST_HALVINGS = 25
+LOOSE = 10.0
+"""A penalty so many times what the multipliers need is lowered: beside curved constraints it holds steps back."""
 DIVERGED = 1e12
 """Multipliers grow beyond this (mm^2 per unit of a row) where no point is feasible."""
 STALL, STALLED = 6, 1e-8
@@ -51,10 +53,12 @@ class BandedSolver:
         self.chain = chain
         self._rows = Rows(chain)
 
-    def __call__(self, x0: Array, watch: Watch, barrier: float = WIDE) -> Solution:
-        """Solve from x0 (T n,)."""
+    def __call__(
+        self, x0: Array, watch: Watch, barrier: float = WIDE, multipliers: Array | None = None
+    ) -> Solution:
+        """Solve from x0 (T n,), and from multipliers of all rows where a neighbouring chain's are known."""
         rows, low, high = self._rows, self.chain.lower.ravel(), self.chain.upper.ravel()
-        rows.start(np.clip(x0, low, high), barrier, PUSH)
+        rows.start(np.clip(x0, low, high), barrier, PUSH, multipliers)
         penalty, status, merits = 1.0, "Maximum_Iterations_Exceeded", list[float]()
         for number in range(MOST_ITERATIONS + 1):
             at, hessian = rows.expand()
@@ -76,7 +80,7 @@ class BandedSolver:
             if step is None or needed > DIVERGED:
                 status = "Infeasible_Problem_Detected"
                 break
-            if needed > penalty:
+            if not needed <= penalty <= LOOSE * needed:
                 penalty, merits = needed, []
             merits = merits or [rows.merit(barrier, penalty)]
             merit = self._search(step, barrier, penalty, merits[-1])

@@ -42,8 +42,10 @@ class IpoptSolver:
             self._built[barrier] = ca.nlpsol("ipopt", "ipopt", _problem(self.chain), options)
         return self._built[barrier]
 
-    def __call__(self, x0: Array, watch: Watch, barrier: float = WIDE) -> Solution:
-        """Solve from x0 (T n,)."""
+    def __call__(
+        self, x0: Array, watch: Watch, barrier: float = WIDE, multipliers: Array | None = None
+    ) -> Solution:
+        """Solve from x0 (T n,); IPOPT begins with multipliers of its own."""
         chain, size = self.chain, x0.size
         low, high = chain.bounds
         self._callback.follow(watch)

@@ -18,6 +18,8 @@ from ctr_nlp.typing import Array
 
 RELAX = 1e-9
 """How far bounds are moved outwards, so that bounds that meet still have an interior, rad or mm."""
+TINY = 1e-30
+"""Stands for nothing in a denominator."""
 INFINITE = 1e20
 """A bound this far away has no weight, and needs no case of its own."""
 
@@ -111,11 +113,19 @@ class Rows:
         """Of all rows at the point, positive at upper bounds."""
         return self._at[3] - self._at[2]
 
-    def start(self, x: Array, barrier: float, push: float) -> None:
-        """Put the point at x, with slacks at least push within their bounds where these leave room."""
+    def start(self, x: Array, barrier: float, push: float, multipliers: Array | None = None) -> None:
+        """Put the point at x, with slacks at least push within their bounds where these leave room.
+
+        multipliers: of all rows, of a neighbouring chain's solution. Rows that these say are held keep them, with
+        the slacks that belong to them on the central path.
+        """
         _, value = self._chain.evaluate(x)
         within = np.minimum(push, 0.1 * (self.high - self.low))
         slack = np.clip(value, self.low + within, self.high - within)
+        if multipliers is not None:
+            away = barrier / np.maximum(np.abs(multipliers), TINY)
+            at_bound = np.where(multipliers < 0, self.low + away, self.high - away)
+            slack = np.where(away < within, at_bound, slack)
         for array, values in zip(
             self._at, (x, slack, barrier / (slack - self.low), barrier / (self.high - slack)), strict=True
         ):

@@ -1,0 +1,131 @@
+"""What wall.py says of a lumen's wall, found in C: wall.c, with the robot's points from compiled functions."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import inspect
+import time
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+from ctr_nlp.codegen import background, cache, vector
+from ctr_nlp.formulations.terms.lumen import CENTRED, COLUMNS, FIRM, PLACES
+from ctr_nlp.models import Model
+from ctr_nlp.models.protocol import symbolic_tubes
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.structure import NUMBERS, Structure
+from ctr_nlp.solvers.compiled import POLL
+from ctr_nlp.solvers.frame.adapter import Surroundings
+from ctr_nlp.target.lumen import SPACING, Lumen, outer_radius
+from ctr_nlp.typing import Array
+
+LANES = vector.LANES
+"""Parts of the robot that are looked at side by side."""
+_LONGS = "unknowns", "tubes", "places", "finer", "samples", "lanes", "nodes"
+_GIVEN = "shares", "numbers", "table", "along", "path", "radius", "outer"
+_NUMBERS = "clearance", "centred", "tiny", "spacing", "widest"
+_OWN = "x", "at", "kept_x", "kept"
+
+
+class _InC(ctypes.Structure):
+    """The struct Wall of wall.c."""
+
+    _fields_ = [
+        ("points", ctypes.c_void_p),
+        *((name, ctypes.c_long) for name in _LONGS),
+        *((name, ctypes.c_void_p) for name in _GIVEN),
+        *((name, ctypes.c_double) for name in _NUMBERS),
+        *((name, ctypes.c_void_p) for name in _OWN),
+        ("known", ctypes.c_long),
+    ]
+
+
+class Around:
+    """A lumen's wall around a robot on a model, in C; not from two threads at once.
+
+    finer: samples a place. clearance, mm, is to be kept. tiny: what stands for nothing in a denominator.
+    """
+
+    def __init__(
+        self, robot: Robot, lumen: Lumen, model: Model, clearance: float, finer: int, tiny: float
+    ) -> None:
+        """Prepare; raises OptionError where nothing can be compiled."""
+        count, d = robot.d * PLACES * finer, robot.d
+        samples = -(-count // LANES)
+        self._points = points_at(model, robot.structure, samples)
+        unknowns = self._points.numel_in(0)
+        rows = d * PLACES
+        given = (
+            _shares(d, PLACES * finer, samples),
+            np.tile(robot.numbers.ravel(order="F"), LANES),
+            *(np.ascontiguousarray(each) for each in (lumen.table[:, :3], lumen.along, *lumen.pieces)),
+            outer_radius(robot),
+        )
+        own = (np.zeros(size) for size in (LANES * unknowns, LANES * samples * 3, unknowns, rows * COLUMNS + 1))
+        self._arrays = [*given, *own]
+        addresses = [array.ctypes.data for array in self._arrays]
+        self._wall = _InC(
+            None,
+            *(unknowns, d, PLACES, finer, samples, LANES, len(lumen.along)),
+            *addresses[: len(given)],
+            *(clearance, CENTRED, tiny, SPACING, float(np.diff(lumen.along).max())),
+            *addresses[len(given) :],
+        )
+        self._rows, self._looked = rows, -POLL
+        self._library = cache.loaded(__package__, "wall.c")
+        self._compiled: ctypes.CDLL | None = None
+
+    def ready(self, wait: bool = False) -> bool:
+        """Whether the functions have been compiled; wait: until they have."""
+        if self._compiled is None and (wait or time.monotonic() - self._looked > POLL):
+            path = _library(self._points, wait)
+            if path is not None:
+                self._compiled = ctypes.CDLL(str(path))
+                self._wall.points = ctypes.cast(self._compiled[self._points.name()], ctypes.c_void_p).value
+            self._looked = time.monotonic()
+        return self._compiled is not None
+
+    def __call__(self, x: Array) -> tuple[Array, Array]:
+        """What describes the wall, (T, d PLACES, COLUMNS), near unknowns x (T, n), and slacks (T,) needed, mm."""
+        x, found = np.ascontiguousarray(x, dtype=float), np.empty((len(x), self._rows * COLUMNS + 1))
+        self._library.around_all(ctypes.byref(self._wall), ctypes.c_long(len(x)), x.ctypes, found.ctypes)
+        return found[:, :-1].reshape(len(x), COLUMNS, self._rows).transpose(0, 2, 1), found[:, -1].copy()
+
+    def surroundings(self, settled: float, rounds: int) -> Surroundings:
+        """What run.c calls at every frame; as long as this object lives."""
+        call = ctypes.cast(self._library.around, ctypes.c_void_p).value or 0
+        return Surroundings(call, ctypes.addressof(self._wall), "wall", "contact_weight", FIRM, settled, rounds)
+
+
+def _shares(d: int, count: int, samples: int) -> Array:
+    """How much of every extension the arc lengths of count samples a tube are: (samples, d) by columns, by lanes.
+
+    As terms.lumen.arc_lengths; samples more than there are stand at the innermost tip.
+    """
+    tube, part = np.divmod(np.arange(LANES * samples).clip(max=d * count - 1), count)
+    fraction, found = (part + 1.0) / count, np.zeros((LANES * samples, d + 1))
+    np.put_along_axis(found, tube[:, None], 1 - fraction[:, None], axis=1)
+    np.put_along_axis(found, tube[:, None] + 1, fraction[:, None], axis=1)
+    return np.ascontiguousarray(found[:, 1:].reshape(LANES, samples, d).transpose(0, 2, 1))
+
+
+@functools.lru_cache(maxsize=64)
+def points_at(model: Model, structure: Structure, samples: int) -> ca.Function:
+    """(x, shares (samples, d) of extensions, numbers) -> points (samples, 3), mm, as a program has them."""
+    shares, numbers = ca.SX.sym("shares", samples, structure.d), ca.SX.sym("numbers", structure.d, len(NUMBERS))
+    tubes = symbolic_tubes(structure, numbers)
+    shape = model.frame(structure, tubes, lambda beta: shares @ ca.vertcat(*beta))
+    symbols, values = shape.inner.columns
+    (found,) = ca.substitute([ca.SX(ca.horzcat(*shape.placed(shape.points)))], [symbols], [values])
+    return ca.Function("points", [shape.x, shares, numbers], [ca.densify(found)], {"cse": True})
+
+
+def _library(function: ca.Function, wait: bool) -> Path | None:
+    """The library of a function for all lanes; None while it is made in the background, unless one waits."""
+    key = "\n".join([f"{LANES} lanes", ca.CasadiMeta.version(), inspect.getsource(vector), function.serialize()])
+    if wait:
+        return cache.library(key, lambda: vector.vector_code((function,), LANES))
+    return background.library(key, lambda: (function,), LANES)

@@ -1,0 +1,143 @@
+/* What a lumen's wall is like near to a robot; what it means is said in wall.py. */
+
+#include <math.h>
+#include <string.h>
+
+#define NEWTON 4     /* steps from the nearest point of the table to the nearest of the path */
+#define CLOSE 1e-9   /* mm: a step to the nearest of the path that is as good as none */
+#define COLUMNS 13   /* of what describes a place, as in terms/lumen.py */
+
+typedef int (*Function)(const double **, double **, long long *, double *, int);
+
+/* points: of so many samples a lane, from x, shares of the extensions and the tubes' numbers, in every lane.
+   table: points (nodes, 3), mm; along: their arc lengths; path, radius: cubic pieces between them, by falling powers.
+   widest: the longest step of the table. known: whether what is kept was found, at x kept. */
+typedef struct {
+    Function points;
+    long unknowns, tubes, places, finer, samples, lanes, nodes;
+    const double *shares, *numbers, *table, *along, *path, *radius, *outer;
+    double clearance, centred, tiny, spacing, widest;
+    double *x, *at, *kept_x, *kept;
+    long known;
+} Wall;
+
+/* What of the path is nearest to a point, and the wall there. */
+typedef struct {
+    double centre[3], tangent[3], bend[3], radius, taper, behind, ahead, distance;
+} Near;
+
+static double most(double a, double b) { return a > b || a != a ? a : b; }
+static double within(double value, double low, double high) { return value < low ? low : value > high ? high : value; }
+static double dot(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+static double square(const Wall *w, long i, const double *p) {
+    double x = p[0] - w->table[3 * i], y = p[1] - w->table[3 * i + 1], z = p[2] - w->table[3 * i + 2];
+    return x * x + y * y + z * z;
+}
+
+/* The table's point that is nearest to p: exactly, from a guess. Where a point is further away than the best by so
+   much, none within that of the path is nearer. */
+static long nearest(const Wall *w, const double *p, long guess) {
+    double least = square(w, guess, p), root = sqrt(least), next = (root + w->widest) * (root + w->widest);
+    long found = guess;
+    for (int side = -1; side <= 1; side += 2)
+        for (long i = guess + side; i >= 0 && i < w->nodes;) {
+            double at = square(w, i, p);
+            if (at < least) {
+                least = at, root = sqrt(least), next = (root + w->widest) * (root + w->widest), found = i;
+                i += side;
+            } else
+                i += at < next ? side : side * ((long)((sqrt(at) - root) / w->widest) + 1);
+        }
+    return found;
+}
+
+static long piece(const Wall *w, double s, long guess) {
+    while (guess > 0 && s < w->along[guess]) --guess;
+    while (guess < w->nodes - 2 && s >= w->along[guess + 1]) ++guess;
+    return guess;
+}
+
+/* Path, tangent and bend at t mm into a piece. */
+static void path(const Wall *w, long i, double t, double *at, double *tangent, double *bend) {
+    long power = 3 * (w->nodes - 1);
+    for (int k = 0; k < 3; ++k) {
+        const double *c = w->path + 3 * i + k;
+        at[k] = ((c[0] * t + c[power]) * t + c[2 * power]) * t + c[3 * power];
+        tangent[k] = (3 * c[0] * t + 2 * c[power]) * t + c[2 * power];
+        bend[k] = 6 * c[0] * t + 2 * c[power];
+    }
+}
+
+static void look(const Wall *w, const double *p, long *guess, Near *near) {
+    double *at = near->centre, *tangent = near->tangent, *bend = near->bend, away[3];
+    long i = nearest(w, p, *guess), power = w->nodes - 1;
+    double s = w->along[i], end = w->along[w->nodes - 1];
+    *guess = i, i = piece(w, s, i < power ? i : power - 1);
+    for (int step = 0;; ++step) {
+        path(w, i, s - w->along[i], at, tangent, bend);
+        for (int k = 0; k < 3; ++k) away[k] = p[k] - at[k];
+        if (step == NEWTON) break;
+        double further = dot(away, tangent) / most(dot(tangent, tangent) - dot(away, bend), 0.1), before = s;
+        s = within(s + within(further, -w->spacing, w->spacing), 0, end);
+        if (fabs(s - before) < CLOSE) break;
+        i = piece(w, s, i);
+    }
+    const double *c = w->radius + i;
+    double t = s - w->along[i];
+    near->radius = ((c[0] * t + c[power]) * t + c[2 * power]) * t + c[3 * power];
+    near->taper = ((3 * c[0] * t + 2 * c[power]) * t + c[2 * power]) / most(1 - dot(away, bend), 0.1);
+    near->distance = sqrt(dot(away, away)), near->behind = s, near->ahead = end - s;
+}
+
+/* The samples' points in base axes, lane after lane. */
+static void sample(Wall *w, const double *x) {
+    const double *given[] = {w->x, w->shares, w->numbers};
+    double *found[] = {w->at};
+    for (long lane = 0; lane < w->lanes; ++lane)
+        memcpy(w->x + lane * w->unknowns, x, w->unknowns * sizeof *x);
+    w->points(given, found, 0, 0, 0);
+}
+
+/* One row of what describes the wall, (rows, COLUMNS) by columns. */
+static void write_row(const Wall *w, const Near *near, double room, long rows, double *to) {
+    double size = sqrt(dot(near->bend, near->bend)), sharpest = 1 / near->radius / most(size, w->tiny);
+    double bent = sharpest < 1 ? sharpest : 1;
+    for (int k = 0; k < 3; ++k) {
+        to[k * rows] = near->centre[k], to[(3 + k) * rows] = near->tangent[k];
+        to[(6 + k) * rows] = near->bend[k] * bent;
+    }
+    to[9 * rows] = room, to[10 * rows] = near->taper, to[11 * rows] = near->behind, to[12 * rows] = near->ahead;
+}
+
+/* What describes the wall around unknowns x, (places, COLUMNS) by columns, and then the slack needed, mm. */
+void around(Wall *w, const double *x, double *found) {
+    long rows = w->tubes * w->places, guess = 0, size = w->unknowns * sizeof *x;
+    if (!w->known || memcmp(w->kept_x, x, size)) {
+        double least = INFINITY;
+        memcpy(w->kept_x, x, size);
+        sample(w, x);
+        for (long row = 0; row < rows; ++row) {
+            double narrow = INFINITY, left = 0, room = 0;
+            Near near;
+            for (long k = row * w->finer; k < (row + 1) * w->finer; ++k) {
+                const double *at = w->at + k / w->samples * 3 * w->samples + k % w->samples;
+                double p[] = {at[0], at[w->samples], at[2 * w->samples]};
+                look(w, p, &guess, &near);
+                room = near.radius - w->outer[row / w->places] - w->clearance;
+                left = room - sqrt(near.distance * near.distance + w->centred * w->centred);
+                narrow = left < narrow || left != left ? left : narrow;
+            }
+            least = narrow < least || narrow != narrow ? narrow : least;
+            write_row(w, &near, room - (left - narrow), rows, w->kept + row);
+        }
+        w->kept[rows * COLUMNS] = most(-least, 0), w->known = 1;
+    }
+    memcpy(found, w->kept, (rows * COLUMNS + 1) * sizeof *found);
+}
+
+/* The same for so many frames, a row each. */
+void around_all(Wall *w, long frames, const double *x, double *found) {
+    for (long j = 0; j < frames; ++j)
+        around(w, x + j * w->unknowns, found + j * (w->tubes * w->places * COLUMNS + 1));
+}
