@@ -19,7 +19,7 @@ def settled(robot: Robot, q: Array) -> Array:
 
     NaN where none is found.
     """
-    state = Equilibria(robot).settled(q)
+    state = Equilibria(robot.structure, robot.numbers).settled(q)
     return np.full(len(q), np.nan) if state is None else state.x
 
 
@@ -29,7 +29,8 @@ def follow(robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBS
     x0: the equilibrium of the first frame, which may be unstable; else it is settled. After frames that are NaN
     the robot settles anew. An unstable branch that the motion starts on is followed as long as it exists.
     """
-    equilibria, state, q = Equilibria(robot), None, np.asarray(q, dtype=float)
+    equilibria, state = Equilibria(robot.structure, robot.numbers), None
+    q = np.asarray(q, dtype=float)
     x, snaps = np.full(q.shape, np.nan), list[Snap]()
     passed, frames = [x[:0]], list[int]()
     for j, goal in enumerate(q):
@@ -37,13 +38,16 @@ def follow(robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBS
             state, passage = _start(equilibria, goal, x0 if j == 0 else None), goal[None]
         else:
             passage = np.linspace(q[j - 1], goal, substeps + 1)[1:]
-        for place in passage:
-            if state is not None:
-                state, jumps = equilibria.followed(state, place)
+        while state is not None and len(passage):
+            found, state = equilibria.walked(state, passage)
+            passage = passage[len(found) :]
+            if len(passage):
+                state, jumps = equilibria.followed(state, passage[0])
                 snaps += [_snap(j + 1, jump) for jump in jumps if abs(jump).max() > JUMP]
-            if state is not None:
-                passed.append(state.x[None])
-                frames.append(j)
+                found = found if state is None else np.vstack([found, state.x])
+                passage = passage[1:]
+            passed.append(found)
+            frames += [j] * len(found)
         if state is not None:
             x[j] = state.x
     return _rated(robot, x, np.vstack(passed), frames, tuple(snaps))
