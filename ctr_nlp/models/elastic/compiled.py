@@ -15,7 +15,7 @@ from ctr_nlp.codegen import cache, vector
 from ctr_nlp.models.elastic import energy, torsion
 from ctr_nlp.models.protocol import symbolic_tubes
 from ctr_nlp.robot.structure import NUMBERS, Structure, Tubes
-from ctr_nlp.typing import Array
+from ctr_nlp.typing import Array, Flags
 
 MOST_TUBES = 8
 """That branch.c has room for."""
@@ -87,7 +87,7 @@ class Compiled:
         given = _address(numbers), ctypes.byref(state), _address(goals)
         return x[: self._run.walk(self._reference, *given, ctypes.c_long(len(goals)), _address(x))]
 
-    def settle(self, numbers: Array, q: Array) -> tuple[ctypes.Array[State], Array]:
+    def settle(self, numbers: Array, q: Array) -> tuple[ctypes.Array[State], Flags]:
         """The states (T,) that all tubes are turned to from alpha_d at q (T, 2d + 2); whether q is reached."""
         q, rows = np.ascontiguousarray(q, dtype=float), ctypes.c_long(len(q))
         states, ends = (State * len(q))(), np.zeros(len(q), dtype=np.int64)

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from ctr_nlp.models.elastic import stability
+from ctr_nlp.models.elastic.compiled import compiled
 from ctr_nlp.models.elastic.equilibria import Equilibria, State
 from ctr_nlp.models.protocol import SUBSTEPS, Followed, Snap
 from ctr_nlp.robot import Robot
+from ctr_nlp.robot.structure import NUMBERS, Structure, tubes_of
 from ctr_nlp.typing import Array
 
 JUMP = 0.1
@@ -21,6 +23,29 @@ def settled(robot: Robot, q: Array) -> Array:
     """
     state = Equilibria(robot.structure, robot.numbers).settled(q)
     return np.full(len(q), np.nan) if state is None else state.x
+
+
+def settled_apart(structure: Structure, numbers: Array, q: Array) -> tuple[Array, Array]:
+    """Equilibria x (T, 2d + 2) without a history of robots that differ in numbers (T, d, 6), and margins (T,).
+
+    q (T, 2d + 2): a configuration for each. numbers are in the order of structure.NUMBERS. NaN where no equilibrium is found.
+    """
+    x, code = np.full(q.shape, np.nan), compiled(structure)
+    left = np.flatnonzero(np.isfinite(q).all(axis=1))
+    if code is None:
+        found = {int(row): Equilibria(structure, numbers[row]).settled(q[row]) for row in left}
+    else:
+        flat = np.ascontiguousarray(numbers.swapaxes(1, 2)[left]).reshape(len(left), structure.d * len(NUMBERS))
+        states, ends = code.settle(flat, q[left])
+        x[left[ends]] = np.ctypeslib.as_array(states)["x"][ends, : q.shape[1]]
+        found = {
+            int(left[k]): Equilibria(structure, numbers[left[k]]).finished(states[k], q[left[k]])
+            for k in np.flatnonzero(~ends)
+        }
+    for row, state in found.items():
+        x[row] = np.nan if state is None else state.x
+    columns = numbers.transpose(1, 2, 0)[..., None]
+    return x, stability.margins(tubes_of(structure, [list(tube) for tube in columns]), x)
 
 
 def follow(robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBSTEPS) -> Followed:

@@ -40,9 +40,19 @@ static int definite(const double *matrix, long n, double shift, double *a) {
     return 1;
 }
 
+/* Of two vectors; in four sums, which processors take side by side. */
+static double product(const double *a, const double *b, long n) {
+    double sums[4] = {0};
+    long i = 0;
+    for (; i + 4 <= n; i += 4)
+        for (int l = 0; l < 4; ++l) sums[l] += a[i + l] * b[i + l];
+    for (; i < n; ++i) sums[0] += a[i] * b[i];
+    return sums[0] + sums[1] + sums[2] + sums[3];
+}
+
 /* The smallest eigenvalue of a symmetric matrix (n, n), by Lanczos' method, confirmed by the pivots. */
 static double smallest_eigenvalue(const double *matrix, long n, double *work) {
-    double *basis = work, *copy = basis + n * (n + 1), *diagonal = copy + n * n, *beside = diagonal + n, size = 0;
+    double *restrict basis = work, *copy = basis + n * (n + 1), *diagonal = copy + n * n, *beside = diagonal + n, size = 0;
     double residual = 1e-7, found = 1;
     for (long i = 0; i < n; ++i) basis[i] = 0.2 + fmod(0.618033988749895 * (i + 1), 1.0), size += basis[i] * basis[i];
     for (long i = 0; i < n; ++i) basis[i] /= sqrt(size);
@@ -52,16 +62,12 @@ static double smallest_eigenvalue(const double *matrix, long n, double *work) {
         memset(next, 0, n * sizeof *next);
         for (long j = 0; j < n; ++j)
             for (long i = 0; i < n; ++i) next[i] += matrix[i + n * j] * v[j];
-        for (int again = 0; again < 2; ++again)
-            for (long j = k; j >= 0; --j) {
-                double part = 0;
-                for (long i = 0; i < n; ++i) part += basis[i + n * j] * next[i];
-                for (long i = 0; i < n; ++i) next[i] -= part * basis[i + n * j];
-                if (j == k) diagonal[k] = again ? diagonal[k] + part : part;
-            }
-        size = 0;
-        for (long i = 0; i < n; ++i) size += next[i] * next[i];
-        beside[k] = sqrt(size);
+        for (long j = k; j >= 0; --j) {
+            double part = product(basis + n * j, next, n);
+            for (long i = 0; i < n; ++i) next[i] -= part * basis[i + n * j];
+            if (j == k) diagonal[k] = part;
+        }
+        beside[k] = sqrt(product(next, next, n));
         int last = k == n - 1 || beside[k] < 1e-13;
         if (k > 3 || last) {
             found = smallest_root(diagonal, beside, k + 1);
