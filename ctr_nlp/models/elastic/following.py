@@ -28,7 +28,7 @@ def settled(robot: Robot, q: Array) -> Array:
 def settled_apart(structure: Structure, numbers: Array, q: Array) -> tuple[Array, Array]:
     """Equilibria x (T, 2d + 2) without a history of robots that differ in numbers (T, d, 6), and margins (T,).
 
-    q (T, 2d + 2): a configuration for each. numbers are in the order of structure.NUMBERS. NaN where no equilibrium is found.
+    q (T, 2d + 2): a configuration for each. numbers are in the order of structure.NUMBERS. NaN where none is found.
     """
     x, code = np.full(q.shape, np.nan), compiled(structure)
     left = np.flatnonzero(np.isfinite(q).all(axis=1))
@@ -38,10 +38,10 @@ def settled_apart(structure: Structure, numbers: Array, q: Array) -> tuple[Array
         flat = np.ascontiguousarray(numbers.swapaxes(1, 2)[left]).reshape(len(left), structure.d * len(NUMBERS))
         states, ends = code.settle(flat, q[left])
         x[left[ends]] = np.ctypeslib.as_array(states)["x"][ends, : q.shape[1]]
-        found = {
-            int(left[k]): Equilibria(structure, numbers[left[k]]).finished(states[k], q[left[k]])
-            for k in np.flatnonzero(~ends)
-        }
+        found = {}
+        for k in np.flatnonzero(~ends).tolist():
+            row = int(left[k])
+            found[row] = Equilibria(structure, numbers[row]).finished(states[k], q[row])
     for row, state in found.items():
         x[row] = np.nan if state is None else state.x
     columns = numbers.transpose(1, 2, 0)[..., None]
