@@ -28,7 +28,7 @@ def settled(robot: Robot, q: Array) -> Array:
 def settled_apart(structure: Structure, numbers: Array, q: Array) -> tuple[Array, Array]:
     """Equilibria x (T, 2d + 2) without a history of robots that differ in numbers (T, d, 6), and margins (T,).
 
-    q (T, 2d + 2): a configuration for each. numbers are in the order of structure.NUMBERS. NaN where none is found.
+    q (T, 2d + 2): a configuration for each. numbers: in the order of structure.NUMBERS. NaN where none is found.
     """
     x, code = np.full(q.shape, np.nan), compiled(structure)
     left = np.flatnonzero(np.isfinite(q).all(axis=1))
