@@ -16,7 +16,6 @@ from ctr_nlp.hardware.description import bench
 from ctr_nlp.hardware.motion.trajectory import trajectory_of
 from ctr_nlp.hardware.playing.checks import SAMPLES, check_plan, checked
 from ctr_nlp.hardware.playing.session import prepared
-from ctr_nlp.models.elastic import equilibria as branches
 
 
 def changed(name, frame, value, column=None):
@@ -178,9 +177,6 @@ LONG = Robot((Tube(90, 70, 0.02, 4.0, 3.2), Tube(150, 90, 0.02, 2.6, 1.6)))
 def _interpreted(monkeypatch):
     """A robot of two tests is not worth compiling."""
     monkeypatch.setenv("CTR_NLP_COMPILE", "0")
-    branches._motors.cache_clear()
-    yield
-    branches._motors.cache_clear()
 
 
 def elastic_plan(turn, frames=30):

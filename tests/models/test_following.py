@@ -12,7 +12,6 @@ from hypothesis import given
 from strategies import numbers, robots_with_q
 
 from ctr_nlp import Robot, Tube, table_i_robot
-from ctr_nlp.models.elastic import equilibria as branches
 from ctr_nlp.models.elastic import stability
 
 LONG = Robot((Tube(90, 70, 0.02, 4.0, 3.2), Tube(150, 90, 0.02, 2.6, 1.6)))
@@ -24,12 +23,11 @@ def _interpreted(monkeypatch, request):
     """Robots of one test each are not worth compiling."""
     if "compiled" not in request.fixturenames:
         monkeypatch.setenv("CTR_NLP_COMPILE", "0")
-        branches._motors.cache_clear()
 
 
 @pytest.fixture
 def compiled():
-    branches._motors.cache_clear()
+    """Asks for compiled code."""
 
 
 def branch(count=20001):
@@ -169,7 +167,6 @@ def test_compiled_code_finds_the_same(compiled, monkeypatch):
     q = turning(0.0, 6.0, 31)
     fast = follow(LONG, q)
     monkeypatch.setenv("CTR_NLP_COMPILE", "0")
-    branches._motors.cache_clear()
     slow = follow(LONG, q)
     np.testing.assert_allclose(fast.x, slow.x, atol=1e-9)
     assert [snap.frame for snap in fast.snaps] == [snap.frame for snap in slow.snaps]

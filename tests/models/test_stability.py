@@ -15,6 +15,14 @@ from ctr_nlp import Limits, Robot, Tube, table_i_robot
 from ctr_nlp.models.elastic import stability, torsion
 
 
+@pytest.fixture(autouse=True, scope="module")
+def _interpreted():
+    """Robots of one test each are not worth compiling."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CTR_NLP_COMPILE", "0")
+        yield
+
+
 def determinants(robot, x, margin):
     """Of all responses, the motors' last."""
     x = list(map(float, x))
@@ -34,8 +42,7 @@ def test_reference_margins(shared_data, number):
 
 
 @pytest.mark.parametrize("name", truth.CONFIGURATIONS)
-def test_margins_match_finite_elements(name, monkeypatch):
-    monkeypatch.setenv("CTR_NLP_COMPILE", "0")
+def test_margins_match_finite_elements(name):
     shot = truth.shot(name)
     (margin,) = stability.margins(shot.robot.tube_numbers, settled(shot.robot, shot.q)[None])
     assert margin == pytest.approx(shot.margin(), abs=0.001)

@@ -36,7 +36,6 @@ from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.terms import ShapeDistance
 from ctr_nlp.formulations.terms.feasible import CLEAR
 from ctr_nlp.models import MODELS
-from ctr_nlp.models.elastic import equilibria as branches
 from ctr_nlp.models.elastic import stability, torsion
 from ctr_nlp.models.elastic.model import STEPS
 from ctr_nlp.plan.plan import Plan
@@ -358,9 +357,6 @@ def test_given_ends_are_kept_at_rest_and_accelerations_are_limited():
 @pytest.fixture
 def interpreted(monkeypatch):
     monkeypatch.setenv("CTR_NLP_COMPILE", "0")
-    branches._motors.cache_clear()
-    yield
-    branches._motors.cache_clear()
 
 
 def along_an_arc(tubes, frames=3):

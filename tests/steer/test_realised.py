@@ -12,7 +12,6 @@ from frames import horizon
 from ctr_nlp import Problem, Robot, Settings, Tube, curve_from_formula, growing, shapes, solve_horizon
 from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.models import MODELS
-from ctr_nlp.models.elastic import equilibria as branches
 from ctr_nlp.plan.plan import plan_from_configurations
 from ctr_nlp.solvers import CHAIN_SOLVERS
 from ctr_nlp.steer.attempts import attempt
@@ -30,9 +29,7 @@ def _interpreted():
     """One small robot is not worth compiling."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CTR_NLP_COMPILE", "0")
-        branches._motors.cache_clear()
         yield
-    branches._motors.cache_clear()
 
 
 def straight(frames=FRAMES):

@@ -7,30 +7,21 @@ then the robot falls down the gradient of its energy into another equilibrium.
 
 from __future__ import annotations
 
-import functools
+from dataclasses import replace
+from functools import cached_property
 from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 from scipy.linalg import lapack
 
-from ctr_nlp.codegen import cache, vector
 from ctr_nlp.codegen.mapped import Mapped
-from ctr_nlp.models.elastic import stability, torsion
-from ctr_nlp.models.elastic.stability import Energy
-from ctr_nlp.models.protocol import symbolic_tubes
-from ctr_nlp.robot import Robot
-from ctr_nlp.robot.structure import NUMBERS, Structure
+from ctr_nlp.models.elastic import compiled as compiled_code
+from ctr_nlp.models.elastic import energy, stability
+from ctr_nlp.models.elastic.compiled import CONVERGED, ITERATIONS, SMALLEST, STRAY, STRIDE, compiled, symbolic
+from ctr_nlp.models.elastic.energy import Energy
+from ctr_nlp.robot.structure import Structure, tubes_of
 from ctr_nlp.typing import Array
 
-STRIDE = 0.2
-"""rad that tubes are turned by at once on the way from the aligned robot."""
-CONVERGED, ITERATIONS = 1e-7, 8
-"""rad of the last Newton step, whose error is about its square; steps at most."""
-STRAY = 0.1
-"""rad: an equilibrium further than this from its prediction may belong to another branch."""
-SMALLEST = 2.0**-20
-"""Part of a step at which a branch that cannot be followed is held to end."""
 PUSH = 0.1
 """rad that tubes are turned by against each other where a branch ends, over what lies between discretisations."""
 MOST = 20
@@ -44,7 +35,7 @@ FALL, FALLS = 0.1, 2000
 class State(NamedTuple):
     """An equilibrium x at q, (2d + 2,) both; stable: whether it is.
 
-    slopes (d, 2d + 2): of alpha over x; determinant: of those over phi.
+    slopes (d, d): of alpha over phi; determinant: of these.
     """
 
     q: Array
@@ -63,21 +54,35 @@ class State(NamedTuple):
 class Equilibria:
     """Follows a robot's equilibria; one object a thread."""
 
-    def __init__(self, robot: Robot) -> None:
-        self.robot, self._tubes = robot, robot.tube_numbers
-        self._motors = Mapped(_motors(robot.structure), 1, 1)
-        self._motors.inputs[1][0] = robot.numbers.ravel(order="F")
+    def __init__(self, structure: Structure, numbers: Array) -> None:
+        """Numbers (d, 6) of the tubes, in the order of structure.NUMBERS."""
+        self._d, self._tubes = structure.d, tubes_of(structure, numbers.tolist())
+        self._numbers, self._compiled = numbers.ravel(order="F")[None], compiled(structure)
+        self._structure = structure
+
+    @cached_property
+    def _motors(self) -> Mapped:
+        code = self._compiled
+        found = Mapped(code.motors if code else symbolic(replace(self._structure, gap=False))[0][0], 1, 1)
+        found.inputs[1][0] = self._numbers
+        return found
 
     def settled(self, q: Array) -> State | None:
         """The equilibrium at q that all tubes are turned to from alpha_d."""
-        d, aligned = self.robot.d, np.array(q, dtype=float)
+        if self._compiled is not None:
+            states, _ = self._compiled.settle(self._numbers, q[None])
+            return self.finished(states[0], q)
+        d, aligned = self._d, np.array(q, dtype=float)
         aligned[:d] = q[d - 1]
         x = aligned.copy()
         x[: d - 1] = 0.0
         state = self._solved(aligned, x, True)
-        for goal in np.linspace(aligned, q, 2 + int(np.ptp(q[:d]) / STRIDE))[1:]:
-            state = state and self.followed(state, goal)[0]
-        return state
+        most = STRIDE / max(abs(q - aligned).max(), TINY)
+        return state and self._onwards(self._along(state, q, most), q)[0]
+
+    def finished(self, state: compiled_code.State, q: Array) -> State | None:
+        """The equilibrium at q of a robot on its way there."""
+        return self._onwards(_read(state, self._d, q), q)[0] if state.determinant else None
 
     def nearest(self, q: Array, x: Array) -> State | None:
         """The equilibrium at q near x (2d + 2,), stable or not; the settled one where there is none."""
@@ -89,7 +94,26 @@ class Equilibria:
 
         None where no equilibrium is found.
         """
-        state, jumps = self._along(state, goal), list[Array]()
+        return self._onwards(self._along(state, goal), goal)
+
+    def walked(self, state: State, goals: Array) -> tuple[Array, State]:
+        """The equilibria (n, 2d + 2) at as many of goals (T, 2d + 2) as are reached without a fall; the last."""
+        if self._compiled is None:
+            found = [state.x[:0]]
+            for goal in goals:
+                ahead = self._along(state, goal)
+                if ahead.q is not goal:
+                    break
+                state = ahead
+                found.append(state.x)
+            return np.array(found[1:]).reshape(-1, goals.shape[1]), state
+        code = _written(state)
+        x = self._compiled.walk(self._numbers, code, goals)
+        return x, _read(code, self._d, goals[min(len(x), len(goals) - 1)])
+
+    def _onwards(self, state: State, goal: Array) -> tuple[State | None, list[Array]]:
+        """The same from where a branch was followed to."""
+        jumps = list[Array]()
         while state.q is not goal:
             fallen = self._fallen(state, goal) if len(jumps) < MOST else None
             if fallen is None:
@@ -98,16 +122,16 @@ class Equilibria:
             state = self._along(fallen, goal)
         return state, jumps
 
-    def _along(self, state: State, goal: Array) -> State:
-        """The equilibrium as far towards goal as its branch goes."""
-        start, done, part = state.q, 0.0, 1.0
+    def _along(self, state: State, goal: Array, most: float = 1.0) -> State:
+        """The equilibrium as far towards goal as its branch goes, in steps of at most so much of the way."""
+        start, done, part = state.q, 0.0, min(1.0, most)
         while part >= SMALLEST:
             new = self._step(state, _between(start, goal, done + part))
             if new is None:
                 part /= 2
             else:
                 state, done = new, done + part
-                part = min(2 * part, 1 - done)
+                part = min(2 * part, most, 1 - done)
         return state
 
     def _step(self, state: State, goal: Array) -> State | None:
@@ -122,25 +146,30 @@ class Equilibria:
 
     def _predicted(self, state: State, goal: Array) -> Array:
         """The x at goal that the tangent of the branch leads to."""
-        d, change = self.robot.d, goal - state.q
-        *_, turn, singular = lapack.dgesv(state.slopes[:, :d], change[:d] - state.slopes[:, d:] @ change[d:])
-        return np.concatenate([state.x[:d] + (0.0 if singular else turn), goal[d:]])
+        d, here = self._d, np.concatenate([state.x[: self._d], goal[self._d :]])
+        *_, turn, singular = lapack.dgesv(state.slopes, goal[:d] - self._turned(here)[0])
+        here[:d] += 0.0 if singular else turn
+        return here
+
+    def _turned(self, x: Array) -> tuple[Array, Array]:
+        """The motors' angles (d,) at x and their slopes over phi (d, d); turning all tubes turns the robot."""
+        alpha, columns = self._motors(x)
+        return alpha[0], np.column_stack([columns.reshape(-1, self._d).T, np.ones(self._d)])
 
     def _solved(self, q: Array, x: Array, stable: bool) -> State | None:
         """The equilibrium at q (2d + 2,) that Newton's method finds from x (2d + 2,)."""
-        d = self.robot.d
+        d = self._d
         x = np.concatenate([x[:d], q[d:]])
         for _ in range(ITERATIONS):
-            alpha, columns = self._motors(x)
-            slopes = columns.reshape(-1, d).T
-            factors, pivots, turn, singular = lapack.dgesv(slopes[:, :d], q[:d] - alpha[0])
+            alpha, slopes = self._turned(x)
+            factors, pivots, turn, singular = lapack.dgesv(slopes, q[:d] - alpha)
             size = abs(turn).max()
             if singular or not size < 1:
                 return None
             x[:d] += turn
             if size < CONVERGED:
                 swaps = np.count_nonzero(pivots != np.arange(d))
-                return State(q, x, slopes.copy(), (-1) ** swaps * factors.diagonal().prod(), stable)
+                return State(q, x, slopes, (-1) ** swaps * factors.diagonal().prod(), stable)
         return None
 
     def _holds(self, state: State) -> bool:
@@ -158,11 +187,11 @@ class Equilibria:
 
     def _settling(self, state: State, past: Array) -> Array:
         """About the equilibrium at `past` that a robot falls into from one nearby."""
-        d, on = self.robot.d, self._predicted(state, past) - state.x
-        (energy,) = stability.energies(self._tubes, past[None])
+        d, on = self._d, self._predicted(state, past) - state.x
+        (of,) = energy.energies(self._tubes, past[None])
         step = on * min(1e-4 / max(abs(on[:d]).max(), TINY), 1e-2 / max(abs(on).max(), TINY))
-        here, ahead = stability.differences(self._tubes, np.stack([state.x, state.x + step]))
-        tips = past[:d] + energy.ends @ _fall(energy, energy.couples @ past[:d], here, ahead - here)
+        here, ahead = energy.differences(self._tubes, np.stack([state.x, state.x + step]))
+        tips = past[:d] + of.ends @ _fall(of, of.couples @ past[:d], here, ahead - here)
         return np.concatenate([tips[:-1] - tips[-1], tips[-1:], past[d:]])
 
 
@@ -202,17 +231,16 @@ def _decay(rates: Array, time: float) -> Array:
     return found
 
 
-@functools.lru_cache(maxsize=64)
-def _motors(structure: Structure) -> ca.Function:
-    """(x, numbers of the tubes (d, 6)) -> alpha and its slopes over x, compiled where possible."""
-    d = structure.d
-    x, numbers = ca.SX.sym("x", 2 * d + 2), ca.SX.sym("numbers", d, len(NUMBERS))
-    tubes, entries = symbolic_tubes(structure, numbers), ca.vertsplit(x)
-    twisted = torsion.twist(tubes, entries, torsion.sections(tubes, entries[d : 2 * d], ca), ca)
-    alpha = ca.densify(ca.vertcat(*torsion.motors(tubes, entries, twisted)))
-    outputs = [alpha, ca.densify(ca.jacobian(alpha, x))]
-    function = ca.Function("equilibrium", [x, numbers], outputs, {"cse": True})
-    if cache.missing():
-        return function
-    code = vector.vector_code((function,), 1)
-    return ca.external(function.name(), str(cache.library(code, lambda: code)))
+def _written(state: State) -> compiled_code.State:
+    """A state for C."""
+    found = compiled_code.State(determinant=state.determinant, stable=state.stable)
+    for array, values in ((found.q, state.q), (found.x, state.x), (found.slopes, state.slopes.ravel(order="F"))):
+        np.ctypeslib.as_array(array)[: len(values)] = values
+    return found
+
+
+def _read(code: compiled_code.State, d: int, goal: Array) -> State:
+    """A state from C; its q is goal itself where that is reached."""
+    q, x = np.array(code.q[: 2 * d + 2]), np.array(code.x[: 2 * d + 2])
+    slopes = np.array(code.slopes[: d * d]).reshape(d, d).T
+    return State(goal if (q == goal).all() else q, x, slopes, code.determinant, bool(code.stable))

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from ctr_nlp.models.elastic import stability
+from ctr_nlp.models.elastic.compiled import compiled
 from ctr_nlp.models.elastic.equilibria import Equilibria, State
 from ctr_nlp.models.protocol import SUBSTEPS, Followed, Snap
 from ctr_nlp.robot import Robot
+from ctr_nlp.robot.structure import NUMBERS, Structure, tubes_of
 from ctr_nlp.typing import Array
 
 JUMP = 0.1
@@ -19,8 +21,31 @@ def settled(robot: Robot, q: Array) -> Array:
 
     NaN where none is found.
     """
-    state = Equilibria(robot).settled(q)
+    state = Equilibria(robot.structure, robot.numbers).settled(q)
     return np.full(len(q), np.nan) if state is None else state.x
+
+
+def settled_apart(structure: Structure, numbers: Array, q: Array) -> tuple[Array, Array]:
+    """Equilibria x (T, 2d + 2) without a history of robots that differ in numbers (T, d, 6), and margins (T,).
+
+    q (T, 2d + 2): a configuration for each. numbers: in the order of structure.NUMBERS. NaN where none is found.
+    """
+    x, code = np.full(q.shape, np.nan), compiled(structure)
+    left = np.flatnonzero(np.isfinite(q).all(axis=1))
+    if code is None:
+        found = {int(row): Equilibria(structure, numbers[row]).settled(q[row]) for row in left}
+    else:
+        flat = np.ascontiguousarray(numbers.swapaxes(1, 2)[left]).reshape(len(left), structure.d * len(NUMBERS))
+        states, ends = code.settle(flat, q[left])
+        x[left[ends]] = np.ctypeslib.as_array(states)["x"][ends, : q.shape[1]]
+        found = {}
+        for k in np.flatnonzero(~ends).tolist():
+            row = int(left[k])
+            found[row] = Equilibria(structure, numbers[row]).finished(states[k], q[row])
+    for row, state in found.items():
+        x[row] = np.nan if state is None else state.x
+    columns = numbers.transpose(1, 2, 0)[..., None]
+    return x, stability.margins(tubes_of(structure, [list(tube) for tube in columns]), x)
 
 
 def follow(robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBSTEPS) -> Followed:
@@ -29,7 +54,8 @@ def follow(robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBS
     x0: the equilibrium of the first frame, which may be unstable; else it is settled. After frames that are NaN
     the robot settles anew. An unstable branch that the motion starts on is followed as long as it exists.
     """
-    equilibria, state, q = Equilibria(robot), None, np.asarray(q, dtype=float)
+    equilibria, state = Equilibria(robot.structure, robot.numbers), None
+    q = np.asarray(q, dtype=float)
     x, snaps = np.full(q.shape, np.nan), list[Snap]()
     passed, frames = [x[:0]], list[int]()
     for j, goal in enumerate(q):
@@ -37,13 +63,16 @@ def follow(robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBS
             state, passage = _start(equilibria, goal, x0 if j == 0 else None), goal[None]
         else:
             passage = np.linspace(q[j - 1], goal, substeps + 1)[1:]
-        for place in passage:
-            if state is not None:
-                state, jumps = equilibria.followed(state, place)
+        while state is not None and len(passage):
+            found, state = equilibria.walked(state, passage)
+            passage = passage[len(found) :]
+            if len(passage):
+                state, jumps = equilibria.followed(state, passage[0])
                 snaps += [_snap(j + 1, jump) for jump in jumps if abs(jump).max() > JUMP]
-            if state is not None:
-                passed.append(state.x[None])
-                frames.append(j)
+                found = found if state is None else np.vstack([found, state.x])
+                passage = passage[1:]
+            passed.append(found)
+            frames += [j] * len(found)
         if state is not None:
             x[j] = state.x
     return _rated(robot, x, np.vstack(passed), frames, tuple(snaps))

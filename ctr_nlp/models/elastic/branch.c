@@ -1,0 +1,168 @@
+/* Equilibria of the elastic model, row by row: Newton's method along a branch, and stability margins.
+
+   The model's equations are in the two functions, which are generated. Rows may differ in the numbers of their tubes. */
+
+#include <math.h>
+#include <string.h>
+
+typedef int (*Function)(const double **, double **, long long *, double *, int);
+
+/* d tubes; motors: (x, numbers) -> alpha, slopes (d, d - 1) over phi, column by column. weights: (x, numbers) -> of
+   rows, and scales of twists. The row r of the pattern has entries starts[r] .. starts[r + 1] in columns.
+
+   converged: the last step of Newton's method, near: on the way, rad; stray: how far an equilibrium may be from its
+   prediction; smallest: part of a step; stride: rad that tubes are turned by at once; iterations: at most. */
+typedef struct {
+    long d, twists, rows;
+    const long *starts, *columns;
+    const double *entries;
+    Function motors, weights;
+    double converged, near, stray, smallest, stride;
+    long iterations;
+} Elastic;
+
+enum { MOST_TUBES = 8, SIDE = 2 * MOST_TUBES + 2 };
+
+/* An equilibrium x at q, with d alpha / d phi, column by column, and its determinant; stable: whether it is. */
+typedef struct {
+    double q[SIDE], x[SIDE], slopes[MOST_TUBES * MOST_TUBES], determinant;
+    long stable;
+} State;
+
+/* Solve slopes turn = turn in place; the determinant, 0 where they are singular. */
+static double solved_for(long d, const double *slopes, double *turn) {
+    double a[MOST_TUBES * MOST_TUBES], found = 1;
+    memcpy(a, slopes, d * d * sizeof *a);
+    for (long k = 0; k < d; ++k) {
+        long best = k;
+        for (long i = k + 1; i < d; ++i)
+            if (fabs(a[i + d * k]) > fabs(a[best + d * k])) best = i;
+        if (a[best + d * k] == 0) return 0;
+        if (best != k) {
+            for (long j = k; j < d; ++j) {
+                double kept = a[k + d * j];
+                a[k + d * j] = a[best + d * j], a[best + d * j] = kept;
+            }
+            double kept = turn[k];
+            turn[k] = turn[best], turn[best] = kept, found = -found;
+        }
+        found *= a[k + d * k];
+        for (long i = k + 1; i < d; ++i) {
+            double part = a[i + d * k] / a[k + d * k];
+            for (long j = k + 1; j < d; ++j) a[i + d * j] -= part * a[k + d * j];
+            turn[i] -= part * turn[k];
+        }
+    }
+    for (long k = d - 1; k >= 0; --k) {
+        for (long j = k + 1; j < d; ++j) turn[k] -= a[k + d * j] * turn[j];
+        turn[k] /= a[k + d * k];
+    }
+    return found;
+}
+
+static void motors(const Elastic *e, const double *x, const double *numbers, double *alpha, double *slopes) {
+    const double *arg[] = {x, numbers};
+    double *res[] = {alpha, slopes};
+    e->motors(arg, res, 0, 0, 0);
+    for (long i = 0; i < e->d; ++i) slopes[i + e->d * (e->d - 1)] = 1;
+}
+
+static double largest(const double *a, long n) {
+    double found = 0;
+    for (long i = 0; i < n; ++i)
+        if (!(fabs(a[i]) <= found)) found = fabs(a[i]);
+    return found;
+}
+
+/* Newton's method at q from to->x; whether it ends, with the last step below `converged`. */
+static int newton(const Elastic *e, const double *numbers, const double *q, State *to, double converged) {
+    long d = e->d;
+    memcpy(to->x + d, q + d, (d + 2) * sizeof *q);
+    for (long k = 0; k < e->iterations; ++k) {
+        double turn[MOST_TUBES], alpha[MOST_TUBES];
+        motors(e, to->x, numbers, alpha, to->slopes);
+        for (long i = 0; i < d; ++i) turn[i] = q[i] - alpha[i];
+        to->determinant = solved_for(d, to->slopes, turn);
+        double size = largest(turn, d);
+        if (to->determinant == 0 || !(size < 1)) return 0;
+        for (long i = 0; i < d; ++i) to->x[i] += turn[i];
+        if (size < converged) {
+            memcpy(to->q, q, (2 * d + 2) * sizeof *q);
+            return 1;
+        }
+    }
+    return 0;
+}
+
+/* Where the tangent of a branch leads to at goal: x. */
+static void predicted(const Elastic *e, const double *numbers, const State *from, const double *goal, double *x) {
+    long d = e->d;
+    double turn[MOST_TUBES], slopes[MOST_TUBES * MOST_TUBES];
+    memcpy(x, from->x, d * sizeof *x);
+    memcpy(x + d, goal + d, (d + 2) * sizeof *x);
+    if (memcmp(goal + d, from->q + d, d * sizeof *x)) {
+        motors(e, x, numbers, turn, slopes);
+        for (long i = 0; i < d; ++i) turn[i] = goal[i] - turn[i];
+    } else
+        for (long i = 0; i < d; ++i) turn[i] = goal[i] - from->q[i];
+    if (solved_for(d, from->slopes, turn) != 0)
+        for (long i = 0; i < d; ++i) x[i] += turn[i];
+}
+
+/* One step along a branch; whether it is clear that `to` is on it. An unstable one may pass a fold, and is not
+   followed past it here. */
+static int stepped(const Elastic *e, const double *numbers, const State *from, const double *goal, State *to, int end) {
+    double ahead[SIDE];
+    predicted(e, numbers, from, goal, ahead);
+    memcpy(to->x, ahead, e->d * sizeof *ahead);
+    to->stable = from->stable;
+    if (!newton(e, numbers, goal, to, end ? e->converged : e->near)) return 0;
+    for (long i = 0; i < e->d; ++i) ahead[i] -= to->x[i];
+    return largest(ahead, e->d) < e->stray && to->determinant * from->determinant > 0;
+}
+
+/* Follow a branch towards goal, in steps of at most `most` of the way; whether it goes so far. */
+static int along(const Elastic *e, const double *numbers, State *state, const double *goal, double most) {
+    double start[SIDE], place[SIDE], done = 0, part = most < 1 ? most : 1;
+    long n = 2 * e->d + 2;
+    memcpy(start, state->q, n * sizeof *start);
+    while (part >= e->smallest) {
+        int end = done + part >= 1;
+        State to;
+        for (long i = 0; i < n; ++i) place[i] = end ? goal[i] : start[i] + (done + part) * (goal[i] - start[i]);
+        if (!stepped(e, numbers, state, place, &to, end)) {
+            part /= 2;
+            continue;
+        }
+        *state = to;
+        if (end) return 1;
+        done += part;
+        part = fmin(fmin(2 * part, most), 1 - done);
+    }
+    return 0;
+}
+
+/* Follow a branch through goals, one after the other, and write the equilibria; how many were reached. */
+long walk(const Elastic *e, const double *numbers, State *state, const double *goals, long count, double *x) {
+    long n = 2 * e->d + 2, k = 0;
+    while (k < count && along(e, numbers, state, goals + k * n, 1)) memcpy(x + n * k++, state->x, n * sizeof *x);
+    return k;
+}
+
+/* Turn all tubes from alpha_d to where they are at every q, with steps in numbers from row to row; whether a branch
+   goes so far. states: the last that were reached. */
+void settle(const Elastic *e, const double *numbers, long step, const double *q, long rows, State *states, long *ends) {
+    long d = e->d, n = 2 * d + 2;
+    for (long row = 0; row < rows; ++row, q += n, numbers += step, ++states) {
+        double aligned[SIDE], most = 0;
+        memcpy(aligned, q, n * sizeof *q);
+        memset(states, 0, sizeof *states);
+        for (long i = 0; i < d; ++i) aligned[i] = q[d - 1], most = fmax(most, fabs(q[i] - q[d - 1]));
+        states->x[d - 1] = q[d - 1], states->stable = 1;
+        ends[row] = newton(e, numbers, aligned, states, e->converged);
+        if (!ends[row])
+            states->determinant = 0;
+        else
+            ends[row] = along(e, numbers, states, q, e->stride / most);
+    }
+}

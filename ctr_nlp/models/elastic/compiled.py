@@ -1,0 +1,144 @@
+"""The elastic model's equilibria and margins in C: branch.c and margin.c around functions that are generated."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import os
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ctr_nlp.codegen import cache, vector
+from ctr_nlp.models.elastic import energy, torsion
+from ctr_nlp.models.protocol import symbolic_tubes
+from ctr_nlp.robot.structure import NUMBERS, Structure, Tubes
+from ctr_nlp.typing import Array, Flags
+
+MOST_TUBES = 8
+"""That branch.c has room for."""
+
+
+STRIDE = 0.5
+"""rad that tubes are turned by at once on the way from the aligned robot."""
+CONVERGED, NEAR, ITERATIONS = 1e-7, 1e-4, 8
+"""rad of the last Newton step, whose error is about its square, and of that on the way; steps at most."""
+STRAY = 0.1
+"""rad: an equilibrium further than this from its prediction may belong to another branch."""
+SMALLEST = 2.0**-20
+"""Part of a step at which a branch that cannot be followed is held to end."""
+
+
+class State(ctypes.Structure):
+    """The struct State of branch.c."""
+
+    q: ctypes.Array[ctypes.c_double]
+    x: ctypes.Array[ctypes.c_double]
+    slopes: ctypes.Array[ctypes.c_double]
+    determinant: float
+    stable: int
+    _fields_ = [
+        *((name, ctypes.c_double * (2 * MOST_TUBES + 2)) for name in ("q", "x")),
+        ("slopes", ctypes.c_double * MOST_TUBES**2),
+        ("determinant", ctypes.c_double),
+        ("stable", ctypes.c_long),
+    ]
+
+
+class _Elastic(ctypes.Structure):
+    """The struct Elastic of branch.c."""
+
+    _fields_ = [
+        *((name, ctypes.c_long) for name in ("d", "twists", "rows")),
+        *((name, ctypes.c_void_p) for name in ("starts", "columns", "entries", "motors", "weights")),
+        *((name, ctypes.c_double) for name in ("converged", "near", "stray", "smallest", "stride")),
+        ("iterations", ctypes.c_long),
+    ]
+
+
+class Compiled:
+    """A structure's equilibria in C; any thread may call. numbers (T or 1, 6d): of the tubes, a row a robot."""
+
+    def __init__(self, structure: Structure) -> None:
+        """Build; raises OptionError where nothing can be compiled."""
+        functions, pattern = symbolic(structure)
+        code = vector.vector_code(functions, 1)
+        path = str(cache.library(code, lambda: code))
+        library = ctypes.CDLL(path)
+        self._run = cache.loaded(__package__, "branch.c", "margin.c")
+        rows, columns = np.nonzero(pattern)
+        starts = np.searchsorted(rows, np.arange(len(pattern) + 1))
+        arrays = starts.astype(np.int64), columns.astype(np.int64), pattern[rows, columns]
+        addresses = (ctypes.cast(library[function.name()], ctypes.c_void_p).value for function in functions)
+        n = pattern.shape[1]
+        self._keep = library, arrays
+        self._room = sum(pattern.shape) + n + n * n + n * (n + 1) + n * n + 2 * n
+        places = *(array.ctypes.data for array in arrays), *addresses
+        steps = CONVERGED, NEAR, STRAY, SMALLEST, STRIDE, ITERATIONS
+        self._elastic = _Elastic(structure.d, n, len(pattern), *places, *steps)
+        self._reference = ctypes.byref(self._elastic)
+        self.motors = ca.external(functions[0].name(), path)
+
+    def walk(self, numbers: Array, state: State, goals: Array) -> Array:
+        """The equilibria (count, 2d + 2) at as many goals (T, 2d + 2) as a branch reaches; the state goes on."""
+        goals, x = np.ascontiguousarray(goals, dtype=float), np.empty(goals.shape)
+        given = _address(numbers), ctypes.byref(state), _address(goals)
+        return x[: self._run.walk(self._reference, *given, ctypes.c_long(len(goals)), _address(x))]
+
+    def settle(self, numbers: Array, q: Array) -> tuple[ctypes.Array[State], Flags]:
+        """The states (T,) that all tubes are turned to from alpha_d at q (T, 2d + 2); whether q is reached."""
+        q, rows = np.ascontiguousarray(q, dtype=float), ctypes.c_long(len(q))
+        states, ends = (State * len(q))(), np.zeros(len(q), dtype=np.int64)
+        self._run.settle(self._reference, *_stepped(numbers), _address(q), rows, states, _address(ends))
+        return states, ends.astype(bool)
+
+    def margins(self, numbers: Array, x: Array) -> Array:
+        """The margins (T,) of x (T, 2d + 2)."""
+        x, found, room = np.ascontiguousarray(x, dtype=float), np.empty(len(x)), np.empty(self._room)
+        given = *_stepped(numbers), _address(x), ctypes.c_long(len(x)), _address(found), _address(room)
+        self._run.margins(self._reference, *given)
+        return found
+
+
+def _address(array: np.ndarray[Any, Any]) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+def _stepped(numbers: Array) -> tuple[ctypes.c_void_p, ctypes.c_long]:
+    """Numbers of tubes, and how far apart those of two rows are."""
+    return _address(numbers), ctypes.c_long(numbers.shape[1] if len(numbers) > 1 else 0)
+
+
+@functools.lru_cache(maxsize=64)
+def symbolic(structure: Structure) -> tuple[tuple[ca.Function, ca.Function], Array]:
+    """(x, numbers (d, 6)) -> alpha and slopes over phi but the last; weights, scales, pattern of the energy."""
+    d = structure.d
+    x, numbers = ca.SX.sym("x", 2 * d + 2), ca.SX.sym("numbers", d, len(NUMBERS))
+    tubes, entries = symbolic_tubes(structure, numbers), ca.vertsplit(x)
+    twisted = torsion.twist(tubes, entries, torsion.sections(tubes, entries[d : 2 * d], ca), ca)
+    alpha = ca.densify(ca.vertcat(*torsion.motors(tubes, entries, twisted)))
+    slopes = ca.densify(ca.jacobian(alpha, x[: d - 1]))
+    weights, scales, pattern = energy.hessian(tubes, entries)
+    motors = ca.Function("motors", [x, numbers], [alpha, slopes], {"cse": True})
+    of_energy = [ca.densify(weights), ca.densify(scales)]
+    return (motors, ca.Function("weights", [x, numbers], of_energy, {"cse": True})), pattern
+
+
+def compiled(structure: Structure) -> Compiled | None:
+    """What all robots of a structure share, made where it is not there; None where nothing can be compiled."""
+    if os.environ.get(cache.SWITCH) == "0" or structure.d > MOST_TUBES:
+        return None
+    return _compiled(replace(structure, gap=False))
+
+
+@functools.lru_cache(maxsize=64)
+def _compiled(structure: Structure) -> Compiled | None:
+    return None if cache.missing() else Compiled(structure)
+
+
+def numbers_of(tubes: Tubes) -> Array:
+    """Numbers of tubes as `Compiled` takes them, a row for every robot."""
+    numbers = [tube[2 + k] for k in range(len(NUMBERS)) for tube in tubes]
+    return np.stack(np.broadcast_arrays(*map(np.ravel, numbers)), axis=1)

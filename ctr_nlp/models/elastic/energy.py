@@ -1,0 +1,147 @@
+"""The elastic model's energy by Galerkin's method: tubes' twists are polynomials in every section.
+
+Its second variation K + V has the stability margin as an eigenvalue, and its gradient is what a robot falls along.
+One source for symbols and numbers: `xp` is casadi or numpy.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.polynomial import Legendre
+
+from ctr_nlp.models.dominant.shape import columns_of
+from ctr_nlp.models.elastic.torsion import STEPS, Section, curvatures_at, sections, twist
+from ctr_nlp.robot.structure import Tubes
+from ctr_nlp.typing import Array
+
+DEGREE = 3
+"""Of the polynomials that the tubes' angles are in every section, in Galerkin's method."""
+NODES = np.linspace(0.0, 1.0, 2 * STEPS + 1)
+"""Fractions of a section's length."""
+ANGLES = [np.sqrt(2 * n + 1) * Legendre.basis(n, domain=(0, 1)).integ(lbnd=0)(NODES) for n in range(DEGREE)]
+"""What twists by orthonormal polynomials turn tubes by there."""
+
+
+class Energy(NamedTuple):
+    """E(a) = |a|^2 / 2 - sum strength cos(angle), with the tubes' twist a combination of n unit twists by a (n,).
+
+    Angles (rows,), rad, are those between two tubes at a node: couples (rows, d) alpha + turns (rows, n) a. Those
+    of the tips are alpha + ends (d, n) a. strength (rows,): EI_i EI_j k_i k_j / sum EI times the node's weight.
+    """
+
+    strength: Array
+    couples: Array
+    turns: Array
+    ends: Array
+
+    def gradient(self, a: Array, angles: Array) -> Array:
+        """dE/da, (n,)."""
+        return a + (self.strength * np.sin(angles)) @ self.turns
+
+    def hessian(self, angles: Array) -> Array:
+        """K + V, (n, n), in which K is the identity."""
+        return np.eye(self.turns.shape[1]) + (self.strength * np.cos(angles) * self.turns.T) @ self.turns
+
+
+def differences(tubes: Tubes, x: Array) -> Array:
+    """The angles (T, rows) of Energy at every x (T, 2d + 2)."""
+    columns = columns_of(x)
+    parts = sections(tubes, columns[len(tubes) : 2 * len(tubes)], np)
+    nodes = twist(tubes, columns, parts, np).nodes
+    found = [node.angles[i] - node.angles[j] for k, i, j in _couples(parts) for node in nodes[k]]
+    return np.hstack([np.zeros((len(x), 0)), *np.broadcast_arrays(*found, columns[0])[:-1]])
+
+
+def energies(tubes: Tubes, x: Array) -> Iterator[Energy]:
+    """The Energy at the beta of every x (T, 2d + 2)."""
+    columns = columns_of(x)
+    parts = sections(tubes, columns[len(tubes) : 2 * len(tubes)], np)
+    twists = _twists(tubes, columns, parts, np)
+    couples, turns = _couples(parts), _pattern(parts, twists)
+    signs = np.array([np.eye(len(tubes))[i] - np.eye(len(tubes))[j] for _, i, j in couples for _ in NODES])
+    ends = np.array([[one.end * (one.tube == i) for one in twists] for i in range(len(tubes))])
+    none = np.zeros((len(x), 0))
+    scale = np.hstack(np.broadcast_arrays(*(one.scale for one in twists), columns[0])[:-1] or [none])
+    strength = [
+        np.broadcast_to(_strength(tubes, columns, parts[k], i, j, np), (len(x), len(NODES))) for k, i, j in couples
+    ]
+    for of_rows, of_twists in zip(np.hstack(strength or [none]), scale, strict=True):
+        there = of_twists > 0
+        yield Energy(of_rows, signs, *(each[:, there] * of_twists[there] for each in (turns, ends)))
+
+
+def hessian(tubes: Tubes, x: Sequence[Any]) -> tuple[ca.SX, ca.SX, Array]:
+    """K + V = I + S P' W P S in symbols: the diagonals W (rows, 1) and S (n, 1), and P (rows, n), constant."""
+    parts = sections(tubes, x[len(tubes) : 2 * len(tubes)], ca)
+    nodes, weights = twist(tubes, x, parts, ca).nodes, [ca.SX(1, 0)]
+    for k, i, j in _couples(parts):
+        angles = ca.horzcat(*(node.angles[i] - node.angles[j] for node in nodes[k]))
+        weights.append(_strength(tubes, x, parts[k], i, j, ca) * ca.cos(angles))
+    twists = _twists(tubes, x, parts, ca)
+    scales = ca.vertcat(ca.SX(0, 1), *(one.scale for one in twists))
+    return ca.horzcat(*weights).T, scales, _pattern(parts, twists)
+
+
+class _Twist(NamedTuple):
+    """A tube's twist in a section (-1: its transmission): a Legendre polynomial; scale (T, 1) makes its K one."""
+
+    tube: int
+    section: int
+    degree: int
+    scale: Any
+
+    @property
+    def end(self) -> float:
+        """By what it turns the tube's tip, but for the scale."""
+        return float(self.degree == 0)
+
+    def angles(self, section: int, tube: int) -> Array:
+        """By what it turns a tube at a section's nodes, but for the scale."""
+        if tube != self.tube or section < self.section:
+            return np.zeros(len(NODES))
+        return ANGLES[self.degree] if section == self.section else np.full(len(NODES), self.end)
+
+
+def _twists(tubes: Tubes, columns: Sequence[Any], parts: Sequence[Section], xp: Any) -> list[_Twist]:
+    """Of the transmissions, and up to DEGREE of every tube where others act on it."""
+    acting = {k: part.active for k, part in enumerate(parts) if not part.plane}
+    found = []
+    for i in sorted({i for active in acting.values() for i in active}):
+        tube = tubes[i]
+        compliance = tube.torsional_ratio / tube.bending_stiffness
+        lengths = {-1: tube.length - columns[len(tubes) + i]}
+        lengths |= {k: parts[k].length for k, active in acting.items() if i in active}
+        for k, length in lengths.items():
+            scale = xp.sqrt(compliance * xp.fmax(length, 0.0))
+            found += [_Twist(i, k, n, scale) for n in range(1 if k == -1 else DEGREE)]
+    return found
+
+
+def _couples(parts: Sequence[Section]) -> list[tuple[int, int, int]]:
+    """Sections, and two tubes in each that act on each other there."""
+    return [
+        (k, i, j)
+        for k, part in enumerate(parts)
+        if not part.plane
+        for i, j in itertools.combinations(part.active, 2)
+    ]
+
+
+def _pattern(parts: Sequence[Section], twists: Sequence[_Twist]) -> Array:
+    """What twists (columns) turn two tubes by against each other at the nodes (rows), but for the scales."""
+    couples = _couples(parts)
+    found = [one.angles(k, i) - one.angles(k, j) for one in twists for k, i, j in couples]
+    return np.reshape(found, (len(twists), len(couples) * len(NODES))).T
+
+
+def _strength(tubes: Tubes, columns: Sequence[Any], part: Section, i: int, j: int, xp: Any) -> Any:
+    """How strongly two tubes act on each other at a section's nodes, (T, nodes), by Simpson's rule."""
+    simpson = np.array([1.0, *[4.0, 2.0] * (STEPS - 1), 4.0, 1.0]) / (6 * STEPS)
+    nodes, weights = (ca.DM(row).T if xp is ca else row for row in (NODES, simpson))
+    k = curvatures_at(tubes, columns, part, part.start + part.length * nodes)
+    return part.shares[i] * tubes[j].bending_stiffness * k[i] * k[j] * part.length * weights

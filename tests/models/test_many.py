@@ -1,0 +1,73 @@
+"""Thousands of equilibria of robots whose tubes differ, against the same found one by one, without a compiler."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import truth
+from frames import configuration
+
+from ctr_nlp import Limits, Robot, Tube
+from ctr_nlp.models.elastic import stability
+from ctr_nlp.models.elastic.following import settled, settled_apart
+
+COMPARED = 8
+
+
+def draws(d, count):
+    """Robots of one structure and a configuration of each, many of them near a snap."""
+    generator = np.random.default_rng(d)
+    outer, robots, q = 2 - 0.4 * np.arange(d), [], np.zeros((count, 2 * d + 2))
+    for row in q:
+        curved = np.cumsum(generator.uniform(15, 45, d))
+        lengths = np.maximum.accumulate(curved + generator.uniform(0, 60, d))
+        curvatures = generator.uniform(0.003, 0.03, d)
+        parts = zip(lengths, curved, curvatures, outer, outer - 0.2, strict=True)
+        robots.append(Robot(tuple(Tube(*part) for part in parts), Limits()))
+        row[:d] = generator.uniform(-np.pi, np.pi, d)
+        row[d : 2 * d] = np.maximum.accumulate(generator.uniform(0.3, 1, d) * curved)
+    return robots, q
+
+
+def _holds(d, count, monkeypatch):
+    robots, q = draws(d, count)
+    x, margins = settled_apart(robots[0].structure, np.array([robot.numbers for robot in robots]), q)
+    found = np.vstack([configuration(robot, row[None]) for robot, row in zip(robots, x, strict=True)])
+    np.testing.assert_allclose(found, q, atol=1e-9)
+    assert margins.min() > 0
+    near = [*np.argsort(margins)[: COMPARED // 2], *range(COMPARED // 2)]
+    monkeypatch.setenv("CTR_NLP_COMPILE", "0")
+    for row in near:
+        np.testing.assert_allclose(settled(robots[row], q[row]), x[row], atol=1e-9)
+        (margin,) = stability.margins(robots[row].tube_numbers, x[row][None])
+        assert margins[row] == pytest.approx(margin, abs=1e-8)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_robots_that_differ_settle_together_as_alone(d, monkeypatch):
+    _holds(d, 200, monkeypatch)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("d", [2, 3, 4])
+def test_ten_thousand_robots_that_differ_all_settle(d, monkeypatch):
+    _holds(d, 10_000, monkeypatch)
+
+
+def test_without_a_compiler_the_same_are_found(monkeypatch):
+    robots, q = draws(2, 5)
+    numbers = np.array([robot.numbers for robot in robots])
+    q[3] = np.nan
+    fast = settled_apart(robots[0].structure, numbers, q)
+    monkeypatch.setenv("CTR_NLP_COMPILE", "0")
+    slow = settled_apart(robots[0].structure, numbers, q)
+    for one, other in zip(fast, slow, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-8)
+        assert np.isnan(one[3]).all()
+
+
+def test_the_base_to_tip_shooting_of_the_tests_finds_the_same():
+    shot = truth.shot("two tubes, both within their curved parts")
+    x, margins = settled_apart(shot.robot.structure, shot.robot.numbers[None], shot.q[None])
+    assert margins[0] == pytest.approx(shot.margin(), abs=0.001)
+    np.testing.assert_allclose(configuration(shot.robot, x)[0], shot.q, atol=1e-9)
