@@ -33,7 +33,7 @@ def _problem(name: str, frames: int = 100) -> Any:
 
 def step(model: str) -> WORK:
     """Steerer.step for each frame's target of cos, there and back."""
-    from ctr_nlp import Steerer, solve_per_frame
+    from ctr_nlp.steer import Steerer, solve_per_frame
 
     problem = _problem("cos")
     plan = solve_per_frame(problem, model=model, direction="forward")
@@ -45,7 +45,7 @@ def step(model: str) -> WORK:
 
 def march(name: str, model: str = "dominant") -> WORK:
     """A frame of solve_per_frame: all frames of a problem from a known start, over their number."""
-    from ctr_nlp import solve_per_frame
+    from ctr_nlp.steer import solve_per_frame
 
     problem = _problem(name)
     start = solve_per_frame(problem, model=model, direction="forward").q[0]
@@ -56,7 +56,7 @@ def march(name: str, model: str = "dominant") -> WORK:
 
 def shape(count: int) -> WORK:
     """Elastic shapes with margins at random configurations, count of them in a call; the time of one."""
-    from ctr_nlp import table_i_robot
+    from ctr_nlp.robot import table_i_robot
     from ctr_nlp.simulation.forward import simulated
 
     robot, rng = table_i_robot(), np.random.default_rng(0)
@@ -75,16 +75,18 @@ def shape(count: int) -> WORK:
 
 def horizon(*names: str, model: str = "dominant", frames: int = 100) -> WORK:
     """solve_horizon with all that belongs to it."""
-    from ctr_nlp import solve_horizon
+    from ctr_nlp.steer import solve_horizon
 
     problems = [_problem(name, frames) for name in names]
     return lambda timed: [timed(lambda one=one: solve_horizon(one, model=model)) for one in problems]  # type: ignore[misc]
 
 
 def program(*options: str) -> WORK:
-    """`ctr-nlp plan arc` as a process, with what it starts."""
+    """`ctr-nlp plan arc` as a process, with what it starts; options that a tree does not have are left out."""
     folder = tempfile.TemporaryDirectory()
-    command = [sys.executable, "-m", "ctr_nlp", "plan", "arc", "--out", f"{folder.name}/out", *options]
+    plan = [sys.executable, "-m", "ctr_nlp", "plan"]
+    told = subprocess.run([*plan, "--help"], capture_output=True, text=True, check=True).stdout
+    command = [*plan, "arc", "--out", f"{folder.name}/out", *(option for option in options if option in told)]
 
     def run(timed: TIMES) -> list[float]:
         before = os.times()
