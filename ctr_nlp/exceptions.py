@@ -31,6 +31,10 @@ class OutputError(CtrError):
     """A place that cannot be written, or a plan that cannot be read."""
 
 
+class BenchmarkError(CtrError):
+    """A row that cannot be timed, or a commit that cannot be checked out to be compared."""
+
+
 class TrajectoryError(CtrError):
     """A plan that this hardware cannot or must not play; the message names frame and axis."""
 

@@ -38,7 +38,7 @@ ENVIRONMENT = "python3 -m venv"
 """What commands begin with that make an environment: .ci/run runs these."""
 THIN = {
     ("scripts/compare_solvers.py", "compare"): "--frames 2 --variants joint:sqp horizon:banded",
-    ("scripts/benchmark.py", "benchmark"): "--parts horizons --problems arc",
+    ("scripts/benchmark.py", "benchmark"): "--parts rows --rows frame",
     ("scripts/study_clearance.py", "clearance"): "--seeds 1 --frames 5",
     ("scripts/reproduce_seed.py", "reproduce"): "--only fig10 --frames 3 --jobs 1",
 }

@@ -11,7 +11,6 @@ from typing import Any
 from ctr_nlp.cli.output.file import check_file
 from ctr_nlp.codegen.cache import SWITCH
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.figures.film import check_film
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.support.values import floats
 from ctr_nlp.typing import Array
@@ -113,6 +112,15 @@ def add_film_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_figures_option(parser: argparse.ArgumentParser) -> None:
+    """Whether pictures are drawn."""
+    parser.add_argument(
+        "--no-figures",
+        action="store_true",
+        help="write no pictures; those of an earlier run into the same folder, of another plan, are removed",
+    )
+
+
 def film_file(arguments: argparse.Namespace) -> Path | None:
     """Where add_film_option's argument wants a film, None for nowhere; raises OptionError, OutputError.
 
@@ -120,6 +128,8 @@ def film_file(arguments: argparse.Namespace) -> Path | None:
     """
     if arguments.film is None:
         return None
+    from ctr_nlp.figures.film import check_film  # brings matplotlib, which takes long to load
+
     check_film(arguments.film)
     check_file(Path(arguments.film), "")
     return Path(arguments.film)

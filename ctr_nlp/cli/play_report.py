@@ -7,13 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from ctr_nlp.cli.console import console, print_table
 from ctr_nlp.cli.output.file import check_file
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.exceptions import OutputError
-from ctr_nlp.figures import save, tracking
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.checks import Checked
@@ -61,8 +59,7 @@ def report(plan: Plan, hardware: Hardware, result: Result, seen: Tracking | None
     files = [JOURNAL]
     if seen is not None and len(seen.frame):
         letters = [f"{axis.letter} ({axis.unit})" for axis in hardware.axes]
-        picture = tracking(f"Tracking: {name}, {device} device", seen.frame, seen.error, seen.late, letters)
-        files += _written(_columns(seen, letters), picture, out)
+        files += _written(f"Tracking: {name}, {device} device", seen, letters, out)
         for unit in dict.fromkeys(axis.unit for axis in hardware.axes):
             some = [k for k, axis in enumerate(hardware.axes) if axis.unit == unit]
             rows.append(("largest error when a frame was due", float(abs(seen.error[:, some]).max()), unit))
@@ -75,12 +72,14 @@ def report(plan: Plan, hardware: Hardware, result: Result, seen: Tracking | None
     console().print(f"wrote {out}: {', '.join(files)}", markup=False)
 
 
-def _written(table: dict[str, Array], picture: Figure, out: Path) -> list[str]:
+def _written(title: str, seen: Tracking, names: list[str], out: Path) -> list[str]:
     """Write tracking.csv and tracking.png; without them the motion has been played all the same."""
+    from ctr_nlp.figures import save, tracking  # matplotlib is not needed before anything has moved
+
     try:
         with published(out, "play") as staging:
-            write_csv(staging / "tracking.csv", by_line(table))
-            save(picture, staging / "tracking.png")
+            write_csv(staging / "tracking.csv", by_line(_columns(seen, names)))
+            save(tracking(title, seen.frame, seen.error, seen.late, names), staging / "tracking.png")
     except OutputError as exception:
         sys.stderr.write(f"error: {exception}\n")
         return []

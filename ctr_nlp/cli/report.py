@@ -1,4 +1,7 @@
-"""A plan as files, as a film, and as a table on the terminal."""
+"""A plan as files, as pictures and a film, and as a table on the terminal.
+
+What draws is imported where it draws: matplotlib takes longer to load than a motion takes to be planned.
+"""
 
 from __future__ import annotations
 
@@ -9,32 +12,39 @@ from pathlib import Path
 
 from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, console, print_table, progress_bar
 from ctr_nlp.cli.output.folder import name_within
-from ctr_nlp.figures import save_all
-from ctr_nlp.figures.film import film
 from ctr_nlp.plan import account
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.studies.trade_off import Point, save_front
+from ctr_nlp.studies.trade_off import Point
 from ctr_nlp.support.tables import by_line, write_csv
 
 
 def write(plan: Plan, folder: Path) -> None:
-    """plan.npz, errors.csv, summary.json and the pictures."""
+    """plan.npz, errors.csv and summary.json."""
     plan.save(folder / "plan.npz")
     write_csv(folder / "errors.csv", by_line(by_frame(plan)))
     text = json.dumps(summary(plan), indent=2, allow_nan=False)
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+
+
+def draw(plan: Plan, points: Sequence[Point], folder: Path) -> None:
+    """The pictures of a plan, and where a sweep has found points, theirs."""
+    from ctr_nlp.figures import save_all
+
     save_all(plan, folder)
+    if points:
+        from ctr_nlp.studies.front import save_front
+
+        save_front(points, plan.meta["problem"]["name"], folder)
 
 
-def print_report(plan: Plan, folder: Path, files: Sequence[str]) -> None:
-    """The verdicts on a plan, its numbers, what is wrong with it, and where which files of it were written."""
+def print_report(plan: Plan) -> None:
+    """The verdicts on a plan, its numbers, and what is wrong with it."""
     found = summary(plan)
     print_table(account.title(found), account.VERDICTS, account.verdict_rows(found), text=("why",))
     print_table("numbers", ("", "value", "unit"), account.rows(found))
     for remark in account.remarks(plan, found):
         console().print(remark)
-    console().print(f"wrote {folder}: {', '.join(files)}")
 
 
 def exit_status(plan: Plan) -> int:
@@ -44,10 +54,9 @@ def exit_status(plan: Plan) -> int:
     return SOME_FAILED if plan.verdicts.failed else SOLVED
 
 
-def write_front(points: Sequence[Point], problem: str, folder: Path) -> None:
-    """pareto.csv and its picture."""
+def write_front(points: Sequence[Point], folder: Path) -> None:
+    """pareto.csv."""
     write_csv(folder / "pareto.csv", [asdict(point) for point in points])
-    save_front(points, problem, folder)
 
 
 def print_front(points: Sequence[Point]) -> None:
@@ -65,6 +74,8 @@ def write_film(plans: Sequence[Plan], file: Path, out: Path, place: Path, stagin
     out: the output folder that was asked for; place: the one that takes staging's files, another where the run was
     interrupted, which then takes all films. Otherwise a file that is not within out is written where it is to be.
     """
+    from ctr_nlp.figures.film import film
+
     inner = name_within(out, file)
     if inner is None and place == out:
         target = found = file

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ctr_nlp.exceptions import OutputError
@@ -35,7 +36,8 @@ def save_all(plan: Plan, folder: str | Path) -> list[Path]:
 def save(figure: Figure, path: Path) -> Path:
     """Write a picture; raises OutputError where it cannot be written."""
     try:
-        figure.savefig(path, dpi=DPI)
+        figure.set_dpi(DPI)
+        FigureCanvasAgg(figure).print_png(path)  # Figure.savefig draws a laid-out figure twice
     except OSError as error:
         raise OutputError(f"{path} cannot be written: {error}") from error
     return path

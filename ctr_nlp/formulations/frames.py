@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
-from scipy.stats import qmc
 
 from ctr_nlp.robot import Robot
+from ctr_nlp.support.sobol import sobol
 from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
@@ -72,7 +72,7 @@ def starts(robot: Robot, target: Frame, count: int, seed: int = 0) -> Array:
     Without limits, angles of tubes span a full turn; tilts stay within 0.5 rad of the target's own.
     """
     d = robot.d
-    unit = qmc.Sobol(2 * d + 2, seed=seed).random_base2(int(np.ceil(np.log2(count))))[:count]
+    unit = sobol(count, 2 * d + 2, seed)
     x, y, z = target.tangents[0]
     tilt = np.array([-np.arcsin(np.clip(y, -1, 1)), np.arctan2(x, z)])
     middle = np.concatenate([np.zeros(d), np.full(d, target.length / 2), tilt])

@@ -31,11 +31,19 @@ def nearest(plan: Record) -> Array:
 
 
 def _to_polyline(points: Array, line: Array) -> Array:
-    """Distance (n,) from points (n, 3) to the polyline through line (m, 3)."""
+    """Distance (n,) from points (n, 3) to the polyline through line (m, 3).
+
+    Which part of the line is nearest is found by products of matrices, whose rounding, some 1e-12 mm^2, may
+    exchange parts that are equally near; the distance to that part is taken without.
+    """
     start, span = line[:-1], np.diff(line, axis=0)
-    offset = points[:, None] - start
-    along = np.clip((offset * span).sum(-1) / np.maximum((span**2).sum(-1), 1e-30), 0.0, 1.0)
-    return np.linalg.norm(offset - along[..., None] * span, axis=-1).min(axis=1)
+    length = np.maximum((span**2).sum(-1), 1e-30)
+    through = points @ span.T - (start * span).sum(-1)
+    along = np.clip(through / length, 0.0, 1.0)
+    apart = along * (along * length - 2 * through) - 2 * points @ start.T + (start**2).sum(-1)
+    best = apart.argmin(axis=1)
+    found = points - start[best] - along[range(len(points)), best, None] * span[best]
+    return np.linalg.norm(found, axis=-1)
 
 
 def e3(plan: Record) -> float | None:

@@ -17,6 +17,7 @@ from ctr_nlp.cli.commands.plan import horizon as solve_horizon
 from ctr_nlp.cli.commands.plan import steer as solve_per_frame
 from ctr_nlp.cli.output.folder import MARK
 from ctr_nlp.cli.studies.compare import main as compare_solvers
+from ctr_nlp.exceptions import OutputError
 from ctr_nlp.steer.nlp_frames import NlpFrames
 
 FILES = {
@@ -69,6 +70,32 @@ def test_a_named_problem_becomes_a_folder_of_results(tmp_path, capsys):
     rms = np.sqrt(np.mean([float(row["e2"]) ** 2 for row in rows]))
     assert summary["e3"] == pytest.approx(rms)
     assert str(out) in capsys.readouterr().out
+
+
+def test_the_table_is_printed_before_pictures_are_drawn_and_the_files_come_whole(tmp_path, capsys, monkeypatch):
+    out, seen = tmp_path / "out", []
+
+    def drawn(plan, folder):
+        seen.append((capsys.readouterr().out, out.exists() and set(out.iterdir())))
+        raise OutputError("no room for pictures")
+
+    assert solve("arc", "--frames", 3, "--out", out) == 0
+    before = {path: path.read_bytes() for path in out.iterdir()}
+    capsys.readouterr()
+    monkeypatch.setattr("ctr_nlp.figures.save_all", drawn)
+    assert solve("arc", "--frames", 4, "--out", out) == 2
+    ((printed, _),) = seen
+    assert "followed" in printed
+    assert "wrote" not in printed
+    assert {path: path.read_bytes() for path in out.iterdir()} == before
+
+
+def test_without_figures_those_of_another_plan_are_gone(tmp_path, capsys):
+    out = tmp_path / "out"
+    assert solve("arc", "--frames", 3, "--out", out) == 0
+    assert solve("arc", "--frames", 4, "--no-figures", "--out", out) == 0
+    assert {path.name for path in out.iterdir()} == {name for name in FILES if not name.endswith(".png")}
+    assert "shapes.png" not in capsys.readouterr().out.splitlines()[-1]
 
 
 def test_plan_arrays_have_their_documented_shapes(tmp_path, straight):

@@ -44,6 +44,20 @@ def test_importing_the_library_loads_nothing_heavy():
     assert "matplotlib" not in loaded("from ctr_nlp import *")
 
 
+def test_importing_the_library_takes_little_of_the_processor():
+    told = "import time; begin = time.process_time(); import ctr_nlp; print(time.process_time() - begin)"
+    done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True)
+    assert float(done.stdout) < 0.3
+
+
+def test_a_plan_without_pictures_loads_nothing_that_draws(tmp_path):
+    arguments = ["plan", "arc", "--frames", "3", "--no-figures", "--out", str(tmp_path / "out")]
+    code = f"from ctr_nlp.cli.main import main\nassert main({arguments}) == 0"
+    code += "\nassert 'scipy.stats' not in sys.modules"
+    assert "matplotlib" not in loaded(code)
+    assert not list((tmp_path / "out").glob("*.png"))
+
+
 @pytest.mark.parametrize("option", ["--help", "--version"])
 def test_what_is_told_of_the_command_loads_nothing_heavy(option):
     code = f"from ctr_nlp.cli.main import main\ntry: main(['{option}'])\nexcept SystemExit: pass"

@@ -120,7 +120,7 @@ OTHERS = [
     (reproduce_seed, "--only fig99", "invalid choice: 'fig99'"),
     (reproduce_seed, "--out {path}", "path.csv"),
     (benchmark, "--parts foo", "invalid choice: 'foo'"),
-    (benchmark, "--problems foo", "invalid choice: 'foo'"),
+    (benchmark, "--rows foo", "invalid choice: 'foo'"),
     (benchmark, "--json {folder}", "--json is .*; it must be a file in a folder that exists"),
     (benchmark, "--json /nowhere/at/all.json", "--json is /nowhere/at/all.json"),
 ]

@@ -16,7 +16,8 @@ from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.figures import by_frame, configuration, errors, save_all, shapes
 from ctr_nlp.figures.motion import error_from_truth, without_whole_turns
 from ctr_nlp.figures.parts.palette import TUBES
-from ctr_nlp.studies.trade_off import Point, pareto, save_front
+from ctr_nlp.studies.front import pareto, save_front
+from ctr_nlp.studies.trade_off import Point
 
 FRAMES = 6
 

@@ -7,18 +7,19 @@ starts, and where the problem is compiled takes a small part of a second longer.
 from __future__ import annotations
 
 import argparse
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ctr_nlp.cli import arguments as options
-from ctr_nlp.cli import live, plan_options, problems
+from ctr_nlp.cli import plan_options, problems
 from ctr_nlp.cli.arguments import DEFAULTS, FRAME_SETTINGS, film_file, read_start, settings_from
 from ctr_nlp.cli.console import INTERRUPTED, Command, console, progress_bar
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.cli.plan_options import HORIZON
-from ctr_nlp.cli.report import exit_status, print_front, print_report, write, write_film, write_front
+from ctr_nlp.cli.report import draw, exit_status, print_front, print_report, write, write_film, write_front
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.settings import Settings, check_motion_weight
@@ -31,6 +32,9 @@ from ctr_nlp.studies.trade_off import WEIGHTS, Point, trade_off
 from ctr_nlp.support.interrupt import deferred_interrupt, end_if_interrupted
 from ctr_nlp.target.fit import check_radii
 from ctr_nlp.target.problem import Problem
+
+if TYPE_CHECKING:
+    from ctr_nlp.cli.live import Solved
 
 
 def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser:
@@ -60,6 +64,7 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
     )
     options.add_compile_option(parser)
     options.add_out_option(parser, "runs/PROBLEM-FORMULATION-MODEL")
+    options.add_figures_option(parser)
     options.add_film_option(parser)
     plan_options.add_motion_options(parser)
     if frames:
@@ -96,14 +101,16 @@ def _run(arguments: argparse.Namespace) -> int:
     place = place_of(out, interrupted)
     with published(place, "plan") as staging:
         write(plan, staging)
+        print_report(plan)
         if points:
-            write_front(points, problem.name, staging)
+            write_front(points, staging)
+            print_front(points)
+        if not arguments.no_figures:
+            draw(plan, points, staging)
         files = sorted(path.name for path in staging.iterdir())
         if film is not None:
             film = write_film([plan], film, out, place, staging)
-    print_report(plan, place, files)
-    if points:
-        print_front(points)
+    console().print(f"wrote {place}: {', '.join(files)}")
     if film is not None:
         console().print(f"wrote {film}")
     return INTERRUPTED if interrupted else exit_status(plan)
@@ -151,7 +158,7 @@ def _at_once(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan, lis
     check_search(arguments.motion_weight, arguments.starts, jobs)
     initial = checked_motions(problem, [Plan.load(path).q for path in arguments.initial or ()])
     points: list[Point] = []
-    with live.solving(problem, arguments.model) if arguments.live else nullcontext() as seen:
+    with _shown(problem, arguments) as seen:
         terms = plan_options.terms_from(arguments)
         horizon = Horizon(problem, arguments.model, arguments.solver, start, end, settings, terms)
         problems.tell(problem)
@@ -165,6 +172,15 @@ def _at_once(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan, lis
                 weights = arguments.sweep_motion_weight or WEIGHTS
                 points = trade_off(horizon, plan, weights, settings, labelled)
     return plan, points
+
+
+def _shown(problem: Problem, arguments: argparse.Namespace) -> AbstractContextManager[Solved | None]:
+    """A window on the search where one is asked for; only then is what shows it loaded."""
+    if not arguments.live:
+        return nullcontext()
+    from ctr_nlp.cli import live
+
+    return live.solving(problem, arguments.model)
 
 
 plan = Command("ctr-nlp plan", partial(_parser, (HORIZON, *FORMULATIONS)), _run)

@@ -1,120 +1,184 @@
-"""`ctr-nlp benchmark`: speed as ratios, all measured in one run."""
+"""`ctr-nlp benchmark`: how long things take, and whether that differs from another commit."""
 
 from __future__ import annotations
 
 import argparse
 import json
-import statistics
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict
+import tempfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from ctr_nlp.cli.arguments import whole
 from ctr_nlp.cli.console import SOLVED, SOME_FAILED, Command, console, print_table
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.problems import NAMES, named
-from ctr_nlp.studies.benchmarks import RATIO, Record, regressions
-from ctr_nlp.studies.benchmarks.builds import sizes, start_up
-from ctr_nlp.studies.benchmarks.frames import forward, frames, planned
-from ctr_nlp.studies.benchmarks.horizons import growth, horizons
-from ctr_nlp.target.problem import Problem
+from ctr_nlp.problems import named
+from ctr_nlp.studies.benchmarks.growth import draw, growths
+from ctr_nlp.studies.benchmarks.paired import LEAST_BLOCKS, TOLERANCE, Compared, Worker, against, measured
+from ctr_nlp.studies.benchmarks.peers import race
+from ctr_nlp.studies.benchmarks.shares import shares
+from ctr_nlp.studies.benchmarks.trees import ROOT, tree_of
+from ctr_nlp.studies.benchmarks.work import ROWS
 
-SHAPES = ("cos", "arc", "line", "line_arc", "synthesis")
-"""The five problems of the paper whose targets are known."""
-SIZES = (100, 1000, 5000)
-"""Frames over which the time and memory of an iteration are followed."""
-BASELINE = Path(__file__).resolve().parents[3] / "scripts" / "benchmark_baseline.json"
-"""In a clone of the repository; no wheel has it."""
+Entries = list[dict[str, Any]]
+SECONDS = 5.0
+"""For which a row is repeated."""
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
-        description="Times of single frames and of whole motions by all methods, alternating in one run; how they "
-        "grow; what start-up takes. Needs a C compiler.",
-        epilog="Exit status: 0 measured, 1 worse than the baseline, 2 bad input.",
+        description="What time of the thread steps, frames, motions and whole programs take, each in a process of "
+        "its own; how they grow, what other methods take, what is spent outside compiled code. With --against "
+        "the rows of another commit of this clone, in turns with this one's. Needs a C compiler.",
+        epilog="Exit status: 0 measured, 1 a row is slower, or faster without --explained, 2 bad input.",
     )
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="(default all)")
-    suiting = "(default all that suit a part)"
-    parser.add_argument("--problems", nargs="+", metavar="NAME", choices=NAMES, help=suiting)
-    parser.add_argument("--json", metavar="FILE", help="also write the records to a file")
-    parser.add_argument("--check", action="store_true", help=f"compare the ratios with a clone's {BASELINE.name}")
+    parser.add_argument("--rows", nargs="+", metavar="ROW", choices=ROWS, default=list(ROWS), help=", ".join(ROWS))
+    parser.add_argument(
+        "--against", metavar="COMMIT", help="compare the rows, and nothing else, with this commit's"
+    )
+    parser.add_argument(
+        "--explained", nargs="+", metavar="ROW", choices=ROWS, default=[], help="rows that may be faster"
+    )
+    parser.add_argument(
+        "--blocks", metavar="N", type=whole, default=12, help="of four turns, to compare (default 12)"
+    )
+    parser.add_argument(
+        "--tolerance",
+        metavar="PART",
+        type=float,
+        default=TOLERANCE,
+        help=f"part by which a row may differ either way (default {TOLERANCE:g})",
+    )
+    parser.add_argument("--json", metavar="FILE", help="also write what was measured to a file")
+    parser.add_argument("--picture", metavar="FILE.png", help="also draw growth")
     return parser
 
 
 def _run(arguments: argparse.Namespace) -> int:
     if why := cache.missing():
         raise OptionError(f"nothing to compare: {why}")
-    target = None if arguments.json is None else Path(arguments.json)
+    targets = {option: _target(option, getattr(arguments, option)) for option in ("json", "picture")}
+    if arguments.blocks < LEAST_BLOCKS:
+        raise OptionError(f"--blocks is {arguments.blocks}; it must be at least {LEAST_BLOCKS}")
+    if not 0 < arguments.tolerance < np.inf:
+        raise OptionError(f"--tolerance is {arguments.tolerance:g}; it must be above 0")
+    found: dict[str, Entries] = {}
+    status = SOLVED
+    if arguments.against is None:
+        for part in arguments.parts:
+            found[part] = PARTS[part](arguments, targets["picture"])
+    else:
+        rows = _against(arguments)
+        found["against"] = [{**vars(row), "verdict": row.verdict} for row in rows]
+        status = SOME_FAILED if unexplained(rows, arguments.explained) else SOLVED
+    if targets["json"] is not None:
+        write_text(targets["json"], json.dumps(found, indent=1) + "\n")
+        console().print(f"wrote {targets['json']}")
+    return status
+
+
+def _target(option: str, given: str | None) -> Path | None:
+    target = None if given is None else Path(given)
     if target is not None and (target.is_dir() or not target.parent.is_dir()):
-        raise OptionError(f"--json is {target}; it must be a file in a folder that exists")
-    chosen = arguments.problems or list(NAMES)
-    records = []
-    for part in arguments.parts:
-        for record in PARTS[part](named, chosen):
-            records.append(record)
-            console(stderr=True).print(f"{record.name}: {record.value:.4g} {record.unit}", style="dim")
-    rows = [(r.name, f"{r.value:.4g}", r.unit, r.better) for r in records]
-    print_table("benchmark", ("", "value", "unit", "better"), rows)
-    if target is not None:
-        write_text(target, json.dumps([asdict(record) for record in records], indent=1) + "\n")
-        console().print(f"wrote {target}")
-    return _checked(records, BASELINE) if arguments.check else SOLVED
+        raise OptionError(f"--{option} is {target}; it must be a file in a folder that exists")
+    return target
 
 
-def _checked(records: list[Record], baseline: Path) -> int:
-    try:
-        known = {entry["name"]: entry["value"] for entry in json.loads(baseline.read_text(encoding="utf-8"))}
-        if wrong := [name for name, value in known.items() if not isinstance(value, int | float)]:
-            raise ValueError(f"{wrong[0]} has no number")
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise OptionError(f"baseline {baseline} cannot be read ({error}); --json writes one") from error
-    found = regressions(records, known)
-    for line in found:
-        console().print(f"worse: {line}")
-    compared = sum(record.tolerance is not None and record.name in known for record in records)
-    console().print(f"{compared} figures compared with {baseline.name}, {len(found)} worse")
-    return SOME_FAILED if found else SOLVED
+def unexplained(rows: list[Compared], explained: list[str]) -> list[Compared]:
+    """Rows that are slower, or faster without a reason that the caller knows."""
+    return [r for r in rows if r.verdict == "slower" or (r.verdict == "faster" and r.row not in explained)]
 
 
-Named = Callable[..., Problem]
+def _against(arguments: argparse.Namespace) -> list[Compared]:
+    def told(row: Compared) -> None:
+        console(stderr=True).print(f"{row.row}: {row.ratio:.3f}, {row.verdict}", style="dim")
+
+    with tempfile.TemporaryDirectory(prefix="ctr_nlp-") as folder, tree_of(arguments.against) as before:
+        libraries = Path(folder) / "before", Path(folder) / "after"
+        blocks, tolerance = arguments.blocks, arguments.tolerance
+        rows = against(arguments.rows, (before, ROOT), libraries, blocks, tolerance, told)
+    lines = [(r.row, _scaled(r.before), _scaled(r.after), f"{r.ratio:.3f}", _between(r), r.verdict) for r in rows]
+    columns = ("", arguments.against, "this tree", "ratio", "98 % interval", "verdict")
+    print_table(f"against {arguments.against}, in turns", columns, lines)
+    return rows
 
 
-def _each(
-    measured: Callable[[Problem], Iterator[Record]], chosen: Iterable[Problem], kind: str
-) -> Iterator[Record]:
-    """What is measured of every problem, then the means of ratios of a kind."""
-    found: list[Record] = []
-    for problem in chosen:
-        for record in measured(problem):
-            found.append(record)
-            yield record
-    yield from _means(found, kind)
+def _between(row: Compared) -> str:
+    return f"{row.low:.3f} to {row.high:.3f}"
 
 
-def _elastic(named: Named, chosen: list[str]) -> Iterator[Record]:
-    yield from _each(planned, (named(name) for name in SHAPES if name in chosen), "an elastic frame: ")
-    yield from forward(named("cos"))
+def _scaled(seconds: float) -> str:
+    for factor, unit in ((1.0, "s"), (1e3, "ms")):
+        if seconds * factor >= 1:
+            return f"{seconds * factor:.3g} {unit}"
+    return f"{1e6 * seconds:.3g} µs"
 
 
-def _means(records: list[Record], kind: str) -> Iterator[Record]:
-    """Geometric means of ratios of the same kind over problems."""
-    ratios: dict[str, list[float]] = {}
-    for record in records:
-        if record.tolerance == RATIO and kind in record.name and " / " in record.name:
-            ratios.setdefault(record.name.split(", ", 1)[1], []).append(record.value)
-    for name, values in ratios.items():
-        yield Record(f"all problems, {name}, geometric mean", statistics.geometric_mean(values), "", "more", RATIO)
+def _spread(seconds: Any) -> dict[str, float]:
+    return {
+        "least": float(np.min(seconds)),
+        "median": float(np.median(seconds)),
+        "p99": float(np.quantile(seconds, 0.99)),
+    }
 
 
-PARTS: dict[str, Callable[[Named, list[str]], Iterator[Record]]] = {
-    "start-up": lambda named, chosen: start_up(),
-    "frames": lambda named, chosen: _each(frames, (named(n) for n in SHAPES if n in chosen), "a frame: "),
-    "horizons": lambda named, chosen: _each(horizons, map(named, chosen), "horizon: "),
-    "elastic": _elastic,
-    "growth": lambda named, chosen: growth([named("cos", count) for count in SIZES]),
-    "sizes": lambda named, chosen: sizes(),
+def _table(title: str, entries: Entries) -> Entries:
+    keys = ("least", "median", "p99")
+    rows = [(e["row"], *(_scaled(e[key]) for key in keys), str(e["times"])) for e in entries]
+    print_table(title, ("", *keys, "times"), rows)
+    return entries
+
+
+def _rows(arguments: argparse.Namespace, picture: Path | None) -> Entries:
+    entries: Entries = []
+    for row in arguments.rows:
+        with Worker(ROOT, row) as worker:
+            seconds = measured(worker, SECONDS)
+        entries.append({"row": row, "times": len(seconds), **_spread(seconds)})
+        console(stderr=True).print(f"{row}: {_scaled(entries[-1]['median'])}", style="dim")
+    return _table("rows, in time of the thread", entries)
+
+
+def _peers(arguments: argparse.Namespace, picture: Path | None) -> Entries:
+    times = race(named("cos"))
+    entries: Entries = [{"row": k, "times": len(v.seconds), **_spread(v.seconds)} for k, v in times.items()]
+    return _table("a frame of cos, by several methods", entries)
+
+
+def _growth(arguments: argparse.Namespace, picture: Path | None) -> Entries:
+    found = list(growths())
+    rows = [
+        (g.what, f"{g.exponent:.2f} ± {g.error:.2f}", _pairs(zip(g.sizes, g.seconds, strict=True))) for g in found
+    ]
+    print_table("growth", ("", "exponent", "times"), rows, text=("times",))
+    if picture is not None:
+        console().print(f"wrote {draw(found, picture)}")
+    return [
+        {"row": g.what, "exponent": g.exponent, "error": g.error, "seconds": g.seconds.tolist()} for g in found
+    ]
+
+
+def _pairs(pairs: Iterator[tuple[float, float]]) -> str:
+    return ", ".join(f"{size:g}: {_scaled(seconds)}" for size, seconds in pairs)
+
+
+def _shares(arguments: argparse.Namespace, picture: Path | None) -> Entries:
+    found = shares()
+    print_table("spent outside compiled code", ("", "part"), [(k, f"{v:.0%}") for k, v in found.items()])
+    return [{"row": name, "part": part} for name, part in found.items()]
+
+
+PARTS: dict[str, Callable[[argparse.Namespace, Path | None], Entries]] = {
+    "rows": _rows,
+    "peers": _peers,
+    "growth": _growth,
+    "shares": _shares,
 }
 
 

@@ -1,0 +1,124 @@
+"""How times grow with frames, tubes, samples and the lumen: an exponent each, and their picture."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ctr_nlp.formulations.frame import program
+from ctr_nlp.formulations.terms import Order, ShapeDistance
+from ctr_nlp.models import MODELS
+from ctr_nlp.problems import named
+from ctr_nlp.robot import Robot, Tube, table_i_robot
+from ctr_nlp.solvers.frame.program import Program
+from ctr_nlp.steer import solve_horizon, solve_per_frame
+from ctr_nlp.studies.benchmarks.peers import evaluation
+from ctr_nlp.typing import Array
+
+FRAMES = (100, 300, 1000, 2000, 5000)
+LUMEN = (50, 100, 200, 400)
+"""Frames of a motion within a lumen."""
+TUBES = (2, 3, 4, 5)
+STRIDES = (20, 10, 5, 2, 1)
+"""Between the samples of a shape at which a frame looks."""
+REPEATS = 3
+
+
+@dataclass(frozen=True)
+class Growth:
+    """Least times (n,) s at sizes (n,), and the exponent p of the power c size^p that is nearest to them.
+
+    error: of the exponent, its standard error.
+    """
+
+    what: str
+    sizes: Array
+    seconds: Array
+    exponent: float
+    error: float
+
+
+def fitted(what: str, sizes: Sequence[float], seconds: Sequence[float]) -> Growth:
+    """The exponent by least squares of logarithms."""
+    x, y = np.log(sizes), np.log(seconds)
+    basis = np.column_stack([np.ones(len(x)), x])
+    (constant, exponent), *_ = np.linalg.lstsq(basis, y, rcond=None)
+    rest = y - constant - exponent * x
+    spread = float(np.sqrt((rest**2).sum() / max(len(x) - 2, 1) / ((x - x.mean()) ** 2).sum()))
+    return Growth(what, np.array(sizes, float), np.array(seconds, float), float(exponent), spread)
+
+
+def _frame(robot: Robot, stride: int) -> float:
+    """Seconds of a frame's first derivatives."""
+    terms = ShapeDistance(stride=stride), Order(robot.carriage_gap)
+    nlp = program("frame", robot.structure, MODELS["dominant"], terms)
+    frame = Program(nlp, wait=True)
+    frame.x[:] = np.clip(np.linspace(0.1, 100, len(frame.x)), robot.lower, robot.upper)
+    frame.p[nlp.place("tubes")] = robot.numbers.ravel(order="F")
+    return min(evaluation(frame) for _ in range(REPEATS))
+
+
+def nested(count: int) -> Robot:
+    """Tubes like the paper's, each inside the one before and longer."""
+    tubes = (
+        Tube(90.0 + 60 * i, 50.0 + 20 * i, 0.006 + 0.001 * i, 6.0 - 0.9 * i, 5.3 - 0.9 * i) for i in range(count)
+    )
+    return Robot(tuple(tubes))
+
+
+def least(work: Callable[[], Any], repeats: int = REPEATS) -> float:
+    """The least seconds of this thread that work takes."""
+    times = []
+    for _ in range(repeats):
+        begin = time.thread_time()
+        work()
+        times.append(time.thread_time() - begin)
+    return min(times)
+
+
+KINDS: Mapping[str, tuple[Sequence[int], Callable[[int], float]]] = {
+    "horizon, by frames": (FRAMES, lambda n: least(lambda: solve_horizon(named("cos", n)), 2 if n < 2000 else 1)),
+    "frames within a lumen, by frames": (
+        LUMEN,
+        lambda n: least(lambda: solve_per_frame(named("bronchus", n), direction="forward")),
+    ),
+    "first derivatives of a frame, by tubes": (TUBES, lambda n: _frame(nested(n), 5)),
+    "first derivatives of a frame, by samples": (
+        sorted(100 // stride + 1 for stride in STRIDES),
+        lambda n: _frame(table_i_robot(), 100 // (n - 1)),
+    ),
+}
+"""What grows with what: sizes, and the seconds at a size."""
+
+
+def growths(kinds: Mapping[str, tuple[Sequence[int], Callable[[int], float]]] = KINDS) -> Iterator[Growth]:
+    """The exponent of each kind of growth."""
+    for what, (sizes, seconds) in kinds.items():
+        yield fitted(what, sizes, [seconds(size) for size in sizes])
+
+
+def draw(found: Sequence[Growth], path: Path) -> Path:
+    """Times over sizes on logarithmic scales, with the powers that were fitted; raises OutputError."""
+    import matplotlib
+
+    from ctr_nlp.figures import save
+    from ctr_nlp.figures.parts.page import STYLE, panels
+    from ctr_nlp.figures.parts.palette import BLUE, VERMILLION
+
+    with matplotlib.rc_context(STYLE):
+        figure, grid = panels([growth.what for growth in found], 2, (3.6, 2.6))
+        for axes, growth in zip(grid, found, strict=True):
+            centre = np.exp(np.log(growth.seconds).mean() - growth.exponent * np.log(growth.sizes).mean())
+            axes.loglog(growth.sizes, growth.seconds, color=BLUE, ls="", marker="o", ms=4, label="least time")
+            label = f"size to the power of {growth.exponent:.2f} ± {growth.error:.2f}"
+            axes.loglog(
+                growth.sizes, centre * growth.sizes**growth.exponent, color=VERMILLION, lw=1.2, label=label
+            )
+            axes.set_ylabel("time (s)")
+            axes.legend()
+        return save(figure, path)

@@ -1,0 +1,98 @@
+"""The same frames from the same past by compiled SQP, by interpreted IPOPT and by the paper's methods."""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+import math
+import time
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ctr_nlp.formulations.frames import FrameResult, reachable
+from ctr_nlp.formulations.joint import joint
+from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.formulations.stage import Stage
+from ctr_nlp.models import MODELS
+from ctr_nlp.reference import reference_frames
+from ctr_nlp.solvers import SOLVERS, NlpSolver, Solution
+from ctr_nlp.solvers.frame.program import Program
+from ctr_nlp.steer.nlp_frames import NlpFrames
+from ctr_nlp.target.problem import Problem
+from ctr_nlp.typing import Array
+
+Found = TypeVar("Found", Solution, FrameResult)
+
+EVERY = 5
+"""The methods that take much longer are asked for every EVERY-th frame only."""
+REFERENCES = ("paper-two-stage", "euclidean")
+ROUNDS = 3
+"""Times that solvers have their turn on all frames."""
+EVALUATIONS = 2000
+"""Evaluations that the time of one is the mean of."""
+
+
+class Times:
+    """Of one method: seconds of the thread that each frame took, and how many frames were not solved."""
+
+    def __init__(self) -> None:
+        self.seconds: list[float] = []
+        self.failed = 0
+
+    def take(self, work: Callable[..., Found], *arguments: Any) -> Found:
+        """Do the work of one frame and note what it took."""
+        begin = time.thread_time()
+        found = work(*arguments)
+        self.seconds.append(time.thread_time() - begin)
+        self.failed += not found.success
+        return found
+
+
+def race(problem: Problem) -> dict[str, Times]:
+    """Every method in turn on the same frames of a problem, each from where compiled SQP stood before it."""
+    settings = Settings()
+    (stage,) = joint(problem.robot, settings, MODELS["dominant"])
+    solvers: dict[str, NlpSolver] = {name: SOLVERS[name](stage.nlp) for name in ("sqp", "ipopt")}
+    path = _path(problem, stage, solvers["sqp"])
+    times = {name: Times() for name in (*solvers, *REFERENCES)}
+    for _ in range(ROUNDS):
+        for name, solve in solvers.items():
+            warm: Solution | None = None
+            for given in path:
+                warm = times[name].take(solve, *given, warm)
+    for name in REFERENCES:
+        method = reference_frames(problem, name, settings)
+        for number in range(EVERY, problem.frames, EVERY):
+            times[name].take(method.step, number, FrameResult(path[number - 1][0]))
+    return times
+
+
+def _path(problem: Problem, stage: Stage, solve: NlpSolver) -> list[tuple[Array, Array, Array, Array]]:
+    """Start, parameters and bounds of the frames' NLPs after the first, each from the solution before it."""
+    settings, warm = Settings(), None
+    path: list[tuple[Array, Array, Array, Array]] = []
+    q = NlpFrames.of(problem, settings=settings).search(0)[0].q
+    for frame in problem.samples[1:]:
+        given = {"previous": q, "motion_root": math.sqrt(settings.motion_weight) / problem.dt}
+        path.append(
+            (q, stage.nlp.pack({**stage.fill(frame, q), **given}), *reachable(problem.robot, q, problem.dt))
+        )
+        warm = solve(*path[-1], warm)
+        q = warm.x
+    return path
+
+
+def evaluation(program: Program, function: str = "slopes") -> float:
+    """Seconds that one evaluation of objective and constraints takes: their values, or first derivatives too."""
+    run = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 4, ctypes.c_int)(program.functions[function])
+    n, m = len(program.x), len(program.lower) - len(program.x)
+    results = [np.zeros(max(count, 1)) for count in ((1, m) if function == "value" else (1, n, m, m * n))]
+    pointers = ctypes.c_void_p * 4
+    arg = pointers(program.x.ctypes.data, program.p.ctypes.data)
+    res = pointers(*(result.ctypes.data for result in results))
+    begin = time.thread_time()
+    for _ in itertools.repeat(None, EVALUATIONS):
+        run(arg, res, None, None, 0)
+    return (time.thread_time() - begin) / EVALUATIONS

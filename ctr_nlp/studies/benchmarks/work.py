@@ -1,0 +1,152 @@
+"""One row of the benchmark in a process of its own, for whichever tree of the library is on its path.
+
+It is run as a file, with the name of a row, and imports only what every tree to be compared has. Once it is ready
+it says so; then each line that it reads, a number of turns and a factor, is answered with as many lists of times.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+TIMES = Callable[[Callable[[], Any]], float]
+"""What calls something and gives the seconds that it took."""
+WORK = Callable[[TIMES], list[float]]
+"""One turn of a row: seconds of each piece of its work."""
+BATCH = 1000
+"""Configurations whose elastic shapes are found in one call."""
+
+
+def _problem(name: str, frames: int = 100) -> Any:
+    from ctr_nlp.problems import named
+
+    return named(name, frames)
+
+
+def step(model: str) -> WORK:
+    """Steerer.step for each frame's target of cos, there and back."""
+    from ctr_nlp.steer import Steerer, solve_per_frame
+
+    problem = _problem("cos")
+    plan = solve_per_frame(problem, model=model, direction="forward")
+    steerer = Steerer(problem.robot, plan.q[0], problem.dt, model=model)
+    targets = [frame.points for frame in problem.samples]
+    targets += targets[::-1]
+    return lambda timed: [timed(lambda target=target: steerer.step(target)) for target in targets]  # type: ignore[misc]
+
+
+def march(name: str, model: str = "dominant") -> WORK:
+    """A frame of solve_per_frame: all frames of a problem from a known start, over their number."""
+    from ctr_nlp.steer import solve_per_frame
+
+    problem = _problem(name)
+    start = solve_per_frame(problem, model=model, direction="forward").q[0]
+    return lambda timed: [
+        timed(lambda: solve_per_frame(problem, model=model, direction="forward", start=start)) / problem.frames
+    ]
+
+
+def shape(count: int) -> WORK:
+    """Elastic shapes with margins at random configurations, count of them in a call; the time of one."""
+    from ctr_nlp.robot import table_i_robot
+    from ctr_nlp.simulation.forward import simulated
+
+    robot, rng = table_i_robot(), np.random.default_rng(0)
+    unit = rng.random((BATCH, len(robot.lower)))
+    d = robot.d
+    q = np.hstack(
+        [
+            unit[:, :d] * 2 * np.pi,
+            np.sort(unit[:, d : 2 * d], axis=1) * robot.upper[d : 2 * d],
+            0 * unit[:, 2 * d :],
+        ]
+    )
+    given = [q] if count == BATCH else [q[k : k + count] for k in range(0, 10 * count, count)]
+    return lambda timed: [timed(lambda one=one: simulated(robot, one, "elastic")) / count for one in given]  # type: ignore[misc]
+
+
+def horizon(*names: str, model: str = "dominant", frames: int = 100) -> WORK:
+    """solve_horizon with all that belongs to it."""
+    from ctr_nlp.steer import solve_horizon
+
+    problems = [_problem(name, frames) for name in names]
+    return lambda timed: [timed(lambda one=one: solve_horizon(one, model=model)) for one in problems]  # type: ignore[misc]
+
+
+def program(*options: str) -> WORK:
+    """`ctr-nlp plan arc` as a process, with what it starts; options that a tree does not have are left out."""
+    folder = tempfile.TemporaryDirectory()
+    plan = [sys.executable, "-m", "ctr_nlp", "plan"]
+    told = subprocess.run([*plan, "--help"], capture_output=True, text=True, check=True).stdout
+    command = [*plan, "arc", "--out", f"{folder.name}/out", *(option for option in options if option in told)]
+
+    def run(timed: TIMES) -> list[float]:
+        before = os.times()
+        done = subprocess.run(
+            command, cwd=folder.name, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        )
+        after = os.times()
+        if done.returncode != 0:
+            raise RuntimeError(done.stderr)
+        spent = after.children_user + after.children_system - before.children_user - before.children_system
+        return [spent + timed(lambda: None)]
+
+    return run
+
+
+ROWS: dict[str, Callable[[], WORK]] = {
+    "step": lambda: step("dominant"),
+    "step-elastic": lambda: step("elastic"),
+    "frame": lambda: march("cos"),
+    "frame-lumen": lambda: march("bronchus"),
+    "shape": lambda: shape(1),
+    "shapes": lambda: shape(BATCH),
+    "horizon": lambda: horizon("cos"),
+    "plans": lambda: horizon("cos", "arc", "line", "line_arc", "synthesis"),
+    "horizon-lumen": lambda: horizon("bronchus"),
+    "horizon-elastic": lambda: horizon("cos", model="elastic"),
+    "horizon-5000": lambda: horizon("cos", frames=5000),
+    "program": lambda: program("--no-figures"),
+    "program-figures": lambda: program(),
+}
+"""What is timed: by the name of its row, what makes it."""
+
+
+def timer(factor: float) -> TIMES:
+    """Seconds of the thread; a factor above 1 makes all work take so many times as long, to try the benchmark."""
+
+    def timed(work: Callable[[], Any]) -> float:
+        begin = time.thread_time()
+        work()
+        end = time.thread_time()
+        until = begin + factor * (end - begin)
+        while factor > 1 and end < until:
+            end = time.thread_time()
+        return end - begin
+
+    return timed
+
+
+def served(row: str, lines: Iterator[str]) -> Iterator[str]:
+    """Answers to lines, after a first one that says that the row is ready; each a line of JSON."""
+    work = ROWS[row]()
+    work(timer(1.0))
+    yield json.dumps("ready")
+    for line in lines:
+        turns, factor = json.loads(line)
+        yield json.dumps([work(timer(factor)) for _ in range(turns)])
+
+
+if __name__ == "__main__":
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # what the library prints is no answer
+    for answer in served(sys.argv[1], iter(sys.stdin.readline, "")):
+        print(answer, file=answers, flush=True)

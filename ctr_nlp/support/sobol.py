@@ -1,0 +1,59 @@
+"""Scrambled Sobol points: those of scipy.stats.qmc.Sobol, whose import takes longer than to plan a motion."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from ctr_nlp.typing import Array
+
+BITS = 30
+"""Binary digits of a coordinate."""
+JOE_KUO = (
+    *((1, 1), (3, 1), (7, 1, 3), (11, 1, 3, 1), (13, 1, 1, 1), (19, 1, 1, 3, 3), (25, 1, 3, 5, 13)),
+    *((37, 1, 1, 5, 5, 17), (41, 1, 1, 5, 5, 5), (47, 1, 1, 7, 11, 19), (55, 1, 1, 5, 1, 1), (59, 1, 1, 1, 3, 11)),
+    *((61, 1, 3, 5, 5, 31), (67, 1, 3, 3, 9, 7, 49), (91, 1, 1, 1, 15, 21, 21), (97, 1, 3, 1, 13, 27, 49)),
+    *((103, 1, 1, 1, 15, 7, 5), (109, 1, 3, 1, 15, 13, 25), (115, 1, 1, 5, 5, 19, 61)),
+    *((131, 1, 3, 7, 11, 23, 15, 103), (137, 1, 3, 7, 13, 13, 15, 69), (143, 1, 1, 3, 13, 7, 35, 63)),
+    *((145, 1, 3, 5, 9, 1, 25, 53), (157, 1, 3, 1, 13, 9, 35, 107), (167, 1, 3, 1, 5, 27, 61, 31)),
+    *((171, 1, 1, 5, 11, 19, 41, 61),),
+)
+"""For each dimension a primitive polynomial, its coefficients as binary digits, and the first direction numbers.
+
+S. Joe, F. Y. Kuo, "Constructing Sobol sequences with better two-dimensional projections", SIAM J. Sci. Comput. 30
+(2008), new-joe-kuo-6.
+"""
+
+
+def sobol(count: int, dimensions: int, seed: int) -> Array:
+    """The first count scrambled points (count, dimensions) in [0, 1); from the 27th on, coordinates are random."""
+    rng, known = np.random.default_rng(seed), min(dimensions, len(JOE_KUO))
+    levels = max(count - 1, 1).bit_length()
+    shift = rng.integers(2, size=(known, BITS), dtype=np.uint32)
+    mixing = np.tril(rng.integers(2, size=(known, BITS, BITS), dtype=np.uint32))
+    mixing[:, range(BITS), range(BITS)] = 1
+    directions = np.array([_directions(row, levels) for row in JOE_KUO[:known]])
+    digits = directions[:, :, None] >> np.arange(BITS - 1, -1, -1) & 1
+    weights = 1 << np.arange(BITS - 1, -1, -1)
+    scrambled = np.einsum("dpk,djk->djp", mixing, digits) % 2 @ weights
+    found = np.empty((count, known), dtype=np.int64)
+    found[0] = shift @ weights[::-1]
+    for number in range(1, count):
+        found[number] = found[number - 1] ^ scrambled[:, (number & -number).bit_length() - 1]
+    return np.hstack([found / 2.0**BITS, rng.random((count, dimensions - known))])
+
+
+@lru_cache
+def _directions(row: tuple[int, ...], levels: int) -> tuple[int, ...]:
+    """The first direction numbers of a row of JOE_KUO, as binary fractions of BITS digits."""
+    polynomial, found = row[0], list(row[1:])
+    degree = polynomial.bit_length() - 1
+    if degree == 0:
+        found, degree, polynomial = [1], 1, 2
+    while len(found) < levels:
+        following = found[-degree]
+        for back in range(1, degree + 1):
+            following ^= (polynomial >> degree - back & 1) * found[-back] << back
+        found.append(following)
+    return tuple(number << BITS - 1 - place for place, number in enumerate(found[:levels]))
