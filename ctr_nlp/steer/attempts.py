@@ -129,16 +129,18 @@ def attempt(
     motion: Array,
     report: Report | None,
     stop: Callable[[], bool],
+    barrier: float = WIDE,
 ) -> Attempt:
     """Solve a chain from a motion, as Chain.around takes it, or from the feasible one nearest to it.
 
+    barrier: the first, mm^2.
     Where a chain holds near a motion only, it is solved again around its solution until that needs the same slack.
     The result is never worse than the start.
     """
     begin, tried, missing = time.perf_counter(), list[Attempt](), np.inf
     near, x0 = chain.around(motion)
     while len(tried) < ROUNDS and missing > SETTLED and not (tried and (stop() or not tried[-1].solution.success)):
-        one = _solved(near, solver(near), x0, NEAR if tried else WIDE, report, stop)
+        one = _solved(near, solver(near), x0, NEAR if tried else barrier, report, stop)
         near, x0 = chain.around(one.motion)
         missing = float(abs(x0 - one.solution.x).max())
         objective = near.evaluate(x0)[0] if missing > 0 else one.solution.objective

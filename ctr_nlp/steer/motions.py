@@ -45,7 +45,7 @@ def per_frame_motions(
     solver = NlpFrames.of(coarse, model=model, settings=replace(settings, contact_weight=0.0), terms=terms)
     passes, _ = run_passes(coarse, solver, "best", ends.start, ends.end, progress)
     passes.sort(key=lambda one: one.badness(coarse, model))
-    return [_filled(one.unknowns(coarse), picked, problem.frames) for one in passes]
+    return [filled(one.unknowns(coarse), picked, problem.frames) for one in passes]
 
 
 def _thinned(problem: Problem, picked: npt.NDArray[np.int_], stride: int) -> Problem:
@@ -55,7 +55,8 @@ def _thinned(problem: Problem, picked: npt.NDArray[np.int_], stride: int) -> Pro
     return replace(problem, target=target, duration=problem.dt * stride * len(picked), truth=None)
 
 
-def _filled(motion: Array, picked: npt.NDArray[np.int_], frames: int) -> Array:
+def filled(motion: Array, picked: npt.NDArray[np.int_], frames: int) -> Array:
+    """All frames (frames, n) of a motion known at picked ones, linear between them; NaN counts as not known."""
     known = np.isfinite(motion).all(axis=1)
     return np.column_stack([np.interp(np.arange(frames), picked[known], column) for column in motion[known].T])
 

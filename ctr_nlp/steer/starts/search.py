@@ -1,0 +1,171 @@
+"""The search for the best motion over a horizon: which starts are solved, how far, and what comes of them."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ctr_nlp.formulations.horizon import Ends, horizon
+from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.formulations.terms import Term
+from ctr_nlp.formulations.wall import Wall
+from ctr_nlp.models import Model
+from ctr_nlp.nlp.chain import Chain
+from ctr_nlp.solvers import CHAIN_SOLVERS
+from ctr_nlp.solvers.compiled import fastest
+from ctr_nlp.solvers.motion.judged import WIDE
+from ctr_nlp.steer.attempts import (
+    Attempt,
+    Report,
+    Task,
+    attempt,
+    attempt_in_processes,
+    best_of,
+    no_worse,
+    together,
+    within_limits,
+)
+from ctr_nlp.steer.motions import filled, wandered
+from ctr_nlp.steer.passes import Forecast, Progress
+from ctr_nlp.steer.realised import SAME, realised
+from ctr_nlp.target.problem import Problem
+from ctr_nlp.typing import Array
+
+MOTION_SHARE = 0.1
+"""What the motion of the start costs by default, as a part of its shape errors."""
+LEAST_MOTION_WEIGHT = 1e-9
+"""Least default of lambda, s^2: where the start follows its target exactly."""
+DRAFTED = 25
+"""Least number of frames of a draft: a motion of twice, three times as many gives every second, third, ... frame."""
+LIKELY = 0.05
+"""A draft whose objective is above the best one's by no more than this part may still lead to a better motion."""
+MOST = 3
+"""Drafts that are solved for all frames."""
+CLOSE = 1e-4
+"""First barrier from a draft, mm^2: few limits that are active in it become inactive."""
+
+
+@dataclass(frozen=True)
+class Search:
+    """Attempts at the horizon of one problem, from one motion or many.
+
+    free, inside: chains of all frames far from any wall and within the lumen, with a motion weight of 1 s^2.
+    weight: lambda in s^2. jobs: processes. Progress and seen are told of what goes on, and stop() ends it.
+    """
+
+    problem: Problem
+    model: Model
+    solver: str
+    ends: Ends
+    settings: Settings
+    terms: tuple[Term, ...]
+    free: Chain
+    inside: Chain
+    weight: float = 1.0
+    jobs: int = 1
+    progress: Progress | None = None
+    seen: Report | None = None
+    stop: Callable[[], bool] = lambda: False
+
+    def near(self, wall: Wall | None) -> Chain:
+        """The chain near a wall, or far from any."""
+        chain = self.free if wall is None else replace(self.inside, surroundings=wall.surroundings)
+        return chain.with_cost(self.weight)
+
+    def balanced_weight(self, motion: Array) -> float:
+        """The lambda in s^2 at which a motion costs MOTION_SHARE of its shape errors."""
+        free, x = replace(self, weight=1.0).near(None).around(motion)
+        shape, moved = (float(part.sum()) for part in free.by_frame(x))
+        weight = MOTION_SHARE * shape / moved if moved > 0 else 0.0
+        return weight if weight > LEAST_MOTION_WEIGHT else LEAST_MOTION_WEIGHT
+
+    def ranked(self, motions: Sequence[Array], count: int) -> list[Array]:
+        """The best of motions in the horizon's own objective, then random changes of the very best."""
+        free = self.near(None)
+        kept = sorted(
+            (within_limits(*free.around(motion)) for motion in motions), key=lambda x: free.evaluate(x)[0]
+        )
+        ranked = [free.robot_of(x) for x in kept]
+        changes = wandered(self.problem.robot, ranked[0], self.settings.seed)
+        return list(itertools.islice(itertools.chain(ranked, changes), count))
+
+    def attempts(self, motions: Sequence[Array], wall: Wall | None = None) -> list[Attempt]:
+        """What comes of motions near a wall, or far from any; on the elastic model, that the robot makes."""
+        chain, count = self.near(wall), len(motions)
+        found = list[Attempt]()
+        if self.jobs > 1 and count > 1:
+            own = self.solver, self.model, self.settings.stability_margin, wall, self.terms
+            task = Task(self.problem.robot, self.problem.samples, self.problem.dt, self.weight, self.ends, *own)
+            found = attempt_in_processes(task, motions, self.jobs, self.progress, self.stop, self.seen)
+        for number, motion in enumerate(() if found else motions, start=1):
+            if found and self.stop():
+                break
+            found.append(self._attempt(chain, motion, number, count))
+        return self._made(chain, found)
+
+    def likely(self, motions: Sequence[Array], distinct: int = MOST, part: float = LIKELY) -> list[Attempt]:
+        """What comes of those motions that promise most; motions are given best first.
+
+        All are solved for some of the frames, and the best of these drafts for all frames: at most so many
+        distinct ones whose objective is within a part of the best one's. Where none of them leads to a solution
+        that is made, and that is at least as good as the best motion was already, all motions are solved.
+        """
+        picked = drafted(self.problem.frames)
+        if len(picked) == self.problem.frames:
+            return self.attempts(motions)
+        drafts, chain = self._drafts(motions, picked), self.near(None)
+        found = list[Attempt]()
+        for draft in drafts[:distinct]:
+            far = draft.solution.objective > (1 + part) * drafts[0].solution.objective
+            if self.stop() or (found and far):
+                break
+            whole = filled(draft.motion, picked, self.problem.frames)
+            found.append(self._attempt(chain, whole, len(found) + 1, len(drafts), CLOSE))
+        made = self._made(chain, found) if found else []
+        if self.stop() or (made and self._good(made, motions[0])):
+            return made or self.attempts(motions[:1])
+        return self.attempts(motions)
+
+    def _good(self, attempts: Sequence[Attempt], motion: Array) -> bool:
+        """Whether a solution that is made is among them, and no worse than a motion."""
+        best, (chain, x) = best_of(attempts), self.near(None).around(motion)
+        return best.made and best.solution.success and no_worse(best.solution.objective, chain.evaluate(x)[0])
+
+    def _drafts(self, motions: Sequence[Array], picked: Array) -> list[Attempt]:
+        """Distinct solutions for picked frames, from as many motions, best first."""
+        stride = int(picked[-1] - picked[-2])
+        at = tuple(self.problem.samples[k] for k in picked), self.problem.dt * stride, self.weight
+        own = self.ends, self.model, fastest, self.settings.stability_margin, None, self.terms
+        chain, found = horizon(self.problem.robot, *at, *own), list[Attempt]()
+        for number, motion in enumerate(motions, start=1):
+            if self.stop():
+                break
+            found.append(self._attempt(chain, motion[picked], number, len(motions)))
+        found = [one for one in found if one.solution.success]
+        distinct = list[Attempt]()
+        for one in sorted(found, key=lambda one: one.solution.objective):
+            objective = one.solution.objective
+            if not distinct or objective - distinct[-1].solution.objective > SAME * (1 + abs(objective)):
+                distinct.append(one)
+        return distinct
+
+    def _attempt(self, chain: Chain, motion: Array, number: int, count: int, barrier: float = WIDE) -> Attempt:
+        forecast = None if self.progress is None else Forecast(self.progress, chain.frames, number, count)
+        told = together(self.seen if chain.frames == self.problem.frames else None, forecast)
+        return attempt(chain, CHAIN_SOLVERS[self.solver], motion, told, self.stop, barrier)
+
+    def _made(self, chain: Chain, attempts: list[Attempt]) -> list[Attempt]:
+        """Attempts; where there are several equilibria, the best that the robot makes."""
+        if not self.model.several_equilibria or self.stop():
+            return attempts
+        margin, solver = self.settings.stability_margin, CHAIN_SOLVERS[self.solver]
+        return realised(self.problem.robot, self.model, chain, solver, attempts, margin, self.stop)
+
+
+def drafted(frames: int) -> Array:
+    """The numbers of the frames of a draft, from 0; the last is one of them."""
+    stride = max(1, frames // DRAFTED)
+    return np.arange(frames)[::-1][::stride][::-1]
