@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ctr_nlp.formulations import Stage
+from ctr_nlp.formulations.frame import packed
 from ctr_nlp.formulations.frames import FrameResult
 from ctr_nlp.formulations.joint import tip_steps
 from ctr_nlp.robot import Robot
@@ -42,11 +44,11 @@ class AtOnce:
         cls, stage: Stage, solver: NlpSolver, samples: Sequence[Frame], margins: Array, root: float, reach: Reach
     ) -> AtOnce:
         """For target samples with least margins (T,) and sqrt(lambda) / dt."""
-        q, packed = np.zeros(len(stage.decides)), list[Array]()
+        q, rows = np.zeros(len(stage.decides)), list[dict[str, Any]]()
         for sample, margin in zip(samples, margins, strict=True):
             values = {**stage.fill(sample, q), "motion_root": root}
-            packed.append(stage.nlp.pack(values | ({"margin": margin} if "margin" in values else {})))
-        return cls(stage, solver, np.array(packed), reach, len(reach.low) - len(q))
+            rows.append(values | ({"margin": margin} if "margin" in values else {}))
+        return cls(stage, solver, packed(stage.nlp, rows), reach, len(reach.low) - len(q))
 
     def search(self, frame: int, x0: Array) -> list[FrameResult]:
         """Answers for a frame without a past from starts x0 (n, n_x), as many as are found."""

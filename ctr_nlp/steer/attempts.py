@@ -101,15 +101,15 @@ def no_worse(objective: float, than: float) -> bool:
     return objective <= than + TIE * (1 + abs(objective))
 
 
-def together(*reports: Report | None) -> Report:
-    """One report that hands every iterate to all of these."""
+def together(*reports: Report | None) -> Report | None:
+    """One report that hands every iterate to all of these; None where nobody is to be told."""
     known = [report for report in reports if report is not None]
 
     def report(iterate: Iterate) -> None:
         for each in known:
             each(iterate)
 
-    return report
+    return report if known else None
 
 
 def within_limits(chain: Chain, x: Array) -> Array:

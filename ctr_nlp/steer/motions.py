@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.formulations.settings import Settings
@@ -14,13 +14,19 @@ from ctr_nlp.formulations.terms import Term
 from ctr_nlp.models import Model
 from ctr_nlp.robot import Robot
 from ctr_nlp.steer.nlp_frames import NlpFrames
-from ctr_nlp.steer.passes import Progress, run_passes
+from ctr_nlp.steer.passes import Pass, Progress, run_passes
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import Target
-from ctr_nlp.typing import Array
+from ctr_nlp.typing import Array, Index
 
 MOST_FRAMES = 200
 """Frames solved one by one for a start; of more, every second, third, ... is solved and the rest interpolated."""
+ALIKE = 0.2
+"""Part by which the mean square error of a run may be below its objective: they are taken at other samples."""
+MOVED = 1e-3
+"""mm^2 that motion adds to the objective of a run at most, about."""
+SAME = 1e-9
+"""Runs whose objectives differ by less than this part are one."""
 WAVES = 5
 """Half waves over the duration that a random change is made of."""
 SPREAD = 1.0, 25.0, 0.2
@@ -44,18 +50,37 @@ def per_frame_motions(
     coarse = problem if stride == 1 else _thinned(problem, picked, stride)
     solver = NlpFrames.of(coarse, model=model, settings=replace(settings, contact_weight=0.0), terms=terms)
     passes, _ = run_passes(coarse, solver, "best", ends.start, ends.end, progress)
-    passes.sort(key=lambda one: one.badness(coarse, model))
-    return [filled(one.unknowns(coarse), picked, problem.frames) for one in passes]
+    ranked = _best_first(passes, coarse, model, math.inf if terms else ALIKE)
+    return [filled(one.unknowns(coarse), picked, problem.frames) for one in ranked]
 
 
-def _thinned(problem: Problem, picked: npt.NDArray[np.int_], stride: int) -> Problem:
+def _best_first(passes: Sequence[Pass], problem: Problem, model: Model, alike: float) -> list[Pass]:
+    """Runs, least bad first; the others by their objectives.
+
+    The robot is moved through those alone that may be the least bad, as an error is not below the objective by
+    more than the part alike, and what motion adds.
+    """
+    ranked, least = sorted(passes, key=lambda one: one.cost(problem)), (problem.frames + 1, math.inf)
+    best, met = 0, list[tuple[int, float]]()
+    for k, one in enumerate(ranked):
+        failed, objective = cost = one.cost(problem)
+        if (failed, objective / (1 + alike) - MOVED) > least:
+            break
+        if not any(each[0] == failed and math.isclose(objective, each[1], rel_tol=SAME) for each in met):
+            met.append(cost)
+            badness = one.badness(problem, model)
+            best, least = (k, badness) if badness < least else (best, least)
+    return [ranked[best], *ranked[:best], *ranked[best + 1 :]]
+
+
+def _thinned(problem: Problem, picked: Index, stride: int) -> Problem:
     """Every so many frames of a problem."""
     curves, lengths = problem.target.curves, problem.target.lengths
     target = Target(tuple(curves[i] for i in picked), tuple(lengths[i] for i in picked))
     return replace(problem, target=target, duration=problem.dt * stride * len(picked), truth=None)
 
 
-def filled(motion: Array, picked: npt.NDArray[np.int_], frames: int) -> Array:
+def filled(motion: Array, picked: Index, frames: int) -> Array:
     """All frames (frames, n) of a motion known at picked ones, linear between them; NaN counts as not known."""
     known = np.isfinite(motion).all(axis=1)
     return np.column_stack([np.interp(np.arange(frames), picked[known], column) for column in motion[known].T])

@@ -66,6 +66,11 @@ class Pass:
             found[j] = found[j] if result.x is None else result.x
         return found
 
+    def cost(self, problem: Problem) -> tuple[int, float]:
+        """Frames not solved, then the mean objective of the others in mm^2."""
+        solved = [result.objective for result in self.results.values() if result.success]
+        return problem.frames - len(solved), float(np.mean(solved)) if solved else np.inf
+
     def badness(self, problem: Problem, model: str | Model) -> tuple[int, float]:
         """Frames not solved, then the mean square error of the others in mm^2."""
         solved = [j for j, result in self.results.items() if result.success]

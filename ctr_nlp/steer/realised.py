@@ -59,8 +59,9 @@ def realised(
         objective = one.solution.objective
         if not one.solution.success or (tried and objective - tried[-1] <= SAME * (1 + abs(objective))):
             continue
-        if stop() or (made and len(tried) >= TRIED):
-            break
+        kept = [one.attempt.solution.objective for one in made if one.missing <= SHORT]
+        if stop() or (made and len(tried) >= TRIED) or min(kept, default=np.inf) <= objective:
+            break  # with higher margins its objective would only grow
         tried.append(objective)
         found = _made(robot, model, chain, solver, one, margin, stop)
         made += [] if found is None else [found]

@@ -32,14 +32,14 @@ from ctr_nlp.steer.motions import filled, wandered
 from ctr_nlp.steer.passes import Forecast, Progress
 from ctr_nlp.steer.realised import SAME, realised
 from ctr_nlp.target.problem import Problem
-from ctr_nlp.typing import Array
+from ctr_nlp.typing import Array, Index
 
 MOTION_SHARE = 0.1
 """What the motion of the start costs by default, as a part of its shape errors."""
 LEAST_MOTION_WEIGHT = 1e-9
 """Least default of lambda, s^2: where the start follows its target exactly."""
 DRAFTED = 25
-"""Least number of frames of a draft: a motion of twice, three times as many gives every second, third, ... frame."""
+"""Least number of frames of a draft: of twice, three times as many, every second, third, ... one is taken."""
 LIKELY = 0.05
 """A draft whose objective is above the best one's by no more than this part may still lead to a better motion."""
 MOST = 3
@@ -134,12 +134,12 @@ class Search:
         best, (chain, x) = best_of(attempts), self.near(None).around(motion)
         return best.made and best.solution.success and no_worse(best.solution.objective, chain.evaluate(x)[0])
 
-    def _drafts(self, motions: Sequence[Array], picked: Array) -> list[Attempt]:
+    def _drafts(self, motions: Sequence[Array], picked: Index) -> list[Attempt]:
         """Distinct solutions for picked frames, from as many motions, best first."""
         stride = int(picked[-1] - picked[-2])
-        at = tuple(self.problem.samples[k] for k in picked), self.problem.dt * stride, self.weight
-        own = self.ends, self.model, fastest, self.settings.stability_margin, None, self.terms
-        chain, found = horizon(self.problem.robot, *at, *own), list[Attempt]()
+        at = tuple(self.problem.samples[k] for k in picked), self.problem.dt * stride, self.weight, self.ends
+        own = self.model, fastest, self.settings.stability_margin
+        chain, found = horizon(self.problem.robot, *at, *own, extra=self.terms), list[Attempt]()
         for number, motion in enumerate(motions, start=1):
             if self.stop():
                 break
@@ -165,7 +165,7 @@ class Search:
         return realised(self.problem.robot, self.model, chain, solver, attempts, margin, self.stop)
 
 
-def drafted(frames: int) -> Array:
+def drafted(frames: int) -> Index:
     """The numbers of the frames of a draft, from 0; the last is one of them."""
     stride = max(1, frames // DRAFTED)
     return np.arange(frames)[::-1][::stride][::-1]
