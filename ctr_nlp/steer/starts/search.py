@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from ctr_nlp.formulations.terms import Term
 from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.models import Model
 from ctr_nlp.nlp.chain import Chain
-from ctr_nlp.solvers import CHAIN_SOLVERS
+from ctr_nlp.solvers import CHAIN_SOLVERS, ChainSolver
 from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.solvers.motion.judged import WIDE
 from ctr_nlp.steer.attempts import (
@@ -72,12 +73,17 @@ class Search:
 
     def near(self, wall: Wall | None) -> Chain:
         """The chain near a wall, or far from any."""
-        chain = self.free if wall is None else replace(self.inside, surroundings=wall.surroundings)
-        return chain.with_cost(self.weight)
+        if wall is None:
+            return self._far
+        return replace(self.inside, surroundings=wall.surroundings).with_cost(self.weight)
+
+    @cached_property
+    def _far(self) -> Chain:
+        return self.free.with_cost(self.weight)
 
     def balanced_weight(self, motion: Array) -> float:
         """The lambda in s^2 at which a motion costs MOTION_SHARE of its shape errors."""
-        free, x = replace(self, weight=1.0).near(None).around(motion)
+        free, x = self.free.around(motion)
         shape, moved = (float(part.sum()) for part in free.by_frame(x))
         weight = MOTION_SHARE * shape / moved if moved > 0 else 0.0
         return weight if weight > LEAST_MOTION_WEIGHT else LEAST_MOTION_WEIGHT
@@ -155,7 +161,19 @@ class Search:
     def _attempt(self, chain: Chain, motion: Array, number: int, count: int, barrier: float = WIDE) -> Attempt:
         forecast = None if self.progress is None else Forecast(self.progress, chain.frames, number, count)
         told = together(self.seen if chain.frames == self.problem.frames else None, forecast)
-        return attempt(chain, CHAIN_SOLVERS[self.solver], motion, told, self.stop, barrier)
+        return attempt(chain, self._built, motion, told, self.stop, barrier)
+
+    @cached_property
+    def _built(self) -> Callable[[Chain], ChainSolver]:
+        """Makes solvers, and keeps the last for further motions of the same chain."""
+        last = list[tuple[Chain, ChainSolver]]()
+
+        def built(chain: Chain) -> ChainSolver:
+            if not last or last[0][0] is not chain:
+                last[:] = [(chain, CHAIN_SOLVERS[self.solver](chain))]
+            return last[0][1]
+
+        return built
 
     def _made(self, chain: Chain, attempts: list[Attempt]) -> list[Attempt]:
         """Attempts; where there are several equilibria, the best that the robot makes."""
