@@ -22,11 +22,9 @@ from ctr_nlp.typing import Array, Index
 MOST_FRAMES = 200
 """Frames solved one by one for a start; of more, every second, third, ... is solved and the rest interpolated."""
 ALIKE = 0.2
-"""Part by which the mean square error of a run may be below its objective: they are taken at other samples."""
+"""Part by which a run's mean square error may differ from its objective, as they are taken at other samples."""
 MOVED = 1e-3
 """mm^2 that motion adds to the objective of a run at most, about."""
-SAME = 1e-9
-"""Runs whose objectives differ by less than this part are one."""
 WAVES = 5
 """Half waves over the duration that a random change is made of."""
 SPREAD = 1.0, 25.0, 0.2
@@ -55,20 +53,17 @@ def per_frame_motions(
 
 
 def _best_first(passes: Sequence[Pass], problem: Problem, model: Model, alike: float) -> list[Pass]:
-    """Runs, least bad first; the others by their objectives.
-
-    The robot is moved through those alone that may be the least bad, as an error is not below the objective by
-    more than the part alike, and what motion adds.
-    """
-    ranked, least = sorted(passes, key=lambda one: one.cost(problem)), (problem.frames + 1, math.inf)
-    best, met = 0, list[tuple[int, float]]()
-    for k, one in enumerate(ranked):
-        failed, objective = cost = one.cost(problem)
-        if (failed, objective / (1 + alike) - MOVED) > least:
-            break
-        if not any(each[0] == failed and math.isclose(objective, each[1], rel_tol=SAME) for each in met):
-            met.append(cost)
-            badness = one.badness(problem, model)
+    """Runs, least bad first, the others by their objectives; alike: part by which errors differ from these."""
+    ranked = sorted(passes, key=lambda one: one.cost(problem))
+    (failed, objective), bounds = ranked[0].cost(problem), list[tuple[int, float]]()
+    most = failed, objective * (1 + alike) ** 2 + MOVED
+    for one in ranked:  # a robot that is elsewhere than planned is no nearer to its target
+        cost = one.cost(problem)
+        bounds.append(one.planned(problem, model) if cost <= most else (cost[0], cost[1] / (1 + alike) - MOVED))
+    best, least = 0, (problem.frames + 1, math.inf)
+    for k in sorted(range(len(bounds)), key=bounds.__getitem__):
+        if bounds[k] < least:
+            badness = ranked[k].badness(problem, model)
             best, least = (k, badness) if badness < least else (best, least)
     return [ranked[best], *ranked[:best], *ranked[best + 1 :]]
 

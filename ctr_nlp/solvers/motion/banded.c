@@ -20,16 +20,14 @@ typedef struct {
     Chain *chain;
     const Mapped *values, *expansion;
     double *x_of_values, *x_of_expansion, *multipliers; /* what they read */
-    double *hessian, *convexified;
+    double *hessian, *convexified, *merit, *told_x;
     double tolerance, feasible, last_barrier, close, shrink, damping, most_damping, diverged, stalled;
     long most_iterations, most_halvings, stall;
     double barrier, penalty;
     long number, expanded, merits;
-    double *merit;
     double measures[6]; /* objective, violation, gap, stationarity, least and most product */
     long known, told_number;
     double told_objective, told_violation, told_error;
-    double *told_x;
 } Loop;
 
 enum { GOING, SOLVED, ACCEPTABLE, INFEASIBLE, STUCK, STOPPED };

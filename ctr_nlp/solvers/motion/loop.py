@@ -36,17 +36,19 @@ class _Loop(ctypes.Structure):
         ("chain", ctypes.c_void_p),
         *((name, ctypes.POINTER(InC)) for name in ("values", "expansion")),
         *((name, ctypes.c_void_p) for name in ("x_of_values", "x_of_expansion", "multipliers")),
-        *((name, ctypes.c_void_p) for name in ("hessian", "convexified")),
+        *((name, ctypes.c_void_p) for name in ("hessian", "convexified", "merit", "told_x")),
         *((name, ctypes.c_double) for name in NUMBERS),
         *((name, ctypes.c_long) for name in COUNTS),
         *((name, ctypes.c_double) for name in ("barrier", "penalty")),
         *((name, ctypes.c_long) for name in ("number", "expanded", "merits")),
-        ("merit", ctypes.c_void_p),
         ("measures", ctypes.c_double * 6),
         *((name, ctypes.c_long) for name in ("known", "told_number")),
         *((name, ctypes.c_double) for name in ("told_objective", "told_violation", "told_error")),
-        ("told_x", ctypes.c_void_p),
     ]
+
+    def start(self, barrier: float) -> None:
+        """Begin with a barrier in mm^2."""
+        self.barrier, self.penalty, self.number, self.expanded, self.merits = barrier, 1.0, 0, 0, 0
 
 
 class Loop:
@@ -63,19 +65,17 @@ class Loop:
         self._loop = _Loop(
             self.rows.address,
             *map(ctypes.pointer, self._mapped),
-            *(array.ctypes.data for array in (*inputs, hessian, self._room[0])),
+            *(array.ctypes.data for array in (*inputs, hessian, *self._room, self._told)),
             *(numbers[name] for name in NUMBERS),
             *(counts[name] for name in COUNTS),
         )
-        self._loop.merit, self._loop.told_x = self._room[1].ctypes.data, self._told.ctypes.data
         self._iterate = cache.loaded(__package__, "rows.c", "banded.c").iterate
         self._reference = ctypes.byref(self._loop)
 
     def start(self, x: Array, barrier: float, push: float) -> None:
         """Put the point at x (T n,), with slacks at least push within their bounds where these leave room."""
         self.rows.start(x, barrier, push)
-        loop = self._loop
-        loop.barrier, loop.penalty, loop.number, loop.expanded, loop.merits = barrier, 1.0, 0, 0, 0
+        self._loop.start(barrier)
 
     def iterate(self, points: int) -> int:
         """Go on to so many further points; why the work has ended, as numbered in banded.c, or 0."""
