@@ -14,6 +14,7 @@ from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.plan.plan import elsewhere
 from ctr_nlp.robot import Robot
 from ctr_nlp.solvers import FEASIBLE, ChainSolver
+from ctr_nlp.solvers.motion.judged import CLOSE
 from ctr_nlp.steer.attempts import Attempt, attempt
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.passes import Pass
@@ -91,7 +92,7 @@ def _made(
             break
         margins = _raised(margins, missing)
         chain = chain.with_parameters({"margin": margins})
-        one = attempt(chain, solver, one.motion, None, stop)
+        one = attempt(chain, solver, one.motion, None, stop, CLOSE)
         if not one.solution.success:
             break
     return best

@@ -17,7 +17,7 @@ from ctr_nlp.models import Model
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.solvers import CHAIN_SOLVERS, ChainSolver
 from ctr_nlp.solvers.compiled import fastest
-from ctr_nlp.solvers.motion.judged import WIDE
+from ctr_nlp.solvers.motion.judged import CLOSE, WIDE
 from ctr_nlp.steer.attempts import (
     Attempt,
     Report,
@@ -45,8 +45,6 @@ LIKELY = 0.05
 """A draft whose objective is above the best one's by no more than this part may still lead to a better motion."""
 MOST = 3
 """Drafts that are solved for all frames."""
-CLOSE = 1e-4
-"""First barrier from a draft, mm^2: few limits that are active in it become inactive."""
 
 
 @dataclass(frozen=True)
