@@ -44,7 +44,7 @@ def per_frame_motions(
     Where Ctrl-C, held back by the caller, ended the work early, the robot stands still in frames not reached.
     """
     stride = -(-problem.frames // MOST_FRAMES)
-    picked = np.arange(problem.frames)[::-1][::stride][::-1]
+    picked = thinned(problem.frames, stride)
     coarse = problem if stride == 1 else _thinned(problem, picked, stride)
     solver = NlpFrames.of(coarse, model=model, settings=replace(settings, contact_weight=0.0), terms=terms)
     passes, _ = run_passes(coarse, solver, "best", ends.start, ends.end, progress)
@@ -73,6 +73,11 @@ def _thinned(problem: Problem, picked: Index, stride: int) -> Problem:
     curves, lengths = problem.target.curves, problem.target.lengths
     target = Target(tuple(curves[i] for i in picked), tuple(lengths[i] for i in picked))
     return replace(problem, target=target, duration=problem.dt * stride * len(picked), truth=None)
+
+
+def thinned(frames: int, stride: int) -> Index:
+    """The numbers, from 0, of every so many frames; the last is one of them."""
+    return np.arange(frames)[::-1][::stride][::-1]
 
 
 def filled(motion: Array, picked: Index, frames: int) -> Array:

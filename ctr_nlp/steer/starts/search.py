@@ -7,8 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import numpy as np
-
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
@@ -29,7 +27,7 @@ from ctr_nlp.steer.attempts import (
     together,
     within_limits,
 )
-from ctr_nlp.steer.motions import filled, wandered
+from ctr_nlp.steer.motions import filled, thinned, wandered
 from ctr_nlp.steer.passes import Forecast, Progress
 from ctr_nlp.steer.realised import SAME, realised
 from ctr_nlp.target.problem import Problem
@@ -41,6 +39,8 @@ LEAST_MOTION_WEIGHT = 1e-9
 """Least default of lambda, s^2: where the start follows its target exactly."""
 DRAFTED = 25
 """Least number of frames of a draft: of twice, three times as many, every second, third, ... one is taken."""
+FINER = 8
+"""How many times more frames than one solution of a draft has the next may have."""
 LIKELY = 0.05
 """A draft whose objective is above the best one's by no more than this part may still lead to a better motion."""
 MOST = 3
@@ -126,7 +126,7 @@ class Search:
             far = draft.solution.objective > (1 + part) * drafts[0].solution.objective
             if self.stop() or (found and far):
                 break
-            whole = filled(draft.motion, picked, self.problem.frames)
+            whole = self._refined(draft.motion, picked)
             found.append(self._attempt(chain, whole, len(found) + 1, len(drafts), CLOSE))
         made = self._made(chain, found) if found else []
         if self.stop() or (made and self._good(made, motions[0])):
@@ -138,12 +138,26 @@ class Search:
         best, (chain, x) = best_of(attempts), self.near(None).around(motion)
         return best.made and best.solution.success and no_worse(best.solution.objective, chain.evaluate(x)[0])
 
+    def _refined(self, motion: Array, picked: Index) -> Array:
+        """All frames (T, n) of a draft, solved for more and more of them until few are left out."""
+        frames = self.problem.frames
+        while (stride := int(picked[-1] - picked[-2])) > FINER and not self.stop():
+            finer = thinned(frames, stride // FINER)
+            one = self._attempt(self._thin(finer), filled(motion, picked, frames)[finer], 1, 1, CLOSE)
+            if not one.solution.success:
+                break
+            motion, picked = one.motion, finer
+        return filled(motion, picked, frames)
+
+    def _thin(self, picked: Index) -> Chain:
+        """The chain of picked frames, evenly apart, far from any wall."""
+        at = tuple(self.problem.samples[k] for k in picked), self.problem.dt * int(picked[-1] - picked[-2])
+        own = self.weight, self.ends, self.model, fastest, self.settings.stability_margin
+        return horizon(self.problem.robot, *at, *own, extra=self.terms)
+
     def _drafts(self, motions: Sequence[Array], picked: Index) -> list[Attempt]:
         """Distinct solutions for picked frames, from as many motions, best first."""
-        stride = int(picked[-1] - picked[-2])
-        at = tuple(self.problem.samples[k] for k in picked), self.problem.dt * stride, self.weight, self.ends
-        own = self.model, fastest, self.settings.stability_margin
-        chain, found = horizon(self.problem.robot, *at, *own, extra=self.terms), list[Attempt]()
+        chain, found = self._thin(picked), list[Attempt]()
         for number, motion in enumerate(motions, start=1):
             if self.stop():
                 break
@@ -183,5 +197,4 @@ class Search:
 
 def drafted(frames: int) -> Index:
     """The numbers of the frames of a draft, from 0; the last is one of them."""
-    stride = max(1, frames // DRAFTED)
-    return np.arange(frames)[::-1][::stride][::-1]
+    return thinned(frames, max(1, frames // DRAFTED))
