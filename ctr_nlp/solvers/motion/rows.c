@@ -340,22 +340,6 @@ static void diagonalise(long n, V a[n][n], V vectors[n][n]) {
     }
 }
 
-/* Whether all lanes are positive definite: then nothing is to be changed, and that is known sooner. */
-static int positive(long n, V a[n][n]) {
-    V factor[n][n];
-    for (long j = 0; j < n; ++j)
-        for (long i = j; i < n; ++i) {
-            V sum = a[j][i];
-            for (long k = 0; k < j; ++k) sum -= factor[k][i] * factor[k][j] / factor[k][k];
-            factor[j][i] = sum;
-            if (i > j) continue;
-            int all = 1;
-            EACH all &= sum[l] > 1e-12 * fabs(a[j][j][l]);
-            if (!all) return 0;
-        }
-    return 1;
-}
-
 void convex(long frames, long n, const double *hessian, double *result) {
     for (long first = 0; first < frames; first += LANES) {
         V a[n][n], vectors[n][n];
@@ -364,11 +348,6 @@ void convex(long frames, long n, const double *hessian, double *result) {
                 EACH a[i][j][l] = hessian[((first + l < frames ? first + l : first) * n + i) * n + j];
                 vectors[i][j] = (V){} + (i == j);
             }
-        if (positive(n, a)) {
-            long kept = frames - first < LANES ? frames - first : LANES;
-            for (long i = first * n * n; i < (first + kept) * n * n; ++i) result[i] = hessian[i];
-            continue;
-        }
         diagonalise(n, a, vectors);
         for (long i = 0; i < n; ++i)
             for (long j = 0; j <= i; ++j) {
