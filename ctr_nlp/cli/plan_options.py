@@ -19,7 +19,7 @@ HORIZON = "horizon"
 """The formulation that takes all frames at once."""
 FRAMES_ALONE = ("direction", "jump_width")
 """Options that no horizon has."""
-HORIZON_ALONE = ("end", "initial", "starts", "jobs", "sweep_motion_weight", "live")
+HORIZON_ALONE = ("end", "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live")
 """Options that a horizon alone has."""
 WALL = ("clearance", "contact_weight", "clearance_cost", "contact_allowed")
 """What add_wall_options adds, as Settings calls it."""
@@ -71,7 +71,15 @@ def add_horizon_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--initial", metavar="PLAN.npz", nargs="+", help="plans to start from, instead of frame by frame"
     )
-    group.add_argument("--starts", metavar="N", type=whole, help="motions to start from (default: all there are)")
+    group.add_argument(
+        "--starts",
+        metavar="N",
+        type=whole,
+        help="motions that are solved to the end (default: those that promise most once some of their frames are)",
+    )
+    group.add_argument(
+        "--exhaustive", action="store_true", help="solve every motion found frame by frame to the end"
+    )
     group.add_argument("--jobs", metavar="N", type=whole, help="processes for them (default 1)")
     add_live_option(group, "the motion as it is solved for, or with --jobs the best yet,")
 

@@ -18,6 +18,7 @@ from ctr_nlp.nlp.nlp import Constraint, Inner, Nlp
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import NUMBERS, Structure
 from ctr_nlp.target.target import Frame
+from ctr_nlp.typing import Array
 
 KEPT = 64
 """Programs kept in a process."""
@@ -39,6 +40,19 @@ def robot_values(robot: Robot) -> dict[str, Any]:
 def filled(robot: Robot, terms: Sequence[Term], frame: Frame) -> dict[str, Any]:
     """All parameters of a program, by name, for a target frame."""
     return robot_values(robot) | {key: value for term in terms for key, value in term.fill(frame).items()}
+
+
+def packed(nlp: Nlp, values: Sequence[Mapping[str, Any]]) -> Array:
+    """Parameters of many frames (frames, n_p): a row of each is what Nlp.pack makes of its values.
+
+    Raises ValueError as Nlp.pack, or where frames differ in their parameters.
+    """
+    found = [nlp.pack(values[0])[None, :0].repeat(len(values), axis=0)]
+    for name in nlp.parameters:
+        stacked = np.array([each[name] for each in values], dtype=float)
+        matrices = stacked.reshape(*stacked.shape, *(1,) * (3 - stacked.ndim))
+        found.append(matrices.transpose(0, 2, 1).reshape(len(values), -1))
+    return np.concatenate(found, axis=1)
 
 
 class _Keyed(tuple[Term, ...]):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ctr_nlp.formulations.frame import filled, program
+from ctr_nlp.formulations.frame import filled, packed, program
 from ctr_nlp.formulations.joint import terms_of, tip_steps
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.formulations.wall import Wall
@@ -57,7 +57,6 @@ def horizon(
     """
     terms = terms_of(robot, model, margin, extra, walled=wall is not None)
     frame = program("frame", robot.structure, model, terms)
-    columns = [frame.pack(filled(robot, terms, at)) for at in frames]
     tips = tip_steps(robot, dt) if model.several_equilibria else np.zeros(0)
     free = np.full(len(tips), np.inf)
     rows = frame.row_bounds(np.append(robot.lower, -free), np.append(robot.upper, free))
@@ -76,7 +75,7 @@ def horizon(
         frame,
         (*robot.axes, *(f"phi_{i + 1}" for i in range(len(tips)))),
         np.append(robot.mm_per_unit, robot.mm_per_unit[: len(tips)]),
-        np.column_stack(columns),
+        packed(frame, [filled(robot, terms, at) for at in frames]).T.copy(),
         lower,
         upper,
         _links(robot, len(frames), dt, motion_weight, before, after, tips),

@@ -198,6 +198,10 @@ class Chain:
             np.concatenate([self.upper.ravel(), high.ravel(), self._linked(lambda link: link.upper)]),
         )
 
+    def evaluators(self) -> list[Mapped]:
+        """What evaluates value, slopes and expansion of all frames now."""
+        return self._evaluators()
+
     @cached_property
     def _evaluators(self) -> _Evaluators:
         return _Evaluators(self.functions, self.parameters)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +11,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ctr_nlp.typing import Array, Index
+
+KEPT = 16
+"""Matrices of links that a process remembers."""
 
 
 @dataclass(frozen=True)
@@ -38,15 +42,20 @@ def differences(
     Returns matrix and offset, and frame and axis of every row; rows in which nothing is unknown are left out.
     """
     known = [*before, *after]
-    length = frames + len(known)
-    stencil = sp.identity(length, format="csr")
+    matrix, outer, frame, axis = _stencil(frames, order, len(before), len(after), n)
+    return matrix, (outer @ np.array(known).reshape(len(known), n)).ravel(), frame, axis
+
+
+@functools.lru_cache(maxsize=KEPT)
+def _stencil(frames: int, order: int, before: int, after: int, n: int) -> tuple[sp.csr_array, Any, Index, Index]:
+    """The matrix over what is unknown, that over frames that are known, and frame and axis of every row."""
+    stencil = sp.identity(before + frames + after, format="csr")
     for _ in range(order):
         stencil = stencil[1:] - stencil[:-1]
-    inner = slice(len(before), len(before) + frames)
+    inner = slice(before, before + frames)
     some = np.flatnonzero(abs(stencil[:, inner]).sum(axis=1) > 0)
     stencil = stencil[some]
-    outer: Any = sp.hstack([stencil[:, : len(before)], stencil[:, len(before) + frames :]])
-    offset = (outer @ np.array(known).reshape(len(known), n)).ravel()
+    outer = sp.hstack([stencil[:, :before], stencil[:, before + frames :]])
     matrix = sp.csr_array(sp.kron(stencil[:, inner], sp.identity(n)))
-    frame = np.clip(some + order - len(before), 0, frames - 1)
-    return matrix, offset, np.repeat(frame, n), np.tile(np.arange(n), len(some))
+    frame = np.clip(some + order - before, 0, frames - 1)
+    return matrix, outer, np.repeat(frame, n), np.tile(np.arange(n), len(some))

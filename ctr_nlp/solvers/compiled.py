@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import functools
 import inspect
 import time
@@ -56,8 +57,21 @@ class _Fastest:
 
 @functools.lru_cache(maxsize=KEPT)
 def _external(path: str, lanes: int) -> FrameFunctions:
-    value, slopes, expansion = (ca.external(name, path) for name in FrameFunctions._fields[:3])
+    names = FrameFunctions._fields[:3]
+    value, slopes, expansion = functions = [ca.external(name, path) for name in names]
+    library = ctypes.CDLL(path)
+    for name, function in zip(names, functions, strict=True):
+        _addresses[function] = ctypes.cast(library[name], ctypes.c_void_p).value or 0
     return FrameFunctions(value, slopes, expansion, lanes)
+
+
+_addresses: dict[ca.Function, int] = {}
+"""Of functions that have been loaded."""
+
+
+def address(function: ca.Function) -> int | None:
+    """Where a compiled function is in memory, to be called by C as CasADi calls it; None of an interpreted one."""
+    return _addresses.get(function)
 
 
 @functools.lru_cache(maxsize=KEPT)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ctr_nlp.formulations import Stage
+from ctr_nlp.formulations.frame import packed
 from ctr_nlp.formulations.frames import FrameResult
 from ctr_nlp.formulations.joint import tip_steps
 from ctr_nlp.robot import Robot
@@ -51,11 +53,11 @@ class AtOnce:
         near: Surroundings | None = None,
     ) -> AtOnce:
         """For target samples with least margins (T,); values: of further parameters, the same in all frames."""
-        q, packed = np.zeros(len(stage.decides)), list[Array]()
+        q, rows = np.zeros(len(stage.decides)), list[dict[str, Any]]()
         for sample, margin in zip(samples, margins, strict=True):
             filled = {**stage.fill(sample, q), **values}
-            packed.append(stage.nlp.pack(filled | ({"margin": margin} if "margin" in filled else {})))
-        return cls(stage, solver, np.array(packed), reach, len(reach.low) - len(q), near)
+            rows.append(filled | ({"margin": margin} if "margin" in filled else {}))
+        return cls(stage, solver, packed(stage.nlp, rows), reach, len(reach.low) - len(q), near)
 
     def search(self, frame: int, x0: Array) -> list[FrameResult]:
         """Answers for a frame without a past from starts x0 (n, n_x), as many as are found."""

@@ -106,15 +106,15 @@ def no_worse(objective: float, than: float) -> bool:
     return objective <= than + TIE * (1 + abs(objective))
 
 
-def together(*reports: Report | None) -> Report:
-    """One report that hands every iterate to all of these."""
+def together(*reports: Report | None) -> Report | None:
+    """One report that hands every iterate to all of these; None where nobody is to be told."""
     known = [report for report in reports if report is not None]
 
     def report(iterate: Iterate) -> None:
         for each in known:
             each(iterate)
 
-    return report
+    return report if known else None
 
 
 def within_limits(chain: Chain, x: Array) -> Array:
@@ -134,9 +134,11 @@ def attempt(
     motion: Array,
     report: Report | None,
     stop: Callable[[], bool],
+    barrier: float = WIDE,
 ) -> Attempt:
     """Solve a chain from a motion, as Chain.around takes it, or from the feasible one nearest to it.
 
+    barrier: the first, mm^2.
     Where a chain holds near a motion only, it is solved again around its solution until that needs the same slack.
     The result is never worse than the start.
     """
@@ -144,7 +146,7 @@ def attempt(
     near, x0 = chain.around(motion)
     while len(tried) < ROUNDS and missing > SETTLED and not (tried and (stop() or not tried[-1].solution.success)):
         known = np.concatenate([tried[-1].solution.lam_x, tried[-1].solution.lam_g]) if tried else None
-        one = _solved(near, solver(near), x0, NEAR if tried else WIDE, report, stop, known)
+        one = _solved(near, solver(near), x0, NEAR if tried else barrier, report, stop, known)
         near, x0 = chain.around(one.motion)
         missing = float(abs(x0 - one.solution.x).max())
         objective = near.evaluate(x0)[0] if missing > 0 else one.solution.objective

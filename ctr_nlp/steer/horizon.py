@@ -1,11 +1,10 @@
-"""Steering over a whole motion at once: where it starts, what is tried, and what is kept."""
+"""Steering over a whole motion at once: what is asked for, and the plan that comes of it."""
 
 from __future__ import annotations
 
-import functools
-import itertools
+import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -22,23 +21,12 @@ from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
 from ctr_nlp.solvers import CHAIN_SOLVERS, default_chain_solver
 from ctr_nlp.solvers.compiled import fastest
-from ctr_nlp.steer.attempts import (
-    Attempt,
-    Report,
-    Task,
-    attempt,
-    attempt_in_processes,
-    best_of,
-    failures,
-    hopeless,
-    together,
-    within_limits,
-)
+from ctr_nlp.steer.attempts import Attempt, Report, best_of, failures
+from ctr_nlp.steer.inside import MOST as WALLED
 from ctr_nlp.steer.inside import Outcome, affordable, distinct
-from ctr_nlp.steer.motions import per_frame_motions, wandered
+from ctr_nlp.steer.motions import per_frame_motions
 from ctr_nlp.steer.nlp_frames import DEFAULTS
-from ctr_nlp.steer.passes import Forecast, Progress
-from ctr_nlp.steer.realised import realised
+from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.requests import (
     check_described,
     check_ends,
@@ -48,17 +36,11 @@ from ctr_nlp.steer.requests import (
     checked_motions,
     checked_terms,
 )
+from ctr_nlp.steer.starts.search import Search
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.values import check_choice, strict_json
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
-
-Run = Callable[[Wall | None, Sequence[Array], Sequence[float]], list[Attempt]]
-"""Attempts near a wall, or far from any, from motions, and bounds of what objectives can come of these, mm^2."""
-MOTION_SHARE = 0.1
-"""What the motion of the start costs by default, as a part of its shape errors."""
-LEAST_MOTION_WEIGHT = 1e-9
-"""Least default of lambda, s^2: where the start follows its target exactly."""
 
 
 def solve_horizon(
@@ -76,16 +58,18 @@ def solve_horizon(
     terms: Sequence[Term] = (),
     progress: Progress | None = None,
     seen: Report | None = None,
+    exhaustive: bool = False,
 ) -> Plan:
     """The plan that follows a problem's target over all frames at once, eq. (9) over a horizon.
 
     solver: banded, or ipopt; None takes banded where there is a C compiler. start: q (2d + 2,) at time 0; end: q
     of the last frame; free where None. motion_weight: lambda in s^2; None takes the one at which the motion of
     the start costs a tenth of its shape errors. initial: motions (T, 2d + 2) to start from; without any, those of
-    per_frame_motions. starts: how many are tried: the best of those, then smooth random changes of the best
-    (settings.seed); None tries those alone. jobs: in how many processes. settings: of the frames run one by one.
-    terms: further ones of the objective (formulations.terms). seen: told of every iterate, or where processes are
-    several of every attempt that is the best until then.
+    per_frame_motions, all of which are solved for some of the frames, and the best of these for all frames.
+    starts: how many are solved for all frames instead: the best of those, then smooth random changes of the best
+    (settings.seed). exhaustive: all of those are, and no others. jobs: in how many processes. settings: of the
+    frames run one by one. terms: further ones of the objective (formulations.terms). seen: told of every iterate
+    of all frames, or where processes are several of every attempt that is the best until then.
     The plan is never worse than the best motion it started from, and marked where it is no solution. Ctrl-C ends
     the work; the plan is then the best feasible one so far, marked as interrupted. Raises OptionError,
     ProblemError, RobotError.
@@ -94,7 +78,7 @@ def solve_horizon(
     check_search(motion_weight, starts, jobs)
     motions = checked_motions(problem, initial)
     whole = Horizon(problem, model, solver, start, end, settings, terms)
-    return whole.solve(motions, motion_weight, starts, jobs, progress, seen)
+    return whole.solve(motions, motion_weight, starts, jobs, progress, seen, exhaustive)
 
 
 class Horizon:
@@ -125,7 +109,9 @@ class Horizon:
         self._settings, self._terms = settings, checked_terms(terms)
         self._wall = wall_of(problem.robot, problem.lumen, self._model, settings)
         self._free = self._built(None)
-        self._inside = self._free if self._wall is None else self._built(self._wall)
+        inside = self._free if self._wall is None else self._built(self._wall)
+        own = self._model, solver, self.ends, settings, self._terms
+        self._search = Search(problem, *own, self._free, inside)
         if self.ends.start is not None and self.ends.end is not None and not self._free.bent:
             check_ends(problem, self._free)
         self.build_seconds = time.perf_counter() - begin
@@ -143,6 +129,7 @@ class Horizon:
         jobs: int = 1,
         progress: Progress | None = None,
         seen: Report | None = None,
+        exhaustive: bool = False,
     ) -> Plan:
         """The plan; as solve_horizon."""
         settings, model = self._settings, self._model
@@ -153,26 +140,35 @@ class Horizon:
             found = given or per_frame_motions(self.problem, self.ends, settings, progress, model, self._terms)
             between = time.perf_counter()
             weight = self.balanced_weight(found[0]) if motion_weight is None else motion_weight
-            run = functools.partial(self._attempts, weight, jobs, progress, seen, interrupted)
+            search = replace(
+                self._search, weight=weight, jobs=jobs, progress=progress, seen=seen, stop=interrupted
+            )
             wall, free = None, None
             attempts: Sequence[Attempt] = []
             if not interrupted():
-                attempts = run(None, self._picked(weight, found, starts or len(found)), ())
+                ranked = search.ranked(found, starts or len(found))
+                every = bool(given or starts or exhaustive)
+                attempts = search.attempts(ranked) if every else self._likely(search, ranked)
             if self._wall is not None and not interrupted():
                 free = self._q(best_of(attempts).motion)
-                wall, attempts = self._kept_inside(self._wall, run, attempts, given, interrupted)
+                wall, attempts = self._kept_inside(self._wall, search, attempts, given)
             work = {"search_s": between - begin, "solve_s": time.perf_counter() - between}
             stopped = interrupted()
         options = strict_json(asdict(settings)) | {"motion_weight": weight, "starts": starts}
+        options["exhaustive"] = exhaustive
         options["terms"] = [str(term) for term in self._terms]
         for name, q in (("start", self.ends.start), ("end", self.ends.end)):
             options[name] = None if q is None else q.tolist()
         meta = {**self._names, **work, "options": options, "build_s": self.build_seconds, "interrupted": stopped}
         meta["contact_weight"] = None if wall is None else wall.weight
-        return self._plan(self._near(wall, weight), found[0], attempts, free, meta)
+        return self._plan(search.near(wall), found[0], attempts, free, meta)
+
+    def _likely(self, search: Search, ranked: Sequence[Array]) -> list[Attempt]:
+        """What comes of the best of motions; where a wall is to be kept, of all that differ: any may fit."""
+        return search.likely(ranked) if self._wall is None else search.likely(ranked, WALLED, math.inf)
 
     def _kept_inside(
-        self, wall: Wall, run: Run, free: Sequence[Attempt], given: Sequence[Array], stop: Callable[[], bool]
+        self, wall: Wall, search: Search, free: Sequence[Attempt], given: Sequence[Array]
     ) -> tuple[Wall | None, Sequence[Attempt]]:
         """Attempts within a wall, from those free of it and from given motions, and the wall that they afford.
 
@@ -184,10 +180,10 @@ class Horizon:
         bounds = [one.solution.objective for one in others]
 
         def solve(tried: Wall) -> list[Attempt]:
-            attempts = run(tried, motions, bounds)
+            attempts = search.attempts(motions, tried, bounds)
             found = best_of(attempts)
             if bounds and not found.made:
-                attempts = run(tried, motions, ())
+                attempts = search.attempts(motions, tried)
                 found = best_of(attempts)
             bounds.clear()
             motions[:] = [best.motion, found.motion] if found.made else [best.motion]
@@ -199,7 +195,7 @@ class Horizon:
             return Outcome.of(self.problem, wall.model, self._q(one.motion), one.motion, success)
 
         least, cost = outcome(free), self._settings.clearance_cost
-        kept = affordable(wall, solve, lambda attempts: outcome(attempts).affords(least, cost), stop)
+        kept = affordable(wall, solve, lambda attempts: outcome(attempts).affords(least, cost), search.stop)
         return (None, free) if kept is None else kept
 
     def _q(self, motion: Array) -> Array:
@@ -208,63 +204,8 @@ class Horizon:
         return self._free.configurations(value)[:, : len(self.problem.robot.axes)]
 
     def balanced_weight(self, motion: Array) -> float:
-        """The lambda in s^2 at which a motion costs MOTION_SHARE of its shape errors."""
-        free, x = self._near(None, 1.0).around(motion)
-        shape, moved = (float(part.sum()) for part in free.by_frame(x))
-        weight = MOTION_SHARE * shape / moved if moved > 0 else 0.0
-        return weight if weight > LEAST_MOTION_WEIGHT else LEAST_MOTION_WEIGHT
-
-    def _near(self, wall: Wall | None, weight: float) -> Chain:
-        """The chain with a motion weight in s^2, near a wall, or far from any."""
-        chain = self._free if wall is None else replace(self._inside, surroundings=wall.surroundings)
-        return chain.with_cost(weight)
-
-    def _picked(self, weight: float, motions: Sequence[Array], count: int) -> list[Array]:
-        """The best of motions in the horizon's own objective, then random changes of the very best."""
-        free = self._near(None, weight)
-        kept = sorted(
-            (within_limits(*free.around(motion)) for motion in motions), key=lambda x: free.evaluate(x)[0]
-        )
-        ranked = [free.robot_of(x) for x in kept]
-        changes = wandered(self.problem.robot, ranked[0], self._settings.seed)
-        return list(itertools.islice(itertools.chain(ranked, changes), count))
-
-    def _attempts(
-        self,
-        weight: float,
-        jobs: int,
-        progress: Progress | None,
-        seen: Report | None,
-        interrupted: Callable[[], bool],
-        wall: Wall | None,
-        motions: Sequence[Array],
-        bounds: Sequence[float],
-    ) -> list[Attempt]:
-        """What comes of motions near a wall, or far from any; on the elastic model, that the robot makes.
-
-        bounds: objectives of the first motions, mm^2, that nothing that comes of these falls below; where motions
-        are solved one after the other, those are left out that something better is known for.
-        """
-        problem, settings, names = self.problem, self._settings, self._names
-        chain, solver, count = self._near(wall, weight), CHAIN_SOLVERS[names["solver"]], len(motions)
-        attempts = list[Attempt]()
-        if jobs > 1 and count > 1:
-            own = names["solver"], self._model, settings.stability_margin, wall, self._terms
-            task = Task(problem.robot, problem.samples, problem.dt, weight, self.ends, *own)
-            attempts = attempt_in_processes(task, motions, jobs, progress, interrupted, seen)
-        least = [*bounds, *itertools.repeat(-np.inf, count - len(bounds))]
-        for number, motion in enumerate(() if attempts else motions, start=1):
-            if attempts and interrupted():
-                break
-            if hopeless(attempts, least[number - 1]):
-                continue
-            forecast = None if progress is None else Forecast(progress, problem.frames, number, count)
-            attempts.append(attempt(chain, solver, motion, together(seen, forecast), interrupted))
-        if not self._model.several_equilibria or interrupted():
-            return attempts
-        return realised(
-            problem.robot, self._model, chain, solver, attempts, settings.stability_margin, interrupted
-        )
+        """The lambda in s^2 at which a motion costs a tenth of its shape errors."""
+        return self._search.balanced_weight(motion)
 
     def _plan(
         self, chain: Chain, motion: Array, attempts: Sequence[Attempt], free: Array | None, meta: dict[str, Any]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.formulations.settings import Settings
@@ -14,13 +14,17 @@ from ctr_nlp.formulations.terms import Term
 from ctr_nlp.models import Model
 from ctr_nlp.robot import Robot
 from ctr_nlp.steer.nlp_frames import NlpFrames
-from ctr_nlp.steer.passes import Progress, run_passes
+from ctr_nlp.steer.passes import Pass, Progress, run_passes
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import Target
-from ctr_nlp.typing import Array
+from ctr_nlp.typing import Array, Index
 
 MOST_FRAMES = 200
 """Frames solved one by one for a start; of more, every second, third, ... is solved and the rest interpolated."""
+ALIKE = 0.2
+"""Part by which a run's mean square error may differ from its objective, as they are taken at other samples."""
+MOVED = 1e-3
+"""mm^2 that motion adds to the objective of a run at most, about."""
 WAVES = 5
 """Half waves over the duration that a random change is made of."""
 SPREAD = 1.0, 25.0, 0.2
@@ -40,22 +44,44 @@ def per_frame_motions(
     Where Ctrl-C, held back by the caller, ended the work early, the robot stands still in frames not reached.
     """
     stride = -(-problem.frames // MOST_FRAMES)
-    picked = np.arange(problem.frames)[::-1][::stride][::-1]
+    picked = thinned(problem.frames, stride)
     coarse = problem if stride == 1 else _thinned(problem, picked, stride)
     solver = NlpFrames.of(coarse, model=model, settings=replace(settings, contact_weight=0.0), terms=terms)
     passes, _ = run_passes(coarse, solver, "best", ends.start, ends.end, progress)
-    passes.sort(key=lambda one: one.badness(coarse, model))
-    return [_filled(one.unknowns(coarse), picked, problem.frames) for one in passes]
+    ranked = _best_first(passes, coarse, model, math.inf if terms else ALIKE)
+    return [filled(one.unknowns(coarse), picked, problem.frames) for one in ranked]
 
 
-def _thinned(problem: Problem, picked: npt.NDArray[np.int_], stride: int) -> Problem:
+def _best_first(passes: Sequence[Pass], problem: Problem, model: Model, alike: float) -> list[Pass]:
+    """Runs, least bad first, the others by their objectives; alike: part by which errors differ from these."""
+    ranked = sorted(passes, key=lambda one: one.cost(problem))
+    (failed, objective), bounds = ranked[0].cost(problem), list[tuple[int, float]]()
+    most = failed, objective * (1 + alike) ** 2 + MOVED
+    for one in ranked:  # a robot that is elsewhere than planned is no nearer to its target
+        cost = one.cost(problem)
+        bounds.append(one.planned(problem, model) if cost <= most else (cost[0], cost[1] / (1 + alike) - MOVED))
+    best, least = 0, (problem.frames + 1, math.inf)
+    for k in sorted(range(len(bounds)), key=bounds.__getitem__):
+        if bounds[k] < least:
+            badness = ranked[k].badness(problem, model)
+            best, least = (k, badness) if badness < least else (best, least)
+    return [ranked[best], *ranked[:best], *ranked[best + 1 :]]
+
+
+def _thinned(problem: Problem, picked: Index, stride: int) -> Problem:
     """Every so many frames of a problem."""
     curves, lengths = problem.target.curves, problem.target.lengths
     target = Target(tuple(curves[i] for i in picked), tuple(lengths[i] for i in picked))
     return replace(problem, target=target, duration=problem.dt * stride * len(picked), truth=None)
 
 
-def _filled(motion: Array, picked: npt.NDArray[np.int_], frames: int) -> Array:
+def thinned(frames: int, stride: int) -> Index:
+    """The numbers, from 0, of every so many frames; the last is one of them."""
+    return np.arange(frames)[::-1][::stride][::-1]
+
+
+def filled(motion: Array, picked: Index, frames: int) -> Array:
+    """All frames (frames, n) of a motion known at picked ones, linear between them; NaN counts as not known."""
     known = np.isfinite(motion).all(axis=1)
     return np.column_stack([np.interp(np.arange(frames), picked[known], column) for column in motion[known].T])
 

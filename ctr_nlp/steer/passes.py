@@ -19,6 +19,7 @@ from ctr_nlp.solvers.motion.banded import MOST_ITERATIONS, TOLERANCE
 from ctr_nlp.steer.requests import Direction, checked_ends
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.target.problem import Problem
+from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
 
 Progress = Callable[[int, int, str], None]
@@ -66,14 +67,31 @@ class Pass:
             found[j] = found[j] if result.x is None else result.x
         return found
 
+    def cost(self, problem: Problem) -> tuple[int, float]:
+        """Frames not solved, then the mean objective of the others in mm^2."""
+        solved = [result.objective for result in self.results.values() if result.success]
+        return problem.frames - len(solved), float(np.mean(solved)) if solved else np.inf
+
+    def planned(self, problem: Problem, model: Model) -> tuple[int, float]:
+        """Frames not solved, then the mean square error in mm^2 of the others where the robot is as planned."""
+        solved = self._solved()
+        x = np.array([self.results[j].q if self.results[j].x is None else self.results[j].x for j in solved])
+        return self._off(problem, solved, lambda: model.points(problem.robot, x, SIGMA))
+
     def badness(self, problem: Problem, model: str | Model) -> tuple[int, float]:
-        """Frames not solved, then the mean square error of the others in mm^2."""
-        solved = [j for j, result in self.results.items() if result.success]
+        """The same where the robot is when it has been moved there."""
+        solved = self._solved()
+        q = np.array([self.results[j].q for j in solved])
+        return self._off(problem, solved, lambda: simulated(problem.robot, q, model).shape)
+
+    def _solved(self) -> list[int]:
+        return sorted(j for j, result in self.results.items() if result.success)
+
+    def _off(self, problem: Problem, solved: Sequence[int], shape: Callable[[], Array]) -> tuple[int, float]:
         if not solved:
             return problem.frames, np.inf
-        found = simulated(problem.robot, np.array([self.results[j].q for j in sorted(solved)]), model).shape
-        wanted = np.array([problem.samples[j].points for j in sorted(solved)])
-        squares = rms_over_sigma(np.linalg.norm(found - wanted, axis=-1)) ** 2
+        wanted = np.array([problem.samples[j].points for j in solved])
+        squares = rms_over_sigma(np.linalg.norm(shape() - wanted, axis=-1)) ** 2
         return problem.frames - len(solved), float(squares.mean())
 
 

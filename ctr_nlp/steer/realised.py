@@ -14,6 +14,7 @@ from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.plan.plan import elsewhere
 from ctr_nlp.robot import Robot
 from ctr_nlp.solvers import FEASIBLE, ChainSolver
+from ctr_nlp.solvers.motion.judged import CLOSE
 from ctr_nlp.steer.attempts import Attempt, attempt
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.passes import Pass
@@ -59,8 +60,9 @@ def realised(
         objective = one.solution.objective
         if not one.solution.success or (tried and objective - tried[-1] <= SAME * (1 + abs(objective))):
             continue
-        if stop() or (made and len(tried) >= TRIED):
-            break
+        kept = [one.attempt.solution.objective for one in made if one.missing <= SHORT]
+        if stop() or (made and len(tried) >= TRIED) or min(kept, default=np.inf) <= objective:
+            break  # with higher margins its objective would only grow
         tried.append(objective)
         found = _made(robot, model, chain, solver, one, margin, stop)
         made += [] if found is None else [found]
@@ -90,7 +92,7 @@ def _made(
             break
         margins = _raised(margins, missing)
         chain = chain.with_parameters({"margin": margins})
-        one = attempt(chain, solver, one.motion, None, stop)
+        one = attempt(chain, solver, one.motion, None, stop, CLOSE)
         if not one.solution.success:
             break
     return best

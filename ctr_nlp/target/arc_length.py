@@ -45,7 +45,7 @@ class Formula(Value):
         orders = [self._expression(u)]
         for _ in range(2):
             orders.append(ca.jacobian(orders[-1], u))
-        return tuple(ca.Function(f"d{i}", [u], [expression]) for i, expression in enumerate(orders))
+        return tuple(ca.Function(f"d{i}", [u], [ca.densify(each)]) for i, each in enumerate(orders))
 
     def _expression(self, u: ca.SX) -> ca.SX:
         places: dict[int, ca.SX] = {}
@@ -65,7 +65,13 @@ class Formula(Value):
 
     def derivative(self, u: Array, order: int) -> Array:
         """x(u) (n, 3), or its first or second derivative, at u (n,)."""
-        return self._functions[order](u[None]).full().T
+        given, found = np.array(u, dtype=float), np.empty((len(u), 3))
+        if len(u):  # a buffer saves the copies through CasADi's matrices, which take longer than most formulas
+            buffer, evaluate = self._functions[order].map(len(u)).buffer()
+            buffer.set_arg(0, given.data)  # type: ignore[call-arg]
+            buffer.set_res(0, found.data)  # type: ignore[call-arg]
+            evaluate()
+        return found
 
     bending = derivative
 

@@ -145,6 +145,8 @@ def _sampled(curve: Curve, lengths: Array, first: int) -> list[Frame]:
     def known(name: str, function: Callable[[Array], Any], *shape: int) -> list[Array]:
         """A function of arc length in every frame, finite and read-only; raises ProblemError."""
         whole = np.asarray(function(s.ravel()))
+        if whole.shape == (s.size, *shape) and whole.dtype == float and np.isfinite(whole).all():
+            return list(frozen(whole).reshape(*s.shape, *shape))
         parts = whole.reshape(*s.shape, *shape) if whole.shape == (s.size, *shape) else map(function, s)
         names = (f"{name} of frame {frame + 1} of the target" for frame in frames)
         return [floats(ProblemError, *each, (len(SIGMA), *shape)) for each in zip(names, parts, strict=True)]

@@ -165,7 +165,8 @@ def _at_once(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan, lis
         end_if_interrupted()
         with progress_bar() as labelled:
             show = labelled(problem.name)
-            plan = horizon.solve(initial, arguments.motion_weight, arguments.starts, jobs, show, seen)
+            asked = arguments.motion_weight, arguments.starts, jobs
+            plan = horizon.solve(initial, *asked, show, seen, arguments.exhaustive)
             if seen is not None:
                 seen.ended(plan)
             if arguments.sweep_motion_weight is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -71,7 +72,7 @@ class ShapeDistance(Term):
         """The frame's points."""
         return {"target": frame.points[:: self.stride], "shape_roots": self.roots}
 
-    @property
+    @cached_property
     def roots(self) -> Array:
         """Square roots (n,) of trapezoidal weights times depth weights; the squares sum to 1."""
         weights = np.full(len(SIGMA[:: self.stride]), self.stride / (len(SIGMA) - 1))

@@ -99,7 +99,7 @@ class Sqp(NlpSolver):
     def _found(self, k: int) -> Solution:
         """What the last run found of a frame."""
         run, n = self._room, self._room.x.shape[1]
-        lam_x, lam_g = np.split(run.multipliers[k].copy(), [n])
-        q = run.rows[k][self._picks]
+        multipliers, q = run.multipliers[k].copy(), run.rows[k][self._picks]
+        lam_x, lam_g = multipliers[:n], multipliers[n:]
         numbers = float(run.objective[k]), float(run.kkt[k]), True, STATUS[run.status[k]], int(run.iterations[k])
         return Solution(run.x[k].copy(), *numbers, lam_x, lam_g, q)

@@ -14,8 +14,8 @@ from ctr_nlp.exceptions import OptionError
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.solvers.frame.adapter import FEASIBLE, Solution
 from ctr_nlp.solvers.motion.judged import WIDE, judged
-from ctr_nlp.solvers.motion.rows import Rows, Step
-from ctr_nlp.solvers.motion.watch import Iterate, Watch
+from ctr_nlp.solvers.motion.loop import Loop
+from ctr_nlp.solvers.motion.watch import Watch
 from ctr_nlp.typing import Array
 
 TOLERANCE = 1e-6
@@ -31,10 +31,21 @@ DAMPING = 1e-6
 """Added to the diagonal of the Newton matrix, mm^2 per squared unit of x; more where rounding calls for it."""
 MOST_DAMPING = 1e6
 MOST_HALVINGS = 25
-LOOSE = 10.0
+LOOSE = 2.0
 """A penalty so many times what the multipliers need is lowered: beside curved constraints it holds steps back."""
 DIVERGED = 1e12
 """Multipliers grow beyond this (mm^2 per unit of a row) where no point is feasible."""
+TOGETHER = 16
+"""Iterations in one call of C; between calls Ctrl-C is heeded, and progress told."""
+STATUS = (
+    "",
+    "Solve_Succeeded",
+    "Solved_To_Acceptable_Level",
+    "Infeasible_Problem_Detected",
+    "Search_Direction_Becomes_Too_Small",
+    "Maximum_Iterations_Exceeded",
+)
+"""As numbered in banded.c."""
 STALL, STALLED = 6, 1e-8
 """Where samples cross from tube to tube second derivatives jump, and near such a point Newton steps go to and fro:
 a barrier problem is left when so many iterations lower the merit by less than this part."""
@@ -51,62 +62,37 @@ class BandedSolver:
                 f"solver is 'banded' and {chain.frame.name} has equations; it takes inequalities only"
             )
         self.chain = chain
-        self._rows = Rows(chain)
+        self._loop = Loop(chain, _numbers(), _counts())
 
     def __call__(
         self, x0: Array, watch: Watch, barrier: float = WIDE, multipliers: Array | None = None
     ) -> Solution:
         """Solve from x0 (T n,), and from multipliers of all rows where a neighbouring chain's are known."""
-        rows, low, high = self._rows, self.chain.lower.ravel(), self.chain.upper.ravel()
-        rows.start(np.clip(x0, low, high), barrier, PUSH, multipliers)
-        penalty, status, merits = 1.0, "Maximum_Iterations_Exceeded", list[float]()
-        for number in range(MOST_ITERATIONS + 1):
-            at, hessian = rows.expand()
-            if watch(Iterate(number, at.objective, at.violation, at.error(0.0), rows.x.copy())):
-                status = "Interrupted"
-                break
-            if at.error(0.0) <= TOLERANCE:
-                status = "Solve_Succeeded"
-                break
-            stalled = at.gap <= FEASIBLE and len(merits) > STALL
-            stalled = stalled and merits[-STALL] - merits[-1] < STALLED * (1 + abs(merits[-1]))
-            if stalled and barrier == LAST_BARRIER:
-                status = "Solved_To_Acceptable_Level"
-                break
-            while barrier > LAST_BARRIER and (stalled or at.error(barrier) < CLOSE * barrier):
-                barrier, merits, stalled = max(LAST_BARRIER, SHRINK * barrier), [], False
-            step = self._newton(hessian, barrier)
-            needed = np.inf if step is None else 1.1 * step.multiplier
-            if step is None or needed > DIVERGED:
-                status = "Infeasible_Problem_Detected"
-                break
-            if not needed <= penalty <= LOOSE * needed:
-                penalty, merits = needed, []
-            merits = merits or [rows.merit(barrier, penalty)]
-            merit = self._search(step, barrier, penalty, merits[-1])
-            if merit is None:
-                status = "Search_Direction_Becomes_Too_Small"
-                break
-            merits.append(merit)
-        return judged(self.chain, np.clip(rows.x, low, high), rows.multipliers, status, number)
+        loop, low, high = self._loop, self.chain.lower.ravel(), self.chain.upper.ravel()
+        loop.start(np.clip(x0, low, high), barrier, PUSH, multipliers)
+        status, points = "", TOGETHER if isinstance(watch, Watch) and not watch.each else 1
+        while not status:
+            status = STATUS[loop.iterate(points)]
+            told = loop.told
+            if told is not None and watch(told):
+                status = status or "Interrupted"
+        return judged(self.chain, np.clip(loop.rows.x, low, high), loop.rows.multipliers, status, loop.number)
 
-    def _newton(self, hessian: Array, barrier: float) -> Step | None:
-        """A step downhill: with exact Hessians, else convex ones, more and more damped where rounding asks."""
-        step, damping = self._rows.newton(hessian, barrier, DAMPING), DAMPING
-        if step is None:
-            hessian = self._rows.convex(hessian)
-        while step is None and damping <= MOST_DAMPING:
-            step = self._rows.newton(hessian, barrier, damping)
-            damping *= 1e3
-        return step
 
-    def _search(self, step: Step, barrier: float, penalty: float, merit: float) -> float | None:
-        """Go as far along a step as the l1 merit function falls enough; its value, or None where it never does."""
-        primal, slope = step.primal, step.slope - penalty * step.gap
-        for _ in range(MOST_HALVINGS):
-            found = self._rows.advance(primal, step.dual, barrier, penalty)
-            if found <= merit + 1e-4 * primal * slope + 1e-12 * abs(merit):
-                self._rows.accept()
-                return found
-            primal /= 2
-        return None
+def _numbers() -> dict[str, float]:
+    return {
+        "tolerance": TOLERANCE,
+        "feasible": FEASIBLE,
+        "last_barrier": LAST_BARRIER,
+        "close": CLOSE,
+        "shrink": SHRINK,
+        "damping": DAMPING,
+        "most_damping": MOST_DAMPING,
+        "diverged": DIVERGED,
+        "loose": LOOSE,
+        "stalled": STALLED,
+    }
+
+
+def _counts() -> dict[str, int]:
+    return {"most_iterations": MOST_ITERATIONS, "most_halvings": MOST_HALVINGS, "stall": STALL}

@@ -8,9 +8,9 @@ from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.solvers.frame.adapter import FEASIBLE, OPTIMAL, Solution
 from ctr_nlp.typing import Array
 
-WIDE, NEAR = 1e-2, 1e-6
-"""First barriers, mm^2: one that lets the objective decide which limits become active, and one that stays in the
-basin of the start."""
+WIDE, CLOSE, NEAR = 1e-2, 1e-4, 1e-6
+"""First barriers, mm^2: one that lets the objective decide which limits become active, one for starts at which
+most of these are known, and one that stays in the basin of the start."""
 
 
 def judged(chain: Chain, x: Array, multipliers: Array, status: str, iterations: int) -> Solution:

@@ -249,14 +249,14 @@ void complete(const Chain *c, double barrier, double *multiplier, double *primal
 }
 
 /* The trial becomes the point. */
-void accept(Chain *c) {
+void accept_trial(Chain *c) {
     Point before = c->at;
     c->at = c->trial;
     c->trial = before;
 }
 
 /* trial = at + parts of the step, with slacks within their bounds */
-void advance(const Chain *c, double primal, double dual) {
+void advance_trial(const Chain *c, double primal, double dual) {
     long of_x = size(c), rows = all_rows(c);
     const Point *at = &c->at, *step = &c->step, *to = &c->trial;
     for (long i = 0; i < of_x; ++i) to->x[i] = at->x[i] + primal * step->x[i];

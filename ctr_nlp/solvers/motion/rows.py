@@ -79,7 +79,7 @@ class Rows:
     def __init__(self, chain: Chain) -> None:
         """Prepare; raises OptionError where nothing can be compiled."""
         self._chain = chain
-        self._loops = cache.loaded(__package__, "rows.c")
+        self._loops = cache.loaded(__package__, "rows.c", "banded.c")
         self._loops.merit.restype = ctypes.c_double
         size, rows = chain.lower.size, chain.bounds[0].size
         lower, upper = chain.bounds
@@ -88,20 +88,31 @@ class Rows:
         self.high = np.where(still | np.isinf(upper), INFINITE, upper + RELAX)
         links, width = chain.linking, _width(chain)
         own = links.shape[1]
-        self._band = np.zeros((size, width + 1))
+        self._band, self._value = np.zeros((size, width + 1)), np.zeros(rows)
         self._at, self._step, self._trial = ([np.zeros(size), *np.zeros((3, rows))] for _ in range(3))
         _, gradient, _, jacobian, _ = chain.frame_expansion(self.x, self.multipliers)
         self._arrays = [
             *(lower, upper, self.low, self.high, chain.free.astype(float)),
             *(links.indptr.astype(np.intc), links.indices.astype(np.intc), links.data, chain.offset, chain.weight),
-            *(gradient, jacobian, np.zeros(own), np.zeros(rows), self._band, np.zeros(own), *np.zeros((3, rows))),
+            *(gradient, jacobian, np.zeros(own), self._value, self._band, np.zeros(own), *np.zeros((3, rows))),
         ]
         m = chain.frame.g.numel()
         sizes = chain.frames, chain.unknowns, m, len(chain.offset), width, chain.bent, chain.curved
         points = (_Point(*map(_address, point)) for point in (self._at, self._step, self._trial))
-        self._chain_in_c = ctypes.byref(_Chain(*sizes, *map(_address, self._arrays), *points))
+        self._struct = _Chain(*sizes, *map(_address, self._arrays), *points)
+        self._chain_in_c = ctypes.byref(self._struct)
         self._found = (ctypes.c_double * 6)()
         self._out = [ctypes.byref(self._found, 8 * i) for i in range(6)]
+
+    @property
+    def address(self) -> int:
+        """Of the struct Chain in C."""
+        return ctypes.addressof(self._struct)
+
+    def follow(self) -> None:
+        """Take the point to be where C has put it."""
+        if self._struct.at.x != _address(self._at[0]):
+            self._at, self._trial = self._trial, self._at
 
     @property
     def x(self) -> Array:
@@ -120,6 +131,7 @@ class Rows:
         the slacks that belong to them on the central path.
         """
         _, value = self._chain.evaluate(x)
+        self._value[:] = value
         within = np.minimum(push, 0.1 * (self.high - self.low))
         slack = np.clip(value, self.low + within, self.high - within)
         if multipliers is not None:
@@ -163,7 +175,7 @@ class Rows:
 
     def advance(self, primal: float, dual: float, barrier: float, penalty: float) -> float:
         """Put the trial at parts of the step; the merit function there."""
-        self._loops.advance(self._chain_in_c, ctypes.c_double(primal), ctypes.c_double(dual))
+        self._loops.advance_trial(self._chain_in_c, ctypes.c_double(primal), ctypes.c_double(dual))
         f, g = self._chain.frame_values(self._trial[0])
         return self._merit(1, f, g, barrier, penalty)
 
@@ -173,7 +185,7 @@ class Rows:
 
     def accept(self) -> None:
         """The trial becomes the point."""
-        self._loops.accept(self._chain_in_c)
+        self._loops.accept_trial(self._chain_in_c)
         self._at, self._trial = self._trial, self._at
 
 

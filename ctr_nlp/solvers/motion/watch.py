@@ -40,6 +40,11 @@ class Watch:
         if first is not None:
             self._keep(first)
 
+    @property
+    def each(self) -> bool:
+        """Whether every iterate is wanted, and not just the best of some."""
+        return self._report is not None
+
     def _keep(self, iterate: Iterate) -> None:
         least = np.inf if self.best is None else self.best.objective
         if iterate.violation <= FEASIBLE and iterate.objective < least:

@@ -1,0 +1,96 @@
+"""The iterations of a barrier method in C: the struct Loop of banded.c, and what is told of an iterate."""
+
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+
+from ctr_nlp.codegen import cache
+from ctr_nlp.codegen.mapped import InC
+from ctr_nlp.nlp.chain import Chain
+from ctr_nlp.solvers.compiled import address
+from ctr_nlp.solvers.motion.rows import Rows
+from ctr_nlp.solvers.motion.watch import Iterate
+from ctr_nlp.typing import Array
+
+NUMBERS = (
+    *("tolerance", "feasible", "last_barrier", "close", "shrink", "damping", "most_damping", "diverged"),
+    *("loose", "stalled"),
+)
+COUNTS = "most_iterations", "most_halvings", "stall"
+
+
+class _Loop(ctypes.Structure):
+    barrier: float
+    penalty: float
+    number: int
+    expanded: int
+    merits: int
+    known: int
+    told_number: int
+    told_objective: float
+    told_violation: float
+    told_error: float
+    _fields_ = [
+        ("chain", ctypes.c_void_p),
+        *((name, ctypes.POINTER(InC)) for name in ("values", "expansion")),
+        *((name, ctypes.c_void_p) for name in ("x_of_values", "x_of_expansion", "multipliers")),
+        *((name, ctypes.c_void_p) for name in ("hessian", "convexified", "merit", "told_x")),
+        *((name, ctypes.c_double) for name in NUMBERS),
+        *((name, ctypes.c_long) for name in COUNTS),
+        *((name, ctypes.c_double) for name in ("barrier", "penalty")),
+        *((name, ctypes.c_long) for name in ("number", "expanded", "merits")),
+        ("measures", ctypes.c_double * 6),
+        *((name, ctypes.c_long) for name in ("known", "told_number")),
+        *((name, ctypes.c_double) for name in ("told_objective", "told_violation", "told_error")),
+    ]
+
+    def start(self, barrier: float) -> None:
+        """Begin with a barrier in mm^2."""
+        self.barrier, self.penalty, self.number, self.expanded, self.merits = barrier, 1.0, 0, 0, 0
+
+
+class Loop:
+    """A barrier method on a chain, so many iterations at a time; not from two threads at once."""
+
+    def __init__(self, chain: Chain, numbers: dict[str, float], counts: dict[str, int]) -> None:
+        """Prepare; numbers and counts by name, as NUMBERS and COUNTS. Raises OptionError as Rows."""
+        self.rows, self._told = Rows(chain), np.zeros(chain.lower.size)
+        values, _, expansion = chain.evaluators()
+        self._mapped = [each.in_c(address(each.function)) for each in (values, expansion)]
+        inputs = values.inputs[0], expansion.inputs[0], expansion.inputs[3]
+        hessian = expansion.outputs[4]
+        self._room = np.empty_like(hessian), np.zeros(counts["most_iterations"] + 2)
+        self._loop = _Loop(
+            self.rows.address,
+            *map(ctypes.pointer, self._mapped),
+            *(array.ctypes.data for array in (*inputs, hessian, *self._room, self._told)),
+            *(numbers[name] for name in NUMBERS),
+            *(counts[name] for name in COUNTS),
+        )
+        self._iterate = cache.loaded(__package__, "rows.c", "banded.c").iterate
+        self._reference = ctypes.byref(self._loop)
+
+    def start(self, x: Array, barrier: float, push: float, multipliers: Array | None = None) -> None:
+        """Put the point at x (T n,), as Rows.start."""
+        self.rows.start(x, barrier, push, multipliers)
+        self._loop.start(barrier)
+
+    def iterate(self, points: int) -> int:
+        """Go on to so many further points; why the work has ended, as numbered in banded.c, or 0."""
+        status = int(self._iterate(self._reference, ctypes.c_long(points)))
+        self.rows.follow()
+        return status
+
+    @property
+    def number(self) -> int:
+        """Iterations done."""
+        return self._loop.number
+
+    @property
+    def told(self) -> Iterate | None:
+        """The best feasible of the points that were come to last, else the last; None where there was none."""
+        loop = self._loop
+        numbers = loop.told_number, loop.told_objective, loop.told_violation, loop.told_error
+        return Iterate(*numbers, self._told.copy()) if loop.known else None

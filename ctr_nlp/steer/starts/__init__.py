@@ -1,0 +1,1 @@
+"""Which motions a horizon is solved from, and what comes of them; knows no plan."""
