@@ -10,9 +10,9 @@ from ctr_nlp import Problem, Settings, growing, solve_horizon, solve_per_frame, 
 from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.models import MODELS
 from ctr_nlp.plan.account import remarks
-from ctr_nlp.steer import horizon
 from ctr_nlp.steer.inside import BISECTIONS, LIGHTEST, Outcome, affordable
 from ctr_nlp.steer.nlp_frames import NlpFrames
+from ctr_nlp.steer.starts import search
 from ctr_nlp.target.lumen import Lumen
 
 ROBOT = table_i_robot()
@@ -125,14 +125,14 @@ def test_frames_that_are_lost_within_the_wall_lose_the_wall(problem, free, monke
 
 
 def test_a_horizon_that_is_not_solved_within_the_wall_loses_the_wall(problem, free, monkeypatch):
-    tried = horizon.attempt
+    tried = search.attempt
 
     def attempt(chain, *others):
         one = tried(chain, *others)
         failed = replace(one.solution, success=False)
         return one if chain.surroundings is None else replace(one, solution=failed)
 
-    monkeypatch.setattr(horizon, "attempt", attempt)
+    monkeypatch.setattr(search, "attempt", attempt)
     plan = solve_horizon(problem, settings=Settings(clearance_cost=np.inf))
     assert plan.complete
     assert plan.meta["contact_weight"] is None

@@ -161,10 +161,9 @@ class Search:
 
     def _thin(self, picked: Index) -> Chain:
         """The chain of picked frames, evenly apart, far from any wall."""
-        samples = [self.problem.samples[k] for k in picked]
-        dt = self.problem.dt * int(picked[-1] - picked[-2])
-        own = self.weight, self.ends, self.model, fastest, self.settings.stability_margin
-        return horizon(self.problem.robot, samples, dt, *own, extra=self.terms)
+        frames, dt = [self.problem.samples[k] for k in picked], self.problem.dt * int(picked[-1] - picked[-2])
+        at = self.problem.robot, frames, dt, self.weight, self.ends, self.model
+        return horizon(*at, fastest, self.settings.stability_margin, extra=self.terms)
 
     def _drafts(self, motions: Sequence[Array], picked: Index) -> list[Attempt]:
         """Distinct solutions for picked frames, from as many motions, best first."""
