@@ -31,7 +31,7 @@ DAMPING = 1e-6
 """Added to the diagonal of the Newton matrix, mm^2 per squared unit of x; more where rounding calls for it."""
 MOST_DAMPING = 1e6
 MOST_HALVINGS = 25
-LOOSE = 10.0
+LOOSE = 2.0
 """A penalty so many times what the multipliers need is lowered: beside curved constraints it holds steps back."""
 DIVERGED = 1e12
 """Multipliers grow beyond this (mm^2 per unit of a row) where no point is feasible."""
