@@ -1,4 +1,4 @@
-"""The wall in C: what it says is what wall.py says, and frames within a lumen are the same in one call and by steps."""
+"""The wall in C: what it says is what wall.py says, and frames in one call are those of steps."""
 
 import pickle
 from dataclasses import replace
@@ -82,7 +82,7 @@ def test_a_wall_that_has_been_used_can_be_sent_to_another_process():
     wall = wall_of(ROBOT, straight(4.0), MODELS["dominant"], Settings())
     x = drawn(5)
     before = wall.surroundings(x)
-    after = pickle.loads(pickle.dumps(wall)).surroundings(x)  # noqa: S301
+    after = pickle.loads(pickle.dumps(wall)).surroundings(x)
     np.testing.assert_allclose(after[0]["wall"], before[0]["wall"], atol=1e-9)
     np.testing.assert_allclose(after[1], before[1], atol=1e-9)
 
