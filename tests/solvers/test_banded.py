@@ -24,6 +24,7 @@ from ctr_nlp.solvers.frame.adapter import OPTIMAL
 from ctr_nlp.solvers.motion import banded
 from ctr_nlp.solvers.motion import ipopt as chain_ipopt
 from ctr_nlp.solvers.motion.banded import TOLERANCE, BandedSolver
+from ctr_nlp.solvers.motion.judged import NEAR
 
 INF = np.inf
 EVERY_SOLVER = pytest.mark.parametrize("solver", CHAIN_SOLVERS)
@@ -69,6 +70,20 @@ def assert_solved(chain, solution, start=None, kkt=1e-4):
     assert solution.kkt <= kkt
     if start is not None:
         assert objective < chain.evaluate(start)[0]
+
+
+def test_from_the_multipliers_of_a_neighbouring_chain_few_iterations_are_left():
+    """Rows that these hold stay held, so that only what has changed is left to find."""
+    to = np.cumsum(np.random.default_rng(5).normal(size=(30, 2)), axis=0)
+    links = [link(30, 2, low=-0.3, high=0.3)]
+    known = solved(linked(drawn(), to, links))
+    chain = linked(drawn(), to + 1e-3, links)
+    multipliers = np.concatenate([known.lam_x, known.lam_g])
+    alone, helped = (BandedSolver(chain)(known.x, Watch(), NEAR, each) for each in (None, multipliers))
+    for found in (alone, helped):
+        assert_solved(chain, found)
+    np.testing.assert_allclose(helped.x, alone.x, atol=1e-4)
+    assert helped.iterations < alone.iterations / 2
 
 
 # Convex chains, whose solutions are known

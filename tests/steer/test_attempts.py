@@ -18,7 +18,16 @@ from ctr_nlp.models import MODELS
 from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, Iterate, Solution
 from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.solvers.motion.judged import judged
-from ctr_nlp.steer.attempts import Attempt, Task, attempt, attempt_in_processes, best_of, failures, no_worse
+from ctr_nlp.steer.attempts import (
+    Attempt,
+    Task,
+    attempt,
+    attempt_in_processes,
+    best_of,
+    failures,
+    hopeless,
+    no_worse,
+)
 from ctr_nlp.steer.motions import wandered
 
 START = np.array([3, 3, 3, 20, 20, 30, 0, 0.0])
@@ -309,6 +318,14 @@ def made(objective, success, start, allowed=True):
 def test_the_best_of_several_attempts(attempts, best):
     several = [made(*one) for one in attempts]
     assert best_of(several) is several[best]
+
+
+def test_what_is_bounded_by_a_solution_that_is_known_is_hopeless():
+    known = [made(3.0, True, 5.0), made(1.0, False, 5.0)]
+    assert hopeless(known, 3.0)
+    assert hopeless(known, 4.0)
+    assert not hopeless(known, 2.9)
+    assert not hopeless([], 1e9)
 
 
 def test_a_solution_has_no_failures(chain, solution):

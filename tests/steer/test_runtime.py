@@ -9,10 +9,20 @@ import pytest
 from frames import joint
 from hypothesis import given
 from hypothesis import strategies as st
+from lumens import straight
 from problems import named
 from strategies import numbers, seeds
 
-from ctr_nlp import Settings, Steerer, shapes, solve_per_frame, table_i_robot
+from ctr_nlp import (
+    Problem,
+    Settings,
+    Steerer,
+    curve_from_formula,
+    growing,
+    shapes,
+    solve_per_frame,
+    table_i_robot,
+)
 from ctr_nlp.exceptions import OptionError, RobotError
 from ctr_nlp.formulations.terms import ShapeDistance
 from ctr_nlp.formulations.terms.shape import STRIDE
@@ -21,6 +31,7 @@ from ctr_nlp.robot import MM_PER_RAD
 from ctr_nlp.solvers import FEASIBLE
 from ctr_nlp.solvers.frame.adapter import OPTIMAL
 from ctr_nlp.solvers.frame.run import Run
+from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.target.target import SIGMA
 
 Q0 = np.array([3.0, 3, 3, 30, 70, 105, 0, 0])
@@ -131,6 +142,45 @@ def test_the_motion_weight_of_the_settings_is_used(arc_problem):
     for steerer, weight in ((slow, 1.0), (free, 0.0)):
         expected = objective(arc_problem.robot, steerer.q, Q0, target, dt, weight)
         assert steerer.objective == pytest.approx(expected, rel=1e-9)
+
+
+# Within a lumen
+
+
+def within(radius):
+    """A problem of following a lumen's straight path, and a first configuration of its frames."""
+    lumen = straight(radius)
+    problem = Problem("straight", table_i_robot(), growing(lumen.part(0.0, 110.0), 12), lumen=lumen)
+    settings = Settings(clearance_cost=np.inf)
+    return problem, settings, solve_per_frame(problem, direction="forward", settings=settings).q[0]
+
+
+def test_steps_within_a_lumen_give_the_frames_of_a_plan_that_keeps_clear_of_its_wall():
+    problem, settings, first = within(4.0)
+    plan = solve_per_frame(problem, solver="sqp", direction="forward", start=first, settings=settings)
+    steerer = Steerer(problem.robot, first, problem.dt, settings, lumen=problem.lumen)
+    free = Steerer(problem.robot, first, problem.dt, settings)
+    motion, alone = (np.array([each.step(f.points) for f in problem.samples]) for each in (steerer, free))
+    np.testing.assert_allclose(motion, plan.q, atol=1e-6)
+    assert steerer.solved
+    assert plan.clearance.min() > 0
+    assert steerer.objective == pytest.approx(plan.objective[-1], rel=1e-6)
+    left = Lumen.around(problem.lumen).clearance(problem.robot, alone[:, 3:6], SIGMA, shapes(problem.robot, alone))
+    assert left.min() < -0.1
+
+
+def test_a_wall_without_weight_is_none():
+    problem, _, first = within(4.0)
+    settings = Settings(contact_weight=0.0)
+    walled, free = (Steerer(problem.robot, first, 0.1, settings, lumen=each) for each in (problem.lumen, None))
+    for frame in problem.samples[:4]:
+        np.testing.assert_array_equal(walled.step(frame.points), free.step(frame.points))
+
+
+@pytest.mark.parametrize("lumen", [3.0, curve_from_formula(lambda u: (0.0, 0.0, u), 0.0, 1.0)])
+def test_a_lumen_without_radius_is_refused(lumen):
+    with pytest.raises(OptionError, match=r"lumen is .* a curve with a radius"):
+        Steerer(table_i_robot(), Q0, DT, lumen=lumen)
 
 
 # Limits, whatever the target does

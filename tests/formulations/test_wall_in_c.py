@@ -1,0 +1,104 @@
+"""The wall in C: what it says is what wall.py says, and frames in one call are those of steps."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from lumens import straight, wandering
+
+from ctr_nlp import Problem, Settings, growing, table_i_robot
+from ctr_nlp.formulations.wall import Wall, wall_of
+from ctr_nlp.models import MODELS
+from ctr_nlp.steer.nlp_frames import NlpFrames
+from ctr_nlp.target.lumen import Lumen
+
+ROBOT = table_i_robot()
+WITHIN = {"dominant": 1e-6, "elastic": 2e-2}
+"""mm; a program's elastic shapes are integrated in fewer steps than others."""
+
+
+def drawn(seed, count=5):
+    """Unknowns of any model (count, 8), some with tubes that end together."""
+    rng = np.random.default_rng(seed)
+    beta = np.sort(rng.uniform(0, [50, 100, 150], (count, 3)))
+    beta[0] = 40.0
+    return np.hstack([rng.uniform(-3, 3, (count, 3)), beta, rng.uniform(-0.2, 0.2, (count, 2))])
+
+
+def coiled():
+    """A lumen of three turns of 15 mm, 8 mm apart: between two of them, either may be the nearest."""
+    u = np.linspace(0, 6 * np.pi, 900)
+    table = np.column_stack([15 * np.cos(u) - 15, 15 * np.sin(u), 8 * u / (2 * np.pi), 3 + np.cos(u)])
+    return Lumen(table)
+
+
+def assert_same(wall, x):
+    assert wall.around.ready(wait=True)
+    (found, slack), (expected, needed) = wall.around(x), wall.described(x)
+    within = WITHIN[wall.model.name]
+    np.testing.assert_allclose(slack, needed, atol=within)
+    rooms = found[..., 9] - expected[..., 9]
+    np.testing.assert_allclose(rooms, 0, atol=within)
+    np.testing.assert_allclose(found, expected, atol=5 * within)
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("seed", range(6))
+def test_c_describes_the_wall_as_numpy_does(model, seed):
+    """Bends up to the lumen's own radius; some robots are longer than the lumen."""
+    curve = wandering(seed, bend=1 / (20 + 10 * seed), length=60.0)
+    assert_same(Wall(ROBOT, Lumen.around(curve), MODELS[model], 30.0, 0.1 * seed), drawn(seed))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_nearest_place_is_that_of_the_whole_path_and_not_of_the_turn_before(seed):
+    assert_same(Wall(ROBOT, coiled(), MODELS["dominant"], 30.0, 0.0), drawn(seed, 20))
+
+
+def test_one_frame_after_another_is_described_for_itself():
+    wall = wall_of(ROBOT, wandering(1), MODELS["dominant"], Settings())
+    assert wall.around.ready(wait=True)
+    x = drawn(3)
+    whole = wall.around(x)
+    for j in (2, 0, 0, 4):
+        for one, all_of_them in zip(wall.around(x[j : j + 1]), whole, strict=True):
+            np.testing.assert_array_equal(one[0], all_of_them[j])
+
+
+def test_what_is_not_known_is_not_described():
+    wall = wall_of(ROBOT, wandering(1), MODELS["dominant"], Settings())
+    assert wall.around.ready(wait=True)
+    x = drawn(3)
+    x[1] = np.nan
+    found, slack = wall.around(x)
+    assert np.isnan(slack[1])
+    assert np.isnan(found[1]).any(axis=1).all()
+    assert np.isfinite(np.delete(slack, 1)).all()
+    assert np.isfinite(np.delete(found, 1, axis=0)).all()
+
+
+def test_a_wall_that_has_been_used_can_be_sent_to_another_process():
+    wall = wall_of(ROBOT, straight(4.0), MODELS["dominant"], Settings())
+    x = drawn(5)
+    before = wall.surroundings(x)
+    after = pickle.loads(pickle.dumps(wall)).surroundings(x)
+    np.testing.assert_allclose(after[0]["wall"], before[0]["wall"], atol=1e-9)
+    np.testing.assert_allclose(after[1], before[1], atol=1e-9)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_frames_within_a_lumen_in_one_call_are_those_of_steps(model):
+    lumen = straight(4.0)
+    problem = Problem("straight", ROBOT, growing(lumen.part(0, 100.0), 8), lumen=lumen)
+    frames = NlpFrames.of(problem, model=model)
+    assert frames.wall.around.ready(wait=True)
+    once, steps = (replace(frames, near=frames.wall) for _ in range(2))
+    steps.__dict__["_at_once"] = None
+    first = once.again(0, frames.search(0)[0])
+    found = [[result for result, _ in each.run(range(1, 8), first)] for each in (once, steps)]
+    assert once._at_once is not None
+    assert all(result.success for each in found for result in each)
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one.q, other.q, atol=1e-6)
+        assert one.objective == pytest.approx(other.objective, rel=1e-6)
