@@ -106,7 +106,9 @@ def test_a_plan_without_any_frame_reached_has_no_clearance():
 
 
 def test_errors_csv_has_the_least_clearance_of_every_frame(tmp_path):
-    report.write(touching(2.5, -0.25, np.nan), tmp_path)
+    plan = touching(2.5, -0.25, np.nan)
+    report.write(plan, tmp_path)
+    report.draw(plan, [], tmp_path)
     with open(tmp_path / "errors.csv", newline="") as file:
         column = [row["clearance"] for row in csv.DictReader(file)]
     assert column == ["2.5", "-0.25", "nan"]
@@ -114,11 +116,11 @@ def test_errors_csv_has_the_least_clearance_of_every_frame(tmp_path):
 
 
 @pytest.fixture
-def printed(tmp_path, capsys):
+def printed(capsys):
     """What is printed about a plan, but where it was written."""
 
     def told(plan):
-        report.print_report(plan, tmp_path, [])
+        report.print_report(plan)
         return capsys.readouterr().out.partition("wrote ")[0]
 
     return told

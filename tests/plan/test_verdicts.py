@@ -263,13 +263,13 @@ def test_a_failed_verdict_is_exit_status_1_and_an_interruption_130(name):
     assert report.exit_status(replace(plan, meta=told | {"interrupted": True})) == 130
 
 
-def test_summary_terminal_and_python_say_the_same_words(name, tmp_path, capsys):
+def test_summary_terminal_and_python_say_the_same_words(name, capsys):
     plan = PLANS[name]
     plan = replace(plan, meta=plan.meta | {"failures": {}, "interrupted": False})
     found = json.loads(json.dumps(summary(plan), allow_nan=False))["verdicts"]
     assert [each["word"] for each in found.values()] == [verdict.word for verdict in plan.verdicts]
     assert list(found) == ["followed", "stable", "within_limits", "within_wall", "survives_draws"]
-    report.print_report(plan, tmp_path, [])
+    report.print_report(plan)
     lines = capsys.readouterr().out.partition("numbers")[0].splitlines()
     for verdict in plan.verdicts:
         (line,) = [line for line in lines if line.strip().startswith(verdict.matter)]
