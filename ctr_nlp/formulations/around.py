@@ -67,14 +67,14 @@ class Around:
         own = (np.zeros(size) for size in (LANES * unknowns, LANES * samples * 3, unknowns, rows * COLUMNS + 1))
         self._arrays = [*given, *own]
         addresses = [array.ctypes.data for array in self._arrays]
-        self._wall = _InC(
-            None,
+        self._fixed = (
             *(unknowns, d, PLACES, finer, samples, LANES, len(lumen.along)),
             *addresses[: len(given)],
             *(clearance, CENTRED, tiny, SPACING, float(np.diff(lumen.along).max())),
             *addresses[len(given) :],
         )
         self._rows, self._looked = rows, -POLL
+        self._wall = _InC(None, *self._fixed)
         self._library = cache.loaded(__package__, "wall.c")
         self._compiled: ctypes.CDLL | None = None
 
@@ -84,7 +84,8 @@ class Around:
             path = _library(self._points, wait)
             if path is not None:
                 self._compiled = ctypes.CDLL(str(path))
-                self._wall.points = ctypes.cast(self._compiled[self._points.name()], ctypes.c_void_p).value
+                points = ctypes.cast(self._compiled[self._points.name()], ctypes.c_void_p).value
+                self._wall = _InC(points, *self._fixed)
             self._looked = time.monotonic()
         return self._compiled is not None
 

@@ -263,7 +263,7 @@ def test_ctrl_c_stops_other_processes(problem):
 
 def test_a_failed_solve_leaves_its_feasible_start_and_is_no_solution(problem, plan, monkeypatch):
     def gives_up(chain):
-        return lambda x0, watch, barrier=0: judged(chain, x0 + 1, np.zeros(chain.bounds[0].size), "Gave_Up", 0)
+        return lambda x0, watch, *_: judged(chain, x0 + 1, np.zeros(chain.bounds[0].size), "Gave_Up", 0)
 
     monkeypatch.setitem(CHAIN_SOLVERS, "banded", gives_up)
     found = solve_horizon(problem, initial=[plan.q])

@@ -60,9 +60,7 @@ class Run:
         previous = nlp.place("previous") if "previous" in nlp.parameters else slice(0, 0)
         limits = self._picks, self.p, self.low, self.high, self.most
         found = self.x, self.rows, self.multipliers, self.objective, self.kkt, self.seconds
-        self._found = np.zeros(0)
-        self._given = _Given(
-            *(None, None, 0, 0, 0, 0, 0.0, 0.0, None),
+        self._fixed = (
             len(program.p),
             len(self.here),
             previous.stop - previous.start,
@@ -74,20 +72,21 @@ class Run:
             self._moved.ctypes.data if goes_on else None,
             *(array.ctypes.data for array in (*found, self.iterations, self.status, self.solved)),
         )
-        self._reference = ctypes.byref(self._given)
+        self.keep_near(None)
         self._run = _RUN(("run", cache.loaded(__package__, "sqp.c", "run.c")))
 
     def keep_near(self, near: Surroundings | None) -> None:
         """From now on, solve every frame again around its solution; None: as it is, once."""
-        given, nlp = self._given, self.program.nlp
-        given.around = None if near is None else near.call
-        if near is None:
-            return
-        place = nlp.place(near.described)
-        self._found = np.zeros(place.stop - place.start + 1)
-        given.of, given.place, given.described = near.of, place.start, len(self._found) - 1
-        given.weight, given.rounds = nlp.place(near.weight).start, near.rounds
-        given.firm, given.settled, given.found = near.firm, near.settled, self._found.ctypes.data
+        nlp = self.program.nlp
+        of_near: tuple[float | None, ...] = (None, None, 0, 0, 0, 0, 0.0, 0.0, None)
+        if near is not None:
+            place, weight = nlp.place(near.described), nlp.place(near.weight).start
+            size = place.stop - place.start
+            self._found = np.zeros(size + 1)
+            sizes = place.start, size, weight, near.rounds
+            of_near = near.call, near.of, *sizes, near.firm, near.settled, self._found.ctypes.data
+        self._given = _Given(*of_near, *self._fixed)
+        self._reference = ctypes.byref(self._given)
 
     def __call__(self, frames: int, from_starts: bool = False) -> int:
         """Solve the first so many frames from the program's x and multipliers; how many were solved.
