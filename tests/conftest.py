@@ -15,6 +15,8 @@ from hypothesis import HealthCheck, settings
 from ctr_nlp import Problem, Robot, curve_from_formula, growing, table_i_robot
 from ctr_nlp.support.pool import THREADS
 
+LONGEST = {"test_docs.py"}
+"""Files that keep a process busy for as long as several others do."""
 settings.register_profile(
     "quick", max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow], print_blob=True
 )
@@ -35,8 +37,9 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests of what happens in real time come last: each of them waits until no other kind runs."""
-    items.sort(key=lambda item: item.get_closest_marker("real_time") is not None)
+    """Longest files first; last, those with tests of what happens in real time: these wait for all others."""
+    real_time = {item.path for item in items if item.get_closest_marker("real_time")}
+    items.sort(key=lambda item: (item.path in real_time, item.path.name not in LONGEST))
 
 
 @pytest.hookimpl(wrapper=True)

@@ -13,6 +13,8 @@ from ctr_nlp.plan.record import Record
 
 YES, NO, NOT_ASKED, NOT_KNOWN = "yes", "no", "not asked", "not known"
 """The words of a verdict."""
+FORK = 1e-3
+"""A stability margin as small as this between frames is that of a fork, where it is 0 at one point of the way."""
 ROUNDING = 1e-6
 """mm by which e3 may exceed its limit: rounding."""
 
@@ -99,6 +101,9 @@ def _stable(plan: Record) -> Judgement:
         return NO, least, "", f"The robot snaps on the way to frame {snaps[0]['frame']}{more}."
     if least is not None and least <= 0:
         return NO, least, "", f"The robot is unstable in frame {np.nanargmin(margins) + 1} or on the way to it."
+    if least is not None and least <= FORK:
+        where = np.nanargmin(margins) + 1
+        return NO, least, "", f"The robot passes a fork around frame {where}, and chance decides the way it takes."
     if not known.all():
         return NOT_KNOWN, least, "", f"The stability margin is not known in {(~known).sum()} frames."
     return YES, least, "", f"The robot does not snap; its margin is least around frame {margins.argmin() + 1}."

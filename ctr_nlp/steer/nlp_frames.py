@@ -157,11 +157,20 @@ class NlpFrames:
         return replace(before, x=self.model.rest(self.problem.robot, before.q))
 
     def _unwound(self, result: FrameResult) -> FrameResult:
-        """An answer without whole turns that a search may have gone through; on the elastic model they count."""
-        d, q = self.problem.robot.d, result.q.copy()
-        q[:d] -= 2 * np.pi * np.round(q[:d] / (2 * np.pi))
-        far = abs(result.q[:d]).max() > 2 * np.pi and result.x is None
-        return replace(result, q=q, warm=None) if far and self._allowed(q) else result
+        """An answer without whole turns that a search may have gone through.
+
+        Where q does not determine the unknowns, tubes are turned whole with their tips, until those are no more than
+        half a turn from the innermost: a robot comes there from where all its tubes are aligned.
+        """
+        d, q, x = self.problem.robot.d, result.q.copy(), result.x
+        if abs(q[:d]).max() <= 2 * np.pi:
+            return result
+        turns = np.round(q[:d] / (2 * np.pi))
+        if x is not None:
+            own = np.append(np.round(x[: d - 1] / (2 * np.pi)), turns[-1])
+            x, turns = x - 2 * np.pi * np.pad(own, (0, len(x) - d)), np.append(own[:-1] + own[-1], own[-1])
+        q[:d] -= 2 * np.pi * turns
+        return replace(result, q=q, x=x, warm=None) if self._allowed(q) else result
 
     def _allowed(self, q: Array) -> bool:
         """Whether q is within the robot's limits."""

@@ -148,7 +148,7 @@ def test_ends_too_far_apart_are_refused_with_what_to_relax(tmp_path, configurati
 
 def test_an_unsolved_horizon_is_exit_status_1_and_says_why(tmp_path, capsys, monkeypatch):
     def gives_up(chain):
-        return lambda x0, watch, barrier=0: judged(chain, x0, np.zeros(chain.bounds[0].size), "Gave_Up", 0)
+        return lambda x0, watch, *_: judged(chain, x0, np.zeros(chain.bounds[0].size), "Gave_Up", 0)
 
     monkeypatch.setitem(CHAIN_SOLVERS, "banded", gives_up)
     assert solve("cos", "--frames", 6, "--motion-weight", "1e-3", "--out", tmp_path / "out") == 1

@@ -446,7 +446,7 @@ def test_a_plan_of_the_dominant_model_is_evaluated_on_the_elastic_one(tmp_path, 
     out = tmp_path / "out"
     assert run(solve_horizon_program, "arc", "--frames", 6, "--evaluate", "elastic", "--out", out) == 1
     found = json.loads((out / "summary.json").read_text())
-    assert found["stability_between_min"] < 0
+    assert found["stability_between_min"] < 1e-3, "exactly opposed tubes come to a fork"
     assert found["verdicts"]["stable"]["word"] == "no"
     assert (found["model"], found["evaluated"]) == ("dominant", "elastic")
     with open(out / "errors.csv", newline="") as file:
@@ -475,3 +475,24 @@ def test_programs_refuse_a_margin_before_solving(tmp_path, capsys, program, marg
     assert run(program, "arc", "--model", "elastic", "--stability-margin", margin, "--out", out) == 2
     assert message in capsys.readouterr().err
     assert not out.exists()
+
+
+@pytest.mark.parametrize("turns", [(2, -3, 1), (0, 0, -3), (-2, -2, -2)])
+def test_a_search_that_wound_up_tubes_ends_where_a_robot_comes_from_aligned_tubes(cos_problem, turns):
+    """Tubes that are turned whole with their tips are in the same equilibrium."""
+    frames = NlpFrames.of(cos_problem, model="elastic", settings=Settings(stability_margin=MARGIN))
+    found = frames.search(0)[0]
+    tips = np.array([*(turns[k] - turns[-1] for k in range(2)), turns[-1]])
+    wound = replace(
+        found,
+        q=found.q + 2 * np.pi * np.pad(turns, (0, 5)),
+        x=found.x + 2 * np.pi * np.pad(tips, (0, 5)),
+        warm=None,
+    )
+    back = frames._unwound(wound)
+    assert abs(back.x[:2]).max() <= np.pi + 1e-9
+    assert abs(back.q[2]) <= np.pi + 1e-9
+    np.testing.assert_allclose(np.cos(back.q[:3]), np.cos(found.q[:3]), atol=1e-9)
+    again = frames.again(0, back)
+    assert again.objective == pytest.approx(found.objective, rel=1e-6, abs=1e-9)
+    np.testing.assert_allclose(again.q, back.q, atol=1e-5)
