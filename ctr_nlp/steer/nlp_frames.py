@@ -159,8 +159,8 @@ class NlpFrames:
     def _unwound(self, result: FrameResult) -> FrameResult:
         """An answer without whole turns that a search may have gone through.
 
-        Where q does not determine the unknowns, tubes are turned whole with their tips, until those are no more than
-        half a turn from the innermost: a robot comes there from where all its tubes are aligned.
+        Where q does not determine the unknowns, tubes are turned whole with their tips, until those are no more
+        than half a turn from the innermost: a robot comes there from where all its tubes are aligned.
         """
         d, q, x = self.problem.robot.d, result.q.copy(), result.x
         if abs(q[:d]).max() <= 2 * np.pi:
