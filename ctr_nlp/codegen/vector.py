@@ -14,7 +14,7 @@ PART = 300
 """Instructions in one part of the body."""
 
 _QUICK = '#pragma GCC optimize("Og")\n'
-"""Long straight code of vectors gains a tenth at most from further optimisations, and compiles in 40 % of the time."""
+"""Long straight code of vectors gains a tenth at most from more, and compiles in 40 % of the time."""
 _OPTIMIZED = '#pragma GCC push_options\n#pragma GCC optimize("O2")\n{}#pragma GCC pop_options\n'
 """Loops over lanes do."""
 _SCALAR = """\
