@@ -29,9 +29,10 @@ from ctr_nlp.steer.attempts import (
     together,
     within_limits,
 )
+from ctr_nlp.steer.inside import distinct
 from ctr_nlp.steer.motions import filled, thinned, wandered
 from ctr_nlp.steer.passes import Forecast, Progress
-from ctr_nlp.steer.realised import SAME, realised
+from ctr_nlp.steer.realised import realised
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Index
 
@@ -120,7 +121,7 @@ class Search:
                 found.append(self._attempt(chain, motion, number, count))
         return self._made(chain, found)
 
-    def likely(self, motions: Sequence[Array], distinct: int = MOST, part: float = LIKELY) -> list[Attempt]:
+    def likely(self, motions: Sequence[Array], most: int = MOST, part: float = LIKELY) -> list[Attempt]:
         """What comes of those motions that promise most; motions are given best first.
 
         All are solved for some of the frames, and the best of these drafts for all frames: at most so many
@@ -132,7 +133,7 @@ class Search:
             return self.attempts(motions)
         drafts, chain = self._drafts(motions, picked), self.near(None)
         found = list[Attempt]()
-        for draft in drafts[:distinct]:
+        for draft in drafts[:most]:
             far = draft.solution.objective > (1 + part) * drafts[0].solution.objective
             if self.stop() or (found and far):
                 break
@@ -172,13 +173,7 @@ class Search:
             if self.stop():
                 break
             found.append(self._attempt(chain, motion[picked], number, len(motions)))
-        found = [one for one in found if one.solution.success]
-        distinct = list[Attempt]()
-        for one in sorted(found, key=lambda one: one.solution.objective):
-            objective = one.solution.objective
-            if not distinct or objective - distinct[-1].solution.objective > SAME * (1 + abs(objective)):
-                distinct.append(one)
-        return distinct
+        return [one for one in distinct(found) if one.solution.success]
 
     def _attempt(self, chain: Chain, motion: Array, number: int, count: int, barrier: float = WIDE) -> Attempt:
         forecast = None if self.progress is None else Forecast(self.progress, chain.frames, number, count)
