@@ -7,6 +7,7 @@ from itertools import pairwise
 import meshio
 import numpy as np
 import pytest
+import pyvista
 import vtk
 from hypothesis import given
 from hypothesis import strategies as st
@@ -368,4 +369,28 @@ def test_without_pyvista_the_extra_is_named(tmp_path, monkeypatch):
     path = write_xml(tmp_path / "line.vtp", LINE, WHOLE)
     monkeypatch.setitem(sys.modules, "pyvista", None)
     with pytest.raises(OptionError, match=r'pyvista is not installed; pip install "ctr_nlp\[anatomy\]"'):
+        read_branches(path)
+
+
+SIGNALLING = np.array([0x7F800001], dtype=">u4").tobytes()
+"""A byte pattern that is no number, and of which numpy warns when it is made a number of another width."""
+
+
+@pytest.mark.parametrize("place", ["a point", "a radius"])
+def test_bytes_that_are_no_number_are_refused_without_a_warning_of_another_library(tmp_path, place):
+    mark = np.array([123.0], dtype=">f4").tobytes()
+    points = np.column_stack([np.zeros(12), np.zeros(12), np.arange(12.0) * 4])
+    radius = np.full(12, 5.0, dtype=np.float32)
+    if place == "a point":
+        points[4, 0] = 123.0
+    else:
+        radius[4] = 123.0
+    mesh = pyvista.PolyData(points.astype(np.float32), lines=[12, *range(12)])
+    mesh.point_data[RADIUS] = radius
+    path = tmp_path / "lines.vtk"
+    mesh.save(path, binary=True)
+    content = path.read_bytes()
+    assert content.count(mark) == 1
+    path.write_bytes(content.replace(mark, SIGNALLING))
+    with pytest.raises(CurveError, match=r"lines\.vtk"):
         read_branches(path)

@@ -48,14 +48,14 @@ def read_vtk(path: str | Path, entry: npt.ArrayLike | None = None) -> Branches:
     """
     mesh, stated = _read(path)
     space = stated or "LPS"
-    points = np.array(mesh.points, dtype=float)
+    points = _numbers(mesh.points)
     with blamed(path):
         if space not in SPACES:
             raise CurveError(f"SPACE is {space!r}; it must be one of {', '.join(SPACES)}")
         lines = _lines(mesh)  # first of all: a file cut short has none, and its points may be anything
         check_points(points)
         radius = _radius(mesh, len(points))
-        network = Network(points, radius, tuple(lines))
+        network = Network(points, radius, tuple(_untracted(mesh, lines, points)))
         paths = network.paths(None if entry is None else np.asarray(entry, dtype=float))
     branches = [
         Branch(f"branch {k}", moved(points[line], SPACES[space]), None if radius is None else radius[line])
@@ -106,10 +106,20 @@ def _text(said: str | bytes | None) -> str:
     return said.decode(errors="replace") if isinstance(said, bytes) else said or ""
 
 
+def _numbers(values: Any) -> Array:
+    """Values of a file as double precision, and nothing said of those that are no numbers: they are checked later.
+
+    A file that was cut short leaves any bytes in its arrays; numpy warns where such a byte pattern is a signalling
+    NaN.
+    """
+    with np.errstate(invalid="ignore"):
+        return np.array(values, dtype=float)
+
+
 def _radius(mesh: Any, count: int) -> Array | None:
     for name in RADII:
         if name in mesh.point_data:
-            values = np.array(mesh.point_data[name], dtype=float)
+            values = _numbers(mesh.point_data[name])
             if values.size != count:
                 raise CurveError(f"{name} has shape {values.shape}; it must be one radius in mm a point")
             return values.reshape(count)
@@ -117,7 +127,7 @@ def _radius(mesh: Any, count: int) -> Array | None:
 
 
 def _lines(mesh: Any) -> list[Indices]:
-    """The points of each line, the tracts of VMTK's branch extractor put together again."""
+    """The points of each line."""
     cells = np.flatnonzero(np.isin(mesh.celltypes, (LINE, POLYLINE)))
     if not cells.size:
         raise CurveError("it holds no lines; centrelines are saved as lines, not as a surface or as points")
@@ -127,13 +137,18 @@ def _lines(mesh: Any) -> list[Indices]:
     last = max(line.max(initial=0) for line in lines) + 1
     if last > mesh.n_points:
         raise CurveError(f"it is damaged: a line passes point {last} of {mesh.n_points}")
+    return lines
+
+
+def _untracted(mesh: Any, lines: list[Indices], points: Array) -> list[Indices]:
+    """The centrelines whose consecutive tracts the lines are, as VMTK's branch extractor leaves them.
+
+    The lines themselves where they are no tracts, or tracts that do not meet.
+    """
     if not set(TRACTS) <= set(mesh.cell_data):
         return lines
-    return _untracted(lines, mesh.points, *(np.array(mesh.cell_data[name])[cells] for name in TRACTS))
-
-
-def _untracted(lines: list[Indices], points: Array, centreline: Indices, tract: Indices) -> list[Indices]:
-    """The centrelines whose consecutive tracts the lines are; the lines themselves where tracts do not meet."""
+    cells = np.isin(mesh.celltypes, (LINE, POLYLINE))
+    centreline, tract = (np.array(mesh.cell_data[name])[cells] for name in TRACTS)
     whole = []
     for number in np.unique(centreline):
         parts = np.flatnonzero(centreline == number)
