@@ -6,7 +6,10 @@ The process outlives the program that started it: what was begun is there for th
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
+import inspect
+import math
 import os
 import shutil
 import subprocess
@@ -27,24 +30,52 @@ NOTE = (
 )
 _begun: list[Lasting] = []
 """Processes of this one that have not been seen to end."""
+NICE = 10
+"""By how much a compiling process steps back for those that somebody waits for."""
+POLL = 0.5
+"""s between two looks at whether a library has been made meanwhile."""
 CLAIMED = 900.0
 """s after which a build that has not ended is given up."""
 
 
-def library(key: str, functions: Callable[[], Sequence[ca.Function]], lanes: int) -> Path | None:
-    """The library of functions, by key; None while it is being made, which this call begins.
+class Library:
+    """Functions as a shared library for so many frames at once, made when somebody first asks for it."""
 
-    Where the environment variable CTR_NLP_COMPILE is `now`, it is made at once. Raises OptionError where nothing
-    can be compiled.
-    """
-    if os.environ.get(cache.SWITCH) == "now":
-        return cache.library(key, lambda: vector.vector_code(tuple(functions()), lanes))
-    _begun[:] = [process for process in _begun if process.poll() is None]
-    found = cache.kept(key)
-    if found is None and _claimed(key):
-        cache.say(NOTE)
-        _begin(key, functions(), lanes)
-    return found
+    def __init__(self, described: str, functions: Callable[[], Sequence[ca.Function]], lanes: int) -> None:
+        """described: text that changes whenever the functions do; they are called for only where code is written.
+
+        key: under which the cache keeps the library.
+        """
+        self.key = "\n".join([f"{lanes} lanes", ca.CasadiMeta.version(), _writer(), described])
+        self._functions, self._lanes = functions, lanes
+        self._missed = -math.inf
+
+    def now(self) -> Path:
+        """The library, made at once where it is not there; raises OptionError where nothing can be compiled."""
+        return cache.library(self.key, lambda: vector.vector_code(tuple(self._functions()), self._lanes))
+
+    def soon(self) -> Path | None:
+        """The same, or None while it is made in the background, which the first call begins.
+
+        Where the environment variable CTR_NLP_COMPILE is `now`, it is made at once.
+        """
+        if os.environ.get(cache.SWITCH) == "now":
+            return self.now()
+        if time.monotonic() - self._missed < POLL:
+            return None
+        _begun[:] = [process for process in _begun if process.poll() is None]
+        found = cache.kept(self.key)
+        if found is None:
+            self._missed = time.monotonic()
+            if _claimed(self.key):
+                cache.say(NOTE)
+                _begin(self.key, self._functions(), self._lanes)
+        return found
+
+
+@functools.cache
+def _writer() -> str:
+    return inspect.getsource(vector)
 
 
 def _claimed(key: str) -> bool:
@@ -81,7 +112,7 @@ def _begin(key: str, functions: Sequence[ca.Function], lanes: int) -> None:
 def main(work: Path) -> None:
     """Make the library that a folder describes, and remove the folder."""
     with contextlib.suppress(OSError, AttributeError):
-        os.nice(5)
+        os.nice(NICE)
     key, lanes = (work / "key").read_text(encoding="utf-8"), int((work / "lanes").read_text(encoding="ascii"))
     texts = [path.read_text(encoding="ascii") for path in sorted(work.glob("*.casadi"))]
     functions = tuple(ca.Function.deserialize(text) for text in texts)

@@ -97,9 +97,11 @@ _BY_LANE = {
 def vector_code(functions: tuple[ca.Function, ...], lanes: int = LANES) -> str:
     """A file of C for functions with dense inputs and outputs.
 
-    casadi.external loads them under their names; inputs and outputs have `lanes` times the columns, as those of
-    `function.map(lanes)`. With one lane numbers are numbers. Raises NotImplementedError for operations without C.
+    Operations that are repeated are done once. casadi.external loads them under their names; inputs and outputs
+    have `lanes` times the columns, as those of `function.map(lanes)`. With one lane numbers are numbers. Raises
+    NotImplementedError for operations without C.
     """
+    functions = tuple(_without_repetition(function) for function in functions)
     used = {function.instruction_id(k) for function in functions for k in range(function.n_instructions())}
     if unknown := used - _OPERATIONS.keys() - _BY_LANE.keys() - {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT}:
         names = ", ".join(function.name() for function in functions)
@@ -109,6 +111,12 @@ def vector_code(functions: tuple[ca.Function, ...], lanes: int = LANES) -> str:
     if lanes > 1:
         head, helpers = _QUICK + head, {_OPTIMIZED.format(helper) for helper in helpers}
     return "".join([head, *sorted(helpers), *(_function(function, lanes) for function in functions)])
+
+
+def _without_repetition(function: ca.Function) -> ca.Function:
+    """The same function with each operation on the same numbers done once."""
+    inputs = [ca.SX.sym(function.name_in(i), *function.size_in(i)) for i in range(function.n_in())]
+    return ca.Function(function.name(), inputs, function.call(inputs), {"cse": True})
 
 
 def _by_lane(called: str, lanes: int) -> str:

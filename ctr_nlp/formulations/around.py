@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import ctypes
 import functools
-import inspect
-import time
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.codegen import background, cache, vector
+from ctr_nlp.codegen import cache, vector
+from ctr_nlp.codegen.background import Library
 from ctr_nlp.formulations.terms.lumen import CENTRED, COLUMNS, FIRM, PLACES
 from ctr_nlp.models import Model
 from ctr_nlp.models.protocol import symbolic_tubes
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import NUMBERS, Structure
-from ctr_nlp.solvers.compiled import POLL
 from ctr_nlp.solvers.frame.adapter import Surroundings
 from ctr_nlp.target.lumen import SPACING, Lumen, outer_radius
 from ctr_nlp.typing import Array
@@ -73,20 +70,18 @@ class Around:
             *(clearance, CENTRED, tiny, SPACING, float(np.diff(lumen.along).max())),
             *addresses[len(given) :],
         )
-        self._rows, self._looked = rows, -POLL
+        self._rows = rows
         self._wall = _InC(None, *self._fixed)
         self._library = cache.loaded(__package__, "wall.c")
+        self._made = Library(self._points.serialize(), lambda: (self._points,), LANES)
         self._compiled: ctypes.CDLL | None = None
 
     def ready(self, wait: bool = False) -> bool:
         """Whether the functions have been compiled; wait: until they have."""
-        if self._compiled is None and (wait or time.monotonic() - self._looked > POLL):
-            path = _library(self._points, wait)
-            if path is not None:
-                self._compiled = ctypes.CDLL(str(path))
-                points = ctypes.cast(self._compiled[self._points.name()], ctypes.c_void_p).value
-                self._wall = _InC(points, *self._fixed)
-            self._looked = time.monotonic()
+        if self._compiled is None and (path := self._made.now() if wait else self._made.soon()) is not None:
+            self._compiled = ctypes.CDLL(str(path))
+            points = ctypes.cast(self._compiled[self._points.name()], ctypes.c_void_p).value
+            self._wall = _InC(points, *self._fixed)
         return self._compiled is not None
 
     def __call__(self, x: Array) -> tuple[Array, Array]:
@@ -121,12 +116,4 @@ def points_at(model: Model, structure: Structure, samples: int) -> ca.Function:
     shape = model.frame(structure, tubes, lambda beta: shares @ ca.vertcat(*beta))
     symbols, values = shape.inner.columns
     (found,) = ca.substitute([ca.SX(ca.horzcat(*shape.placed(shape.points)))], [symbols], [values])
-    return ca.Function("points", [shape.x, shares, numbers], [ca.densify(found)], {"cse": True})
-
-
-def _library(function: ca.Function, wait: bool) -> Path | None:
-    """The library of a function for all lanes; None while it is made in the background, unless one waits."""
-    key = "\n".join([f"{LANES} lanes", ca.CasadiMeta.version(), inspect.getsource(vector), function.serialize()])
-    if wait:
-        return cache.library(key, lambda: vector.vector_code((function,), LANES))
-    return background.library(key, lambda: (function,), LANES)
+    return ca.Function("points", [shape.x, shares, numbers], [ca.densify(found)])

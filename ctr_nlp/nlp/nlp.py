@@ -191,16 +191,19 @@ class Nlp:
 
     @cached_property
     def functions(self) -> FrameFunctions:
-        """Value and second-order expansion, for solvers that take many of these at once."""
+        """Value and second-order expansion, for solvers that take many of these at once.
+
+        Operations that are repeated stay: whoever makes machine code of them finds these, which takes seconds.
+        """
         lam_f, lam_g = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", self.g.numel())
         gradient, jacobian, hessian = (ca.densify(part) for part in self._derivatives(lam_f, lam_g))
         inputs, multipliers = [self.x, self.p], [lam_f, lam_g]
         value = [self.objective, ca.densify(self.g)]
         slopes = [value[0], gradient, value[1], jacobian]
         return FrameFunctions(
-            ca.Function("value", inputs, value, {"cse": True}),
-            ca.Function("slopes", inputs, slopes, {"cse": True}),
-            ca.Function("expansion", inputs + multipliers, [*slopes, hessian], {"cse": True}),
+            ca.Function("value", inputs, value),
+            ca.Function("slopes", inputs, slopes),
+            ca.Function("expansion", inputs + multipliers, [*slopes, hessian]),
         )
 
     def _derivatives(self, lam_f: ca.SX, lam_g: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:

@@ -5,35 +5,34 @@ from __future__ import annotations
 import ctypes
 import functools
 import inspect
-import time
 from collections.abc import Callable
-from pathlib import Path
 
 import casadi as ca
 
-from ctr_nlp.codegen import background, cache, vector
+from ctr_nlp.codegen import cache, vector
+from ctr_nlp.codegen.background import Library
 from ctr_nlp.nlp import nlp as programs
 from ctr_nlp.nlp.nlp import FrameFunctions, Nlp
 
-POLL = 0.5
-"""s between two looks at whether a program has been compiled meanwhile."""
 KEPT = 64
 """Programs whose libraries a process remembers."""
 
 
 def compiled(nlp: Nlp, lanes: int = vector.LANES) -> FrameFunctions:
     """A program's functions for so many frames at once; raises OptionError where nothing can be compiled."""
-    return _external(str(library(nlp, lanes)), lanes)
+    return _external(str(library(nlp, lanes).now()), lanes)
 
 
-def library(nlp: Nlp, lanes: int) -> Path:
-    """The shared library of a program's functions, made now where it is not there; raises OptionError."""
-    return cache.library(_key(nlp, lanes), lambda: vector.vector_code(tuple(nlp.functions[:3]), lanes))
+@functools.lru_cache(maxsize=KEPT)
+def library(nlp: Nlp, lanes: int) -> Library:
+    """The shared library of a program's functions, which depend on the program and on what derives it."""
+    problem = ca.Function("problem", [nlp.x, nlp.p], [nlp.objective, nlp.g]).serialize()
+    return Library(f"{_deriver()}\n{problem}", lambda: nlp.functions[:3], lanes)
 
 
-def library_soon(nlp: Nlp, lanes: int) -> Path | None:
-    """The same, or None while it is made in the background; raises OptionError."""
-    return background.library(_key(nlp, lanes), lambda: nlp.functions[:3], lanes)
+@functools.cache
+def _deriver() -> str:
+    return inspect.getsource(programs)
 
 
 def fastest(nlp: Nlp) -> Callable[[], FrameFunctions]:
@@ -43,15 +42,12 @@ def fastest(nlp: Nlp) -> Callable[[], FrameFunctions]:
 
 class _Fastest:
     def __init__(self, nlp: Nlp) -> None:
-        self._nlp = nlp
+        self._nlp, self._library = nlp, library(nlp, vector.LANES)
         self._found: FrameFunctions | None = None
-        self._looked = -POLL
 
     def __call__(self) -> FrameFunctions:
-        if self._found is None and time.monotonic() - self._looked > POLL:
-            path = library_soon(self._nlp, vector.LANES)
-            self._found = None if path is None else _external(str(path), vector.LANES)
-            self._looked = time.monotonic()
+        if self._found is None and (path := self._library.soon()) is not None:
+            self._found = _external(str(path), vector.LANES)
         return self._found or self._nlp.functions
 
 
@@ -72,15 +68,3 @@ _addresses: dict[ca.Function, int] = {}
 def address(function: ca.Function) -> int | None:
     """Where a compiled function is in memory, to be called by C as CasADi calls it; None of an interpreted one."""
     return _addresses.get(function)
-
-
-@functools.lru_cache(maxsize=KEPT)
-def _key(nlp: Nlp, lanes: int) -> str:
-    """What the code depends on: the program itself, and what derives it and writes it."""
-    problem = ca.Function("problem", [nlp.x, nlp.p], [nlp.objective, nlp.g]).serialize()
-    return "\n".join([f"{lanes} lanes", ca.CasadiMeta.version(), _makers(), problem])
-
-
-@functools.cache
-def _makers() -> str:
-    return inspect.getsource(programs) + inspect.getsource(vector)

@@ -36,7 +36,7 @@ def toy(factor):
 
 def ready(nlp, lanes=1):
     end = time.monotonic() + LONG
-    while compiled.library_soon(nlp, lanes) is None:
+    while compiled.library(nlp, lanes).soon() is None:
         assert time.monotonic() < end, "not compiled in time"
         time.sleep(0.1)
 
@@ -53,7 +53,7 @@ def test_a_program_is_interpreted_until_it_is_compiled_and_finds_the_same(cold):
     assert not program.compiled
     first = solution(program)
     ready(nlp)
-    time.sleep(compiled.POLL + 0.1)
+    time.sleep(background.POLL + 0.1)
     second = solution(program)
     assert program.compiled
     np.testing.assert_allclose(second[0], first[0], atol=1e-9)
@@ -74,7 +74,7 @@ def test_what_a_process_begins_nobody_else_begins_and_it_is_said_once(cold, monk
     monkeypatch.setattr(background, "_begin", lambda key, functions, lanes: begun.append(key))
     with caplog.at_level(logging.WARNING, "ctr_nlp"):
         for factor in (2.0, 2.0, 2.25):
-            assert compiled.library_soon(toy(factor), 1) is None
+            assert compiled.library(toy(factor), 1).soon() is None
     assert len(begun) == 2
     assert [record.getMessage() for record in caplog.records] == [background.NOTE]
 
@@ -83,9 +83,10 @@ def test_a_build_that_never_ended_is_begun_again(cold, monkeypatch):
     begun = list[str]()
     monkeypatch.setattr(background, "_begin", lambda key, functions, lanes: begun.append(key))
     nlp = toy(2.5)
-    compiled.library_soon(nlp, 1)
+    compiled.library(nlp, 1).soon()
     monkeypatch.setattr(background, "CLAIMED", -1.0)
-    compiled.library_soon(nlp, 1)
+    monkeypatch.setattr(background, "POLL", 0.0)
+    compiled.library(nlp, 1).soon()
     assert len(begun) == 2
 
 

@@ -9,7 +9,7 @@ import pytest
 from frames import alone, horizon
 
 from ctr_nlp import Limits, Robot, curve_from_formula, growing, table_i_robot
-from ctr_nlp.codegen import cache, vector
+from ctr_nlp.codegen import background, cache, vector
 from ctr_nlp.codegen.vector import LANES, vector_code
 from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.nlp.nlp import Nlp, Residual
@@ -406,9 +406,9 @@ def toy(factor):
 
 
 def test_frames_of_equal_robots_share_a_library(monkeypatch):
-    first = compiled.library(alone(robot()), LANES)
+    first = compiled.library(alone(robot()), LANES).now()
     monkeypatch.setattr(vector, "vector_code", lambda *arguments: pytest.fail("written again"))
-    assert compiled.library(alone(robot()), LANES).read_bytes() == first.read_bytes()
+    assert compiled.library(alone(robot()), LANES).now().read_bytes() == first.read_bytes()
 
 
 def test_another_number_of_lanes_is_another_library():
@@ -418,7 +418,7 @@ def test_another_number_of_lanes_is_another_library():
         assert functions.lanes == lanes
         (found, _) = evaluated(functions.value, np.full((1, lanes), 5.0), np.full((1, lanes), 2.0))
         np.testing.assert_array_equal(found, np.ones((1, lanes)))
-        paths.append(compiled.library(toy(2), lanes))
+        paths.append(compiled.library(toy(2), lanes).now())
     assert len(set(paths)) == 2
 
 
@@ -441,14 +441,14 @@ def test_robots_of_one_structure_share_a_key():
         paper.with_limits(carriage_gap=5.0),
         Robot(paper.tubes[1:]),
     ]
-    shared, own = ([compiled._key(alone(robot), 1) for robot in robots] for robots in (same, different))
+    shared, own = ([compiled.library(alone(robot), 1).key for robot in robots] for robots in (same, different))
     assert len(set(shared)) == 1
     assert len({shared[0], *own}) == 1 + len(own)
 
 
 def test_the_key_changes_with_constants_and_with_what_writes_the_code(monkeypatch):
-    keys = [compiled._key(toy(factor), 1) for factor in (2, 3)]
-    monkeypatch.setattr(compiled, "_makers", lambda: "another writer")
-    compiled._key.cache_clear()
-    keys.append(compiled._key(toy(2), 1))
-    assert len(set(keys)) == 3
+    keys = [compiled.library(toy(factor), 1).key for factor in (2, 3)]
+    for room, source in ((compiled, "_deriver"), (background, "_writer")):
+        monkeypatch.setattr(room, source, lambda: "another writer")
+        keys.append(compiled.library(toy(2), 1).key)
+    assert len(set(keys)) == 4

@@ -6,12 +6,14 @@ import ctypes
 import functools
 import os
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.codegen import cache, vector
+from ctr_nlp.codegen import cache
+from ctr_nlp.codegen.background import Library
 from ctr_nlp.models.elastic import energy, torsion
 from ctr_nlp.models.protocol import symbolic_tubes
 from ctr_nlp.robot.structure import NUMBERS, Structure, Tubes
@@ -61,12 +63,10 @@ class _Elastic(ctypes.Structure):
 class Compiled:
     """A structure's equilibria in C; any thread may call. numbers (T or 1, 6d): of the tubes, a row a robot."""
 
-    def __init__(self, structure: Structure) -> None:
-        """Build; raises OptionError where nothing can be compiled."""
+    def __init__(self, structure: Structure, path: Path) -> None:
+        """Take the functions from their library; raises OptionError where nothing can be compiled."""
         functions, pattern = symbolic(structure)
-        code = vector.vector_code(functions, 1)
-        path = str(cache.library(code, lambda: code))
-        library = ctypes.CDLL(path)
+        library = ctypes.CDLL(str(path))
         self._run = cache.loaded(__package__, "branch.c", "margin.c")
         rows, columns = np.nonzero(pattern)
         starts = np.searchsorted(rows, np.arange(len(pattern) + 1))
@@ -79,7 +79,7 @@ class Compiled:
         steps = CONVERGED, NEAR, STRAY, SMALLEST, STRIDE, ITERATIONS
         self._elastic = _Elastic(structure.d, n, len(pattern), *places, *steps)
         self._reference = ctypes.byref(self._elastic)
-        self.motors = ca.external(functions[0].name(), path)
+        self.motors = ca.external(functions[0].name(), str(path))
 
     def walk(self, numbers: Array, state: State, goals: Array) -> Array:
         """The equilibria (count, 2d + 2) at as many goals (T, 2d + 2) as a branch reaches; the state goes on."""
@@ -121,21 +121,32 @@ def symbolic(structure: Structure) -> tuple[tuple[ca.Function, ca.Function], Arr
     alpha = ca.densify(ca.vertcat(*torsion.motors(tubes, entries, twisted)))
     slopes = ca.densify(ca.jacobian(alpha, x[: d - 1]))
     weights, scales, pattern = energy.hessian(tubes, entries)
-    motors = ca.Function("motors", [x, numbers], [alpha, slopes], {"cse": True})
+    motors = ca.Function("motors", [x, numbers], [alpha, slopes])
     of_energy = [ca.densify(weights), ca.densify(scales)]
-    return (motors, ca.Function("weights", [x, numbers], of_energy, {"cse": True})), pattern
+    return (motors, ca.Function("weights", [x, numbers], of_energy)), pattern
 
 
 def compiled(structure: Structure) -> Compiled | None:
-    """What all robots of a structure share, made where it is not there; None where nothing can be compiled."""
+    """What all robots of a structure share; None until it has been made, and where nothing can be compiled."""
     if os.environ.get(cache.SWITCH) == "0" or structure.d > MOST_TUBES:
         return None
-    return _compiled(replace(structure, gap=False))
+    return _soon(replace(structure, gap=False))()
 
 
-@functools.lru_cache(maxsize=64)
-def _compiled(structure: Structure) -> Compiled | None:
-    return None if cache.missing() else Compiled(structure)
+class _Soon:
+    def __init__(self, structure: Structure) -> None:
+        functions, _ = symbolic(structure)
+        described = "\n".join(function.serialize() for function in functions)
+        self._structure, self._library = structure, Library(described, lambda: functions, 1)
+        self._found: Compiled | None = None
+
+    def __call__(self) -> Compiled | None:
+        if self._found is None and not cache.missing() and (path := self._library.soon()) is not None:
+            self._found = Compiled(self._structure, path)
+        return self._found
+
+
+_soon = functools.lru_cache(maxsize=64)(_Soon)
 
 
 def numbers_of(tubes: Tubes) -> Array:

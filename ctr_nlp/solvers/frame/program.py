@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import time
 from typing import Any
 
 import casadi as ca
@@ -11,7 +10,7 @@ import numpy as np
 
 from ctr_nlp.codegen import cache
 from ctr_nlp.nlp.nlp import FrameFunctions, Nlp
-from ctr_nlp.solvers import compiled
+from ctr_nlp.solvers.compiled import library
 from ctr_nlp.typing import Array
 
 TOLERANCE = 1e-6
@@ -70,18 +69,18 @@ class Program:
         self._sizes, self._places = (n, m), (*given, TOLERANCE, *found)
         self._run, self._keep = cache.loaded(__package__, "sqp.c", "run.c").sqp, list[Any]()
         self._point({})
-        self.compiled = self._load(compiled.library(nlp, 1) if wait else compiled.library_soon(nlp, 1))
+        self._library = library(nlp, 1)
+        self.compiled = self._load(self._library.now() if wait else self._library.soon())
         if not self.compiled:
             self._interpret()
-        self._looked = time.monotonic()
 
     def _load(self, path: Any) -> bool:
         """Take the functions from a library, where there is one."""
         if path is None:
             return False
-        library = ctypes.CDLL(str(path))
-        self._keep = [library]
-        self._point({name: ctypes.cast(library[name], ctypes.c_void_p).value or 0 for name in NAMES})
+        loaded = ctypes.CDLL(str(path))
+        self._keep = [loaded]
+        self._point({name: ctypes.cast(loaded[name], ctypes.c_void_p).value or 0 for name in NAMES})
         return True
 
     def _interpret(self) -> None:
@@ -102,9 +101,8 @@ class Program:
 
     def refresh(self) -> None:
         """Take compiled functions, where they have come meanwhile."""
-        if not self.compiled and time.monotonic() - self._looked > compiled.POLL:
-            self.compiled = self._load(compiled.library_soon(self.nlp, 1))
-            self._looked = time.monotonic()
+        if not self.compiled:
+            self.compiled = self._load(self._library.soon())
 
     def run(self) -> Outcome:
         """Solve; what was found beside x and multipliers is overwritten by the next run."""
