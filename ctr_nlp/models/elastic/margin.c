@@ -24,17 +24,21 @@ static double smallest_root(const double *diagonal, const double *beside, long n
     return x;
 }
 
-/* Whether a symmetric matrix less `shift` on its diagonal has positive pivots only. */
-static int definite(const double *matrix, long n, double shift, double *a) {
-    for (long j = 0; j < n; ++j) {
-        for (long i = 0; i <= j; ++i) a[i + n * j] = matrix[i + n * j];
-        a[j + n * j] -= shift;
+/* Whether a symmetric matrix less `shift` on its diagonal has positive pivots only; a: its rows from the diagonal on,
+   eliminated. */
+static int definite(const double *matrix, long n, double shift, double *restrict a) {
+    for (long i = 0; i < n; ++i) {
+        for (long j = i; j < n; ++j) a[n * i + j] = matrix[n * i + j];
+        a[n * i + i] -= shift;
     }
     for (long k = 0; k < n; ++k) {
-        if (!(a[k + n * k] > 0)) return 0;
-        for (long j = k + 1; j < n; ++j) {
-            double part = a[k + n * j] / a[k + n * k];
-            for (long i = k + 1; i <= j; ++i) a[i + n * j] -= part * a[k + n * i];
+        const double *pivot = a + n * k;
+        if (!(pivot[k] > 0)) return 0;
+        double inverse = 1 / pivot[k];
+        for (long i = k + 1; i < n; ++i) {
+            double part = pivot[i] * inverse, *restrict row = a + n * i;
+#pragma omp simd
+            for (long j = i; j < n; ++j) row[j] -= part * pivot[j];
         }
     }
     return 1;
@@ -50,6 +54,16 @@ static double product(const double *a, const double *b, long n) {
     return sums[0] + sums[1] + sums[2] + sums[3];
 }
 
+/* A matrix (n, n) times a vector. */
+static void times(const double *restrict matrix, long n, const double *v, double *restrict found) {
+    memset(found, 0, n * sizeof *found);
+    for (long j = 0; j < n; ++j) {
+        double part = v[j];
+#pragma omp simd
+        for (long i = 0; i < n; ++i) found[i] += matrix[i + n * j] * part;
+    }
+}
+
 /* The smallest eigenvalue of a symmetric matrix (n, n), by Lanczos' method, confirmed by the pivots. */
 static double smallest_eigenvalue(const double *matrix, long n, double *work) {
     double *restrict basis = work, *copy = basis + n * (n + 1), *diagonal = copy + n * n, *beside = diagonal + n, size = 0;
@@ -59,9 +73,7 @@ static double smallest_eigenvalue(const double *matrix, long n, double *work) {
     for (long k = 0; k < n; ++k) {
         const double *v = basis + n * k;
         double *next = basis + n * (k + 1);
-        memset(next, 0, n * sizeof *next);
-        for (long j = 0; j < n; ++j)
-            for (long i = 0; i < n; ++i) next[i] += matrix[i + n * j] * v[j];
+        times(matrix, n, v, next);
         for (long j = k; j >= 0; --j) {
             double part = product(basis + n * j, next, n);
             for (long i = 0; i < n; ++i) next[i] -= part * basis[i + n * j];
@@ -87,36 +99,75 @@ static double smallest_eigenvalue(const double *matrix, long n, double *work) {
     return found;
 }
 
-/* The margin at every x, with steps in numbers from row to row: K is the identity in terms of scaled twists.
+/* Solve for v in place, with what `definite` leaves of a matrix, and make its length one. */
+static void inverted(const double *a, long n, double *v) {
+    double size = 0;
+    for (long k = 0; k < n; ++k) {
+        double part = v[k] / a[n * k + k];
+        for (long i = k + 1; i < n; ++i) v[i] -= part * a[n * k + i];
+    }
+    for (long k = n - 1; k >= 0; --k) {
+        for (long i = k + 1; i < n; ++i) v[k] -= a[n * k + i] * v[i];
+        v[k] /= a[n * k + k], size += v[k] * v[k];
+    }
+    for (long i = 0; i < n; ++i) v[i] /= sqrt(size);
+}
+
+enum { REFINEMENTS = 6 };
+
+/* The smallest eigenvalue by inverse iteration from v, that of a matrix nearby, confirmed by the pivots; NaN where v is
+   not near. An eigenvalue is no further from the quotient of v than v's residual, which bounds the shift. */
+static double refined(const double *matrix, long n, double *v, double *work) {
+    double *product_of = work + n * n;
+    for (int k = 0; k < REFINEMENTS; ++k) {
+        times(matrix, n, v, product_of);
+        double quotient = product(v, product_of, n), residual = 0;
+        for (long i = 0; i < n; ++i) residual += pow(product_of[i] - quotient * v[i], 2);
+        residual = sqrt(residual);
+        if (residual < 1e-7) return definite(matrix, n, quotient - 1e-9 * (1 + fabs(quotient)), work) ? quotient : NAN;
+        if (!(residual < 0.3) || !definite(matrix, n, quotient - residual, work)) return NAN;
+        inverted(work, n, v);
+    }
+    return NAN;
+}
+
+/* The margin at every x, with steps in numbers from row to row: K is the identity in terms of scaled twists. Rows that
+   follow each other are likely near each other, and so are the vectors of their margins.
 
    work: room. */
 void margins(const Elastic *e, const double *numbers, long step, const double *x, long rows, double *found,
              double *work) {
-    long side = 2 * e->d + 2;
-    double *weights = work, *scales = weights + e->rows, *row = scales + e->twists, *matrix = row + e->twists;
+    long side = 2 * e->d + 2, before = 0;
+    double *weights = work, *scales = weights + e->rows, *restrict row = scales + e->twists, *matrix = row + e->twists;
+    double vector[e->twists + 1];
     for (long at = 0; at < rows; ++at, x += side, numbers += step) {
         const double *arg[] = {x, numbers};
         double *res[] = {weights, scales};
-        long place[e->twists + 1], columns[e->twists + 1], n = 0;
+        long place[e->twists + 1], n = 0;
         e->weights(arg, res, 0, 0, 0);
         for (long i = 0; i < e->twists; ++i) place[i] = scales[i] > 0 ? n++ : -1;
         memset(matrix, 0, n * n * sizeof *matrix);
         for (long i = 0; i < n; ++i) matrix[i + n * i] = 1;
         for (long r = 0; r < e->rows; ++r) {
             if (weights[r] == 0) continue;
-            long count = 0;
+            for (long i = 0; i < n; ++i) row[i] = 0;
+            for (long k = e->starts[r]; k < e->starts[r + 1]; ++k)
+                if (place[e->columns[k]] >= 0) row[place[e->columns[k]]] = e->entries[k] * scales[e->columns[k]];
             for (long k = e->starts[r]; k < e->starts[r + 1]; ++k) {
-                long column = e->columns[k];
-                if (place[column] < 0) continue;
-                row[count] = e->entries[k] * scales[column], columns[count++] = place[column];
-            }
-            for (long j = 0; j < count; ++j) {
-                double *into = matrix + n * columns[j], part = weights[r] * row[j];
-                for (long i = 0; i <= j; ++i) into[columns[i]] += part * row[i];
+                long j = place[e->columns[k]];
+                if (j < 0) continue;
+                double *restrict into = matrix + n * j, part = weights[r] * row[j];
+#pragma omp simd
+                for (long i = 0; i < n; ++i) into[i] += part * row[i];
             }
         }
-        for (long j = 0; j < n; ++j)
-            for (long i = 0; i < j; ++i) matrix[j + n * i] = matrix[i + n * j];
-        found[at] = n ? fmin(1, smallest_eigenvalue(matrix, n, matrix + n * n)) : 1;
+        double *space = matrix + n * n, least = n && n == before ? refined(matrix, n, vector, space) : NAN;
+        if (n && isnan(least)) {
+            least = smallest_eigenvalue(matrix, n, space);
+            before = definite(matrix, n, least - 1e-6 * (1 + fabs(least)), space) ? n : 0;
+            for (long i = 0; i < n; ++i) vector[i] = 0.2 + fmod(0.618033988749895 * (i + 1), 1.0);
+            if (before) inverted(space, n, vector);
+        }
+        found[at] = n ? fmin(1, least) : 1;
     }
 }
