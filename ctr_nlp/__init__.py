@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from ctr_nlp.formulations.settings import Settings
     from ctr_nlp.plan.metrics import by_frame, summary
     from ctr_nlp.plan.plan import Plan
-    from ctr_nlp.robot import Limits, Robot, Tube, seed_robot, table_i_robot
+    from ctr_nlp.robot import Limits, Robot, Tolerances, Tube, seed_robot, table_i_robot
     from ctr_nlp.simulation.forward import shape_curve, shapes
     from ctr_nlp.steer import Steerer, solve_horizon, solve_per_frame
     from ctr_nlp.target.curve import Curve, curve_from_formula, curve_from_points
@@ -33,6 +33,7 @@ __all__ = [
     "Settings",
     "Steerer",
     "Target",
+    "Tolerances",
     "Tube",
     "__version__",
     "by_frame",
@@ -57,7 +58,7 @@ _HOMES = {
     "formulations.settings": ("Settings",),
     "plan.metrics": ("by_frame", "summary"),
     "plan.plan": ("Plan",),
-    "robot": ("Limits", "Robot", "Tube", "seed_robot", "table_i_robot"),
+    "robot": ("Limits", "Robot", "Tolerances", "Tube", "seed_robot", "table_i_robot"),
     "simulation.forward": ("shape_curve", "shapes"),
     "steer": ("Steerer", "solve_horizon", "solve_per_frame"),
     "target.curve": ("Curve", "curve_from_formula", "curve_from_points"),

@@ -11,10 +11,11 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from ctr_nlp.exceptions import OptionError
 from ctr_nlp.nlp.nlp import Inner
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import NUMBERS, Structure, Tubes, tubes_of
-from ctr_nlp.typing import Array, Vector
+from ctr_nlp.typing import Array, Flags, Index, Vector
 
 SUBSTEPS = 10
 """Steps from frame to frame in which margins are looked at."""
@@ -76,6 +77,32 @@ class Followed(NamedTuple):
     snaps: tuple[Snap, ...] = ()
 
 
+class Passage(NamedTuple):
+    """Places q (M, 2d + 2) on the way through a total of frames, of which those that are NaN have none.
+
+    frames (M,): to which frame a place belongs, or on the way to which it is, from 0; its last place is the frame
+    itself. fresh (M,): where a robot comes to rest without a history, in the first frame and after those that are
+    NaN.
+    """
+
+    q: Array
+    frames: Index
+    fresh: Flags
+    total: int
+
+
+def passage(q: Array, substeps: int) -> Passage:
+    """The way through frames q (T, 2d + 2), linearly and in so many substeps between them."""
+    known = np.asarray(np.isfinite(q).all(axis=1))
+    joined = known & np.concatenate([[False], known[:-1]])
+    steps = np.where(joined, substeps, known.astype(int))
+    frames = np.repeat(np.arange(len(q)), steps)
+    part = (np.arange(len(frames)) - (np.cumsum(steps) - steps)[frames] + 1) / steps[frames]
+    before, after = q[frames - joined[frames]], q[frames]
+    places = np.where((part == 1)[:, None], after, before + part[:, None] * (after - before))
+    return Passage(places, frames, ~joined[frames], len(q))
+
+
 class Model(ABC):
     """Configuration to backbone. A new model defines name and frame; register makes it known under its name.
 
@@ -123,6 +150,11 @@ class Model(ABC):
         points, tangents = (np.array([each[k].full() for each in found]) for k in range(2))
         return points, tangents
 
+    def points_apart(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
+        """Points (T, n, 3) in mm of robots that differ in numbers (T, d, 6), at x (T, n_x) and sigma (n,)."""
+        function = samples(self, structure, len(sigma))
+        return np.array([function(row, sigma, own)[0].full() for row, own in zip(x, numbers, strict=True)])
+
     def margins(self, robot: Robot, x: Array) -> Array:
         """Stability margins (T,) at unknowns x (T, n_x); NaN where nothing can be unstable."""
         return np.full(len(x), np.nan)
@@ -151,6 +183,20 @@ class Model(ABC):
         """
         unknown = np.full(len(q), np.nan)
         return Followed(np.array([self.rest(robot, each) for each in q]), unknown, unknown)
+
+    def follow_apart(self, structure: Structure, numbers: Array, way: Passage, q: Array) -> list[Followed]:
+        """The unknowns of robots that differ in numbers (n, d, 6), at their own places q (n, M, 2d + 2) on a way.
+
+        Raises OptionError where the model has several equilibria and does not say which these robots are in.
+        """
+        if self.several_equilibria:
+            raise OptionError(
+                f"model is {self.name!r}, and does not follow robots that differ from the one described"
+            )
+        ends, unknown = np.flatnonzero(np.diff(way.frames, append=-1)), np.full(way.total, np.nan)
+        x = np.full((len(q), way.total, q.shape[2]), np.nan)
+        x[:, way.frames[ends]] = q[:, ends]
+        return [Followed(each, unknown, unknown) for each in x]
 
 
 @functools.lru_cache(maxsize=64)

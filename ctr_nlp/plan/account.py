@@ -58,6 +58,7 @@ def rows(found: dict[str, Any]) -> list[Row]:
         ("largest step of alpha, beta, theta", steps, "rad / mm / rad"),
         *_stability(found),
         *_clearance(found),
+        *_robustness(found),
         *_effort(found),
         ("frames", f"{found['frames']}, {f'{failed} not solved' if failed else 'all solved'}", ""),
     ]
@@ -137,6 +138,15 @@ def _clearance(found: dict[str, Any]) -> list[Row]:
             ("frames in contact, and depths summed", f"{frames} / {shown(found['contact_depth'])}", "/ mm")
         )
     return rows
+
+
+def _robustness(found: dict[str, Any]) -> list[Row]:
+    """What becomes of it on robots that are not quite the one described, where that was looked at."""
+    drawn = found.get("robustness")
+    if drawn is None or drawn["e3"] is None:
+        return []
+    values = " / ".join(shown(value) for value in drawn["e3"].values())
+    return [(f"e3 over {drawn['draws']} draws, mean / median / 95 %", values, "mm")]
 
 
 def _effort(found: dict[str, Any]) -> list[Row]:

@@ -14,6 +14,8 @@ from ctr_nlp.plan.verdicts import verdicts
 from ctr_nlp.support.runs import runs
 from ctr_nlp.typing import Array
 
+DRAWN = "e2_draws_median", "e2_draws_95"
+"""Columns for plans that were tried on draws: what half of them, and 95 %, do not exceed."""
 BINDS = 0.005
 """A frame whose margin exceeds the one asked for by less is held back by it."""
 
@@ -37,6 +39,7 @@ def by_frame(plan: Record) -> dict[str, Array]:
         "tip_angle": tip_angle(plan),
         **({"stability": plan.stability, "stability_between": plan.stability_between} if has_margins else {}),
         **({} if plan.clearance is None else {"clearance": plan.clearance.min(axis=1)}),
+        **({} if plan.drawn is None else dict(zip(DRAWN, plan.drawn.e2_quantiles(0.5, 0.95), strict=True))),
         "success": plan.success.astype(int),
     }
 
@@ -108,6 +111,7 @@ def summary(plan: Record) -> dict[str, Any]:
             "contact_mm": plan.meta.get("contact_weight"),
             "angle_mm_per_rad": float(robot.mm_per_unit[0]),
         },
+        "robustness": None if plan.drawn is None else plan.drawn.summary(),
         "verdicts": {name: verdict._asdict() for name, verdict in verdicts(plan)._asdict().items()},
         "problem": plan.meta["problem"]["name"],
         "formulation": plan.meta["formulation"],

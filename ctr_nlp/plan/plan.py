@@ -14,14 +14,16 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.exceptions import CtrError, OutputError
+from ctr_nlp.plan.draws import DRAWS, SEED, robustness
 from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.moved import elsewhere, lost, moved
-from ctr_nlp.plan.record import FORMAT, Record, check_arrays, check_meta, stored
+from ctr_nlp.plan.record import FORMAT, OF_DRAWS, Record, check_arrays, check_meta, stored
+from ctr_nlp.plan.robustness import Robustness, stored_robustness
 from ctr_nlp.plan.stretches import joined, resampled, rows, stretch, turned
 from ctr_nlp.plan.verdicts import Verdicts, verdicts
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.cards import Line, card
-from ctr_nlp.support.values import checked_path
+from ctr_nlp.support.values import checked_path, whole_number
 from ctr_nlp.support.whole_file import whole_file
 from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.target.problem import Problem
@@ -47,7 +49,18 @@ class Plan(Record):
     def on(self, model: str) -> Plan:
         """The same motion on another model: shapes, tip directions and stability of the robot moved through it."""
         found = moved(self.robot, self.q, model, target=self.target, lumen=self.lumen, free=self.free)
-        return replace(self, **found.arrays, meta=self.meta | found.told | {"evaluated": model})
+        return replace(self, **found.arrays, meta=self.meta | found.told | {"evaluated": model}, drawn=None)
+
+    def robustness(self, draws: int = DRAWS, seed: int = SEED) -> Robustness:
+        """What becomes of the plan on draws of its robot, within its tolerances, on the model it is evaluated on.
+
+        seed: of the draws. Raises RobotError, and OptionError where the model cannot follow such robots.
+        """
+        return robustness(self, draws, seed)
+
+    def with_draws(self, draws: int = DRAWS, seed: int = SEED) -> Plan:
+        """The same plan, which holds its robustness; raises as `robustness`."""
+        return replace(self, drawn=self.robustness(draws, seed))
 
     __getitem__ = stretch
     reversed = turned
@@ -76,6 +89,7 @@ class Plan(Record):
     def save(self, path: str | Path) -> None:
         """Write plan.npz, whole or not at all; raises OutputError."""
         present = rows(self) | {"to_robot": self.to_robot} | ({} if self.lumen is None else {"lumen": self.lumen})
+        present |= {} if self.drawn is None else self.drawn.arrays()
         target, told = checked_path(OutputError, path), self._meta_as_json()
         try:
             with whole_file(target) as partial, open(partial, "wb") as file:
@@ -85,7 +99,8 @@ class Plan(Record):
 
     def _meta_as_json(self) -> str:
         try:
-            return json.dumps(self.meta, allow_nan=False)
+            seed = {} if self.drawn is None else {"draws": {"seed": self.drawn.seed}}
+            return json.dumps(self.meta | seed, allow_nan=False)
         except (TypeError, ValueError) as error:
             raise OutputError(f"meta of the plan cannot be written as JSON: {error}") from error
 
@@ -97,7 +112,11 @@ class Plan(Record):
             arrays, meta = stored(path)
             check_meta(meta)
             check_arrays(arrays, Robot.from_dict(meta["robot"]).d)
-            return cls(meta=meta, **arrays)
+            drawn = None
+            if set(OF_DRAWS) <= set(arrays):
+                seed = whole_number(OutputError, "seed of meta's draws", meta.pop("draws", {}).get("seed"), 0)
+                drawn = stored_robustness({name: arrays.pop(name) for name in OF_DRAWS}, seed)
+            return cls(meta=meta, drawn=drawn, **arrays)
         except CtrError as error:
             raise OutputError(f"{path} is not a plan: {error}") from error
 

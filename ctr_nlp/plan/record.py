@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from ctr_nlp.exceptions import OutputError
 from ctr_nlp.models import MODELS
+from ctr_nlp.plan.robustness import PREFIX, Robustness
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.equal import Value, read_only
 from ctr_nlp.support.values import frozen
@@ -29,8 +30,8 @@ class Record(Value):
     objective (T,) mm^2; kkt (T,); stability, stability_between (T,), NaN on the dominant model; to_robot
     (4, 4), file to robot frame; where known, truth (T, 2d + 2), lumen_radius (T, 101) mm at the target's points,
     lumen (N, 4), the path and radius of the whole lumen, mm, clearance (T, 101) mm, what is left between tubes
-    and its wall, and free (T, 2d + 2), the motion that was found without the wall. Frames that were never reached
-    hold NaN. Arrays and meta are read-only copies.
+    and its wall, free (T, 2d + 2), the motion that was found without the wall, and drawn, what became of it on
+    draws of its robot. Frames that were never reached hold NaN. Arrays and meta are read-only copies.
     """
 
     time: Array
@@ -54,12 +55,14 @@ class Record(Value):
     lumen: Array | None = None
     clearance: Array | None = None
     free: Array | None = None
+    drawn: Robustness | None = None
 
     def __post_init__(self) -> None:
         for f in fields(self):
             given = getattr(self, f.name)
-            kept = read_only(given) if f.name == "meta" else None if given is None else frozen(given)
-            object.__setattr__(self, f.name, kept)
+            if isinstance(given, np.ndarray):
+                object.__setattr__(self, f.name, frozen(given))
+        object.__setattr__(self, "meta", read_only(self.meta))
 
     @cached_property
     def robot(self) -> Robot:
@@ -115,13 +118,24 @@ SHAPES: dict[str, tuple[int | str, ...]] = {
     **dict.fromkeys(("truth", "free"), ("T", "q")),
     "to_robot": (4, 4),
     "lumen": ("N", 4),
+    "draws_parts": ("D", "d", 5),
+    "draws_lags": ("D", "d"),
+    "draws_e2": ("D", "T"),
+    **{PREFIX + name: ("D",) for name in ("largest", "lost", "snapped", "margin", "clearance", "contact")},
+    "draws_cloud": ("C", "D", 26, 3),
+    "draws_cloud_frames": ("C",),
+    **{PREFIX + name: ("d", 6) for name in ("growth", "lost_alone")},
+    "draws_length": ("T",),
 }
-"""Sizes of the arrays: T frames, d tubes, q = 2d + 2 joints, N points of a lumen."""
-OPTIONAL = "lumen_radius", "clearance", "truth", "free", "lumen"
+"""Sizes of the arrays: T frames, d tubes, q = 2d + 2 joints, N points of a lumen, D draws, C frames of a cloud."""
+OF_DRAWS = tuple(name for name in SHAPES if name.startswith(PREFIX))
+OPTIONAL = "lumen_radius", "clearance", "truth", "free", "lumen", *OF_DRAWS
+COUNTED = {"D": "parts", "C": "cloud_frames"}
+"""Sizes that arrays of draws have, and the arrays that tell them."""
 REQUIRED = tuple(name for name in SHAPES if name not in OPTIONAL)
 META: dict[str, type] = {"robot": dict, "problem": dict, "model": str}
 """What meta must tell, and as what."""
-TOLD: dict[str, type] = {"options": dict, "formulation": str, "solver": str}
+TOLD: dict[str, type] = {"options": dict, "formulation": str, "solver": str, "draws": dict}
 """What meta may tell, and as what."""
 
 
@@ -162,6 +176,10 @@ def check_arrays(arrays: Mapping[str, npt.NDArray[Any]], tubes: int) -> None:
         raise OutputError(f"it has no {missing[0]}")
     frames, points = arrays["time"].size, len(np.atleast_1d(arrays.get("lumen", np.empty(0))))
     sizes = {"T": frames, "d": tubes, "q": 2 * tubes + 2, "N": points}
+    sizes |= {size: len(np.atleast_1d(arrays.get(PREFIX + name, ()))) for size, name in COUNTED.items()}
+    drawn = [name for name in OF_DRAWS if name in arrays]
+    if drawn and len(drawn) < len(OF_DRAWS):
+        raise OutputError(f"it has {drawn[0]} and no {next(name for name in OF_DRAWS if name not in drawn)}")
     for name, array in arrays.items():
         wanted = tuple(sizes.get(size, size) if isinstance(size, str) else size for size in SHAPES[name])
         if array.shape != wanted:

@@ -23,7 +23,7 @@ AnyPlan = TypeVar("AnyPlan", bound=Record)
 
 BY_FRAME = "failures", "fallbacks"
 """Entries of meta whose keys are numbers of frames, from 1."""
-WHOLE = "meta", "to_robot", "lumen"
+WHOLE = "meta", "to_robot", "lumen", "drawn"
 """Fields that are not one row a frame."""
 STRICTEST = {"contact_allowed": min, "clearance_cost": min, "contact_weight": max}
 """Of two values of an option that verdicts judge by, the one to judge a joined plan by."""
@@ -65,7 +65,7 @@ def stretch(plan: AnyPlan, frames: slice) -> AnyPlan:
     meta["e3_free"] = e3_of(None if free is None else free[first:stop], plan.reached[first:stop])
     meta["stretch"] = {"first": first + 1, "last": stop, "of": count}
     meta["interpolated"] = [j - first for j in plan.meta.get("interpolated", []) if first < j <= stop]
-    return replace(plan, **kept, meta=meta | _timed(meta, len(chosen), plan.dt))
+    return replace(plan, **kept, meta=meta | _timed(meta, len(chosen), plan.dt), drawn=None)
 
 
 def turned(plan: AnyPlan) -> AnyPlan:
@@ -79,7 +79,9 @@ def turned(plan: AnyPlan) -> AnyPlan:
     }
     if "interpolated" in plan.meta:
         meta["interpolated"] = [count - j for j in reversed(plan.meta["interpolated"])]
-    return replace(plan, meta=plan.meta | meta | {"reversed": not plan.meta.get("reversed", False)}, **back)
+    return replace(
+        plan, meta=plan.meta | meta | {"reversed": not plan.meta.get("reversed", False)}, drawn=None, **back
+    )
 
 
 def joined(plan: AnyPlan, other: Record) -> AnyPlan:
@@ -119,7 +121,7 @@ def joined(plan: AnyPlan, other: Record) -> AnyPlan:
     }
     later = [j + count for j in other.meta.get("interpolated", [])]
     meta["interpolated"] = [*plan.meta.get("interpolated", []), *later]
-    return replace(plan, **(both | absent | found.arrays), meta=meta | _timed(meta, len(q), plan.dt))
+    return replace(plan, **(both | absent | found.arrays), meta=meta | _timed(meta, len(q), plan.dt), drawn=None)
 
 
 def resampled(plan: AnyPlan, frames: int | None = None, dt: float | None = None) -> AnyPlan:
@@ -156,7 +158,7 @@ def resampled(plan: AnyPlan, frames: int | None = None, dt: float | None = None)
     meta["interpolated"] = (np.flatnonzero(fine & ~success) + 1).tolist()
     meta["resampled"] = {"frames": len(plan.time), "dt": plan.dt}
     arrays = between | found.arrays | {"success": success}
-    return replace(plan, **arrays, meta=meta | _timed(meta, len(at), step))
+    return replace(plan, **arrays, meta=meta | _timed(meta, len(at), step), drawn=None)
 
 
 def _solved_around(plan: Record, at: Array) -> Flags:

@@ -15,6 +15,10 @@ YES, NO, NOT_ASKED, NOT_KNOWN = "yes", "no", "not asked", "not known"
 """The words of a verdict."""
 FORK = 1e-3
 """A stability margin as small as this between frames is that of a fork, where it is 0 at one point of the way."""
+MOST_LOST = 0.01
+"""The share of a plan's draws that may be lost."""
+SURVIVES = "survives its draws"
+"""The matter of robots that are not quite the one described."""
 ROUNDING = 1e-6
 """mm by which e3 may exceed its limit: rounding."""
 
@@ -51,7 +55,7 @@ def verdicts(plan: Record) -> Verdicts:
         Verdict("stable", *_stable(plan)),
         Verdict("within limits", *_within_limits(plan)),
         Verdict("within the wall", *_within_wall(plan)),
-        Verdict("survives its draws", NOT_ASKED, None, "", "Only tubes exactly as described were looked at."),
+        Verdict(SURVIVES, *_survives(plan)),
     )
 
 
@@ -140,6 +144,15 @@ def _within_wall(plan: Record) -> Judgement:
     if not known.all():
         return NOT_KNOWN, deepest, "mm", f"{told}, of those reached; {(~known).sum()} were not."
     return YES, deepest, "mm", f"{told}; {allowed:g} mm is allowed."
+
+
+def _survives(plan: Record) -> Judgement:
+    """Whether hardly any of the robots drawn within the tolerances is lost; the share of those that are."""
+    if plan.drawn is None:
+        return NOT_ASKED, None, "", "Only tubes exactly as described were looked at."
+    share, told = plan.drawn.share, plan.drawn.told
+    told = f"{told[0].upper()}{told[1:]}; with 95 % confidence at most {plan.drawn.at_most:.1%} of all are."
+    return NO if share > MOST_LOST else YES, share, "of draws", told
 
 
 def _option(plan: Record, name: str) -> Any:

@@ -3,6 +3,7 @@
 from ctr_nlp.robot.limits import Limits
 from ctr_nlp.robot.paper import seed_robot, table_i_robot
 from ctr_nlp.robot.robot import MM_PER_RAD, Robot
+from ctr_nlp.robot.tolerances import Tolerances
 from ctr_nlp.robot.tube import Tube
 
-__all__ = ["MM_PER_RAD", "Limits", "Robot", "Tube", "seed_robot", "table_i_robot"]
+__all__ = ["MM_PER_RAD", "Limits", "Robot", "Tolerances", "Tube", "seed_robot", "table_i_robot"]

@@ -17,6 +17,7 @@ from ctr_nlp.robot.extensions import check_extensions, furthest
 from ctr_nlp.robot.limits import Limits
 from ctr_nlp.robot.strain import check_deployed
 from ctr_nlp.robot.structure import Structure, TubeNumbers, kind_of, numbers_of, tubes_of
+from ctr_nlp.robot.tolerances import Tolerances
 from ctr_nlp.robot.tube import Tube
 from ctr_nlp.robot.units import angle_meant, between, did_you_mean
 from ctr_nlp.support.packing import packable
@@ -25,14 +26,14 @@ from ctr_nlp.typing import Array
 
 MM_PER_RAD = 10.0
 """What one radian counts as in the motion term and the roughness, in mm: the W of the design."""
-KEYS = ("name", "tubes", "limits")
+KEYS = ("name", "tubes", "limits", "tolerances")
 """Of a robot file."""
 
 
 @packable("robot")
 @dataclass(frozen=True)
 class Robot:
-    """d nested tubes, outermost first, and their limits; q = (alpha_1..d, beta_1..d, theta_x, theta_y), eq. (5).
+    """d nested tubes, outermost first, their limits and tolerances; q = (alpha_1..d, beta_1..d, theta_x, theta_y).
 
     An inner tube may be as stiff as the one around it, or stiffer: only the dominant-stiffness model asks for an
     order, and says so (Model.check). lower, upper, speed, acceleration: (2d + 2,) in the order of q. Raises
@@ -41,11 +42,15 @@ class Robot:
 
     tubes: tuple[Tube, ...]
     limits: Limits = field(default_factory=Limits)
+    tolerances: Tolerances = field(default_factory=Tolerances)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tubes", sequence_of_tubes(self.tubes))
         if not isinstance(self.limits, Limits):
             raise RobotError(f"limits of a robot are {self.limits!r}; they must be Limits(...)")
+        if not isinstance(self.tolerances, Tolerances):
+            raise RobotError(f"tolerances of a robot are {self.tolerances!r:.60}; they must be Tolerances(...)")
+        self.tolerances.check(self.d)
         for i, (outer, inner) in enumerate(zip(self.tubes, self.tubes[1:], strict=False), start=1):
             check_pair(i, outer, inner)
         self._check_limits()
@@ -54,7 +59,7 @@ class Robot:
         check_deployed(self.tubes, self.deployed.tolist())
 
     def __reduce__(self) -> Any:
-        return Robot, (self.tubes, self.limits)
+        return Robot, (self.tubes, self.limits, self.tolerances)
 
     def _check_limits(self) -> None:
         lower, upper = self.lower, self.upper
@@ -218,7 +223,7 @@ class Robot:
     def to_dict(self) -> dict[str, Any]:
         """Numbers, strings and lists as a robot file holds them, fit for strict JSON (no limit is "inf")."""
         plain = asdict(self)
-        return {"tubes": list(plain["tubes"]), "limits": strict_json(plain["limits"])}
+        return {"tubes": list(plain["tubes"])} | {k: strict_json(plain[k]) for k in ("limits", "tolerances")}
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Robot:
@@ -234,6 +239,7 @@ class Robot:
         return cls(
             tuple(_numbered(number, tube) for number, tube in enumerate(tubes, start=1)),
             described(Limits, data.get("limits", {})),
+            described(Tolerances, data.get("tolerances", {})),
         )
 
     @classmethod

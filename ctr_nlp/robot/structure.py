@@ -65,6 +65,11 @@ def tubes_of(structure: Structure, numbers: Sequence[Sequence[Any]]) -> tuple[Tu
     return tuple(TubeNumbers(kind, shown, *row) for kind, shown, row in rows)
 
 
+def tubes_in_columns(structure: Structure, numbers: Any) -> tuple[TubeNumbers, ...]:
+    """The tubes of robots that differ in numbers (T, d, 6), as columns (T, 1)."""
+    return tubes_of(structure, [list(tube) for tube in numbers.transpose(1, 2, 0)[..., None]])
+
+
 def numbers_of(tubes: Iterable[Tube]) -> list[list[float]]:
     """Of every tube, in the order of NUMBERS."""
     return [

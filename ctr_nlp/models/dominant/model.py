@@ -12,11 +12,15 @@ from ctr_nlp.models.dominant import shape
 from ctr_nlp.models.protocol import Model, Places, Shape, combination, matrix_of, vectors_of
 from ctr_nlp.nlp.nlp import Inner
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.structure import Structure, Tubes
+from ctr_nlp.robot.structure import Structure, Tubes, tubes_in_columns
 from ctr_nlp.typing import Array, Vector
 
 DOMINATES = 1 + 1e-9
 """Least ratio of the bending stiffnesses of a tube and of the next one within it; rounding does not dominate."""
+
+
+CHUNK = 128
+"""Shapes whose samples are computed at once: what fits into a processor's nearest memory."""
 
 
 class Dominant(Model):
@@ -64,6 +68,14 @@ class Dominant(Model):
     def points(self, robot: Robot, x: Array, sigma: Array) -> Array:
         """As Model.points."""
         return _stacked(self._backbone(robot, x, sigma).points)
+
+    def points_apart(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
+        """As Model.points_apart."""
+        points = np.empty((len(x), len(sigma), 3))
+        for at in (slice(first, first + CHUNK) for first in range(0, len(x), CHUNK)):
+            tubes = tubes_in_columns(structure, numbers[at])
+            points[at] = _stacked(shape.backbone(tubes, shape.columns_of(x[at]), sigma, np).points)
+        return points
 
     def tangents(self, robot: Robot, x: Array, sigma: Array) -> Array:
         """As Model.tangents."""

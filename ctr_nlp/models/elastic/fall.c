@@ -26,11 +26,11 @@ static double energy_at(const Elastic *e, const Energy *of, const double *motors
     return found;
 }
 
-/* Cholesky's factor of part I + factor times a symmetric matrix, in the lower triangle; whether there is one. */
-static int factored(const double *matrix, long n, double part, double factor, double *l) {
+/* Cholesky's factor of I + factor times a symmetric matrix, in the lower triangle; whether there is one. */
+static int factored(const double *matrix, long n, double factor, double *l) {
     for (long j = 0; j < n; ++j) {
         for (long i = j; i < n; ++i) l[i + n * j] = factor * matrix[i + n * j];
-        l[j + n * j] += part;
+        l[j + n * j] += 1;
     }
     for (long k = 0; k < n; ++k) {
         if (!(l[k + n * k] > 0)) return 0;
@@ -54,13 +54,9 @@ static void solved_by(const double *l, long n, double *b) {
 static void softest(const Energy *of, double *l, double *v) {
     long n = of->n;
     double least = smallest_eigenvalue(of->matrix, n, of->work), shift = 1e-3 * (1 + fabs(least));
-    while (!factored(of->matrix, n, shift - least, 1, l)) shift *= 2;
+    while (!definite(of->matrix, n, least - shift, l)) shift *= 2;
     for (long i = 0; i < n; ++i) v[i] = 0.2 + fmod(0.618033988749895 * (i + 1), 1.0);
-    for (long k = 0; k < 30; ++k) {
-        solved_by(l, n, v);
-        double size = sqrt(product(v, v, n));
-        for (long i = 0; i < n; ++i) v[i] /= size;
-    }
+    for (long k = 0; k < 30; ++k) inverted(l, n, v);
 }
 
 /* One step down the gradient from twists a, for about the time given, by Rosenbrock's method of second order that is
@@ -75,7 +71,7 @@ static double step_down(const Elastic *e, const Energy *of, const double *motors
     bent(e, of, angles);
     for (*time *= 8; *time > 1e-12; *time *= size > e->fall ? fmax(0.1, 0.8 * e->fall / size) : 0.5) {
         size = 0;
-        if (!factored(of->matrix, n, 1, gamma * *time, l)) continue;
+        if (!factored(of->matrix, n, gamma * *time, l)) continue;
         for (long i = 0; i < n; ++i) first[i] = -slope[i];
         solved_by(l, n, first);
         for (long i = 0; i < n; ++i) ahead[i] = a[i] + *time * first[i];

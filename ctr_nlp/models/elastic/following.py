@@ -7,9 +7,9 @@ import numpy as np
 from ctr_nlp.models.elastic import stability
 from ctr_nlp.models.elastic.compiled import compiled
 from ctr_nlp.models.elastic.equilibria import Equilibria, State
-from ctr_nlp.models.protocol import SUBSTEPS, Followed, Snap
+from ctr_nlp.models.protocol import SUBSTEPS, Followed, Passage, Snap, passage
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.structure import NUMBERS, Structure, tubes_of
+from ctr_nlp.robot.structure import NUMBERS, Structure, tubes_in_columns, tubes_of
 from ctr_nlp.typing import Array
 
 JUMP = 0.1
@@ -40,8 +40,7 @@ def settled_apart(structure: Structure, numbers: Array, q: Array) -> tuple[Array
         flat = np.ascontiguousarray(numbers.swapaxes(1, 2)[known]).reshape(len(known), structure.d * len(NUMBERS))
         states, found = code.settle(flat, q[known])
         x[known[found]] = np.ctypeslib.as_array(states)["x"][found, : q.shape[1]]
-    columns = numbers.transpose(1, 2, 0)[..., None]
-    return x, stability.margins(tubes_of(structure, [list(tube) for tube in columns]), x)
+    return x, stability.margins(tubes_in_columns(structure, numbers), x)
 
 
 def follow(robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBSTEPS) -> Followed:
@@ -50,45 +49,63 @@ def follow(robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBS
     x0: the equilibrium of the first frame, which may be unstable; else it is settled. After frames that are NaN
     the robot settles anew. An unstable branch that the motion starts on is followed as long as it exists.
     """
-    equilibria, state = Equilibria(robot.structure, robot.numbers), None
     q = np.asarray(q, dtype=float)
-    x, snaps = np.full(q.shape, np.nan), list[Snap]()
-    passed, frames = [x[:0]], list[int]()
-    for j, goal in enumerate(q):
-        if state is None or not np.isfinite(goal).all():
-            state, passage = _start(equilibria, goal, x0 if j == 0 else None), goal[None]
+    way = passage(q, substeps)
+    return followed(robot.structure, robot.numbers, way, way.q, x0)
+
+
+def followed(
+    structure: Structure, numbers: Array, way: Passage, places: Array, x0: Array | None = None
+) -> Followed:
+    """The same of a robot of numbers (d, 6) at its own places (M, 2d + 2) on a way."""
+    equilibria, last = Equilibria(structure, numbers), np.searchsorted(way.frames, way.frames, side="right") - 1
+    x, snaps, at = np.full(places.shape, np.nan), list[Snap](), 0
+    while at < len(places):
+        if way.frames[at] or x0 is None:
+            state = equilibria.settled(places[at])
         else:
-            passage = np.linspace(q[j - 1], goal, substeps + 1)[1:]
-        while state is not None and len(passage):
-            found, state = equilibria.walked(state, passage)
-            passage = passage[len(found) :]
-            if len(passage):
-                state, jumps = equilibria.followed(state, passage[0])
-                snaps += [_snap(j + 1, jump) for jump in jumps if abs(jump).max() > JUMP]
-                found = found if state is None else np.vstack([found, state.x])
-                passage = passage[1:]
-            passed.append(found)
-            frames += [j] * len(found)
+            state = equilibria.nearest(places[at], x0)
         if state is not None:
-            x[j] = state.x
-    return _rated(robot, x, np.vstack(passed), frames, tuple(snaps))
+            at, state = _branches(equilibria, way, places, at, state, x, snaps)
+        if state is None:  # it settles anew in the next frame
+            after = last[min(at, len(last) - 1)] + 1
+            at = len(last) if after == len(last) else last[after]
+    return _rated(structure, numbers, way, x, tuple(snaps))
 
 
-def _start(equilibria: Equilibria, q: Array, x0: Array | None) -> State | None:
-    if not np.isfinite(q).all():
-        return None
-    return equilibria.settled(q) if x0 is None else equilibria.nearest(q, x0)
+def _branches(
+    equilibria: Equilibria, way: Passage, places: Array, at: int, state: State | None, x: Array, snaps: list[Snap]
+) -> tuple[int, State | None]:
+    """Follow one branch after the other from a place up to the next fresh one; where that is, and what is left."""
+    assert state is not None
+    fresh = np.flatnonzero(way.fresh[at + 1 :])
+    stop = at + 1 + fresh[0] if len(fresh) else len(places)
+    x[at], at = state.x, at + 1
+    while at < stop:
+        found, state = equilibria.walked(state, places[at:stop])
+        x[at : at + len(found)] = found
+        at += len(found)
+        if at < stop:
+            state, jumps = equilibria.followed(state, places[at])
+            snaps += [_snap(int(way.frames[at]) + 1, jump) for jump in jumps if abs(jump).max() > JUMP]
+            if state is None:
+                return at, None
+            x[at], at = state.x, at + 1
+    return at, state
 
 
 def _snap(frame: int, jump: Array) -> Snap:
     return Snap(frame, tuple(int(i) + 1 for i in np.flatnonzero(abs(jump) > JUMP)), float(abs(jump).max()))
 
 
-def _rated(robot: Robot, x: Array, passed: Array, frames: list[int], snaps: tuple[Snap, ...]) -> Followed:
-    """Equilibria at frames with the margins of all that were passed, and on the way to which frame."""
-    margins, between = stability.margins(robot.tube_numbers, passed), np.full(len(x), np.inf)
-    np.minimum.at(between, frames, margins)
+def _rated(structure: Structure, numbers: Array, way: Passage, x: Array, snaps: tuple[Snap, ...]) -> Followed:
+    """Equilibria at frames, from those x (M, 2d + 2) at all places, with margins."""
+    margins = stability.margins(tubes_of(structure, numbers.tolist()), x)
+    ends = np.flatnonzero(np.diff(way.frames, append=-1))
+    at, between = np.full((2, way.total), np.nan)
+    here = np.full((way.total, x.shape[1]), np.nan)
+    here[way.frames[ends]], at[way.frames[ends]] = x[ends], margins[ends]
+    between[way.frames[ends]] = np.inf
+    np.fmin.at(between, way.frames, margins)
     np.minimum.at(between, [snap.frame - 1 for snap in snaps], 0.0)
-    known, at = np.isfinite(x[:, 0]), np.full(len(x), np.nan)
-    at[frames] = margins
-    return Followed(x, np.where(known, at, np.nan), np.where(known, between, np.nan), snaps)
+    return Followed(here, at, np.where(np.isfinite(at), between, np.nan), snaps)

@@ -26,17 +26,21 @@ static double smallest_root(const double *diagonal, const double *beside, long n
     return x;
 }
 
-/* Whether a symmetric matrix less `shift` on its diagonal has positive pivots only. */
-static int definite(const double *matrix, long n, double shift, double *a) {
-    for (long j = 0; j < n; ++j) {
-        for (long i = 0; i <= j; ++i) a[i + n * j] = matrix[i + n * j];
-        a[j + n * j] -= shift;
+/* Whether a symmetric matrix less `shift` on its diagonal has positive pivots only; a: its rows from the diagonal on,
+   eliminated. */
+static int definite(const double *matrix, long n, double shift, double *restrict a) {
+    for (long i = 0; i < n; ++i) {
+        for (long j = i; j < n; ++j) a[n * i + j] = matrix[n * i + j];
+        a[n * i + i] -= shift;
     }
     for (long k = 0; k < n; ++k) {
-        if (!(a[k + n * k] > 0)) return 0;
-        for (long j = k + 1; j < n; ++j) {
-            double part = a[k + n * j] / a[k + n * k];
-            for (long i = k + 1; i <= j; ++i) a[i + n * j] -= part * a[k + n * i];
+        const double *pivot = a + n * k;
+        if (!(pivot[k] > 0)) return 0;
+        double inverse = 1 / pivot[k];
+        for (long i = k + 1; i < n; ++i) {
+            double part = pivot[i] * inverse, *restrict row = a + n * i;
+#pragma omp simd
+            for (long j = i; j < n; ++j) row[j] -= part * pivot[j];
         }
     }
     return 1;
@@ -52,6 +56,16 @@ static double product(const double *a, const double *b, long n) {
     return sums[0] + sums[1] + sums[2] + sums[3];
 }
 
+/* A matrix (n, n) times a vector. */
+static void times(const double *restrict matrix, long n, const double *v, double *restrict found) {
+    memset(found, 0, n * sizeof *found);
+    for (long j = 0; j < n; ++j) {
+        double part = v[j];
+#pragma omp simd
+        for (long i = 0; i < n; ++i) found[i] += matrix[i + n * j] * part;
+    }
+}
+
 /* The smallest eigenvalue of a symmetric matrix (n, n), by Lanczos' method, confirmed by the pivots. */
 static double smallest_eigenvalue(const double *matrix, long n, double *work) {
     double *restrict basis = work, *copy = basis + n * (n + 1), *diagonal = copy + n * n, *beside = diagonal + n, size = 0;
@@ -61,9 +75,7 @@ static double smallest_eigenvalue(const double *matrix, long n, double *work) {
     for (long k = 0; k < n; ++k) {
         const double *v = basis + n * k;
         double *next = basis + n * (k + 1);
-        memset(next, 0, n * sizeof *next);
-        for (long j = 0; j < n; ++j)
-            for (long i = 0; i < n; ++i) next[i] += matrix[i + n * j] * v[j];
+        times(matrix, n, v, next);
         for (long j = k; j >= 0; --j) {
             double part = product(basis + n * j, next, n);
             for (long i = 0; i < n; ++i) next[i] -= part * basis[i + n * j];
@@ -89,22 +101,54 @@ static double smallest_eigenvalue(const double *matrix, long n, double *work) {
     return found;
 }
 
+/* Solve for v in place, with what `definite` leaves of a matrix, and make its length one. */
+static void inverted(const double *a, long n, double *v) {
+    double size = 0;
+    for (long k = 0; k < n; ++k) {
+        double part = v[k] / a[n * k + k];
+        for (long i = k + 1; i < n; ++i) v[i] -= part * a[n * k + i];
+    }
+    for (long k = n - 1; k >= 0; --k) {
+        for (long i = k + 1; i < n; ++i) v[k] -= a[n * k + i] * v[i];
+        v[k] /= a[n * k + k], size += v[k] * v[k];
+    }
+    for (long i = 0; i < n; ++i) v[i] /= sqrt(size);
+}
+
+enum { REFINEMENTS = 6 };
+
+/* The smallest eigenvalue by inverse iteration from v, that of a matrix nearby, confirmed by the pivots; NaN where v is
+   not near. An eigenvalue is no further from the quotient of v than v's residual, which bounds the shift. */
+static double refined(const double *matrix, long n, double *v, double *work) {
+    double *product_of = work + n * n;
+    for (int k = 0; k < REFINEMENTS; ++k) {
+        times(matrix, n, v, product_of);
+        double quotient = product(v, product_of, n), residual = 0;
+        for (long i = 0; i < n; ++i) residual += pow(product_of[i] - quotient * v[i], 2);
+        residual = sqrt(residual);
+        if (residual < 1e-7) return definite(matrix, n, quotient - 1e-9 * (1 + fabs(quotient)), work) ? quotient : NAN;
+        if (!(residual < 0.3) || !definite(matrix, n, quotient - residual, work)) return NAN;
+        inverted(work, n, v);
+    }
+    return NAN;
+}
+
 /* The energy at one beta, of a robot whose twists are a in terms of the n scaled ones that are there: |a|^2 / 2 less
-   the strengths times the cosines of angles, which the twists in columns turn by turns. rows, work: room. */
+   the strengths times the cosines of angles, which the twists in columns turn by turns. row, rows, work: room. */
 typedef struct {
     long n, *begins, *columns, *places;
-    double *strengths, *angles, *turns, *scales, *matrix, *rows, *work;
+    double *strengths, *angles, *turns, *scales, *matrix, *row, *rows, *work;
     void *room;
 } Energy;
 
 static Energy energy_for(const Elastic *e) {
     long rows = e->rows, n = e->twists, entries = e->starts[rows], work = 3 * n * n + 9 * n + 2 * rows;
     Energy of;
-    of.room = malloc((rows + 1 + entries + n) * sizeof(long) + (5 * rows + entries + 2 * n + n * n + work) * sizeof(double));
+    of.room = malloc((rows + 1 + entries + n) * sizeof(long) + (5 * rows + entries + 3 * n + n * n + work) * sizeof(double));
     of.begins = of.room, of.columns = of.begins + rows + 1, of.places = of.columns + entries;
     of.strengths = (double *)(of.places + n), of.angles = of.strengths + rows, of.turns = of.angles + rows;
-    of.scales = of.turns + entries, of.matrix = of.scales + n, of.rows = of.matrix + n * n;
-    of.work = of.rows + 3 * rows + n;
+    of.scales = of.turns + entries, of.matrix = of.scales + n, of.row = of.matrix + n * n;
+    of.rows = of.row + n, of.work = of.rows + 3 * rows + n;
     return of;
 }
 
@@ -130,19 +174,20 @@ static void described(const Elastic *e, const double *numbers, const double *x, 
 /* The second variation K + V at angles, in which K is the identity. */
 static void bent(const Elastic *e, const Energy *of, const double *angles) {
     long n = of->n;
-    double *matrix = of->matrix;
-    memset(matrix, 0, n * n * sizeof *matrix);
-    for (long i = 0; i < n; ++i) matrix[i + n * i] = 1;
+    double *restrict row = of->row;
+    memset(of->matrix, 0, n * n * sizeof *row);
+    for (long i = 0; i < n; ++i) of->matrix[i + n * i] = 1;
     for (long r = 0; r < e->rows; ++r) {
-        long count = of->begins[r + 1] - of->begins[r], *columns = of->columns + of->begins[r];
-        const double *row = of->turns + of->begins[r], weight = count ? of->strengths[r] * cos(angles[r]) : 0;
-        for (long j = 0; j < count; ++j) {
-            double *into = matrix + n * columns[j], part = weight * row[j];
-            for (long i = 0; i <= j; ++i) into[columns[i]] += part * row[i];
+        long begin = of->begins[r], end = of->begins[r + 1];
+        double weight = begin < end ? of->strengths[r] * cos(angles[r]) : 0;
+        for (long i = 0; i < n; ++i) row[i] = 0;
+        for (long k = begin; k < end; ++k) row[of->columns[k]] = of->turns[k];
+        for (long k = begin; k < end; ++k) {
+            double *restrict into = of->matrix + n * of->columns[k], part = weight * of->turns[k];
+#pragma omp simd
+            for (long i = 0; i < n; ++i) into[i] += part * row[i];
         }
     }
-    for (long j = 0; j < n; ++j)
-        for (long i = 0; i < j; ++i) matrix[j + n * i] = matrix[i + n * j];
 }
 
 static double margin_at(const Elastic *e, const double *numbers, const double *x, Energy *of) {
@@ -151,10 +196,25 @@ static double margin_at(const Elastic *e, const double *numbers, const double *x
     return of->n ? fmin(1, smallest_eigenvalue(of->matrix, of->n, of->work)) : 1;
 }
 
-/* The margin at every x, with steps in numbers from row to row. */
+/* The margin at every x, with steps in numbers from row to row. Rows that follow each other are likely near each other,
+   and so are the vectors of their margins. */
 void margins(const Elastic *e, const double *numbers, long step, const double *x, long rows, double *found) {
     Energy of = energy_for(e);
-    for (long row = 0; row < rows; ++row, x += 2 * e->d + 2, numbers += step) found[row] = margin_at(e, numbers, x, &of);
+    long before = 0;
+    double vector[e->twists + 1];
+    for (long at = 0; at < rows; ++at, x += 2 * e->d + 2, numbers += step) {
+        described(e, numbers, x, &of);
+        bent(e, &of, of.angles);
+        long n = of.n;
+        double least = n && n == before ? refined(of.matrix, n, vector, of.work) : NAN;
+        if (n && isnan(least)) {
+            least = smallest_eigenvalue(of.matrix, n, of.work);
+            before = definite(of.matrix, n, least - 1e-6 * (1 + fabs(least)), of.work) ? n : 0;
+            for (long i = 0; i < n; ++i) vector[i] = 0.2 + fmod(0.618033988749895 * (i + 1), 1.0);
+            if (before) inverted(of.work, n, vector);
+        }
+        found[at] = n ? fmin(1, least) : 1;
+    }
     free(of.room);
 }
 

@@ -7,15 +7,29 @@ import numpy as np
 
 from ctr_nlp.models.dominant.shape import columns_of
 from ctr_nlp.models.elastic import shape, stability, torsion
-from ctr_nlp.models.elastic.following import follow, settled
-from ctr_nlp.models.protocol import SUBSTEPS, Followed, Model, Places, Shape, combination, matrix_of, vectors_of
+from ctr_nlp.models.elastic.following import follow, followed, settled
+from ctr_nlp.models.protocol import (
+    SUBSTEPS,
+    Followed,
+    Model,
+    Passage,
+    Places,
+    Shape,
+    combination,
+    matrix_of,
+    vectors_of,
+)
 from ctr_nlp.nlp.nlp import Inner
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.structure import Structure, Tubes
+from ctr_nlp.robot.structure import Structure, Tubes, tubes_in_columns
 from ctr_nlp.typing import Array, Vector
 
 STEPS = 2
 """Steps of integration a section in a nonlinear program: 0.02 mm, where a forward solution has 0.002."""
+
+
+CHUNK = 128
+"""Shapes whose samples are computed at once: what fits into a processor's nearest memory."""
 
 
 class Elastic(Model):
@@ -66,18 +80,11 @@ class Elastic(Model):
 
     def points(self, robot: Robot, x: Array, sigma: Array) -> Array:
         """As Model.points."""
-        tubes, columns, d = robot.tube_numbers, columns_of(x), robot.d
-        beta = columns[d : 2 * d]
-        parts = torsion.sections(tubes, beta, np)
-        lengths, _ = shape.travels(tubes, beta, parts, sigma * beta[-1], np)
-        vectors = shape.curves(tubes, columns, parts, torsion.twist(tubes, columns, parts, np), np)
-        size = len(x), np.shape(sigma)[-1]
-        travelled = np.stack([np.broadcast_to(length, size) for length in lengths], axis=-1)
-        directions, base = (
-            np.concatenate([_stacked(vector, len(x), 1) for vector in some], axis=1)
-            for some in (vectors, shape.turned_base(tubes, columns, np))
-        )
-        return np.asarray(travelled @ (directions @ base))
+        return _points(robot.structure, robot.numbers[None], x, sigma)
+
+    def points_apart(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
+        """As Model.points_apart."""
+        return _points(structure, numbers, x, sigma)
 
     def tangents(self, robot: Robot, x: Array, sigma: Array) -> Array:
         """As Model.tangents."""
@@ -111,6 +118,29 @@ class Elastic(Model):
     def follow(self, robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBSTEPS) -> Followed:
         """As Model.follow; following.py."""
         return follow(robot, q, x0, substeps)
+
+    def follow_apart(self, structure: Structure, numbers: Array, way: Passage, q: Array) -> list[Followed]:
+        """As Model.follow_apart."""
+        return [followed(structure, own, way, places) for own, places in zip(numbers, q, strict=True)]
+
+
+def _points(structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
+    """Points (T, n, 3) in mm of robots of numbers (T or 1, d, 6) at unknowns x (T, 2d + 2)."""
+    tubes, columns, d = tubes_in_columns(structure, numbers), columns_of(x), structure.d
+    parts = torsion.sections(tubes, columns[d : 2 * d], np)
+    vectors = shape.curves(tubes, columns, parts, torsion.twist(tubes, columns, parts, np), np)
+    directions, base = (
+        np.concatenate([_stacked(vector, len(x), 1) for vector in some], axis=1)
+        for some in (vectors, shape.turned_base(tubes, columns, np))
+    )
+    placed, points = directions @ base, np.empty((len(x), np.shape(sigma)[-1], 3))
+    for at in (slice(first, first + CHUNK) for first in range(0, len(x), CHUNK)):
+        own, beta = numbers[at] if len(numbers) > 1 else numbers, columns_of(x[at, d : 2 * d])
+        tubes, s = tubes_in_columns(structure, own), (sigma[at] if np.ndim(sigma) > 1 else sigma) * beta[-1]
+        lengths, _ = shape.travels(tubes, beta, torsion.sections(tubes, beta, np), s, np)
+        travelled = np.stack([np.broadcast_to(length, s.shape) for length in lengths], axis=-1)
+        points[at] = travelled @ placed[at]
+    return points
 
 
 def _stacked(vector: Vector, *shape: int) -> Array:

@@ -1,0 +1,105 @@
+"""A plan tried on draws of its robot, and on robots that differ by one tolerance alone."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from ctr_nlp.plan.measures import rms_over_sigma
+from ctr_nlp.plan.record import Record
+from ctr_nlp.plan.robustness import COSTLY, Robustness
+from ctr_nlp.robot.draws import Draws, drawn, drawn_from
+from ctr_nlp.robot.tolerances import NAMES
+from ctr_nlp.simulation.drawn import DrawnMotion, drawn_motion
+from ctr_nlp.target.lumen import Lumen
+from ctr_nlp.target.target import SIGMA
+from ctr_nlp.typing import Array, Index
+
+DRAWS, SEED = 200, 0
+"""Of a plan that is tried, where nobody says."""
+GROUP = 50
+"""Draws whose whole shapes are in memory at once."""
+CLOUD, STRIDE = 5, 4
+"""Frames in which shapes are kept, evenly to the last, and every which of their samples."""
+
+
+def robustness(plan: Record, count: int = DRAWS, seed: int = SEED) -> Robustness:
+    """What becomes of a plan on so many draws of its robot, on the model that it is evaluated on.
+
+    Raises RobotError, and OptionError where that model cannot follow such robots.
+    """
+    draws = drawn(plan.robot, count, seed)
+    frames = np.unique(np.linspace(-1, len(plan.time) - 1, CLOUD + 1)[1:].round().astype(int))
+    parts = [_measured(plan, draws[first : first + GROUP], frames) for first in range(0, count, GROUP)]
+    arrays: list[Any] = [np.concatenate(each) for each in zip(*(part[:-1] for part in parts), strict=True)]
+    cloud = np.concatenate([part[-1] for part in parts], axis=1)
+    growth, lost_alone = _costs(plan)
+    ends: list[Any] = [cloud, frames + 1, growth, lost_alone, plan.beta[:, -1]]
+    return Robustness(*[seed, draws.parts, draws.lags, *arrays, *ends])
+
+
+def _measured(plan: Record, draws: Draws, frames: Index) -> tuple[Any, ...]:
+    """Of every draw what Robustness holds, from e2 to cloud, in its order."""
+    found = drawn_motion(plan.robot, draws, plan.q, plan.evaluated)
+    distance = _distance(plan, found)
+    margins = np.fmin(found.stability, found.stability_between)
+    clearance = contact = np.full(len(draws), np.nan)
+    if plan.lumen is not None:
+        n, count = distance.shape[:2]
+        beta, shape = np.tile(plan.beta, (n, 1)), found.shape.reshape(n * count, len(SIGMA), 3)
+        least = Lumen(plan.lumen).clearance(plan.robot, beta, SIGMA, shape).min(axis=1).reshape(n, count)
+        clearance, contact = np.fmin.reduce(least, axis=1), np.nansum(np.maximum(-least, 0.0), axis=1)
+    return (
+        *(
+            rms_over_sigma(distance).astype(np.float32),
+            np.fmax.reduce(distance, axis=(1, 2)),
+            found.lost,
+            found.snapped,
+        ),
+        *(np.fmin.reduce(margins, axis=1), clearance, contact),
+        found.shape[:, frames, ::STRIDE].swapaxes(0, 1).astype(np.float32),
+    )
+
+
+def _distance(plan: Record, found: DrawnMotion) -> Array:
+    """From targets at equal arc length, (n, T, 101) mm."""
+    away = found.shape - plan.target
+    return np.asarray(np.sqrt(np.einsum("ntsk,ntsk->nts", away, away)))
+
+
+def _costs(plan: Record) -> tuple[Array, Index]:
+    """By how much each tolerance alone lets e3 grow, (d, 6) mm, and how many of two robots it loses.
+
+    Each is off by its standard deviation to either side, where a mean over two is that over a band as far as
+    errors are quadratic; a lag is as large as its root mean square. NaN where a tolerance is 0.
+    """
+    cases = list(_alone(plan))
+    parts, lags = (np.array(arrays) for arrays in zip(*((part, lag) for _, part, lag in cases), strict=True))
+    found = drawn_motion(plan.robot, drawn_from(plan.robot, parts, lags), plan.q, plan.evaluated)
+    squares = np.nanmean(rms_over_sigma(_distance(plan, found)) ** 2, axis=1)
+    growth = np.full((plan.robot.d, len(COSTLY)), np.nan)
+    lost = np.zeros(growth.shape, dtype=int)
+    for place in {place for place, *_ in cases[1:]}:
+        rows = [row for row, (other, *_) in enumerate(cases) if other == place]
+        growth[place] = math.sqrt(squares[rows].mean()) - math.sqrt(squares[0])
+        lost[place] = (found.lost[rows] > 0).sum()
+    return growth, lost
+
+
+def _alone(plan: Record) -> Iterator[tuple[tuple[int, int] | None, Array, Array]]:
+    """The robot described, and then those that differ by one tolerance: which, parts (d, 5) and lags (d,)."""
+    d, tolerances = plan.robot.d, plan.robot.tolerances
+    bands, lags = tolerances.bands(d), tolerances.lags(d)
+    yield None, np.zeros_like(bands), np.zeros(d)
+    for (i, k), sign in itertools.product(np.ndindex(d, len(COSTLY)), (-1.0, 1.0)):
+        parts, lag = np.zeros_like(bands), np.zeros(d)
+        if k < len(NAMES):
+            parts[i, k] = sign * bands[i, k] / math.sqrt(3)
+        else:
+            lag[i] = lags[i] / math.sqrt(3)
+        if parts.any() or lag.any():
+            yield (i, k), parts, lag

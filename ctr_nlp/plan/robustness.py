@@ -1,0 +1,211 @@
+"""What becomes of a plan on robots that are not quite the one described: how many are lost, and their errors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.special import betaincinv
+
+from ctr_nlp.robot.tolerances import NAMES
+from ctr_nlp.support.equal import Kept
+from ctr_nlp.typing import Array, Flags, Index
+
+PREFIX = "draws_"
+"""What its arrays' names begin with in plan.npz."""
+CONFIDENCE = 0.95
+"""With which the share of lost robots is bounded."""
+COSTLY = (*NAMES, "rotation_lag")
+"""Tolerances whose costs are found, one by one."""
+
+
+class Spread(NamedTuple):
+    """Mean and median over draws of a length in mm, and what 95 % of the draws do not exceed."""
+
+    mean: float
+    median: float
+    most: float
+
+
+class Cost(NamedTuple):
+    """What a tolerance of a tube, from 1, costs by itself: e3 grows by growth, mm; share: of the growths of all.
+
+    lost: how many of two robots are lost that differ in it alone, by its standard deviation to either side.
+    """
+
+    tube: int
+    tolerance: str
+    growth: float
+    share: float
+    lost: int
+
+
+class Loss(NamedTuple):
+    """In which frame, from 1, how many draws are lost first, and how far the robot is out there, mm."""
+
+    frame: int
+    draws: int
+    length: float
+
+
+@dataclass(frozen=True, eq=False)
+class Robustness(Kept):
+    """A plan of T frames on n draws of its robot, moved open loop from where all tubes are aligned.
+
+    seed: of the draws; parts (n, d, 5), lags (n, d): by how much they differ from the robot described, as in
+    robot.draws. e2 (n, T) and largest (n,), the largest error at equal arc length, mm, NaN where a frame or all
+    frames have no shape. lost, snapped (n,): in which frame, from 1, a draw is lost or snaps first; 0 where not.
+    margin (n,): least stability margin at or between frames, NaN where nothing can be unstable. clearance,
+    contact (n,): least clearance from the wall, and the depths of the deepest contacts summed over frames, mm, NaN
+    without a wall. cloud (k, n, 26, 3): every fourth sample of the shapes at cloud_frames (k,), from 1, mm.
+    growth (d, 6): by how much e3 grows, mm, where the robot differs by one tolerance alone, as COSTLY, and
+    lost_alone (d, 6): how many of two such robots are lost. length (T,): how far the robot is out, mm.
+    """
+
+    seed: int
+    parts: Array
+    lags: Array
+    e2: Array
+    largest: Array
+    lost: Index
+    snapped: Index
+    margin: Array
+    clearance: Array
+    contact: Array
+    cloud: Array
+    cloud_frames: Index
+    growth: Array
+    lost_alone: Index
+    length: Array
+
+    def __len__(self) -> int:
+        return len(self.parts)
+
+    @property
+    def losses(self) -> int:
+        """How many draws are lost."""
+        return int((self.lost > 0).sum())
+
+    @property
+    def share(self) -> float:
+        """Of the draws that are lost."""
+        return self.losses / len(self)
+
+    @property
+    def at_most(self) -> float:
+        """The share of all such robots that are lost is, with 95 % confidence, at most this."""
+        return upper_bound(self.losses, len(self))
+
+    @property
+    def e3(self) -> Array:
+        """Root mean squares (n,) over frames of e2, mm."""
+        known = np.isfinite(self.e2)
+        sums, counts = (np.where(known, self.e2, 0.0).astype(float) ** 2).sum(axis=1), known.sum(axis=1)
+        return np.asarray(np.sqrt(np.divide(sums, counts, out=np.full(len(self), np.nan), where=counts > 0)))
+
+    @property
+    def errors(self) -> Spread | None:
+        """Of e3 over draws."""
+        return spread(self.e3)
+
+    @property
+    def largest_errors(self) -> Spread | None:
+        """Of the largest errors over draws."""
+        return spread(self.largest)
+
+    @property
+    def clearances(self) -> Spread | None:
+        """Of the least clearances over draws; most: what 95 % of them exceed. None without a wall."""
+        found = spread(-self.clearance)
+        return None if found is None else Spread(*(-value for value in found))
+
+    @property
+    def contacts(self) -> Spread | None:
+        """Of contact over draws; None without a wall."""
+        return spread(self.contact)
+
+    def e2_quantiles(self, *shares: float) -> Array:
+        """Of e2 over draws in every frame, (shares, T) mm; NaN in frames without a shape."""
+        known = np.isfinite(self.e2).any(axis=0)
+        found = np.full((len(shares), self.e2.shape[1]), np.nan)
+        found[:, known] = np.nanquantile(self.e2[:, known], shares, axis=0)
+        return found
+
+    @property
+    def when(self) -> list[Loss]:
+        """The frames in which draws are lost first, in order."""
+        frames, counts = np.unique(self.lost[self.lost > 0], return_counts=True)
+        found = zip(frames.tolist(), counts.tolist(), strict=True)
+        return [Loss(frame, count, float(self.length[frame - 1])) for frame, count in found]
+
+    @property
+    def costs(self) -> list[Cost]:
+        """What the tolerances cost that are not 0, the most costly first."""
+        total = max(float(np.nansum(np.maximum(self.growth, 0.0))), 1e-12)
+        found = [
+            Cost(i + 1, COSTLY[k], float(self.growth[i, k]), max(float(self.growth[i, k]), 0.0) / total, int(lost))
+            for (i, k), lost in np.ndenumerate(self.lost_alone)
+            if np.isfinite(self.growth[i, k])
+        ]
+        return sorted(found, key=lambda cost: -cost.growth)
+
+    @property
+    def told(self) -> str:
+        """In a sentence."""
+        n, lost, errors = len(self), self.losses, self.errors
+        are = "is" if lost == 1 else "are"
+        mean = f", with e3 {errors.mean:.3g} mm on average over all of them" if errors else ""
+        return f"{lost or 'none'} of {n} draws {are} lost{mean}"
+
+    def summary(self) -> dict[str, Any]:
+        """What summary.json holds of it."""
+        spreads = {
+            "e3": self.errors,
+            "e_max": self.largest_errors,
+            "clearance": self.clearances,
+            "contact_depth": self.contacts,
+        }
+        return {
+            "draws": len(self),
+            "seed": self.seed,
+            "lost": self.losses,
+            "snapped": int((self.snapped > 0).sum()),
+            "lost_share": self.share,
+            "lost_at_most": self.at_most,
+            "lost_when": [loss._asdict() for loss in self.when],
+            **{name: None if found is None else found._asdict() for name, found in spreads.items()},
+            "costs": [cost._asdict() for cost in self.costs],
+        }
+
+    def arrays(self) -> dict[str, Array]:
+        """Its arrays under their names in plan.npz."""
+        return dict(self._arrays())
+
+    def _arrays(self) -> Iterator[tuple[str, Array]]:
+        for f in fields(self):
+            if f.name != "seed":
+                yield PREFIX + f.name, getattr(self, f.name)
+
+
+def stored_robustness(arrays: Mapping[str, Any], seed: int) -> Robustness:
+    """That of the arrays of a plan.npz."""
+    return Robustness(seed, **{f.name: arrays[PREFIX + f.name] for f in fields(Robustness) if f.name != "seed"})
+
+
+def upper_bound(lost: int, count: int, confidence: float = CONFIDENCE) -> float:
+    """The largest share of lost robots at which so few of count draws would be with 1 - confidence.
+
+    Clopper and Pearson, Biometrika 26, 1934: the quantile of a beta distribution, for one side.
+    """
+    return 1.0 if lost >= count else float(betaincinv(lost + 1, count - lost, confidence))
+
+
+def spread(values: Array) -> Spread | None:
+    """Of those among (n,) values that are known; None without any."""
+    known: Flags = np.isfinite(values)
+    if not known.any():
+        return None
+    values = values[known]
+    return Spread(float(values.mean()), float(np.median(values)), float(np.quantile(values, 0.95)))

@@ -1,0 +1,119 @@
+"""Draws: robots that a robot may be, with the zeros of their motors and the lags of their tubes."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ctr_nlp.exceptions import RobotError
+from ctr_nlp.robot.robot import Robot
+from ctr_nlp.robot.structure import NUMBERS, Structure
+from ctr_nlp.robot.tolerances import NAMES
+from ctr_nlp.support.equal import Kept
+from ctr_nlp.support.values import whole_number
+from ctr_nlp.typing import Array, Flags
+
+MOST_CORNERS = 2**16
+"""Corners of a band that are given; each takes some milliseconds to be moved through a plan."""
+LEAST = 0.05
+"""The least part of a curvature, a stiffness or a length that a normal draw leaves of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Draws(Kept):
+    """Robots that differ in numbers (n, d, 6), in the order of structure.NUMBERS, and share a structure.
+
+    offsets (n, d): what alpha of a tube exceeds its motor's by, rad. lags (n, d): by which angle a tube may stay
+    behind its motor, rad. parts (n, d, 5): by how much they differ from the robot described, as NAMES.
+    """
+
+    structure: Structure
+    numbers: Array
+    offsets: Array
+    lags: Array
+    parts: Array
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    def __getitem__(self, chosen: Any) -> Draws:
+        """Some of them."""
+        rows = (each[chosen] for each in (self.numbers, self.offsets, self.lags, self.parts))
+        return Draws(self.structure, *rows)
+
+    def turned(self, q: Array, fresh: Flags) -> Array:
+        """The configurations (n, T, 2d + 2) of the draws' tubes where motors move a robot through q (T, 2d + 2).
+
+        Rows of q are places between which every motor turns one way; at those that are fresh (T,), the first of
+        them one, the robot comes from where all tubes are aligned at alpha_d. A tube whose motor has turned by
+        more than its lag follows it at that angle, and stands still while a motor that turns back takes up the
+        play.
+        """
+        found = np.repeat(q[None], len(self), axis=0)
+        d = self.offsets.shape[1]
+        if self.lags.any():
+            alpha = found[:, 0, :d]
+            for j, goal in enumerate(q[:, :d]):
+                alpha = np.clip(
+                    np.full_like(alpha, goal[-1]) if fresh[j] else alpha, goal - self.lags, goal + self.lags
+                )
+                found[:, j, :d] = alpha
+        found[..., :d] += self.offsets[:, None]
+        return found
+
+
+def drawn(robot: Robot, count: int, seed: int) -> Draws:
+    """So many robots that a robot with its tolerances may be, drawn at random; raises RobotError.
+
+    seed: of numpy's default generator; the same seed gives the same draws, and fewer are the first of more.
+    """
+    count, seed = whole_number(RobotError, "draws", count), whole_number(RobotError, "seed of draws", seed, 0)
+    tolerances, d = robot.tolerances, robot.d
+    bands, shares, random = tolerances.bands(d), np.random.default_rng([seed, 1]), np.random.default_rng([seed, 0])
+    if tolerances.distribution == "uniform":
+        parts = random.uniform(-1.0, 1.0, (count, d, len(NAMES))) * bands
+    else:
+        parts = (random.standard_normal((count, bands.size)) @ tolerances.root(d).T).reshape(count, *bands.shape)
+    return drawn_from(robot, parts, shares.uniform(0.0, 1.0, (count, d)) * tolerances.lags(d))
+
+
+def corners(robot: Robot) -> Draws:
+    """The robots at all corners of the band; those with a lag have all of it. Raises RobotError.
+
+    A band of width 0 has one end. The corners of a normal distribution are those of the uniform one with its
+    variance.
+    """
+    bands = robot.tolerances.bands(robot.d)
+    wide = np.flatnonzero(bands.ravel())
+    if 2 ** len(wide) > MOST_CORNERS:
+        raise RobotError(
+            f"tolerances have {len(wide)} bands, and so 2^{len(wide)} corners; at most {MOST_CORNERS} are given"
+        )
+    signs = np.array(list(itertools.product((-1.0, 1.0), repeat=len(wide)))).reshape(-1, len(wide))
+    parts = np.zeros((len(signs), bands.size))
+    parts[:, wide] = signs * bands.ravel()[wide]
+    lags = np.tile(robot.tolerances.lags(robot.d), (len(signs), 1))
+    return drawn_from(robot, parts.reshape(len(signs), *bands.shape), lags)
+
+
+def drawn_from(robot: Robot, parts: Array, lags: Array) -> Draws:
+    """Robots that differ from one by parts (n, d, 5), as NAMES, with lags (n, d) rad."""
+    numbers = np.repeat(robot.numbers[None], len(parts), axis=0)
+    factors = {
+        "root_curvature": parts[..., 0],
+        "tip_curvature": parts[..., 0],
+        "bending_stiffness": parts[..., 1],
+        "torsional_ratio": parts[..., 2],
+    }
+    for name, part in factors.items():
+        numbers[..., NUMBERS.index(name)] *= np.maximum(1 + part, LEAST)
+    length, curved = (NUMBERS.index(name) for name in ("length", "curved_length"))
+    described = robot.numbers[:, curved]
+    numbers[..., curved] = np.clip(described + parts[..., 3], LEAST * described, numbers[..., length])
+    reach = robot.upper[robot.d : 2 * robot.d]
+    shown = tuple((numbers[..., curved] < reach).any(axis=0) | np.array(robot.structure.shown))
+    structure = replace(robot.structure, shown=tuple(map(bool, shown)))
+    return Draws(structure, numbers, parts[..., 4], lags, parts)
