@@ -15,6 +15,7 @@ from ctr_nlp.cli.output.folder import name_within
 from ctr_nlp.plan import account
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.verdicts import SURVIVES
 from ctr_nlp.studies.trade_off import Point
 from ctr_nlp.support.tables import by_line, write_csv
 
@@ -47,11 +48,21 @@ def print_report(plan: Plan) -> None:
         console().print(remark)
 
 
-def exit_status(plan: Plan) -> int:
-    """0 where no verdict is no, 1 where one is, 130 interrupted."""
-    if plan.meta["interrupted"]:
+def print_robustness(plan: Plan) -> None:
+    """What becomes of a plan on its draws: errors, losses and what each tolerance costs."""
+    assert plan.drawn is not None
+    print_table("draws", ("", "mean", "median", "95 %", "unit"), account.drawn_rows(plan.drawn))
+    if plan.drawn.losses:
+        print_table("where draws are lost first", account.LOSSES, account.loss_rows(plan.drawn))
+    print_table("what each tolerance costs alone", account.COSTS, account.cost_rows(plan.drawn))
+    console().print(plan.verdicts.survives_draws.why)
+
+
+def exit_status(plan: Plan, tried: bool = False) -> int:
+    """0 where no verdict is no, 1 where one is, 130 interrupted; tried: whether that on draws counts."""
+    if plan.meta.get("interrupted", False):
         return INTERRUPTED
-    return SOME_FAILED if plan.verdicts.failed else SOLVED
+    return SOME_FAILED if any(tried or matter != SURVIVES for matter in plan.verdicts.failed) else SOLVED
 
 
 def write_front(points: Sequence[Point], folder: Path) -> None:

@@ -9,6 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ctr_nlp.exceptions import OutputError
+from ctr_nlp.figures.draws import robustness
 from ctr_nlp.figures.errors import by_frame, errors
 from ctr_nlp.figures.film import check_film, film
 from ctr_nlp.figures.margins import clearance, stability
@@ -24,12 +25,13 @@ DPI = 150
 
 
 def save_all(plan: Plan, folder: str | Path) -> list[Path]:
-    """Write shapes.png, errors.png, by_frame.png, configuration.png; stability.png and clearance.png where known.
+    """Write shapes.png, errors.png, by_frame.png, configuration.png; where known stability, clearance, robustness.
 
-    Into a folder that exists; returns where they lie. Raises OutputError where they cannot be written.
+    All are .png, in a folder that exists; returns where they lie. Raises OutputError where one cannot be written.
     """
     pictures = PICTURES | ({"stability": stability} if np.isfinite(plan.stability).any() else {})
     pictures |= {} if plan.clearance is None else {"clearance": clearance}
+    pictures |= {} if plan.drawn is None else {"robustness": robustness}
     return [save(picture(plan), Path(folder) / f"{name}.png") for name, picture in pictures.items()]
 
 

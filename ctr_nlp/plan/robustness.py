@@ -154,10 +154,10 @@ class Robustness(Kept):
     @property
     def told(self) -> str:
         """In a sentence."""
-        n, lost, errors = len(self), self.losses, self.errors
-        are = "is" if lost == 1 else "are"
-        mean = f", with e3 {errors.mean:.3g} mm on average over all of them" if errors else ""
-        return f"{lost or 'none'} of {n} draws {are} lost{mean}"
+        lost, errors = self.losses, self.errors
+        are = f"{lost or 'None'} of {len(self)} draws {'is' if lost == 1 else 'are'} lost"
+        mean = f"; e3 is {errors.mean:.3g} mm on average over the draws" if errors else ""
+        return f"{are}, and at most {self.at_most:.1%} of all such robots with 95% confidence{mean}."
 
     def summary(self) -> dict[str, Any]:
         """What summary.json holds of it."""

@@ -150,9 +150,7 @@ def _survives(plan: Record) -> Judgement:
     """Whether hardly any of the robots drawn within the tolerances is lost; the share of those that are."""
     if plan.drawn is None:
         return NOT_ASKED, None, "", "Only tubes exactly as described were looked at."
-    share, told = plan.drawn.share, plan.drawn.told
-    told = f"{told[0].upper()}{told[1:]}; with 95 % confidence at most {plan.drawn.at_most:.1%} of all are."
-    return NO if share > MOST_LOST else YES, share, "of draws", told
+    return NO if plan.drawn.share > MOST_LOST else YES, plan.drawn.share, "of draws", plan.drawn.told
 
 
 def _option(plan: Record, name: str) -> Any:

@@ -10,15 +10,15 @@ import numpy as np
 
 from ctr_nlp.figures.parts.page import alone
 from ctr_nlp.figures.parts.palette import BLACK, BLUE, ORANGE, TILT, VERMILLION, tube_colour
-from ctr_nlp.plan.metrics import by_frame
+from ctr_nlp.plan.metrics import DRAWN, by_frame
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.support.extras import needed
 from ctr_nlp.typing import Array
 
-ERROR, CLEARANCE, STABILITY = "error (mm)", "clearance (mm)", "stability margin"
+ERROR, DRAWS, CLEARANCE, STABILITY = "error (mm)", "e2 of draws (mm)", "clearance (mm)", "stability margin"
 CONFIGURATION = ("α (rad)", "β (mm)", "θ (rad)")
 SPEEDS = ("dα/dt (rad/s)", "dβ/dt (mm/s)", "dθ/dt (rad/s)")
-ORDER = (ERROR, CLEARANCE, STABILITY, *CONFIGURATION, *SPEEDS)
+ORDER = (ERROR, DRAWS, CLEARANCE, STABILITY, *CONFIGURATION, *SPEEDS)
 """Names of panels from top to bottom."""
 
 HEIGHT = 190
@@ -59,6 +59,10 @@ def panels(plan: Plan) -> Iterator[Panel]:
     columns = by_frame(plan)
     errors = Line("RMSE e2", columns["e2"], BLUE), Line("maximum of e1", columns["max"], VERMILLION, "dashed")
     yield Panel(ERROR, errors, (0.0,))
+    if plan.drawn is not None:
+        median, most = (columns[name] for name in DRAWN)
+        draws = Line("median of draws", median, BLUE), Line("95 % of draws", most, ORANGE, "dashed")
+        yield Panel(DRAWS, (*draws, Line("the plan", columns["e2"], BLACK, "dotted")), (0.0,))
     if "clearance" in columns:
         yield Panel(CLEARANCE, (Line("least clearance", columns["clearance"], BLUE),), (0.0,))
     if "stability" in columns:

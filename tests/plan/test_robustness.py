@@ -5,46 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from near_fold import LONG, near_the_fold, plan_through
 from scipy.stats import beta, binomtest
 
-from ctr_nlp import Limits, Plan, Robot, Tolerances, Tube, by_frame, summary
+from ctr_nlp import Plan, by_frame, summary
 from ctr_nlp.exceptions import OutputError
 from ctr_nlp.plan.measures import e3
-from ctr_nlp.plan.plan import plan_from_configurations
 from ctr_nlp.plan.robustness import Robustness, upper_bound
 from ctr_nlp.problems import named
 from ctr_nlp.robot.draws import drawn, drawn_from
 from ctr_nlp.simulation.drawn import drawn_motion
-from ctr_nlp.target.curve import curve_from_points
-from ctr_nlp.target.problem import Problem
-from ctr_nlp.target.target import growing
-
-LONG = Robot(
-    (Tube(90, 70, 0.02, 4.0, 3.2), Tube(150, 90, 0.02, 2.6, 1.6)),
-    Limits(alpha_speed=100.0),
-    Tolerances(curvature=(0.02, 0), bending_stiffness=0, motor_zero=(0.3, 0)),
-)
-
-
-def plan_through(q, robot=LONG, model="elastic", radius=None):
-    """A plan that moves a robot through q, along a straight path."""
-    path = curve_from_points(np.outer(np.linspace(0, 80, 20), [0, 0, 1.0]))
-    lumen = (
-        None
-        if radius is None
-        else curve_from_points(path.point(np.linspace(0, 80, 20)), radius=np.full(20, radius))
-    )
-    problem = Problem("made", robot, growing(path, len(q)), lumen=lumen)
-    meta = {"model": model, "formulation": "made", "solver": "none", "options": {}, "failures": {}}
-    known = {"solve_time": np.zeros(len(q)), "objective": np.zeros(len(q)), "kkt": np.zeros(len(q))}
-    return plan_from_configurations(problem, q, meta, success=np.ones(len(q), dtype=bool), **known)
-
-
-def near_the_fold(last=4.2, frames=12):
-    """The outer tube turned against the inner one, up to shortly before the robot snaps, at 4.29 rad."""
-    q = np.zeros((frames, 6))
-    q[:, 0], q[:, 2:4] = np.linspace(0.0, last, frames), (60.0, 80.0)
-    return q
 
 
 @pytest.fixture(scope="module")

@@ -37,6 +37,10 @@ if TYPE_CHECKING:
     from ctr_nlp.cli.live import Solved
 
 
+UNASKED = 40
+"""Draws of the robot that a plan on which it can snap is tried on by itself."""
+
+
 def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser:
     """The options of some formulations, the first of which is the default."""
     frames, horizon = set(formulations) != {HORIZON}, HORIZON in formulations
@@ -46,7 +50,8 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
         description=f"Follow a target with the whole shape of the robot, {how}; write plan.npz, errors.csv, "
         "summary.json and pictures.",
         epilog="Exit status: 0 no verdict is no, 1 one is, 2 bad input, 130 interrupted (the best motion so far "
-        "goes into DIR/interrupted, and DIR's own files stay).",
+        "goes into DIR/interrupted, and DIR's own files stay). Draws of the robot, on which an elastic plan "
+        "is tried, do not count.",
     )
     parser.add_argument("problem", metavar="PROBLEM", help=problems.KINDS)
     options.add_problem_options(parser)
@@ -96,6 +101,8 @@ def _run(arguments: argparse.Namespace) -> int:
     plan, points = _at_once(arguments, problem) if whole else (_by_frame(arguments, problem), [])
     if arguments.evaluate is not None:
         plan = plan.on(arguments.evaluate)
+    if plan.can_snap and not plan.meta["interrupted"] and plan.reached.any():
+        plan = plan.with_draws(UNASKED)
     with deferred_interrupt() as pressed:
         interrupted = plan.meta["interrupted"] or (swept is not None and pressed())
     place = place_of(out, interrupted)

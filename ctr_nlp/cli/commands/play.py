@@ -34,6 +34,7 @@ from ctr_nlp.hardware.playing.results import Outcome
 from ctr_nlp.hardware.playing.retract import retract
 from ctr_nlp.hardware.playing.session import begin, prepared, resume
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.verdicts import YES
 from ctr_nlp.support.interrupt import deferred_interrupt
 
 
@@ -78,6 +79,12 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         metavar="DIR",
         help=f"where {JOURNAL}, tracking.csv and tracking.png go (default runs/PROBLEM-play)",
     )
+    parser.add_argument(
+        "--uncertified",
+        action="store_true",
+        help="play an elastic plan that was never tried on draws of its robot (ctr-nlp robust), or of whose draws "
+        "too many are lost",
+    )
     add_live_option(parser, "the robot where its axes are, over where they should be (the tilt as commanded),")
     return parser
 
@@ -85,7 +92,10 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 EXCLUDED = {
     "resume": ("home", "tempo", "dry_run"),
     "retract": ("home", "tempo", "dry_run", "resume", "live"),
-    "commission": ("home", "tempo", "dry_run", "resume", "retract", "live", "position_verified", "plan"),
+    "commission": (
+        *("home", "tempo", "dry_run", "resume", "retract", "live", "position_verified", "plan"),
+        "uncertified",
+    ),
     "dry_run": ("live", "position_verified"),
 }
 """Option -> what does not go with it."""
@@ -117,11 +127,23 @@ def _run(arguments: argparse.Namespace) -> int:
         title = f"{plan.meta['problem']['name']}: checked; nothing was sent"
         print_trajectory(title, *prepared(plan, hardware, _tempo(arguments)))
         return SOLVED
+    if not (arguments.uncertified or arguments.retract):
+        _check_certified(plan, arguments.plan)
     out = Path(arguments.out or f"runs/{path_component(str(plan.meta['problem']['name']))}-play")
     known = arguments.resume or (arguments.retract and (out / JOURNAL).exists())
     records = read_journal(out / JOURNAL) if known else None
     with live.playing(plan) if arguments.live else nullcontext() as told:
         return _played(arguments, plan, hardware, out, records, told)
+
+
+def _check_certified(plan: Plan, name: str) -> None:
+    """Raise OptionError for a plan on which robots can snap, unless nearly all of its draws get through."""
+    survives = plan.verdicts.survives_draws
+    if plan.can_snap and survives.word != YES:
+        why = survives.why if plan.drawn is not None else f"It was never tried on draws (ctr-nlp robust {name})."
+        raise OptionError(
+            f"the plan may not hold on the robot as it is built. {why} --uncertified plays it anyway"
+        )
 
 
 def _tempo(arguments: argparse.Namespace) -> float:

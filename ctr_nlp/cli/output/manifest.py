@@ -25,7 +25,9 @@ STANDARD: Mapping[str, tuple[str, ...]] = {
     "plan": (
         *("plan.npz", "errors.csv", "summary.json", "pareto.csv", "pareto.png"),
         *("shapes.png", "errors.png", "by_frame.png", "configuration.png", "stability.png", "clearance.png"),
+        "robustness.png",
     ),
+    "robust": ("plan.npz", "errors.csv", "summary.json", "robustness.png"),
     "play": ("tracking.csv", "tracking.png"),
     "report": ("report.html",),
     "bag": ("metadata.yaml", "{folder}.mcap", "{folder}.db3"),

@@ -1,0 +1,53 @@
+"""`ctr-nlp robust`: what becomes of a plan on robots that are not quite the one described."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ctr_nlp.cli.arguments import add_figures_option, add_out_option, whole
+from ctr_nlp.cli.console import Command, console
+from ctr_nlp.cli.output.file import path_component
+from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.cli.report import exit_status, print_robustness, write
+from ctr_nlp.plan.draws import DRAWS, SEED
+from ctr_nlp.plan.plan import Plan
+
+
+def _parser(prog: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=prog,
+        description="Move robots that differ from the one described, within its tolerances, open loop through a "
+        "plan: how many are lost, where, how large errors are, which tolerance costs most. Write the plan with "
+        "all of it, errors.csv, summary.json and a picture.",
+        epilog="Exit status: 0 no verdict is no, 1 one is, 2 bad input, nothing written. A plan survives its "
+        "draws where at most 1 % of them are lost: snap, or end on another branch of equilibria.",
+    )
+    parser.add_argument("plan", metavar="PLAN.npz")
+    what = f"robots drawn within the tolerances of the robot file (default {DRAWS})"
+    parser.add_argument("--draws", metavar="N", type=whole, default=DRAWS, help=what)
+    parser.add_argument("--seed", metavar="N", type=whole, default=SEED, help=f"of the draws (default {SEED})")
+    add_out_option(parser, "runs/PROBLEM-robust")
+    add_figures_option(parser)
+    return parser
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    plan = Plan.load(arguments.plan)
+    out = Path(arguments.out or f"runs/{path_component(str(plan.meta['problem']['name']))}-robust")
+    check_folder(out, "robust")
+    plan = plan.with_draws(arguments.draws, arguments.seed)
+    print_robustness(plan)
+    with published(out, "robust") as staging:
+        write(plan, staging)
+        if not arguments.no_figures:
+            from ctr_nlp.figures import save  # brings matplotlib, which takes long to load
+            from ctr_nlp.figures.draws import robustness
+
+            save(robustness(plan), staging / "robustness.png")
+        files = sorted(path.name for path in staging.iterdir())
+    console().print(f"wrote {out}: {', '.join(files)}")
+    return exit_status(plan, tried=True)
+
+
+main = Command("ctr-nlp robust", _parser, _run)

@@ -1,0 +1,83 @@
+"""`ctr-nlp robust`, what plans say of draws by themselves, and what is not played without them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from near_fold import near_the_fold, plan_through
+
+from ctr_nlp import Plan
+from ctr_nlp.cli.commands.play import main as play
+from ctr_nlp.cli.commands.robust import main as robust
+from ctr_nlp.cli.main import main as command
+from ctr_nlp.report import page
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """Two plans, one near a fold and one far from it."""
+    folder = tmp_path_factory.mktemp("plans")
+    for name, last in (("near", 4.2), ("far", 1.0)):
+        plan_through(near_the_fold(last)).save(folder / f"{name}.npz")
+    return folder
+
+
+@pytest.mark.parametrize(("name", "status", "word"), [("near", 1, "no"), ("far", 0, "yes")])
+def test_draws_decide_the_exit_status(saved, tmp_path, capsys, name, status, word):
+    found = robust([str(saved / f"{name}.npz"), "--draws", "20", "--seed", "4", "--out", str(tmp_path / "out")])
+    told = capsys.readouterr().out
+    assert found == status
+    plan = Plan.load(tmp_path / "out" / "plan.npz")
+    assert (len(plan.drawn), plan.drawn.seed) == (20, 4)
+    assert plan.verdicts.survives_draws.word == word
+    assert " ".join(plan.verdicts.survives_draws.why.split()) in " ".join(told.split())
+    assert ("where draws are lost first" in told) == (status == 1)
+    assert "motor zero" in told
+    numbers = json.loads((tmp_path / "out" / "summary.json").read_text())["robustness"]
+    assert numbers["lost"] == plan.drawn.losses
+    assert "e2_draws_95" in (tmp_path / "out" / "errors.csv").read_text().splitlines()[0]
+    assert (tmp_path / "out" / "robustness.png").stat().st_size > 10_000
+
+
+def test_without_pictures_there_is_none_and_bad_counts_are_refused(saved, tmp_path, capsys):
+    out = ["--out", str(tmp_path / "out")]
+    robust([str(saved / "far.npz"), "--draws", "3", "--no-figures", *out])
+    assert not (tmp_path / "out" / "robustness.png").exists()
+    assert robust([str(saved / "far.npz"), "--draws", "0", *out]) == 2
+    assert "draws is 0; it must be a whole number of at least 1" in capsys.readouterr().err
+    assert robust([str(saved / "far.npz"), "--seed", "-1", *out]) == 2
+    assert robust([str(tmp_path / "none.npz"), *out]) == 2
+
+
+def test_an_elastic_plan_is_tried_by_itself_and_its_status_stays(tmp_path, capsys):
+    given = ["arc", "--frames", "4", "--formulation", "joint", "--no-figures", "--stability-margin", "0.1"]
+    status = command(["steer", *given, "--model", "elastic", "--out", str(tmp_path / "elastic")])
+    plan = Plan.load(tmp_path / "elastic" / "plan.npz")
+    assert len(plan.drawn) == 40
+    others = [verdict.word for verdict in plan.verdicts if verdict.matter != "survives its draws"]
+    assert status == int("no" in others)
+    assert "of 40 draws are lost" in capsys.readouterr().out
+    command(["steer", *given, "--out", str(tmp_path / "dominant")])
+    assert Plan.load(tmp_path / "dominant" / "plan.npz").drawn is None
+
+
+def test_an_elastic_plan_is_not_played_untried_nor_where_draws_fail(saved, tmp_path, capsys):
+    plan = Plan.load(saved / "near.npz")
+    plan.with_draws(20, 4).save(tmp_path / "failing.npz")
+    for path, why in ((saved / "near.npz", "never tried on draws"), (tmp_path / "failing.npz", "draws are lost")):
+        assert play([str(path), "--out", str(tmp_path / "play")]) == 2
+        told = capsys.readouterr().err
+        assert why in told
+        assert "--uncertified" in told
+        assert not (tmp_path / "play").exists()
+
+
+def test_the_page_shows_errors_of_draws(saved):
+    plan = Plan.load(saved / "far.npz").with_draws(5, 4)
+    text = page([plan])
+    assert "e2 of draws (mm)" in text
+    assert "survives its draws" in text
+    assert "e2 of draws (mm)" not in page([Plan.load(saved / "far.npz")])
+    assert np.isfinite(plan.drawn.e2).all()
