@@ -79,3 +79,18 @@ def rigid_transforms(draw: st.DrawFn) -> np.ndarray:
 
 seeds = st.integers(0, 2**32 - 1)
 """For numpy generators, where a whole array is wanted."""
+
+
+def drawn(rng, d):
+    """A robot of d arcs, each tube longer, thinner and by far less stiff than the one around it."""
+    outer, length, curved, tubes = rng.uniform(4.5, 6.5), rng.uniform(80, 120), rng.uniform(40, 60), []
+    for _ in range(d):
+        inner = outer * rng.uniform(0.72, 0.8)
+        curvature = rng.uniform(0.004, min(0.02, 0.03 / outer))
+        tubes.append(Tube(length, curved, curvature, outer, inner, rng.uniform(0.25, 0.4)))
+        outer, length, curved = (
+            inner * rng.uniform(0.75, 0.9),
+            length + rng.uniform(70, 150),
+            curved + rng.uniform(30, 55),
+        )
+    return Robot(tuple(tubes))

@@ -26,8 +26,8 @@ from ctr_nlp.support.values import check_choice, strict_json
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
-SEARCH_STARTS = 32
-"""Starts of a search without a past."""
+SEARCH_STARTS, FEW_TUBES = 32, 4
+"""Starts of a search without a past, of robots of so many tubes; four times as many for each one more."""
 RETRY_STARTS = 8
 """Further starts for a frame on which the solver failed."""
 TWIN_ROOM = 0.3
@@ -103,7 +103,8 @@ class NlpFrames:
 
     def search(self, frame: int) -> list[FrameResult]:
         """Distinct answers for a frame without a past, best first; at least one."""
-        guesses = starts(self.problem.robot, self.problem.samples[frame], SEARCH_STARTS, self.settings.seed)
+        robot, sample = self.problem.robot, self.problem.samples[frame]
+        guesses = starts(robot, sample, SEARCH_STARTS * 4 ** max(0, robot.d - FEW_TUBES), self.settings.seed)
         results = sorted(map(self._unwound, self._searched(frame, guesses)), key=lambda r: r.objective)
         distinct: list[FrameResult] = []
         for result in results:

@@ -7,8 +7,9 @@ import pytest
 import truth
 from frames import configuration
 
-from ctr_nlp import Limits, Robot, Tube
+from ctr_nlp import Limits, Robot, Tube, table_i_robot
 from ctr_nlp.models.elastic import stability
+from ctr_nlp.models.elastic.equilibria import Equilibria, State
 from ctr_nlp.models.elastic.following import settled, settled_apart
 
 COMPARED = 8
@@ -64,6 +65,24 @@ def test_without_a_compiler_the_same_are_found(monkeypatch):
     for one, other in zip(fast, slow, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-8)
         assert np.isnan(one[3]).all()
+
+
+def test_falls_without_a_compiler_end_where_those_in_c_do(monkeypatch):
+    """Of the paper's robot, whose branches end under every seventh of these configurations."""
+    robot, rng = table_i_robot(), np.random.default_rng(5)
+    q = np.zeros((40, 8))
+    q[:, :3] = rng.uniform(-np.pi, np.pi, (40, 3))
+    q[:, 3:6] = np.sort(rng.random((40, 3)), axis=1) * robot.upper[3:6]
+    falls = list[State]()
+    fallen = Equilibria._fallen
+    numbers = np.repeat(robot.numbers[None], 40, axis=0)
+    fast, margins = settled_apart(robot.structure, numbers, q)
+    monkeypatch.setenv("CTR_NLP_COMPILE", "0")
+    monkeypatch.setattr(Equilibria, "_fallen", lambda *given: falls.append(given[1]) or fallen(*given))
+    slow, others = settled_apart(robot.structure, numbers, q)
+    assert len(falls) > 2
+    np.testing.assert_allclose(fast, slow, atol=1e-8)
+    np.testing.assert_allclose(margins, others, atol=1e-8)
 
 
 def test_the_base_to_tip_shooting_of_the_tests_finds_the_same():

@@ -6,6 +6,7 @@ import time
 import casadi as ca
 import numpy as np
 import pytest
+from strategies import drawn
 
 from ctr_nlp import Limits, Problem, Robot, Tube, curve_from_formula, growing, table_i_robot
 from ctr_nlp.codegen import cache, vector
@@ -16,21 +17,6 @@ from ctr_nlp.robot.structure import NUMBERS, Structure
 from ctr_nlp.steer.nlp_frames import NlpFrames
 
 COUNTS = pytest.mark.parametrize("count", [25, pytest.param(1000, marks=pytest.mark.slow)])
-
-
-def drawn(rng, d):
-    """A robot of d arcs, each tube longer, thinner and by far less stiff than the one around it."""
-    outer, length, curved, tubes = rng.uniform(4.5, 6.5), rng.uniform(80, 120), rng.uniform(40, 60), []
-    for _ in range(d):
-        inner = outer * rng.uniform(0.72, 0.8)
-        curvature = rng.uniform(0.004, min(0.02, 0.03 / outer))
-        tubes.append(Tube(length, curved, curvature, outer, inner, rng.uniform(0.25, 0.4)))
-        outer, length, curved = (
-            inner * rng.uniform(0.75, 0.9),
-            length + rng.uniform(70, 150),
-            curved + rng.uniform(30, 55),
-        )
-    return Robot(tuple(tubes))
 
 
 def one_frame(robot):

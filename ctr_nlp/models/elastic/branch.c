@@ -1,4 +1,4 @@
-/* Equilibria of the elastic model, row by row: Newton's method along a branch, and stability margins.
+/* Equilibria of the elastic model: Newton's method along a branch.
 
    The model's equations are in the two functions, which are generated. Rows may differ in the numbers of their tubes. */
 
@@ -7,17 +7,19 @@
 
 typedef int (*Function)(const double **, double **, long long *, double *, int);
 
-/* d tubes; motors: (x, numbers) -> alpha, slopes (d, d - 1) over phi, column by column. weights: (x, numbers) -> of
-   rows, and scales of twists. The row r of the pattern has entries starts[r] .. starts[r + 1] in columns.
+/* d tubes; motors: (x, numbers) -> alpha, slopes (d, d - 1) over phi, column by column. energy: (x, numbers) -> of
+   rows the strengths and angles, and scales of twists. The row r of the pattern, the angle between the tubes `first`
+   and `second`, has entries starts[r] .. starts[r + 1] in columns. ends: the tube whose tip a twist turns, or -1.
 
    converged: the last step of Newton's method, near: on the way, rad; stray: how far an equilibrium may be from its
-   prediction; smallest: part of a step; stride: rad that tubes are turned by at once; iterations: at most. */
+   prediction; smallest: part of a step; stride: rad that tubes are turned by at once; push, fall: rad that tubes turn
+   by against each other where a branch ends, and at most in a step of a fall; iterations: at most. */
 typedef struct {
     long d, twists, rows;
-    const long *starts, *columns;
+    const long *starts, *columns, *first, *second, *ends;
     const double *entries;
-    Function motors, weights;
-    double converged, near, stray, smallest, stride;
+    Function motors, energy;
+    double converged, near, stray, smallest, stride, push, fall;
     long iterations;
 } Elastic;
 
@@ -109,8 +111,9 @@ static void predicted(const Elastic *e, const double *numbers, const State *from
         for (long i = 0; i < d; ++i) x[i] += turn[i];
 }
 
-/* One step along a branch; whether it is clear that `to` is on it. An unstable one may pass a fold, and is not
-   followed past it here. */
+static int holds(const Elastic *e, const double *numbers, const double *x);
+
+/* One step along a branch; whether it is clear that `to` is on it. An unstable one may pass a fold. */
 static int stepped(const Elastic *e, const double *numbers, const State *from, const double *goal, State *to, int end) {
     double ahead[SIDE];
     predicted(e, numbers, from, goal, ahead);
@@ -118,7 +121,10 @@ static int stepped(const Elastic *e, const double *numbers, const State *from, c
     to->stable = from->stable;
     if (!newton(e, numbers, goal, to, end ? e->converged : e->near)) return 0;
     for (long i = 0; i < e->d; ++i) ahead[i] -= to->x[i];
-    return largest(ahead, e->d) < e->stray && to->determinant * from->determinant > 0;
+    if (!(largest(ahead, e->d) < e->stray)) return 0;
+    if (to->determinant * from->determinant > 0) return 1;
+    if (!from->stable) to->stable = holds(e, numbers, to->x);
+    return !from->stable;
 }
 
 /* Follow a branch towards goal, in steps of at most `most` of the way; whether it goes so far. */
@@ -147,22 +153,4 @@ long walk(const Elastic *e, const double *numbers, State *state, const double *g
     long n = 2 * e->d + 2, k = 0;
     while (k < count && along(e, numbers, state, goals + k * n, 1)) memcpy(x + n * k++, state->x, n * sizeof *x);
     return k;
-}
-
-/* Turn all tubes from alpha_d to where they are at every q, with steps in numbers from row to row; whether a branch
-   goes so far. states: the last that were reached. */
-void settle(const Elastic *e, const double *numbers, long step, const double *q, long rows, State *states, long *ends) {
-    long d = e->d, n = 2 * d + 2;
-    for (long row = 0; row < rows; ++row, q += n, numbers += step, ++states) {
-        double aligned[SIDE], most = 0;
-        memcpy(aligned, q, n * sizeof *q);
-        memset(states, 0, sizeof *states);
-        for (long i = 0; i < d; ++i) aligned[i] = q[d - 1], most = fmax(most, fabs(q[i] - q[d - 1]));
-        states->x[d - 1] = q[d - 1], states->stable = 1;
-        ends[row] = newton(e, numbers, aligned, states, e->converged);
-        if (!ends[row])
-            states->determinant = 0;
-        else
-            ends[row] = along(e, numbers, states, q, e->stride / most);
-    }
 }

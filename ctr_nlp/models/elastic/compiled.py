@@ -1,4 +1,4 @@
-"""The elastic model's equilibria and margins in C: branch.c and margin.c around functions that are generated."""
+"""The elastic model's equilibria and margins in C: branch.c, margin.c and fall.c around generated functions."""
 
 from __future__ import annotations
 
@@ -31,6 +31,10 @@ STRAY = 0.1
 """rad: an equilibrium further than this from its prediction may belong to another branch."""
 SMALLEST = 2.0**-20
 """Part of a step at which a branch that cannot be followed is held to end."""
+PUSH = 0.1
+"""rad that tubes are turned by against each other where a branch ends, over what lies between discretisations."""
+FALL, FALLS = 0.1, 20
+"""rad that tubes turn by against each other in one step of a fall; falls at most on one step of a motion."""
 
 
 class State(ctypes.Structure):
@@ -54,8 +58,12 @@ class _Elastic(ctypes.Structure):
 
     _fields_ = [
         *((name, ctypes.c_long) for name in ("d", "twists", "rows")),
-        *((name, ctypes.c_void_p) for name in ("starts", "columns", "entries", "motors", "weights")),
-        *((name, ctypes.c_double) for name in ("converged", "near", "stray", "smallest", "stride")),
+        *((name, ctypes.c_void_p) for name in ("starts", "columns", "first", "second", "ends", "entries")),
+        *((name, ctypes.c_void_p) for name in ("motors", "energy")),
+        *(
+            (name, ctypes.c_double)
+            for name in ("converged", "near", "stray", "smallest", "stride", "push", "fall")
+        ),
         ("iterations", ctypes.c_long),
     ]
 
@@ -65,19 +73,18 @@ class Compiled:
 
     def __init__(self, structure: Structure, path: Path) -> None:
         """Take the functions from their library; raises OptionError where nothing can be compiled."""
-        functions, pattern = symbolic(structure)
+        functions, of = symbolic(structure)
         library = ctypes.CDLL(str(path))
-        self._run = cache.loaded(__package__, "branch.c", "margin.c")
-        rows, columns = np.nonzero(pattern)
-        starts = np.searchsorted(rows, np.arange(len(pattern) + 1))
-        arrays = starts.astype(np.int64), columns.astype(np.int64), pattern[rows, columns]
+        self._run = cache.loaded(__package__, "branch.c", "margin.c", "fall.c")
+        rows, columns = np.nonzero(of.pattern)
+        starts = np.searchsorted(rows, np.arange(len(of.pattern) + 1))
+        longs = [np.array(each, dtype=np.int64) for each in (starts, columns, *of.couples, of.ends)]
+        entries = of.pattern[rows, columns]
         addresses = (ctypes.cast(library[function.name()], ctypes.c_void_p).value for function in functions)
-        n = pattern.shape[1]
-        self._keep = library, arrays
-        self._room = sum(pattern.shape) + n + n * n + n * (n + 1) + n * n + 2 * n
-        places = *(array.ctypes.data for array in arrays), *addresses
-        steps = CONVERGED, NEAR, STRAY, SMALLEST, STRIDE, ITERATIONS
-        self._elastic = _Elastic(structure.d, n, len(pattern), *places, *steps)
+        self._keep = library, longs, entries
+        places = *(array.ctypes.data for array in (*longs, entries)), *addresses
+        steps = CONVERGED, NEAR, STRAY, SMALLEST, STRIDE, PUSH, FALL, ITERATIONS
+        self._elastic = _Elastic(structure.d, len(of.ends), len(of.pattern), *places, *steps)
         self._reference = ctypes.byref(self._elastic)
         self.motors = ca.external(functions[0].name(), str(path))
 
@@ -87,18 +94,23 @@ class Compiled:
         given = _address(numbers), ctypes.byref(state), _address(goals)
         return x[: self._run.walk(self._reference, *given, ctypes.c_long(len(goals)), _address(x))]
 
+    def follow(self, numbers: Array, state: State, goal: Array) -> tuple[bool, Array]:
+        """Whether the state could go on to goal (2d + 2,), and its tips' jumps on the way (falls, d), rad."""
+        goal, jumps, falls = np.ascontiguousarray(goal), np.zeros((FALLS, self._elastic.d)), ctypes.c_long(0)
+        given = _address(numbers), ctypes.byref(state), _address(goal), _address(jumps), ctypes.byref(falls)
+        return bool(self._run.follow(self._reference, *given)), jumps[: falls.value]
+
     def settle(self, numbers: Array, q: Array) -> tuple[ctypes.Array[State], Flags]:
-        """The states (T,) that all tubes are turned to from alpha_d at q (T, 2d + 2); whether q is reached."""
+        """The states (T,) that all tubes are turned to from alpha_d at q (T, 2d + 2); whether each was found."""
         q, rows = np.ascontiguousarray(q, dtype=float), ctypes.c_long(len(q))
-        states, ends = (State * len(q))(), np.zeros(len(q), dtype=np.int64)
-        self._run.settle(self._reference, *_stepped(numbers), _address(q), rows, states, _address(ends))
-        return states, ends.astype(bool)
+        states, found = (State * len(q))(), np.zeros(len(q), dtype=np.int64)
+        self._run.settle(self._reference, *_stepped(numbers), _address(q), rows, states, _address(found))
+        return states, found.astype(bool)
 
     def margins(self, numbers: Array, x: Array) -> Array:
         """The margins (T,) of x (T, 2d + 2)."""
-        x, found, room = np.ascontiguousarray(x, dtype=float), np.empty(len(x)), np.empty(self._room)
-        given = *_stepped(numbers), _address(x), ctypes.c_long(len(x)), _address(found), _address(room)
-        self._run.margins(self._reference, *given)
+        x, found = np.ascontiguousarray(x, dtype=float), np.empty(len(x))
+        self._run.margins(self._reference, *_stepped(numbers), _address(x), ctypes.c_long(len(x)), _address(found))
         return found
 
 
@@ -112,18 +124,16 @@ def _stepped(numbers: Array) -> tuple[ctypes.c_void_p, ctypes.c_long]:
 
 
 @functools.lru_cache(maxsize=64)
-def symbolic(structure: Structure) -> tuple[tuple[ca.Function, ca.Function], Array]:
-    """(x, numbers (d, 6)) -> alpha and slopes over phi but the last; weights, scales, pattern of the energy."""
+def symbolic(structure: Structure) -> tuple[tuple[ca.Function, ca.Function], energy.Symbols]:
+    """(x, numbers (d, 6)) -> alpha and slopes over phi but the last; -> strength, angles, scales; the energy."""
     d = structure.d
     x, numbers = ca.SX.sym("x", 2 * d + 2), ca.SX.sym("numbers", d, len(NUMBERS))
     tubes, entries = symbolic_tubes(structure, numbers), ca.vertsplit(x)
     twisted = torsion.twist(tubes, entries, torsion.sections(tubes, entries[d : 2 * d], ca), ca)
     alpha = ca.densify(ca.vertcat(*torsion.motors(tubes, entries, twisted)))
-    slopes = ca.densify(ca.jacobian(alpha, x[: d - 1]))
-    weights, scales, pattern = energy.hessian(tubes, entries)
+    slopes, of = ca.densify(ca.jacobian(alpha, x[: d - 1])), energy.in_symbols(tubes, entries)
     motors = ca.Function("motors", [x, numbers], [alpha, slopes])
-    of_energy = [ca.densify(weights), ca.densify(scales)]
-    return (motors, ca.Function("weights", [x, numbers], of_energy)), pattern
+    return (motors, ca.Function("energy", [x, numbers], [ca.densify(part) for part in of[:3]])), of
 
 
 def compiled(structure: Structure) -> Compiled | None:

@@ -17,7 +17,7 @@ from numpy.polynomial import Legendre
 from ctr_nlp.models.dominant.shape import columns_of
 from ctr_nlp.models.elastic.torsion import STEPS, Section, curvatures_at, sections, twist
 from ctr_nlp.robot.structure import Tubes
-from ctr_nlp.typing import Array
+from ctr_nlp.typing import Array, Index
 
 DEGREE = 3
 """Of the polynomials that the tubes' angles are in every section, in Galerkin's method."""
@@ -38,6 +38,10 @@ class Energy(NamedTuple):
     couples: Array
     turns: Array
     ends: Array
+
+    def height(self, a: Array, angles: Array) -> float:
+        """E(a)."""
+        return float(a @ a / 2 - self.strength @ np.cos(angles))
 
     def gradient(self, a: Array, angles: Array) -> Array:
         """dE/da, (n,)."""
@@ -75,16 +79,33 @@ def energies(tubes: Tubes, x: Array) -> Iterator[Energy]:
         yield Energy(of_rows, signs, *(each[:, there] * of_twists[there] for each in (turns, ends)))
 
 
-def hessian(tubes: Tubes, x: Sequence[Any]) -> tuple[ca.SX, ca.SX, Array]:
-    """K + V = I + S P' W P S in symbols: the diagonals W (rows, 1) and S (n, 1), and P (rows, n), constant."""
+class Symbols(NamedTuple):
+    """The Energy in symbols for any beta: K + V = I + S P' W P S, W = diag(strength cos angles), S = diag scales.
+
+    strength, angles (rows, 1), scales (n, 1): 0 of twists that are not there. pattern (rows, n): P. couples
+    (2, rows): the tubes between which an angle is. ends (n,): the tube whose tip a twist turns, or -1.
+    """
+
+    strength: ca.SX
+    angles: ca.SX
+    scales: ca.SX
+    pattern: Array
+    couples: Index
+    ends: Index
+
+
+def in_symbols(tubes: Tubes, x: Sequence[Any]) -> Symbols:
+    """The energy of any robot of a structure at x, 2d + 2 symbols."""
     parts = sections(tubes, x[len(tubes) : 2 * len(tubes)], ca)
-    nodes, weights = twist(tubes, x, parts, ca).nodes, [ca.SX(1, 0)]
+    nodes, strength, angles = twist(tubes, x, parts, ca).nodes, [ca.SX(1, 0)], [ca.SX(1, 0)]
     for k, i, j in _couples(parts):
-        angles = ca.horzcat(*(node.angles[i] - node.angles[j] for node in nodes[k]))
-        weights.append(_strength(tubes, x, parts[k], i, j, ca) * ca.cos(angles))
+        angles.append(ca.horzcat(*(node.angles[i] - node.angles[j] for node in nodes[k])))
+        strength.append(_strength(tubes, x, parts[k], i, j, ca))
     twists = _twists(tubes, x, parts, ca)
     scales = ca.vertcat(ca.SX(0, 1), *(one.scale for one in twists))
-    return ca.horzcat(*weights).T, scales, _pattern(parts, twists)
+    couples = np.array([(i, j) for _, i, j in _couples(parts) for _ in NODES], dtype=int).reshape(-1, 2).T
+    ends = np.array([one.tube if one.end else -1 for one in twists], dtype=int)
+    return Symbols(ca.horzcat(*strength).T, ca.horzcat(*angles).T, scales, _pattern(parts, twists), couples, ends)
 
 
 class _Twist(NamedTuple):

@@ -17,19 +17,26 @@ from scipy.linalg import lapack
 from ctr_nlp.codegen.mapped import Mapped
 from ctr_nlp.models.elastic import compiled as compiled_code
 from ctr_nlp.models.elastic import energy, stability
-from ctr_nlp.models.elastic.compiled import CONVERGED, ITERATIONS, SMALLEST, STRAY, STRIDE, compiled, symbolic
+from ctr_nlp.models.elastic.compiled import (
+    CONVERGED,
+    FALL,
+    FALLS,
+    ITERATIONS,
+    PUSH,
+    SMALLEST,
+    STRAY,
+    STRIDE,
+    compiled,
+    symbolic,
+)
 from ctr_nlp.models.elastic.energy import Energy
 from ctr_nlp.robot.structure import Structure, tubes_of
 from ctr_nlp.typing import Array
 
-PUSH = 0.1
-"""rad that tubes are turned by against each other where a branch ends, over what lies between discretisations."""
-MOST = 20
-"""Branches that may end on one step."""
 TINY = 1e-300
 """What stands for 0 in a denominator; where tubes slide without turning, angles do not change."""
-FALL, FALLS = 0.1, 2000
-"""rad that tubes turn by against each other in one step of a fall; steps at most."""
+STEPS = 2000
+"""Steps of a fall at most."""
 
 
 class State(NamedTuple):
@@ -70,8 +77,8 @@ class Equilibria:
     def settled(self, q: Array) -> State | None:
         """The equilibrium at q that all tubes are turned to from alpha_d."""
         if self._compiled is not None:
-            states, _ = self._compiled.settle(self._numbers, q[None])
-            return self.finished(states[0], q)
+            states, found = self._compiled.settle(self._numbers, q[None])
+            return _read(states[0], self._d, q) if found[0] else None
         d, aligned = self._d, np.array(q, dtype=float)
         aligned[:d] = q[d - 1]
         x = aligned.copy()
@@ -79,10 +86,6 @@ class Equilibria:
         state = self._solved(aligned, x, True)
         most = STRIDE / max(abs(q - aligned).max(), TINY)
         return state and self._onwards(self._along(state, q, most), q)[0]
-
-    def finished(self, state: compiled_code.State, q: Array) -> State | None:
-        """The equilibrium at q of a robot on its way there."""
-        return self._onwards(_read(state, self._d, q), q)[0] if state.determinant else None
 
     def nearest(self, q: Array, x: Array) -> State | None:
         """The equilibrium at q near x (2d + 2,), stable or not; the settled one where there is none."""
@@ -94,7 +97,11 @@ class Equilibria:
 
         None where no equilibrium is found.
         """
-        return self._onwards(self._along(state, goal), goal)
+        if self._compiled is None:
+            return self._onwards(self._along(state, goal), goal)
+        code = _written(state)
+        there, jumps = self._compiled.follow(self._numbers, code, goal)
+        return _read(code, self._d, goal) if there else None, list(jumps)
 
     def walked(self, state: State, goals: Array) -> tuple[Array, State]:
         """The equilibria (n, 2d + 2) at as many of goals (T, 2d + 2) as are reached without a fall; the last."""
@@ -115,7 +122,7 @@ class Equilibria:
         """The same from where a branch was followed to."""
         jumps = list[Array]()
         while state.q is not goal:
-            fallen = self._fallen(state, goal) if len(jumps) < MOST else None
+            fallen = self._fallen(state, goal) if len(jumps) < FALLS else None
             if fallen is None:
                 return None, jumps
             jumps.append(fallen.tips - state.tips)
@@ -180,18 +187,21 @@ class Equilibria:
         for part in SMALLEST ** np.linspace(1, 0, 11):
             past = _between(state.q, goal, part)
             x = self._settling(state, past)
-            new = self._solved(past, x, True)
-            if new is not None and abs(new.x - x).max() < STRAY and self._holds(new):
+            new = None if x is None else self._solved(past, x, True)
+            if x is not None and new is not None and abs(new.x - x).max() < STRAY and self._holds(new):
                 return new
         return None
 
-    def _settling(self, state: State, past: Array) -> Array:
-        """About the equilibrium at `past` that a robot falls into from one nearby."""
+    def _settling(self, state: State, past: Array) -> Array | None:
+        """About the equilibrium at `past` that a robot falls into from one nearby, if any."""
         d, on = self._d, self._predicted(state, past) - state.x
         (of,) = energy.energies(self._tubes, past[None])
         step = on * min(1e-4 / max(abs(on[:d]).max(), TINY), 1e-2 / max(abs(on).max(), TINY))
         here, ahead = energy.differences(self._tubes, np.stack([state.x, state.x + step]))
-        tips = past[:d] + of.ends @ _fall(of, of.couples @ past[:d], here, ahead - here)
+        a = _fall(of, of.couples @ past[:d], here, ahead - here)
+        if a is None:
+            return None
+        tips = past[:d] + of.ends @ a
         return np.concatenate([tips[:-1] - tips[-1], tips[-1:], past[d:]])
 
 
@@ -199,36 +209,46 @@ def _between(start: Array, goal: Array, part: float) -> Array:
     return goal if part == 1 else start + part * (goal - start)
 
 
-def _fall(energy: Energy, motors: Array, angles: Array, towards: Array) -> Array:
+def _fall(energy: Energy, motors: Array, angles: Array, towards: Array) -> Array | None:
     """The least energy that a robot comes to down its gradient, from angles (rows,) of an equilibrium, as a (n,).
 
-    motors (rows,): angles between the tubes' motors; towards (rows,): how angles last changed. Where the energy is
-    a paraboloid, steps follow the gradient flow a' = -dE/da exactly.
+    motors (rows,): angles between the tubes' motors; towards (rows,): how angles last changed. None where it comes
+    to none.
     """
     a: Array = -(energy.strength * np.sin(angles)) @ energy.turns
     _, modes = np.linalg.eigh(energy.hessian(angles))
-    push = energy.turns @ modes[:, 0]
+    push, time = energy.turns @ modes[:, 0], 1.0
     a = a + modes[:, 0] * np.copysign(PUSH / abs(push).max(), push @ towards)
-    time = 1.0
-    for _ in range(FALLS):
-        angles = motors + energy.turns @ a
-        curvatures, modes = np.linalg.eigh(energy.hessian(angles))
-        slopes = modes.T @ energy.gradient(a, angles)
-        time *= 8
-        while abs(energy.turns @ (change := -modes @ (slopes * _decay(curvatures, time)))).max() > FALL:
-            time /= 2
+    for _ in range(STEPS):
+        change, time = _step_down(energy, motors, a, 8 * time)
         a = a + change
-        if curvatures[0] > 0 and time * curvatures[0] > 40 and abs(energy.turns @ change).max() < CONVERGED:
-            break
-    return a
+        if abs(energy.turns @ change).max() < CONVERGED and time > 40:
+            return a
+    return None
 
 
-def _decay(rates: Array, time: float) -> Array:
-    """(1 - exp(-rate time)) / rate, the integral of exp(-rate t) over the time."""
-    exponents = np.clip(rates * time, -100.0, 100.0)
-    small = abs(exponents) < 1e-9
-    found: Array = np.where(small, time, -np.expm1(-exponents) / np.where(small, 1.0, rates))
-    return found
+def _step_down(energy: Energy, motors: Array, a: Array, time: float) -> tuple[Array, float]:
+    """A step (n,) down the gradient for about the time given, at most FALL rad and never uphill; the time it took.
+
+    By Rosenbrock's method of second order that is L-stable: ROS2 of Verwer, Spee, Blom and Hundsdorfer, SIAM
+    J. Sci. Comput. 20, 1999.
+    """
+    gamma, angles = 1 - np.sqrt(0.5), motors + energy.turns @ a
+    slope, bent, height = energy.gradient(a, angles), energy.hessian(angles), energy.height(a, angles)
+    while True:
+        factors, broken = lapack.dpotrf(np.eye(len(a)) + gamma * time * bent, lower=1)
+        size = 0.0
+        if not broken:
+            first, _ = lapack.dpotrs(factors, -slope, lower=1)
+            ahead = a + time * first
+            pull = energy.gradient(ahead, motors + energy.turns @ ahead)
+            second, _ = lapack.dpotrs(factors, -pull - 2 * first, lower=1)
+            change: Array = time * (1.5 * first + 0.5 * second)
+            turn = energy.turns @ change
+            size = abs(turn).max()
+            if size < 1e-6 or (size <= FALL and energy.height(a + change, angles + turn) < height):
+                return change, time
+        time *= max(0.1, 0.8 * FALL / size) if size > FALL else 0.5
 
 
 def _written(state: State) -> compiled_code.State:

@@ -31,19 +31,15 @@ def settled_apart(structure: Structure, numbers: Array, q: Array) -> tuple[Array
     q (T, 2d + 2): a configuration for each. numbers: in the order of structure.NUMBERS. NaN where none is found.
     """
     x, code = np.full(q.shape, np.nan), compiled(structure)
-    left = np.flatnonzero(np.isfinite(q).all(axis=1))
+    known = np.flatnonzero(np.isfinite(q).all(axis=1))
     if code is None:
-        found = {int(row): Equilibria(structure, numbers[row]).settled(q[row]) for row in left}
+        for row in known:
+            state = Equilibria(structure, numbers[row]).settled(q[row])
+            x[row] = np.nan if state is None else state.x
     else:
-        flat = np.ascontiguousarray(numbers.swapaxes(1, 2)[left]).reshape(len(left), structure.d * len(NUMBERS))
-        states, ends = code.settle(flat, q[left])
-        x[left[ends]] = np.ctypeslib.as_array(states)["x"][ends, : q.shape[1]]
-        found = {}
-        for k in np.flatnonzero(~ends).tolist():
-            row = int(left[k])
-            found[row] = Equilibria(structure, numbers[row]).finished(states[k], q[row])
-    for row, state in found.items():
-        x[row] = np.nan if state is None else state.x
+        flat = np.ascontiguousarray(numbers.swapaxes(1, 2)[known]).reshape(len(known), structure.d * len(NUMBERS))
+        states, found = code.settle(flat, q[known])
+        x[known[found]] = np.ctypeslib.as_array(states)["x"][found, : q.shape[1]]
     return x, stability.margins(tubes_in_columns(structure, numbers), x)
 
 

@@ -1,4 +1,6 @@
-/* Stability margins of the elastic model; branch.c comes before this file. */
+/* The elastic model's energy and its stability margins; branch.c comes before this file. */
+
+#include <stdlib.h>
 
 /* The smallest root of the characteristic polynomial of a tridiagonal matrix, by Laguerre's method from the left. */
 static double smallest_root(const double *diagonal, const double *beside, long n) {
@@ -131,43 +133,93 @@ static double refined(const double *matrix, long n, double *v, double *work) {
     return NAN;
 }
 
-/* The margin at every x, with steps in numbers from row to row: K is the identity in terms of scaled twists. Rows that
-   follow each other are likely near each other, and so are the vectors of their margins.
+/* The energy at one beta, of a robot whose twists are a in terms of the n scaled ones that are there: |a|^2 / 2 less
+   the strengths times the cosines of angles, which the twists in columns turn by turns. rows, work: room. */
+typedef struct {
+    long n, *begins, *columns, *places;
+    double *strengths, *angles, *turns, *scales, *matrix, *rows, *work;
+    void *room;
+} Energy;
 
-   work: room. */
-void margins(const Elastic *e, const double *numbers, long step, const double *x, long rows, double *found,
-             double *work) {
-    long side = 2 * e->d + 2, before = 0;
-    double *weights = work, *scales = weights + e->rows, *restrict row = scales + e->twists, *matrix = row + e->twists;
-    double vector[e->twists + 1];
-    for (long at = 0; at < rows; ++at, x += side, numbers += step) {
-        const double *arg[] = {x, numbers};
-        double *res[] = {weights, scales};
-        long place[e->twists + 1], n = 0;
-        e->weights(arg, res, 0, 0, 0);
-        for (long i = 0; i < e->twists; ++i) place[i] = scales[i] > 0 ? n++ : -1;
-        memset(matrix, 0, n * n * sizeof *matrix);
-        for (long i = 0; i < n; ++i) matrix[i + n * i] = 1;
-        for (long r = 0; r < e->rows; ++r) {
-            if (weights[r] == 0) continue;
-            for (long i = 0; i < n; ++i) row[i] = 0;
-            for (long k = e->starts[r]; k < e->starts[r + 1]; ++k)
-                if (place[e->columns[k]] >= 0) row[place[e->columns[k]]] = e->entries[k] * scales[e->columns[k]];
-            for (long k = e->starts[r]; k < e->starts[r + 1]; ++k) {
-                long j = place[e->columns[k]];
-                if (j < 0) continue;
-                double *restrict into = matrix + n * j, part = weights[r] * row[j];
-#pragma omp simd
-                for (long i = 0; i < n; ++i) into[i] += part * row[i];
-            }
+static Energy energy_for(const Elastic *e) {
+    long rows = e->rows, n = e->twists, entries = e->starts[rows], work = 3 * n * n + 9 * n + 2 * rows;
+    Energy of;
+    of.room = malloc((rows + 1 + entries + n) * sizeof(long) + (5 * rows + entries + 2 * n + n * n + work) * sizeof(double));
+    of.begins = of.room, of.columns = of.begins + rows + 1, of.places = of.columns + entries;
+    of.strengths = (double *)(of.places + n), of.angles = of.strengths + rows, of.turns = of.angles + rows;
+    of.scales = of.turns + entries, of.matrix = of.scales + n, of.rows = of.matrix + n * n;
+    of.work = of.rows + 3 * rows + n;
+    return of;
+}
+
+/* The strengths and turns at the beta of x, and the angles there. */
+static void described(const Elastic *e, const double *numbers, const double *x, Energy *of) {
+    const double *arg[] = {x, numbers};
+    double *res[] = {of->strengths, of->angles, of->scales};
+    long count = 0;
+    e->energy(arg, res, 0, 0, 0);
+    of->n = 0;
+    for (long i = 0; i < e->twists; ++i) of->places[i] = of->scales[i] > 0 ? of->n++ : -1;
+    for (long r = 0; r < e->rows; ++r) {
+        of->begins[r] = count;
+        for (long k = e->starts[r]; of->strengths[r] != 0 && k < e->starts[r + 1]; ++k) {
+            long twist = e->columns[k];
+            if (of->places[twist] < 0) continue;
+            of->turns[count] = e->entries[k] * of->scales[twist], of->columns[count++] = of->places[twist];
         }
-        double *space = matrix + n * n, least = n && n == before ? refined(matrix, n, vector, space) : NAN;
-        if (n && isnan(least)) {
-            least = smallest_eigenvalue(matrix, n, space);
-            before = definite(matrix, n, least - 1e-6 * (1 + fabs(least)), space) ? n : 0;
-            for (long i = 0; i < n; ++i) vector[i] = 0.2 + fmod(0.618033988749895 * (i + 1), 1.0);
-            if (before) inverted(space, n, vector);
-        }
-        found[at] = n ? fmin(1, least) : 1;
     }
+    of->begins[e->rows] = count;
+}
+
+/* The second variation K + V at angles, in which K is the identity. */
+static void bent(const Elastic *e, const Energy *of, const double *angles) {
+    long n = of->n;
+    double *matrix = of->matrix;
+    memset(matrix, 0, n * n * sizeof *matrix);
+    for (long i = 0; i < n; ++i) matrix[i + n * i] = 1;
+    for (long r = 0; r < e->rows; ++r) {
+        long count = of->begins[r + 1] - of->begins[r], *columns = of->columns + of->begins[r];
+        const double *row = of->turns + of->begins[r], weight = count ? of->strengths[r] * cos(angles[r]) : 0;
+        for (long j = 0; j < count; ++j) {
+            double *into = matrix + n * columns[j], part = weight * row[j];
+            for (long i = 0; i <= j; ++i) into[columns[i]] += part * row[i];
+        }
+    }
+    for (long j = 0; j < n; ++j)
+        for (long i = 0; i < j; ++i) matrix[j + n * i] = matrix[i + n * j];
+}
+
+static double margin_at(const Elastic *e, const double *numbers, const double *x, Energy *of) {
+    described(e, numbers, x, of);
+    bent(e, of, of->angles);
+    return of->n ? fmin(1, smallest_eigenvalue(of->matrix, of->n, of->work)) : 1;
+}
+
+/* The margin at every x, with steps in numbers from row to row. Rows that follow each other are likely near each other,
+   and so are the vectors of their margins. */
+void margins(const Elastic *e, const double *numbers, long step, const double *x, long rows, double *found) {
+    Energy of = energy_for(e);
+    double vector[e->twists + 1];
+    long known = 0;
+    for (long row = 0; row < rows; ++row, x += 2 * e->d + 2, numbers += step) {
+        described(e, numbers, x, &of);
+        bent(e, &of, of.angles);
+        long n = of.n;
+        double least = n && n == known ? refined(of.matrix, n, vector, of.work) : NAN;
+        if (n && isnan(least)) {
+            least = smallest_eigenvalue(of.matrix, n, of.work);
+            known = definite(of.matrix, n, least - 1e-6 * (1 + fabs(least)), of.work) ? n : 0;
+            for (long i = 0; i < n; ++i) vector[i] = 0.2 + fmod(0.618033988749895 * (i + 1), 1.0);
+            if (known) inverted(of.work, n, vector);
+        }
+        found[row] = n ? fmin(1, least) : 1;
+    }
+    free(of.room);
+}
+
+static int holds(const Elastic *e, const double *numbers, const double *x) {
+    Energy of = energy_for(e);
+    double margin = margin_at(e, numbers, x, &of);
+    free(of.room);
+    return margin > 0;
 }
