@@ -28,7 +28,7 @@ STEPS = 2
 """Steps of integration a section in a nonlinear program: 0.02 mm, where a forward solution has 0.002."""
 
 
-CHUNK = 128
+CHUNK = 64
 """Shapes whose samples are computed at once: what fits into a processor's nearest memory."""
 
 
@@ -138,8 +138,10 @@ def _points(structure: Structure, numbers: Array, x: Array, sigma: Array) -> Arr
         own, beta = numbers[at] if len(numbers) > 1 else numbers, columns_of(x[at, d : 2 * d])
         tubes, s = tubes_in_columns(structure, own), (sigma[at] if np.ndim(sigma) > 1 else sigma) * beta[-1]
         lengths, _ = shape.travels(tubes, beta, torsion.sections(tubes, beta, np), s, np)
-        travelled = np.stack([np.broadcast_to(length, s.shape) for length in lengths], axis=-1)
-        points[at] = travelled @ placed[at]
+        travelled = np.empty((len(s), len(lengths), s.shape[1]))
+        for k, length in enumerate(lengths):
+            travelled[:, k] = length
+        points[at] = (placed[at].swapaxes(1, 2) @ travelled).swapaxes(1, 2)
     return points
 
 
