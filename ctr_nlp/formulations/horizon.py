@@ -78,14 +78,14 @@ def horizon(
         packed(frame, [filled(robot, terms, at) for at in frames]).T.copy(),
         lower,
         upper,
-        _links(robot, len(frames), dt, motion_weight, before, after, tips),
+        motion_links(robot, len(frames), dt, motion_weight, before, after, tips),
         functions(frame),
         None if wall is None else wall.surroundings,
         (least, most),
     )
 
 
-def _links(
+def motion_links(
     robot: Robot,
     frames: int,
     dt: float,

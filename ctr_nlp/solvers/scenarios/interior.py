@@ -1,0 +1,203 @@
+"""An interior-point method for motions that scenarios share, with a filter line search.
+
+Its Newton systems have the unknowns of q alone and are banded (condensed.py). Where a Hessian is not positive
+definite, the same is added to its diagonal over q and over every tip: near a fold tips turn far for little turns
+of motors, and steps are kept short where tips would. After Waechter and Biegler, Math. Program. 106 (2006).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import LinAlgError, solveh_banded
+
+from ctr_nlp.formulations.scenarios import SharedMotion
+from ctr_nlp.solvers.frame.adapter import FEASIBLE
+from ctr_nlp.solvers.motion.judged import WIDE
+from ctr_nlp.solvers.scenarios.condensed import Expansion
+from ctr_nlp.solvers.scenarios.filter import Filter
+from ctr_nlp.solvers.scenarios.rows import LEFT, Point, SharedRows, SharedSolution
+from ctr_nlp.typing import Array, Flags
+
+TOLERANCE, LAST_BARRIER = 1e-5, 1e-6
+"""Largest residual at a solution, mm^2 per unit of q, and the last barrier, mm^2: less changes no motion."""
+CLOSE, SHRINK = 20.0, 0.05
+"""A barrier problem is solved to so many times its barrier, and the next has this part of it."""
+MOST_ITERATIONS, MOST_HALVINGS, CORRECTIONS = 200, 25, 4
+DAMPING, MORE, MUCH_MORE, LESS, MOST_DAMPING = 1e-3, 8.0, 30.0, 3.0, 1e10
+"""First damping, mm^2 per squared unit; factors from trial to trial, where one is known and where none is; the
+next starts from the last by this divisor; the largest."""
+STALL, STALLED = 6, 1e-9
+"""A barrier problem is left when so many iterations at feasible points lower it by less than this part."""
+HELD = 1e10
+"""What stands on the diagonal where an unknown is fixed."""
+
+
+class _Step(NamedTuple):
+    """dx (T, S, n): of the scenarios' unknowns; slope: of the barrier objective along the step."""
+
+    dq: Array
+    dx: Array
+    slack: Array
+    at_lower: Array
+    at_upper: Array
+    equations: Array
+    slope: float
+
+
+class SharedSolver:
+    """Solves shared motions from any start; surest where the nominal robot keeps a good margin."""
+
+    def __init__(self, motion: SharedMotion) -> None:
+        """Prepare."""
+        self._rows = SharedRows(motion)
+
+    def __call__(
+        self,
+        q: Array,
+        phi: Array,
+        barrier: float = WIDE,
+        stop: Callable[[], bool] = lambda: False,
+        most: int = MOST_ITERATIONS,
+    ) -> SharedSolution:
+        """Solve from q (T, n) and tips phi (T, S, d), which need not be in equilibrium, in at most so many steps.
+
+        barrier: the first, mm^2.
+        """
+        run, status = _Run(self._rows, q, phi, barrier), ""
+        while not status:
+            status = run.status()
+            if not status and run.number == most:
+                status = "Maximum_Iterations_Exceeded"
+            status = status or ("Interrupted" if stop() else run.advance())
+        return self._rows.judged(run.point, status, run.number)
+
+
+class _Run:
+    """One solve on its way."""
+
+    def __init__(self, rows: SharedRows, q: Array, phi: Array, barrier: float) -> None:
+        self._rows, self._barrier, self._damping, self.number = rows, barrier, 0.0, 0
+        start = rows.start(q, phi, barrier)
+        equations = rows.expand(start).multipliers(rows.split(start.multipliers)[1])
+        self.point = replace(start, equations=equations)
+        self._about = rows.expand(self.point)
+        self._filter = Filter(rows.merit(self._about.at, start.slack, barrier).missing)
+        self._objectives = list[float]()
+
+    def status(self) -> str:
+        """Why the work has ended, or nothing; lowers the barrier where its problem is solved."""
+        errors, known = self._rows.errors(self.point, self._about), self._objectives
+        if errors.against(0.0) <= TOLERANCE:
+            return "Solve_Succeeded"
+        stalled = errors.missed <= FEASIBLE and len(known) > STALL
+        stalled = stalled and known[-STALL] - known[-1] < STALLED * (1 + abs(known[-1]))
+        if stalled and self._barrier == LAST_BARRIER:
+            return "Solved_To_Acceptable_Level"
+        while self._barrier > LAST_BARRIER and (stalled or errors.against(self._barrier) < CLOSE * self._barrier):
+            self._barrier, stalled = max(LAST_BARRIER, SHRINK * self._barrier), False
+            self._filter.clear()
+            known.clear()
+        return ""
+
+    def advance(self) -> str:
+        """One step; why there is none, or nothing."""
+        step = self._newton()
+        if step is None:
+            return "Infeasible_Problem_Detected"
+        point = self._searched(step)
+        if point is None:
+            return "Search_Direction_Becomes_Too_Small"
+        self.point, self._about = point, self._rows.expand(point)
+        self.number += 1
+        return ""
+
+    def _newton(self) -> _Step | None:
+        """The step downhill, damped as far as it needs; None where none is."""
+        rows, about, point = self._rows, self._about, self.point
+        per_lower, per_upper = 1 / (point.slack - rows.low), 1 / (rows.high - point.slack)
+        sigma = point.at_lower * per_lower + point.at_upper * per_upper
+        missed = about.at.rows + rows.repaired(about) - point.slack
+        right = rows.slope(about) + rows.pulled(about, self._barrier * (per_upper - per_lower) + sigma * missed)
+        of_q, of_rows, of_links = rows.split(sigma)
+        squares = about.jacobian.swapaxes(1, 2) @ (about.jacobian * of_rows[..., None])
+        links, damping = rows.links.band(of_links), 0.0
+        while damping < MOST_DAMPING:
+            hessian, bent = about.quadratic(damping)
+            dq = _solved(links, hessian + squares, of_q, -(right + bent), rows.free)
+            if dq is not None:
+                self._damping = damping or self._damping
+                step = self._completed(about, dq, damping)
+                return step if np.isfinite(step.slope) else None
+            known = self._damping
+            first = known / LESS if known else DAMPING
+            damping = damping * (MORE if known else MUCH_MORE) if damping else first
+        return None
+
+    def _completed(self, about: Expansion, dq: Array, damping: float) -> _Step:
+        """The whole step that belongs to dq (T, n)."""
+        rows, point, barrier = self._rows, self.point, self._barrier
+        low, high = point.slack - rows.low, rows.high - point.slack
+        dx = about.step(dq)
+        slack = about.at.rows - point.slack + rows.moved(about, dq)
+        at_lower = (barrier - point.at_lower * slack) / low - point.at_lower
+        at_upper = (barrier + point.at_upper * slack) / high - point.at_upper
+        after = rows.split(point.multipliers + at_upper - at_lower)[1]
+        equations = about.multipliers(after, dx, damping) - point.equations
+        slope = (about.gradient * dx).sum() + (rows.link_slope(about) * dq).sum()
+        slope += (barrier * (1 / high - 1 / low)) @ slack
+        return _Step(dq, dx, slack, at_lower, at_upper, equations, float(slope))
+
+    def _searched(self, step: _Step) -> Point | None:
+        """As far along a step as the filter takes; None where it takes nothing.
+
+        A whole step that misses more than before is corrected: equations are curved.
+        """
+        rows, point, about, d = self._rows, self.point, self._about, self.point.phi.shape[-1]
+        here = rows.merit(about.at, point.slack, self._barrier)
+        part, dual = self._parts(step)
+        for halving in range(MOST_HALVINGS):
+            q, phi = point.q + part * step.dq, point.phi + part * step.dx[..., :d]
+            for _ in range(1 if halving else CORRECTIONS):
+                values = rows.condensed.value(q, phi)
+                slack = rows.trial_slack(values.rows, point.slack + part * step.slack, point.slack)
+                trial = rows.merit(values, slack, self._barrier)
+                if self._filter.takes(here, trial, step.slope, part):
+                    if not self._filter.counts(here, step.slope, part):
+                        self._filter.keep(here)
+                    self._objectives.append(trial.objective)
+                    pulls = point.at_lower + dual * step.at_lower, point.at_upper + dual * step.at_upper
+                    return Point(q, phi, slack, *pulls, point.equations + part * step.equations)
+                if trial.missing < here.missing or not np.isfinite(trial.missing):
+                    break
+                missing = values.missing - (1 - part) * about.at.missing
+                phi = phi - (about.inverse @ missing[..., None])[..., 0]
+            part /= 2
+        return None
+
+    def _parts(self, step: _Step) -> tuple[float, float]:
+        """How much of a step keeps slacks within their bounds, and how much keeps multipliers positive."""
+        rows, point, keep = self._rows, self.point, 1 - LEFT
+        low, high = point.slack - rows.low, rows.high - point.slack
+        primal = max(keep, (-step.slack / low).max(), (step.slack / high).max())
+        dual = max(keep, (-step.at_lower / point.at_lower).max(), (-step.at_upper / point.at_upper).max())
+        return keep / float(primal), keep / float(dual)
+
+
+def _solved(links: Array, blocks: Array, diagonal: Array, right: Array, free: Flags) -> Array | None:
+    """The solution (T, n) of the system with a band and blocks (T, n, n); None where it is not
+    positive definite.
+    """
+    band, (frames, n) = links.copy(), free.shape
+    for below in range(n):
+        along = np.arange(n - below)
+        band[below].reshape(frames, n)[:, along] += blocks[:, along + below, along]
+    band[0] += np.where(free, diagonal, HELD).ravel()
+    try:
+        found = solveh_banded(band, (right * free).ravel(), lower=True, check_finite=False)
+    except LinAlgError:
+        return None
+    return np.asarray(found.reshape(frames, n) * free)

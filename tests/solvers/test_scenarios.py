@@ -1,0 +1,215 @@
+"""Motions that scenarios share: what is minimised and kept is what is claimed, and derivatives are those of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from frames import configuration, elastic_shapes, follow
+from truth import TWO, Shot
+
+from ctr_nlp import Problem, growing
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.formulations.horizon import Ends
+from ctr_nlp.formulations.scenarios import Scenarios, balanced, shared_motion
+from ctr_nlp.models import MODELS
+from ctr_nlp.solvers.compiled import fastest
+from ctr_nlp.solvers.scenarios import SharedSolver
+from ctr_nlp.solvers.scenarios.condensed import Condensed
+from ctr_nlp.target.curve import curve_from_formula
+from ctr_nlp.target.target import SIGMA
+
+FRAMES, WEIGHT, MARGIN = 4, 1e-4, 0.3
+OFFSETS = np.array([[0.0, 0.0], [0.1, -0.05], [-0.15, 0.1]])
+SHARES = np.array([0.5, 1.0, 2.0])
+
+
+def _robots():
+    """The robot, one of stronger curvatures, and one of other stiffnesses."""
+    outer, inner = TWO.tubes
+    strong = replace(outer, curvature=(0.011, 0.027)), replace(inner, curvature=0.022)
+    stiff = replace(outer, youngs_modulus=1.2), replace(inner, youngs_modulus=0.8)
+    return [TWO, replace(TWO, tubes=strong), replace(TWO, tubes=stiff)]
+
+
+def _scenarios():
+    return Scenarios(np.array([robot.numbers for robot in _robots()]), OFFSETS, SHARES)
+
+
+@pytest.fixture(scope="module")
+def problem():
+    """A bend in space that two tubes cannot follow exactly."""
+    curve = curve_from_formula(lambda u: (8 - 8 * ca.cos(u / 25), 6 * ca.sin(u / 30), u), 0.0, 70.0)
+    return Problem("bend", TWO, growing(curve, FRAMES), duration=4.0)
+
+
+@pytest.fixture(scope="module")
+def motion(problem):
+    at = problem.samples, problem.dt, WEIGHT, Ends(), MODELS["elastic"], _scenarios()
+    return shared_motion(TWO, *at, fastest, margin=MARGIN)
+
+
+@pytest.fixture(scope="module")
+def q(problem):
+    """A motion whose tubes are turned against each other."""
+    beta = np.array(problem.target.lengths)
+    alpha = np.linspace([1.0, 0.2], [2.2, -0.3], FRAMES)
+    return np.column_stack([alpha, 0.55 * beta, beta, np.full(FRAMES, 0.1), np.full(FRAMES, -0.05)])
+
+
+def _settled(q):
+    """Tips of all scenarios in equilibrium, (T, S, 2)."""
+    moved = [follow(robot, q + np.pad(offset, (0, 4))).x for robot, offset in zip(_robots(), OFFSETS, strict=True)]
+    return np.stack([x[:, :2] for x in moved], axis=1)
+
+
+@pytest.fixture(scope="module")
+def solved(motion, q):
+    found = SharedSolver(motion)(q, np.repeat(_settled(q)[:, :1], 3, axis=1))
+    assert found.success, found
+    return found
+
+
+@pytest.mark.parametrize("count", range(1, 25))
+def test_balanced_deviations_have_no_mean_unit_variance_and_no_correlation(count):
+    found = balanced(count)
+    np.testing.assert_allclose(found.mean(axis=0), 0, atol=1e-15)
+    np.testing.assert_allclose(found.T @ found / len(found), np.eye(count), atol=1e-15)
+
+
+def test_a_balanced_set_has_the_covariance_of_its_deviations():
+    rng = np.random.default_rng(2)
+    of_numbers, of_offsets = rng.normal(size=(5, 2, 6)) * 1e-3, rng.normal(size=(5, 2)) * 0.02
+    found = Scenarios.balanced(TWO.numbers, of_numbers, of_offsets)
+    assert found.weights[0] == 0
+    flat = np.concatenate([(found.numbers - TWO.numbers).reshape(len(found), -1), found.offsets], axis=1)
+    modes = np.concatenate([of_numbers.reshape(5, -1), of_offsets], axis=1)
+    np.testing.assert_allclose(flat[1:].T @ flat[1:] / (len(found) - 1), modes.T @ modes, atol=1e-15)
+
+
+def test_values_are_those_of_robots_followed_one_by_one(problem, motion, q):
+    values = Condensed(motion).value(q, _settled(q))
+    np.testing.assert_allclose(values.missing, 0, atol=5e-4)  # programs integrate in half as many steps
+    errors = [_squares(problem, robot, q, offset) for robot, offset in zip(_robots(), OFFSETS, strict=True)]
+    moved = WEIGHT * ((np.diff(q, axis=0) * TWO.mm_per_unit) ** 2).sum() / problem.dt**2
+    expected = SHARES @ np.sum(errors, axis=1) / SHARES.sum() + moved
+    assert values.objective == pytest.approx(expected, rel=1e-3)
+
+
+def _squares(problem, robot, q, offset):
+    """Mean square errors (T,) over every fifth sample of a robot that is moved with its motors' offsets."""
+    x = follow(robot, q + np.pad(offset, (0, 4))).x
+    target = np.array([frame.points for frame in problem.samples])
+    squares = ((elastic_shapes(robot, x, SIGMA) - target) ** 2).sum(axis=-1)[:, ::5]
+    return np.trapezoid(squares, dx=0.05, axis=1)
+
+
+def _repaired(condensed, motion, q, phi):
+    """Tips at which all equations hold, by Newton's method."""
+    frames, count, _, d = motion.sizes
+    none = np.zeros((frames, count, d)), np.zeros(motion.row_bounds[0].shape)
+    for _ in range(8):
+        phi = phi + condensed.expand(q, phi, *none).repair[..., :d]
+    return phi
+
+
+def test_derivatives_with_tips_eliminated_are_those_of_robots_in_equilibrium(motion, q):
+    rng, condensed = np.random.default_rng(1), Condensed(motion)
+    phi = _repaired(condensed, motion, q, _settled(q))
+    rows, way = rng.normal(size=motion.row_bounds[0].shape), rng.normal(size=q.shape) * 1e-4
+
+    def lagrangian(part):
+        """The gradient over q of objectives and rows, where the equations hold, and these rows."""
+        here = q + part * way
+        tips = _repaired(condensed, motion, here, phi)
+        about = condensed.expand(here, tips, np.zeros(phi.shape), rows)
+        about = condensed.expand(here, tips, about.multipliers(rows), rows)
+        pulled = (about.jacobian.swapaxes(1, 2) @ rows[..., None])[..., 0]
+        values = about.at.rows[q.size : q.size + rows.size].reshape(rows.shape)
+        value = condensed.by_frame(here, tips).sum() - _links(motion, here)
+        return about, about.over_q(about.gradient) + pulled, values, value
+
+    about, _, _, _ = lagrangian(0)
+    (_, after, rows_after, f_after), (_, before, rows_before, f_before) = lagrangian(1), lagrangian(-1)
+    hessian, bent = about.quadratic(0.0)
+    np.testing.assert_allclose(bent, 0, atol=1e-6)
+    slope = (about.over_q(about.gradient) * way).sum()
+    assert (f_after - f_before) / 2 == pytest.approx(slope, rel=1e-4)
+    np.testing.assert_allclose(
+        (rows_after - rows_before) / 2, (about.jacobian @ way[..., None])[..., 0], atol=1e-7
+    )
+    turned = (hessian @ way[..., None])[..., 0]
+    np.testing.assert_allclose((after - before) / 2, turned, atol=1e-3 * abs(turned).max())
+
+
+def _links(motion, q):
+    values = motion.linking @ q.ravel() + motion.of_links("offset")
+    return motion.of_links("weight") @ values**2
+
+
+def test_all_robots_of_a_solution_are_in_equilibrium_and_keep_their_margins(solved):
+    for k, (robot, offset) in enumerate(zip(_robots(), OFFSETS, strict=True)):
+        x = np.concatenate([solved.phi[:, k], solved.q[:, 2:]], axis=1)
+        alpha = configuration(robot, x)[:, :2]
+        np.testing.assert_allclose(alpha, solved.q[:, :2] + offset, atol=5e-4)
+        assert MODELS["elastic"].margins(robot, x).min() > MARGIN - 0.002
+    tips = solved.phi[:, 1:, 0] - solved.phi[:, :1, 0]
+    assert abs(tips).max() <= 0.7
+
+
+def test_robots_that_are_shot_at_the_solution_have_its_tips_and_shapes(solved):
+    for k, (robot, offset) in enumerate(zip(_robots(), OFFSETS, strict=True)):
+        shot = Shot(robot, solved.q[-1] + np.pad(offset, (0, 4)))
+        x = np.concatenate([solved.phi[-1, k], solved.q[-1, 2:]])
+        np.testing.assert_allclose(shot.x, x, atol=2e-3)
+        assert shot.margin() > MARGIN - 0.005
+        np.testing.assert_allclose(elastic_shapes(robot, x[None], SIGMA)[0], shot.points(SIGMA), atol=0.05)
+
+
+def test_a_solution_keeps_limits_and_cannot_be_bettered_nearby(problem, motion, q, solved):
+    robot = problem.robot
+    assert (solved.q >= robot.lower).all()
+    assert (solved.q <= robot.upper).all()
+    assert (abs(np.diff(solved.q, axis=0)) <= robot.speed * problem.dt + 1e-6).all()
+    assert solved.objective < Condensed(motion).value(q, _settled(q)).objective
+    again = SharedSolver(motion)(solved.q, np.repeat(solved.phi[:, :1], 3, axis=1), 1e-2)
+    assert again.success
+    assert again.objective == pytest.approx(solved.objective, rel=1e-4)
+
+
+def test_given_ends_are_kept(problem, q):
+    ends = Ends(start=q[0], end=q[-1])
+    at = problem.samples, problem.dt, WEIGHT, ends, MODELS["elastic"], _scenarios()
+    motion = shared_motion(TWO, *at, fastest, margin=MARGIN)
+    found = SharedSolver(motion)(q, _settled(q))
+    assert found.success
+    np.testing.assert_array_equal(found.q[-1], q[-1])
+    assert (abs(found.q[0] - q[0]) <= TWO.speed * problem.dt + 1e-6).all()
+
+
+def test_a_point_that_is_no_solution_is_not_called_one(motion, q):
+    found = SharedSolver(motion)(q, np.repeat(_settled(q)[:, :1], 3, axis=1), most=2)
+    assert not found.success
+    assert found.status == "Maximum_Iterations_Exceeded"
+
+
+def test_scenarios_on_a_model_without_twist_are_refused(problem):
+    at = problem.samples, problem.dt, WEIGHT, Ends(), MODELS["dominant"], _scenarios()
+    with pytest.raises(OptionError, match="model of scenarios is dominant"):
+        shared_motion(TWO, *at)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"weights": np.zeros(3)}, "all are 0"),
+        ({"weights": np.array([1.0, -1.0, 1.0])}, ">= 0"),
+        ({"offsets": np.zeros((2, 2))}, "offsets of scenarios have shape"),
+        ({"numbers": np.full((3, 2, 6), np.nan)}, "numbers of scenarios"),
+    ],
+)
+def test_scenarios_that_cannot_be_are_refused(change, message):
+    with pytest.raises(OptionError, match=message):
+        replace(_scenarios(), **change)
