@@ -19,7 +19,7 @@ HORIZON = "horizon"
 """The formulation that takes all frames at once."""
 FRAMES_ALONE = ("direction", "jump_width")
 """Options that no horizon has."""
-HORIZON_ALONE = ("end", "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live")
+HORIZON_ALONE = ("end", "robust", "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live")
 """Options that a horizon alone has."""
 WALL = ("clearance", "contact_weight", "clearance_cost", "contact_allowed")
 """What add_wall_options adds, as Settings calls it."""
@@ -60,6 +60,12 @@ def add_horizon_options(parser: argparse.ArgumentParser) -> None:
     """What is asked of a motion found at once."""
     group = parser.add_argument_group("all frames at once")
     group.add_argument("--end", metavar="Q.json", help="configuration of the last frame")
+    group.add_argument(
+        "--robust",
+        action="store_true",
+        help="plan for all the robots that the tolerances in the robot file allow, on the elastic model and "
+        "without a wall, and try the plan on 500 draws of them",
+    )
     group.add_argument(
         "--sweep-motion-weight",
         metavar="S2",

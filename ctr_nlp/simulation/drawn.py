@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from ctr_nlp.models import Model, model_named
-from ctr_nlp.models.protocol import Passage, passage
+from ctr_nlp.models.protocol import Followed, Passage, passage
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.draws import Draws
 from ctr_nlp.target.target import SIGMA
@@ -38,22 +39,37 @@ class DrawnMotion(NamedTuple):
 
 def drawn_motion(robot: Robot, draws: Draws, q: Array, model: str | Model) -> DrawnMotion:
     """The draws of a robot, moved by their motors through q (T, 2d + 2) from where all tubes are aligned."""
-    described, way = model_named(model), passage(np.asarray(q, dtype=float), SUBSTEPS)
-    described.check(robot)
-    found = described.follow_apart(draws.structure, draws.numbers, way, draws.turned(way.q, way.fresh))
+    described = model_named(model)
+    found, lost = _followed(robot, draws, q, described)
     x = np.array([each.x for each in found])
     n, frames = x.shape[:2]
     numbers = np.repeat(draws.numbers, frames, axis=0)
     shape = described.points_apart(draws.structure, numbers, x.reshape(n * frames, -1), SIGMA)
-    snapped = np.array([min((snap.frame for snap in each.snaps), default=0) for each in found])
     return DrawnMotion(
         shape.reshape(n, frames, *shape.shape[1:]),
         x,
         np.array([each.stability for each in found]),
         np.array([each.stability_between for each in found]),
-        snapped,
-        _lost(described, robot, way, x, snapped),
+        _snapped(found),
+        lost,
     )
+
+
+def lost_draws(robot: Robot, draws: Draws, q: Array, model: str | Model) -> Index:
+    """In which frame, from 1, each of n draws is lost on a motion q (T, 2d + 2); 0 where it is not. (n,)"""
+    return _followed(robot, draws, q, model_named(model))[1]
+
+
+def _followed(robot: Robot, draws: Draws, q: Array, model: Model) -> tuple[list[Followed], Index]:
+    """The draws along a motion, and in which frames they are lost."""
+    model.check(robot)
+    way = passage(np.asarray(q, dtype=float), SUBSTEPS)
+    found = model.follow_apart(draws.structure, draws.numbers, way, draws.turned(way.q, way.fresh))
+    return found, _lost(model, robot, way, np.array([each.x for each in found]), _snapped(found))
+
+
+def _snapped(found: Sequence[Followed]) -> Index:
+    return np.array([min((snap.frame for snap in each.snaps), default=0) for each in found])
 
 
 def _lost(model: Model, robot: Robot, way: Passage, x: Array, snapped: Index) -> Index:

@@ -23,11 +23,13 @@ from ctr_nlp.cli.report import draw, exit_status, print_front, print_report, wri
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.settings import Settings, check_motion_weight
+from ctr_nlp.models import model_named
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS
 from ctr_nlp.steer import DIRECTIONS, Horizon, march
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.requests import Direction, check_search, checked_ends, checked_motions
+from ctr_nlp.steer.robust import solve_robust
 from ctr_nlp.studies.trade_off import WEIGHTS, Point, trade_off
 from ctr_nlp.support.interrupt import deferred_interrupt, end_if_interrupted
 from ctr_nlp.target.fit import check_radii
@@ -39,6 +41,10 @@ if TYPE_CHECKING:
 
 UNASKED = 40
 """Draws of the robot that a plan on which it can snap is tried on by itself."""
+ASKED = 500
+"""Those that a robust plan is tried on."""
+UNFIT = "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live", "evaluate", *plan_options.WALL
+"""Options that do not go with --robust."""
 
 
 def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser:
@@ -90,6 +96,7 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    robust = getattr(arguments, "robust", False)
     whole, swept = arguments.formulation == HORIZON, getattr(arguments, "sweep_motion_weight", None)
     _check_fit(arguments)
     for weight in swept or ():
@@ -98,11 +105,14 @@ def _run(arguments: argparse.Namespace) -> int:
     name = f"{path_component(problem.name)}-{arguments.formulation}-{arguments.model}"
     out, film = Path(arguments.out or f"runs/{name}"), film_file(arguments)
     check_folder(out, "plan", film)
-    plan, points = _at_once(arguments, problem) if whole else (_by_frame(arguments, problem), [])
+    if robust:
+        plan, points = _robust(arguments, problem), list[Point]()
+    else:
+        plan, points = _at_once(arguments, problem) if whole else (_by_frame(arguments, problem), [])
     if arguments.evaluate is not None:
         plan = plan.on(arguments.evaluate)
     if plan.can_snap and not plan.meta["interrupted"] and plan.reached.any():
-        plan = plan.with_draws(UNASKED)
+        plan = plan.with_draws(ASKED if robust else UNASKED)
     with deferred_interrupt() as pressed:
         interrupted = plan.meta["interrupted"] or (swept is not None and pressed())
     place = place_of(out, interrupted)
@@ -133,6 +143,12 @@ def _check_fit(arguments: argparse.Namespace) -> None:
                 f"--{name.replace('_', '-')} does not go with --formulation {arguments.formulation}; "
                 f"it goes with {fitting}"
             )
+    if getattr(arguments, "robust", False):
+        if not model_named(arguments.model).several_equilibria:
+            raise OptionError(f"--robust does not go with --model {arguments.model}; it goes with elastic")
+        for name in UNFIT:
+            if not any(getattr(arguments, name, None) is unset for unset in (None, False)):
+                raise OptionError(f"--{name.replace('_', '-')} does not go with --robust; leave one of them out")
 
 
 def _settings(arguments: argparse.Namespace, problem: Problem, *names: str) -> Settings:
@@ -180,6 +196,24 @@ def _at_once(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan, lis
                 weights = arguments.sweep_motion_weight or WEIGHTS
                 points = trade_off(horizon, plan, weights, settings, labelled)
     return plan, points
+
+
+def _robust(arguments: argparse.Namespace, problem: Problem) -> Plan:
+    """The plan for all robots that the tolerances allow."""
+    start, end = (None if path is None else read_start(path) for path in (arguments.start, arguments.end))
+    problems.tell(problem)
+    end_if_interrupted()
+    with progress_bar() as labelled:
+        return solve_robust(
+            problem,
+            model=arguments.model,
+            start=start,
+            end=end,
+            motion_weight=arguments.motion_weight,
+            settings=_settings(arguments, problem, "seed"),
+            terms=plan_options.terms_from(arguments),
+            progress=labelled(problem.name),
+        )
 
 
 def _shown(problem: Problem, arguments: argparse.Namespace) -> AbstractContextManager[Solved | None]:

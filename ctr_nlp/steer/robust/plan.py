@@ -23,6 +23,7 @@ from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.requests import check_described, check_search
 from ctr_nlp.steer.robust.rounds import Lost, Round, planned_again
 from ctr_nlp.steer.robust.search import RobustSearch, Start, Tried
+from ctr_nlp.steer.robust.tolerated import lost_of, scenarios_of
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.values import instance, number, strict_json
 from ctr_nlp.target.problem import Problem
@@ -37,7 +38,7 @@ ROUNDS = 4
 
 def solve_robust(
     problem: Problem,
-    scenarios: Scenarios,
+    scenarios: Scenarios | None = None,
     *,
     lost: Callable[[Array, int], Lost] | None = None,
     rounds: int = ROUNDS,
@@ -53,18 +54,21 @@ def solve_robust(
 ) -> Plan:
     """The plan that robots of scenarios follow a problem's target with, all making one motion, far from any wall.
 
-    scenarios: the first is the problem's own robot. lost: (q (T, 2d + 2), number of a round) -> robots that are
-    lost on this motion, of some drawn for this round; these join the scenarios, and it is planned again, in at
-    most so many rounds. margin: the least stability margin of every scenario. margins: of the nominal plans
-    started from. start, end, motion_weight, settings, terms, progress: as solve_horizon.
+    scenarios: the first is the problem's own robot; by default those of its tolerances. lost: (q (T, 2d + 2),
+    number of a round) -> robots that are lost on this motion, of some drawn for this round, by default within the
+    tolerances; these join the scenarios, and it is planned again, in at most so many rounds. margin: the least
+    stability margin of every scenario. margins: of the nominal plans started from. start, end, motion_weight,
+    settings, terms, progress: as solve_horizon.
     Where no motion is found that all scenarios share, the plan is the first nominal one, and no frame counts as
     solved. Raises OptionError, ProblemError, RobotError.
     """
     check_described(problem, settings)
     check_search(motion_weight, None, 1)
+    model = model_named(model, "model of scenarios")
+    scenarios = scenarios_of(problem.robot) if scenarios is None else scenarios
+    lost = lost_of(problem.robot, model) if lost is None else lost
     instance(OptionError, "scenarios", scenarios, Scenarios)
     number(OptionError, "margin", margin, lambda x: 0 <= x < 1, "lie in [0, 1)")
-    model = model_named(model, "model of scenarios")
     begin = time.perf_counter()
     with deferred_interrupt() as interrupted:
         horizons = [Horizon(problem, model, None, start, end, _at(settings, each), terms) for each in margins]
@@ -82,7 +86,7 @@ def solve_robust(
         best, tried = search.best(starts, scenarios)
         made = list[Round]()
         if best is not None:
-            made = planned_again(search, best, scenarios, lost or _none, rounds if lost else 0)
+            made = planned_again(search, best, scenarios, lost, rounds)
         stopped = interrupted()
     options = strict_json(asdict(settings)) | {"motion_weight": weight, "stability_margin": margin}
     options |= {"margins": list(margins), "rounds": rounds, "terms": [str(term) for term in terms]}
@@ -112,11 +116,6 @@ def _start(problem: Problem, model: Model, plan: Plan, margin: float) -> Start:
     x = model.follow(problem.robot, plan.q).x
     phi = np.where(np.isfinite(x), x, model.guess(problem.robot, plan.q))[:, : problem.robot.d]
     return Start(f"margin {margin:g}", plan.q, phi)
-
-
-def _none(q: Array, number: int) -> Lost:
-    """None was drawn."""
-    return Lost(np.zeros((0, 0, 0)), np.zeros((0, 0)))
 
 
 def _listed(q: Array | None) -> list[float] | None:

@@ -1,0 +1,54 @@
+"""What a robot's tolerances ask of a plan: scenarios to plan for, and draws that tell which are lost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.formulations.scenarios import Scenarios, balanced
+from ctr_nlp.models import Model
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.draws import drawn, drawn_from
+from ctr_nlp.robot.tolerances import NAMES
+from ctr_nlp.simulation.drawn import lost_draws
+from ctr_nlp.steer.robust.rounds import Lost
+from ctr_nlp.typing import Array
+
+DRAWS = 500
+"""Robots that are drawn in a round."""
+SEED = 2**40
+"""Of the first round's draws, from which seeds count on: none that anybody tries plans with."""
+
+
+def scenarios_of(robot: Robot) -> Scenarios:
+    """A robot, and robots that have the mean and the covariance of what it may be within its tolerances.
+
+    Lags are left out. Raises OptionError where nothing may differ, and where tubes' curved parts may come to end
+    in their transmissions, which is another structure.
+    """
+    root = robot.tolerances.root(robot.d)
+    deviations = root[:, abs(root).max(axis=0) > 0]
+    if not deviations.size:
+        raise OptionError("all tolerances of the robot are 0; give some, or plan without robustness")
+    signs = balanced(deviations.shape[1])
+    parts = np.vstack([np.zeros(len(root)), signs @ deviations.T]).reshape(-1, robot.d, len(NAMES))
+    made = drawn_from(robot, parts, np.zeros(parts.shape[:2]))
+    if made.structure != robot.structure:
+        raise OptionError(
+            "curved_length of tolerances lets a curved part end before the tube's largest extension; "
+            "a robust plan needs limits of beta below the curved lengths"
+        )
+    return Scenarios(made.numbers, made.offsets, np.r_[0.0, np.ones(len(signs))])
+
+
+def lost_of(robot: Robot, model: Model) -> Callable[[Array, int], Lost]:
+    """(q (T, 2d + 2), number of a round) -> the robots that are lost on a motion of those drawn in that round."""
+
+    def lost(q: Array, number: int) -> Lost:
+        draws = drawn(robot, DRAWS, SEED + number)
+        gone = lost_draws(robot, draws, q, model) > 0
+        return Lost(draws.numbers[gone], draws.offsets[gone])
+
+    return lost
