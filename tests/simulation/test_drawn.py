@@ -150,5 +150,5 @@ def test_margins_do_not_depend_on_the_rows_before():
     x = MODELS["elastic"].guess(robot, motion(robot, 60, 3.0))
     together = stability.margins(robot.tube_numbers, x)
     alone = [float(stability.margins(robot.tube_numbers, row[None])[0]) for row in x]
-    np.testing.assert_allclose(together, alone, atol=1e-8)
+    np.testing.assert_allclose(together, alone, atol=3e-8)
     assert together.min() < 0 < together.max()

@@ -117,7 +117,7 @@ static void inverted(const double *a, long n, double *v) {
 
 enum { REFINEMENTS = 6 };
 
-/* The smallest eigenvalue by inverse iteration from v, that of a matrix nearby, confirmed by the pivots; NaN where v is
+/* The smallest eigenvalue by inverse iteration from v, that of a matrix nearby, to 1e-8 by the pivots; NaN where v is
    not near. An eigenvalue is no further from the quotient of v than v's residual, which bounds the shift. */
 static double refined(const double *matrix, long n, double *v, double *work) {
     double *product_of = work + n * n;
@@ -126,7 +126,7 @@ static double refined(const double *matrix, long n, double *v, double *work) {
         double quotient = product(v, product_of, n), residual = 0;
         for (long i = 0; i < n; ++i) residual += pow(product_of[i] - quotient * v[i], 2);
         residual = sqrt(residual);
-        if (residual < 1e-7) return definite(matrix, n, quotient - 1e-9 * (1 + fabs(quotient)), work) ? quotient : NAN;
+        if (residual < 1e-7) return definite(matrix, n, quotient - 1e-8 * (1 + fabs(quotient)), work) ? quotient : NAN;
         if (!(residual < 0.3) || !definite(matrix, n, quotient - residual, work)) return NAN;
         inverted(work, n, v);
     }
