@@ -137,9 +137,8 @@ def test_derivatives_with_tips_eliminated_are_those_of_robots_in_equilibrium(mot
     np.testing.assert_allclose(bent, 0, atol=1e-6)
     slope = (about.over_q(about.gradient) * way).sum()
     assert (f_after - f_before) / 2 == pytest.approx(slope, rel=1e-4)
-    np.testing.assert_allclose(
-        (rows_after - rows_before) / 2, (about.jacobian @ way[..., None])[..., 0], atol=1e-7
-    )
+    changed = (about.jacobian @ way[..., None])[..., 0]
+    np.testing.assert_allclose((rows_after - rows_before) / 2, changed, atol=1e-7)
     turned = (hessian @ way[..., None])[..., 0]
     np.testing.assert_allclose((after - before) / 2, turned, atol=1e-3 * abs(turned).max())
 

@@ -79,10 +79,8 @@ def solve_robust(
         between = time.perf_counter()
         own = model, horizons[0].ends, tuple(terms), weight, margin
         search = RobustSearch(problem, *own, progress, interrupted)
-        best, tried = search.best(starts, scenarios)
-        made = list[Round]()
-        if best is not None:
-            made = planned_again(search, best, scenarios, lost or _none, rounds if lost else 0)
+        tried = search.drafts(starts, scenarios)
+        made = _rounds(search, tried, scenarios, lost or _none, rounds if lost else 0)
         stopped = interrupted()
     options = strict_json(asdict(settings)) | {"motion_weight": weight, "stability_margin": margin}
     options |= {"margins": list(margins), "rounds": rounds, "terms": [str(term) for term in terms]}
@@ -119,6 +117,29 @@ def _none(q: Array, number: int) -> Lost:
     return Lost(np.zeros((0, 0, 0)), np.zeros((0, 0)))
 
 
+def _rounds(
+    search: RobustSearch,
+    drafts: Sequence[Tried],
+    scenarios: Scenarios,
+    lost: Callable[[Array, int], Lost],
+    most: int,
+) -> list[Round]:
+    """Rounds over the frames of the best draft and then over all; of the next best where none leads
+    to a motion.
+    """
+    for draft in drafts:
+        if not draft.solved or search.stop():
+            break
+        coarse = list[Round]()
+        if search.picked is not None and most:
+            coarse = planned_again(search, draft, scenarios, lost, most)
+        for one in reversed(coarse or [Round(draft, scenarios, 0)]):
+            whole = search.refined(one.tried, one.scenarios)
+            if whole.solved:
+                return coarse + planned_again(search, whole, one.scenarios, lost, most, len(coarse))
+    return []
+
+
 def _listed(q: Array | None) -> list[float] | None:
     return None if q is None else q.tolist()
 
@@ -147,7 +168,8 @@ def _plan(
         given = meta | {"failures": {"all": why}}
         nothing = {"solve_time": unknown, "objective": unknown, "kkt": unknown}
         return plan_from_configurations(problem, start.q, given, success=np.zeros(frames, dtype=bool), **nothing)
-    best = min(reversed(made), key=lambda one: one.lost)
+    whole = [one for one in made if one.tried.frames == frames]
+    best = min(reversed(whole), key=lambda one: one.lost)
     found = best.tried.solution
     condensed = Condensed(search.motion(best.scenarios))
     return plan_from_configurations(
