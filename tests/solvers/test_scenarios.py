@@ -13,8 +13,9 @@ from truth import TWO, Shot
 from ctr_nlp import Problem, growing
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.horizon import Ends
-from ctr_nlp.formulations.scenarios import Scenarios, balanced, shared_motion
+from ctr_nlp.formulations.scenarios import shared_motion
 from ctr_nlp.models import MODELS
+from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.solvers.scenarios import SharedSolver
 from ctr_nlp.solvers.scenarios.condensed import Condensed
@@ -72,23 +73,6 @@ def solved(motion, q):
     return found
 
 
-@pytest.mark.parametrize("count", range(1, 25))
-def test_balanced_deviations_have_no_mean_unit_variance_and_no_correlation(count):
-    found = balanced(count)
-    np.testing.assert_allclose(found.mean(axis=0), 0, atol=1e-15)
-    np.testing.assert_allclose(found.T @ found / len(found), np.eye(count), atol=1e-15)
-
-
-def test_a_balanced_set_has_the_covariance_of_its_deviations():
-    rng = np.random.default_rng(2)
-    of_numbers, of_offsets = rng.normal(size=(5, 2, 6)) * 1e-3, rng.normal(size=(5, 2)) * 0.02
-    found = Scenarios.balanced(TWO.numbers, of_numbers, of_offsets)
-    assert found.weights[0] == 0
-    flat = np.concatenate([(found.numbers - TWO.numbers).reshape(len(found), -1), found.offsets], axis=1)
-    modes = np.concatenate([of_numbers.reshape(5, -1), of_offsets], axis=1)
-    np.testing.assert_allclose(flat[1:].T @ flat[1:] / (len(found) - 1), modes.T @ modes, atol=1e-15)
-
-
 def test_values_are_those_of_robots_followed_one_by_one(problem, motion, q):
     values = Condensed(motion).value(q, _settled(q))
     np.testing.assert_allclose(values.missing, 0, atol=5e-4)  # programs integrate in half as many steps
@@ -137,9 +121,8 @@ def test_derivatives_with_tips_eliminated_are_those_of_robots_in_equilibrium(mot
     np.testing.assert_allclose(bent, 0, atol=1e-6)
     slope = (about.over_q(about.gradient) * way).sum()
     assert (f_after - f_before) / 2 == pytest.approx(slope, rel=1e-4)
-    np.testing.assert_allclose(
-        (rows_after - rows_before) / 2, (about.jacobian @ way[..., None])[..., 0], atol=1e-7
-    )
+    changed = (about.jacobian @ way[..., None])[..., 0]
+    np.testing.assert_allclose((rows_after - rows_before) / 2, changed, atol=1e-7)
     turned = (hessian @ way[..., None])[..., 0]
     np.testing.assert_allclose((after - before) / 2, turned, atol=1e-3 * abs(turned).max())
 

@@ -21,7 +21,7 @@ from ctr_nlp.robot.draws import drawn
 from ctr_nlp.robot.structure import NUMBERS
 from ctr_nlp.simulation.drawn import lost_draws
 from ctr_nlp.steer.robust import solve_robust
-from ctr_nlp.steer.robust.tolerated import scenarios_of
+from ctr_nlp.steer.robust.tolerated import balanced, scenarios_of
 
 TUBES = Tube(150, 90, 0.012, 3, 2), Tube(300, 140, 0.015, 1.8, 1.2)
 
@@ -31,6 +31,13 @@ def deviations(robot, scenarios):
     parts = scenarios.numbers / robot.numbers - 1
     names = NUMBERS.index("root_curvature"), NUMBERS.index("bending_stiffness")
     return np.concatenate([*(parts[..., name] for name in names), scenarios.offsets], axis=1)
+
+
+@pytest.mark.parametrize("count", range(1, 25))
+def test_balanced_deviations_have_no_mean_unit_variance_and_no_correlation(count):
+    found = balanced(count)
+    np.testing.assert_allclose(found.mean(axis=0), 0, atol=1e-15)
+    np.testing.assert_allclose(found.T @ found / len(found), np.eye(count), atol=1e-15)
 
 
 def test_scenarios_have_the_mean_and_the_covariance_of_the_tolerances():

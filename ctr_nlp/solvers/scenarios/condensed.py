@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ctr_nlp.codegen.mapped import Mapped
-from ctr_nlp.formulations.scenarios import SharedMotion
+from ctr_nlp.nlp.scenarios import SharedMotion
 from ctr_nlp.typing import Array
 
 

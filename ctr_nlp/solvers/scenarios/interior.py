@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import LinAlgError, solveh_banded
 
-from ctr_nlp.formulations.scenarios import SharedMotion
-from ctr_nlp.solvers.frame.adapter import FEASIBLE
+from ctr_nlp.nlp.scenarios import SharedMotion
 from ctr_nlp.solvers.motion.judged import WIDE
 from ctr_nlp.solvers.scenarios.condensed import Expansion
 from ctr_nlp.solvers.scenarios.filter import Filter
@@ -24,6 +23,8 @@ from ctr_nlp.typing import Array, Flags
 
 TOLERANCE, LAST_BARRIER = 1e-5, 1e-6
 """Largest residual at a solution, mm^2 per unit of q, and the last barrier, mm^2: less changes no motion."""
+MISSED = 1e-7
+"""What equations and rows miss at most at a solution, rad and mm."""
 CLOSE, SHRINK = 20.0, 0.05
 """A barrier problem is solved to so many times its barrier, and the next has this part of it."""
 MOST_ITERATIONS, MOST_HALVINGS, CORRECTIONS = 200, 25, 4
@@ -32,6 +33,8 @@ DAMPING, MORE, MUCH_MORE, LESS, MOST_DAMPING = 1e-3, 8.0, 30.0, 3.0, 1e10
 next starts from the last by this divisor; the largest."""
 STALL, STALLED = 6, 1e-9
 """A barrier problem is left when so many iterations at feasible points lower it by less than this part."""
+RETRIES, FIRMER = 4, 100.0
+"""Times that a step of which nothing is taken is damped by so much more."""
 HELD = 1e10
 """What stands on the diagonal where an unknown is fixed."""
 
@@ -91,9 +94,9 @@ class _Run:
     def status(self) -> str:
         """Why the work has ended, or nothing; lowers the barrier where its problem is solved."""
         errors, known = self._rows.errors(self.point, self._about), self._objectives
-        if errors.against(0.0) <= TOLERANCE:
+        if errors.against(0.0) <= TOLERANCE and errors.missed <= MISSED:
             return "Solve_Succeeded"
-        stalled = errors.missed <= FEASIBLE and len(known) > STALL
+        stalled = errors.missed <= MISSED and len(known) > STALL
         stalled = stalled and known[-STALL] - known[-1] < STALLED * (1 + abs(known[-1]))
         if stalled and self._barrier == LAST_BARRIER:
             return "Solved_To_Acceptable_Level"
@@ -105,18 +108,24 @@ class _Run:
 
     def advance(self) -> str:
         """One step; why there is none, or nothing."""
-        step = self._newton()
-        if step is None:
-            return "Infeasible_Problem_Detected"
-        point = self._searched(step)
+        least, point = 0.0, None
+        for _ in range(RETRIES):
+            step = self._newton(least)
+            if step is None:
+                return "Infeasible_Problem_Detected"
+            point = self._searched(step)
+            if point is not None:
+                break
+            least = FIRMER * max(self._damping, DAMPING)
+            self._filter.clear()
         if point is None:
             return "Search_Direction_Becomes_Too_Small"
         self.point, self._about = point, self._rows.expand(point)
         self.number += 1
         return ""
 
-    def _newton(self) -> _Step | None:
-        """The step downhill, damped as far as it needs; None where none is."""
+    def _newton(self, least: float) -> _Step | None:
+        """The step downhill, damped as far as it needs and at least so much; None where none is."""
         rows, about, point = self._rows, self._about, self.point
         per_lower, per_upper = 1 / (point.slack - rows.low), 1 / (rows.high - point.slack)
         sigma = point.at_lower * per_lower + point.at_upper * per_upper
@@ -124,7 +133,7 @@ class _Run:
         right = rows.slope(about) + rows.pulled(about, self._barrier * (per_upper - per_lower) + sigma * missed)
         of_q, of_rows, of_links = rows.split(sigma)
         squares = about.jacobian.swapaxes(1, 2) @ (about.jacobian * of_rows[..., None])
-        links, damping = rows.links.band(of_links), 0.0
+        links, damping = rows.links.band(of_links), least
         while damping < MOST_DAMPING:
             hessian, bent = about.quadratic(damping)
             dq = _solved(links, hessian + squares, of_q, -(right + bent), rows.free)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ctr_nlp.formulations.scenarios import SharedMotion
+from ctr_nlp.nlp.scenarios import SharedMotion
 from ctr_nlp.typing import Array
 
 

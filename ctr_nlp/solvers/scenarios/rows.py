@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ctr_nlp.formulations.scenarios import SharedMotion
+from ctr_nlp.nlp.scenarios import SharedMotion
 from ctr_nlp.solvers.frame.adapter import FEASIBLE, OPTIMAL
 from ctr_nlp.solvers.scenarios.condensed import Condensed, Expansion, Values
 from ctr_nlp.solvers.scenarios.filter import Merit

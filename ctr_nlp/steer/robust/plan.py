@@ -11,10 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.scenarios import MARGIN, Scenarios
+from ctr_nlp.formulations.scenarios import MARGIN
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.models import Model, model_named
+from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
 from ctr_nlp.solvers.scenarios.condensed import Condensed
 from ctr_nlp.steer.horizon import Horizon
@@ -83,10 +84,8 @@ def solve_robust(
         between = time.perf_counter()
         own = model, horizons[0].ends, tuple(terms), weight, margin
         search = RobustSearch(problem, *own, progress, interrupted)
-        best, tried = search.best(starts, scenarios)
-        made = list[Round]()
-        if best is not None:
-            made = planned_again(search, best, scenarios, lost, rounds)
+        tried = search.drafts(starts, scenarios)
+        made = _rounds(search, tried, scenarios, lost, rounds)
         stopped = interrupted()
     options = strict_json(asdict(settings)) | {"motion_weight": weight, "stability_margin": margin}
     options |= {"margins": list(margins), "rounds": rounds, "terms": [str(term) for term in terms]}
@@ -118,6 +117,29 @@ def _start(problem: Problem, model: Model, plan: Plan, margin: float) -> Start:
     return Start(f"margin {margin:g}", plan.q, phi)
 
 
+def _rounds(
+    search: RobustSearch,
+    drafts: Sequence[Tried],
+    scenarios: Scenarios,
+    lost: Callable[[Array, int], Lost],
+    most: int,
+) -> list[Round]:
+    """Rounds over the frames of the best draft and then over all; of the next best where none leads
+    to a motion.
+    """
+    for draft in drafts:
+        if not draft.solved or search.stop():
+            break
+        coarse = list[Round]()
+        if search.picked is not None and most:
+            coarse = planned_again(search, draft, scenarios, lost, most)
+        for one in reversed(coarse or [Round(draft, scenarios, 0)]):
+            whole = search.refined(one.tried, one.scenarios)
+            if whole.solved:
+                return coarse + planned_again(search, whole, one.scenarios, lost, most, len(coarse))
+    return []
+
+
 def _listed(q: Array | None) -> list[float] | None:
     return None if q is None else q.tolist()
 
@@ -146,7 +168,8 @@ def _plan(
         given = meta | {"failures": {"all": why}}
         nothing = {"solve_time": unknown, "objective": unknown, "kkt": unknown}
         return plan_from_configurations(problem, start.q, given, success=np.zeros(frames, dtype=bool), **nothing)
-    best = min(reversed(made), key=lambda one: one.lost)
+    whole = [one for one in made if one.tried.frames == frames]
+    best = min(reversed(whole), key=lambda one: one.lost)
     found = best.tried.solution
     condensed = Condensed(search.motion(best.scenarios))
     return plan_from_configurations(

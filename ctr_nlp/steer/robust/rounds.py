@@ -7,10 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ctr_nlp.formulations.scenarios import Scenarios
+from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.solvers.scenarios import SharedSolver
+from ctr_nlp.steer.motions import filled
 from ctr_nlp.steer.robust.search import RobustSearch, Tried
-from ctr_nlp.typing import Array
+from ctr_nlp.typing import Array, Index
 
 JOINING = 6
 """Lost robots that join the scenarios in one round, at most."""
@@ -42,6 +43,7 @@ class Round(NamedTuple):
         found = self.tried.solution
         return {
             "scenarios": len(self.scenarios),
+            "frames": self.tried.frames,
             "objective": found.objective / self.tried.frames,
             "iterations": found.iterations,
             "lost": self.lost,
@@ -54,28 +56,38 @@ def planned_again(
     scenarios: Scenarios,
     lost: Callable[[Array, int], Lost],
     most: int,
+    first: int = 0,
 ) -> list[Round]:
     """A motion and what became of it over at most so many rounds, until none is lost.
 
-    lost: (q (T, 2d + 2), number of the round from 0) -> robots lost of those drawn in that round.
+    lost: (q (T, 2d + 2), number of the round, from `first` on) -> robots lost of those drawn in that round.
     """
-    rounds = list[Round]()
+    rounds, frames = list[Round](), search.problem.frames
+    picked = search.picked if tried.frames < frames else None
     for number in range(most + 1):
-        found = lost(tried.solution.q, number)
+        q = tried.solution.q if picked is None else filled(tried.solution.q, picked, frames)
+        found = lost(q, first + number)
         rounds.append(Round(tried, scenarios, len(found.offsets)))
         if not len(found.offsets) or number == most or search.stop():
             break
-        scenarios, again = _joined(scenarios, found), tried.solution
-        count = len(scenarios) - again.phi.shape[1]
-        tips = np.concatenate([again.phi, np.repeat(again.phi[:, :1], count, axis=1)], axis=1)
-        solution = SharedSolver(search.motion(scenarios))(again.q, tips, BARRIER, search.stop)
-        tried = search.looked_at(Tried(tried.start, tried.frames, solution))
-        if not tried.solved and not search.stop():
-            alike = np.repeat(again.phi[:, :1], len(scenarios), axis=1)
-            tried = search.looked_at(search.grown(tried.start, again.q, alike, scenarios))
+        scenarios = _joined(scenarios, found)
+        tried = _again(search, tried, scenarios, picked)
         if not tried.solved:
             break
     return rounds
+
+
+def _again(search: RobustSearch, before: Tried, scenarios: Scenarios, picked: Index | None) -> Tried:
+    """A motion solved again with scenarios that have joined; these grow where nothing comes of that."""
+    known = before.solution
+    joining = np.repeat(known.phi[:, :1], len(scenarios) - known.phi.shape[1], axis=1)
+    tips = np.concatenate([known.phi, joining], axis=1)
+    found = SharedSolver(search.motion(scenarios, picked))(known.q, tips, BARRIER, search.stop)
+    tried = search.looked_at(Tried(before.start, before.frames, found))
+    if tried.solved or search.stop():
+        return tried
+    alike = np.repeat(known.phi[:, :1], len(scenarios), axis=1)
+    return search.looked_at(search.grown(before.start, known.q, alike, scenarios, picked))
 
 
 def _joined(scenarios: Scenarios, lost: Lost) -> Scenarios:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from ctr_nlp.formulations.horizon import Ends
-from ctr_nlp.formulations.scenarios import Scenarios, SharedMotion, shared_motion
+from ctr_nlp.formulations.scenarios import shared_motion
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.models import Model
+from ctr_nlp.nlp.scenarios import Scenarios, SharedMotion
 from ctr_nlp.plan.plan import elsewhere
 from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.solvers.motion.judged import CLOSE, WIDE
@@ -73,31 +75,35 @@ class RobustSearch:
         at = problem.robot, [problem.samples[k] for k in frames], dt, self.weight, self.ends, self.model
         return shared_motion(*at, scenarios, fastest, self.margin, self.terms)
 
-    def best(self, starts: Sequence[Start], scenarios: Scenarios) -> tuple[Tried | None, list[Tried]]:
-        """The best motion that comes of starts, or None, and all that was tried.
+    @cached_property
+    def picked(self) -> Index | None:
+        """The frames that drafts have; None for all."""
+        found = drafted(self.problem.frames)
+        return None if len(found) == self.problem.frames else found
 
-        Starts are solved for some frames, and then the best of these drafts for all frames; the next best one
-        where nothing comes of that.
-        """
-        picked = drafted(self.problem.frames)
+    def drafts(self, starts: Sequence[Start], scenarios: Scenarios) -> list[Tried]:
+        """What comes of starts on the frames of a draft, those that are solved first, then by objective."""
         tried = list[Tried]()
         for number, start in enumerate(starts):
-            self._tell(number, len(starts) + 1, f"{start.name}, {len(picked)} frames")
+            if self.progress is not None:
+                self.progress(number, len(starts) + 1, f"draft from a nominal plan of {start.name}")
             if not self.stop():
-                one = self.solve(start, scenarios, picked)
-                tried.append(one if len(picked) < self.problem.frames else self.looked_at(one))
-        drafts = sorted((one for one in tried if one.solved), key=lambda one: one.solution.objective)
-        if len(picked) == self.problem.frames:
-            return (drafts[0] if drafts else None), tried
-        by_name = {start.name: start for start in starts}
-        for draft in drafts:
-            self._tell(len(starts), len(starts) + 1, f"{draft.start}, all frames")
-            if self.stop():
-                break
-            tried.append(self.looked_at(self._refined(draft, by_name[draft.start], scenarios, picked)))
-            if tried[-1].solved:
-                return tried[-1], tried
-        return None, tried
+                tried.append(self.looked_at(self.solve(start, scenarios, self.picked)))
+        return sorted(tried, key=lambda one: (not one.solved, one.solution.objective))
+
+    def refined(self, draft: Tried, scenarios: Scenarios) -> Tried:
+        """All frames of a draft."""
+        frames, (_, count, d) = self.problem.frames, draft.solution.phi.shape
+        if self.picked is None:
+            return draft
+        q = filled(draft.solution.q, self.picked, frames)
+        tips = filled(draft.solution.phi.reshape(len(self.picked), -1), self.picked, frames)
+        shaped = tips.reshape(frames, count, d)
+        solution = SharedSolver(self.motion(scenarios))(q, shaped, CLOSE, self.stop)
+        if not solution.success and not self.stop():
+            nominal = np.repeat(shaped[:, :1], count, axis=1)
+            return self.looked_at(self.grown(draft.start, q, nominal, scenarios))
+        return self.looked_at(Tried(draft.start, frames, solution))
 
     def solve(self, start: Start, scenarios: Scenarios, picked: Index | None = None) -> Tried:
         """From a start; where that fails, with scenarios that grow from the nominal robot to what they are."""
@@ -132,17 +138,3 @@ class RobustSearch:
         planned = np.concatenate([found.phi[:, 0], found.q[:, robot.d :]], axis=1)
         moved = self.model.follow(robot, found.q)
         return replace(tried, made=not elsewhere(moved.x, planned, moved.snaps).any())
-
-    def _refined(self, draft: Tried, start: Start, scenarios: Scenarios, picked: Index) -> Tried:
-        """All frames of a draft; where that fails, all frames of what the draft came of."""
-        frames, (_, count, d) = self.problem.frames, draft.solution.phi.shape
-        q = filled(draft.solution.q, picked, frames)
-        tips = filled(draft.solution.phi.reshape(len(picked), -1), picked, frames).reshape(frames, count, d)
-        found = SharedSolver(self.motion(scenarios))(q, tips, CLOSE, self.stop)
-        if found.success or self.stop():
-            return Tried(draft.start, frames, found)
-        return self.solve(start, scenarios)
-
-    def _tell(self, done: int, of: int, what: str) -> None:
-        if self.progress is not None:
-            self.progress(done, of, what)

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.scenarios import Scenarios, balanced
 from ctr_nlp.models import Model
+from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.draws import drawn, drawn_from
 from ctr_nlp.robot.tolerances import NAMES
@@ -41,6 +41,22 @@ def scenarios_of(robot: Robot) -> Scenarios:
             "a robust plan needs limits of beta below the curved lengths"
         )
     return Scenarios(made.numbers, made.offsets, np.r_[0.0, np.ones(len(signs))])
+
+
+def balanced(count: int) -> Array:
+    """Deviations (N, count) of so many independent quantities, each of mean 0 and variance 1; N is the next
+    prime's successor.
+
+    Over them, the mean of a function up to its second order is that over all values of the quantities: columns are
+    orthogonal (Plackett and Burman, The design of optimum multifactorial experiments, Biometrika 33, 1946).
+    """
+    size = count
+    while size % 4 != 3 or any(size % k == 0 for k in range(2, size)):
+        size += 1
+    squares = {k * k % size for k in range(1, size)}
+    row = np.array([1.0 if k in squares or k == 0 else -1.0 for k in range(size)])
+    signs = np.vstack([*(np.roll(row, -k) for k in range(size)), -np.ones(size)])
+    return signs[:, :count]
 
 
 def lost_of(robot: Robot, model: Model) -> Callable[[Array, int], Lost]:

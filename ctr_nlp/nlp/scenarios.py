@@ -1,0 +1,115 @@
+"""A motion that several robots make together: each frame's program once for every one of them, q shared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.nlp.links import Link
+from ctr_nlp.nlp.nlp import FrameFunctions, Nlp
+from ctr_nlp.support.values import frozen
+from ctr_nlp.typing import Array, Index
+
+
+@dataclass(frozen=True)
+class Scenarios:
+    """S robots that are moved alike; the first is the one as described, and others are compared with it.
+
+    numbers (S, d, 6): of the tubes, in the order of structure.NUMBERS. offsets (S, d): of the motors' zeros, added
+    to alpha, rad. weights (S,): how much each one's shape error counts, >= 0 and not all 0. Raises OptionError.
+    """
+
+    numbers: Array
+    offsets: Array
+    weights: Array
+
+    def __post_init__(self) -> None:
+        for name in ("numbers", "offsets", "weights"):
+            object.__setattr__(self, name, frozen(np.array(getattr(self, name), dtype=float)))
+        count, d = len(self.weights), self.offsets.shape[-1]
+        for name, shape in (("numbers", (count, d, 6)), ("offsets", (count, d)), ("weights", (count,))):
+            values = getattr(self, name)
+            if values.shape != shape or not count or not np.isfinite(values).all():
+                raise OptionError(f"{name} of scenarios have shape {values.shape}; give finite numbers {shape}")
+        if self.weights.min() < 0 or self.weights.sum() <= 0:
+            raise OptionError("weights of scenarios are not all >= 0, or all are 0; give weights >= 0")
+
+    def __len__(self) -> int:
+        return len(self.weights)
+
+    def joined(self, other: Scenarios) -> Scenarios:
+        """These and then others."""
+        pairs = ((self.numbers, other.numbers), (self.offsets, other.offsets), (self.weights, other.weights))
+        return Scenarios(*(np.concatenate(pair) for pair in pairs))
+
+    def shrunk(self, part: float) -> Scenarios:
+        """The same robots, differing from the first by only a part of what they do."""
+        numbers, offsets = (each[0] + part * (each - each[0]) for each in (self.numbers, self.offsets))
+        return replace(self, numbers=numbers, offsets=offsets)
+
+
+@dataclass(frozen=True)
+class SharedMotion:
+    """Minimise the scenarios' mean shape error and the links' costs over q (T, n) and the tips (T, S, d).
+
+    frame: the program of one robot in one frame over (phi, beta, theta), the last two of them q's own. parameters
+    (T S, p): a row for every scenario of every frame. lower, upper (T, n): of q, equal where it is fixed.
+    """
+
+    frame: Nlp
+    d: int
+    scenarios: Scenarios
+    parameters: Array
+    lower: Array
+    upper: Array
+    links: tuple[Link, ...]
+    apart: float
+    functions: Callable[[], FrameFunctions]
+
+    @property
+    def sizes(self) -> tuple[int, int, int, int]:
+        """Frames T, scenarios S, entries n of q, and d."""
+        return len(self.lower), len(self.scenarios), self.lower.shape[1], self.d
+
+    @cached_property
+    def weights(self) -> Array:
+        """The share (S,) of every scenario in the mean."""
+        found: Array = self.scenarios.weights / self.scenarios.weights.sum()
+        return found
+
+    @cached_property
+    def own_rows(self) -> Index:
+        """Which of a frame's constraints each scenario has of its own: those that its tips change."""
+        return np.flatnonzero(self.frame.g_depends[:, : self.d].any(axis=1))[self.d :]
+
+    @cached_property
+    def common_rows(self) -> Index:
+        """Which of them are the same for all."""
+        return np.flatnonzero(~self.frame.g_depends[:, : self.d].any(axis=1))
+
+    @cached_property
+    def row_bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds (T, m) of a frame's rows: of scenario after scenario its own, and how far its
+        tips are from the first's; then the common ones.
+        """
+        bounds = list[Array]()
+        for bound, side in zip(self.frame.g_bounds, (-self.apart, self.apart), strict=True):
+            _, count, _, d = self.sizes
+            tips = np.full((count - 1) * (d - 1), side)
+            parts = [np.tile(bound[self.own_rows], count), tips, bound[self.common_rows]]
+            bounds.append(np.tile(np.concatenate(parts), (len(self.lower), 1)))
+        return bounds[0], bounds[1]
+
+    @cached_property
+    def linking(self) -> sp.csr_array:
+        """The matrices of all links over q, (l, T n)."""
+        return sp.csr_array(sp.vstack([link.matrix for link in self.links]))
+
+    def of_links(self, name: str) -> Array:
+        """The offset, weight, lower or upper bounds of all links, (l,)."""
+        return np.concatenate([getattr(link, name) for link in self.links])
