@@ -25,8 +25,16 @@ from ctr_nlp.target.target import Frame
 
 APART = 0.7
 """rad by which a scenario's tips, relative to the innermost one, may differ from the first scenario's."""
-MARGIN = 0.1
-"""Least stability margin of every scenario."""
+
+
+def check_shared(robot: Robot, model: Model, scenarios: Scenarios) -> None:
+    """Raise OptionError unless scenarios are of a robot, and of a model with several equilibria."""
+    if not model.several_equilibria:
+        raise OptionError(
+            f"model of scenarios is {model.name}; the tubes' numbers matter on the elastic one alone"
+        )
+    if scenarios.offsets.shape[1] != robot.d:
+        raise OptionError(f"scenarios have {scenarios.offsets.shape[1]} tubes and the robot has {robot.d}")
 
 
 def shared_motion(
@@ -38,20 +46,16 @@ def shared_motion(
     model: Model,
     scenarios: Scenarios,
     functions: Callable[[Nlp], Callable[[], FrameFunctions]] = interpreted,
-    margin: float = MARGIN,
+    margin: float | None = None,
     extra: Sequence[Term] = (),
     apart: float = APART,
 ) -> SharedMotion:
     """The motion through frames, dt s apart, of scenarios of a robot on a model with several equilibria.
 
-    As horizon, but for tips that may turn as they do; margin: of every scenario; apart: rad. Raises OptionError.
+    As horizon, but for tips that may turn as they do; margin: of every scenario, None for any; apart: rad.
+    Raises OptionError.
     """
-    if not model.several_equilibria:
-        raise OptionError(
-            f"model of scenarios is {model.name}; the tubes' numbers matter on the elastic one alone"
-        )
-    if scenarios.offsets.shape[1] != robot.d:
-        raise OptionError(f"scenarios have {scenarios.offsets.shape[1]} tubes and the robot has {robot.d}")
+    check_shared(robot, model, scenarios)
     terms = terms_of(robot, model, margin, extra)
     frame = program("frame", robot.structure, model, terms)
     each = packed(frame, [filled(robot, terms, at) for at in frames])

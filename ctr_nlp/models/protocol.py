@@ -184,9 +184,12 @@ class Model(ABC):
         unknown = np.full(len(q), np.nan)
         return Followed(np.array([self.rest(robot, each) for each in q]), unknown, unknown)
 
-    def follow_apart(self, structure: Structure, numbers: Array, way: Passage, q: Array) -> list[Followed]:
+    def follow_apart(
+        self, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True
+    ) -> list[Followed]:
         """The unknowns of robots that differ in numbers (n, d, 6), at their own places q (n, M, 2d + 2) on a way.
 
+        margins: whether stability is asked for, which takes longer than the unknowns; it is NaN where not.
         Raises OptionError where the model has several equilibria and does not say which these robots are in.
         """
         if self.several_equilibria:

@@ -42,15 +42,18 @@ class Scenarios:
     def __len__(self) -> int:
         return len(self.weights)
 
-    def joined(self, other: Scenarios) -> Scenarios:
-        """These and then others."""
-        pairs = ((self.numbers, other.numbers), (self.offsets, other.offsets), (self.weights, other.weights))
+    def joined(self, numbers: Array, offsets: Array) -> Scenarios:
+        """These and then others, whose shape errors do not count."""
+        pairs = (self.numbers, numbers), (self.offsets, offsets), (self.weights, np.zeros(len(offsets)))
         return Scenarios(*(np.concatenate(pair) for pair in pairs))
 
-    def shrunk(self, part: float) -> Scenarios:
-        """The same robots, differing from the first by only a part of what they do."""
-        numbers, offsets = (each[0] + part * (each - each[0]) for each in (self.numbers, self.offsets))
-        return replace(self, numbers=numbers, offsets=offsets)
+    def shrunk(self, part: float, since: int = 0) -> Scenarios:
+        """The same robots, from number `since` on differing from the first by only a part of what they do."""
+        parts = np.where(np.arange(len(self)) < since, 1.0, part)
+        numbers = self.numbers[0] + parts[:, None, None] * (self.numbers - self.numbers[0])
+        return replace(
+            self, numbers=numbers, offsets=self.offsets[0] + parts[:, None] * (self.offsets - self.offsets[0])
+        )
 
 
 @dataclass(frozen=True)

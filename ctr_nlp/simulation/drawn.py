@@ -57,14 +57,16 @@ def drawn_motion(robot: Robot, draws: Draws, q: Array, model: str | Model) -> Dr
 
 def lost_draws(robot: Robot, draws: Draws, q: Array, model: str | Model) -> Index:
     """In which frame, from 1, each of n draws is lost on a motion q (T, 2d + 2); 0 where it is not. (n,)"""
-    return _followed(robot, draws, q, model_named(model))[1]
+    return _followed(robot, draws, q, model_named(model), margins=False)[1]
 
 
-def _followed(robot: Robot, draws: Draws, q: Array, model: Model) -> tuple[list[Followed], Index]:
+def _followed(
+    robot: Robot, draws: Draws, q: Array, model: Model, margins: bool = True
+) -> tuple[list[Followed], Index]:
     """The draws along a motion, and in which frames they are lost."""
     model.check(robot)
     way = passage(np.asarray(q, dtype=float), SUBSTEPS)
-    found = model.follow_apart(draws.structure, draws.numbers, way, draws.turned(way.q, way.fresh))
+    found = model.follow_apart(draws.structure, draws.numbers, way, draws.turned(way.q, way.fresh), margins)
     return found, _lost(model, robot, way, np.array([each.x for each in found]), _snapped(found))
 
 
@@ -78,7 +80,7 @@ def _lost(model: Model, robot: Robot, way: Passage, x: Array, snapped: Index) ->
     away[snapped > 0, snapped[snapped > 0] - 1] = True
     if model.several_equilibria:
         reached = np.unique(way.frames)
-        (own,) = model.follow_apart(robot.structure, robot.numbers[None], way, way.q[None])
+        (own,) = model.follow_apart(robot.structure, robot.numbers[None], way, way.q[None], False)
         apart = abs(x - own.x)[:, reached, : robot.d - 1].max(axis=2, initial=0.0)
         away[:, reached] |= ~(apart <= APART)
     return np.where(away.any(axis=1), away.argmax(axis=1) + 1, 0)

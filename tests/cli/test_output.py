@@ -402,6 +402,18 @@ def test_runs_side_by_side_never_mix(tmp_path):
     assert set(found) == {*PLAN, found["plan.npz"]}
 
 
+def test_what_a_run_tries_a_folder_with_may_be_tidied_away_by_another(tmp_path, monkeypatch):
+    make = Path.mkdir
+
+    def tidied(self):
+        make(self)
+        os.rmdir(self)
+
+    monkeypatch.setattr(Path, "mkdir", tidied)
+    check_folder(tmp_path, "plan")
+    assert contents(tmp_path) == {}
+
+
 KILLED = """
 import os, sys
 from pathlib import Path

@@ -117,9 +117,9 @@ def test_scenarios_grow_from_the_nominal_robot_where_a_start_fails(problem, foun
         return replace(solved[-1], kkt=1.0) if len(solved) in (1, 3) else solved[-1]
 
     monkeypatch.setattr(SharedSolver, "__call__", failing)
-    start = Start("a plan", plan.q, follow(TWO, plan.q).x[:, :2])
+    start = Start("a plan", follow(TWO, plan.q).x)
     tried = search.solve(start, _scenarios())
-    assert tried.solved
+    assert tried.shared
     assert tried.grown == 1.0
     assert len(solved) == 5  # whole, half, whole, three quarters, and whole again
 

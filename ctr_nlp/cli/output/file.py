@@ -9,7 +9,7 @@ import secrets
 import time
 import unicodedata
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ctr_nlp.cli.output.manifest import MARK
@@ -34,11 +34,13 @@ def check_file(file: Path, opening: str) -> None:
 def try_beside(path: Path) -> None:
     """Make something where path is to be, and take it away; raises OSError.
 
-    It has the name of a staging folder: a run that is killed meanwhile leaves what the next one tidies away.
+    It has the name of a staging folder: a run that is killed meanwhile leaves what the next one tidies away, and
+    another run that begins meanwhile may tidy it away, too.
     """
     trial = next(p for p in path.absolute().parents if p.exists()) / f"{MARK}-{secrets.token_hex(4)}"
     trial.mkdir()
-    trial.rmdir()
+    with suppress(FileNotFoundError):
+        trial.rmdir()
 
 
 @contextmanager

@@ -55,9 +55,14 @@ def follow(robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBS
 
 
 def followed(
-    structure: Structure, numbers: Array, way: Passage, places: Array, x0: Array | None = None
+    structure: Structure,
+    numbers: Array,
+    way: Passage,
+    places: Array,
+    x0: Array | None = None,
+    margins: bool = True,
 ) -> Followed:
-    """The same of a robot of numbers (d, 6) at its own places (M, 2d + 2) on a way."""
+    """The same of a robot of numbers (d, 6) at its own places (M, 2d + 2) on a way, with margins or without."""
     equilibria, last = Equilibria(structure, numbers), np.searchsorted(way.frames, way.frames, side="right") - 1
     x, snaps, at = np.full(places.shape, np.nan), list[Snap](), 0
     while at < len(places):
@@ -70,7 +75,10 @@ def followed(
         if state is None:  # it settles anew in the next frame
             after = last[min(at, len(last) - 1)] + 1
             at = len(last) if after == len(last) else last[after]
-    return _rated(structure, numbers, way, x, tuple(snaps))
+    stable = np.full(len(x), np.nan)
+    if margins:
+        stable = stability.margins(tubes_of(structure, numbers.tolist()), x)
+    return _at_frames(way, x, stable, tuple(snaps))
 
 
 def _branches(
@@ -98,9 +106,8 @@ def _snap(frame: int, jump: Array) -> Snap:
     return Snap(frame, tuple(int(i) + 1 for i in np.flatnonzero(abs(jump) > JUMP)), float(abs(jump).max()))
 
 
-def _rated(structure: Structure, numbers: Array, way: Passage, x: Array, snaps: tuple[Snap, ...]) -> Followed:
-    """Equilibria at frames, from those x (M, 2d + 2) at all places, with margins."""
-    margins = stability.margins(tubes_of(structure, numbers.tolist()), x)
+def _at_frames(way: Passage, x: Array, margins: Array, snaps: tuple[Snap, ...]) -> Followed:
+    """Equilibria and margins at frames, from those x (M, 2d + 2) and margins (M,) at all places."""
     ends = np.flatnonzero(np.diff(way.frames, append=-1))
     at, between = np.full((2, way.total), np.nan)
     here = np.full((way.total, x.shape[1]), np.nan)

@@ -119,9 +119,12 @@ class Elastic(Model):
         """As Model.follow; following.py."""
         return follow(robot, q, x0, substeps)
 
-    def follow_apart(self, structure: Structure, numbers: Array, way: Passage, q: Array) -> list[Followed]:
+    def follow_apart(
+        self, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True
+    ) -> list[Followed]:
         """As Model.follow_apart."""
-        return [followed(structure, own, way, places) for own, places in zip(numbers, q, strict=True)]
+        pairs = zip(numbers, q, strict=True)
+        return [followed(structure, own, way, places, margins=margins) for own, places in pairs]
 
 
 def _points(structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:

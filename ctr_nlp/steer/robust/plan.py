@@ -3,51 +3,55 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.scenarios import MARGIN
+from ctr_nlp.formulations.scenarios import check_shared
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
+from ctr_nlp.plan.verdicts import MOST_LOST
 from ctr_nlp.solvers.scenarios.condensed import Condensed
 from ctr_nlp.steer.horizon import Horizon
+from ctr_nlp.steer.motions import per_frame_motions
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.requests import check_described, check_search
-from ctr_nlp.steer.robust.rounds import Lost, Round, planned_again
+from ctr_nlp.steer.robust.rounds import RELAXATIONS, Judge, Round, planned_again, relaxed
 from ctr_nlp.steer.robust.search import RobustSearch, Start, Tried
-from ctr_nlp.steer.robust.tolerated import lost_of, scenarios_of
+from ctr_nlp.steer.robust.tolerated import scenarios_of
+from ctr_nlp.steer.robust.trials import Trials
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.values import instance, number, strict_json
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
-MARGINS = 0.2, 0.3, 0.4, 0.5
-"""Stability margins of the nominal plans that are started from: which of them leads furthest differs."""
+MARGINS = 0.1, 0.3, 0.5, 0.7
+"""Stability margins of the nominal robot in motions started from: which of them leads furthest differs."""
 MOTION_PART = 0.1
 """Part of the lambda of a plain horizon: robots differ more from the target than smoothness is worth there."""
 ROUNDS = 4
+"""Times that a motion is planned again for robots that were lost."""
 
 
 def solve_robust(
     problem: Problem,
     scenarios: Scenarios | None = None,
     *,
-    lost: Callable[[Array, int], Lost] | None = None,
+    most_lost: float = MOST_LOST,
     rounds: int = ROUNDS,
     model: str | Model = "elastic",
     start: npt.ArrayLike | None = None,
     end: npt.ArrayLike | None = None,
     motion_weight: float | None = None,
-    margin: float = MARGIN,
     margins: Sequence[float] = MARGINS,
     settings: Settings = DEFAULTS,
     terms: Sequence[Term] = (),
@@ -55,47 +59,45 @@ def solve_robust(
 ) -> Plan:
     """The plan that robots of scenarios follow a problem's target with, all making one motion, far from any wall.
 
-    scenarios: the first is the problem's own robot; by default those of its tolerances. lost: (q (T, 2d + 2),
-    number of a round) -> robots that are lost on this motion, of some drawn for this round, by default within the
-    tolerances; these join the scenarios, and it is planned again, in at most so many rounds. margin: the least
-    stability margin of every scenario. margins: of the nominal plans started from. start, end, motion_weight,
-    settings, terms, progress: as solve_horizon.
-    Where no motion is found that all scenarios share, the plan is the first nominal one, and no frame counts as
+    scenarios: the first is the problem's own robot; by default those of its tolerances. most_lost: the share of
+    all robots within the tolerances that may be lost. A motion is tried on robots drawn for it alone; where too
+    many are lost for that to be certain with 95 % confidence, some of these join the scenarios, and it is planned
+    again, in at most so many rounds. What came of the last trial is meta["certificate"]. margins: of the robot as
+    described in the motions started from, which are found frame by frame. settings.stability_margin: the least of
+    every scenario. start, end, motion_weight, settings, terms, progress: as solve_horizon.
+    Where no motion is found that all scenarios share, the plan is the first motion started from, and no frame counts as
     solved. Raises OptionError, ProblemError, RobotError.
     """
     check_described(problem, settings)
     check_search(motion_weight, None, 1)
     model = model_named(model, "model of scenarios")
     scenarios = scenarios_of(problem.robot) if scenarios is None else scenarios
-    lost = lost_of(problem.robot, model) if lost is None else lost
     instance(OptionError, "scenarios", scenarios, Scenarios)
-    number(OptionError, "margin", margin, lambda x: 0 <= x < 1, "lie in [0, 1)")
+    check_shared(problem.robot, model, scenarios)
+    number(OptionError, "most_lost", most_lost, lambda x: 0 < x < 1, "lie between 0 and 1, and be neither")
+    trials = Trials(problem.robot, model, rounds + 1 + RELAXATIONS, most_lost)
     begin = time.perf_counter()
     with deferred_interrupt() as interrupted:
-        horizons = [Horizon(problem, model, None, start, end, _at(settings, each), terms) for each in margins]
-        starts = [
-            _start(problem, model, horizon.solve(motion_weight=motion_weight), each)
-            for horizon, each in zip(horizons, margins, strict=True)
-        ]
-        weight = motion_weight
-        if weight is None:
-            x = np.concatenate([starts[0].phi, starts[0].q[:, problem.robot.d :]], axis=1)
-            weight = MOTION_PART * horizons[0].balanced_weight(x)
+        nominal = Horizon(problem, model, None, start, end, _at(settings, margins[0]), terms)
+        per_frame = partial(per_frame_motions, progress=None, model=model, terms=terms)
+        motions = [per_frame(problem, nominal.ends, _at(settings, each))[0] for each in margins]
+        starts = [Start(f"margin {each:g}", x) for each, x in zip(margins, motions, strict=True)]
+        weight = MOTION_PART * nominal.balanced_weight(starts[0].x) if motion_weight is None else motion_weight
         between = time.perf_counter()
-        own = model, horizons[0].ends, tuple(terms), weight, margin
+        own = model, nominal.ends, tuple(terms), weight, settings.stability_margin
         search = RobustSearch(problem, *own, progress, interrupted)
         tried = search.drafts(starts, scenarios)
-        made = _rounds(search, tried, scenarios, lost, rounds)
+        made = _rounds(search, tried, scenarios, trials, rounds)
         stopped = interrupted()
-    options = strict_json(asdict(settings)) | {"motion_weight": weight, "stability_margin": margin}
+    options = strict_json(asdict(settings)) | {"motion_weight": weight, "most_lost": most_lost}
     options |= {"margins": list(margins), "rounds": rounds, "terms": [str(term) for term in terms]}
-    options |= {"start": _listed(horizons[0].ends.start), "end": _listed(horizons[0].ends.end)}
+    options |= {"start": _listed(nominal.ends.start), "end": _listed(nominal.ends.end)}
     meta = {
         "formulation": "scenarios",
         "model": model.name,
         "solver": "condensed",
         "options": options,
-        "build_s": sum(horizon.build_seconds for horizon in horizons),
+        "build_s": nominal.build_seconds,
         "search_s": between - begin,
         "solve_s": time.perf_counter() - between,
         "interrupted": stopped,
@@ -103,7 +105,7 @@ def solve_robust(
         "starts": [_described(one) for one in tried],
         "rounds": [one.described() for one in made],
     }
-    return _plan(problem, search, starts[0], made, meta)
+    return _plan(problem, search, model.configuration(problem.robot, starts[0].x), made, trials, meta)
 
 
 def _at(settings: Settings, margin: float) -> Settings:
@@ -111,33 +113,32 @@ def _at(settings: Settings, margin: float) -> Settings:
     return replace(settings, stability_margin=margin, contact_weight=0.0)
 
 
-def _start(problem: Problem, model: Model, plan: Plan, margin: float) -> Start:
-    x = model.follow(problem.robot, plan.q).x
-    phi = np.where(np.isfinite(x), x, model.guess(problem.robot, plan.q))[:, : problem.robot.d]
-    return Start(f"margin {margin:g}", plan.q, phi)
-
-
 def _rounds(
     search: RobustSearch,
     drafts: Sequence[Tried],
     scenarios: Scenarios,
-    lost: Callable[[Array, int], Lost],
+    lost: Judge,
     most: int,
 ) -> list[Round]:
-    """Rounds over the frames of the best draft and then over all; of the next best where none leads
-    to a motion.
-    """
+    """Rounds over the frames of the best draft, then over all; of the next best where none leads to a motion."""
     for draft in drafts:
         if not draft.solved or search.stop():
             break
-        coarse = list[Round]()
-        if search.picked is not None and most:
-            coarse = planned_again(search, draft, scenarios, lost, most)
-        for one in reversed(coarse or [Round(draft, scenarios, 0)]):
-            whole = search.refined(one.tried, one.scenarios)
-            if whole.solved:
-                return coarse + planned_again(search, whole, one.scenarios, lost, most, len(coarse))
+        coarse = (
+            planned_again(search, draft, scenarios, lost, most) if draft.made and search.picked is not None else []
+        )
+        tried = [(one.tried, one.scenarios) for one in reversed(coarse)] or [(draft, scenarios)]
+        for one, joined in tried:
+            whole = search.refined(one, joined)
+            if whole.shared:
+                made = coarse + planned_again(search, whole, joined, lost, most, len(coarse))
+                return made + relaxed(search, made[-1], len(scenarios), lost, len(made))
     return []
+
+
+def _rank(one: Round) -> tuple[bool, float]:
+    """Rounds in which few robots were lost come first, those of small objective before others."""
+    return not one.lost.few, one.tried.solution.objective if one.lost.few else one.lost.share
 
 
 def _listed(q: Array | None) -> list[float] | None:
@@ -151,6 +152,7 @@ def _described(one: Tried) -> dict[str, Any]:
         "frames": one.frames,
         "objective": found.objective / one.frames,
         "solved": one.solved,
+        "made": one.made,
         "grown": one.grown,
         "status": found.status,
         "iterations": found.iterations,
@@ -158,7 +160,12 @@ def _described(one: Tried) -> dict[str, Any]:
 
 
 def _plan(
-    problem: Problem, search: RobustSearch, start: Start, made: Sequence[Round], meta: dict[str, Any]
+    problem: Problem,
+    search: RobustSearch,
+    start: Array,
+    made: Sequence[Round],
+    trials: Trials,
+    meta: dict[str, Any],
 ) -> Plan:
     """The round in which fewest were lost, the last of these, as a plan."""
     frames = problem.frames
@@ -167,15 +174,16 @@ def _plan(
         why = "interrupted" if meta["interrupted"] else "no motion was found that all scenarios share"
         given = meta | {"failures": {"all": why}}
         nothing = {"solve_time": unknown, "objective": unknown, "kkt": unknown}
-        return plan_from_configurations(problem, start.q, given, success=np.zeros(frames, dtype=bool), **nothing)
+        return plan_from_configurations(problem, start, given, success=np.zeros(frames, dtype=bool), **nothing)
     whole = [one for one in made if one.tried.frames == frames]
-    best = min(reversed(whole), key=lambda one: one.lost)
+    best = min(reversed(whole), key=_rank)
     found = best.tried.solution
     condensed = Condensed(search.motion(best.scenarios))
+    certificate = trials.certificate(best.lost, found.q, len(made))
     return plan_from_configurations(
         problem,
         found.q,
-        meta | {"failures": {}, "iterations": found.iterations, "lost": best.lost},
+        meta | {"failures": {}, "iterations": found.iterations, "certificate": certificate},
         success=np.full(frames, found.success),
         solve_time=unknown,
         objective=condensed.by_frame(found.q, found.phi),

@@ -11,32 +11,29 @@ from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.solvers.scenarios import SharedSolver
 from ctr_nlp.steer.motions import filled
 from ctr_nlp.steer.robust.search import RobustSearch, Tried
+from ctr_nlp.steer.robust.trials import JOINING, Lost
 from ctr_nlp.typing import Array, Index
 
-JOINING = 6
-"""Lost robots that join the scenarios in one round, at most."""
-WEIGHT = 0.2
-"""What each of them counts, as a part of what others do: where robots are lost, few are."""
-
+PUSHES = 1.5, 1.2, 1.0
+"""How many times its difference from the described robot a lost one joins with, the first that leads to a motion.
+Beyond what is asked for, it stands for others like it; it need only be stable, and not near to the target."""
+NEARER, GAIN, RELAXATIONS = 0.8, 0.03, 2
+"""By which factor these differences are made smaller once few robots are lost, where that lowers the objective by
+more than the second part of it; and how often."""
 BARRIER = 1e-3
 """First barrier, mm^2, of a motion that is planned again."""
 
 
-class Lost(NamedTuple):
-    """Robots that were drawn and lost: numbers (L, d, 6) of their tubes and offsets (L, d) of their
-    motors, rad.
-    """
-
-    numbers: Array
-    offsets: Array
+Judge = Callable[[Array, int, bool], Lost]
+"""(q (T, 2d + 2), number of a motion, whether it is a draft) -> the robots lost on it of those drawn for it."""
 
 
 class Round(NamedTuple):
-    """A motion, the scenarios that it was planned for, and how many robots were lost of those drawn then."""
+    """A motion, the scenarios that it was planned for, and what became of the robots that were drawn then."""
 
     tried: Tried
     scenarios: Scenarios
-    lost: int
+    lost: Lost
 
     def described(self) -> dict[str, float]:
         """For a plan's meta; the objective as mean over frames, mm^2."""
@@ -46,7 +43,8 @@ class Round(NamedTuple):
             "frames": self.tried.frames,
             "objective": found.objective / self.tried.frames,
             "iterations": found.iterations,
-            "lost": self.lost,
+            "lost": len(self.lost.frames),
+            "drawn": self.lost.drawn,
         }
 
 
@@ -54,26 +52,46 @@ def planned_again(
     search: RobustSearch,
     tried: Tried,
     scenarios: Scenarios,
-    lost: Callable[[Array, int], Lost],
+    lost: Judge,
     most: int,
     first: int = 0,
 ) -> list[Round]:
-    """A motion and what became of it over at most so many rounds, until none is lost.
+    """A motion and what becomes of it over at most so many rounds, until few are lost.
 
-    lost: (q (T, 2d + 2), number of the round, from `first` on) -> robots lost of those drawn in that round.
+    lost: what is asked of every round, which are numbered from `first` on.
     """
     rounds, frames = list[Round](), search.problem.frames
     picked = search.picked if tried.frames < frames else None
     for number in range(most + 1):
         q = tried.solution.q if picked is None else filled(tried.solution.q, picked, frames)
-        found = lost(q, first + number)
-        rounds.append(Round(tried, scenarios, len(found.offsets)))
-        if not len(found.offsets) or number == most or search.stop():
+        found = lost(q, first + number, picked is not None)
+        rounds.append(Round(tried, scenarios, found))
+        if found.few or number == most or search.stop():
             break
-        scenarios = _joined(scenarios, found)
-        tried = _again(search, tried, scenarios, picked)
-        if not tried.solved:
+        for push in PUSHES:
+            joined = _joined(scenarios, found, push)
+            again = _again(search, tried, joined, picked)
+            if again.shared or search.stop():
+                break
+        if not again.shared:
             break
+        tried, scenarios = again, joined
+    return rounds
+
+
+def relaxed(search: RobustSearch, held: Round, first: int, lost: Judge, number: int) -> list[Round]:
+    """Rounds in which robots that joined, scenarios from `first` on, differ less, while few robots are lost.
+
+    held: a round on whose motion few are. lost: asked of every round, which are numbered from `number` on.
+    """
+    rounds = list[Round]()
+    while len(held.scenarios) > first and held.lost.few and len(rounds) < RELAXATIONS and not search.stop():
+        scenarios = held.scenarios.shrunk(NEARER, first)
+        tried = _again(search, held.tried, scenarios, None)
+        if not tried.shared or tried.solution.objective > (1 - GAIN) * held.tried.solution.objective:
+            break
+        held = Round(tried, scenarios, lost(tried.solution.q, number + len(rounds), False))
+        rounds.append(held)
     return rounds
 
 
@@ -84,14 +102,14 @@ def _again(search: RobustSearch, before: Tried, scenarios: Scenarios, picked: In
     tips = np.concatenate([known.phi, joining], axis=1)
     found = SharedSolver(search.motion(scenarios, picked))(known.q, tips, BARRIER, search.stop)
     tried = search.looked_at(Tried(before.start, before.frames, found))
-    if tried.solved or search.stop():
+    if tried.shared or search.stop():
         return tried
     alike = np.repeat(known.phi[:, :1], len(scenarios), axis=1)
     return search.looked_at(search.grown(before.start, known.q, alike, scenarios, picked))
 
 
-def _joined(scenarios: Scenarios, lost: Lost) -> Scenarios:
-    """Scenarios, and the first of lost robots."""
-    numbers, offsets = (each[:JOINING] for each in lost)
-    share = WEIGHT * float(scenarios.weights.max())
-    return scenarios.joined(Scenarios(numbers, offsets, np.full(len(offsets), share)))
+def _joined(scenarios: Scenarios, lost: Lost, push: float) -> Scenarios:
+    """Scenarios, and the first of lost robots with so many times their difference, which count nothing."""
+    pairs = zip((lost.numbers, lost.offsets), (scenarios.numbers[0], scenarios.offsets[0]), strict=True)
+    numbers, offsets = (first + push * (each[:JOINING] - first) for each, first in pairs)
+    return scenarios.joined(numbers, offsets)

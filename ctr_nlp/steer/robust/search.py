@@ -23,17 +23,18 @@ from ctr_nlp.steer.starts.search import drafted
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Index
 
+UNMADE = 1.02
+"""How much better a draft must be that is not made on its few frames, since it is longer to go on with."""
 GROWTHS = 6
 """Times that scenarios are solved for while they grow from the nominal robot to what they are."""
 
 
 @dataclass(frozen=True)
 class Start:
-    """A motion q (T, n) and the nominal robot's tips phi (T, d) along it; name: where it comes from."""
+    """A motion as unknowns x (T, 2d + 2) of the nominal robot; name: where it comes from."""
 
     name: str
-    q: Array
-    phi: Array
+    x: Array
 
 
 @dataclass(frozen=True)
@@ -50,20 +51,30 @@ class Tried:
 
     @property
     def solved(self) -> bool:
-        """Whether this is a motion that all scenarios, as they are, share."""
-        return self.solution.success and self.grown == 1.0 and self.made
+        """Whether all scenarios, as they are, are in equilibrium at every frame of this motion, and stable."""
+        return self.solution.success and self.grown == 1.0
+
+    @property
+    def shared(self) -> bool:
+        """Whether this is a motion that they share: the robot is where it is planned to be."""
+        return self.solved and self.made
+
+    @property
+    def promise(self) -> tuple[bool, float]:
+        """The least is the first to go on with. What is not made in a draft's long steps may be in short ones."""
+        return not self.solved, self.solution.objective * (1.0 if self.made else UNMADE)
 
 
 @dataclass(frozen=True)
 class RobustSearch:
-    """Solves for scenarios of one problem. weight: lambda in s^2; margin: least one of every scenario."""
+    """Solves for scenarios of one problem. weight: lambda in s^2; margin: the least of any scenario, or None."""
 
     problem: Problem
     model: Model
     ends: Ends
     terms: tuple[Term, ...]
     weight: float
-    margin: float
+    margin: float | None
     progress: Progress | None = None
     stop: Callable[[], bool] = lambda: False
 
@@ -82,14 +93,14 @@ class RobustSearch:
         return None if len(found) == self.problem.frames else found
 
     def drafts(self, starts: Sequence[Start], scenarios: Scenarios) -> list[Tried]:
-        """What comes of starts on the frames of a draft, those that are solved first, then by objective."""
+        """What comes of starts on the frames of a draft, the most promising first."""
         tried = list[Tried]()
         for number, start in enumerate(starts):
             if self.progress is not None:
-                self.progress(number, len(starts) + 1, f"draft from a nominal plan of {start.name}")
+                self.progress(number, len(starts) + 1, f"draft from a motion of {start.name}")
             if not self.stop():
                 tried.append(self.looked_at(self.solve(start, scenarios, self.picked)))
-        return sorted(tried, key=lambda one: (not one.solved, one.solution.objective))
+        return sorted(tried, key=lambda one: one.promise)
 
     def refined(self, draft: Tried, scenarios: Scenarios) -> Tried:
         """All frames of a draft."""
@@ -107,8 +118,8 @@ class RobustSearch:
 
     def solve(self, start: Start, scenarios: Scenarios, picked: Index | None = None) -> Tried:
         """From a start; where that fails, with scenarios that grow from the nominal robot to what they are."""
-        chosen = slice(None) if picked is None else picked
-        q, tips = start.q[chosen], np.repeat(start.phi[chosen, None], len(scenarios), axis=1)
+        x, robot = start.x if picked is None else start.x[picked], self.problem.robot
+        q, tips = self.model.configuration(robot, x), np.repeat(x[:, None, : robot.d], len(scenarios), axis=1)
         found = SharedSolver(self.motion(scenarios, picked))(q, tips, WIDE, self.stop)
         if found.success or self.stop():
             return Tried(start.name, len(q), found)

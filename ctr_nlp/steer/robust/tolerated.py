@@ -1,25 +1,15 @@
-"""What a robot's tolerances ask of a plan: scenarios to plan for, and draws that tell which are lost."""
+"""Scenarios that stand for all the robots that tolerances allow."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.models import Model
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.draws import drawn, drawn_from
+from ctr_nlp.robot.draws import drawn_from
 from ctr_nlp.robot.tolerances import NAMES
-from ctr_nlp.simulation.drawn import lost_draws
-from ctr_nlp.steer.robust.rounds import Lost
 from ctr_nlp.typing import Array
-
-DRAWS = 500
-"""Robots that are drawn in a round."""
-SEED = 2**40
-"""Of the first round's draws, from which seeds count on: none that anybody tries plans with."""
 
 
 def scenarios_of(robot: Robot) -> Scenarios:
@@ -57,14 +47,3 @@ def balanced(count: int) -> Array:
     row = np.array([1.0 if k in squares or k == 0 else -1.0 for k in range(size)])
     signs = np.vstack([*(np.roll(row, -k) for k in range(size)), -np.ones(size)])
     return signs[:, :count]
-
-
-def lost_of(robot: Robot, model: Model) -> Callable[[Array, int], Lost]:
-    """(q (T, 2d + 2), number of a round) -> the robots that are lost on a motion of those drawn in that round."""
-
-    def lost(q: Array, number: int) -> Lost:
-        draws = drawn(robot, DRAWS, SEED + number)
-        gone = lost_draws(robot, draws, q, model) > 0
-        return Lost(draws.numbers[gone], draws.offsets[gone])
-
-    return lost

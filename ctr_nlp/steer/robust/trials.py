@@ -1,0 +1,109 @@
+"""Motions tried on robots drawn within tolerances: is it certain enough that hardly any such robot is lost?"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import count
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ctr_nlp.models import Model
+from ctr_nlp.plan.robustness import CONFIDENCE, upper_bound
+from ctr_nlp.plan.verdicts import MOST_LOST
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.draws import drawn, drawn_from
+from ctr_nlp.simulation.drawn import lost_draws
+from ctr_nlp.typing import Array, Index
+
+JOINING = 6
+"""Lost robots that join the scenarios in one round, at most."""
+LEAST_DRAWS, OF_DRAFTS, GROUP = 500, 200, 50
+"""Robots that are drawn at least where a whole motion is tried, and where a draft is; those moved at a time."""
+SEED = 2**40
+"""Of the first motion's draws, from which seeds count on: none that anybody tries plans with."""
+HALVINGS = 6
+"""Of the range in which the part of the tolerances lies that a motion bears."""
+
+
+class Lost(NamedTuple):
+    """Robots that were lost of those drawn: numbers (L, d, 6) of their tubes and offsets (L, d) of their motors,
+    rad; frames (L,): in which each was, from 1. few: whether so few that it is certain enough that hardly any is.
+    """
+
+    numbers: Array
+    offsets: Array
+    frames: Index
+    drawn: int
+    few: bool
+
+    @property
+    def share(self) -> float:
+        """Of those drawn."""
+        return len(self.frames) / self.drawn
+
+
+@dataclass(frozen=True)
+class Trials:
+    """Robots drawn within a robot's tolerances, anew for every motion that is tried, at most so many of them.
+
+    most_lost: the share of all such robots that may be lost. So that what is said of the last motion holds with
+    95 % confidence, however many were tried before it, each has its part of the 5 % (Bonferroni).
+    """
+
+    robot: Robot
+    model: Model
+    motions: int
+    most_lost: float = MOST_LOST
+
+    @property
+    def confidence(self) -> float:
+        """With which a single motion is judged."""
+        return 1 - (1 - CONFIDENCE) / self.motions
+
+    @property
+    def draws(self) -> int:
+        """Robots drawn for a motion: enough that none of them being lost says what is asked for."""
+        return max(LEAST_DRAWS, math.ceil(math.log(1 - self.confidence) / math.log1p(-self.most_lost)))
+
+    @property
+    def allowed(self) -> int:
+        """How many of these may be lost."""
+        bounds = (upper_bound(lost, self.draws, self.confidence) for lost in count())
+        return next(lost for lost, bound in enumerate(bounds) if bound > self.most_lost) - 1
+
+    def __call__(self, q: Array, number: int, draft: bool = False) -> Lost:
+        """What is lost on motion q (T, 2d + 2), the number-th that is tried, of the robots drawn for it.
+
+        No more are moved once enough are lost. draft: fewer are drawn, and few is said only where none is lost.
+        """
+        draws = drawn(self.robot, OF_DRAFTS if draft else self.draws, SEED + number)
+        allowed, frames = 0 if draft else self.allowed, np.zeros(0, dtype=int)
+        while len(frames) < len(draws) and (frames > 0).sum() < max(JOINING, allowed + 1):
+            group = draws[len(frames) : len(frames) + GROUP]
+            frames = np.append(frames, lost_draws(self.robot, group, q, self.model))
+        gone = np.flatnonzero(frames)
+        return Lost(draws.numbers[gone], draws.offsets[gone], frames[gone], len(frames), len(gone) <= allowed)
+
+    def borne(self, q: Array, number: int) -> float:
+        """The part of the tolerances, below 1, at which few are lost on motion q; 0 where many are at any."""
+        draws, (low, high) = drawn(self.robot, self.draws, SEED + number), (0.0, 1.0)
+        for _ in range(HALVINGS):
+            part = (low + high) / 2
+            shrunk = drawn_from(self.robot, part * draws.parts, part * draws.lags)
+            few = (lost_draws(self.robot, shrunk, q, self.model) > 0).sum() <= self.allowed
+            low, high = (part, high) if few else (low, part)
+        return low
+
+    def certificate(self, lost: Lost, q: Array, number: int) -> dict[str, Any]:
+        """For a plan's meta: what was found of its motion q, and where too many are lost, what it would bear."""
+        frames, counts = np.unique(lost.frames, return_counts=True)
+        return {
+            "held": lost.few,
+            "most_lost": self.most_lost,
+            "draws": lost.drawn,
+            "lost": len(lost.frames),
+            "lost_in": dict(zip(map(str, frames.tolist()), counts.tolist(), strict=True)),
+            "borne": 1.0 if lost.few else self.borne(q, number),
+        }
