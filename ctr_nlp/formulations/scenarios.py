@@ -22,6 +22,7 @@ from ctr_nlp.nlp.nlp import FrameFunctions, Nlp
 from ctr_nlp.nlp.scenarios import Scenarios, SharedMotion
 from ctr_nlp.robot import Robot
 from ctr_nlp.target.target import Frame
+from ctr_nlp.typing import Array
 
 APART = 0.7
 """rad by which a scenario's tips, relative to the innermost one, may differ from the first scenario's."""
@@ -46,21 +47,24 @@ def shared_motion(
     model: Model,
     scenarios: Scenarios,
     functions: Callable[[Nlp], Callable[[], FrameFunctions]] = interpreted,
-    margin: float | None = None,
+    margins: Array | None = None,
     extra: Sequence[Term] = (),
     apart: float = APART,
 ) -> SharedMotion:
     """The motion through frames, dt s apart, of scenarios of a robot on a model with several equilibria.
 
-    As horizon, but for tips that may turn as they do; margin: of every scenario, None for any; apart: rad.
+    As horizon, but for tips that may turn as they do; margins (T,): the least of
+    every scenario in each frame, None for any; apart: rad.
     Raises OptionError.
     """
     check_shared(robot, model, scenarios)
-    terms = terms_of(robot, model, margin, extra)
+    terms = terms_of(robot, model, None if margins is None else 0.0, extra)
     frame = program("frame", robot.structure, model, terms)
     each = packed(frame, [filled(robot, terms, at) for at in frames])
     parameters = np.repeat(each[:, None], len(scenarios), axis=1)
     parameters[..., frame.place("tubes")] = scenarios.numbers.transpose(0, 2, 1).reshape(len(scenarios), -1)
+    if margins is not None:
+        parameters[..., frame.place("margin")] = margins[:, None, None]
     lower, upper = (np.tile(bound, (len(frames), 1)) for bound in (robot.lower, robot.upper))
     if ends.end is not None:
         lower[-1] = upper[-1] = ends.end

@@ -51,9 +51,8 @@ class Scenarios:
         """The same robots, from number `since` on differing from the first by only a part of what they do."""
         parts = np.where(np.arange(len(self)) < since, 1.0, part)
         numbers = self.numbers[0] + parts[:, None, None] * (self.numbers - self.numbers[0])
-        return replace(
-            self, numbers=numbers, offsets=self.offsets[0] + parts[:, None] * (self.offsets - self.offsets[0])
-        )
+        offsets = self.offsets[0] + parts[:, None] * (self.offsets - self.offsets[0])
+        return replace(self, numbers=numbers, offsets=offsets)
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ def problem():
 @pytest.fixture(scope="module")
 def motion(problem):
     at = problem.samples, problem.dt, WEIGHT, Ends(), MODELS["elastic"], _scenarios()
-    return shared_motion(TWO, *at, fastest, margin=MARGIN)
+    return shared_motion(TWO, *at, fastest, np.full(FRAMES, MARGIN))
 
 
 @pytest.fixture(scope="module")
@@ -165,7 +165,7 @@ def test_a_solution_keeps_limits_and_cannot_be_bettered_nearby(problem, motion, 
 def test_given_ends_are_kept(problem, q):
     ends = Ends(start=q[0], end=q[-1])
     at = problem.samples, problem.dt, WEIGHT, ends, MODELS["elastic"], _scenarios()
-    motion = shared_motion(TWO, *at, fastest, margin=MARGIN)
+    motion = shared_motion(TWO, *at, fastest, np.full(FRAMES, MARGIN))
     found = SharedSolver(motion)(q, _settled(q))
     assert found.success
     np.testing.assert_array_equal(found.q[-1], q[-1])

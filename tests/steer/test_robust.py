@@ -16,12 +16,14 @@ from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.models import MODELS
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.solvers.scenarios import SharedSolver
-from ctr_nlp.steer.robust import Lost, solve_robust
+from ctr_nlp.steer.robust import plan, rounds, solve_robust
+from ctr_nlp.steer.robust.rounds import Round, relaxed
 from ctr_nlp.steer.robust.search import RobustSearch, Start
+from ctr_nlp.steer.robust.trials import Lost
 from ctr_nlp.target.curve import curve_from_formula
 from ctr_nlp.target.target import SIGMA
 
-FRAMES = 30
+FRAMES = 50
 OFFSETS = np.array([[0.1, -0.1], [-0.1, 0.1]])
 
 
@@ -37,79 +39,124 @@ def _scenarios(offsets=OFFSETS):
     return Scenarios(np.repeat(TWO.numbers[None], count, 0), np.vstack([np.zeros(2), offsets]), np.ones(count))
 
 
-class _Draws:
-    """Loses one robot in the first rounds, and notes what it was asked."""
+class _Losing:
+    """Trials on which one robot is lost in the first ones; they note what they were asked."""
 
     def __init__(self, rounds):
         self.rounds, self.asked = rounds, []
 
-    def __call__(self, q, number):
-        self.asked.append((q.shape, number))
+    def __call__(self, q, number, draft):
+        self.asked.append((q.shape, number, draft))
         count = 1 if len(self.asked) <= self.rounds else 0
-        return Lost(np.repeat(TWO.numbers[None], count, 0), np.full((count, 2), 0.15))
+        numbers, offsets = np.repeat(TWO.numbers[None], count, 0), np.full((count, 2), 0.15)
+        return Lost(numbers, offsets, np.full(count, 3), 500, not count)
+
+    def certificate(self, lost, q, number):
+        return {"held": lost.few, "number": number}
+
+
+def _planned(problem, scenarios, losing=0, **options):
+    """The plan on which so many robots are lost, one a trial, and what was asked of the trials."""
+    trials = _Losing(losing)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plan, "Trials", lambda *given: trials)
+        return solve_robust(problem, scenarios, **options), trials.asked
+
+
+def _search(problem, weight=1e-6):
+    return RobustSearch(problem, MODELS["elastic"], Ends(), (), weight, np.full(FRAMES, 0.1))
 
 
 @pytest.fixture(scope="module")
 def found(problem):
-    draws = _Draws(2)
-    return solve_robust(problem, _scenarios(), lost=draws, margins=(0.3, 0.5), rounds=3), draws
+    return _planned(problem, _scenarios(), 2, margins=(0.3, 0.5), rounds=3)
 
 
-def test_robots_that_are_lost_join_until_none_is(found):
-    plan, draws = found
-    assert plan.success.all()
-    assert [shape for shape, _ in draws.asked] == [(FRAMES, 6)] * len(draws.asked)
-    numbers = [number for _, number in draws.asked]
-    assert numbers == list(range(len(numbers)))
-    told = plan.meta["rounds"]
-    assert [one["lost"] for one in told] == [1] * 2 + [0] * (len(told) - 2)
-    assert told[-1]["scenarios"] == 5
+def test_robots_that_are_lost_join_until_few_are(found):
+    robust, asked = found
+    assert robust.success.all()
+    assert [shape for shape, _, _ in asked] == [(FRAMES, 6)] * len(asked)
+    assert [number for _, number, _ in asked] == list(range(len(asked)))
+    assert [draft for _, _, draft in asked] == [True] * 3 + [False] * (len(asked) - 3)
+    told = robust.meta["rounds"]
+    assert [one["lost"] for one in told] == [1, 1] + [0] * (len(told) - 2)
+    assert [one["scenarios"] for one in told[:3]] == [3, 4, 5]
     assert told[-1]["frames"] == FRAMES
-    assert plan.meta["lost"] == 0
-    assert plan.meta["formulation"] == "scenarios"
+    assert robust.meta["certificate"] == {"held": True, "number": len(told)}
+    assert robust.meta["formulation"] == "scenarios"
 
 
-def test_the_objective_is_the_mean_over_the_robots_and_the_motion(problem, found):
-    """Integration apart, which programs do in half as many steps as robots are followed with."""
-    plan, _ = found
-    offsets = np.vstack([np.zeros(2), OFFSETS, [[0.15, 0.15]] * 2])
-    weights = np.array([1, 1, 1, 0.2, 0.2]) / 3.4
+def test_the_objective_is_the_mean_over_the_robots_and_the_motion(found):
+    """Those that were lost do not count. Programs integrate in half as many steps as robots are followed with."""
+    robust, _ = found
     squares = np.zeros(FRAMES)
-    for offset, weight in zip(offsets, weights, strict=True):
-        shape = elastic_shapes(TWO, follow(TWO, plan.q + np.pad(offset, (0, 4))).x, SIGMA)
-        squares += weight * np.trapezoid(((shape - plan.target) ** 2).sum(-1)[:, ::5], dx=0.05, axis=1)
-    moved = ((np.diff(plan.q, axis=0) * TWO.mm_per_unit) ** 2).sum(axis=1) / plan.dt**2
-    squares[1:] += plan.options["motion_weight"] * moved
-    np.testing.assert_allclose(plan.objective, squares, rtol=5e-3, atol=1e-3)
+    for offset in np.vstack([np.zeros(2), OFFSETS]):
+        shape = elastic_shapes(TWO, follow(TWO, robust.q + np.pad(offset, (0, 4))).x, SIGMA)
+        squares += np.trapezoid(((shape - robust.target) ** 2).sum(-1)[:, ::5], dx=0.05, axis=1) / 3
+    moved = ((np.diff(robust.q, axis=0) * TWO.mm_per_unit) ** 2).sum(axis=1) / robust.dt**2
+    squares[1:] += robust.options["motion_weight"] * moved
+    np.testing.assert_allclose(robust.objective, squares, rtol=5e-3, atol=1e-3)
+
+
+def test_robots_that_joined_differ_less_while_that_helps_and_few_are_lost(problem, found, monkeypatch):
+    monkeypatch.setattr(rounds, "GAIN", -1.0)
+    robust, _ = found
+    search = RobustSearch(
+        problem, MODELS["elastic"], Ends(), (), robust.options["motion_weight"], np.full(FRAMES, 0.1)
+    )
+    joined = _scenarios().joined(TWO.numbers[None], np.array([[0.3, -0.3]]))
+    tried = search.solve(Start("a plan", follow(TWO, robust.q).x), joined)
+    held = Round(search, tried, joined, _Losing(0)(robust.q, 0, False))
+    nearer = relaxed(held, 3, _Losing(0), 1)
+    np.testing.assert_allclose([one.scenarios.offsets[3, 0] for one in nearer], [0.24, 0.192])
+    for one in nearer:
+        np.testing.assert_array_equal(one.scenarios.offsets[:3], joined.offsets[:3])
+    assert nearer[1].tried.solution.objective <= tried.solution.objective * (1 + 1e-6)
+    assert len(relaxed(held, 3, _Losing(1), 1)) == 1
+    assert relaxed(held._replace(scenarios=_scenarios()), 3, _Losing(0), 1) == []
+
+
+@pytest.mark.parametrize(
+    ("picked", "frames", "raised"), [(None, [4, 9], [3, 4, 8, 9]), (None, [1], [1]), ([1, 4, 7], [4, 5], [2, 5])]
+)
+def test_frames_beside_those_where_robots_are_lost_get_more_margin(problem, picked, frames, raised):
+    found = _search(problem).firmer(np.array(frames), None if picked is None else np.array(picked)).margins
+    expected = np.full(FRAMES, 0.1)
+    expected[np.array(raised) - 1] = 0.2
+    np.testing.assert_allclose(found, expected)
 
 
 def test_a_robust_plan_is_better_on_its_robots_than_a_nominal_one(problem, found):
-    plan, _ = found
-    nominal = solve_robust(problem, _scenarios(OFFSETS[:0]), lost=_Draws(0), margins=(0.3,))
+    robust, _ = found
+    nominal, _ = _planned(problem, _scenarios(OFFSETS[:0]), margins=(0.3,))
     assert nominal.success.all()
 
     def mean(q):
         errors = [
-            ((elastic_shapes(TWO, follow(TWO, q + np.pad(o, (0, 4))).x, SIGMA) - plan.target) ** 2).sum(-1).mean()
+            ((elastic_shapes(TWO, follow(TWO, q + np.pad(o, (0, 4))).x, SIGMA) - robust.target) ** 2)
+            .sum(-1)
+            .mean()
             for o in OFFSETS
         ]
         return np.mean(errors)
 
-    assert mean(plan.q) <= mean(nominal.q) * (1 + 1e-6)
+    assert mean(robust.q) <= mean(nominal.q) * (1 + 1e-6)
 
 
 def test_scenarios_that_no_motion_keeps_leave_a_plan_without_solved_frames(problem):
     """Motors that may be off by anything: some robot's tips are far from those of the nominal one, when out."""
     out = replace(problem, robot=TWO.with_limits(beta=[(40, 60), (50, 110)]))
     scenarios = _scenarios(np.array([[2.1, 0.0], [-2.1, 0.0], [np.pi, 0.0]]))
-    plan = solve_robust(out, scenarios, lost=_Draws(0), margins=(0.5,))
-    assert not plan.success.any()
-    assert plan.meta["failures"] == {"all": "no motion was found that all scenarios share"}
+    robust, _ = _planned(out, scenarios, margins=(0.5,))
+    assert not robust.success.any()
+    assert robust.meta["failures"] == {"all": "no motion was found that all scenarios share"}
 
 
 def test_scenarios_grow_from_the_nominal_robot_where_a_start_fails(problem, found, monkeypatch):
-    plan, _ = found
-    search = RobustSearch(problem, MODELS["elastic"], Ends(), (), plan.options["motion_weight"], 0.1)
+    robust, _ = found
+    search = RobustSearch(
+        problem, MODELS["elastic"], Ends(), (), robust.options["motion_weight"], np.full(FRAMES, 0.1)
+    )
     solve, solved = SharedSolver.__call__, []
 
     def failing(self, *args):
@@ -117,7 +164,7 @@ def test_scenarios_grow_from_the_nominal_robot_where_a_start_fails(problem, foun
         return replace(solved[-1], kkt=1.0) if len(solved) in (1, 3) else solved[-1]
 
     monkeypatch.setattr(SharedSolver, "__call__", failing)
-    start = Start("a plan", follow(TWO, plan.q).x)
+    start = Start("a plan", follow(TWO, robust.q).x)
     tried = search.solve(start, _scenarios())
     assert tried.shared
     assert tried.grown == 1.0
@@ -126,7 +173,12 @@ def test_scenarios_grow_from_the_nominal_robot_where_a_start_fails(problem, foun
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [({"scenarios": 3}, "scenarios"), ({"margin": 1.5}, "margin"), ({"model": "dominant"}, "model of scenarios")],
+    [
+        ({"scenarios": 3}, "scenarios"),
+        ({"most_lost": 0.0}, "most_lost is 0.0; it must lie between 0 and 1"),
+        ({"rounds": -1}, "rounds"),
+        ({"model": "dominant"}, "model of scenarios"),
+    ],
 )
 def test_what_cannot_be_planned_is_refused(problem, arguments, message):
     with pytest.raises(OptionError, match=message):

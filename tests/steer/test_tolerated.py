@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import binomtest
 
 from ctr_nlp import (
     Limits,
@@ -17,11 +18,13 @@ from ctr_nlp import (
     table_i_robot,
 )
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.robot.draws import drawn
+from ctr_nlp.models import MODELS
+from ctr_nlp.robot.draws import drawn, drawn_from
 from ctr_nlp.robot.structure import NUMBERS
 from ctr_nlp.simulation.drawn import lost_draws
 from ctr_nlp.steer.robust import solve_robust
 from ctr_nlp.steer.robust.tolerated import balanced, scenarios_of
+from ctr_nlp.steer.robust.trials import SEED, Trials
 
 TUBES = Tube(150, 90, 0.012, 3, 2), Tube(300, 140, 0.015, 1.8, 1.2)
 
@@ -74,13 +77,53 @@ def test_what_cannot_be_planned_for_is_refused(tolerances, message):
         scenarios_of(replace(table_i_robot(), tolerances=tolerances))
 
 
-def test_a_robust_plan_keeps_robots_that_a_plain_one_loses():
+@pytest.fixture(scope="module")
+def problem():
+    """A straight path, which two strongly curved tubes can follow only by opposing each other."""
     robot = Robot(TUBES, Limits(beta=[(0, 85), (0, 135)]), tolerances=Tolerances(0.05, 0.05, motor_zero=0.05))
     path = curve_from_formula(lambda u: (0, 0, u), 0.0, 120.0)
-    problem = Problem("straight", robot, growing(path, 12))
-    plain, robust = solve_horizon(problem, model="elastic"), solve_robust(problem)
+    return Problem("straight", robot, growing(path, 12))
+
+
+@pytest.fixture(scope="module")
+def plain(problem):
+    return solve_horizon(problem, model="elastic")
+
+
+def test_a_robust_plan_keeps_robots_that_a_plain_one_loses(problem, plain):
+    robust, draws = solve_robust(problem), drawn(problem.robot, 60, 5)
     assert robust.complete
-    draws = drawn(robot, 60, 5)
-    lost = [int((lost_draws(robot, draws, plan.q, "elastic") > 0).sum()) for plan in (plain, robust)]
+    lost = [int((lost_draws(problem.robot, draws, plan.q, "elastic") > 0).sum()) for plan in (plain, robust)]
     assert lost[0] > 5
     assert lost[1] <= 1
+    certificate = robust.meta["certificate"]
+    assert certificate["held"] == (certificate["lost"] <= 0)
+    assert certificate["draws"] == 500
+
+
+@pytest.mark.parametrize(("most_lost", "motions", "draws"), [(0.01, 1, 500), (0.01, 7, 500), (0.002, 5, 2301)])
+def test_as_many_robots_are_drawn_as_it_takes_to_be_certain(most_lost, motions, draws):
+    """Where no more are lost than allowed, and no less certainly so; scipy has Clopper's and Pearson's bound."""
+    trials = Trials(table_i_robot(), MODELS["elastic"], motions, most_lost)
+    assert trials.draws == draws
+    for lost, holds in ((trials.allowed, True), (trials.allowed + 1, False)):
+        bound = binomtest(lost, draws, alternative="less").proportion_ci(1 - 0.05 / motions, "exact").high
+        assert (bound <= most_lost) == holds
+
+
+def test_a_motion_on_which_many_are_lost_bears_a_part_of_the_tolerances(problem, plain):
+    trials = Trials(problem.robot, MODELS["elastic"], 1)
+    lost = trials(plain.q, 0)
+    assert not lost.few
+    assert 6 <= len(lost.frames) <= lost.drawn < trials.draws
+    draws = drawn(problem.robot, trials.draws, SEED)
+    gone = lost_draws(problem.robot, draws[: lost.drawn], plain.q, "elastic")
+    np.testing.assert_array_equal(gone[gone > 0], lost.frames)
+    np.testing.assert_array_equal(draws.numbers[: lost.drawn][gone > 0], lost.numbers)
+    told = trials.certificate(lost, plain.q, 1)
+    assert not told["held"]
+    assert sum(told["lost_in"].values()) == told["lost"] == len(lost.frames)
+    assert 0 <= told["borne"] < 1
+    others = drawn(problem.robot, 200, 7)
+    shrunk = drawn_from(problem.robot, told["borne"] * others.parts, others.lags)
+    assert (lost_draws(problem.robot, shrunk, plain.q, "elastic") > 0).mean() <= 0.02

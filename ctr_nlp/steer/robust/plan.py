@@ -30,7 +30,7 @@ from ctr_nlp.steer.robust.search import RobustSearch, Start, Tried
 from ctr_nlp.steer.robust.tolerated import scenarios_of
 from ctr_nlp.steer.robust.trials import Trials
 from ctr_nlp.support.interrupt import deferred_interrupt
-from ctr_nlp.support.values import instance, number, strict_json
+from ctr_nlp.support.values import instance, number, strict_json, whole_number
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
@@ -65,8 +65,8 @@ def solve_robust(
     again, in at most so many rounds. What came of the last trial is meta["certificate"]. margins: of the robot as
     described in the motions started from, which are found frame by frame. settings.stability_margin: the least of
     every scenario. start, end, motion_weight, settings, terms, progress: as solve_horizon.
-    Where no motion is found that all scenarios share, the plan is the first motion started from, and no frame counts as
-    solved. Raises OptionError, ProblemError, RobotError.
+    Where no motion is found that all scenarios share, the plan is the first motion started from, and no frame
+    counts as solved. Raises OptionError, ProblemError, RobotError.
     """
     check_described(problem, settings)
     check_search(motion_weight, None, 1)
@@ -74,6 +74,7 @@ def solve_robust(
     scenarios = scenarios_of(problem.robot) if scenarios is None else scenarios
     instance(OptionError, "scenarios", scenarios, Scenarios)
     check_shared(problem.robot, model, scenarios)
+    whole_number(OptionError, "rounds", rounds, 0)
     number(OptionError, "most_lost", most_lost, lambda x: 0 < x < 1, "lie between 0 and 1, and be neither")
     trials = Trials(problem.robot, model, rounds + 1 + RELAXATIONS, most_lost)
     begin = time.perf_counter()
@@ -84,7 +85,9 @@ def solve_robust(
         starts = [Start(f"margin {each:g}", x) for each, x in zip(margins, motions, strict=True)]
         weight = MOTION_PART * nominal.balanced_weight(starts[0].x) if motion_weight is None else motion_weight
         between = time.perf_counter()
-        own = model, nominal.ends, tuple(terms), weight, settings.stability_margin
+        margin = settings.stability_margin
+        least = None if margin is None else np.full(problem.frames, margin)
+        own = model, nominal.ends, tuple(terms), weight, least
         search = RobustSearch(problem, *own, progress, interrupted)
         tried = search.drafts(starts, scenarios)
         made = _rounds(search, tried, scenarios, trials, rounds)
@@ -105,7 +108,7 @@ def solve_robust(
         "starts": [_described(one) for one in tried],
         "rounds": [one.described() for one in made],
     }
-    return _plan(problem, search, model.configuration(problem.robot, starts[0].x), made, trials, meta)
+    return _plan(problem, model.configuration(problem.robot, starts[0].x), made, trials, meta)
 
 
 def _at(settings: Settings, margin: float) -> Settings:
@@ -124,15 +127,15 @@ def _rounds(
     for draft in drafts:
         if not draft.solved or search.stop():
             break
-        coarse = (
-            planned_again(search, draft, scenarios, lost, most) if draft.made and search.picked is not None else []
-        )
+        coarse = list[Round]()
+        if draft.made and search.picked is not None:
+            coarse = planned_again(search, draft, scenarios, lost, most)
         tried = [(one.tried, one.scenarios) for one in reversed(coarse)] or [(draft, scenarios)]
         for one, joined in tried:
             whole = search.refined(one, joined)
             if whole.shared:
                 made = coarse + planned_again(search, whole, joined, lost, most, len(coarse))
-                return made + relaxed(search, made[-1], len(scenarios), lost, len(made))
+                return made + relaxed(made[-1], len(scenarios), lost, len(made))
     return []
 
 
@@ -161,7 +164,6 @@ def _described(one: Tried) -> dict[str, Any]:
 
 def _plan(
     problem: Problem,
-    search: RobustSearch,
     start: Array,
     made: Sequence[Round],
     trials: Trials,
@@ -178,7 +180,7 @@ def _plan(
     whole = [one for one in made if one.tried.frames == frames]
     best = min(reversed(whole), key=_rank)
     found = best.tried.solution
-    condensed = Condensed(search.motion(best.scenarios))
+    condensed = Condensed(best.search.motion(best.scenarios))
     certificate = trials.certificate(best.lost, found.q, len(made))
     return plan_from_configurations(
         problem,

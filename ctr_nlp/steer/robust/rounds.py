@@ -29,8 +29,9 @@ Judge = Callable[[Array, int, bool], Lost]
 
 
 class Round(NamedTuple):
-    """A motion, the scenarios that it was planned for, and what became of the robots that were drawn then."""
+    """A motion, the search and the scenarios that it comes from, and what became of the robots drawn then."""
 
+    search: RobustSearch
     tried: Tried
     scenarios: Scenarios
     lost: Lost
@@ -58,16 +59,19 @@ def planned_again(
 ) -> list[Round]:
     """A motion and what becomes of it over at most so many rounds, until few are lost.
 
-    lost: what is asked of every round, which are numbered from `first` on.
+    lost: what is asked of every round, which are numbered from `first` on. Where robots are lost though some have
+    joined, frames are not near enough to each other there to tell of the way between them; more margin does.
     """
     rounds, frames = list[Round](), search.problem.frames
     picked = search.picked if tried.frames < frames else None
     for number in range(most + 1):
         q = tried.solution.q if picked is None else filled(tried.solution.q, picked, frames)
         found = lost(q, first + number, picked is not None)
-        rounds.append(Round(tried, scenarios, found))
+        rounds.append(Round(search, tried, scenarios, found))
         if found.few or number == most or search.stop():
             break
+        if number:
+            search = search.firmer(found.frames, picked)
         for push in PUSHES:
             joined = _joined(scenarios, found, push)
             again = _again(search, tried, joined, picked)
@@ -79,18 +83,18 @@ def planned_again(
     return rounds
 
 
-def relaxed(search: RobustSearch, held: Round, first: int, lost: Judge, number: int) -> list[Round]:
+def relaxed(held: Round, first: int, lost: Judge, number: int) -> list[Round]:
     """Rounds in which robots that joined, scenarios from `first` on, differ less, while few robots are lost.
 
     held: a round on whose motion few are. lost: asked of every round, which are numbered from `number` on.
     """
-    rounds = list[Round]()
+    rounds, search = list[Round](), held.search
     while len(held.scenarios) > first and held.lost.few and len(rounds) < RELAXATIONS and not search.stop():
         scenarios = held.scenarios.shrunk(NEARER, first)
         tried = _again(search, held.tried, scenarios, None)
         if not tried.shared or tried.solution.objective > (1 - GAIN) * held.tried.solution.objective:
             break
-        held = Round(tried, scenarios, lost(tried.solution.q, number + len(rounds), False))
+        held = Round(search, tried, scenarios, lost(tried.solution.q, number + len(rounds), False))
         rounds.append(held)
     return rounds
 

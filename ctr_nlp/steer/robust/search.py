@@ -19,6 +19,7 @@ from ctr_nlp.solvers.motion.judged import CLOSE, WIDE
 from ctr_nlp.solvers.scenarios import SharedSolution, SharedSolver
 from ctr_nlp.steer.motions import filled
 from ctr_nlp.steer.passes import Progress
+from ctr_nlp.steer.realised import GIVEN, MOST
 from ctr_nlp.steer.starts.search import drafted
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Index
@@ -67,14 +68,14 @@ class Tried:
 
 @dataclass(frozen=True)
 class RobustSearch:
-    """Solves for scenarios of one problem. weight: lambda in s^2; margin: the least of any scenario, or None."""
+    """Solves for scenarios of one problem. weight: lambda in s^2; margins (T,): of all scenarios, or None."""
 
     problem: Problem
     model: Model
     ends: Ends
     terms: tuple[Term, ...]
     weight: float
-    margin: float | None
+    margins: Array | None
     progress: Progress | None = None
     stop: Callable[[], bool] = lambda: False
 
@@ -84,7 +85,21 @@ class RobustSearch:
         frames = range(problem.frames) if picked is None else picked.tolist()
         dt = problem.dt * (1 if picked is None or len(picked) < 2 else int(picked[-1] - picked[-2]))
         at = problem.robot, [problem.samples[k] for k in frames], dt, self.weight, self.ends, self.model
-        return shared_motion(*at, scenarios, fastest, self.margin, self.terms)
+        margins = None if self.margins is None else self.margins[frames]
+        return shared_motion(*at, scenarios, fastest, margins, self.terms)
+
+    def firmer(self, frames: Index, picked: Index | None = None) -> RobustSearch:
+        """The same, with more margin in frames, from 1, where robots were lost on the way, and in those before.
+
+        picked: those that a draft has, of which the nearest on both sides count.
+        """
+        if self.margins is None:
+            return self
+        margins, known = self.margins.copy(), np.arange(len(self.margins)) if picked is None else picked
+        after = np.searchsorted(known, np.unique(frames) - 1)
+        beside = known[np.unique(np.concatenate([after, np.maximum(after - 1, 0)]))]
+        margins[beside] = np.maximum(margins[beside], np.minimum(margins[beside] + GIVEN, MOST))
+        return replace(self, margins=margins)
 
     @cached_property
     def picked(self) -> Index | None:
