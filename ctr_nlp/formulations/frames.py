@@ -56,6 +56,13 @@ class FrameSolver(Protocol):
         """Answers for frames, each from the one before, and the seconds that each took."""
 
 
+class Restartable(FrameSolver, Protocol):
+    """One that can begin a run anew near to another one's answer."""
+
+    def again(self, frame: int, known: FrameResult) -> FrameResult:
+        """The answer for a frame without a past, near a known one."""
+
+
 def one_by_one(
     step: Callable[[int, FrameResult], FrameResult], frames: Sequence[int], before: FrameResult
 ) -> Iterator[tuple[FrameResult, float]]:

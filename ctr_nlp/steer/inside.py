@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -18,7 +17,7 @@ from ctr_nlp.plan.verdicts import largest_e3
 from ctr_nlp.simulation.forward import simulated
 from ctr_nlp.steer.attempts import Attempt
 from ctr_nlp.steer.nlp_frames import NlpFrames
-from ctr_nlp.steer.passes import Pass
+from ctr_nlp.steer.passes import Pass, run_again
 from ctr_nlp.steer.realised import SAME, held
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Flags
@@ -103,14 +102,9 @@ def kept_inside(frames: NlpFrames, free: Pass, stop: Callable[[], bool]) -> tupl
         return free, None
 
     def solve(tried: Wall) -> Pass:
-        within, begin = replace(frames, near=tried), time.perf_counter()
-        known = {} if free.before else {first: within.again(first, free.results[first])}
-        seconds = dict.fromkeys(known, time.perf_counter() - begin)
-        one = Pass(free.direction, free.order, free.before, known, seconds)
-        for _ in one.run(within):
-            if stop():
-                return one
-        return held(within, one, stop)[0]
+        within = replace(frames, near=tried)
+        one = run_again(free, within, stop)
+        return one if stop() else held(within, one, stop)[0]
 
     def outcome(one: Pass) -> Outcome:
         success = np.array([j in one.results and one.results[j].success for j in range(problem.frames)])

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.formulations.frames import FrameResult, FrameSolver
+from ctr_nlp.formulations.frames import FrameResult, FrameSolver, Restartable
 from ctr_nlp.models import Model
 from ctr_nlp.plan.metrics import rms_over_sigma
 from ctr_nlp.simulation.forward import simulated
@@ -121,6 +121,18 @@ def run_passes(
                     note = f"{one.direction}, try {number + 1} of {len(passes)}"
                     progress(number * problem.frames + done, len(passes) * problem.frames, note)
     return passes, seconds
+
+
+def run_again(known: Pass, solver: Restartable, stop: Callable[[], bool]) -> Pass:
+    """A run of another solver through the same frames, from what it finds near to a known one's first answer."""
+    first, begin = known.order[0], time.perf_counter()
+    results = {} if known.before else {first: solver.again(first, known.results[first])}
+    seconds = dict.fromkeys(results, time.perf_counter() - begin)
+    one = Pass(known.direction, known.order, known.before, results, seconds)
+    for _ in one.run(solver):
+        if stop():
+            break
+    return one
 
 
 def _first_frames(

@@ -82,7 +82,7 @@ def march(
     }
     weight = None if wall is None else wall.weight
     work = {"search_s": search_seconds, "interrupted": stopped, "contact_weight": weight}
-    return _plan(problem, solver, best, free, options, work)
+    return plan_of(problem, solver, best, free, options, work)
 
 
 def _unknowns(results: Sequence[FrameResult]) -> Array | None:
@@ -93,7 +93,7 @@ def _unknowns(results: Sequence[FrameResult]) -> Array | None:
     return np.array([np.full_like(known[0], np.nan) if result.x is None else result.x for result in results])
 
 
-def _plan(
+def plan_of(
     problem: Problem,
     solver: FrameSolver,
     best: Pass,
@@ -101,6 +101,7 @@ def _plan(
     options: dict[str, Any],
     work: dict[str, Any],
 ) -> Plan:
+    """The plan of a run through all frames; free: the motion without the wall; options, work: for its meta."""
     missing = FrameResult(np.zeros(0), success=False, status="not reached")
     results = [best.results.get(j, missing) for j in range(problem.frames)]
     meta = {

@@ -17,7 +17,7 @@ from ctr_nlp.models import MODELS
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.solvers.scenarios import SharedSolver
 from ctr_nlp.steer.robust import plan, rounds, solve_robust
-from ctr_nlp.steer.robust.rounds import Round, relaxed
+from ctr_nlp.steer.robust.rounds import Round, firmer, relaxed
 from ctr_nlp.steer.robust.search import RobustSearch, Start
 from ctr_nlp.steer.robust.trials import Lost
 from ctr_nlp.target.curve import curve_from_formula
@@ -119,8 +119,8 @@ def test_robots_that_joined_differ_less_while_that_helps_and_few_are_lost(proble
 @pytest.mark.parametrize(
     ("picked", "frames", "raised"), [(None, [4, 9], [3, 4, 8, 9]), (None, [1], [1]), ([1, 4, 7], [4, 5], [2, 5])]
 )
-def test_frames_beside_those_where_robots_are_lost_get_more_margin(problem, picked, frames, raised):
-    found = _search(problem).firmer(np.array(frames), None if picked is None else np.array(picked)).margins
+def test_frames_beside_those_where_robots_are_lost_get_more_margin(picked, frames, raised):
+    found = firmer(np.full(FRAMES, 0.1), np.array(frames), None if picked is None else np.array(picked))
     expected = np.full(FRAMES, 0.1)
     expected[np.array(raised) - 1] = 0.2
     np.testing.assert_allclose(found, expected)
@@ -175,7 +175,7 @@ def test_scenarios_grow_from_the_nominal_robot_where_a_start_fails(problem, foun
     ("arguments", "message"),
     [
         ({"scenarios": 3}, "scenarios"),
-        ({"most_lost": 0.0}, "most_lost is 0.0; it must lie between 0 and 1"),
+        ({"most_lost": 0.0}, "most_lost is 0.0; it must be more than 0"),
         ({"rounds": -1}, "rounds"),
         ({"model": "dominant"}, "model of scenarios"),
     ],

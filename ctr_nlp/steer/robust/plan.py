@@ -12,10 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.scenarios import check_shared
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
-from ctr_nlp.models import Model, model_named
+from ctr_nlp.models import Model
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
 from ctr_nlp.plan.verdicts import MOST_LOST
@@ -27,10 +26,10 @@ from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.requests import check_described, check_search
 from ctr_nlp.steer.robust.rounds import RELAXATIONS, Judge, Round, planned_again, relaxed
 from ctr_nlp.steer.robust.search import RobustSearch, Start, Tried
-from ctr_nlp.steer.robust.tolerated import scenarios_of
+from ctr_nlp.steer.robust.tolerated import described
 from ctr_nlp.steer.robust.trials import Trials
 from ctr_nlp.support.interrupt import deferred_interrupt
-from ctr_nlp.support.values import instance, number, strict_json, whole_number
+from ctr_nlp.support.values import strict_json, whole_number
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
@@ -70,12 +69,8 @@ def solve_robust(
     """
     check_described(problem, settings)
     check_search(motion_weight, None, 1)
-    model = model_named(model, "model of scenarios")
-    scenarios = scenarios_of(problem.robot) if scenarios is None else scenarios
-    instance(OptionError, "scenarios", scenarios, Scenarios)
-    check_shared(problem.robot, model, scenarios)
     whole_number(OptionError, "rounds", rounds, 0)
-    number(OptionError, "most_lost", most_lost, lambda x: 0 < x < 1, "lie between 0 and 1, and be neither")
+    model, scenarios = described(problem.robot, model, scenarios)
     trials = Trials(problem.robot, model, rounds + 1 + RELAXATIONS, most_lost)
     begin = time.perf_counter()
     with deferred_interrupt() as interrupted:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.solvers.scenarios import SharedSolver
 from ctr_nlp.steer.motions import filled
+from ctr_nlp.steer.realised import GIVEN, MOST
 from ctr_nlp.steer.robust.search import RobustSearch, Tried
 from ctr_nlp.steer.robust.trials import JOINING, Lost
 from ctr_nlp.typing import Array, Index
@@ -71,15 +73,15 @@ def planned_again(
         if found.few or number == most or search.stop():
             break
         if number:
-            search = search.firmer(found.frames, picked)
+            search = replace(search, margins=firmer(search.margins, found.frames, picked))
         for push in PUSHES:
-            joined = _joined(scenarios, found, push)
-            again = _again(search, tried, joined, picked)
+            more = joined(scenarios, found, push)
+            again = _again(search, tried, more, picked)
             if again.shared or search.stop():
                 break
         if not again.shared:
             break
-        tried, scenarios = again, joined
+        tried, scenarios = again, more
     return rounds
 
 
@@ -112,8 +114,22 @@ def _again(search: RobustSearch, before: Tried, scenarios: Scenarios, picked: In
     return search.looked_at(search.grown(before.start, known.q, alike, scenarios, picked))
 
 
-def _joined(scenarios: Scenarios, lost: Lost, push: float) -> Scenarios:
+def joined(scenarios: Scenarios, lost: Lost, push: float = PUSHES[0]) -> Scenarios:
     """Scenarios, and the first of lost robots with so many times their difference, which count nothing."""
     pairs = zip((lost.numbers, lost.offsets), (scenarios.numbers[0], scenarios.offsets[0]), strict=True)
     numbers, offsets = (first + push * (each[:JOINING] - first) for each, first in pairs)
     return scenarios.joined(numbers, offsets)
+
+
+def firmer(margins: Array | None, frames: Index, picked: Index | None = None) -> Array | None:
+    """Margins (T,) that are larger in frames, from 1, where robots were lost on the way, and in those before.
+
+    picked: the frames that a draft has, of which the nearest on both sides count.
+    """
+    if margins is None:
+        return None
+    found, known = margins.copy(), np.arange(len(margins)) if picked is None else picked
+    after = np.searchsorted(known, np.unique(frames) - 1)
+    beside = known[np.unique(np.concatenate([after, np.maximum(after - 1, 0)]))]
+    found[beside] = np.maximum(found[beside], np.minimum(found[beside] + GIVEN, MOST))
+    return found

@@ -19,7 +19,6 @@ from ctr_nlp.solvers.motion.judged import CLOSE, WIDE
 from ctr_nlp.solvers.scenarios import SharedSolution, SharedSolver
 from ctr_nlp.steer.motions import filled
 from ctr_nlp.steer.passes import Progress
-from ctr_nlp.steer.realised import GIVEN, MOST
 from ctr_nlp.steer.starts.search import drafted
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Index
@@ -87,19 +86,6 @@ class RobustSearch:
         at = problem.robot, [problem.samples[k] for k in frames], dt, self.weight, self.ends, self.model
         margins = None if self.margins is None else self.margins[frames]
         return shared_motion(*at, scenarios, fastest, margins, self.terms)
-
-    def firmer(self, frames: Index, picked: Index | None = None) -> RobustSearch:
-        """The same, with more margin in frames, from 1, where robots were lost on the way, and in those before.
-
-        picked: those that a draft has, of which the nearest on both sides count.
-        """
-        if self.margins is None:
-            return self
-        margins, known = self.margins.copy(), np.arange(len(self.margins)) if picked is None else picked
-        after = np.searchsorted(known, np.unique(frames) - 1)
-        beside = known[np.unique(np.concatenate([after, np.maximum(after - 1, 0)]))]
-        margins[beside] = np.maximum(margins[beside], np.minimum(margins[beside] + GIVEN, MOST))
-        return replace(self, margins=margins)
 
     @cached_property
     def picked(self) -> Index | None:

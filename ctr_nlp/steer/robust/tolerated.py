@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.formulations.scenarios import check_shared
+from ctr_nlp.models import Model, model_named
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.draws import drawn_from
 from ctr_nlp.robot.tolerances import NAMES
+from ctr_nlp.support.values import instance
 from ctr_nlp.typing import Array
 
 
@@ -31,6 +34,15 @@ def scenarios_of(robot: Robot) -> Scenarios:
             "a robust plan needs limits of beta below the curved lengths"
         )
     return Scenarios(made.numbers, made.offsets, np.r_[0.0, np.ones(len(signs))])
+
+
+def described(robot: Robot, model: str | Model, scenarios: Scenarios | None) -> tuple[Model, Scenarios]:
+    """The model and the scenarios asked for, which by default are those of tolerances; raises OptionError."""
+    model = model_named(model, "model of scenarios")
+    scenarios = scenarios_of(robot) if scenarios is None else scenarios
+    instance(OptionError, "scenarios", scenarios, Scenarios)
+    check_shared(robot, model, scenarios)
+    return model, scenarios
 
 
 def balanced(count: int) -> Array:

@@ -9,12 +9,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import Model
 from ctr_nlp.plan.robustness import CONFIDENCE, upper_bound
 from ctr_nlp.plan.verdicts import MOST_LOST
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.draws import drawn, drawn_from
 from ctr_nlp.simulation.drawn import lost_draws
+from ctr_nlp.support.values import number
 from ctr_nlp.typing import Array, Index
 
 JOINING = 6
@@ -49,13 +51,17 @@ class Trials:
     """Robots drawn within a robot's tolerances, anew for every motion that is tried, at most so many of them.
 
     most_lost: the share of all such robots that may be lost. So that what is said of the last motion holds with
-    95 % confidence, however many were tried before it, each has its part of the 5 % (Bonferroni).
+    95 % confidence, however many were tried before it, each has its part of the 5 % (Bonferroni). Raises
+    OptionError.
     """
 
     robot: Robot
     model: Model
     motions: int
     most_lost: float = MOST_LOST
+
+    def __post_init__(self) -> None:
+        number(OptionError, "most_lost", self.most_lost, lambda x: 0 < x < 1, "be more than 0 and less than 1")
 
     @property
     def confidence(self) -> float:

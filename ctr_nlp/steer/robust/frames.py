@@ -1,0 +1,135 @@
+"""Frames of a problem solved one by one, for scenarios whose tips are carried along from frame to frame."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ctr_nlp.formulations.frames import FrameResult, one_by_one
+from ctr_nlp.formulations.horizon import Ends
+from ctr_nlp.formulations.joint import tip_steps
+from ctr_nlp.formulations.scenarios import shared_motion
+from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.formulations.terms import Term
+from ctr_nlp.models import Model
+from ctr_nlp.nlp.scenarios import Scenarios
+from ctr_nlp.solvers.compiled import fastest
+from ctr_nlp.solvers.motion.judged import CLOSE, WIDE
+from ctr_nlp.solvers.scenarios import SharedSolver
+from ctr_nlp.steer.nlp_frames import NlpFrames
+from ctr_nlp.steer.robust.rounds import firmer, joined
+from ctr_nlp.steer.robust.trials import Lost
+from ctr_nlp.support.values import strict_json
+from ctr_nlp.target.problem import Problem
+from ctr_nlp.typing import Array
+
+FIRST, KEPT = 3, 2
+"""Answers for the robot as described that are tried where a frame has no past, and how many of these are kept."""
+DISTINCT = 1e-3
+"""Two answers are distinct where their objectives differ by more than this part."""
+
+
+@dataclass(frozen=True)
+class ScenarioFrames:
+    """A FrameSolver for scenarios that share q. nominal: what finds where frames without a past begin.
+
+    margins (T,): the least of every scenario in each frame; None for any. What a result's warm holds are the tips
+    (S, d) of all scenarios; where these have been joined by others since, they have the described robot's.
+    """
+
+    problem: Problem
+    model: Model
+    scenarios: Scenarios
+    settings: Settings
+    terms: tuple[Term, ...]
+    margins: Array | None
+    nominal: Sequence[NlpFrames]
+    build_seconds: float
+    description: dict[str, Any]
+
+    @classmethod
+    def of(
+        cls,
+        problem: Problem,
+        scenarios: Scenarios,
+        model: Model,
+        settings: Settings,
+        terms: Sequence[Term],
+        margins: Sequence[float],
+    ) -> ScenarioFrames:
+        """Build; margins: of the robot as described where a frame without a past begins."""
+        begin = time.perf_counter()
+        nominal = [
+            NlpFrames.of(
+                problem,
+                model=model,
+                settings=replace(settings, stability_margin=margin, contact_weight=0.0),
+                terms=terms,
+            )
+            for margin in margins
+        ]
+        description = {
+            "formulation": "scenarios-per-frame",
+            "model": model.name,
+            "solver": "condensed",
+            "options": strict_json(asdict(settings)) | {"terms": [str(term) for term in terms]},
+        }
+        margin = settings.stability_margin
+        least = None if margin is None else np.full(problem.frames, margin)
+        seconds = time.perf_counter() - begin
+        return cls(problem, model, scenarios, settings, tuple(terms), least, nominal, seconds, description)
+
+    def search(self, frame: int) -> list[FrameResult]:
+        """Distinct answers for a frame without a past, best first; at least one."""
+        known = [one for frames in self.nominal for one in frames.search(frame)[:FIRST] if one.success]
+        found = [self.again(frame, one) for one in known]
+        distinct = list[FrameResult]()
+        for one in sorted((each for each in found if each.success), key=lambda each: each.objective):
+            if not distinct or one.objective > distinct[-1].objective * (1 + DISTINCT):
+                distinct.append(one)
+        return distinct[:KEPT] or found[:1] or self.nominal[0].search(frame)[:1]
+
+    def harder(self, lost: Lost, first: bool) -> ScenarioFrames:
+        """The same with lost robots among the scenarios; and more margin where they were, after the first."""
+        margins = self.margins if first else firmer(self.margins, lost.frames)
+        return replace(self, scenarios=joined(self.scenarios, lost), margins=margins)
+
+    def step(self, frame: int, before: FrameResult) -> FrameResult:
+        """The answer for a frame within the robot's speed limits of the frame before."""
+        return self._solved(frame, before, Ends(start=before.q))
+
+    def run(self, frames: Sequence[int], before: FrameResult) -> Iterator[tuple[FrameResult, float]]:
+        """Answers for frames, each from the one before, and the seconds that each took."""
+        return one_by_one(self.step, frames, before)
+
+    def again(self, frame: int, known: FrameResult) -> FrameResult:
+        """The answer for a frame without a past, near a known one."""
+        return self._solved(frame, known, Ends())
+
+    def _solved(self, frame: int, near: FrameResult, ends: Ends) -> FrameResult:
+        problem, robot = self.problem, self.problem.robot
+        margins = None if self.margins is None else self.margins[frame : frame + 1]
+        at = robot, [problem.samples[frame]], problem.dt, self.settings.motion_weight, ends, self.model
+        solver = SharedSolver(shared_motion(*at, self.scenarios, fastest, margins, self.terms))
+        tips, iterations = self._tips(near), 0
+        for barrier in (CLOSE, WIDE):
+            found = solver(near.q[None], tips[None], barrier)
+            iterations += found.iterations
+            near_enough = ends.start is None or (abs(found.phi[0] - tips) <= tip_steps(robot, problem.dt)).all()
+            if found.success and near_enough:
+                x = np.concatenate([found.phi[0, 0], found.q[0, robot.d :]])
+                answer = found.q[0], True, found.objective, found.kkt, iterations, found.status, found.phi[0], x
+                return FrameResult(*answer)
+        status = f"scenarios: {found.status}, KKT residual {found.kkt:.1e}"
+        return FrameResult(near.q, False, iterations=iterations, status=status, warm=tips, x=near.x)
+
+    def _tips(self, near: FrameResult) -> Array:
+        """Of all scenarios, (S, d)."""
+        robot = self.problem.robot
+        x = self.model.rest(robot, near.q) if near.x is None else near.x
+        known = np.zeros((0, robot.d)) if not isinstance(near.warm, np.ndarray) else near.warm
+        return np.concatenate([known, np.repeat(x[None, : robot.d], len(self.scenarios) - len(known), axis=0)])

@@ -1,0 +1,87 @@
+"""A plan for robots whose tubes are not quite known, frame by frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.formulations.terms import Term
+from ctr_nlp.models import Model
+from ctr_nlp.nlp.scenarios import Scenarios
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.verdicts import MOST_LOST
+from ctr_nlp.steer.nlp_frames import DEFAULTS
+from ctr_nlp.steer.passes import Progress, run_again, run_passes
+from ctr_nlp.steer.per_frame import plan_of
+from ctr_nlp.steer.requests import Direction, check_described, checked_ends
+from ctr_nlp.steer.robust.frames import ScenarioFrames
+from ctr_nlp.steer.robust.tolerated import described
+from ctr_nlp.steer.robust.trials import Trials
+from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.support.values import whole_number
+from ctr_nlp.target.problem import Problem
+
+MARGINS = 0.1, 0.5
+"""Stability margins of the robot as described in the frames that runs begin at."""
+ROUNDS = 3
+"""Times that a motion is planned again for robots that were lost."""
+
+
+def solve_robust_per_frame(
+    problem: Problem,
+    scenarios: Scenarios | None = None,
+    *,
+    most_lost: float = MOST_LOST,
+    rounds: int = ROUNDS,
+    model: str | Model = "elastic",
+    direction: Direction = "best",
+    start: npt.ArrayLike | None = None,
+    settings: Settings = DEFAULTS,
+    terms: Sequence[Term] = (),
+    progress: Progress | None = None,
+) -> Plan:
+    """The plan that robots of scenarios follow a problem's target with frame by frame, all making one motion.
+
+    scenarios, most_lost, rounds: as solve_robust. direction, start, settings, terms, progress: as solve_per_frame;
+    settings.stability_margin is the least of every scenario. Walls do not count. Raises OptionError, RobotError.
+    """
+    check_described(problem, settings)
+    checked_ends(problem, direction, start)
+    whole_number(OptionError, "rounds", rounds, 0)
+    model, scenarios = described(problem.robot, model, scenarios)
+    trials = Trials(problem.robot, model, rounds + 1, most_lost)
+    with deferred_interrupt() as interrupted:
+        solver = ScenarioFrames.of(problem, scenarios, model, settings, terms, MARGINS)
+        passes, seconds = run_passes(problem, solver, direction, start, progress=progress)
+        best = min(passes, key=lambda one: one.cost(problem))
+        trial = trials(best.motion(problem), 0)
+        made = [(solver, best, trial)]
+        while not trial.few and len(made) <= rounds and not interrupted():
+            solver = solver.harder(trial, len(made) == 1)
+            best = run_again(best, solver, interrupted)
+            trial = trials(best.motion(problem), len(made))
+            made.append((solver, best, trial))
+        stopped = interrupted()
+    solver, best, trial = min(made, key=lambda one: (one[1].cost(problem)[0], one[2].share))
+    options = {
+        "direction": best.direction,
+        "passes": len(passes),
+        "start": None if start is None else np.asarray(start, dtype=float).tolist(),
+        "most_lost": most_lost,
+        "rounds": rounds,
+    }
+    work = {
+        "search_s": seconds,
+        "interrupted": stopped,
+        "contact_weight": None,
+        "certificate": trials.certificate(trial, best.motion(problem), len(made)),
+        "rounds": [
+            {"scenarios": len(frames.scenarios), "lost": len(lost.frames), "drawn": lost.drawn}
+            for frames, _, lost in made
+        ],
+    }
+    return plan_of(problem, solver, best, None, options, work)
