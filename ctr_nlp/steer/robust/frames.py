@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -16,7 +16,7 @@ from ctr_nlp.formulations.scenarios import shared_motion
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.models import Model
-from ctr_nlp.nlp.scenarios import Scenarios
+from ctr_nlp.nlp.scenarios import Scenarios, SharedMotion
 from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.solvers.motion.judged import CLOSE, WIDE
 from ctr_nlp.solvers.scenarios import SharedSolver
@@ -27,8 +27,10 @@ from ctr_nlp.support.values import strict_json
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
-FIRST, KEPT = 3, 2
+FIRST, KEPT = 3, 3
 """Answers for the robot as described that are tried where a frame has no past, and how many of these are kept."""
+HOLDS = 1.0, 1e2, 1e4
+"""Factors of the motion's weight that are tried in turn where tips would otherwise turn too far in a frame."""
 DISTINCT = 1e-3
 """Two answers are distinct where their objectives differ by more than this part."""
 
@@ -38,7 +40,8 @@ class ScenarioFrames:
     """A FrameSolver for scenarios that share q. nominal: what finds where frames without a past begin.
 
     margins (T,): the least of every scenario in each frame; None for any. What a result's warm holds are the tips
-    (S, d) of all scenarios; where these have been joined by others since, they have the described robot's.
+    (S, d) of all scenarios; where these have been joined by others since, they have the described robot's. known:
+    all answers of a run, which are started from, too.
     """
 
     problem: Problem
@@ -50,6 +53,7 @@ class ScenarioFrames:
     nominal: Sequence[NlpFrames]
     build_seconds: float
     description: dict[str, Any]
+    known: Mapping[int, FrameResult] | None = None
 
     @classmethod
     def of(
@@ -99,8 +103,10 @@ class ScenarioFrames:
         return replace(self, scenarios=joined(self.scenarios, lost), margins=margins)
 
     def step(self, frame: int, before: FrameResult) -> FrameResult:
-        """The answer for a frame within the robot's speed limits of the frame before."""
-        return self._solved(frame, before, Ends(start=before.q))
+        """The answer for a frame within speed limits of the one before, from there or from a known one."""
+        starts = [before] if self.known is None else [before, self.known[frame]]
+        found = [self._solved(frame, start, before) for start in starts]
+        return min(found, key=lambda one: (not one.success, one.objective))
 
     def run(self, frames: Sequence[int], before: FrameResult) -> Iterator[tuple[FrameResult, float]]:
         """Answers for frames, each from the one before, and the seconds that each took."""
@@ -108,24 +114,30 @@ class ScenarioFrames:
 
     def again(self, frame: int, known: FrameResult) -> FrameResult:
         """The answer for a frame without a past, near a known one."""
-        return self._solved(frame, known, Ends())
+        return self._solved(frame, known, None)
 
-    def _solved(self, frame: int, near: FrameResult, ends: Ends) -> FrameResult:
-        problem, robot = self.problem, self.problem.robot
-        margins = None if self.margins is None else self.margins[frame : frame + 1]
-        at = robot, [problem.samples[frame]], problem.dt, self.settings.motion_weight, ends, self.model
-        solver = SharedSolver(shared_motion(*at, self.scenarios, fastest, margins, self.terms))
-        tips, iterations = self._tips(near), 0
-        for barrier in (CLOSE, WIDE):
-            found = solver(near.q[None], tips[None], barrier)
-            iterations += found.iterations
-            near_enough = ends.start is None or (abs(found.phi[0] - tips) <= tip_steps(robot, problem.dt)).all()
-            if found.success and near_enough:
-                x = np.concatenate([found.phi[0, 0], found.q[0, robot.d :]])
-                answer = found.q[0], True, found.objective, found.kkt, iterations, found.status, found.phi[0], x
-                return FrameResult(*answer)
+    def _solved(self, frame: int, start: FrameResult, before: FrameResult | None) -> FrameResult:
+        """The answer from a start, whose tips are as near to those before as they are from frame to frame."""
+        robot, iterations, ends = self.problem.robot, 0, Ends(None if before is None else before.q)
+        last, far = (start, np.inf) if before is None else (before, tip_steps(robot, self.problem.dt))
+        tips = self._tips(last)
+        for factor in HOLDS:
+            solver = SharedSolver(self._motion(frame, ends, factor))
+            for barrier in (CLOSE, WIDE):
+                found = solver(start.q[None], self._tips(start)[None], barrier)
+                iterations += found.iterations
+                if found.success and (abs(found.phi[0] - tips) <= far).all():
+                    x = np.concatenate([found.phi[0, 0], found.q[0, robot.d :]])
+                    known = found.objective, found.kkt, iterations, found.status, found.phi[0], x
+                    return FrameResult(found.q[0], True, *known)
         status = f"scenarios: {found.status}, KKT residual {found.kkt:.1e}"
-        return FrameResult(near.q, False, iterations=iterations, status=status, warm=tips, x=near.x)
+        return FrameResult(last.q, False, iterations=iterations, status=status, warm=tips, x=last.x)
+
+    def _motion(self, frame: int, ends: Ends, factor: float) -> SharedMotion:
+        """That of a single frame; factor: of the weight of its step from the frame before."""
+        problem, margins = self.problem, None if self.margins is None else self.margins[frame : frame + 1]
+        at = problem.robot, [problem.samples[frame]], problem.dt, factor * self.settings.motion_weight, ends
+        return shared_motion(*at, self.model, self.scenarios, fastest, margins, self.terms)
 
     def _tips(self, near: FrameResult) -> Array:
         """Of all scenarios, (S, d)."""

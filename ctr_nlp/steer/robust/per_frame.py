@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +16,7 @@ from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.verdicts import MOST_LOST
 from ctr_nlp.steer.nlp_frames import DEFAULTS
-from ctr_nlp.steer.passes import Progress, run_again, run_passes
+from ctr_nlp.steer.passes import Pass, Progress, run_again, run_passes
 from ctr_nlp.steer.per_frame import plan_of
 from ctr_nlp.steer.requests import Direction, check_described, checked_ends
 from ctr_nlp.steer.robust.frames import ScenarioFrames
@@ -29,6 +30,8 @@ MARGINS = 0.1, 0.5
 """Stability margins of the robot as described in the frames that runs begin at."""
 ROUNDS = 3
 """Times that a motion is planned again for robots that were lost."""
+DEARER = 0.1
+"""By what part of itself the mean objective may grow before other runs are looked at, too."""
 
 
 def solve_robust_per_frame(
@@ -57,12 +60,13 @@ def solve_robust_per_frame(
     with deferred_interrupt() as interrupted:
         solver = ScenarioFrames.of(problem, scenarios, model, settings, terms, MARGINS)
         passes, seconds = run_passes(problem, solver, direction, start, progress=progress)
-        best = min(passes, key=lambda one: one.cost(problem))
+        ranked = sorted(passes, key=lambda one: one.cost(problem))
+        best = ranked[0]
         trial = trials(best.motion(problem), 0)
         made = [(solver, best, trial)]
         while not trial.few and len(made) <= rounds and not interrupted():
             solver = solver.harder(trial, len(made) == 1)
-            best = run_again(best, solver, interrupted)
+            best = _best_again(ranked, solver, interrupted)
             trial = trials(best.motion(problem), len(made))
             made.append((solver, best, trial))
         stopped = interrupted()
@@ -85,3 +89,14 @@ def solve_robust_per_frame(
         ],
     }
     return plan_of(problem, solver, best, None, options, work)
+
+
+def _best_again(ranked: Sequence[Pass], solver: ScenarioFrames, stop: Callable[[], bool]) -> Pass:
+    """The first of ranked runs that, run again, is about as good as the best of them was; else the best then."""
+    problem, found = solver.problem, list[Pass]()
+    failed, least = ranked[0].cost(problem)
+    for one in ranked:
+        found.append(run_again(one, replace(solver, known=one.results), stop))
+        if stop() or found[-1].cost(problem) <= (failed, (1 + DEARER) * least):
+            break
+    return min(found, key=lambda one: one.cost(problem))
