@@ -30,6 +30,7 @@ _OWN = "x", "at", "kept_x", "kept"
 class _InC(ctypes.Structure):
     """The struct Wall of wall.c."""
 
+    known: int
     _fields_ = [
         ("points", ctypes.c_void_p),
         *((name, ctypes.c_long) for name in _LONGS),
@@ -70,7 +71,8 @@ class Around:
             *(clearance, CENTRED, tiny, SPACING, float(np.diff(lumen.along).max())),
             *addresses[len(given) :],
         )
-        self._rows = rows
+        self._rows, self._numbers = rows, self._arrays[_GIVEN.index("numbers")]
+        self._own = self._numbers.copy()
         self._wall = _InC(None, *self._fixed)
         self._library = cache.loaded(__package__, "wall.c")
         self._made = Library(self._points.serialize(), lambda: (self._points,), LANES)
@@ -84,9 +86,15 @@ class Around:
             self._wall = _InC(points, *self._fixed)
         return self._compiled is not None
 
-    def __call__(self, x: Array) -> tuple[Array, Array]:
-        """What describes the wall, (T, d PLACES, COLUMNS), near unknowns x (T, n), and slacks (T,) needed, mm."""
+    def __call__(self, x: Array, numbers: Array | None = None) -> tuple[Array, Array]:
+        """What describes the wall, (T, d PLACES, COLUMNS), near unknowns x (T, n), and slacks (T,) needed, mm.
+
+        numbers (d, 6): of the tubes, where they are not the robot's.
+        """
         x, found = np.ascontiguousarray(x, dtype=float), np.empty((len(x), self._rows * COLUMNS + 1))
+        of_tubes = self._own if numbers is None else np.tile(numbers.ravel(order="F"), LANES)
+        if not np.array_equal(of_tubes, self._numbers):
+            self._numbers[:], self._wall.known = of_tubes, 0
         self._library.around_all(ctypes.byref(self._wall), ctypes.c_long(len(x)), x.ctypes, found.ctypes)
         return found[:, :-1].reshape(len(x), COLUMNS, self._rows).transpose(0, 2, 1), found[:, -1].copy()
 

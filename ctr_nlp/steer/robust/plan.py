@@ -14,6 +14,7 @@ from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.scenarios import MARGIN
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
+from ctr_nlp.formulations.wall import wall_of
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
@@ -25,6 +26,7 @@ from ctr_nlp.steer.requests import check_described, check_search
 from ctr_nlp.steer.robust.rounds import Lost, Round, planned_again
 from ctr_nlp.steer.robust.search import RobustSearch, Start, Tried
 from ctr_nlp.steer.robust.tolerated import lost_of, scenarios_of
+from ctr_nlp.steer.robust.walled import Walled
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.values import instance, number, strict_json
 from ctr_nlp.target.problem import Problem
@@ -53,15 +55,16 @@ def solve_robust(
     terms: Sequence[Term] = (),
     progress: Progress | None = None,
 ) -> Plan:
-    """The plan that robots of scenarios follow a problem's target with, all making one motion, far from any wall.
+    """The plan that robots of scenarios follow a problem's target with, all making one motion.
 
     scenarios: the first is the problem's own robot; by default those of its tolerances. lost: (q (T, 2d + 2),
     number of a round) -> robots that are lost on this motion, of some drawn for this round, by default within the
     tolerances; these join the scenarios, and it is planned again, in at most so many rounds. margin: the least
     stability margin of every scenario. margins: of the nominal plans started from. start, end, motion_weight,
     settings, terms, progress: as solve_horizon.
-    Where no motion is found that all scenarios share, the plan is the first nominal one, and no frame counts as
-    solved. Raises OptionError, ProblemError, RobotError.
+    In a lumen, all scenarios are kept off the wall as far as settings say (walled.py), once the motion that is
+    free of it is known. Where no motion is found that all share, the plan is the first nominal one, and no frame
+    counts as solved. Raises OptionError, ProblemError, RobotError.
     """
     check_described(problem, settings)
     check_search(motion_weight, None, 1)
@@ -86,6 +89,14 @@ def solve_robust(
         search = RobustSearch(problem, *own, progress, interrupted)
         tried = search.drafts(starts, scenarios)
         made = _rounds(search, tried, scenarios, lost, rounds)
+        best = free = _best(problem, made)
+        told = [one.described() for one in made]
+        wall = wall_of(problem.robot, problem.lumen, model, settings, finer=1)
+        if wall is not None and free is not None:
+            within = Walled(search, wall, free, settings.clearance_cost, lost, rounds).rounds(len(made))
+            if within is not None:
+                search, best = within.search, _best(problem, within.made)
+                told += [one.described() | {"contact_weight": within.weight} for one in within.made]
         stopped = interrupted()
     options = strict_json(asdict(settings)) | {"motion_weight": weight, "stability_margin": margin}
     options |= {"margins": list(margins), "rounds": rounds, "terms": [str(term) for term in terms]}
@@ -99,11 +110,11 @@ def solve_robust(
         "search_s": between - begin,
         "solve_s": time.perf_counter() - between,
         "interrupted": stopped,
-        "contact_weight": None,
+        "contact_weight": None if search.wall is None else search.wall.weight,
         "starts": [_described(one) for one in tried],
-        "rounds": [one.described() for one in made],
+        "rounds": told,
     }
-    return _plan(problem, search, starts[0], made, meta)
+    return _plan(problem, search, starts[0], best, None if wall is None else free, meta)
 
 
 def _at(settings: Settings, margin: float) -> Settings:
@@ -157,21 +168,31 @@ def _described(one: Tried) -> dict[str, Any]:
     }
 
 
+def _best(problem: Problem, made: Sequence[Round]) -> Round | None:
+    """Of rounds over all frames the one in which fewest were lost, the last of these; None without any."""
+    whole = [one for one in made if one.tried.frames == problem.frames]
+    return min(reversed(whole), key=lambda one: one.lost, default=None)
+
+
 def _plan(
-    problem: Problem, search: RobustSearch, start: Start, made: Sequence[Round], meta: dict[str, Any]
+    problem: Problem,
+    search: RobustSearch,
+    start: Start,
+    best: Round | None,
+    free: Round | None,
+    meta: dict[str, Any],
 ) -> Plan:
-    """The round in which fewest were lost, the last of these, as a plan."""
+    """A round as a plan, and the one that was free of the wall; without any, the start, not solved."""
     frames = problem.frames
     unknown = np.full(frames, np.nan)
-    if not made:
+    if best is None:
         why = "interrupted" if meta["interrupted"] else "no motion was found that all scenarios share"
         given = meta | {"failures": {"all": why}}
         nothing = {"solve_time": unknown, "objective": unknown, "kkt": unknown}
         return plan_from_configurations(problem, start.q, given, success=np.zeros(frames, dtype=bool), **nothing)
-    whole = [one for one in made if one.tried.frames == frames]
-    best = min(reversed(whole), key=lambda one: one.lost)
     found = best.tried.solution
     condensed = Condensed(search.motion(best.scenarios))
+    condensed.look(found.q, found.phi)
     return plan_from_configurations(
         problem,
         found.q,
@@ -181,4 +202,5 @@ def _plan(
         objective=condensed.by_frame(found.q, found.phi),
         kkt=np.full(frames, found.kkt),
         planned=np.concatenate([found.phi[:, 0], found.q[:, problem.robot.d :]], axis=1),
+        free=None if free is None else free.tried.solution.q,
     )

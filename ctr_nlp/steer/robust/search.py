@@ -11,6 +11,7 @@ import numpy as np
 from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.formulations.scenarios import shared_motion
 from ctr_nlp.formulations.terms import Term
+from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.models import Model
 from ctr_nlp.nlp.scenarios import Scenarios, SharedMotion
 from ctr_nlp.plan.plan import elsewhere
@@ -56,7 +57,9 @@ class Tried:
 
 @dataclass(frozen=True)
 class RobustSearch:
-    """Solves for scenarios of one problem. weight: lambda in s^2; margin: least one of every scenario."""
+    """Solves for scenarios of one problem. weight: lambda in s^2; margin: least one of every scenario; wall: of
+    the lumen that all are kept in, None where it does not count.
+    """
 
     problem: Problem
     model: Model
@@ -66,6 +69,7 @@ class RobustSearch:
     margin: float
     progress: Progress | None = None
     stop: Callable[[], bool] = lambda: False
+    wall: Wall | None = None
 
     def motion(self, scenarios: Scenarios, picked: Index | None = None) -> SharedMotion:
         """The program over all frames, or over picked ones, evenly apart."""
@@ -73,7 +77,7 @@ class RobustSearch:
         frames = range(problem.frames) if picked is None else picked.tolist()
         dt = problem.dt * (1 if picked is None or len(picked) < 2 else int(picked[-1] - picked[-2]))
         at = problem.robot, [problem.samples[k] for k in frames], dt, self.weight, self.ends, self.model
-        return shared_motion(*at, scenarios, fastest, self.margin, self.terms)
+        return shared_motion(*at, scenarios, fastest, self.margin, self.terms, wall=self.wall)
 
     @cached_property
     def picked(self) -> Index | None:
