@@ -63,8 +63,8 @@ def add_horizon_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--robust",
         action="store_true",
-        help="plan for all the robots that the tolerances in the robot file allow, on the elastic model and "
-        "without a wall, and try the plan on 500 draws of them",
+        help="plan for all the robots that the tolerances in the robot file allow, on the elastic model, "
+        "and try the plan on 500 draws of them",
     )
     group.add_argument(
         "--sweep-motion-weight",

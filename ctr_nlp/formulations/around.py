@@ -30,6 +30,7 @@ _OWN = "x", "at", "kept_x", "kept"
 class _InC(ctypes.Structure):
     """The struct Wall of wall.c."""
 
+    known: int
     _fields_ = [
         ("points", ctypes.c_void_p),
         *((name, ctypes.c_long) for name in _LONGS),
@@ -38,6 +39,10 @@ class _InC(ctypes.Structure):
         *((name, ctypes.c_void_p) for name in _OWN),
         ("known", ctypes.c_long),
     ]
+
+    def forget(self) -> None:
+        """Let nothing count as found before."""
+        self.known = 0
 
 
 class Around:
@@ -70,7 +75,8 @@ class Around:
             *(clearance, CENTRED, tiny, SPACING, float(np.diff(lumen.along).max())),
             *addresses[len(given) :],
         )
-        self._rows = rows
+        self._rows, self._numbers = rows, self._arrays[_GIVEN.index("numbers")]
+        self._own = self._numbers.copy()
         self._wall = _InC(None, *self._fixed)
         self._library = cache.loaded(__package__, "wall.c")
         self._made = Library(self._points.serialize(), lambda: (self._points,), LANES)
@@ -84,9 +90,16 @@ class Around:
             self._wall = _InC(points, *self._fixed)
         return self._compiled is not None
 
-    def __call__(self, x: Array) -> tuple[Array, Array]:
-        """What describes the wall, (T, d PLACES, COLUMNS), near unknowns x (T, n), and slacks (T,) needed, mm."""
+    def __call__(self, x: Array, numbers: Array | None = None) -> tuple[Array, Array]:
+        """What describes the wall, (T, d PLACES, COLUMNS), near unknowns x (T, n), and slacks (T,) needed, mm.
+
+        numbers (d, 6): of the tubes, where they are not the robot's.
+        """
         x, found = np.ascontiguousarray(x, dtype=float), np.empty((len(x), self._rows * COLUMNS + 1))
+        of_tubes = self._own if numbers is None else np.tile(numbers.ravel(order="F"), LANES)
+        if not np.array_equal(of_tubes, self._numbers):
+            self._numbers[:] = of_tubes
+            self._wall.forget()
         self._library.around_all(ctypes.byref(self._wall), ctypes.c_long(len(x)), x.ctypes, found.ctypes)
         return found[:, :-1].reshape(len(x), COLUMNS, self._rows).transpose(0, 2, 1), found[:, -1].copy()
 
@@ -94,6 +107,29 @@ class Around:
         """What run.c calls at every frame; as long as this object lives."""
         call = ctypes.cast(self._library.around, ctypes.c_void_p).value or 0
         return Surroundings(call, ctypes.addressof(self._wall), "wall", "contact_weight", FIRM, settled, rounds)
+
+
+class Beside:
+    """What is left of a lumen beside points: its radius less the distance to its path; in C where that can be."""
+
+    def __init__(self, lumen: Lumen) -> None:
+        """Prepare."""
+        self._lumen = lumen
+        pieces = (np.ascontiguousarray(each) for each in (lumen.table[:, :3], lumen.along, *lumen.pieces))
+        self._kept = dict(zip(("table", "along", "path", "radius"), pieces, strict=True))
+        addresses = {name: array.ctypes.data for name, array in self._kept.items()}
+        widest = float(np.diff(lumen.along).max())
+        self._wall = _InC(nodes=len(lumen.along), spacing=SPACING, widest=widest, **addresses)
+
+    def __call__(self, points: Array) -> Array:
+        """At points (.., 3) in mm, (..,) mm; NaN at points that are."""
+        if cache.missing():
+            near = self._lumen.near(points)
+            return np.asarray(near.radius - near.distance)
+        points, found = np.ascontiguousarray(points, dtype=float), np.empty(points.shape[:-1])
+        call = cache.loaded(__package__, "wall.c").left_beside
+        call(ctypes.byref(self._wall), ctypes.c_long(found.size), points.ctypes, found.ctypes)
+        return found
 
 
 def _shares(d: int, count: int, samples: int) -> Array:

@@ -14,7 +14,7 @@ from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.terms import Body, Margin, Parts, Term
 from ctr_nlp.models import Model, Shape
 from ctr_nlp.models.protocol import symbolic_tubes
-from ctr_nlp.nlp.nlp import Constraint, Inner, Nlp
+from ctr_nlp.nlp.nlp import Constraint, Nlp
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import NUMBERS, Structure
 from ctr_nlp.target.target import Frame
@@ -127,11 +127,7 @@ def _joined(name: str, shape: Shape, parameters: Mapping[str, ca.SX], parts: Seq
         residuals=tuple(each for part in parts for each in part.residuals),
         costs=tuple(each for part in parts for each in part.costs),
         constraints=(*motors, *(each for part in parts for each in part.constraints)),
-        inner=(shape.inner, *_layers(parts)),
+        inner=(shape.inner, *(layer for part in parts for layer in part.inner)),
         picks=picks,
         slacks=len(slacks),
     )
-
-
-def _layers(parts: Sequence[Parts]) -> list[Inner]:
-    return [part.inner for part in parts if part.inner is not None]

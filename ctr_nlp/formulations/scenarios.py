@@ -9,6 +9,7 @@ so that all are on one branch of a fork, which the margin does not see.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -16,7 +17,8 @@ from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.frame import filled, packed, program
 from ctr_nlp.formulations.horizon import Ends, interpreted, motion_links
 from ctr_nlp.formulations.joint import terms_of
-from ctr_nlp.formulations.terms import Term
+from ctr_nlp.formulations.terms import Term, Touch
+from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.models import Model
 from ctr_nlp.nlp.nlp import FrameFunctions, Nlp
 from ctr_nlp.nlp.scenarios import Scenarios, SharedMotion
@@ -50,15 +52,17 @@ def shared_motion(
     margins: Array | None = None,
     extra: Sequence[Term] = (),
     apart: float = APART,
+    wall: Wall | None = None,
 ) -> SharedMotion:
     """The motion through frames, dt s apart, of scenarios of a robot on a model with several equilibria.
 
-    As horizon, but for tips that may turn as they do; margins (T,): the least of
-    every scenario in each frame, None for any; apart: rad.
-    Raises OptionError.
+    As horizon, but for tips that may turn as they do, and for the wall, which is no matter of slacks but a smooth
+    cost (terms.touch). margins (T,): the least of every scenario in each frame, None for any; apart: rad. Raises
+    OptionError.
     """
     check_shared(robot, model, scenarios)
-    terms = terms_of(robot, model, None if margins is None else 0.0, extra)
+    margin = None if margins is None else 0.0
+    terms = (*terms_of(robot, model, margin, extra), *([] if wall is None else [Touch(robot.d)]))
     frame = program("frame", robot.structure, model, terms)
     each = packed(frame, [filled(robot, terms, at) for at in frames])
     parameters = np.repeat(each[:, None], len(scenarios), axis=1)
@@ -71,4 +75,5 @@ def shared_motion(
     before, after = ([] if q is None else [q] for q in (ends.start, ends.end))
     links = motion_links(robot, len(frames), dt, motion_weight, before, after, np.zeros(0))
     flat = parameters.reshape(len(frames) * len(scenarios), -1)
-    return SharedMotion(frame, robot.d, scenarios, flat, lower, upper, links, apart, functions(frame))
+    near = None if wall is None else partial(wall.of_scenarios, numbers=scenarios.numbers)
+    return SharedMotion(frame, robot.d, scenarios, flat, lower, upper, links, apart, functions(frame), near)

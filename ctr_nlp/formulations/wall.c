@@ -141,3 +141,17 @@ void around_all(Wall *w, long frames, const double *x, double *found) {
     for (long j = 0; j < frames; ++j)
         around(w, x + j * w->unknowns, found + j * (w->tubes * w->places * COLUMNS + 1));
 }
+
+/* What is left of the lumen beside so many points, rows of three: its radius less the distance to its path, mm. */
+void left_beside(const Wall *w, long count, const double *points, double *found) {
+    long guess = 0;
+    for (long i = 0; i < count; ++i) {
+        const double *p = points + 3 * i;
+        Near near;
+        if (isfinite(p[0]) && isfinite(p[1]) && isfinite(p[2])) {
+            look(w, p, &guess, &near);
+            found[i] = near.radius - near.distance;
+        } else
+            found[i] = NAN;
+    }
+}

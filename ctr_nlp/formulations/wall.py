@@ -26,7 +26,7 @@ from ctr_nlp.target.lumen import Lumen, outer_radius
 from ctr_nlp.typing import Array
 
 FINER = 5
-"""Samples a place, between it and the one before."""
+"""Samples a place."""
 ROUNDS = 12
 """Times that a program is solved around its own solution."""
 SETTLED = 0.01
@@ -35,18 +35,21 @@ TINY = 1e-9
 """mm, 1/mm: what stands for nothing in a denominator."""
 
 
-def wall_of(robot: Robot, lumen: Curve | None, model: Model, settings: Settings) -> Wall | None:
-    """That of a path with radii, None where there is none or it does not count."""
+def wall_of(
+    robot: Robot, lumen: Curve | None, model: Model, settings: Settings, finer: int = FINER
+) -> Wall | None:
+    """That of a path with radii, None where there is none or it does not count; finer: as of Wall."""
     if lumen is None or not settings.contact_weight:
         return None
-    return Wall(robot, Lumen.around(lumen), model, settings.contact_weight, settings.clearance)
+    return Wall(robot, Lumen.around(lumen), model, settings.contact_weight, settings.clearance, finer)
 
 
 @dataclass(frozen=True)
 class Wall:
     """That of a lumen around a robot on a model.
 
-    weight: what a mm of contact costs, mm^2. clearance: mm that are to be kept.
+    weight: what a mm of contact costs, mm^2. clearance: mm that are to be kept. finer: samples a place, between it
+    and the one before.
     """
 
     robot: Robot
@@ -54,6 +57,7 @@ class Wall:
     model: Model
     weight: float
     clearance: float
+    finer: int = FINER
 
     def cost(self, slack: Array) -> Array:
         """Of slacks, mm^2."""
@@ -64,30 +68,43 @@ class Wall:
         """The same in C; None where nothing can be compiled."""
         if cache.missing():
             return None
-        return Around(self.robot, self.lumen, self.model, self.clearance, FINER, TINY)
+        return Around(self.robot, self.lumen, self.model, self.clearance, self.finer, TINY)
 
     def __getstate__(self) -> dict[str, Any]:
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
-    def surroundings(self, x: Array) -> tuple[dict[str, Array], Array]:
-        """Parameters (T, ..) of frames near to unknowns x (T, n) of the model, and slacks (T,) needed, mm."""
+    def surroundings(self, x: Array, numbers: Array | None = None) -> tuple[dict[str, Array], Array]:
+        """Parameters (T, ..) of frames near to unknowns x (T, n) of the model, and slacks (T,) needed, mm.
+
+        numbers (d, 6): of the tubes, where they are not the robot's.
+        """
         found = self.around
-        wall, slack = self.described(x) if found is None or not found.ready() else found(x)
+        wall, slack = (self.described if found is None or not found.ready() else found)(x, numbers)
         return {"wall": wall, "contact_weight": np.full(len(x), self.weight)}, slack
 
-    def described(self, x: Array) -> tuple[Array, Array]:
+    def of_scenarios(self, x: Array, numbers: Array) -> dict[str, Array]:
+        """Parameters (T, S, ..) near to unknowns x (T, S, n) of robots whose tubes have numbers (S, d, 6)."""
+        found = [self.surroundings(x[:, k], own)[0] for k, own in enumerate(numbers)]
+        return {name: np.stack([each[name] for each in found], axis=1) for name in found[0]}
+
+    def described(self, x: Array, numbers: Array | None = None) -> tuple[Array, Array]:
         """What describes the wall (T, d PLACES, COLUMNS), and slacks (T,), without compiled code.
 
-        Bends sharper than the lumen is wide are noise of the path's points.
+        As surroundings. Bends sharper than the lumen is wide are noise of the path's points.
         """
         beta = columns_of(self.model.extensions(self.robot, x))
-        sigma = np.hstack(arc_lengths(beta, PLACES * FINER)) / np.maximum(beta[-1], TINY)
-        near = self.lumen.near(self.model.points(self.robot, x, sigma))
-        room = near.radius - np.repeat(outer_radius(self.robot), PLACES * FINER) - self.clearance
+        sigma = np.hstack(arc_lengths(beta, PLACES * self.finer)) / np.maximum(beta[-1], TINY)
+        near = self.lumen.near(self._points(x, sigma, numbers))
+        room = near.radius - np.repeat(outer_radius(self.robot), PLACES * self.finer) - self.clearance
         left = room - np.hypot(near.distance, CENTRED)
-        room -= left - np.repeat(left.reshape(len(x), -1, FINER).min(axis=-1), FINER, axis=-1)
+        room -= left - np.repeat(left.reshape(len(x), -1, self.finer).min(axis=-1), self.finer, axis=-1)
         numbers = np.stack([room, near.taper, near.behind, near.ahead], axis=-1)
         sharpest = 1.0 / near.radius / np.maximum(np.linalg.norm(near.bend, axis=-1), TINY)
         bend = near.bend * np.minimum(sharpest, 1.0)[..., None]
         wall = np.concatenate([near.centre, near.tangent, bend, numbers], axis=-1)
-        return wall[:, FINER - 1 :: FINER], np.maximum(-left.min(axis=1), 0.0)
+        return wall[:, self.finer - 1 :: self.finer], np.maximum(-left.min(axis=1), 0.0)
+
+    def _points(self, x: Array, sigma: Array, numbers: Array | None) -> Array:
+        if numbers is None:
+            return self.model.points(self.robot, x, sigma)
+        return self.model.points_apart(self.robot.structure, np.repeat(numbers[None], len(x), axis=0), x, sigma)

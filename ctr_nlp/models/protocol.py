@@ -151,9 +151,10 @@ class Model(ABC):
         return points, tangents
 
     def points_apart(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
-        """Points (T, n, 3) in mm of robots that differ in numbers (T, d, 6), at x (T, n_x) and sigma (n,)."""
-        function = samples(self, structure, len(sigma))
-        return np.array([function(row, sigma, own)[0].full() for row, own in zip(x, numbers, strict=True)])
+        """Points (T, n, 3) in mm of robots that differ in numbers (T, d, 6), at x (T, n_x); sigma: as points."""
+        sigma = np.broadcast_to(sigma, (len(x), np.shape(sigma)[-1]))
+        function, rows = samples(self, structure, sigma.shape[1]), zip(x, sigma, numbers, strict=True)
+        return np.array([function(*row)[0].full() for row in rows])
 
     def margins(self, robot: Robot, x: Array) -> Array:
         """Stability margins (T,) at unknowns x (T, n_x); NaN where nothing can be unstable."""

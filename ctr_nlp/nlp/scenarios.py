@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -61,6 +61,8 @@ class SharedMotion:
 
     frame: the program of one robot in one frame over (phi, beta, theta), the last two of them q's own. parameters
     (T S, p): a row for every scenario of every frame. lower, upper (T, n): of q, equal where it is fixed.
+    surroundings: where some parameters hold near a motion only, these (T, S, ..), by name, of all robots' unknowns
+    (T, S, n).
     """
 
     frame: Nlp
@@ -72,6 +74,7 @@ class SharedMotion:
     links: tuple[Link, ...]
     apart: float
     functions: Callable[[], FrameFunctions]
+    surroundings: Callable[[Array], Mapping[str, Array]] | None = None
 
     @property
     def sizes(self) -> tuple[int, int, int, int]:
@@ -106,6 +109,11 @@ class SharedMotion:
             parts = [np.tile(bound[self.own_rows], count), tips, bound[self.common_rows]]
             bounds.append(np.tile(np.concatenate(parts), (len(self.lower), 1)))
         return bounds[0], bounds[1]
+
+    def unknowns(self, q: Array, phi: Array) -> Array:
+        """Those (T, S, n) of every robot in every frame, at q (T, n) and tips phi (T, S, d)."""
+        frames, count, n, d = self.sizes
+        return np.concatenate([phi, np.broadcast_to(q[:, None, d:], (frames, count, n - d))], axis=2)
 
     @cached_property
     def linking(self) -> sp.csr_array:

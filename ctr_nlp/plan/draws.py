@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from ctr_nlp.formulations.around import Beside
 from ctr_nlp.plan.measures import rms_over_sigma
 from ctr_nlp.plan.record import Record
 from ctr_nlp.plan.robustness import COSTLY, Robustness
 from ctr_nlp.robot.draws import Draws, drawn, drawn_from
 from ctr_nlp.robot.tolerances import NAMES
 from ctr_nlp.simulation.drawn import DrawnMotion, drawn_motion
-from ctr_nlp.target.lumen import Lumen
+from ctr_nlp.target.lumen import Lumen, outer_radius, outermost
 from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array, Index
 
@@ -49,9 +50,8 @@ def _measured(plan: Record, draws: Draws, frames: Index) -> tuple[Any, ...]:
     margins = np.fmin(found.stability, found.stability_between)
     clearance = contact = np.full(len(draws), np.nan)
     if plan.lumen is not None:
-        n, count = distance.shape[:2]
-        beta, shape = np.tile(plan.beta, (n, 1)), found.shape.reshape(n * count, len(SIGMA), 3)
-        least = Lumen(plan.lumen).clearance(plan.robot, beta, SIGMA, shape).min(axis=1).reshape(n, count)
+        outer = outer_radius(plan.robot)[outermost(plan.beta, SIGMA)]
+        least = (Beside(Lumen(plan.lumen))(found.shape) - outer).min(axis=2)
         clearance, contact = np.fmin.reduce(least, axis=1), np.nansum(np.maximum(-least, 0.0), axis=1)
     return (
         *(

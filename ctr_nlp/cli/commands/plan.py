@@ -43,7 +43,7 @@ UNASKED = 40
 """Draws of the robot that a plan on which it can snap is tried on by itself."""
 ASKED = 500
 """Those that a robust plan is tried on."""
-UNFIT = "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live", "evaluate", *plan_options.WALL
+UNFIT = "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live", "evaluate"
 """Options that do not go with --robust."""
 
 

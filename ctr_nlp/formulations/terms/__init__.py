@@ -6,6 +6,7 @@ from ctr_nlp.formulations.terms.motion import Motion
 from ctr_nlp.formulations.terms.shape import ShapeDistance
 from ctr_nlp.formulations.terms.term import Body, Parts, Term
 from ctr_nlp.formulations.terms.tip import TipDirection, TipPosition
+from ctr_nlp.formulations.terms.touch import Touch
 
 __all__ = [
     "Body",
@@ -18,4 +19,5 @@ __all__ = [
     "Term",
     "TipDirection",
     "TipPosition",
+    "Touch",
 ]

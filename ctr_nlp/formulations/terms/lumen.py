@@ -30,8 +30,8 @@ CENTRED = 0.01
 """mm: what rounds off the distance to the path where that is 0."""
 
 
-def clearance(points: Vector, path: Sequence[Vector], wall: Sequence[ca.SX], slack: ca.SX) -> Constraint:
-    """Distance from the robot to a path within the room that the lumen leaves it, or that and a slack, mm.
+def left(points: Vector, path: Sequence[Vector], wall: Sequence[ca.SX]) -> ca.SX:
+    """What is left (n, 1) of the room that the lumen leaves a robot beside a path, mm; negative in contact.
 
     points: x, y, z, each (n, 1) mm. path: its point near to each, its tangent and its bend, 1/mm, in the same
     axes. wall, each (n, 1): the room there, mm, how much more there is a mm further, and how far the path goes on
@@ -42,8 +42,14 @@ def clearance(points: Vector, path: Sequence[Vector], wall: Sequence[ca.SX], sla
     further = ca.fmax(ca.fmin(sum(away[i] * tangent[i] for i in range(3)), ahead), -behind)
     across = [away[i] - further * tangent[i] - further**2 / 2 * bend[i] for i in range(3)]
     distance = ca.sqrt(sum(part**2 for part in across) + CENTRED**2)
-    value = room + taper * further + slack - distance
-    return Constraint("clearance", value, np.zeros(value.numel()), np.full(value.numel(), np.inf))
+    return room + taper * further - distance
+
+
+def seen(body: Body, wall: ca.SX) -> tuple[Inner, ca.SX]:
+    """The robot's points as inner symbols, and what is left there, written in these; wall: a row a place."""
+    points = Inner.of([ca.SX(ca.horzcat(*body.points))])
+    at, *path = (columns_of(each) for each in (points.symbols[0], wall[:, :3], wall[:, 3:6], wall[:, 6:9]))
+    return points, left(at, path, ca.horzsplit(wall[:, ROOM:]))
 
 
 def contact(slack: Any, weight: Any) -> Any:
@@ -85,13 +91,13 @@ class Lumen(Term):
 
     def build(self, body: Body, parameters: Symbols) -> Parts:
         """One smooth row a place, and one slack."""
-        wall, slack = parameters["wall"], ca.SX.sym("slack")
-        points = Inner.of([ca.SX(ca.horzcat(*body.points))])
-        at, *path = (columns_of(each) for each in (points.symbols[0], wall[:, :3], wall[:, 3:6], wall[:, 6:9]))
+        slack = ca.SX.sym("slack")
+        points, room = seen(body, parameters["wall"])
+        bounds = np.zeros(room.numel()), np.full(room.numel(), np.inf)
         return Parts(
             costs=(Cost("contact", contact(slack, parameters["contact_weight"])),),
-            constraints=(clearance(at, path, ca.horzsplit(wall[:, ROOM:]), slack),),
-            inner=points,
+            constraints=(Constraint("clearance", room + slack, *bounds),),
+            inner=(points,),
             slack=slack,
         )
 

@@ -64,12 +64,14 @@ class Body:
 
 @dataclass(frozen=True)
 class Parts:
-    """What a term adds to a program. inner: quantities between shape and term. slack: one more unknown, >= 0."""
+    """What a term adds to a program. inner: layers of quantities between shape and term. slack: one more
+    unknown, >= 0.
+    """
 
     residuals: tuple[Residual, ...] = ()
     costs: tuple[Cost, ...] = ()
     constraints: tuple[Constraint, ...] = ()
-    inner: Inner | None = None
+    inner: tuple[Inner, ...] = ()
     slack: ca.SX | None = None
 
 

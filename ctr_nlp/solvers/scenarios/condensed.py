@@ -104,13 +104,35 @@ class Condensed:
 
     def value(self, q: Array, phi: Array) -> Values:
         """At q (T, n) and phi (T, S, d)."""
-        f, g = self._maps[0](self._unknowns(q, phi).ravel())
+        f, g = self._maps[0](self.motion.unknowns(q, phi).ravel())
         return self._values(q, phi, f, g)
+
+    def look(self, q: Array, phi: Array, settled: float = 0.0) -> bool:
+        """Describe what surrounds the robots as it is near to a point; whether that changes the objective there,
+        robot by robot, by more than this part. Where it does not, what was described stays.
+        """
+        motion, parameters = self.motion, self._maps[0].inputs[1]
+        if motion.surroundings is None:
+            return False
+        x, known = motion.unknowns(q, phi), parameters.copy()
+        before = self._maps[0](x.ravel())[0].ravel().copy()
+        for name, value in motion.surroundings(x).items():
+            columns = value.reshape(len(known), *value.shape[2:], *(1,) * (4 - value.ndim))
+            parameters[:, motion.frame.place(name)] = columns.transpose(0, 2, 1).reshape(len(known), -1)
+        after = self._maps[0](x.ravel())[0].ravel()
+        changed = self._shares @ abs(after - before) > settled * (1 + self._shares @ abs(before))
+        for each in self._maps:
+            each.inputs[1][:] = parameters if changed else known
+        return bool(changed)
+
+    def by_robot(self, q: Array, phi: Array) -> Array:
+        """The objective of every robot in every frame, without links, (T, S) mm^2."""
+        f, _ = self._maps[0](self.motion.unknowns(q, phi).ravel())
+        return np.array(f.reshape(len(q), -1))
 
     def by_frame(self, q: Array, phi: Array) -> Array:
         """What each frame adds to the objective, with the links that end at it, (T,) mm^2."""
-        f, _ = self._maps[0](self._unknowns(q, phi).ravel())
-        found = f.reshape(len(q), -1) @ self.motion.weights
+        found = self.by_robot(q, phi) @ self.motion.weights
         linked = self.linking @ q.ravel() + self._link_offset
         np.add.at(found, np.concatenate([link.frame for link in self.motion.links]), self.link_weight * linked**2)
         return np.asarray(found)
@@ -124,7 +146,7 @@ class Condensed:
         pulls[..., :d] = equations
         pulls[..., own] = rows[:, : count * len(own)].reshape(frames, count, -1)
         pulls[:, 0, common] = rows[:, rows.shape[1] - len(common) :]
-        x = self._unknowns(q, phi).ravel()
+        x = motion.unknowns(q, phi).ravel()
         f, gradient, g, jacobian, hessian = self._maps[2](x, self._shares, pulls.ravel())
         at, shape = self._values(q, phi, f, g), (frames, count, n, n)
         slopes = jacobian.reshape(frames, count, n, -1).swapaxes(-1, -2)
@@ -151,16 +173,13 @@ class Condensed:
             np.concatenate([part.reshape(frames, -1) for part in ahead], axis=1),
         )
 
-    def _unknowns(self, q: Array, phi: Array) -> Array:
-        frames, count, n, d = self.motion.sizes
-        return np.concatenate([phi, np.broadcast_to(q[:, None, d:], (frames, count, n - d))], axis=2)
-
     def _values(self, q: Array, phi: Array, f: Array, g: Array) -> Values:
         frames, count, _, d = self.motion.sizes
         each = g.reshape(frames, count, -1)
         own, tips = each[..., self.motion.own_rows], phi[:, 1:, : d - 1] - phi[:, :1, : d - 1]
         rows = [part.reshape(frames, -1) for part in (own, tips, each[:, 0, self.motion.common_rows])]
         linked = self.linking @ q.ravel() + self._link_offset
-        objective = float(self._shares @ f.ravel() + self.link_weight @ linked**2)
+        counted = self._shares > 0  # others may be anywhere on the way
+        objective = float(self._shares[counted] @ f.ravel()[counted] + self.link_weight @ linked**2)
         value = np.concatenate([q.ravel(), np.concatenate(rows, axis=1).ravel(), linked])
         return Values(objective, value, each[..., :d] - q[:, None, :d] - self._offsets)

@@ -35,6 +35,9 @@ STALL, STALLED = 6, 1e-9
 """A barrier problem is left when so many iterations at feasible points lower it by less than this part."""
 RETRIES, FIRMER = 4, 100.0
 """Times that a step of which nothing is taken is damped by so much more."""
+SETTLED, LOOKS = 1e-4, 12
+"""What surrounds the robots is as it was solved for where the objective changes by no more than this part; times
+that it is looked at."""
 HELD = 1e10
 """What stands on the diagonal where an unknown is fixed."""
 
@@ -84,6 +87,8 @@ class _Run:
 
     def __init__(self, rows: SharedRows, q: Array, phi: Array, barrier: float) -> None:
         self._rows, self._barrier, self._damping, self.number = rows, barrier, 0.0, 0
+        self._looks = 0
+        rows.condensed.look(q, phi)
         start = rows.start(q, phi, barrier)
         equations = rows.expand(start).multipliers(rows.split(start.multipliers)[1])
         self.point = replace(start, equations=equations)
@@ -95,16 +100,26 @@ class _Run:
         """Why the work has ended, or nothing; lowers the barrier where its problem is solved."""
         errors, known = self._rows.errors(self.point, self._about), self._objectives
         if errors.against(0.0) <= TOLERANCE and errors.missed <= MISSED:
-            return "Solve_Succeeded"
+            return "" if self._changed() else "Solve_Succeeded"
         stalled = errors.missed <= MISSED and len(known) > STALL
         stalled = stalled and known[-STALL] - known[-1] < STALLED * (1 + abs(known[-1]))
         if stalled and self._barrier == LAST_BARRIER:
-            return "Solved_To_Acceptable_Level"
+            return "" if self._changed() else "Solved_To_Acceptable_Level"
         while self._barrier > LAST_BARRIER and (stalled or errors.against(self._barrier) < CLOSE * self._barrier):
             self._barrier, stalled = max(LAST_BARRIER, SHRINK * self._barrier), False
             self._filter.clear()
             known.clear()
         return ""
+
+    def _changed(self) -> bool:
+        """Look again at what surrounds the robots; whether that is something else than was solved for."""
+        point, self._looks = self.point, self._looks + 1
+        if self._looks > LOOKS or not self._rows.condensed.look(point.q, point.phi, SETTLED):
+            return False
+        self._about = self._rows.expand(point)
+        self._filter.clear()
+        self._objectives.clear()
+        return True
 
     def advance(self) -> str:
         """One step; why there is none, or nothing."""

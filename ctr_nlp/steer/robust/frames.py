@@ -103,7 +103,12 @@ class ScenarioFrames:
         return replace(self, scenarios=joined(self.scenarios, lost), margins=margins)
 
     def step(self, frame: int, before: FrameResult) -> FrameResult:
-        """The answer for a frame within speed limits of the one before, from there or from a known one."""
+        """The answer for a frame within speed limits of the one before, from there or from a known one.
+
+        A run that is tried beside others is not gone on with where a frame of it failed.
+        """
+        if self.known is not None and not before.success:
+            return replace(before, iterations=0, status="a frame before it was not solved")
         starts = [before] if self.known is None else [before, self.known[frame]]
         found = [self._solved(frame, start, before) for start in starts]
         return min(found, key=lambda one: (not one.success, one.objective))

@@ -28,7 +28,7 @@ from ctr_nlp.target.problem import Problem
 
 MARGINS = 0.1, 0.5
 """Stability margins of the robot as described in the frames that runs begin at."""
-ROUNDS = 3
+ROUNDS = 2
 """Times that a motion is planned again for robots that were lost."""
 DEARER = 0.1
 """By what part of itself the mean objective may grow before other runs are looked at, too."""

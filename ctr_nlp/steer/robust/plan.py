@@ -14,6 +14,7 @@ import numpy.typing as npt
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
+from ctr_nlp.formulations.wall import wall_of
 from ctr_nlp.models import Model
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
@@ -24,10 +25,11 @@ from ctr_nlp.steer.motions import per_frame_motions
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.requests import check_described, check_search
-from ctr_nlp.steer.robust.rounds import RELAXATIONS, Judge, Round, planned_again, relaxed
+from ctr_nlp.steer.robust.rounds import RELAXATIONS, Judge, Round, best_of, planned_again, relaxed
 from ctr_nlp.steer.robust.search import RobustSearch, Start, Tried
 from ctr_nlp.steer.robust.tolerated import described
 from ctr_nlp.steer.robust.trials import Trials
+from ctr_nlp.steer.robust.walled import Walled
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.values import strict_json, whole_number
 from ctr_nlp.target.problem import Problem
@@ -56,7 +58,7 @@ def solve_robust(
     terms: Sequence[Term] = (),
     progress: Progress | None = None,
 ) -> Plan:
-    """The plan that robots of scenarios follow a problem's target with, all making one motion, far from any wall.
+    """The plan that robots of scenarios follow a problem's target with, all making one motion.
 
     scenarios: the first is the problem's own robot; by default those of its tolerances. most_lost: the share of
     all robots within the tolerances that may be lost. A motion is tried on robots drawn for it alone; where too
@@ -64,14 +66,15 @@ def solve_robust(
     again, in at most so many rounds. What came of the last trial is meta["certificate"]. margins: of the robot as
     described in the motions started from, which are found frame by frame. settings.stability_margin: the least of
     every scenario. start, end, motion_weight, settings, terms, progress: as solve_horizon.
-    Where no motion is found that all scenarios share, the plan is the first motion started from, and no frame
-    counts as solved. Raises OptionError, ProblemError, RobotError.
+    In a lumen, all scenarios are kept off the wall as far as settings say (walled.py), once the motion that is
+    free of it is known. Where no motion is found that all share, the plan is the first motion started from, and no
+    frame     counts as solved. Raises OptionError, ProblemError, RobotError.
     """
     check_described(problem, settings)
     check_search(motion_weight, None, 1)
     whole_number(OptionError, "rounds", rounds, 0)
     model, scenarios = described(problem.robot, model, scenarios)
-    trials = Trials(problem.robot, model, rounds + 1 + RELAXATIONS, most_lost)
+    trials = Trials(problem.robot, model, 2 * (rounds + 1) + RELAXATIONS, most_lost)
     begin = time.perf_counter()
     with deferred_interrupt() as interrupted:
         nominal = Horizon(problem, model, None, start, end, _at(settings, margins[0]), terms)
@@ -86,6 +89,11 @@ def solve_robust(
         search = RobustSearch(problem, *own, progress, interrupted)
         tried = search.drafts(starts, scenarios)
         made = _rounds(search, tried, scenarios, trials, rounds)
+        best = free = best_of(made, problem.frames)
+        wall = wall_of(problem.robot, problem.lumen, model, settings, finer=1)
+        if wall is not None and free is not None:
+            within = Walled(wall, free, settings.clearance_cost, trials, rounds).rounds(len(made))
+            best, made = best_of(within, problem.frames) or free, made + within
         stopped = interrupted()
     options = strict_json(asdict(settings)) | {"motion_weight": weight, "most_lost": most_lost}
     options |= {"margins": list(margins), "rounds": rounds, "terms": [str(term) for term in terms]}
@@ -99,11 +107,15 @@ def solve_robust(
         "search_s": between - begin,
         "solve_s": time.perf_counter() - between,
         "interrupted": stopped,
-        "contact_weight": None,
+        "contact_weight": None if best is None or best.search.wall is None else best.search.wall.weight,
         "starts": [_described(one) for one in tried],
         "rounds": [one.described() for one in made],
     }
-    return _plan(problem, model.configuration(problem.robot, starts[0].x), made, trials, meta)
+    start = model.configuration(problem.robot, starts[0].x)
+    if best is None:
+        return _unsolved(problem, start, meta)
+    meta["certificate"] = trials.certificate(best.lost, best.tried.solution.q, len(made))
+    return _plan(problem, best, None if wall is None else free, meta)
 
 
 def _at(settings: Settings, margin: float) -> Settings:
@@ -134,11 +146,6 @@ def _rounds(
     return []
 
 
-def _rank(one: Round) -> tuple[bool, float]:
-    """Rounds in which few robots were lost come first, those of small objective before others."""
-    return not one.lost.few, one.tried.solution.objective if one.lost.few else one.lost.share
-
-
 def _listed(q: Array | None) -> list[float] | None:
     return None if q is None else q.tolist()
 
@@ -159,31 +166,37 @@ def _described(one: Tried) -> dict[str, Any]:
 
 def _plan(
     problem: Problem,
-    start: Array,
-    made: Sequence[Round],
-    trials: Trials,
+    best: Round,
+    free: Round | None,
     meta: dict[str, Any],
 ) -> Plan:
-    """The round in which fewest were lost, the last of these, as a plan."""
-    frames = problem.frames
-    unknown = np.full(frames, np.nan)
-    if not made:
-        why = "interrupted" if meta["interrupted"] else "no motion was found that all scenarios share"
-        given = meta | {"failures": {"all": why}}
-        nothing = {"solve_time": unknown, "objective": unknown, "kkt": unknown}
-        return plan_from_configurations(problem, start, given, success=np.zeros(frames, dtype=bool), **nothing)
-    whole = [one for one in made if one.tried.frames == frames]
-    best = min(reversed(whole), key=_rank)
+    """A round as a plan, and the motion of the one that was free of the wall."""
     found = best.tried.solution
     condensed = Condensed(best.search.motion(best.scenarios))
-    certificate = trials.certificate(best.lost, found.q, len(made))
+    condensed.look(found.q, found.phi)
     return plan_from_configurations(
         problem,
         found.q,
-        meta | {"failures": {}, "iterations": found.iterations, "certificate": certificate},
-        success=np.full(frames, found.success),
-        solve_time=unknown,
+        meta | {"failures": {}, "iterations": found.iterations},
+        success=np.full(problem.frames, found.success),
+        solve_time=np.full(problem.frames, np.nan),
         objective=condensed.by_frame(found.q, found.phi),
-        kkt=np.full(frames, found.kkt),
+        kkt=np.full(problem.frames, found.kkt),
         planned=np.concatenate([found.phi[:, 0], found.q[:, problem.robot.d :]], axis=1),
+        free=None if free is None else free.tried.solution.q,
+    )
+
+
+def _unsolved(problem: Problem, start: Array, meta: dict[str, Any]) -> Plan:
+    """The motion (T, 2d + 2) of a start, not solved."""
+    why = "interrupted" if meta["interrupted"] else "no motion was found that all scenarios share"
+    unknown = np.full(problem.frames, np.nan)
+    return plan_from_configurations(
+        problem,
+        start,
+        meta | {"failures": {"all": why}},
+        success=np.zeros(problem.frames, dtype=bool),
+        solve_time=unknown,
+        objective=unknown,
+        kkt=unknown,
     )

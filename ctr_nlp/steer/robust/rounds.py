@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -48,7 +48,19 @@ class Round(NamedTuple):
             "iterations": found.iterations,
             "lost": len(self.lost.frames),
             "drawn": self.lost.drawn,
+            "contact_weight": 0.0 if self.search.wall is None else self.search.wall.weight,
         }
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """The least is the best: of those in which few robots were lost the one of least objective."""
+        return not self.lost.few, self.tried.solution.objective if self.lost.few else self.lost.share
+
+
+def best_of(rounds: Sequence[Round], frames: int) -> Round | None:
+    """The best of rounds over so many frames, the last of equals; None without any."""
+    whole = [one for one in rounds if one.tried.frames == frames]
+    return min(reversed(whole), key=lambda one: one.rank, default=None)
 
 
 def planned_again(

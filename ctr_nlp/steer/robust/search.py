@@ -11,6 +11,7 @@ import numpy as np
 from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.formulations.scenarios import shared_motion
 from ctr_nlp.formulations.terms import Term
+from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.models import Model
 from ctr_nlp.nlp.scenarios import Scenarios, SharedMotion
 from ctr_nlp.plan.plan import elsewhere
@@ -67,7 +68,9 @@ class Tried:
 
 @dataclass(frozen=True)
 class RobustSearch:
-    """Solves for scenarios of one problem. weight: lambda in s^2; margins (T,): of all scenarios, or None."""
+    """Solves for scenarios of one problem. weight: lambda in s^2; margins (T,): the least of all scenarios in each
+    frame, None for any; wall: of the lumen that all are kept in, None where it does not count.
+    """
 
     problem: Problem
     model: Model
@@ -77,6 +80,7 @@ class RobustSearch:
     margins: Array | None
     progress: Progress | None = None
     stop: Callable[[], bool] = lambda: False
+    wall: Wall | None = None
 
     def motion(self, scenarios: Scenarios, picked: Index | None = None) -> SharedMotion:
         """The program over all frames, or over picked ones, evenly apart."""
@@ -85,7 +89,7 @@ class RobustSearch:
         dt = problem.dt * (1 if picked is None or len(picked) < 2 else int(picked[-1] - picked[-2]))
         at = problem.robot, [problem.samples[k] for k in frames], dt, self.weight, self.ends, self.model
         margins = None if self.margins is None else self.margins[frames]
-        return shared_motion(*at, scenarios, fastest, margins, self.terms)
+        return shared_motion(*at, scenarios, fastest, margins, self.terms, wall=self.wall)
 
     @cached_property
     def picked(self) -> Index | None:
