@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from ctr_nlp.robot import Limits, Robot, Tolerances, Tube, seed_robot, table_i_robot
     from ctr_nlp.simulation.forward import shape_curve, shapes
     from ctr_nlp.steer import Steerer, solve_horizon, solve_per_frame
+    from ctr_nlp.steer.robust import solve_robust, solve_robust_per_frame
     from ctr_nlp.target.curve import Curve, curve_from_formula, curve_from_points
     from ctr_nlp.target.problem import Problem
     from ctr_nlp.target.target import Target, growing, sequence
@@ -48,6 +49,8 @@ __all__ = [
     "shapes",
     "solve_horizon",
     "solve_per_frame",
+    "solve_robust",
+    "solve_robust_per_frame",
     "summary",
     "table_i_robot",
 ]
@@ -61,6 +64,7 @@ _HOMES = {
     "robot": ("Limits", "Robot", "Tolerances", "Tube", "seed_robot", "table_i_robot"),
     "simulation.forward": ("shape_curve", "shapes"),
     "steer": ("Steerer", "solve_horizon", "solve_per_frame"),
+    "steer.robust": ("solve_robust", "solve_robust_per_frame"),
     "target.curve": ("Curve", "curve_from_formula", "curve_from_points"),
     "target.problem": ("Problem",),
     "target.target": ("Target", "growing", "sequence"),

@@ -11,6 +11,7 @@ from ctr_nlp.cli.arguments import DEFAULTS, add_entry_option, add_live_option, a
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.terms import ShapeDistance, Term, TipDirection, TipPosition
 from ctr_nlp.models import MODELS
+from ctr_nlp.plan.verdicts import MOST_LOST
 from ctr_nlp.studies.trade_off import WEIGHTS
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import SIGMA
@@ -19,7 +20,7 @@ HORIZON = "horizon"
 """The formulation that takes all frames at once."""
 FRAMES_ALONE = ("direction", "jump_width")
 """Options that no horizon has."""
-HORIZON_ALONE = ("end", "robust", "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live")
+HORIZON_ALONE = ("end", "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live")
 """Options that a horizon alone has."""
 WALL = ("clearance", "contact_weight", "clearance_cost", "contact_allowed")
 """What add_wall_options adds, as Settings calls it."""
@@ -61,12 +62,6 @@ def add_horizon_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("all frames at once")
     group.add_argument("--end", metavar="Q.json", help="configuration of the last frame")
     group.add_argument(
-        "--robust",
-        action="store_true",
-        help="plan for all the robots that the tolerances in the robot file allow, on the elastic model, "
-        "and try the plan on 500 draws of them",
-    )
-    group.add_argument(
         "--sweep-motion-weight",
         metavar="S2",
         nargs="*",
@@ -88,6 +83,19 @@ def add_horizon_options(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument("--jobs", metavar="N", type=whole, help="processes for them (default 1)")
     add_live_option(group, "the motion as it is solved for, or with --jobs the best yet,")
+
+
+def add_robust_options(parser: argparse.ArgumentParser) -> None:
+    """Whether all the robots within tolerances are planned for."""
+    group = parser.add_argument_group("robots that are not quite the one described")
+    group.add_argument(
+        "--robust",
+        action="store_true",
+        help="plan for all the robots that the tolerances in the robot file allow, on the elastic model, over all "
+        "frames at once or with the joint formulation, and try the plan on 500 draws of them",
+    )
+    part = "share of them that may be lost: snap, or end on another branch; certain with 95 percent confidence"
+    add_numbers(group, ("most-lost", "PART", f"{part} (default {MOST_LOST:g})"))
 
 
 def add_wall_options(parser: argparse.ArgumentParser) -> None:

@@ -14,6 +14,7 @@ from ctr_nlp.models import DEFAULT
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.robustness import Robustness
 from ctr_nlp.plan.verdicts import NO
+from ctr_nlp.robot.tolerances import NAMES, UNITS
 from ctr_nlp.support.runs import runs
 
 VERDICTS = ("", "verdict", "value", "why")
@@ -117,7 +118,7 @@ def remarks(plan: Plan, found: dict[str, Any]) -> list[str]:
         f"{snap['jump']:.2f} rad"
         for snap in found["snaps"]
     ]
-    return [*_limits(plan, found), *snaps, *_contacts(plan, found), *_failures(plan)]
+    return [*_limits(plan, found), *snaps, *_contacts(plan, found), *_certificate(plan), *_failures(plan)]
 
 
 def _limits(plan: Plan, found: dict[str, Any]) -> list[str]:
@@ -154,6 +155,32 @@ def _contacts(plan: Plan, found: dict[str, Any]) -> list[str]:
             "--clearance-cost allows, or lost more frames"
         )
     return told
+
+
+def _certificate(plan: Plan) -> list[str]:
+    """Where a robust plan loses too many robots: in which frames, and which tolerances it would bear."""
+    found = plan.meta.get("certificate")
+    if found is None or found["held"]:
+        return []
+    frames = ", ".join(f"{frame} ({count})" for frame, count in found["lost_in"].items())
+    told = [
+        f"too many robots are lost on this plan, the best that was found: {found['lost']} of {found['draws']} "
+        f"drawn after it, first in frames {frames}; at most {found['most_lost']:.2%} of all may be"
+    ]
+    if found["borne"]:
+        told.append(f"the plan would hold with tolerances of {_tolerances(plan, found['borne'])}")
+    return told
+
+
+def _tolerances(plan: Plan, part: float) -> str:
+    """Part of the tolerances of a plan's robot, the largest of any tube, in words."""
+    robot, told = plan.robot, list[str]()
+    bands = part * robot.tolerances.bands(robot.d).max(axis=0)
+    for name, band in zip(NAMES, bands.tolist(), strict=True):
+        value = f"{band:.2g}{UNITS[name]}" if name in UNITS else f"{band:.2%}"
+        told += [f"{name.replace('_', ' ')} {value}"] if band else []
+    lag = part * robot.tolerances.lags(robot.d).max()
+    return ", ".join([*told, *([f"rotation lag {lag:.2g} rad"] if lag else [])])
 
 
 def _failures(plan: Plan) -> list[str]:

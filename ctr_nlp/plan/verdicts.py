@@ -122,7 +122,7 @@ def _within_limits(plan: Record) -> Judgement:
         return YES, 0.0, "of a limit", "The robot does not move."
     if not most.exceeded:
         return YES, most.part, "of a limit", f"No limit is exceeded; the {most.what} uses most of its own."
-    hint = "acceleration" in most.what and plan.meta["formulation"] != "horizon"
+    hint = "acceleration" in most.what and "horizon" not in plan.meta["formulation"]
     told = f"The {most.what} exceeds what is allowed" + "; only a horizon keeps accelerations" * hint
     return NO, most.part, "of a limit", f"{told}."
 
@@ -150,7 +150,10 @@ def _survives(plan: Record) -> Judgement:
     """Whether hardly any of the robots drawn within the tolerances is lost; the share of those that are."""
     if plan.drawn is None:
         return NOT_ASKED, None, "", "Only tubes exactly as described were looked at."
-    return NO if plan.drawn.share > MOST_LOST else YES, plan.drawn.share, "of draws", plan.drawn.told
+    if plan.drawn.share <= MOST_LOST:
+        return YES, plan.drawn.share, "of draws", plan.drawn.told
+    hint = "" if "certificate" in plan.meta else " `ctr-nlp plan --robust` plans for them."
+    return NO, plan.drawn.share, "of draws", plan.drawn.told + hint
 
 
 def _option(plan: Record, name: str) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,28 @@ from ctr_nlp import Plan
 from ctr_nlp.cli.commands.play import main as play
 from ctr_nlp.cli.commands.robust import main as robust
 from ctr_nlp.cli.main import main as command
+from ctr_nlp.plan.account import remarks
+from ctr_nlp.plan.metrics import summary
 from ctr_nlp.report import page
+
+SMALL = """
+[[tubes]]
+length = 150
+curved_length = 90
+curvature = 0.012
+outer_diameter = 3
+inner_diameter = 2
+[[tubes]]
+length = 300
+curved_length = 140
+curvature = 0.01
+outer_diameter = 1.8
+inner_diameter = 1.2
+[limits]
+beta = [[0, 85], [0, 135]]
+[tolerances]
+curvature = 0.03
+"""
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +83,44 @@ def test_an_elastic_plan_is_tried_by_itself_and_its_status_stays(tmp_path, capsy
     assert "of 40 draws are lost" in capsys.readouterr().out
     command(["steer", *given, "--out", str(tmp_path / "dominant")])
     assert Plan.load(tmp_path / "dominant" / "plan.npz").drawn is None
+
+
+@pytest.fixture
+def small(tmp_path):
+    """Options of a problem of two tubes and few frames."""
+    (tmp_path / "robot.toml").write_text(SMALL)
+    points = "".join(f"0,0,{z}\n" for z in range(0, 101, 5))
+    (tmp_path / "path.csv").write_text(f"x_mm,y_mm,z_mm\n{points}")
+    return [str(tmp_path / "path.csv"), "--robot", str(tmp_path / "robot.toml"), "--frames", "8", "--no-figures"]
+
+
+@pytest.mark.parametrize("formulation", ["horizon", "joint"])
+def test_a_robust_plan_is_tried_on_draws_and_holds_what_came_of_planning(small, tmp_path, capsys, formulation):
+    given = ["--model", "elastic", "--formulation", formulation, "--robust", "--most-lost", "0.02"]
+    command(["plan", *small, *given, "--out", str(tmp_path / "out")])
+    told = " ".join(capsys.readouterr().out.split())
+    plan = Plan.load(tmp_path / "out" / "plan.npz")
+    assert len(plan.drawn) == 500
+    assert plan.verdicts.survives_draws.word == "yes"
+    assert "survives its draws" in told
+    certificate = plan.meta["certificate"]
+    assert certificate["held"]
+    assert certificate["most_lost"] == 0.02
+    assert certificate["lost"] <= 0.02 * certificate["draws"]
+    assert "ctr-nlp plan --robust" not in told
+
+
+def test_a_plan_that_loses_too_many_says_what_it_would_bear(saved):
+    plan = Plan.load(saved / "near.npz").with_draws(20, 4)
+    assert plan.verdicts.survives_draws.why.endswith("`ctr-nlp plan --robust` plans for them.")
+    certificate = {"held": False, "most_lost": 0.01, "draws": 50, "lost": 7, "lost_in": {"3": 6, "5": 1}}
+    for borne, more in ((0.5, 1), (0.0, 0)):
+        robust_plan = replace(plan, meta=plan.meta | {"certificate": certificate | {"borne": borne}})
+        told = remarks(robust_plan, summary(robust_plan))
+        lost = "7 of 50 drawn after it, first in frames 3 (6), 5 (1); at most 1.00% of all may be"
+        assert sum(lost in each for each in told) == 1
+        assert sum(each.startswith("the plan would hold with tolerances of curvature ") for each in told) == more
+        assert not robust_plan.verdicts.survives_draws.why.endswith("plans for them.")
 
 
 def test_an_elastic_plan_is_not_played_untried_nor_where_draws_fail(saved, tmp_path, capsys):

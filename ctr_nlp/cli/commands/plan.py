@@ -10,7 +10,7 @@ import argparse
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ctr_nlp.cli import arguments as options
 from ctr_nlp.cli import plan_options, problems
@@ -29,7 +29,7 @@ from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS
 from ctr_nlp.steer import DIRECTIONS, Horizon, march
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.requests import Direction, check_search, checked_ends, checked_motions
-from ctr_nlp.steer.robust import solve_robust
+from ctr_nlp.steer.robust import solve_robust, solve_robust_per_frame
 from ctr_nlp.studies.trade_off import WEIGHTS, Point, trade_off
 from ctr_nlp.support.interrupt import deferred_interrupt, end_if_interrupted
 from ctr_nlp.target.fit import check_radii
@@ -43,7 +43,7 @@ UNASKED = 40
 """Draws of the robot that a plan on which it can snap is tried on by itself."""
 ASKED = 500
 """Those that a robust plan is tried on."""
-UNFIT = "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live", "evaluate"
+UNFIT = "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live", "evaluate", "solver"
 """Options that do not go with --robust."""
 
 
@@ -78,6 +78,7 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
     options.add_figures_option(parser)
     options.add_film_option(parser)
     plan_options.add_motion_options(parser)
+    plan_options.add_robust_options(parser)
     if frames:
         group, order = (
             parser.add_argument_group("frame by frame"),
@@ -96,7 +97,7 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    robust = getattr(arguments, "robust", False)
+    robust = arguments.robust
     whole, swept = arguments.formulation == HORIZON, getattr(arguments, "sweep_motion_weight", None)
     _check_fit(arguments)
     for weight in swept or ():
@@ -143,10 +144,16 @@ def _check_fit(arguments: argparse.Namespace) -> None:
                 f"--{name.replace('_', '-')} does not go with --formulation {arguments.formulation}; "
                 f"it goes with {fitting}"
             )
-    if getattr(arguments, "robust", False):
+    if arguments.most_lost is not None and not arguments.robust:
+        raise OptionError("--most-lost is given without --robust; it says how many robots a robust plan may lose")
+    if arguments.robust:
         if not model_named(arguments.model).several_equilibria:
             raise OptionError(f"--robust does not go with --model {arguments.model}; it goes with elastic")
-        for name in UNFIT:
+        if arguments.formulation not in (HORIZON, "joint"):
+            raise OptionError(
+                f"--robust does not go with --formulation {arguments.formulation}; it goes with horizon and joint"
+            )
+        for name in UNFIT if whole else (*UNFIT, *plan_options.WALL):
             if not any(getattr(arguments, name, None) is unset for unset in (None, False)):
                 raise OptionError(f"--{name.replace('_', '-')} does not go with --robust; leave one of them out")
 
@@ -199,21 +206,24 @@ def _at_once(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan, lis
 
 
 def _robust(arguments: argparse.Namespace, problem: Problem) -> Plan:
-    """The plan for all robots that the tolerances allow."""
-    start, end = (None if path is None else read_start(path) for path in (arguments.start, arguments.end))
+    """The plan for all robots that the tolerances allow, over all frames at once or frame by frame."""
+    whole = arguments.formulation == HORIZON
+    asked: dict[str, Any] = {"model": arguments.model, "terms": plan_options.terms_from(arguments)}
+    for name in ("start", "end"):
+        if (path := getattr(arguments, name, None)) is not None:
+            asked[name] = read_start(path)
+    if arguments.most_lost is not None:
+        asked["most_lost"] = arguments.most_lost
+    if whole:
+        asked |= {"settings": _settings(arguments, problem, "seed"), "motion_weight": arguments.motion_weight}
+    else:
+        asked |= {"settings": _settings(arguments, problem, *FRAME_SETTINGS)}
+        asked |= {"direction": arguments.direction or "best"}
     problems.tell(problem)
     end_if_interrupted()
     with progress_bar() as labelled:
-        return solve_robust(
-            problem,
-            model=arguments.model,
-            start=start,
-            end=end,
-            motion_weight=arguments.motion_weight,
-            settings=_settings(arguments, problem, "seed"),
-            terms=plan_options.terms_from(arguments),
-            progress=labelled(problem.name),
-        )
+        solve = solve_robust if whole else solve_robust_per_frame
+        return solve(problem, progress=labelled(problem.name), **asked)
 
 
 def _shown(problem: Problem, arguments: argparse.Namespace) -> AbstractContextManager[Solved | None]:

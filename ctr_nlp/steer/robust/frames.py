@@ -77,9 +77,9 @@ class ScenarioFrames:
             for margin in margins
         ]
         description = {
-            "formulation": "scenarios-per-frame",
+            "formulation": "robust-joint",
             "model": model.name,
-            "solver": "condensed",
+            "solver": "interior-point",
             "options": strict_json(asdict(settings)) | {"terms": [str(term) for term in terms]},
         }
         margin = settings.stability_margin

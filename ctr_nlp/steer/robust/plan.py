@@ -99,9 +99,9 @@ def solve_robust(
     options |= {"margins": list(margins), "rounds": rounds, "terms": [str(term) for term in terms]}
     options |= {"start": _listed(nominal.ends.start), "end": _listed(nominal.ends.end)}
     meta = {
-        "formulation": "scenarios",
+        "formulation": "robust-horizon",
         "model": model.name,
-        "solver": "condensed",
+        "solver": "interior-point",
         "options": options,
         "build_s": nominal.build_seconds,
         "search_s": between - begin,

@@ -83,7 +83,7 @@ def test_robots_that_are_lost_join_until_few_are(found):
     assert [one["scenarios"] for one in told[:3]] == [3, 4, 5]
     assert told[-1]["frames"] == FRAMES
     assert robust.meta["certificate"] == {"held": True, "number": len(told)}
-    assert robust.meta["formulation"] == "scenarios"
+    assert robust.meta["formulation"] == "robust-horizon"
 
 
 def test_the_objective_is_the_mean_over_the_robots_and_the_motion(found):
