@@ -8,6 +8,7 @@ import pytest
 from lumens import straight, wandering
 
 from ctr_nlp import Problem, Settings, growing, table_i_robot
+from ctr_nlp.codegen import cache
 from ctr_nlp.formulations.around import Beside
 from ctr_nlp.formulations.wall import Wall, wall_of
 from ctr_nlp.models import MODELS
@@ -86,7 +87,7 @@ def test_robots_of_other_tubes_are_described_with_their_own_shapes():
 
 
 @pytest.mark.parametrize("lumen", [coiled(), Lumen.around(wandering(3))])
-def test_what_is_left_beside_points_is_the_same_in_c(lumen):
+def test_what_is_left_beside_points_is_the_same_in_c(lumen, monkeypatch):
     """Near the path, far from it, beyond its ends, and at points that are not known."""
     rng = np.random.default_rng(0)
     points = lumen.table[rng.integers(len(lumen.table), size=(40, 25)), :3] + rng.normal(size=(40, 25, 3)) * 3
@@ -96,6 +97,8 @@ def test_what_is_left_beside_points_is_the_same_in_c(lumen):
     found = Beside(lumen)(points)
     assert np.isfinite(found).sum() == found.size - 13
     np.testing.assert_allclose(found, near.radius - near.distance, atol=1e-6)
+    monkeypatch.setattr(cache, "missing", lambda: "no compiler")
+    np.testing.assert_array_equal(Beside(lumen)(points), near.radius - near.distance)
 
 
 def test_what_is_not_known_is_not_described():
