@@ -10,9 +10,11 @@ import pytest
 from near_fold import near_the_fold, plan_through
 
 from ctr_nlp import Plan
+from ctr_nlp.cli.commands import plan as plan_command
 from ctr_nlp.cli.commands.play import main as play
 from ctr_nlp.cli.commands.robust import main as robust
 from ctr_nlp.cli.main import main as command
+from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.account import remarks
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.report import page
@@ -132,6 +134,26 @@ def test_an_elastic_plan_is_not_played_untried_nor_where_draws_fail(saved, tmp_p
         assert why in told
         assert "--uncertified" in told
         assert not (tmp_path / "play").exists()
+
+
+def test_a_robust_plan_is_asked_for_clearance(tmp_path, monkeypatch):
+    asked = []
+
+    def planned(problem, **named):
+        asked.append(named["settings"])
+        raise OptionError("that is all")
+
+    monkeypatch.setattr(plan_command, "solve_robust", planned)
+    given = ["--clearance", "0.2", "--clearance-cost", "0.3", "--contact-weight", "7", "--contact-allowed", "0.5"]
+    whole = ["plan", "bronchus", "--frames", "4", "--model", "elastic", "--robust", "--out", str(tmp_path)]
+    assert command([*whole, *given]) == 2
+    (found,) = asked
+    assert (found.clearance, found.clearance_cost, found.contact_weight, found.contact_allowed) == (
+        0.2,
+        0.3,
+        7,
+        0.5,
+    )
 
 
 def test_the_page_shows_errors_of_draws(saved):

@@ -8,6 +8,8 @@ import pytest
 from lumens import straight, wandering
 
 from ctr_nlp import Problem, Settings, growing, table_i_robot
+from ctr_nlp.codegen import cache
+from ctr_nlp.formulations.around import Beside
 from ctr_nlp.formulations.wall import Wall, wall_of
 from ctr_nlp.models import MODELS
 from ctr_nlp.steer.nlp_frames import NlpFrames
@@ -64,6 +66,39 @@ def test_one_frame_after_another_is_described_for_itself():
     for j in (2, 0, 0, 4):
         for one, all_of_them in zip(wall.around(x[j : j + 1]), whole, strict=True):
             np.testing.assert_array_equal(one[0], all_of_them[j])
+
+
+def test_robots_of_other_tubes_are_described_with_their_own_shapes():
+    wall = wall_of(ROBOT, wandering(2), MODELS["elastic"], Settings())
+    assert wall.around.ready(wait=True)
+    other, x = (
+        replace(ROBOT, tubes=[replace(tube, curvature=1.3 * tube.curvature) for tube in ROBOT.tubes]),
+        drawn(4),
+    )
+    before, _ = wall.around(x)
+    found, slack = wall.around(x, other.numbers)
+    expected, needed = wall.described(x, other.numbers)
+    np.testing.assert_allclose(slack, needed, atol=WITHIN["elastic"])
+    np.testing.assert_allclose(found, expected, atol=5 * WITHIN["elastic"])
+    own, _ = wall_of(other, wandering(2), MODELS["elastic"], Settings()).described(x)
+    np.testing.assert_allclose(expected, own, atol=1e-9)
+    assert abs(found - before).max() > 1.0
+    np.testing.assert_array_equal(wall.around(x)[0], before)
+
+
+@pytest.mark.parametrize("lumen", [coiled(), Lumen.around(wandering(3))])
+def test_what_is_left_beside_points_is_the_same_in_c(lumen, monkeypatch):
+    """Near the path, far from it, beyond its ends, and at points that are not known."""
+    rng = np.random.default_rng(0)
+    points = lumen.table[rng.integers(len(lumen.table), size=(40, 25)), :3] + rng.normal(size=(40, 25, 3)) * 3
+    points[0] += 200.0
+    points[1, ::2, 1] = np.nan
+    near = lumen.near(points)
+    found = Beside(lumen)(points)
+    assert np.isfinite(found).sum() == found.size - 13
+    np.testing.assert_allclose(found, near.radius - near.distance, atol=1e-6)
+    monkeypatch.setattr(cache, "missing", lambda: "no compiler")
+    np.testing.assert_array_equal(Beside(lumen)(points), near.radius - near.distance)
 
 
 def test_what_is_not_known_is_not_described():

@@ -15,6 +15,8 @@ from ctr_nlp.plan.robustness import Robustness, upper_bound
 from ctr_nlp.problems import named
 from ctr_nlp.robot.draws import drawn, drawn_from
 from ctr_nlp.simulation.drawn import drawn_motion
+from ctr_nlp.target.lumen import Lumen
+from ctr_nlp.target.target import SIGMA
 
 
 @pytest.fixture(scope="module")
@@ -144,6 +146,16 @@ def test_clearance_is_that_of_the_draws():
         inside = shape[k, ..., 2] < 79
         assert plan.drawn.clearance[k] <= np.where(inside, clear, np.inf).min() + 1e-3
     assert (plan.drawn.contact >= np.maximum(-plan.drawn.clearance, 0)).all()
+
+
+def test_clearance_of_draws_is_found_as_that_of_a_plan():
+    plan = plan_through(near_the_fold(), radius=4.0).with_draws(8, 1)
+    moved = drawn_motion(LONG, drawn(LONG, 8, 1), plan.q, "elastic")
+    for k, shape in enumerate(moved.shape):
+        least = Lumen(plan.lumen).clearance(LONG, plan.beta, SIGMA, shape).min(axis=1)
+        np.testing.assert_allclose(plan.drawn.clearance[k], least.min(), atol=1e-6)
+        np.testing.assert_allclose(plan.drawn.contact[k], np.maximum(-least, 0).sum(), atol=1e-5)
+    assert plan.drawn.contact.max() > 1.0
 
 
 def test_a_plan_on_the_dominant_model_has_errors_and_loses_nothing():

@@ -19,9 +19,12 @@ from ctr_nlp.steer.robust.search import RobustSearch, Tried
 from ctr_nlp.typing import Array, Index
 
 FIRST, STEP = 0.03, 4.0
-"""The first weight that is tried, as a part of the one asked for, and by which factor the next is larger."""
-NEAR = 0.9
-"""Of what errors may grow by, the least part at which a weight is taken."""
+"""The first weight that is tried, as a part of the one asked for; by which factor the next is larger at most."""
+NEAR, AIM, FULL = 0.88, 0.93, 0.98
+"""Parts of what errors may grow by: a weight is taken where they grow by something between the first and the last,
+which is not all, since programs integrate in fewer steps than a plan is judged with; and what is aimed at."""
+LEAST = 1e-6
+"""What stands for no growth."""
 TRIES = 8
 """Weights that are tried on the frames of a draft."""
 LIGHTER, AGAIN = 0.8, 4
@@ -50,17 +53,22 @@ class Walled:
     def rounds(self, first: int) -> list[Round]:
         """Rounds over all frames from this number on; none where none that was tried will do."""
         found = self._on_draft()
+        if found is None:
+            return []
+        weight, draft = found
+        whole = self._search(weight).refined(draft, self.free.scenarios)
         for _ in range(AGAIN):
-            if found is None or self.search.stop():
-                break
-            weight, draft = found
             search = self._search(weight)
-            whole = search.refined(draft, self.free.scenarios)
             if self._affords(whole):
                 made = planned_again(search, whole, self.free.scenarios, self.lost, self.most, first)
                 if kept := [one for one in made if self._affords(one.tried) and self._survives(one)]:
                     return kept
-            found = weight * LIGHTER, draft
+            if self.search.stop():
+                break
+            weight *= LIGHTER
+            motion, known = self._search(weight).motion(self.free.scenarios), whole.solution
+            again = SharedSolver(motion)(known.q, known.phi, BARRIER, self.search.stop)
+            whole = self.search.looked_at(replace(whole, solution=again))
         return []
 
     def _survives(self, one: Round) -> bool:
@@ -83,7 +91,7 @@ class Walled:
             motion = self._search(weight).motion(self.free.scenarios, self.search.picked)
             solution = SharedSolver(motion)(q, phi, BARRIER, self.search.stop)
             growth = self._growth(solution, picked) if solution.success else math.inf
-            if solution.success and growth <= self.cost:
+            if solution.success and growth <= FULL * self.cost:
                 q, phi, low = solution.q, solution.phi, (weight, growth)
                 found = weight, Tried(self.free.tried.start, len(q), solution)
                 if weight == most or growth >= NEAR * self.cost:
@@ -97,11 +105,12 @@ class Walled:
 
     def _between(self, low: tuple[float, float], high: tuple[float, float]) -> float:
         """The weight to try next, from one at which errors grow too little and one at which they grow too much."""
+        least, aim = max(low[1], LEAST), max(AIM * self.cost, LEAST)
         if math.isinf(high[0]):
-            return low[0] * STEP
+            return low[0] * min(STEP, aim / least)
         if not low[0]:
             return high[0] / STEP
-        part = ((1 + NEAR) / 2 * self.cost - low[1]) / (high[1] - low[1]) if math.isfinite(high[1]) else 0.5
+        part = math.log(aim / least) / math.log(high[1] / least) if math.isfinite(high[1]) else 0.5
         return float(low[0] * (high[0] / low[0]) ** min(max(part, 0.1), 0.9))
 
     def _growth(self, solution: SharedSolution, picked: Index | slice) -> float:

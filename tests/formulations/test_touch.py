@@ -1,0 +1,113 @@
+"""The wall as a smooth cost: what it costs is what is claimed, and its derivatives are those of that."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from frames import elastic_shapes
+from lumens import wandering
+from truth import TWO
+
+from ctr_nlp import Problem, Settings, curve_from_points, growing
+from ctr_nlp.formulations.horizon import Ends
+from ctr_nlp.formulations.scenarios import shared_motion
+from ctr_nlp.formulations.terms.lumen import PLACES, arc_lengths
+from ctr_nlp.formulations.terms.touch import WIDTH
+from ctr_nlp.formulations.wall import wall_of
+from ctr_nlp.models import MODELS
+from ctr_nlp.nlp.scenarios import Scenarios
+from ctr_nlp.solvers.compiled import fastest
+from ctr_nlp.solvers.scenarios.condensed import Condensed
+from ctr_nlp.target.lumen import Lumen, outer_radius
+
+FRAMES, CLEARANCE, WEIGHT = 3, 0.2, 7.0
+OFFSETS = np.array([[0.0, 0.0], [0.2, -0.1]])
+
+
+def _robots():
+    strong = replace(TWO.tubes[0], curvature=(0.012, 0.03)), TWO.tubes[1]
+    return TWO, replace(TWO, tubes=strong)
+
+
+@pytest.fixture(scope="module")
+def lumen():
+    """A wandering one that is wide enough for tubes that are hardly out."""
+    narrow, s = wandering(1, bend=1 / 60, length=90.0), np.linspace(0, 90, 91)
+    return curve_from_points(narrow.point(s), narrow.radius(s) + 3)
+
+
+@pytest.fixture(scope="module")
+def motions(lumen):
+    """Free of the wall, and within it."""
+    problem = Problem("wandering", TWO, growing(lumen.part(0, 70.0), FRAMES), lumen=lumen)
+    settings = Settings(clearance=CLEARANCE, contact_weight=WEIGHT)
+    wall = wall_of(TWO, lumen, MODELS["elastic"], settings, finer=1)
+    scenarios = Scenarios(np.array([robot.numbers for robot in _robots()]), OFFSETS, np.ones(2))
+    at = TWO, problem.samples, problem.dt, 1e-6, Ends(), MODELS["elastic"], scenarios, fastest
+    return [shared_motion(*at, wall=each) for each in (None, wall)]
+
+
+@pytest.fixture(scope="module")
+def point():
+    """A motion that leaves the lumen, and tips of both robots."""
+    rng = np.random.default_rng(2)
+    beta = np.array([[6.0, 12.0], [30.0, 45.0], [40.0, 70.0]])
+    q = np.column_stack([rng.uniform(-1, 1, (FRAMES, 2)), beta, rng.uniform(-0.1, 0.1, (FRAMES, 2))])
+    return q, rng.uniform(-1, 1, (FRAMES, 2, 2))
+
+
+def test_contact_costs_a_smooth_maximum_of_the_depths_at_all_places(motions, point, lumen):
+    q, phi = point
+    found = [Condensed(motion) for motion in motions]
+    assert found[1].look(q, phi)
+    cost = found[1].by_robot(q, phi) - found[0].by_robot(q, phi)
+    around, depths = Lumen.around(lumen), np.empty((FRAMES, 2, 2 * PLACES))
+    for k, robot in enumerate(_robots()):
+        x = np.concatenate([phi[:, k], q[:, 2:]], axis=1)
+        sigma = np.hstack(arc_lengths([q[:, 2:3], q[:, 3:4]])) / q[:, 3:4]
+        near = around.near(elastic_shapes(robot, x, sigma))
+        room = near.radius - np.repeat(outer_radius(robot), PLACES) - CLEARANCE
+        depths[:, k] = near.distance - room
+    assert depths.max() > 1.0  # something touches
+    assert depths.max(axis=2).min() < 0.0  # something else does not
+    np.testing.assert_allclose(cost, WEIGHT * WIDTH * np.log1p(np.exp(depths / WIDTH).sum(axis=2)), atol=0.1)
+    assert (cost >= WEIGHT * np.maximum(depths.max(axis=2), 0) - 0.1).all()
+
+
+def test_what_surrounds_robots_is_looked_at_once_where_it_stays(motions, point):
+    free, within = (Condensed(motion) for motion in motions)
+    q, phi = point
+    assert not free.look(q, phi)
+    assert within.look(q, phi)
+    before = within.by_robot(q, phi)
+    assert not within.look(q, phi)
+    np.testing.assert_array_equal(within.by_robot(q, phi), before)
+    far = q + np.array([0, 0, 5.0, 9.0, 0.1, 0])
+    kept = within.by_robot(far, phi)
+    assert not within.look(far, phi, settled=1e3)
+    np.testing.assert_array_equal(within.by_robot(far, phi), kept)
+
+
+def test_derivatives_match_finite_differences(motions, point):
+    """Of the whole frame's program near a wall, over all its unknowns."""
+    condensed, motion = Condensed(motions[1]), motions[1]
+    q, phi = point
+    condensed.look(q, phi)
+    frames, count, _, d = motion.sizes
+    none = np.zeros((frames, count, d)), np.zeros(motion.row_bounds[0].shape)
+    about = condensed.expand(q, phi, *none)
+    rng, h = np.random.default_rng(3), 1e-5
+    way = rng.normal(size=(frames, count, 2 * d + 2))
+    way[..., d:] = way[:, :1, d:]  # extensions and tilts belong to all robots
+    sides = []
+    for sign in (-h, h):
+        dq = np.concatenate([np.zeros((frames, d)), way[:, 0, d:]], axis=1)
+        here = q + sign * dq, phi + sign * way[..., :d]
+        sides.append((condensed.by_robot(*here), condensed.expand(*here, *none).gradient))
+    slopes = (about.gradient * way).sum(axis=2) / motion.weights
+    np.testing.assert_allclose((sides[1][0] - sides[0][0]) / (2 * h), slopes, rtol=1e-4, atol=1e-4)
+    turned = (about.hessian @ way[..., None])[..., 0]
+    expected = (sides[1][1] - sides[0][1]) / (2 * h)
+    np.testing.assert_allclose(expected, turned, atol=1e-4 * abs(turned).max())
