@@ -11,15 +11,11 @@ from truth import TWO
 
 from ctr_nlp import Problem, Settings, growing
 from ctr_nlp.plan.metrics import summary
-from ctr_nlp.steer.robust import Lost, solve_robust
+from ctr_nlp.steer.robust import solve_robust
 from ctr_nlp.target.curve import curve_from_formula, curve_from_points
 
 FRAMES, SEED, MARGINS = 12, 77, (0.3,)
 """The seed is of draws that judge, which no plan sees."""
-
-
-def _none(q, number):
-    return Lost(np.zeros((0, 2, 6)), np.zeros((0, 2)))
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +28,7 @@ def problem():
 
 
 def _planned(problem, **settings):
-    return solve_robust(problem, lost=_none, margins=MARGINS, motion_weight=1e-6, settings=Settings(**settings))
+    return solve_robust(problem, margins=MARGINS, motion_weight=1e-6, settings=Settings(**settings))
 
 
 @pytest.fixture(scope="module")
