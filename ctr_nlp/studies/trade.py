@@ -9,7 +9,7 @@ import numpy as np
 
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.plan.measures import e3
-from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.plan import Plan, plan_from_configurations
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.tolerances import LARGEST, Tolerances
 from ctr_nlp.steer import solve_horizon
@@ -113,7 +113,8 @@ def _planned(problem: Problem, amount: float, margin: float | None) -> Plan:
 
 
 def _judged(plan: Plan, problem: Problem, amount: float, draws: int, seed: int) -> Traded:
-    tried = replace(plan, robot=problem.robot).robustness(draws, seed)
+    known = {"success": plan.success, "solve_time": plan.solve_time, "objective": plan.objective, "kkt": plan.kkt}
+    tried = plan_from_configurations(problem, plan.q, dict(plan.meta), **known).robustness(draws, seed)
     mean = None if tried.errors is None else tried.errors.mean
     margin = float(plan.options["stability_margin"])
     return Traded(problem.name, amount, margin, e3(plan), mean, tried.losses, draws, plan.complete)
