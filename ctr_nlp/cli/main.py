@@ -33,6 +33,7 @@ COMMANDS = {
     "play": Entry("commands.play", "main", "check a plan for some hardware and play it there"),
     "commission": Entry("commands.commission", "main", "read a controller, try its axes and keep its settings"),
     "compare": Entry("studies.compare", "main", "solve problems by several methods, side by side"),
+    "trade": Entry("studies.trade", "main", "study what robustness costs and brings"),
     "reproduce": Entry("studies.reproduce", "main", "remake the paper's figures and tables"),
     "clearance": Entry("studies.clearance", "main", "study what clearance costs and brings in many airways"),
     "benchmark": Entry("studies.benchmark", "main", "measure speed, and compare it with a baseline"),

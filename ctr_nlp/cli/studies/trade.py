@@ -1,0 +1,109 @@
+"""`ctr-nlp trade`: errors as planned, over draws and lost draws, against how much robustness is asked for."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+from ctr_nlp.cli import problems
+from ctr_nlp.cli.arguments import add_compile_option, add_out_option, add_problem_options, whole
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, Command, console, print_table
+from ctr_nlp.cli.output.folder import check_folder, place_of, published
+from ctr_nlp.problems import NAMES
+from ctr_nlp.studies.trade import AMOUNTS, DRAWS, MARGINS, MOST_LOST, SEED, Traded, chosen, sentence, traded
+from ctr_nlp.support.interrupt import end_if_interrupted
+from ctr_nlp.support.tables import markdown, write_csv
+
+COLUMNS = "tolerances", "margin", "as planned mm", "mean over draws mm", "lost", "solved", "chosen"
+
+
+def _parser(prog: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=prog,
+        description="Plan a motion for so much of the robot's tolerances, and judge every plan on the same draws "
+        "of all of them, which planning does not see: e3 as planned, its mean over draws, and how many are lost. "
+        "No wall counts. Write trade.md, .csv, .json, and a picture of every problem.",
+        epilog="Exit status: 0 a plan is chosen for every problem, 1 not for one, 2 bad input, 130 interrupted.",
+    )
+    parser.add_argument("problems", metavar="PROBLEM", nargs="*", help=f"{problems.KINDS} (default all names)")
+    shown = ", ".join(f"{amount:g}" for amount in AMOUNTS)
+    what = f"what tolerances are scaled by in planning; 0: a plan for the robot described alone (default {shown})"
+    parser.add_argument("--amounts", metavar="X", nargs="+", type=float, default=AMOUNTS, help=what)
+    what = f"margins of plans for the robot described alone beside (default {', '.join(map(str, MARGINS))})"
+    parser.add_argument("--margins", metavar="MU", nargs="*", type=float, default=MARGINS, help=what)
+    what = f"robots that plans are judged on (default {DRAWS})"
+    parser.add_argument("--draws", metavar="N", type=whole, default=DRAWS, help=what)
+    parser.add_argument("--seed", metavar="N", type=whole, default=SEED, help=f"of the draws (default {SEED})")
+    what = f"share of the draws that a chosen plan may lose (default {MOST_LOST})"
+    parser.add_argument("--most-lost", metavar="P", type=float, default=MOST_LOST, help=what)
+    parser.add_argument("--no-figures", action="store_true", help="write no picture")
+    add_out_option(parser, "runs/trade")
+    add_problem_options(parser)
+    add_compile_option(parser)
+    return parser
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    out = Path(arguments.out)
+    tasks = [problems.load(name, arguments) for name in arguments.problems or NAMES]
+    check_folder(out, "trade")
+    end_if_interrupted()
+    found = list[list[Traded]]()
+    asked = len(arguments.amounts) + len(arguments.margins)
+    with console(stderr=True).status("") as status:
+        for problem in tasks:
+            every = arguments.amounts, arguments.margins, arguments.draws, arguments.seed
+            found.append(traded(problem, *every, told=status.update))
+            if len(found[-1]) < asked:
+                break
+    interrupted = len(found) < len(tasks) or any(len(points) < asked for points in found)
+    place = place_of(out, interrupted)
+    with published(place, "trade") as staging:
+        _write(found, staging, arguments)
+    for points in filter(None, found):
+        print_table(points[0].problem, list(COLUMNS), _rows(points, arguments.most_lost))
+        console().print(sentence(points, arguments.most_lost))
+    console().print(f"wrote {place}")
+    if interrupted:
+        return INTERRUPTED
+    return SOLVED if all(chosen(points, arguments.most_lost) for points in found) else SOME_FAILED
+
+
+def _rows(points: list[Traded], most_lost: float) -> list[list[str]]:
+    best = chosen(points, most_lost)
+    return [
+        [
+            *(f"{point.amount:g}", f"{point.margin:g}"),
+            "" if point.planned is None else f"{point.planned:.3g}",
+            "" if point.mean is None else f"{point.mean:.3g}",
+            f"{point.lost} of {point.draws}",
+            "yes" if point.solved else "no",
+            "chosen" if point is best else "",
+        ]
+        for point in points
+    ]
+
+
+def _write(found: list[list[Traded]], folder: Path, arguments: argparse.Namespace) -> None:
+    most, page = arguments.most_lost, list[str]()
+    every = [
+        asdict(point) | {"lost_share": point.share, "chosen": point is chosen(points, most)}
+        for points in found
+        for point in points
+    ]
+    for points in filter(None, found):
+        name = points[0].problem
+        page.append(f"{name}\n\n{markdown(COLUMNS, _rows(points, most))}\n{sentence(points, most)}\n")
+        if not arguments.no_figures:
+            from ctr_nlp.figures import save  # brings matplotlib, which takes long to load
+            from ctr_nlp.studies.trade_picture import picture
+
+            save(picture(points, name, most), folder / f"{name}.png")
+    (folder / "trade.md").write_text("\n".join(page), encoding="utf-8")
+    (folder / "trade.json").write_text(json.dumps(every, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_csv(folder / "trade.csv", every)
+
+
+main = Command("ctr-nlp trade", _parser, _run)

@@ -1,0 +1,120 @@
+"""Errors as planned, over draws and lost draws, against how much robustness is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.plan.measures import e3
+from ctr_nlp.plan.plan import Plan, plan_from_configurations
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.tolerances import LARGEST, Tolerances
+from ctr_nlp.steer import solve_horizon
+from ctr_nlp.steer.robust import solve_robust
+from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.target.problem import Problem
+
+AMOUNTS = 0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5
+"""By what the tolerances are scaled that are planned for; 0 is a plan for the robot described alone."""
+MARGINS = 0.1, 0.3, 0.5, 0.7
+"""Stability margins of the plans for the robot described that stand beside."""
+DRAWS, SEED = 500, 20260101
+"""Of the robots on which all are judged; planning takes other seeds."""
+MOST_LOST = 0.01
+"""The share of draws that a plan which is chosen may lose."""
+
+
+@dataclass(frozen=True)
+class Traded:
+    """A plan judged on draws. amount: what the tolerances planned for are scaled by; margin: of stability.
+
+    planned, mean: e3 in mm, as planned and on average over the draws; lost: of so many draws. solved: every frame
+    was. Figures are those of what was found, also where that is not a solution.
+    """
+
+    problem: str
+    amount: float
+    margin: float
+    planned: float | None
+    mean: float | None
+    lost: int
+    draws: int
+    solved: bool
+
+    @property
+    def share(self) -> float:
+        """Of the draws that are lost."""
+        return self.lost / self.draws
+
+
+def traded(
+    problem: Problem,
+    amounts: Sequence[float] = AMOUNTS,
+    margins: Sequence[float] = MARGINS,
+    draws: int = DRAWS,
+    seed: int = SEED,
+    told: Callable[[str], None] = lambda label: None,
+) -> list[Traded]:
+    """Plans of a problem, far from any wall, for so much of its tolerances, then at these margins for none.
+
+    All are judged on the same draws of the whole tolerances. told: what is planned next. Ctrl-C leaves what was
+    found. Raises OptionError, RobotError.
+    """
+    free, found = replace(problem, lumen=None), list[Traded]()
+    asked = [(amount, None) for amount in amounts] + [(0.0, margin) for margin in margins]
+    with deferred_interrupt() as interrupted:
+        for amount, margin in asked:
+            if interrupted():
+                break
+            told(f"{problem.name}, {amount:g} of the tolerances" if margin is None else f"margin {margin:g}")
+            plan = _planned(free, amount, margin)
+            found.append(_judged(plan, problem, amount, draws, seed))
+    return found
+
+
+def chosen(points: Sequence[Traded], most_lost: float = MOST_LOST) -> Traded | None:
+    """The least mean over draws of solved plans that lose no larger share; None where each loses more."""
+    able = [(point.mean, point) for point in points if point.solved and point.share <= most_lost]
+    known = [(mean, point) for mean, point in able if mean is not None]
+    return min(known, key=lambda each: each[0])[1] if known else None
+
+
+def sentence(points: Sequence[Traded], most_lost: float = MOST_LOST) -> str:
+    """Which plan is chosen, and why."""
+    best = chosen(points, most_lost)
+    if best is None:
+        return f"None is chosen: each plan loses more than {most_lost:.3g} of its draws or is not solved."
+    what = f"{best.amount:g} times the tolerances" if best.amount else f"no tolerances, at margin {best.margin:g}"
+    return (
+        f"Chosen: the plan for {what}, with the least mean e3 over draws ({best.mean:.3g} mm) of those that lose "
+        f"at most {most_lost:.1%}; it loses {best.lost} of {best.draws}."
+    )
+
+
+def scaled(robot: Robot, amount: float) -> Robot:
+    """A robot with so much of its tolerances; raises RobotError where they become larger than allowed."""
+    own, square = robot.tolerances, robot.tolerances.covariance
+    if square is not None:
+        covariance = amount**2 * np.array(square)
+        parts = {"rotation_lag": amount * np.array(own.rotation_lag), "covariance": covariance}
+        return replace(robot, tolerances=replace(own, **parts))
+    parts = {name: amount * np.array(getattr(own, name)) for name in LARGEST}
+    return replace(robot, tolerances=Tolerances(**parts, distribution=own.distribution))
+
+
+def _planned(problem: Problem, amount: float, margin: float | None) -> Plan:
+    if amount:
+        return solve_robust(replace(problem, robot=scaled(problem.robot, amount)))
+    settings = Settings() if margin is None else Settings(stability_margin=margin)
+    return solve_horizon(problem, model="elastic", settings=settings)
+
+
+def _judged(plan: Plan, problem: Problem, amount: float, draws: int, seed: int) -> Traded:
+    known = {"success": plan.success, "solve_time": plan.solve_time, "objective": plan.objective, "kkt": plan.kkt}
+    tried = plan_from_configurations(problem, plan.q, dict(plan.meta), **known).robustness(draws, seed)
+    mean = None if tried.errors is None else tried.errors.mean
+    margin = float(plan.options["stability_margin"])
+    return Traded(problem.name, amount, margin, e3(plan), mean, tried.losses, draws, plan.complete)

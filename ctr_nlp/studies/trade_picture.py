@@ -1,0 +1,43 @@
+"""What robustness costs and brings as a picture, apart from the numbers, which need no matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from matplotlib.ticker import PercentFormatter
+
+from ctr_nlp.figures.parts.page import STYLE, printable
+from ctr_nlp.figures.parts.palette import BLACK, BLUE, VERMILLION
+from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.studies.trade import MOST_LOST, Traded, chosen
+
+
+@rc_context(STYLE)
+def picture(points: Sequence[Traded], problem: str, most_lost: float = MOST_LOST) -> Figure:
+    """e3 as planned and on average over draws, and below it the share lost; a ring marks the choice."""
+    figure = Figure(figsize=(7.0, 5.2), layout="constrained")
+    above, below = figure.subplots(2, sharex=True, height_ratios=(2, 1))
+    usual = Settings().stability_margin
+    robust = sorted((p for p in points if p.amount or p.margin == usual), key=lambda p: p.amount)
+    known, amounts = [p for p in robust if p.mean is not None], [p.amount for p in robust]
+    above.plot(amounts, [p.planned or float("nan") for p in robust], "o--", color=BLUE, label="as planned")
+    means = [p.amount for p in known], [p.mean or 0.0 for p in known]
+    above.plot(*means, "o-", color=VERMILLION, label="mean over draws")
+    below.plot(amounts, [p.share for p in robust], "o-", color=VERMILLION)
+    for p in points:
+        if p not in robust and p.mean is not None:
+            above.plot(0, p.mean, "x", color=BLACK)
+            above.annotate(f"margin {p.margin:g}", (0, p.mean), (6, 0), textcoords="offset points", fontsize=8)
+            below.plot(0, p.share, "x", color=BLACK)
+    if (best := chosen(points, most_lost)) is not None and best.mean is not None:
+        above.plot(best.amount, best.mean, "o", ms=13, mfc="none", color=BLACK, label="chosen")
+    below.axhline(most_lost, color=BLACK, lw=0.8, ls=":")
+    above.set_ylabel("e3 (mm)")
+    below.set_ylabel("draws lost")
+    below.yaxis.set_major_formatter(PercentFormatter(1.0))
+    below.set_xlabel("tolerances planned for, as part of the robot's")
+    above.legend()
+    figure.suptitle(printable(f"What robustness costs and brings: {problem}"), fontsize=10, parse_math=False)
+    return figure

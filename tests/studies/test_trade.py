@@ -1,0 +1,70 @@
+"""What robustness costs and brings: plans for more and less of the tolerances, judged on the same draws."""
+
+import csv
+import json
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from truth import TWO
+
+from ctr_nlp import Problem, growing
+from ctr_nlp.cli.studies import trade as command
+from ctr_nlp.robot.tolerances import Tolerances
+from ctr_nlp.studies.trade import Traded, chosen, scaled, sentence, traded
+from ctr_nlp.target.curve import curve_from_formula
+
+CURVE = curve_from_formula(lambda u: (8 - 8 * ca.cos(u / 25), 6 * ca.sin(u / 30), u), 0.0, 70.0)
+
+
+def _point(amount, mean, lost, solved=True):
+    return Traded("bend", amount, 0.1, 0.5, mean, lost, 500, solved)
+
+
+def test_the_least_mean_is_chosen_of_plans_that_lose_few():
+    points = [_point(0, 1.0, 6), _point(0.5, 1.1, 0, False), _point(1, 1.3, 5), _point(1.5, 1.4, 0)]
+    assert chosen(points) is points[2]
+    assert chosen(points, 0.002) is points[3]
+    assert chosen(points[:2]) is None
+    assert "for 1 times the tolerances" in sentence(points)
+    assert sentence(points[:2]).startswith("None is chosen")
+
+
+def test_so_much_of_every_tolerance_is_planned_for():
+    own = Tolerances(curvature=(0.02, 0.04), curved_length=1.0, rotation_lag=0.1, distribution="normal")
+    half = scaled(replace(TWO, tolerances=own), 0.5).tolerances
+    assert half.curvature == (0.01, 0.02)
+    assert (half.curved_length, half.rotation_lag, half.motor_zero) == (0.5, 0.05, 0.01)
+    assert half.distribution == "normal"
+    known = Tolerances(distribution="normal", covariance=1e-4 * np.eye(10))
+    twice = scaled(replace(TWO, tolerances=known), 2.0)
+    np.testing.assert_allclose(twice.tolerances.covariance, 4e-4 * np.eye(10))
+
+
+@pytest.fixture
+def problem():
+    return Problem("bend", TWO, growing(CURVE, 10))
+
+
+def test_the_command_writes_all_that_it_says(problem, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(command.problems, "load", lambda name, arguments: problem)
+    out = tmp_path / "trade"
+    given = ["bend", "--amounts", "0", "1", "--margins", "0.5", "--draws", "20", "--out", str(out)]
+    assert command.main(given) == 0
+    rows = json.loads((out / "trade.json").read_text())
+    assert [(row["amount"], row["margin"]) for row in rows[::2]] == [(0.0, 0.1), (0.0, 0.5)]
+    assert rows[1]["amount"] == 1
+    assert sum(row["chosen"] for row in rows) == 1
+    assert all(row["solved"] and row["draws"] == 20 and row["mean"] > 0 for row in rows)
+    with (out / "trade.csv").open() as file:
+        assert [float(row["mean"]) for row in csv.DictReader(file)] == [row["mean"] for row in rows]
+    assert (out / "bend.png").stat().st_size > 10_000
+    assert "Chosen: the plan for" in capsys.readouterr().out
+
+
+def test_plans_are_judged_on_the_whole_tolerances(problem):
+    (less,) = traded(problem, (0.5,), (), 5, 3)
+    (same,) = traded(replace(problem, robot=scaled(problem.robot, 0.5)), (1.0,), (), 5, 3)
+    assert less.planned == pytest.approx(same.planned, rel=1e-6)
+    assert less.mean > same.mean
