@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -99,7 +100,7 @@ def scaled(robot: Robot, amount: float) -> Robot:
     own, square = robot.tolerances, robot.tolerances.covariance
     if square is not None:
         covariance = amount**2 * np.array(square)
-        parts = {"rotation_lag": amount * np.array(own.rotation_lag), "covariance": covariance}
+        parts: dict[str, Any] = {"rotation_lag": amount * np.array(own.rotation_lag), "covariance": covariance}
         return replace(robot, tolerances=replace(own, **parts))
     parts = {name: amount * np.array(getattr(own, name)) for name in LARGEST}
     return replace(robot, tolerances=Tolerances(**parts, distribution=own.distribution))
@@ -113,7 +114,8 @@ def _planned(problem: Problem, amount: float, margin: float | None) -> Plan:
 
 
 def _judged(plan: Plan, problem: Problem, amount: float, draws: int, seed: int) -> Traded:
-    known = {"success": plan.success, "solve_time": plan.solve_time, "objective": plan.objective, "kkt": plan.kkt}
+    names = "success", "solve_time", "objective", "kkt"
+    known: dict[str, Any] = {name: getattr(plan, name) for name in names}
     tried = plan_from_configurations(problem, plan.q, dict(plan.meta), **known).robustness(draws, seed)
     mean = None if tried.errors is None else tried.errors.mean
     margin = float(plan.options["stability_margin"])

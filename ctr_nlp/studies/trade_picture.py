@@ -35,6 +35,7 @@ def picture(points: Sequence[Traded], problem: str, most_lost: float = MOST_LOST
         above.plot(best.amount, best.mean, "o", ms=13, mfc="none", color=BLACK, label="chosen")
     below.axhline(most_lost, color=BLACK, lw=0.8, ls=":")
     above.set_ylabel("e3 (mm)")
+    below.set_ylim(bottom=0, top=max(1.1 * max(p.share for p in points), 2 * most_lost))
     below.set_ylabel("draws lost")
     below.yaxis.set_major_formatter(PercentFormatter(1.0))
     below.set_xlabel("tolerances planned for, as part of the robot's")
