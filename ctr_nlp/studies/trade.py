@@ -11,6 +11,7 @@ import numpy as np
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
+from ctr_nlp.plan.verdicts import MOST_LOST
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.tolerances import LARGEST, Tolerances
 from ctr_nlp.steer import solve_horizon
@@ -24,8 +25,6 @@ MARGINS = 0.1, 0.3, 0.5, 0.7
 """Stability margins of the plans for the robot described that stand beside."""
 DRAWS, SEED = 500, 20260101
 """Of the robots on which all are judged; planning takes other seeds."""
-MOST_LOST = 0.01
-"""The share of draws that a plan which is chosen may lose."""
 
 
 @dataclass(frozen=True)

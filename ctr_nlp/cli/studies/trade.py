@@ -11,8 +11,9 @@ from ctr_nlp.cli import problems
 from ctr_nlp.cli.arguments import add_compile_option, add_out_option, add_problem_options, whole
 from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, Command, console, print_table
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
+from ctr_nlp.plan.verdicts import MOST_LOST
 from ctr_nlp.problems import NAMES
-from ctr_nlp.studies.trade import AMOUNTS, DRAWS, MARGINS, MOST_LOST, SEED, Traded, chosen, sentence, traded
+from ctr_nlp.studies.trade import AMOUNTS, DRAWS, MARGINS, SEED, Traded, chosen, sentence, traded
 from ctr_nlp.support.interrupt import end_if_interrupted
 from ctr_nlp.support.tables import markdown, write_csv
 
