@@ -16,7 +16,7 @@ YES, NO, NOT_ASKED, NOT_KNOWN = "yes", "no", "not asked", "not known"
 FORK = 1e-3
 """A stability margin as small as this between frames is that of a fork, where it is 0 at one point of the way."""
 MOST_LOST = 0.01
-"""The share of a plan's draws that may be lost."""
+"""The share of a plan's draws that may be lost, where nothing else was asked for."""
 SURVIVES = "survives its draws"
 """The matter of robots that are not quite the one described."""
 ROUNDING = 1e-6
@@ -150,7 +150,7 @@ def _survives(plan: Record) -> Judgement:
     """Whether hardly any of the robots drawn within the tolerances is lost; the share of those that are."""
     if plan.drawn is None:
         return NOT_ASKED, None, "", "Only tubes exactly as described were looked at."
-    if plan.drawn.share <= MOST_LOST:
+    if plan.drawn.share <= plan.options.get("most_lost", MOST_LOST):
         return YES, plan.drawn.share, "of draws", plan.drawn.told
     hint = "" if "certificate" in plan.meta else " `ctr-nlp plan --robust` plans for them."
     return NO, plan.drawn.share, "of draws", plan.drawn.told + hint

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from dataclasses import replace
 
 import casadi as ca
@@ -128,3 +129,15 @@ def test_a_repeated_run_ends_where_a_frame_fails(problem, scenarios):
 def test_what_cannot_be_planned_is_refused(problem, arguments, error, message):
     with pytest.raises(error, match=message):
         solve_robust_per_frame(problem, **arguments)
+
+
+def test_an_interrupted_search_gives_no_certificate(problem, scenarios, monkeypatch):
+    """Ctrl-C at the first frame that is told of."""
+
+    def told(done, count, note):
+        signal.raise_signal(signal.SIGINT)
+
+    stopped = _planned(problem, scenarios, progress=told)
+    assert stopped.meta["interrupted"]
+    assert "certificate" not in stopped.meta
+    assert not stopped.complete

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from dataclasses import replace
 
 import casadi as ca
@@ -183,3 +184,14 @@ def test_scenarios_grow_from_the_nominal_robot_where_a_start_fails(problem, foun
 def test_what_cannot_be_planned_is_refused(problem, arguments, message):
     with pytest.raises(OptionError, match=message):
         solve_robust(problem, **({"scenarios": _scenarios(), "margins": (0.3,)} | arguments))
+
+
+def test_an_interrupted_search_gives_no_certificate(problem):
+    def told(done, count, note):
+        signal.raise_signal(signal.SIGINT)
+
+    stopped, _ = _planned(problem, _scenarios(), margins=(0.3,), progress=told)
+    assert stopped.meta["interrupted"]
+    assert stopped.meta["failures"] == {"all": "interrupted"}
+    assert "certificate" not in stopped.meta
+    assert not stopped.success.any()

@@ -57,7 +57,7 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
         "summary.json and pictures.",
         epilog="Exit status: 0 no verdict is no, 1 one is, 2 bad input, 130 interrupted (the best motion so far "
         "goes into DIR/interrupted, and DIR's own files stay). Draws of the robot, on which an elastic plan "
-        "is tried, do not count.",
+        "is tried, count with --robust only.",
     )
     parser.add_argument("problem", metavar="PROBLEM", help=problems.KINDS)
     options.add_problem_options(parser)
@@ -131,7 +131,7 @@ def _run(arguments: argparse.Namespace) -> int:
     console().print(f"wrote {place}: {', '.join(files)}")
     if film is not None:
         console().print(f"wrote {film}")
-    return INTERRUPTED if interrupted else exit_status(plan)
+    return INTERRUPTED if interrupted else exit_status(plan, tried=robust)
 
 
 def _check_fit(arguments: argparse.Namespace) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -78,16 +79,17 @@ def solve_robust_per_frame(
         "most_lost": most_lost,
         "rounds": rounds,
     }
-    work = {
+    work: dict[str, Any] = {
         "search_s": seconds,
         "interrupted": stopped,
         "contact_weight": None,
-        "certificate": trials.certificate(trial, best.motion(problem), len(made)),
         "rounds": [
             {"scenarios": len(frames.scenarios), "lost": len(lost.frames), "drawn": lost.drawn}
             for frames, _, lost in made
         ],
     }
+    if not stopped:
+        work["certificate"] = trials.certificate(trial, best.motion(problem), len(made))
     return plan_of(problem, solver, best, None, options, work)
 
 

@@ -68,7 +68,7 @@ def solve_robust(
     every scenario. start, end, motion_weight, settings, terms, progress: as solve_horizon.
     In a lumen, all scenarios are kept off the wall as far as settings say (walled.py), once the motion that is
     free of it is known. Where no motion is found that all share, the plan is the first motion started from, and no
-    frame     counts as solved. Raises OptionError, ProblemError, RobotError.
+    frame counts as solved. Raises OptionError, ProblemError, RobotError.
     """
     check_described(problem, settings)
     check_search(motion_weight, None, 1)
@@ -82,39 +82,37 @@ def solve_robust(
         motions = [per_frame(problem, nominal.ends, _at(settings, each))[0] for each in margins]
         starts = [Start(f"margin {each:g}", x) for each, x in zip(margins, motions, strict=True)]
         weight = MOTION_PART * nominal.balanced_weight(starts[0].x) if motion_weight is None else motion_weight
-        between = time.perf_counter()
-        margin = settings.stability_margin
+        between, margin = time.perf_counter(), settings.stability_margin
         least = None if margin is None else np.full(problem.frames, margin)
         own = model, nominal.ends, tuple(terms), weight, least
         search = RobustSearch(problem, *own, progress, interrupted)
         tried = search.drafts(starts, scenarios)
         made = _rounds(search, tried, scenarios, trials, rounds)
-        best = free = best_of(made, problem.frames)
+        free = best_of(made, problem.frames)
         wall = wall_of(problem.robot, problem.lumen, model, settings, finer=1)
         if wall is not None and free is not None:
-            within = Walled(wall, free, settings.clearance_cost, trials, rounds).rounds(len(made))
-            best, made = best_of(within, problem.frames) or free, made + within
+            made += Walled(wall, free, settings.clearance_cost, trials, rounds).rounds(len(made))
         stopped = interrupted()
-    options = strict_json(asdict(settings)) | {"motion_weight": weight, "most_lost": most_lost}
-    options |= {"margins": list(margins), "rounds": rounds, "terms": [str(term) for term in terms]}
-    options |= {"start": _listed(nominal.ends.start), "end": _listed(nominal.ends.end)}
+    asked = {"motion_weight": weight, "most_lost": most_lost, "margins": list(margins), "rounds": rounds}
+    ends = {"start": _listed(nominal.ends.start), "end": _listed(nominal.ends.end)}
     meta = {
         "formulation": "robust-horizon",
         "model": model.name,
         "solver": "interior-point",
-        "options": options,
+        "options": strict_json(asdict(settings)) | asked | ends | {"terms": [str(term) for term in terms]},
         "build_s": nominal.build_seconds,
         "search_s": between - begin,
         "solve_s": time.perf_counter() - between,
         "interrupted": stopped,
-        "contact_weight": None if best is None or best.search.wall is None else best.search.wall.weight,
+        "contact_weight": None,
         "starts": [_described(one) for one in tried],
         "rounds": [one.described() for one in made],
     }
-    start = model.configuration(problem.robot, starts[0].x)
-    if best is None:
-        return _unsolved(problem, start, meta)
-    meta["certificate"] = trials.certificate(best.lost, best.tried.solution.q, len(made))
+    if free is None:
+        return _unsolved(problem, model.configuration(problem.robot, starts[0].x), meta)
+    best = best_of([one for one in made if one.search.wall is not None], problem.frames) or free
+    if not stopped:
+        meta["certificate"] = trials.certificate(best.lost, best.tried.solution.q, len(made))
     return _plan(problem, best, None if wall is None else free, meta)
 
 
@@ -164,20 +162,16 @@ def _described(one: Tried) -> dict[str, Any]:
     }
 
 
-def _plan(
-    problem: Problem,
-    best: Round,
-    free: Round | None,
-    meta: dict[str, Any],
-) -> Plan:
-    """A round as a plan, and the motion of the one that was free of the wall."""
-    found = best.tried.solution
+def _plan(problem: Problem, best: Round, free: Round | None, meta: dict[str, Any]) -> Plan:
+    """A round as a plan, and where a wall counts the motion of the one that is free of it."""
+    found, wall = best.tried.solution, best.search.wall
     condensed = Condensed(best.search.motion(best.scenarios))
     condensed.look(found.q, found.phi)
+    weight = None if wall is None else wall.weight
     return plan_from_configurations(
         problem,
         found.q,
-        meta | {"failures": {}, "iterations": found.iterations},
+        meta | {"failures": {}, "iterations": found.iterations, "contact_weight": weight},
         success=np.full(problem.frames, found.success),
         solve_time=np.full(problem.frames, np.nan),
         objective=condensed.by_frame(found.q, found.phi),
