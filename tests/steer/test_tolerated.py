@@ -98,7 +98,7 @@ def test_a_robust_plan_keeps_robots_that_a_plain_one_loses(problem, plain):
     assert lost[1] <= 1
     certificate = robust.meta["certificate"]
     assert certificate["held"] == (certificate["lost"] <= 0)
-    assert certificate["draws"] == 500
+    assert certificate["draws"] >= 500
 
 
 @pytest.mark.parametrize(("most_lost", "motions", "draws"), [(0.01, 1, 500), (0.01, 7, 500), (0.002, 5, 2301)])
