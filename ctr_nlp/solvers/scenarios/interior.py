@@ -55,7 +55,11 @@ class _Step(NamedTuple):
 
 
 class SharedSolver:
-    """Solves shared motions from any start; surest where the nominal robot keeps a good margin."""
+    """Solves shared motions from any start; surest where the nominal robot keeps a good margin.
+
+    Where parameters hold near a motion only, it goes on from its solution with those that hold there, until these
+    stay as they are.
+    """
 
     def __init__(self, motion: SharedMotion) -> None:
         """Prepare."""
