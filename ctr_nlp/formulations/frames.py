@@ -14,6 +14,9 @@ from ctr_nlp.support.sobol import sobol
 from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
+DISTINCT = 1e-3
+"""Two answers are distinct where their objectives differ by more than this part."""
+
 
 @dataclass(frozen=True)
 class FrameResult:
@@ -61,6 +64,15 @@ class Restartable(FrameSolver, Protocol):
 
     def again(self, frame: int, known: FrameResult) -> FrameResult:
         """The answer for a frame without a past, near a known one."""
+
+
+def distinct(results: Sequence[FrameResult]) -> list[FrameResult]:
+    """Those of results whose objectives differ, best first."""
+    found = list[FrameResult]()
+    for result in sorted(results, key=lambda one: one.objective):
+        if not found or result.objective > found[-1].objective * (1 + DISTINCT) + 1e-9:
+            found.append(result)
+    return found
 
 
 def one_by_one(

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.formulations import FORMULATIONS, Stage
-from ctr_nlp.formulations.frames import FrameResult, reachable, starts
+from ctr_nlp.formulations.frames import FrameResult, distinct, reachable, starts
 from ctr_nlp.formulations.joint import joint, tip_steps
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
@@ -34,8 +34,6 @@ TWIN_ROOM = 0.3
 """Least distance in rad from the limits of tilt at which the other way to write a shape is tried too."""
 STRETCH = 16
 """Frames that are solved in one call; between calls, progress is told and Ctrl-C is heeded."""
-DISTINCT = 1e-3
-"""Two answers are distinct where their objectives differ by more than this part."""
 DEFAULTS = Settings()
 
 Built = Sequence[tuple[Stage, NlpSolver]]
@@ -105,14 +103,10 @@ class NlpFrames:
         """Distinct answers for a frame without a past, best first; at least one."""
         robot, sample = self.problem.robot, self.problem.samples[frame]
         guesses = starts(robot, sample, SEARCH_STARTS * 4 ** max(0, robot.d - FEW_TUBES), self.settings.seed)
-        results = sorted(map(self._unwound, self._searched(frame, guesses)), key=lambda r: r.objective)
-        distinct: list[FrameResult] = []
-        for result in results:
-            if not distinct or result.objective > distinct[-1].objective * (1 + DISTINCT) + 1e-9:
-                distinct.append(result)
-        if not distinct:
+        found = distinct([self._unwound(result) for result in self._searched(frame, guesses)])
+        if not found:
             return [FrameResult(guesses[0], success=False, status="no start was solved")]
-        best, *others = distinct
+        best, *others = found
         return [best, *(replace(best, q=twin, warm=None) for twin in self._twin(best.q)), *others]
 
     def _searched(self, frame: int, guesses: Array) -> list[FrameResult]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.plan.measures import e3
-from ctr_nlp.plan.plan import Plan, plan_from_configurations
+from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.verdicts import MOST_LOST
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.tolerances import LARGEST, Tolerances
@@ -71,7 +71,7 @@ def traded(
                 break
             told(f"{problem.name}, {amount:g} of the tolerances" if margin is None else f"margin {margin:g}")
             plan = _planned(free, amount, margin)
-            found.append(_judged(plan, problem, amount, draws, seed))
+            found.append(_judged(plan, problem.robot, problem.name, amount, draws, seed))
     return found
 
 
@@ -112,10 +112,9 @@ def _planned(problem: Problem, amount: float, margin: float | None) -> Plan:
     return solve_horizon(problem, model="elastic", settings=settings)
 
 
-def _judged(plan: Plan, problem: Problem, amount: float, draws: int, seed: int) -> Traded:
-    names = "success", "solve_time", "objective", "kkt"
-    known: dict[str, Any] = {name: getattr(plan, name) for name in names}
-    tried = plan_from_configurations(problem, plan.q, dict(plan.meta), **known).robustness(draws, seed)
+def _judged(plan: Plan, robot: Robot, name: str, amount: float, draws: int, seed: int) -> Traded:
+    """A plan on draws of a robot that differs from its own in tolerances alone."""
+    tried = replace(plan, meta=plan.meta | {"robot": robot.to_dict()}).robustness(draws, seed)
     mean = None if tried.errors is None else tried.errors.mean
     margin = float(plan.options["stability_margin"])
-    return Traded(problem.name, amount, margin, e3(plan), mean, tried.losses, draws, plan.complete)
+    return Traded(name, amount, margin, e3(plan), mean, tried.losses, draws, plan.complete)

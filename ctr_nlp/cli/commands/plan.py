@@ -7,6 +7,7 @@ starts, and where the problem is compiled takes a small part of a second longer.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from pathlib import Path
@@ -137,13 +138,11 @@ def _run(arguments: argparse.Namespace) -> int:
 def _check_fit(arguments: argparse.Namespace) -> None:
     """Raise OptionError for an option that the chosen formulation does not have."""
     whole = arguments.formulation == HORIZON
-    for name in plan_options.FRAMES_ALONE if whole else plan_options.HORIZON_ALONE:
-        if not any(getattr(arguments, name, None) is unset for unset in (None, False)):
-            fitting = f"one of {', '.join(FORMULATIONS)}" if whole else HORIZON
-            raise OptionError(
-                f"--{name.replace('_', '-')} does not go with --formulation {arguments.formulation}; "
-                f"it goes with {fitting}"
-            )
+    for option in _given(arguments, plan_options.FRAMES_ALONE if whole else plan_options.HORIZON_ALONE):
+        fitting = f"one of {', '.join(FORMULATIONS)}" if whole else HORIZON
+        raise OptionError(
+            f"{option} does not go with --formulation {arguments.formulation}; it goes with {fitting}"
+        )
     if arguments.most_lost is not None and not arguments.robust:
         raise OptionError("--most-lost is given without --robust; it says how many robots a robust plan may lose")
     if arguments.robust:
@@ -153,9 +152,15 @@ def _check_fit(arguments: argparse.Namespace) -> None:
             raise OptionError(
                 f"--robust does not go with --formulation {arguments.formulation}; it goes with horizon and joint"
             )
-        for name in UNFIT if whole else (*UNFIT, *plan_options.WALL):
-            if not any(getattr(arguments, name, None) is unset for unset in (None, False)):
-                raise OptionError(f"--{name.replace('_', '-')} does not go with --robust; leave one of them out")
+        for option in _given(arguments, UNFIT if whole else (*UNFIT, *plan_options.WALL)):
+            raise OptionError(f"{option} does not go with --robust; leave one of them out")
+
+
+def _given(arguments: argparse.Namespace, names: Sequence[str]) -> list[str]:
+    """Those of options, by their names in arguments, that were given, as they are written."""
+    unset = None, False
+    given = [name for name in names if not any(getattr(arguments, name, None) is each for each in unset)]
+    return [f"--{name.replace('_', '-')}" for name in given]
 
 
 def _settings(arguments: argparse.Namespace, problem: Problem, *names: str) -> Settings:

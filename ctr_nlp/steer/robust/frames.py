@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.formulations.frames import FrameResult, one_by_one
+from ctr_nlp.formulations.frames import FrameResult, distinct, one_by_one
 from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.formulations.joint import tip_steps
 from ctr_nlp.formulations.scenarios import shared_motion
@@ -31,8 +31,6 @@ FIRST, KEPT = 3, 3
 """Answers for the robot as described that are tried where a frame has no past, and how many of these are kept."""
 HOLDS = 1.0, 1e2, 1e4
 """Factors of the motion's weight that are tried in turn where tips would otherwise turn too far in a frame."""
-DISTINCT = 1e-3
-"""Two answers are distinct where their objectives differ by more than this part."""
 
 
 @dataclass(frozen=True)
@@ -89,13 +87,9 @@ class ScenarioFrames:
 
     def search(self, frame: int) -> list[FrameResult]:
         """Distinct answers for a frame without a past, best first; at least one."""
-        known = [one for frames in self.nominal for one in frames.search(frame)[:FIRST] if one.success]
-        found = [self.again(frame, one) for one in known]
-        distinct = list[FrameResult]()
-        for one in sorted((each for each in found if each.success), key=lambda each: each.objective):
-            if not distinct or one.objective > distinct[-1].objective * (1 + DISTINCT):
-                distinct.append(one)
-        return distinct[:KEPT] or found[:1] or self.nominal[0].search(frame)[:1]
+        known = [one for frames in self.nominal for one in frames.search(frame)[:FIRST]]
+        found = [self.again(frame, one) for one in known if one.success]
+        return distinct([one for one in found if one.success])[:KEPT] or found[:1] or known[:1]
 
     def harder(self, lost: Lost, first: bool) -> ScenarioFrames:
         """The same with lost robots among the scenarios; and more margin where they were, after the first."""
@@ -125,11 +119,11 @@ class ScenarioFrames:
         """The answer from a start, whose tips are as near to those before as they are from frame to frame."""
         robot, iterations, ends = self.problem.robot, 0, Ends(None if before is None else before.q)
         last, far = (start, np.inf) if before is None else (before, tip_steps(robot, self.problem.dt))
-        tips = self._tips(last)
+        tips, guess = self._tips(last), self._tips(start)
         for factor in HOLDS:
             solver = SharedSolver(self._motion(frame, ends, factor))
             for barrier in (CLOSE, WIDE):
-                found = solver(start.q[None], self._tips(start)[None], barrier)
+                found = solver(start.q[None], guess[None], barrier)
                 iterations += found.iterations
                 if found.success and (abs(found.phi[0] - tips) <= far).all():
                     x = np.concatenate([found.phi[0, 0], found.q[0, robot.d :]])

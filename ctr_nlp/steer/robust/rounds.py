@@ -122,8 +122,7 @@ def _again(search: RobustSearch, before: Tried, scenarios: Scenarios, picked: In
     tried = search.looked_at(Tried(before.start, before.frames, found))
     if tried.shared or search.stop():
         return tried
-    alike = np.repeat(known.phi[:, :1], len(scenarios), axis=1)
-    return search.looked_at(search.grown(before.start, known.q, alike, scenarios, picked))
+    return search.grown(before.start, known.q, known.phi[:, :1], scenarios, picked)
 
 
 def joined(scenarios: Scenarios, lost: Lost, push: float = PUSHES[0]) -> Scenarios:

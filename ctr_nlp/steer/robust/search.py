@@ -104,7 +104,7 @@ class RobustSearch:
             if self.progress is not None:
                 self.progress(number, len(starts) + 1, f"draft from a motion of {start.name}")
             if not self.stop():
-                tried.append(self.looked_at(self.solve(start, scenarios, self.picked)))
+                tried.append(self.solve(start, scenarios, self.picked))
         return sorted(tried, key=lambda one: one.promise)
 
     def refined(self, draft: Tried, scenarios: Scenarios) -> Tried:
@@ -114,28 +114,28 @@ class RobustSearch:
             return draft
         q = filled(draft.solution.q, self.picked, frames)
         tips = filled(draft.solution.phi.reshape(len(self.picked), -1), self.picked, frames)
-        shaped = tips.reshape(frames, count, d)
-        solution = SharedSolver(self.motion(scenarios))(q, shaped, CLOSE, self.stop)
-        if not solution.success and not self.stop():
-            nominal = np.repeat(shaped[:, :1], count, axis=1)
-            return self.looked_at(self.grown(draft.start, q, nominal, scenarios))
-        return self.looked_at(Tried(draft.start, frames, solution))
+        return self._solved(draft.start, q, tips.reshape(frames, count, d), scenarios, None, CLOSE)
 
     def solve(self, start: Start, scenarios: Scenarios, picked: Index | None = None) -> Tried:
-        """From a start; where that fails, with scenarios that grow from the nominal robot to what they are."""
+        """All frames, or picked ones, of a start."""
         x, robot = start.x if picked is None else start.x[picked], self.problem.robot
         q, tips = self.model.configuration(robot, x), np.repeat(x[:, None, : robot.d], len(scenarios), axis=1)
-        found = SharedSolver(self.motion(scenarios, picked))(q, tips, WIDE, self.stop)
+        return self._solved(start.name, q, tips, scenarios, picked, WIDE)
+
+    def _solved(
+        self, name: str, q: Array, tips: Array, scenarios: Scenarios, picked: Index | None, barrier: float
+    ) -> Tried:
+        """From tips (T, S, d); where that fails, as grown."""
+        found = SharedSolver(self.motion(scenarios, picked))(q, tips, barrier, self.stop)
         if found.success or self.stop():
-            return Tried(start.name, len(q), found)
-        return self.grown(start.name, q, tips, scenarios, picked)
+            return self.looked_at(Tried(name, len(q), found))
+        return self.grown(name, q, tips[:, :1], scenarios, picked)
 
     def grown(self, name: str, q: Array, tips: Array, scenarios: Scenarios, picked: Index | None = None) -> Tried:
-        """The same, with scenarios that differ less from the nominal robot at first."""
+        """With scenarios that grow from the nominal robot, of tips (T, 1, d), to what they are."""
+        tips = np.repeat(tips, len(scenarios), axis=1)
         done, part, best = 0.0, 0.5, None
         for _ in range(GROWTHS):
-            if self.stop():
-                break
             found = SharedSolver(self.motion(scenarios.shrunk(part), picked))(q, tips, WIDE, self.stop)
             if found.success:
                 done, best, q, tips = part, found, found.q, found.phi
@@ -144,7 +144,10 @@ class RobustSearch:
                 part = 1.0
             else:
                 part = (done + part) / 2
-        return Tried(name, len(q), found if best is None else best, done if best is not None else part)
+            if self.stop():
+                break
+        tried = Tried(name, len(q), found if best is None else best, done if best is not None else part)
+        return self.looked_at(tried)
 
     def looked_at(self, tried: Tried) -> Tried:
         """The same, having moved the nominal robot through the motion."""
