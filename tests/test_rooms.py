@@ -16,6 +16,7 @@ ROOMS = (
     *(
         "cli",
         "studies",
+        "design",
         "report",
         "figures",
         "hardware",

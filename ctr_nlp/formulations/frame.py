@@ -16,7 +16,7 @@ from ctr_nlp.models import Model, Shape
 from ctr_nlp.models.protocol import symbolic_tubes
 from ctr_nlp.nlp.nlp import Constraint, Nlp
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.structure import NUMBERS, Structure
+from ctr_nlp.robot.structure import NUMBERS, Structure, freed_places
 from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
@@ -24,12 +24,15 @@ KEPT = 64
 """Programs kept in a process."""
 
 
-def program(name: str, structure: Structure, model: Model, terms: Sequence[Term]) -> Nlp:
+def program(
+    name: str, structure: Structure, model: Model, terms: Sequence[Term], freed: tuple[str, ...] = ()
+) -> Nlp:
     """The program of one frame: the model's unknowns, the motors' angles as rows, and what the terms add.
 
-    Raises OptionError where two terms have parameters of one name.
+    freed: numbers of the tubes that are unknowns, too, after the model's (structure.freed_places); the motors'
+    angles are then rows on any model. Raises OptionError where two terms have parameters of one name.
     """
-    return _program(name, structure, model, _Keyed(terms))
+    return _program(name, structure, model, _Keyed(terms), freed)
 
 
 def robot_values(robot: Robot) -> dict[str, Any]:
@@ -70,10 +73,15 @@ class _Keyed(tuple[Term, ...]):
 
 
 @functools.lru_cache(maxsize=KEPT)
-def _program(name: str, structure: Structure, model: Model, terms: _Keyed) -> Nlp:
+def _program(name: str, structure: Structure, model: Model, terms: _Keyed, freed: tuple[str, ...]) -> Nlp:
     numbers = ca.SX.sym("tubes", structure.d, len(NUMBERS))
     parameters = {"tubes": numbers} | _parameters(structure, terms)
-    tubes = symbolic_tubes(structure, numbers)
+    places_freed = freed_places(structure, freed)
+    unknown, known = ca.SX.sym("freed", len(places_freed)), ca.SX(numbers)
+    for k, (i, columns) in enumerate(places_freed):
+        for column in columns:
+            known[i, column] = unknown[k]
+    tubes = symbolic_tubes(structure, known)
     counts = list[int]()
 
     def places(beta: Sequence[ca.SX]) -> ca.SX:
@@ -88,7 +96,7 @@ def _program(name: str, structure: Structure, model: Model, terms: _Keyed) -> Nl
     stops = list(itertools.accumulate(counts))
     bodies = (Body(q, tubes, shape, slice(stop - count, stop)) for count, stop in zip(counts, stops, strict=True))
     parts = [term.build(body, parameters) for term, body in zip(terms, bodies, strict=True)]
-    return _joined(name, shape, parameters, parts)
+    return _joined(name, shape, parameters, parts, unknown)
 
 
 def _parameters(structure: Structure, terms: Sequence[Term]) -> dict[str, ca.SX]:
@@ -108,19 +116,22 @@ def _configuration(shape: Shape, d: int) -> ca.SX:
     return ca.vertcat(shape.x, shape.alpha)[list(shape.picks[: 2 * d + 2])]
 
 
-def _joined(name: str, shape: Shape, parameters: Mapping[str, ca.SX], parts: Sequence[Parts]) -> Nlp:
-    """Slacks come after the model's unknowns, and the motors' angles first among the rows, where they are rows."""
+def _joined(name: str, shape: Shape, parameters: Mapping[str, ca.SX], parts: Sequence[Parts], freed: ca.SX) -> Nlp:
+    """Freed numbers and then slacks come after the model's unknowns, and the motors' angles first among the rows,
+    where they are rows.
+    """
     slacks = [part.slack for part in parts if part.slack is not None]
     motors = list[Constraint]()
-    n, picks = shape.x.numel(), shape.picks
-    if picks is not None:
+    n, more, picks = shape.x.numel(), freed.numel(), shape.picks
+    if picks is not None or more:
         free = np.full(shape.alpha.numel(), np.inf)
         motors = [Constraint("alpha", shape.alpha, -free, free)]
-        picks = tuple(pick + (pick >= n) * len(slacks) for pick in picks)
-    own = np.full(n, np.inf)
+    if picks is not None:
+        picks = tuple(pick + (pick >= n) * (len(slacks) + more) for pick in picks)
+    own = np.full(n + more, np.inf)
     return Nlp(
         name,
-        ca.vertcat(shape.x, *slacks),
+        ca.vertcat(shape.x, freed, *slacks),
         np.concatenate([-own, np.zeros(len(slacks))]),
         np.concatenate([own, np.full(len(slacks), np.inf)]),
         parameters,

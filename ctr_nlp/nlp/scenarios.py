@@ -56,11 +56,28 @@ class Scenarios:
 
 
 @dataclass(frozen=True)
+class Common:
+    """Unknowns p (P,) that all frames and scenarios have in common.
+
+    program: over p. Its first rows are k further unknowns of a frame, of the first scenario, those of others being
+    factors (S, k) of them; its other rows and its objective are p's own. parameters: of the program. lower, upper
+    (P,): of p, equal where it is fixed.
+    """
+
+    program: Nlp
+    factors: Array
+    parameters: Array
+    lower: Array
+    upper: Array
+
+
+@dataclass(frozen=True)
 class SharedMotion:
     """Minimise the scenarios' mean shape error and the links' costs over q (T, n) and the tips (T, S, d).
 
-    frame: the program of one robot in one frame over (phi, beta, theta), the last two of them q's own. parameters
-    (T S, p): a row for every scenario of every frame. lower, upper (T, n): of q, equal where it is fixed.
+    frame: the program of one robot in one frame over (phi, beta, theta), the last two of them q's own, and what
+    common unknowns give it, where there are any: these are then solved for, too. parameters (T S, p): a row for
+    every scenario of every frame. lower, upper (T, n): of q, equal where it is fixed.
     surroundings: where some parameters hold near a motion only, these (T, S, ..), by name, of all robots' unknowns
     (T, S, n).
     """
@@ -75,6 +92,7 @@ class SharedMotion:
     apart: float
     functions: Callable[[], FrameFunctions]
     surroundings: Callable[[Array], Mapping[str, Array]] | None = None
+    common: Common | None = None
 
     @property
     def sizes(self) -> tuple[int, int, int, int]:
@@ -110,10 +128,14 @@ class SharedMotion:
             bounds.append(np.tile(np.concatenate(parts), (len(self.lower), 1)))
         return bounds[0], bounds[1]
 
-    def unknowns(self, q: Array, phi: Array) -> Array:
-        """Those (T, S, n) of every robot in every frame, at q (T, n) and tips phi (T, S, d)."""
+    def unknowns(self, q: Array, phi: Array, given: Array) -> Array:
+        """Those (T, S, n + k) of every robot in every frame, at q (T, n) and tips phi (T, S, d).
+
+        given (S, k): what common unknowns give every scenario.
+        """
         frames, count, n, d = self.sizes
-        return np.concatenate([phi, np.broadcast_to(q[:, None, d:], (frames, count, n - d))], axis=2)
+        moved = np.broadcast_to(q[:, None, d:], (frames, count, n - d))
+        return np.concatenate([phi, moved, np.broadcast_to(given, (frames, *given.shape))], axis=2)
 
     @cached_property
     def linking(self) -> sp.csr_array:

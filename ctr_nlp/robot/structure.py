@@ -70,6 +70,21 @@ def tubes_in_columns(structure: Structure, numbers: Any) -> tuple[TubeNumbers, .
     return tubes_of(structure, [list(tube) for tube in numbers.transpose(1, 2, 0)[..., None]])
 
 
+def freed_places(structure: Structure, freed: Sequence[str]) -> tuple[tuple[int, tuple[int, ...]], ...]:
+    """What tubes have of numbers that are free: for each unknown its tube, from 0, and its columns in NUMBERS.
+
+    freed: of NUMBERS, or curvature: one number of an arc, the two of a part with a linear one.
+    """
+    root, tip = NUMBERS.index("root_curvature"), NUMBERS.index("tip_curvature")
+    curvatures = {"straight": (), "arc": ((root, tip),), "linear": ((root,), (tip,))}
+    found = list[tuple[int, tuple[int, ...]]]()
+    for name in freed:
+        for i, kind in enumerate(structure.kinds):
+            columns = curvatures[kind] if name == "curvature" else ((NUMBERS.index(name),),)
+            found += [(i, each) for each in columns]
+    return tuple(found)
+
+
 def numbers_of(tubes: Iterable[Tube]) -> list[list[float]]:
     """Of every tube, in the order of NUMBERS."""
     return [

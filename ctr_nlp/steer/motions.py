@@ -45,7 +45,7 @@ def per_frame_motions(
     """
     stride = -(-problem.frames // MOST_FRAMES)
     picked = thinned(problem.frames, stride)
-    coarse = problem if stride == 1 else _thinned(problem, picked, stride)
+    coarse = problem if stride == 1 else at_frames(problem, picked, stride)
     solver = NlpFrames.of(coarse, model=model, settings=replace(settings, contact_weight=0.0), terms=terms)
     passes, _ = run_passes(coarse, solver, "best", ends.start, ends.end, progress)
     ranked = _best_first(passes, coarse, model, math.inf if terms else ALIKE)
@@ -68,8 +68,8 @@ def _best_first(passes: Sequence[Pass], problem: Problem, model: Model, alike: f
     return [ranked[best], *ranked[:best], *ranked[best + 1 :]]
 
 
-def _thinned(problem: Problem, picked: Index, stride: int) -> Problem:
-    """Every so many frames of a problem."""
+def at_frames(problem: Problem, picked: Index, stride: int) -> Problem:
+    """Every so many frames of a problem: those picked, from 0."""
     curves, lengths = problem.target.curves, problem.target.lengths
     target = Target(tuple(curves[i] for i in picked), tuple(lengths[i] for i in picked))
     return replace(problem, target=target, duration=problem.dt * stride * len(picked), truth=None)

@@ -12,7 +12,7 @@ from truth import TWO
 
 from ctr_nlp import Problem, Settings, curve_from_points, growing
 from ctr_nlp.formulations.horizon import Ends
-from ctr_nlp.formulations.scenarios import shared_motion
+from ctr_nlp.formulations.shared.scenarios import shared_motion
 from ctr_nlp.formulations.terms.lumen import PLACES, arc_lengths
 from ctr_nlp.formulations.terms.touch import WIDTH
 from ctr_nlp.formulations.wall import wall_of

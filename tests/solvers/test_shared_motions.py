@@ -13,7 +13,7 @@ from truth import TWO, Shot
 from ctr_nlp import Problem, growing
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.horizon import Ends
-from ctr_nlp.formulations.scenarios import shared_motion
+from ctr_nlp.formulations.shared.scenarios import shared_motion
 from ctr_nlp.models import MODELS
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.solvers.compiled import fastest

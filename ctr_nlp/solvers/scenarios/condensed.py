@@ -4,6 +4,7 @@ Every scenario of a frame has as many equations, alpha(phi_s, beta) = alpha + of
 point a step of the tips is one of q: dphi_s = Z_s dq + c_s, where c_s makes good what the equations miss. What is
 left of a Newton system then has the unknowns of q alone, however many scenarios there are. The tips themselves
 stay unknowns: they need not keep their equations on the way, which near a fold is what lets a method move at all.
+Where frames have unknowns p in common, these stand beside q: dphi_s = Z_s dq + W_s dp + c_s.
 """
 
 from __future__ import annotations
@@ -15,12 +16,13 @@ import numpy as np
 
 from ctr_nlp.codegen.mapped import Mapped
 from ctr_nlp.nlp.scenarios import SharedMotion
+from ctr_nlp.solvers.scenarios.common import NONE, CommonValues, Given, GivenSlopes
 from ctr_nlp.typing import Array
 
 
 class Values(NamedTuple):
-    """At a point. objective: mm^2; rows: q, the frames' rows, the links; missing (T, S, d): of the
-    equations, rad.
+    """At a point. objective: mm^2; rows: q, the frames' rows, the links, p, p's own rows; missing (T, S, d): of
+    the equations, rad.
     """
 
     objective: float
@@ -30,11 +32,11 @@ class Values(NamedTuple):
 
 @dataclass(frozen=True)
 class Expansion:
-    """About a point. at: the values there. Of every scenario of every frame, with n unknowns x = (phi, beta,
-    theta): gradient (T, S, n) and hessian (T, S, n, n) of the objective and, of the latter, of the Lagrangian; own
-    (T, S, k, n): the Jacobian of its own rows; inverse (T, S, d, d): of the equations' over phi; turns (T, S, n,
-    n): dx over dq; repair (T, S, n): the c of dx. Of the frames: jacobian (T, m, n) of the rows over q, and ahead
-    (T, m): what the repair changes them by.
+    """About a point. at: the values there. Of every scenario of every frame, with m unknowns x = (phi, beta,
+    theta, what p gives): gradient (T, S, m) and hessian (T, S, m, m) of the objective and, of the latter, of the
+    Lagrangian; own (T, S, k, m): the Jacobian of its own rows; inverse (T, S, d, d): of the equations' over phi;
+    turns (T, S, m, n + P): dx over (dq, dp); repair (T, S, m): the c of dx. Of the frames: jacobian (T, r, n + P)
+    of the rows over q and p, and ahead (T, r): what the repair changes them by. given: of p alone.
     """
 
     at: Values
@@ -46,14 +48,15 @@ class Expansion:
     repair: Array
     jacobian: Array
     ahead: Array
+    given: GivenSlopes
 
     def over_q(self, of_x: Array) -> Array:
-        """A gradient (T, S, n) over the scenarios' unknowns as one over q, (T, n)."""
+        """A gradient (T, S, m) over the scenarios' unknowns as one over q and p, (T, n + P)."""
         return np.asarray((self.turns.swapaxes(-1, -2) @ of_x[..., None])[..., 0].sum(axis=1))
 
     def quadratic(self, damping: float) -> tuple[Array, Array]:
-        """The Hessian (T, n, n) over q, and what the repair adds to the gradient (T, n); damping: added to every
-        second derivative over q and over tips.
+        """The Hessian (T, n + P, n + P) over q and p, but for what p adds by itself, and what the repair adds to
+        the gradient (T, n + P); damping: added to every second derivative over q and over tips.
         """
         d, turns = self.inverse.shape[-1], self.turns
         curved = self.hessian @ turns
@@ -62,10 +65,12 @@ class Expansion:
             curved[..., :d, :] += damping * turns[..., :d, :]
             bent[..., :d] += damping * self.repair[..., :d]
         found = (turns.swapaxes(-1, -2) @ curved).sum(axis=1)
-        return found + damping * np.eye(found.shape[-1]), self.over_q(bent)
+        n = found.shape[-1] - self.given.hessian.shape[-1]
+        found[:, range(n), range(n)] += damping
+        return found, self.over_q(bent)
 
     def step(self, dq: Array) -> Array:
-        """The step (T, S, n) of the scenarios' unknowns that belongs to one of q, (T, n)."""
+        """The step (T, S, m) of the scenarios' unknowns that belongs to one of q and p, (T, n + P)."""
         return np.asarray((self.turns @ dq[:, None, :, None])[..., 0] + self.repair)
 
     def multipliers(self, rows: Array, step: Array | None = None, damping: float = 0.0) -> Array:
@@ -96,25 +101,33 @@ class Condensed:
         for each in self._maps:
             each.inputs[1][:] = motion.parameters
         self._offsets, self._shares = scenarios.offsets, np.tile(motion.weights, len(motion.lower))
+        self.common = CommonValues(motion)
         self.link_weight, self._link_offset = motion.of_links("weight"), motion.of_links("offset")
         bounds = zip((motion.lower, motion.upper), motion.row_bounds, ("lower", "upper"), strict=True)
         self.lower, self.upper = (
-            np.concatenate([of_q.ravel(), rows.ravel(), motion.of_links(name)]) for of_q, rows, name in bounds
+            np.concatenate(
+                [
+                    *(of_q.ravel(), rows.ravel(), motion.of_links(name)),
+                    *(getattr(self.common, each) for each in (name, f"row_{name}")),
+                ]
+            )
+            for of_q, rows, name in bounds
         )
 
-    def value(self, q: Array, phi: Array) -> Values:
-        """At q (T, n) and phi (T, S, d)."""
-        f, g = self._maps[0](self.motion.unknowns(q, phi).ravel())
-        return self._values(q, phi, f, g)
+    def value(self, q: Array, phi: Array, p: Array = NONE) -> Values:
+        """At q (T, n), phi (T, S, d) and p (P,)."""
+        given = self.common(p)
+        f, g = self._maps[0](self.motion.unknowns(q, phi, given.values).ravel())
+        return self._values(q, phi, p, given, f, g)
 
-    def look(self, q: Array, phi: Array, settled: float = 0.0) -> bool:
+    def look(self, q: Array, phi: Array, p: Array = NONE, settled: float = 0.0) -> bool:
         """Describe what surrounds the robots as it is near to a point; whether that changes the objective there,
         robot by robot, by more than this part. Where it does not, what was described stays.
         """
         motion, parameters = self.motion, self._maps[0].inputs[1]
         if motion.surroundings is None:
             return False
-        x, known = motion.unknowns(q, phi), parameters.copy()
+        x, known = motion.unknowns(q, phi, self.common(p).values), parameters.copy()
         before = self._maps[0](x.ravel())[0].ravel().copy()
         for name, value in motion.surroundings(x).items():
             columns = value.reshape(len(known), *value.shape[2:], *(1,) * (4 - value.ndim))
@@ -125,9 +138,9 @@ class Condensed:
             each.inputs[1][:] = parameters if changed else known
         return bool(changed)
 
-    def by_robot(self, q: Array, phi: Array) -> Array:
+    def by_robot(self, q: Array, phi: Array, p: Array = NONE) -> Array:
         """The objective of every robot in every frame, without links, (T, S) mm^2."""
-        f, _ = self._maps[0](self.motion.unknowns(q, phi).ravel())
+        f, _ = self._maps[0](self.motion.unknowns(q, phi, self.common(p).values).ravel())
         return np.array(f.reshape(len(q), -1))
 
     def by_frame(self, q: Array, phi: Array) -> Array:
@@ -137,49 +150,60 @@ class Condensed:
         np.add.at(found, np.concatenate([link.frame for link in self.motion.links]), self.link_weight * linked**2)
         return np.asarray(found)
 
-    def expand(self, q: Array, phi: Array, equations: Array, rows: Array) -> Expansion:
-        """About q and phi, with multipliers of the equations (T, S, d) and of the frames' rows (T, m)."""
-        motion = self.motion
+    def expand(
+        self, q: Array, phi: Array, equations: Array, rows: Array, p: Array = NONE, of_p: Array = NONE
+    ) -> Expansion:
+        """About q, phi and p, with multipliers of the equations (T, S, d), of the frames' rows (T, r) and of p's own
+        (c,).
+        """
+        motion, given = self.motion, self.common(p)
         frames, count, n, d = motion.sizes
+        m = n + given.values.shape[1]
         own, common = motion.own_rows, motion.common_rows
         pulls = np.zeros((frames, count, motion.frame.g.numel()))
         pulls[..., :d] = equations
         pulls[..., own] = rows[:, : count * len(own)].reshape(frames, count, -1)
         pulls[:, 0, common] = rows[:, rows.shape[1] - len(common) :]
-        x = motion.unknowns(q, phi).ravel()
+        x = motion.unknowns(q, phi, given.values).ravel()
         f, gradient, g, jacobian, hessian = self._maps[2](x, self._shares, pulls.ravel())
-        at, shape = self._values(q, phi, f, g), (frames, count, n, n)
-        slopes = jacobian.reshape(frames, count, n, -1).swapaxes(-1, -2)
+        at = self._values(q, phi, p, given, f, g)
+        gradient = gradient.reshape(frames, count, m) * motion.weights[:, None]
+        slopes = jacobian.reshape(frames, count, m, -1).swapaxes(-1, -2)
+        pulled = gradient[..., n:] + (slopes[..., n:].swapaxes(-1, -2) @ pulls[..., None])[..., 0]
+        of_given = self.common.slopes(p, pulled.sum(axis=0), of_p)
         inverse: Array = np.linalg.inv(slopes[..., :d, :d]).astype(float)
-        turns = np.zeros(shape)
-        turns[..., :d, :d], turns[..., :d, d:] = inverse, -inverse @ slopes[..., :d, d:]
+        turns = np.zeros((frames, count, m, n + len(p)))
         turns[..., range(d, n), range(d, n)] = 1.0
-        repair = np.zeros((frames, count, n))
+        turns[..., n:, n:] = of_given.values
+        turns[..., :d, :] = -inverse @ (slopes[..., :d, d:] @ turns[..., d:, :])
+        turns[..., :d, :d] = inverse
+        repair = np.zeros((frames, count, m))
         repair[..., :d] = -(inverse @ at.missing[..., None])[..., 0]
         of_own = slopes[..., own, :]
         tips = turns[:, 1:, : d - 1] - turns[:, :1, : d - 1]
         moved = repair[:, 1:, : d - 1] - repair[:, :1, : d - 1]
-        parts = [of_own @ turns, tips, slopes[:, 0, common, :]]
+        parts = [of_own @ turns, tips, slopes[:, 0, common, :] @ turns[:, 0]]
         ahead = [(of_own @ repair[..., None])[..., 0], moved, np.zeros((frames, len(common)))]
         return Expansion(
             at,
-            gradient.reshape(frames, count, n) * motion.weights[:, None],
-            hessian.reshape(shape),
+            gradient,
+            hessian.reshape(frames, count, m, m),
             of_own,
             inverse,
             turns,
             repair,
-            np.concatenate([part.reshape(frames, -1, n) for part in parts], axis=1),
+            np.concatenate([part.reshape(frames, -1, n + len(p)) for part in parts], axis=1),
             np.concatenate([part.reshape(frames, -1) for part in ahead], axis=1),
+            of_given,
         )
 
-    def _values(self, q: Array, phi: Array, f: Array, g: Array) -> Values:
+    def _values(self, q: Array, phi: Array, p: Array, given: Given, f: Array, g: Array) -> Values:
         frames, count, _, d = self.motion.sizes
         each = g.reshape(frames, count, -1)
         own, tips = each[..., self.motion.own_rows], phi[:, 1:, : d - 1] - phi[:, :1, : d - 1]
         rows = [part.reshape(frames, -1) for part in (own, tips, each[:, 0, self.motion.common_rows])]
         linked = self.linking @ q.ravel() + self._link_offset
         counted = self._shares > 0  # others may be anywhere on the way
-        objective = float(self._shares[counted] @ f.ravel()[counted] + self.link_weight @ linked**2)
-        value = np.concatenate([q.ravel(), np.concatenate(rows, axis=1).ravel(), linked])
+        objective = float(self._shares[counted] @ f.ravel()[counted] + self.link_weight @ linked**2) + given.cost
+        value = np.concatenate([q.ravel(), np.concatenate(rows, axis=1).ravel(), linked, p, given.rows])
         return Values(objective, value, each[..., :d] - q[:, None, :d] - self._offsets)

@@ -12,14 +12,15 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError, solveh_banded
 
 from ctr_nlp.nlp.scenarios import SharedMotion
 from ctr_nlp.solvers.motion.judged import WIDE
+from ctr_nlp.solvers.scenarios.bordered import solved
+from ctr_nlp.solvers.scenarios.common import NONE
 from ctr_nlp.solvers.scenarios.condensed import Expansion
 from ctr_nlp.solvers.scenarios.filter import Filter
 from ctr_nlp.solvers.scenarios.rows import LEFT, Point, SharedRows, SharedSolution
-from ctr_nlp.typing import Array, Flags
+from ctr_nlp.typing import Array
 
 TOLERANCE, LAST_BARRIER = 1e-5, 1e-6
 """Largest residual at a solution, mm^2 per unit of q, and the last barrier, mm^2: less changes no motion."""
@@ -38,14 +39,14 @@ RETRIES, FIRMER = 4, 100.0
 SETTLED, LOOKS = 1e-4, 12
 """What surrounds the robots is as it was solved for where the objective changes by no more than this part; times
 that it is looked at."""
-HELD = 1e10
-"""What stands on the diagonal where an unknown is fixed."""
 
 
 class _Step(NamedTuple):
-    """dx (T, S, n): of the scenarios' unknowns; slope: of the barrier objective along the step."""
+    """du (T n + P,): of q and p; dx (T, S, m): of the scenarios' unknowns; slope: of the barrier objective along
+    the step.
+    """
 
-    dq: Array
+    du: Array
     dx: Array
     slack: Array
     at_lower: Array
@@ -72,12 +73,13 @@ class SharedSolver:
         barrier: float = WIDE,
         stop: Callable[[], bool] = lambda: False,
         most: int = MOST_ITERATIONS,
+        p: Array = NONE,
     ) -> SharedSolution:
         """Solve from q (T, n) and tips phi (T, S, d), which need not be in equilibrium, in at most so many steps.
 
-        barrier: the first, mm^2.
+        barrier: the first, mm^2; p (P,): common unknowns, where there are any.
         """
-        run, status = _Run(self._rows, q, phi, barrier), ""
+        run, status = _Run(self._rows, q, phi, p, barrier), ""
         while not status:
             status = run.status()
             if not status and run.number == most:
@@ -89,11 +91,11 @@ class SharedSolver:
 class _Run:
     """One solve on its way."""
 
-    def __init__(self, rows: SharedRows, q: Array, phi: Array, barrier: float) -> None:
+    def __init__(self, rows: SharedRows, q: Array, phi: Array, p: Array, barrier: float) -> None:
         self._rows, self._barrier, self._damping, self.number = rows, barrier, 0.0, 0
         self._looks = 0
-        rows.condensed.look(q, phi)
-        start = rows.start(q, phi, barrier)
+        rows.condensed.look(q, phi, p)
+        start = rows.start(q, phi, p, barrier)
         equations = rows.expand(start).multipliers(rows.split(start.multipliers)[1])
         self.point = replace(start, equations=equations)
         self._about = rows.expand(self.point)
@@ -118,7 +120,7 @@ class _Run:
     def _changed(self) -> bool:
         """Look again at what surrounds the robots; whether that is something else than was solved for."""
         point, self._looks = self.point, self._looks + 1
-        if self._looks > LOOKS or not self._rows.condensed.look(point.q, point.phi, SETTLED):
+        if self._looks > LOOKS or not self._rows.condensed.look(point.q, point.phi, point.p, SETTLED):
             return False
         self._about = self._rows.expand(point)
         self._filter.clear()
@@ -150,34 +152,37 @@ class _Run:
         sigma = point.at_lower * per_lower + point.at_upper * per_upper
         missed = about.at.rows + rows.repaired(about) - point.slack
         right = rows.slope(about) + rows.pulled(about, self._barrier * (per_upper - per_lower) + sigma * missed)
-        of_q, of_rows, of_links = rows.split(sigma)
+        of_q, of_rows, of_links, of_p, of_own = rows.split(sigma)
         squares = about.jacobian.swapaxes(1, 2) @ (about.jacobian * of_rows[..., None])
+        corner = about.given.hessian + about.given.rows.T @ (about.given.rows * of_own[:, None])
         links, damping = rows.links.band(of_links), least
         while damping < MOST_DAMPING:
             hessian, bent = about.quadratic(damping)
-            dq = _solved(links, hessian + squares, of_q, -(right + bent), rows.free)
-            if dq is not None:
+            on_p = corner + damping * np.eye(len(corner))
+            diagonal = np.append(of_q, of_p)
+            du = solved(links, hessian + squares, on_p, diagonal, -(right + rows.gathered(bent)), rows.free)
+            if du is not None:
                 self._damping = damping or self._damping
-                step = self._completed(about, dq, damping)
+                step = self._completed(about, du, damping)
                 return step if np.isfinite(step.slope) else None
             known = self._damping
             first = known / LESS if known else DAMPING
             damping = damping * (MORE if known else MUCH_MORE) if damping else first
         return None
 
-    def _completed(self, about: Expansion, dq: Array, damping: float) -> _Step:
-        """The whole step that belongs to dq (T, n)."""
+    def _completed(self, about: Expansion, du: Array, damping: float) -> _Step:
+        """The whole step that belongs to du (T n + P,)."""
         rows, point, barrier = self._rows, self.point, self._barrier
         low, high = point.slack - rows.low, rows.high - point.slack
-        dx = about.step(dq)
-        slack = about.at.rows - point.slack + rows.moved(about, dq)
+        dx = about.step(rows.by_frame(du))
+        slack = about.at.rows - point.slack + rows.moved(about, du)
         at_lower = (barrier - point.at_lower * slack) / low - point.at_lower
         at_upper = (barrier + point.at_upper * slack) / high - point.at_upper
         after = rows.split(point.multipliers + at_upper - at_lower)[1]
         equations = about.multipliers(after, dx, damping) - point.equations
-        slope = (about.gradient * dx).sum() + (rows.link_slope(about) * dq).sum()
+        slope = (about.gradient * dx).sum() + rows.own_slope(about) @ du
         slope += (barrier * (1 / high - 1 / low)) @ slack
-        return _Step(dq, dx, slack, at_lower, at_upper, equations, float(slope))
+        return _Step(du, dx, slack, at_lower, at_upper, equations, float(slope))
 
     def _searched(self, step: _Step) -> Point | None:
         """As far along a step as the filter takes; None where it takes nothing.
@@ -188,9 +193,10 @@ class _Run:
         here = rows.merit(about.at, point.slack, self._barrier)
         part, dual = self._parts(step)
         for halving in range(MOST_HALVINGS):
-            q, phi = point.q + part * step.dq, point.phi + part * step.dx[..., :d]
+            q = point.q + part * step.du[: point.q.size].reshape(point.q.shape)
+            phi, p = point.phi + part * step.dx[..., :d], point.p + part * step.du[point.q.size :]
             for _ in range(1 if halving else CORRECTIONS):
-                values = rows.condensed.value(q, phi)
+                values = rows.condensed.value(q, phi, p)
                 slack = rows.trial_slack(values.rows, point.slack + part * step.slack, point.slack)
                 trial = rows.merit(values, slack, self._barrier)
                 if self._filter.takes(here, trial, step.slope, part):
@@ -198,7 +204,7 @@ class _Run:
                         self._filter.keep(here)
                     self._objectives.append(trial.objective)
                     pulls = point.at_lower + dual * step.at_lower, point.at_upper + dual * step.at_upper
-                    return Point(q, phi, slack, *pulls, point.equations + part * step.equations)
+                    return Point(q, phi, p, slack, *pulls, point.equations + part * step.equations)
                 if trial.missing < here.missing or not np.isfinite(trial.missing):
                     break
                 missing = values.missing - (1 - part) * about.at.missing
@@ -213,19 +219,3 @@ class _Run:
         primal = max(keep, (-step.slack / low).max(), (step.slack / high).max())
         dual = max(keep, (-step.at_lower / point.at_lower).max(), (-step.at_upper / point.at_upper).max())
         return keep / float(primal), keep / float(dual)
-
-
-def _solved(links: Array, blocks: Array, diagonal: Array, right: Array, free: Flags) -> Array | None:
-    """The solution (T, n) of the system with a band and blocks (T, n, n); None where it is not
-    positive definite.
-    """
-    band, (frames, n) = links.copy(), free.shape
-    for below in range(n):
-        along = np.arange(n - below)
-        band[below].reshape(frames, n)[:, along] += blocks[:, along + below, along]
-    band[0] += np.where(free, diagonal, HELD).ravel()
-    try:
-        found = solveh_banded(band, (right * free).ravel(), lower=True, check_finite=False)
-    except LinAlgError:
-        return None
-    return np.asarray(found.reshape(frames, n) * free)

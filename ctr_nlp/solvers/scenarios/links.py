@@ -35,8 +35,8 @@ class LinkBand:
         return np.asarray(self._matrix.T @ rows).reshape(self._shape)
 
     def moved(self, dq: Array) -> Array:
-        """The matrix times dq (T, n), (l,)."""
-        return np.asarray(self._matrix @ dq.ravel())
+        """The matrix times dq (T n,), (l,)."""
+        return np.asarray(self._matrix @ dq)
 
     def slope(self, rows: Array) -> Array:
         """The gradient (T, n) of the links' costs, where their values are rows (l,)."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
 from ctr_nlp.nlp.scenarios import SharedMotion
 from ctr_nlp.solvers.frame.adapter import FEASIBLE, OPTIMAL
+from ctr_nlp.solvers.scenarios.common import NONE
 from ctr_nlp.solvers.scenarios.condensed import Condensed, Expansion, Values
 from ctr_nlp.solvers.scenarios.filter import Merit
 from ctr_nlp.solvers.scenarios.links import LinkBand
@@ -21,7 +22,9 @@ its distance from a bound a step leaves."""
 
 @dataclass(frozen=True)
 class SharedSolution:
-    """A point of a shared motion: q (T, n), tips phi (T, S, d), the objective in mm^2.
+    """A point of a shared motion: q (T, n), tips phi (T, S, d), the objective in mm^2, common unknowns p (P,).
+
+    prices (c,): multipliers of p's own rows, mm^2 a unit, positive at upper bounds.
 
     violation: of bounds; missing: of the scenarios' equations; kkt: residual of all conditions of optimality, from
     the program itself. success: whether it is a solution.
@@ -35,6 +38,8 @@ class SharedSolution:
     kkt: float
     status: str
     iterations: int
+    p: Array = field(default_factory=lambda: NONE)
+    prices: Array = field(default_factory=lambda: NONE)
 
     @property
     def success(self) -> bool:
@@ -50,6 +55,7 @@ class Point:
 
     q: Array
     phi: Array
+    p: Array
     slack: Array
     at_lower: Array
     at_upper: Array
@@ -77,76 +83,102 @@ class Errors(NamedTuple):
 
 
 class SharedRows:
-    """The rows of a shared motion: q itself, the frames' rows, the links."""
+    """The rows of a shared motion: q itself, the frames' rows, the links, p itself, p's own rows.
+
+    A step of q and p is one column, q's entries first, (T n + P,); free: which of them may change.
+    """
 
     def __init__(self, motion: SharedMotion) -> None:
         """Prepare."""
         self.condensed, self.links = Condensed(motion), LinkBand(motion)
-        self.free: Flags = motion.lower < motion.upper
+        common, of_q = self.condensed.common, motion.lower < motion.upper
+        of_p = common.lower < common.upper
+        self.free: Flags = np.append(of_q.ravel(), of_p)
         frames, _, n, _ = motion.sizes
         lower, upper = self.condensed.lower, self.condensed.upper
-        self._ends = [frames * n, lower.size - len(self.links.weight)]
-        still = self._still(motion)
+        self._shape, self._size = (frames, n), of_p.size
+        sizes = of_q.size, motion.row_bounds[0].size, len(self.links.weight), of_p.size
+        self._ends = np.cumsum(sizes)
+        still = self._still(motion, of_q, of_p)
         self.low = np.where(still | np.isinf(lower), -INFINITE, lower - RELAX)
         self.high = np.where(still | np.isinf(upper), INFINITE, upper + RELAX)
         self._bounds = np.where(still, -np.inf, lower), np.where(still, np.inf, upper)
-        self._box = motion.lower, motion.upper
+        self._box, self._common_box = (motion.lower, motion.upper), (common.lower, common.upper)
 
-    def _still(self, motion: SharedMotion) -> Flags:
+    def _still(self, motion: SharedMotion, of_q: Flags, of_p: Flags) -> Flags:
         """Rows that no free unknown changes."""
-        d = motion.d
+        d, n = motion.d, of_q.shape[1]
         rows = np.ones(motion.row_bounds[0].shape, dtype=bool)
         if len(motion.common_rows):
-            depends = motion.frame.g_depends[motion.common_rows, d:]
-            rows[:, -len(motion.common_rows) :] = self.free[:, d:] @ depends.T
-        links = abs(motion.linking) @ self.free.ravel() > 0
-        return np.asarray(~np.concatenate([self.free.ravel(), rows.ravel(), links]))
+            depends = motion.frame.g_depends[motion.common_rows, d:n]
+            rows[:, -len(motion.common_rows) :] = of_q[:, d:] @ depends.T
+        links = abs(motion.linking) @ of_q.ravel() > 0
+        own = np.full(len(self.condensed.common.row_lower), of_p.any())
+        return np.asarray(~np.concatenate([of_q.ravel(), rows.ravel(), links, of_p, own]))
 
-    def start(self, q: Array, phi: Array, barrier: float) -> Point:
-        """A point at q and phi, with slacks within their bounds."""
-        q = np.clip(q, *self._box)
-        rows = self.condensed.value(q, phi).rows
+    def start(self, q: Array, phi: Array, p: Array, barrier: float) -> Point:
+        """A point at q, phi and p, with slacks within their bounds."""
+        q, p = np.clip(q, *self._box), np.clip(p, *self._common_box)
+        rows = self.condensed.value(q, phi, p).rows
         within = np.minimum(PUSH, 0.1 * (self.high - self.low))
         slack = np.clip(rows, self.low + within, self.high - within)
         pulls = barrier / (slack - self.low), barrier / (self.high - slack)
-        return Point(q, np.array(phi), slack, *pulls, np.zeros(phi.shape))
+        return Point(q, np.array(phi), p, slack, *pulls, np.zeros(phi.shape))
 
     def expand(self, point: Point) -> Expansion:
         """Derivatives about a point."""
-        return self.condensed.expand(point.q, point.phi, point.equations, self.split(point.multipliers)[1])
+        return self._expanded(point, point.q, point.p)
 
-    def split(self, rows: Array) -> tuple[Array, Array, Array]:
-        """Values of all rows as those of q (T, n), of frames (T, m) and of links (l,)."""
-        of_q, of_frames, links = np.split(rows, self._ends)
-        shape = self.free.shape
-        return of_q.reshape(shape), of_frames.reshape(shape[0], -1), links
+    def _expanded(self, point: Point, q: Array, p: Array) -> Expansion:
+        _, of_frames, _, _, of_p = self.split(point.multipliers)
+        return self.condensed.expand(q, point.phi, point.equations, of_frames, p, of_p)
 
-    def joined(self, of_q: Array, of_frames: Array, links: Array) -> Array:
+    def split(self, rows: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Values of all rows as those of q (T, n), of frames (T, m), of links (l,), of p (P,) and p's own (c,)."""
+        of_q, of_frames, links, of_p, own = np.split(rows, self._ends)
+        return of_q.reshape(self._shape), of_frames.reshape(self._shape[0], -1), links, of_p, own
+
+    def joined(self, of_q: Array, of_frames: Array, links: Array, of_p: Array, own: Array) -> Array:
         """The opposite of split."""
-        return np.concatenate([of_q.ravel(), of_frames.ravel(), links])
+        return np.concatenate([of_q.ravel(), of_frames.ravel(), links, of_p, own])
+
+    def by_frame(self, step: Array) -> Array:
+        """A step (T n + P,) as what every frame sees of it, (T, n + P)."""
+        of_q, of_p = np.split(step, [step.size - self._size])
+        frames = self._shape[0]
+        return np.concatenate([of_q.reshape(self._shape), np.broadcast_to(of_p, (frames, of_p.size))], axis=1)
+
+    def gathered(self, of_frames: Array) -> Array:
+        """Slopes (T, n + P) of what frames add to a sum, as one (T n + P,)."""
+        n = self._shape[1]
+        return np.append(of_frames[:, :n].ravel(), of_frames[:, n:].sum(axis=0))
 
     def pulled(self, about: Expansion, rows: Array) -> Array:
-        """The transposed Jacobian of all rows, over q, times rows: (T, n)."""
-        of_q, of_frames, links = self.split(rows)
+        """The transposed Jacobian of all rows, over q and p, times rows: (T n + P,)."""
+        of_q, of_frames, links, of_p, own = self.split(rows)
         through = (about.jacobian.swapaxes(1, 2) @ of_frames[..., None])[..., 0]
-        return np.asarray(of_q + through + self.links.pulled(links))
+        direct = of_q + self.links.pulled(links), of_p + about.given.rows.T @ own
+        return self.gathered(through) + np.append(*direct)
 
-    def moved(self, about: Expansion, dq: Array) -> Array:
-        """By what a step dq (T, n) changes all rows, with what the equations' repair does."""
-        through = (about.jacobian @ dq[..., None])[..., 0] + about.ahead
-        return self.joined(dq, through, self.links.moved(dq))
+    def moved(self, about: Expansion, step: Array) -> Array:
+        """By what a step (T n + P,) changes all rows, with what the equations' repair does."""
+        through = (about.jacobian @ self.by_frame(step)[..., None])[..., 0] + about.ahead
+        dq, dp = np.split(step, [step.size - self._size])
+        return self.joined(dq, through, self.links.moved(dq), dp, about.given.rows @ dp)
 
     def repaired(self, about: Expansion) -> Array:
         """By what the equations' repair alone changes all rows."""
-        return self.joined(np.zeros(self.free.shape), about.ahead, np.zeros(len(self.links.weight)))
+        found = np.zeros(len(self.low))
+        found[self._ends[0] : self._ends[1]] = about.ahead.ravel()
+        return found
 
-    def link_slope(self, about: Expansion) -> Array:
-        """The gradient (T, n) of the links' costs."""
-        return self.links.slope(about.at.rows[self._ends[1] :])
+    def own_slope(self, about: Expansion) -> Array:
+        """The gradient (T n + P,) of the links' costs and of p's own."""
+        return np.append(self.links.slope(self.split(about.at.rows)[2]), about.given.cost)
 
     def slope(self, about: Expansion) -> Array:
-        """The objective's gradient (T, n) over q, with tips as their equations say."""
-        return about.over_q(about.gradient) + self.link_slope(about)
+        """The objective's gradient (T n + P,), with tips as their equations say."""
+        return self.gathered(about.over_q(about.gradient)) + self.own_slope(about)
 
     def errors(self, point: Point, about: Expansion) -> Errors:
         """How far a point is from a solution."""
@@ -176,12 +208,13 @@ class SharedRows:
 
     def judged(self, point: Point, status: str, iterations: int) -> SharedSolution:
         """The point as a solution: what the program itself says of it, within bounds as they were given."""
-        q, (lower, upper) = np.clip(point.q, *self._box), self._bounds
-        about = self.condensed.expand(q, point.phi, point.equations, self.split(point.multipliers)[1])
+        q, p, (lower, upper) = np.clip(point.q, *self._box), np.clip(point.p, *self._common_box), self._bounds
+        about = self._expanded(point, q, p)
         violation = float(np.maximum(lower - about.at.rows, about.at.rows - upper).max(initial=0.0))
         to_bound = abs(np.where(point.multipliers > 0, upper, lower) - about.at.rows)
         products = abs(point.multipliers) * np.where(np.isfinite(to_bound), to_bound, 1.0)
         missing = float(abs(about.at.missing).max())
         kkt = max(self._stationarity(point, about), float(products.max()), violation, missing)
         found = float(about.at.objective), violation, missing, float(kkt)
-        return SharedSolution(q, point.phi, *found, status, iterations)
+        prices = self.split(point.multipliers)[4]
+        return SharedSolution(q, point.phi, *found, status, iterations, p, prices)

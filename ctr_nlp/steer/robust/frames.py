@@ -12,8 +12,8 @@ import numpy as np
 from ctr_nlp.formulations.frames import FrameResult, distinct, one_by_one
 from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.formulations.joint import tip_steps
-from ctr_nlp.formulations.scenarios import shared_motion
 from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.formulations.shared.scenarios import shared_motion
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.models import Model
 from ctr_nlp.nlp.scenarios import Scenarios, SharedMotion

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ctr_nlp.formulations.horizon import Ends
-from ctr_nlp.formulations.scenarios import shared_motion
+from ctr_nlp.formulations.shared.scenarios import shared_motion
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.models import Model

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.scenarios import check_shared
+from ctr_nlp.formulations.shared.scenarios import check_shared
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.robot import Robot

@@ -53,6 +53,7 @@ def shared_motion(
     extra: Sequence[Term] = (),
     apart: float = APART,
     wall: Wall | None = None,
+    freed: tuple[str, ...] = (),
 ) -> SharedMotion:
     """The motion through frames, dt s apart, of scenarios of a robot on a model with several equilibria.
 
@@ -63,7 +64,7 @@ def shared_motion(
     check_shared(robot, model, scenarios)
     margin = None if margins is None else 0.0
     terms = (*terms_of(robot, model, margin, extra), *([] if wall is None else [Touch(robot.d)]))
-    frame = program("frame", robot.structure, model, terms)
+    frame = program("frame", robot.structure, model, terms, freed)
     each = packed(frame, [filled(robot, terms, at) for at in frames])
     parameters = np.repeat(each[:, None], len(scenarios), axis=1)
     parameters[..., frame.place("tubes")] = scenarios.numbers.transpose(0, 2, 1).reshape(len(scenarios), -1)

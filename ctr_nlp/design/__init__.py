@@ -1,0 +1,7 @@
+"""Tubes chosen together with the motions of several tasks; knows plans and searches, and neither pictures nor
+devices.
+"""
+
+from ctr_nlp.design.design import Design, design
+
+__all__ = ["Design", "design"]

@@ -1,0 +1,216 @@
+"""Tubes designed together with the motions of several tasks: what is asked for, and what comes of it."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ctr_nlp.design.search import AGAIN, Candidate, DesignSearch, least
+from ctr_nlp.design.starts import starts as first_tubes
+from ctr_nlp.exceptions import OptionError, ProblemError
+from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.formulations.shared.design import DesignedTubes, Kept, varying
+from ctr_nlp.models import Model, model_named
+from ctr_nlp.nlp.scenarios import Scenarios
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.manufacture import Manufacture
+from ctr_nlp.steer.horizon import solve_horizon
+from ctr_nlp.steer.motions import at_frames
+from ctr_nlp.steer.nlp_frames import DEFAULTS
+from ctr_nlp.steer.passes import Progress
+from ctr_nlp.steer.robust import solve_robust
+from ctr_nlp.steer.robust.tolerated import scenarios_of
+from ctr_nlp.steer.starts.search import drafted
+from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.support.values import instance, whole_number
+from ctr_nlp.target.problem import Problem
+from ctr_nlp.typing import Array
+
+STARTS = 6
+"""Tubes that a design starts from."""
+GROWN = 0.5, 1.0
+"""Parts of the tolerances for which tubes are designed one after the other, from a design without any."""
+BINDING = 1e-3
+"""A rule binds where it is kept by less than this part of its bound."""
+
+
+@dataclass(frozen=True)
+class Remark:
+    """A rule that binds, and by what part the tasks' root mean square error would fall if it were eased by a tenth."""
+
+    rule: Kept
+    gain: float
+
+    def __str__(self) -> str:
+        """In a sentence."""
+        name, bound = self.rule.name, self.rule.lower if np.isfinite(self.rule.lower) else self.rule.upper
+        return f"{name} is at its bound, {bound:.4g}; a tenth of that more room would lower e3 by {self.gain:.1%}"
+
+
+@dataclass(frozen=True)
+class Design:
+    """A designed robot. names: of the tasks; plans: one for each, on the robot; before (n,): e3 of the tasks'
+    motions on the robot that the design began with, mm, over the frames of a draft; rules: what can be made, and
+    how far it is used; remarks: the rules that bind; tried: what came of every start; interrupted: whether Ctrl-C
+    ended the work.
+    """
+
+    robot: Robot
+    names: tuple[str, ...]
+    plans: tuple[Plan, ...]
+    before: Array
+    rules: tuple[Kept, ...]
+    remarks: tuple[Remark, ...]
+    tried: tuple[dict[str, Any], ...]
+    interrupted: bool
+
+
+def design(
+    problems: Sequence[Problem],
+    *,
+    nominal: bool = False,
+    model: str | Model = "elastic",
+    rules: Manufacture | None = None,
+    fixed: Sequence[str] = (),
+    constant_curvature: bool = False,
+    starts: int = STARTS,
+    settings: Settings = DEFAULTS,
+    progress: Progress | None = None,
+) -> Design:
+    """The tubes with which one robot follows all problems' targets best, and a plan for each problem on them.
+
+    The root mean square of the problems' e3 is made small over tubes and motions at once: pre-curvatures, lengths
+    of curved parts and diameters belong to all problems, q of every frame to its own (formulations/shared/design.py). The
+    problems' robots must be equal; theirs are the limits, the tolerances and the first tubes. nominal: whether the
+    tolerances are left out; otherwise motions are shared by robots that stand for all within them, and each plan
+    is certified on draws (solve_robust). rules: of manufacture. fixed: names of numbers that stay as they are, such
+    as outer_diameter_1. constant_curvature: whether curved parts are arcs; otherwise their curvatures are linear in
+    arc length, as those of the robot's own tubes may be. starts: tubes that are tried, the robot's own and random ones (settings.seed).
+    settings.stability_margin: the least of every robot. The lumen's wall does not count. Raises OptionError,
+    ProblemError, RobotError.
+    """
+    tasks = _checked(problems, settings)
+    described, count = model_named(model, "model of a design"), whole_number(OptionError, "starts", starts)
+    if not described.several_equilibria:
+        raise OptionError(
+            f"model of a design is {described.name}; tubes' diameters matter on the elastic one alone"
+        )
+    robot = tasks[0].robot if constant_curvature else varying(tasks[0].robot)
+    tubes = DesignedTubes(robot, rules or Manufacture(), tuple(fixed))
+    tasks = tuple(replace(task, robot=robot) for task in tasks)
+    with deferred_interrupt() as interrupted:
+        drafts = tuple(_draft(task) for task in tasks)
+        margin = 0.0 if settings.stability_margin is None else settings.stability_margin
+        search = DesignSearch(drafts, tubes, described, margin, interrupted)
+        tried = _tried(search, count, settings.seed, progress)
+        best = least([one for one in tried if one is not None])
+        if best is None:
+            raise ProblemError("no tubes were found on which all problems can be followed; give more starts")
+        before = tried[0].motions.e3 if tried[0] is not None else np.full(len(tasks), np.nan)
+        best = _whole(best, replace(search, tasks=tasks)) if nominal else _tolerated(best, search)
+        robot = tubes.robot_of(best.p)
+        plans = list[Plan]()
+        for number, task in enumerate(tasks):
+            if progress is not None:
+                progress(count + number, count + len(tasks), f"plan of {task.name}")
+            plans.append(_planned(replace(task, robot=robot), described, settings, nominal))
+        stopped = interrupted()
+    names = tuple(task.name for task in tasks)
+    told = tuple(_told(one) for one in tried if one is not None)
+    kept = tuple(tubes.kept(best.p))
+    return Design(robot, names, tuple(plans), before, kept, _remarks(best, kept), told, stopped)
+
+
+def _checked(problems: Sequence[Problem], settings: Settings) -> tuple[Problem, ...]:
+    """Problems whose robots are one."""
+    tasks = tuple(problems)
+    if not tasks:
+        raise ProblemError("a design without problems; give at least one")
+    instance(OptionError, "settings", settings, Settings)
+    for task in tasks:
+        instance(ProblemError, "problem", task, Problem)
+        if task.robot != tasks[0].robot:
+            raise ProblemError(
+                f"the robot of {task.name} is not that of {tasks[0].name}; a design begins with one robot for all"
+            )
+    if len({task.name for task in tasks}) < len(tasks):
+        raise ProblemError("two problems of a design have the same name; plans are written under their names")
+    return tasks
+
+
+def _draft(task: Problem) -> Problem:
+    """A task on the frames of a draft."""
+    picked = drafted(task.frames)
+    return task if len(picked) == task.frames else at_frames(task, picked, int(picked[-1] - picked[-2]))
+
+
+def _alone(robot: Robot) -> Scenarios:
+    """A robot as described."""
+    return Scenarios(robot.numbers[None], np.zeros((1, robot.d)), np.ones(1))
+
+
+def _tried(search: DesignSearch, count: int, seed: int, progress: Progress | None) -> list[Candidate | None]:
+    """The robot's own tubes as they are, then what came of every start."""
+    found, alone = list[Candidate | None](), _alone(search.tubes.robot)
+    for number, (name, p) in enumerate(itertools.islice(first_tubes(search.tubes, seed), count)):
+        if progress is not None:
+            progress(number, count + len(search.tasks), f"tubes from {name}")
+        begun = search.start(name, p)
+        if not number:
+            found.append(begun)
+        if begun is not None and not search.stop():
+            found.append(search.settled(begun, alone))
+    return found
+
+
+def _whole(best: Candidate, search: DesignSearch) -> Candidate:
+    """The same with all frames, from motions planned on its tubes."""
+    begun = search.start(best.start, best.p)
+    if begun is None or search.stop():
+        return best
+    found = search.settled(begun, _alone(search.tubes.robot), AGAIN)
+    return begun if found is None else found
+
+
+def _tolerated(best: Candidate, search: DesignSearch) -> Candidate:
+    """Tubes for the robots within the tolerances, which grow to what they are."""
+    scenarios = scenarios_of(search.tubes.robot)
+    for part in GROWN:
+        found = search.settled(best, scenarios.shrunk(part), AGAIN)
+        best = best if found is None else found
+    return best
+
+
+def _planned(task: Problem, model: Model, settings: Settings, nominal: bool) -> Plan:
+    far = replace(settings, contact_weight=0.0)
+    if nominal:
+        return solve_horizon(task, model=model, settings=far)
+    return solve_robust(task, model=model, settings=far)
+
+
+def _told(one: Candidate) -> dict[str, Any]:
+    return {
+        "start": one.start,
+        "e3": one.motions.e3.tolist(),
+        "rms": one.motions.rms,
+        "p": one.p.tolist(),
+        "iterations": 0 if one.solution is None else one.solution.iterations,
+        "solved": one.solution is not None and one.solution.success,
+    }
+
+
+def _remarks(best: Candidate, kept: Sequence[Kept]) -> tuple[Remark, ...]:
+    """Of the rules that bind, those first that cost most."""
+    if best.solution is None:
+        return ()
+    found, whole = list[Remark](), best.solution.objective
+    for rule, price in zip(kept, best.solution.prices.tolist(), strict=True):
+        bound = rule.upper if price > 0 else rule.lower
+        if np.isfinite(bound) and abs(rule.value - bound) <= BINDING * max(abs(bound), BINDING):
+            found.append(Remark(rule, abs(price) * abs(bound) / 10 / whole / 2))
+    return tuple(sorted(found, key=lambda one: -one.gain))

@@ -1,0 +1,176 @@
+"""Tubes and the motions of all tasks, solved for together on some of the frames, from one start after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ctr_nlp.exceptions import CtrError
+from ctr_nlp.formulations.horizon import Ends
+from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.formulations.shared.design import FREED, DesignedTubes
+from ctr_nlp.formulations.shared.scenarios import shared_motion
+from ctr_nlp.formulations.shared.tasks import WithinCurved, shared_tubes
+from ctr_nlp.models import Model
+from ctr_nlp.nlp.scenarios import Scenarios, SharedMotion
+from ctr_nlp.plan.metrics import summary
+from ctr_nlp.robot import Robot
+from ctr_nlp.solvers.compiled import fastest
+from ctr_nlp.solvers.motion.judged import WIDE
+from ctr_nlp.solvers.scenarios import SharedSolution, SharedSolver
+from ctr_nlp.solvers.scenarios.condensed import Condensed
+from ctr_nlp.steer.horizon import Horizon, solve_horizon
+from ctr_nlp.target.problem import Problem
+from ctr_nlp.typing import Array
+
+MOTION_PART = 0.1
+"""Part of the lambda of a plain horizon: tubes are for errors, and motions are planned again on them."""
+MISSED = 1e-4
+"""What a point may miss, rad and mm, that is gone on from though it is no solution yet."""
+PULL, LOOSER = 1e-3, 0.1
+"""What a step of p by one unit costs in the first round, mm^2 for every frame, and the factor from round to round:
+where tubes matter little, they stay."""
+STEPS = 300
+"""Of a round, at most."""
+ROUNDS, ENOUGH = 5, 2e-3
+"""Rounds from a start, at most; they end when one makes less than this part of a difference."""
+AGAIN = 0.1
+"""First barrier, mm^2, of rounds after the first."""
+
+
+@dataclass(frozen=True)
+class Motions:
+    """Of all tasks, one after the other: q (T, 2d + 2), tips phi (T, S, d), and e3 of each task over its frames and
+    scenarios, mm; NaN where the motion is no solution.
+    """
+
+    q: Array
+    phi: Array
+    e3: Array
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the tasks' e3, mm; infinite where one is not known."""
+        known = np.isfinite(self.e3).all()
+        return float(np.sqrt(np.mean(self.e3**2))) if known else np.inf
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Tubes p, with motions on them; solution: of the last round, where they come from one."""
+
+    start: str
+    p: Array
+    motions: Motions
+    solution: SharedSolution | None = None
+
+
+@dataclass(frozen=True)
+class DesignSearch:
+    """Solves for tubes over tasks, whose problems differ in their targets alone."""
+
+    tasks: tuple[Problem, ...]
+    tubes: DesignedTubes
+    model: Model
+    margin: float
+    stop: Callable[[], bool] = lambda: False
+
+    @cached_property
+    def settings(self) -> Settings:
+        """Of motions, far from any wall."""
+        return Settings(stability_margin=self.margin, contact_weight=0.0)
+
+    def on(self, robot: Robot) -> list[Problem]:
+        """The tasks with another robot."""
+        return [replace(task, robot=robot) for task in self.tasks]
+
+    def planned(self, p: Array) -> Motions:
+        """Motions of the tasks on tubes p as they are, each for itself; raises CtrError where p is no robot."""
+        robot = self.tubes.robot_of(p)
+        plans = [solve_horizon(task, model=self.model, settings=self.settings) for task in self.on(robot)]
+        q = np.concatenate([plan.q for plan in plans])
+        tips = [self.model.follow(robot, plan.q).x[:, : robot.d] for plan in plans]
+        e3 = [summary(plan)["e3"] if plan.success.all() else np.nan for plan in plans]
+        return Motions(q, np.concatenate(tips)[:, None], np.array(e3, dtype=float))
+
+    def start(self, name: str, p: Array) -> Candidate | None:
+        """What tubes p do as they are; None where no robot has them, or it cannot be moved as the tasks ask."""
+        try:
+            motions = self.planned(p)
+        except CtrError:
+            return None
+        return Candidate(name, p, motions) if np.isfinite(motions.phi).all() else None
+
+    def motion(self, p: Array, motions: Motions, scenarios: Scenarios, pull: float) -> SharedMotion:
+        """The program for tubes near p and motions near these."""
+        robot = self.tubes.robot_of(p)
+        parts = np.split(motions.q, np.cumsum([task.frames for task in self.tasks])[:-1])
+        made = []
+        for task, q in zip(self.on(robot), parts, strict=True):
+            weight = MOTION_PART * self._balanced(task, q)
+            margins = np.full(task.frames, self.margin) if self.model.can_snap else None
+            at = robot, task.samples, task.dt, weight, Ends(), self.model, scenarios
+            one = shared_motion(*at, fastest, margins, (WithinCurved(),), freed=FREED)
+            upper = one.upper.copy()
+            upper[:, robot.d : 2 * robot.d] = robot.reach
+            made.append(replace(one, upper=upper))
+        return shared_tubes(made, self.tubes.common(scenarios, p, pull * len(motions.q)))
+
+    def _balanced(self, task: Problem, q: Array) -> float:
+        """The lambda of a plain horizon from a motion."""
+        horizon = Horizon(task, self.model, settings=self.settings)
+        x = self.model.follow(task.robot, q).x
+        return horizon.balanced_weight(np.nan_to_num(x))
+
+    def refined(self, known: Candidate, scenarios: Scenarios, pull: float, barrier: float) -> Candidate | None:
+        """Tubes and motions after one round from known ones; None where it leads to no motions that go on."""
+        motion = self.motion(known.p, known.motions, scenarios, pull)
+        count = len(scenarios)
+        tips = known.motions.phi
+        if tips.shape[1] != count:
+            tips = np.repeat(tips[:, :1], count, axis=1)
+        found = SharedSolver(motion)(known.motions.q, tips, barrier, self.stop, STEPS, known.p)
+        if max(found.violation, found.missing) > MISSED:
+            return None
+        squares = Condensed(motion).by_robot(found.q, found.phi, found.p) @ motion.weights
+        each = np.split(squares, np.cumsum([task.frames for task in self.tasks])[:-1])
+        e3 = np.sqrt([part.mean() for part in each])
+        return Candidate(known.start, found.p, Motions(found.q, found.phi, e3), found)
+
+    def best_of_both(self, known: Candidate) -> Candidate:
+        """The same tubes, every task with the better of its motions and that planned anew on them."""
+        again = self.start(known.start, known.p)
+        if again is None:
+            return known
+        frames = np.cumsum([0, *(task.frames for task in self.tasks)])
+        better = again.motions.e3 < known.motions.e3
+        rows = np.repeat(better, np.diff(frames))
+        q = np.where(rows[:, None], again.motions.q, known.motions.q)
+        phi = np.where(rows[:, None, None], again.motions.phi, known.motions.phi[:, :1])
+        e3 = np.where(better, again.motions.e3, known.motions.e3)
+        return replace(known, motions=Motions(q, phi, e3))
+
+    def settled(self, start: Candidate, scenarios: Scenarios, first: float = WIDE) -> Candidate | None:
+        """The best of rounds from a start, between which motions are planned anew; None where none leads anywhere.
+
+        first: barrier of the first round, mm^2.
+        """
+        found, known, pull, barrier = list[Candidate](), start, PULL, first
+        for _ in range(ROUNDS):
+            again = self.refined(known, scenarios, pull, barrier)
+            if again is None or self.stop():
+                break
+            found.append(again)
+            if len(found) > 1 and found[-2].motions.rms - again.motions.rms < ENOUGH * again.motions.rms:
+                break
+            known = self.best_of_both(again) if len(scenarios) == 1 else again
+            pull, barrier = LOOSER * pull, AGAIN
+        return least(found)
+
+
+def least(found: Sequence[Candidate]) -> Candidate | None:
+    """The one of least rms; None without any."""
+    return min(found, key=lambda one: one.motions.rms, default=None)

@@ -1,0 +1,54 @@
+"""Tubes that a design starts from: the robot's own, and random ones that can be made."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+
+from ctr_nlp.formulations.shared.design import HUNDRED_MM, DesignedTubes
+from ctr_nlp.typing import Array
+
+THICKER, WIDER = 1.5, 0.6
+"""By how much a random tube's wall may exceed the least, mm on both sides, and its inner diameter the part of
+itself."""
+TRIES = 1000
+"""Random tubes that are drawn for one that can be made."""
+
+
+def starts(tubes: DesignedTubes, seed: int) -> Iterator[tuple[str, Array]]:
+    """Names and unknowns p (P,), without end: the robot's own tubes, then random ones."""
+    yield "the robot's own tubes", tubes.own
+    random = np.random.default_rng(seed)
+    for number in itertools.count(1):
+        drawn = (_drawn(tubes, random) for _ in range(TRIES))
+        found = next((p for p in drawn if tubes.keeps(p)), None)
+        if found is None:
+            return
+        yield f"random tubes {number}", found
+
+
+def _drawn(tubes: DesignedTubes, random: np.random.Generator) -> Array:
+    """Tubes from the innermost outwards, and curvatures up to what the strain when made allows."""
+    rules, d = tubes.rules, tubes.robot.d
+    diameters, inner = np.zeros((d, 2)), rules.channel * (1 + 1e-6)
+    for i in reversed(range(d)):
+        if i < d - 1:
+            inner *= 1 + WIDER * random.random()
+        outer = inner + 2 * rules.wall * (1 + 1e-6) + THICKER * random.random() ** 2
+        diameters[i] = outer, inner
+        inner = outer + rules.clearance * (1 + 1e-6)
+    curvatures = len(tubes.names) - 3 * d
+    lower, upper = tubes.box
+    found = np.concatenate([np.zeros(curvatures), _lengths(tubes, random), diameters.ravel()])
+    for k, name in enumerate(tubes.names[:curvatures]):
+        outer = diameters[int(name.rpartition("_")[2]) - 1, 0]
+        found[k] = HUNDRED_MM * 2 * rules.strain_made / outer * random.uniform(0.02, 0.98)
+    return np.clip(found, lower, upper)
+
+
+def _lengths(tubes: DesignedTubes, random: np.random.Generator) -> Array:
+    """Of curved parts, longer for inner tubes; the innermost reaches as far as the robot's own."""
+    parts = np.append(np.sort(random.uniform(0.2, 0.9, tubes.robot.d - 1)), 1.0)
+    return np.asarray(parts * tubes.robot.reach / HUNDRED_MM)

@@ -1,0 +1,239 @@
+"""Tubes as unknowns that the frames of several tasks have in common, and what of them can be made.
+
+Unknowns p: of every tube its pre-curvature (at the root and at the tip where these differ) in 1/(100 mm), then the
+length of its curved part in 100 mm, then its outer and inner diameter in mm; these units make all entries of one
+order. Bending stiffnesses follow from diameters and moduli. Straight transmissions keep their lengths, and a tube
+is pushed out by no more than its curved part.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.nlp.nlp import Constraint, Cost, Nlp
+from ctr_nlp.nlp.scenarios import Common, Scenarios
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.manufacture import Manufacture
+from ctr_nlp.robot.structure import freed_places
+from ctr_nlp.robot.tube import Tube
+from ctr_nlp.typing import Array
+
+FREED = "curvature", "bending_stiffness", "curved_length", "length"
+"""Numbers of tubes that a design decides, in the order in which frames take them."""
+HUNDRED_MM = 100.0
+"""The unit of lengths of curved parts among p, mm, and of radii."""
+SHORTEST = 10.0
+"""Least length of a curved part, mm."""
+STRAIGHTEST = 1e-4
+"""Least curvature of a tube that is to be curved, 1/mm: less is another structure."""
+ALIKE = 1e-9
+"""Part by which the curvatures of a part with a linear one differ at least."""
+INSIDE = 1e-7
+"""How far within its bounds a rule is kept, so that rounding does not break it."""
+
+
+class Kept(NamedTuple):
+    """A rule of manufacture on some tubes: its value, and the bounds within which that must lie."""
+
+    name: str
+    value: float
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True)
+class DesignedTubes:
+    """The tubes of a robot as unknowns p (P,), within rules. fixed: names of entries that stay as they are.
+
+    No curved part becomes longer than the robot's reach. Raises OptionError where a name is unknown, where no tubes
+    keep the rules, and where straight parts of tubes can be pushed out, which is another structure.
+    """
+
+    robot: Robot
+    rules: Manufacture
+    fixed: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        self.rules.check_tubes(self.robot.d)
+        if any(self.robot.structure.shown):
+            raise OptionError(
+                "limits of beta let straight transmissions come out; a design needs limits of beta that are at most "
+                "the curved lengths"
+            )
+        for name in self.fixed:
+            if name not in self.names:
+                raise OptionError(f"{name!r} cannot be fixed; what can be is {', '.join(self.names)}")
+
+    @cached_property
+    def _curvatures(self) -> tuple[tuple[int, str], ...]:
+        """The tube, from 0, and the kind of every pre-curvature among p."""
+        kinds = {"arc": ("curvature",), "linear": ("root_curvature", "tip_curvature"), "straight": ()}
+        return tuple((i, kind) for i, each in enumerate(self.robot.structure.kinds) for kind in kinds[each])
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Those of p's entries, with the number of the tube, from 1."""
+        curvatures = [f"{kind}_{i + 1}" for i, kind in self._curvatures]
+        tubes, ends = range(1, self.robot.d + 1), ("outer_diameter", "inner_diameter")
+        return (
+            *curvatures,
+            *(f"curved_length_{i}" for i in tubes),
+            *(f"{end}_{i}" for i in tubes for end in ends),
+        )
+
+    @cached_property
+    def _transmissions(self) -> Array:
+        """Lengths (d,) of the straight parts, mm."""
+        return np.array([tube.length - tube.curved_length for tube in self.robot.tubes])
+
+    @cached_property
+    def own(self) -> Array:
+        """The p of the robot's own tubes."""
+        of = {"curvature": "root_curvature"}
+        tubes = self.robot.tubes
+        curvatures = [HUNDRED_MM * getattr(tubes[i], of.get(kind, kind)) for i, kind in self._curvatures]
+        lengths = [tube.curved_length / HUNDRED_MM for tube in tubes]
+        diameters = [end for tube in tubes for end in (tube.outer_diameter, tube.inner_diameter)]
+        return np.array([*curvatures, *lengths, *diameters])
+
+    def robot_of(self, p: Array) -> Robot:
+        """The robot with the tubes of p, which may be pushed out by all of their curved parts."""
+        found, lengths, diameters = self._split(p)
+        curvatures = {key: float(value) / HUNDRED_MM for key, value in zip(self._curvatures, found, strict=True)}
+        tubes = list[Tube]()
+        for i, (tube, (outer, inner)) in enumerate(zip(self.robot.tubes, diameters.tolist(), strict=True)):
+            own = [curvatures[i, kind] for at, kind in self._curvatures if at == i]
+            bent = (own[0], own[-1]) if own else 0.0
+            if len(own) == 2 and own[0] == own[1]:  # the same kind of part, though it happens to be an arc
+                bent = (own[0], own[1] * (1 + ALIKE))
+            curved, straight = HUNDRED_MM * float(lengths[i]), float(self._transmissions[i])
+            whole = straight + curved
+            tubes.append(Tube(whole, curved, bent, outer, inner, tube.poisson_ratio, tube.youngs_modulus))
+        limits = replace(self.robot.limits, beta=None)
+        return replace(self.robot, tubes=tuple(tubes), limits=limits)
+
+    def _split(self, p: Any) -> tuple[Any, Any, Any]:
+        """Curvatures (c,), lengths (d,) and diameters (d, 2) of p, in its units."""
+        count, d = len(self._curvatures), self.robot.d
+        diameters = p[count + d :]
+        shaped = ca.reshape(diameters, 2, d).T if isinstance(p, ca.SX) else diameters.reshape(d, 2)
+        return p[:count], p[count : count + d], shaped
+
+    @cached_property
+    def box(self) -> tuple[Array, Array]:
+        """Bounds (P,) of p."""
+        count, d = len(self._curvatures), self.robot.d
+        lower = np.full(len(self.names), self.rules.channel)
+        upper = np.full(len(self.names), self.rules.outer)
+        lower[:count], upper[:count] = HUNDRED_MM * STRAIGHTEST, HUNDRED_MM / self.rules.bend_radius
+        lower[count : count + d], upper[count : count + d] = np.array([SHORTEST, self.robot.reach]) / HUNDRED_MM
+        lower[count + d - 1] = upper[count + d - 1]
+        held = np.array([name in self.fixed for name in self.names])
+        return np.where(held, self.own, lower), np.where(held, self.own, upper)
+
+    @cached_property
+    def program(self) -> Nlp:
+        """The program over p: rows that give frames their freed numbers, then the rules; and a pull to near.
+
+        Parameters: near (P, 1), pull (1, 1) in mm^2 a squared unit.
+        """
+        p = ca.SX.sym("p", len(self.names))
+        curvatures, lengths, diameters = self._split(p)
+        curvatures, lengths = curvatures / HUNDRED_MM, lengths * HUNDRED_MM
+        outer, inner = ca.horzsplit(diameters)
+        whole = lengths + ca.DM(self._transmissions)
+        moduli = ca.DM([tube.youngs_modulus for tube in self.robot.tubes])
+        stiffness = moduli * (math.pi / 64) * (outer**4 - inner**4)
+        near, pull = ca.SX.sym("near", p.numel()), ca.SX.sym("pull")
+        given = ca.vertcat(curvatures, stiffness, lengths, whole)
+        free = np.full(given.numel(), np.inf)
+        return Nlp(
+            "tubes",
+            p,
+            np.full(p.numel(), -np.inf),
+            np.full(p.numel(), np.inf),
+            {"near": near, "pull": pull},
+            costs=(Cost("pull", pull * ca.sumsqr(p - near)),),
+            constraints=(
+                Constraint("freed", given, -free, free),
+                *(_within(*rule) for rule in self._rules(curvatures, stiffness, whole, outer, inner)),
+            ),
+        )
+
+    def _rules(
+        self, curvatures: ca.SX, stiffness: ca.SX, lengths: ca.SX, outer: ca.SX, inner: ca.SX
+    ) -> list[tuple[str, ca.SX, float, float]]:
+        rules, d, gap = self.rules, self.robot.d, self.robot.carriage_gap or 0.0
+        found = [
+            (f"strain of tube {i + 1} when made", curvatures[k] * outer[i] / 2, -math.inf, rules.strain_made)
+            for k, (i, _) in enumerate(self._curvatures)
+        ]
+        for i in range(d):
+            found.append((f"wall of tube {i + 1}", (outer[i] - inner[i]) / 2, rules.wall, math.inf))
+        for i in range(d - 1):
+            between = inner[i] - outer[i + 1]
+            found.append((f"clearance of tubes {i + 1} and {i + 2}", between, rules.clearance, math.inf))
+            longer = lengths[i + 1] - lengths[i]
+            found.append((f"room of the carriages of tubes {i + 1} and {i + 2}", longer, gap, math.inf))
+        found.append(("inner channel", inner[d - 1], rules.channel, math.inf))
+        own = [
+            [curvatures[k] for k, (at, _) in enumerate(self._curvatures) if at == i] or [ca.SX(0)]
+            for i in range(d)
+        ]
+        for first in range(d - 1):
+            inside = range(first, d)
+            together = sum(stiffness[i] for i in inside)
+            for end in sorted({0, *(len(each) - 1 for each in own[first:])}):
+                bent = [each[min(end, len(each) - 1)] for each in own]
+                common = sum(stiffness[i] * bent[i] for i in inside) / together
+                for i in inside:
+                    name = f"strain of tube {i + 1} within tubes {first + 1} to {d}"
+                    strain = (bent[i] - common) * outer[i] / 2
+                    found.append((name, strain, -rules.strain_deployed, rules.strain_deployed))
+        return found
+
+    def common(self, scenarios: Scenarios, near: Array, pull: float) -> Common:
+        """What frames have in common, pulled to near (P,) by so many mm^2 a squared unit."""
+        places = freed_places(self.robot.structure, FREED)
+        numbers = scenarios.numbers[:, [i for i, _ in places], [columns[0] for _, columns in places]]
+        parameters = self.program.pack({"near": near, "pull": pull})
+        return Common(self.program, numbers / numbers[0], parameters, *self.box)
+
+    def kept(self, p: Array) -> list[Kept]:
+        """The rules at p, one a row."""
+        parameters = self.program.pack({"near": p, "pull": 0.0})
+        g = self.program.functions.value(p, parameters)[1].full().ravel()
+        found, at = list[Kept](), 0
+        for constraint in self.program.constraints:
+            size = constraint.value.numel()
+            if constraint.name != "freed":
+                bounds = float(constraint.lower[0]) - INSIDE, float(constraint.upper[0]) + INSIDE
+                found.append(Kept(constraint.name, float(g[at]), *bounds))
+            at += size
+        return found
+
+    def keeps(self, p: Array) -> bool:
+        """Whether tubes of p can be made."""
+        lower, upper = self.box
+        good = all(rule.lower <= rule.value <= rule.upper for rule in self.kept(p))
+        return good and bool(((lower <= p) & (p <= upper)).all())
+
+
+def varying(robot: Robot) -> Robot:
+    """The same robot with arcs as curved parts whose curvature is linear, and all but constant."""
+    tubes = (
+        replace(tube, curvature=(tube.root_curvature, tube.tip_curvature * (1 + ALIKE))) if kind == "arc" else tube
+        for tube, kind in zip(robot.tubes, robot.structure.kinds, strict=True)
+    )
+    return replace(robot, tubes=tuple(tubes))
+
+
+def _within(name: str, value: ca.SX, lower: float, upper: float) -> Constraint:
+    return Constraint(name, value, np.array([lower + INSIDE]), np.array([upper - INSIDE]))

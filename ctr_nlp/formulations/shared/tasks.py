@@ -1,0 +1,50 @@
+"""Motions of several tasks as one, with the tubes that they have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+import scipy.sparse as sp
+
+from ctr_nlp.formulations.terms.term import Body, Parts, Symbols, Term
+from ctr_nlp.nlp.links import Link
+from ctr_nlp.nlp.nlp import Constraint
+from ctr_nlp.nlp.scenarios import Common, SharedMotion
+
+
+def shared_tubes(motions: Sequence[SharedMotion], common: Common) -> SharedMotion:
+    """Motions of the same scenarios, each of a task of its own, as one with common unknowns."""
+    sizes = [motion.lower.size for motion in motions]
+    begins, frames = np.cumsum([0, *sizes]), np.cumsum([0, *(len(motion.lower) for motion in motions)])
+    links = [
+        _moved(link, int(begin), sum(sizes), int(frame))
+        for motion, begin, frame in zip(motions, begins, frames, strict=False)
+        for link in motion.links
+    ]
+    parameters, lower, upper = (
+        np.concatenate([getattr(motion, name) for motion in motions]) for name in ("parameters", "lower", "upper")
+    )
+    return replace(motions[0], parameters=parameters, lower=lower, upper=upper, links=tuple(links), common=common)
+
+
+@dataclass(frozen=True)
+class WithinCurved(Term):
+    """Tubes are pushed out by no more than their curved parts, whatever the length of these."""
+
+    name = "curved part"
+
+    def build(self, body: Body, parameters: Symbols) -> Parts:
+        """curved_length_i - beta_i >= 0, mm."""
+        room = ca.vertcat(*(tube.curved_length - beta for tube, beta in zip(body.tubes, body.beta, strict=True)))
+        least, most = np.zeros(len(body.tubes)), np.full(len(body.tubes), np.inf)
+        return Parts(constraints=(Constraint(self.name, room, least, most),))
+
+
+def _moved(link: Link, begin: int, size: int, frame: int) -> Link:
+    """A link over so many unknowns, of which its own begin at an entry, and its frames at a frame."""
+    found = link.matrix.tocoo()
+    matrix = sp.csr_array((found.data, (found.row, found.col + begin)), shape=(found.shape[0], size))
+    return replace(link, matrix=matrix, frame=link.frame + frame)
