@@ -41,7 +41,9 @@ BINDING = 1e-3
 
 @dataclass(frozen=True)
 class Remark:
-    """A rule that binds, and by what part the tasks' root mean square error would fall if it were eased by a tenth."""
+    """A rule that binds, and by what part the tasks' root mean square error would fall if it were eased by a
+    tenth.
+    """
 
     rule: Kept
     gain: float
@@ -85,14 +87,15 @@ def design(
     """The tubes with which one robot follows all problems' targets best, and a plan for each problem on them.
 
     The root mean square of the problems' e3 is made small over tubes and motions at once: pre-curvatures, lengths
-    of curved parts and diameters belong to all problems, q of every frame to its own (formulations/shared/design.py). The
-    problems' robots must be equal; theirs are the limits, the tolerances and the first tubes. nominal: whether the
-    tolerances are left out; otherwise motions are shared by robots that stand for all within them, and each plan
-    is certified on draws (solve_robust). rules: of manufacture. fixed: names of numbers that stay as they are, such
-    as outer_diameter_1. constant_curvature: whether curved parts are arcs; otherwise their curvatures are linear in
-    arc length, as those of the robot's own tubes may be. starts: tubes that are tried, the robot's own and random ones (settings.seed).
-    settings.stability_margin: the least of every robot. The lumen's wall does not count. Raises OptionError,
-    ProblemError, RobotError.
+    of curved parts and diameters belong to all problems, q of every frame to its own
+    (formulations/shared/design.py). The problems' robots must be equal; theirs are the limits, the tolerances and
+    the first tubes. The lumen's wall does not count.
+    nominal: whether the tolerances are left out; otherwise motions are shared by robots that stand for all within
+    them, and each plan is certified on draws (solve_robust). rules: of manufacture. fixed: names of numbers that
+    stay as they are, such as outer_diameter_1. constant_curvature: whether curved parts are arcs; otherwise their
+    curvatures are linear in arc length. starts: tubes that are tried, the robot's own and random ones
+    (settings.seed). settings.stability_margin: the least of every robot. Ctrl-C ends the work; the design is then
+    the best so far, marked as interrupted. Raises OptionError, ProblemError, RobotError.
     """
     tasks = _checked(problems, settings)
     described, count = model_named(model, "model of a design"), whole_number(OptionError, "starts", starts)
@@ -118,7 +121,7 @@ def design(
         for number, task in enumerate(tasks):
             if progress is not None:
                 progress(count + number, count + len(tasks), f"plan of {task.name}")
-            plans.append(_planned(replace(task, robot=robot), described, settings, nominal))
+            plans.append(planned_on(replace(task, robot=robot), settings, nominal, described))
         stopped = interrupted()
     names = tuple(task.name for task in tasks)
     told = tuple(_told(one) for one in tried if one is not None)
@@ -186,7 +189,8 @@ def _tolerated(best: Candidate, search: DesignSearch) -> Candidate:
     return best
 
 
-def _planned(task: Problem, model: Model, settings: Settings, nominal: bool) -> Plan:
+def planned_on(task: Problem, settings: Settings, nominal: bool, model: str | Model = "elastic") -> Plan:
+    """The plan of a task on its robot as a design makes it: far from any wall, for tolerances unless nominal."""
     far = replace(settings, contact_weight=0.0)
     if nominal:
         return solve_horizon(task, model=model, settings=far)

@@ -1,4 +1,4 @@
-"""Tubes and the motions of all tasks, solved for together on some of the frames, from one start after the other."""
+"""Tubes and the motions of all tasks, solved for together, from one start after the other."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ AGAIN = 0.1
 
 @dataclass(frozen=True)
 class Motions:
-    """Of all tasks, one after the other: q (T, 2d + 2), tips phi (T, S, d), and e3 of each task over its frames and
-    scenarios, mm; NaN where the motion is no solution.
+    """Of all tasks, one after the other: q (T, 2d + 2), tips phi (T, S, d), and e3 (n,) of each task over its
+    frames and scenarios, mm; NaN where its motion is no solution.
     """
 
     q: Array

@@ -33,6 +33,7 @@ STANDARD: Mapping[str, tuple[str, ...]] = {
     "bag": ("metadata.yaml", "{folder}.mcap", "{folder}.db3"),
     "comparison": ("comparison.md", "comparison.csv", "comparison.json", "agreement.json"),
     "clearance": ("clearance.md", "clearance.csv", "clearance.png"),
+    "design": ("robot.toml", "design.json", "sheet.svg", "sheet.pdf"),
     "trade": ("trade.md", "trade.csv", "trade.json"),
     "seed": (
         *("seed.md", "table2.csv", "fig9d.csv", "fig9d.png"),

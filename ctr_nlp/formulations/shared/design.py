@@ -52,8 +52,8 @@ class Kept(NamedTuple):
 class DesignedTubes:
     """The tubes of a robot as unknowns p (P,), within rules. fixed: names of entries that stay as they are.
 
-    No curved part becomes longer than the robot's reach. Raises OptionError where a name is unknown, where no tubes
-    keep the rules, and where straight parts of tubes can be pushed out, which is another structure.
+    No curved part becomes longer than the robot's reach. Raises OptionError where a name is unknown, where no
+    tubes keep the rules, and where straight parts of tubes can be pushed out, which is another structure.
     """
 
     robot: Robot
@@ -64,8 +64,8 @@ class DesignedTubes:
         self.rules.check_tubes(self.robot.d)
         if any(self.robot.structure.shown):
             raise OptionError(
-                "limits of beta let straight transmissions come out; a design needs limits of beta that are at most "
-                "the curved lengths"
+                "limits of beta let straight transmissions come out; a design needs limits of beta that are at "
+                "most the curved lengths"
             )
         for name in self.fixed:
             if name not in self.names:

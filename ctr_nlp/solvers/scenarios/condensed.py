@@ -153,8 +153,8 @@ class Condensed:
     def expand(
         self, q: Array, phi: Array, equations: Array, rows: Array, p: Array = NONE, of_p: Array = NONE
     ) -> Expansion:
-        """About q, phi and p, with multipliers of the equations (T, S, d), of the frames' rows (T, r) and of p's own
-        (c,).
+        """About q, phi and p, with multipliers of the equations (T, S, d), of the frames' rows (T, r), and of p's
+        own rows, of_p (c,).
         """
         motion, given = self.motion, self.common(p)
         frames, count, n, d = motion.sizes

@@ -1,0 +1,143 @@
+"""The drawing sheet of a robot: its tubes from the side and in section, with what they are made to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+
+from ctr_nlp.exceptions import OutputError
+from ctr_nlp.figures.parts.page import STYLE, printable
+from ctr_nlp.figures.parts.palette import BLACK, tube_colour
+from ctr_nlp.robot import Robot, Tube
+from ctr_nlp.robot.strain import pre_curvature
+from ctr_nlp.typing import Array
+
+SHEET = 11.7, 8.3
+"""Size in inches: A4, landscape."""
+SAMPLES = 200
+"""Places along a tube's middle line."""
+SHOWN = 20.0
+"""mm of the straight transmission that a side view shows; the rest is broken off."""
+COLUMNS = (
+    "tube",
+    "outer diameter",
+    "inner diameter",
+    "wall",
+    "length",
+    "curved part",
+    "radius at root",
+    "radius at tip",
+    "strain when made",
+)
+LARGEST_RADIUS = 5000.0
+"""mm: from here on a part is called straight."""
+
+
+@rc_context(STYLE)
+def sheet(robot: Robot, title: str) -> Figure:
+    """Every tube from the side, free of the others, and in section; all nested; a table of dimensions."""
+    figure = Figure(figsize=SHEET, layout="constrained")
+    parts: Any = figure.subfigures(2, 1, height_ratios=(2.6, 1))
+    above, below = parts
+    grid = above.subplots(2, robot.d + 1, height_ratios=(2, 1), squeeze=False)
+    views = [middle_line(tube) for tube in robot.tubes]
+    low = np.min([view.min(axis=0) for view in views], axis=0) - 5
+    high = np.max([view.max(axis=0) for view in views], axis=0) + 5
+    for i, (tube, view) in enumerate(zip(robot.tubes, views, strict=True)):
+        _side(grid[0, i], i, tube, view, (low, high))
+        _section(grid[1, i], [(i, tube)], robot.tubes[0].outer_diameter)
+    _nested(grid[0, robot.d], robot, views, (low, high))
+    _section(grid[1, robot.d], list(enumerate(robot.tubes)), robot.tubes[0].outer_diameter)
+    _table(below.subplots(), robot)
+    figure.suptitle(printable(title), fontsize=11, parse_math=False)
+    return figure
+
+
+def middle_line(tube: Tube) -> Array:
+    """A tube's middle line free of all others, (n, 2) mm: across and along; 0 where its curved part begins."""
+    s = np.linspace(0.0, tube.curved_length, SAMPLES)
+    bent = np.array([pre_curvature(tube, tube.curved_length - each) for each in s])
+    angle = np.concatenate([[0.0], np.cumsum((bent[1:] + bent[:-1]) / 2 * np.diff(s))])
+    steps = np.diff(s)[:, None] * np.column_stack([np.sin(angle), np.cos(angle)])[:-1]
+    curved = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    straight = min(SHOWN, tube.length - tube.curved_length)
+    return np.concatenate([[[0.0, -straight]], curved])
+
+
+def _side(axes: Axes, i: int, tube: Tube, view: Array, ends: tuple[Array, Array]) -> None:
+    axes.plot(view[:, 0], view[:, 1], color=tube_colour(i), lw=1.2 * tube.outer_diameter**0.7)
+    axes.plot(0.0, 0.0, "|", color=BLACK, ms=12, mew=1)
+    axes.set_title(f"tube {i + 1}, curved part {tube.curved_length:.1f} mm", loc="left")
+    _frame(axes, ends)
+
+
+def _nested(axes: Axes, robot: Robot, views: list[Array], ends: tuple[Array, Array]) -> None:
+    for i, (tube, view) in enumerate(zip(robot.tubes, views, strict=True)):
+        axes.plot(view[:, 0], view[:, 1], color=tube_colour(i), lw=1.0 + 0.4 * tube.outer_diameter)
+    axes.set_title("all, each free of the others", loc="left")
+    _frame(axes, ends)
+
+
+def _frame(axes: Axes, ends: tuple[Array, Array]) -> None:
+    axes.set_xlim(ends[0][0], ends[1][0])
+    axes.set_ylim(ends[0][1], ends[1][1])
+    axes.set_aspect("equal")
+    axes.set_xlabel("mm")
+
+
+def _section(axes: Axes, tubes: list[tuple[int, Tube]], width: float) -> None:
+    """Rings, outer ones first."""
+    for i, tube in tubes:
+        outer, inner = tube.outer_diameter / 2, tube.inner_diameter / 2
+        axes.add_patch(Circle((0, 0), outer, facecolor=tube_colour(i), edgecolor=BLACK, lw=0.5))
+        axes.add_patch(Circle((0, 0), inner, facecolor="white", edgecolor=BLACK, lw=0.5))
+    one = tubes[0][1]
+    told = f"⌀ {one.outer_diameter:.2f} / {one.inner_diameter:.2f} mm" if len(tubes) == 1 else "nested"
+    axes.set_title(told, loc="left")
+    axes.set_xlim(-0.6 * width, 0.6 * width)
+    axes.set_ylim(-0.6 * width, 0.6 * width)
+    axes.set_aspect("equal")
+    axes.axis("off")
+
+
+def _table(axes: Axes, robot: Robot) -> None:
+    axes.axis("off")
+    rows = [_row(i, tube) for i, tube in enumerate(robot.tubes)]
+    table = axes.table([list(row) for row in rows], colLabels=list(COLUMNS), loc="center", cellLoc="center")
+    table.auto_set_font_size(False)
+    table.set_fontsize(8)
+    table.scale(1.0, 1.5)
+
+
+def _row(i: int, tube: Tube) -> tuple[str, ...]:
+    return (
+        f"{i + 1}",
+        *(f"{value:.3f} mm" for value in (tube.outer_diameter, tube.inner_diameter)),
+        f"{(tube.outer_diameter - tube.inner_diameter) / 2:.3f} mm",
+        *(f"{value:.1f} mm" for value in (tube.length, tube.curved_length)),
+        *(_radius(value) for value in (tube.root_curvature, tube.tip_curvature)),
+        f"{100 * tube.largest_curvature * tube.outer_diameter / 2:.2f} %",
+    )
+
+
+def _radius(curvature: float) -> str:
+    straight = curvature * LARGEST_RADIUS <= 1
+    return "straight" if straight else f"{1 / curvature:.1f} mm"
+
+
+def save_sheet(robot: Robot, title: str, folder: Path) -> list[Path]:
+    """Write sheet.svg and sheet.pdf; raises OutputError where one cannot be written."""
+    figure, found = sheet(robot, title), list[Path]()
+    for path in (folder / "sheet.svg", folder / "sheet.pdf"):
+        try:
+            figure.savefig(path)
+        except OSError as error:
+            raise OutputError(f"{path} cannot be written: {error}") from error
+        found.append(path)
+    return found
