@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -55,7 +55,10 @@ VARIANTS = (
     *METHODS,
 )
 """Every variant on the default model."""
-ROBUST = {"robust-horizon": solve_robust, "robust-joint": solve_robust_per_frame}
+ROBUST: Mapping[str, Callable[..., Plan]] = {
+    "robust-horizon": solve_robust,
+    "robust-joint": solve_robust_per_frame,
+}
 """Variants that plan for the robot's tolerances, on the elastic model; they take long: by name only."""
 
 
