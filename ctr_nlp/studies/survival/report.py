@@ -34,7 +34,7 @@ branch of equilibria.
 REMAKING = """
 ## How to remake it
 
-    python scripts/study_survival.py --seeds {count} --frames {frames} --draws {draws} --out DIR
+    ctr-nlp survival --seeds {count} --frames {frames} --draws {draws} --out DIR
 
 writes `survival.md` (this page), `survival.csv` with a row for every plan, `survival.png` and `survival.pdf`. The
 table is written after every airway; a study that was stopped goes on where it was.
