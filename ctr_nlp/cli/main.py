@@ -37,6 +37,7 @@ COMMANDS = {
     "trade": Entry("studies.trade", "main", "study what robustness costs and brings"),
     "reproduce": Entry("studies.reproduce", "main", "remake the paper's figures and tables"),
     "clearance": Entry("studies.clearance", "main", "study what clearance costs and brings in many airways"),
+    "survival": Entry("studies.survival", "main", "study how plans of many airways survive inexact robots"),
     "benchmark": Entry("studies.benchmark", "main", "measure speed, and compare it with a baseline"),
     "new": Entry("commands.new", "main", "write a problem, robot or hardware file to start from"),
     "warm": Entry("commands.warm", "main", "compile what problems need before it is needed"),

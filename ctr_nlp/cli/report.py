@@ -12,7 +12,7 @@ from pathlib import Path
 
 from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, console, print_table, progress_bar
 from ctr_nlp.cli.output.folder import name_within
-from ctr_nlp.plan import account
+from ctr_nlp.plan import account, drawn_account
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.verdicts import SURVIVES
@@ -51,11 +51,11 @@ def print_report(plan: Plan) -> None:
 def print_robustness(plan: Plan) -> None:
     """What becomes of a plan on its draws: errors, losses and what each tolerance costs."""
     assert plan.drawn is not None
-    print_table("draws", ("", "mean", "median", "95 %", "unit"), account.drawn_rows(plan.drawn))
-    if plan.drawn.losses:
-        print_table("where draws are lost first", account.LOSSES, account.loss_rows(plan.drawn))
-    print_table("what each tolerance costs alone", account.COSTS, account.cost_rows(plan.drawn))
+    for table in drawn_account.tables(plan.drawn):
+        print_table(table.title, table.columns, table.rows)
     console().print(plan.verdicts.survives_draws.why)
+    for sentence in drawn_account.sentences(plan.drawn):
+        console().print(sentence)
 
 
 def exit_status(plan: Plan, tried: bool = False) -> int:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.figure import Figure
 
 from ctr_nlp.exceptions import OutputError
@@ -36,10 +37,13 @@ def save_all(plan: Plan, folder: str | Path) -> list[Path]:
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a picture; raises OutputError where it cannot be written."""
+    """Write a picture, as lines and text where its name ends in .pdf; raises OutputError where it cannot be."""
     try:
         figure.set_dpi(DPI)
-        FigureCanvasAgg(figure).print_png(path)  # Figure.savefig draws a laid-out figure twice
+        if path.suffix == ".pdf":
+            FigureCanvasPdf(figure).print_pdf(path, metadata={"CreationDate": None})
+        else:
+            FigureCanvasAgg(figure).print_png(path)  # Figure.savefig draws a laid-out figure twice
     except OSError as error:
         raise OutputError(f"{path} cannot be written: {error}") from error
     return path

@@ -8,14 +8,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from ctr_nlp.models import DEFAULT
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.plan.robustness import Robustness
 from ctr_nlp.plan.verdicts import NO
 from ctr_nlp.robot.tolerances import NAMES, UNITS
-from ctr_nlp.support.runs import runs
 
 VERDICTS = ("", "verdict", "value", "why")
 """Columns of the table of verdicts."""
@@ -66,48 +62,6 @@ def rows(found: dict[str, Any]) -> list[Row]:
         *_robustness(found),
         *_effort(found),
         ("frames", f"{found['frames']}, {f'{failed} not solved' if failed else 'all solved'}", ""),
-    ]
-
-
-LOSSES = "frames", "draws", "length out, mm"
-"""Columns of the table of where draws are lost."""
-BESIDE = 3
-"""Losses that are fewer frames apart are told together."""
-COSTS = "tube", "tolerance", "e3 grows by, mm", "share", "lost of two"
-"""Columns of the table of what tolerances cost."""
-
-
-def drawn_rows(found: Robustness) -> list[tuple[str, Any, Any, Any, str]]:
-    """Means, medians and what 95 % of draws do not exceed, or of clearances fall below; lengths in mm."""
-    named = {
-        "e3, RMS over frames of e2": found.errors,
-        "largest error, at equal arc length": found.largest_errors,
-        "least clearance from the lumen's wall": found.clearances,
-        "depths of contact summed over frames": found.contacts,
-    }
-    return [(name, *spread, "mm") for name, spread in named.items() if spread is not None]
-
-
-def loss_rows(found: Robustness) -> list[tuple[str, str, str]]:
-    """Stretches of frames in which draws are lost first, how many, and how far the robot is out there."""
-    counts = np.zeros(found.e2.shape[1] + BESIDE, dtype=int)
-    for loss in found.when:
-        counts[loss.frame - 1] = loss.draws
-    near = np.convolve(counts > 0, np.ones(BESIDE))[: len(counts)] > 0
-    rows = []
-    for first, stop in runs(near):
-        last = stop - BESIDE
-        frames = f"{first + 1}" if last == first else f"{first + 1} to {last + 1}"
-        out = " to ".join(dict.fromkeys(f"{found.length[j]:.0f}" for j in (first, last)))
-        rows.append((frames, str(counts[first:stop].sum()), out))
-    return rows
-
-
-def cost_rows(found: Robustness) -> list[tuple[str, str, float, str, str]]:
-    """Of every tolerance that is not 0, the most costly first."""
-    return [
-        (f"tube {cost.tube}", cost.tolerance.replace("_", " "), cost.growth, f"{cost.share:.0%}", str(cost.lost))
-        for cost in found.costs
     ]
 
 

@@ -5,6 +5,7 @@ const slider = document.getElementById("frame");
 const button = document.getElementById("play");
 const colouring = document.getElementById("colouring");
 const glass = document.getElementById("glass");
+const drawn = document.getElementById("drawn");
 const sections = [...document.querySelectorAll(".plan")];
 const duration = Math.max(...report.plans.map((plan) => plan.time.at(-1)));
 const scenes = report.plans.map(() => null);
@@ -73,17 +74,25 @@ function stop() {
   button.setAttribute("aria-label", "Play");
 }
 
-/** Colour what plans know by the chosen quantity, and other plans by tube; let the target be seen through tubes. */
+/**
+ * Colour what plans know by the chosen quantity, and other plans by tube; let the target, and drawn robots, which
+ * lie close to the plan, be seen through tubes.
+ */
 function colour() {
   const key = colouring.value;
-  for (const legend of document.querySelectorAll(".legend")) legend.hidden = legend.dataset.key !== key;
+  for (const legend of document.querySelectorAll(".legend[data-key]")) legend.hidden = legend.dataset.key !== key;
+  for (const legend of document.querySelectorAll(".legend.drawn")) legend.hidden = !drawn.checked;
   report.plans.forEach((plan, k) => {
     if (!scenes[k]) return;
     const shown = plan.colourings.includes(key) ? key : plan.colourings[0];
     for (const object of Object.values(scenes[k].getWorld().ObjectsListJson)) {
       if (!object.custom_data) continue;
+      if (object.custom_data.drawn) {
+        object.visible = drawn.checked;
+        continue;
+      }
       object.visible = object.custom_data.colouring === shown;
-      object.opacity = glass.checked ? 0.4 : 1;
+      object.opacity = glass.checked || drawn?.checked ? 0.4 : 1;
     }
   });
   show(slider.value / slider.max);
@@ -120,4 +129,5 @@ slider.addEventListener("input", () => seek(slider.value / slider.max));
 button.addEventListener("click", () => (playing ? stop() : play()));
 colouring.addEventListener("change", colour);
 glass.addEventListener("change", colour);
+if (drawn) drawn.addEventListener("change", colour);
 show(1 / slider.max);

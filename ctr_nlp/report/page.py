@@ -11,9 +11,10 @@ import numpy as np
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.figures.parts.palette import tube_colour
-from ctr_nlp.plan import account
+from ctr_nlp.plan import account, drawn_account
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.report.ghosts import KEPT, LOST, SHOWN
 from ctr_nlp.report.plots import cursors, figures
 from ctr_nlp.report.scene import BY_TUBE, DATA, Scale, box, frame, quantities, scales, scene
 from ctr_nlp.support.extras import needed
@@ -59,6 +60,7 @@ def page(plans: Sequence[Plan], names: Sequence[str] | None = None) -> str:
             frames=max(len(plan.time) for plan in plans),
             scales=[_legend(scale) for scale in coloured],
             tubes=[tube_colour(i) for i in range(max(plan.robot.d for plan in plans))],
+            ghosts={"kept": KEPT, "lost": LOST} if any(plan.drawn for plan in plans) else None,
             by_tube=BY_TUBE,
             style=_text("page.css"),
             code=_text("page.js"),
@@ -77,7 +79,28 @@ def _told(plan: Plan, name: str) -> dict[str, Any]:
         "verdicts": account.verdict_rows(found),
         "rows": [(row, account.shown(value), unit) for row, value, unit in account.rows(found)],
         "remarks": account.remarks(plan, found),
+        "drawn": _drawn(plan),
         "summary": json.dumps(found, indent=2, allow_nan=False, ensure_ascii=False),
+    }
+
+
+def _drawn(plan: Plan) -> dict[str, Any] | None:
+    """What is written of the robots that a plan was tried on; None where there are none."""
+    if plan.drawn is None:
+        return None
+    count = len(plan.drawn)
+    shown = f"the first {SHOWN} of them" if count > SHOWN else "them"
+    lead = (
+        f"{count} robots within the tolerances were drawn at random (seed {plan.drawn.seed}) and moved open loop "
+        f"through this plan; “drawn robots” above shows {shown}."
+    )
+    return {
+        "matter": plan.verdicts.survives_draws.matter,
+        "sentences": [plan.verdicts.survives_draws.why, *drawn_account.sentences(plan.drawn), lead],
+        "tables": [
+            table._replace(rows=[tuple(account.shown(cell) for cell in row) for row in table.rows])
+            for table in drawn_account.tables(plan.drawn)
+        ],
     }
 
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ctr_nlp.figures.parts.page import alone
-from ctr_nlp.figures.parts.palette import BLACK, BLUE, ORANGE, TILT, VERMILLION, tube_colour
+from ctr_nlp.figures.parts.palette import BLACK, BLUE, ORANGE, SKY, TILT, VERMILLION, tube_colour
 from ctr_nlp.plan.metrics import DRAWN, by_frame
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.robustness import Robustness
 from ctr_nlp.support.extras import needed
-from ctr_nlp.typing import Array
+from ctr_nlp.typing import Array, Index
 
 ERROR, DRAWS, CLEARANCE, STABILITY = "error (mm)", "e2 of draws (mm)", "clearance (mm)", "stability margin"
 CONFIGURATION = ("α (rad)", "β (mm)", "θ (rad)")
@@ -46,12 +47,18 @@ class Line:
 
 @dataclass(frozen=True)
 class Panel:
-    """Lines on one vertical axis, named with its unit; values that it always shows, and limits of the robot."""
+    """Lines on one vertical axis, named with its unit; values that it always shows, and limits of the robot.
+
+    band: its name, and lower and upper ends (T,) of what is filled behind the lines. marks: a name, and the frames
+    (n,), from 1, that are marked at 0.
+    """
 
     name: str
     lines: tuple[Line, ...]
     least: tuple[float, ...] = ()
     limits: tuple[float, ...] = ()
+    band: tuple[str, Array, Array] | None = None
+    marks: tuple[str, Index] | None = None
 
 
 def panels(plan: Plan) -> Iterator[Panel]:
@@ -60,9 +67,7 @@ def panels(plan: Plan) -> Iterator[Panel]:
     errors = Line("RMSE e2", columns["e2"], BLUE), Line("maximum of e1", columns["max"], VERMILLION, "dashed")
     yield Panel(ERROR, errors, (0.0,))
     if plan.drawn is not None:
-        median, most = (columns[name] for name in DRAWN)
-        draws = Line("median of draws", median, BLUE), Line("95 % of draws", most, ORANGE, "dashed")
-        yield Panel(DRAWS, (*draws, Line("the plan", columns["e2"], BLACK, "dotted")), (0.0,))
+        yield _draws(plan, plan.drawn, columns)
     if "clearance" in columns:
         yield Panel(CLEARANCE, (Line("least clearance", columns["clearance"], BLUE),), (0.0,))
     if "stability" in columns:
@@ -75,6 +80,15 @@ def panels(plan: Plan) -> Iterator[Panel]:
     yield from _motion(plan, plan.q, CONFIGURATION, (robot.lower, robot.upper))
     speed = np.diff(plan.q, axis=0, prepend=np.nan) / plan.dt
     yield from _motion(plan, speed, SPEEDS, (-robot.speed, robot.speed))
+
+
+def _draws(plan: Plan, found: Robustness, columns: Mapping[str, Array]) -> Panel:
+    """e2 over the draws of a plan beside its own, and where draws are lost."""
+    low, high = found.e2_quantiles(0.05, 0.95)
+    lines = Line("median", columns[DRAWN[0]], BLUE), Line("the plan", columns["e2"], BLACK, "dotted")
+    lost = np.array([loss.frame for loss in found.when], dtype=int)
+    marks = ("lost here", lost) if len(lost) else None
+    return Panel(DRAWS, lines, (0.0,), band=("5 % to 95 %", low, high), marks=marks)
 
 
 def _motion(plan: Plan, values: Array, names: Sequence[str], limits: tuple[Array, Array]) -> Iterator[Panel]:
@@ -108,7 +122,13 @@ def figures(plans: Sequence[Plan]) -> list[dict[str, Any]]:
 
 
 def _range(some: Sequence[Panel]) -> tuple[float, float]:
-    values = np.concatenate([part for panel in some for part in (panel.least, *(line.y for line in panel.lines))])
+    values = np.concatenate(
+        [
+            part
+            for panel in some
+            for part in (panel.least, *(line.y for line in panel.lines), *(panel.band or ())[1:])
+        ]
+    )
     known = values[np.isfinite(values)]
     low, high = known.min(initial=np.inf), known.max(initial=-np.inf)
     if not known.size:
@@ -135,16 +155,24 @@ def _figure(plan: Plan, panel: Panel, times: Any, values: Any) -> Any:
         active_drag=None,
         toolbar_location="right",
     )
+    if panel.band is not None:
+        name, low, high = panel.band
+        figure.varea(plan.time, low, high, fill_color=SKY, fill_alpha=0.4, legend_label=name)
+    drawn = []
     for line in panel.lines:
         look = {"color": line.colour, "legend_label": line.name}
-        figure.line("time", line.name, source=source, line_dash=line.dash, line_width=WIDTH, **look)
+        drawn.append(figure.line("time", line.name, source=source, line_dash=line.dash, line_width=WIDTH, **look))
         if len(single := alone(line.y)):
             figure.scatter(plan.time[single], line.y[single], **look)
     for limit in (limit for limit in panel.limits if values.start < limit < values.end):
         figure.line([0.0, plan.time[-1]], limit, color=LIMIT, line_dash="dotted", legend_label="limit")
+    if panel.marks is not None:
+        name, at = panel.marks
+        place = plan.time[at - 1], np.zeros(len(at))
+        figure.scatter(*place, marker="triangle", size=9, color=VERMILLION, legend_label=name)
     tips = [("frame", "@frame"), ("time", "@time{0.00} s")]
     tips += [(line.name, f"@{{{line.name}}}{{0.000}}") for line in panel.lines]
-    figure.add_tools(models.HoverTool(tooltips=tips, mode="vline", renderers=figure.renderers[:1]))
+    figure.add_tools(models.HoverTool(tooltips=tips, mode="vline", renderers=drawn[:1]))
     begin = float(plan.time[0])
     figure.add_layout(models.Span(location=begin, dimension="height", line_color=BLACK, name="cursor"))
     figure.toolbar.update(autohide=True, logo=None)

@@ -19,6 +19,7 @@ from ctr_nlp.figures.parts.palette import BLACK, CONTACT, ERROR, tube_colour
 from ctr_nlp.figures.parts.space import points_of_all
 from ctr_nlp.plan.metrics import e1
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.report.ghosts import ghosts
 from ctr_nlp.support.extras import needed
 from ctr_nlp.target.lumen import outer_radius, rings
 from ctr_nlp.target.target import SIGMA
@@ -128,7 +129,7 @@ def scene(plan: Plan, scales: Sequence[Scale], low: Array, high: Array) -> str:
         colorbar_object_id=0,
     )
     plot.camera = _camera(low, high)
-    for drawn in [*_tubes(k3d, plan, scales), *_surroundings(k3d, plan)]:
+    for drawn in [*_tubes(k3d, plan, scales), *_surroundings(k3d, plan), *ghosts(k3d, plan)]:
         plot += drawn
     return base64.b64encode(plot.get_binary_snapshot()).decode()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -24,6 +24,7 @@ from ctr_nlp.steer import Horizon, march
 from ctr_nlp.steer.motions import per_frame_motions
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.passes import Progress
+from ctr_nlp.steer.robust import solve_robust, solve_robust_per_frame
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.values import check_choice
 from ctr_nlp.target.problem import Problem
@@ -37,7 +38,7 @@ TOUCHED, MISSED = 1e-5, 1e-2
 
 @dataclass(frozen=True)
 class Variant:
-    """A method for solving a problem: formulation:solver[:model], or the name of a reference method.
+    """A method for solving a problem: formulation:solver[:model], or the name of a robust or a reference one.
 
     plan: (problem, settings, initial, progress) -> Plan, with motions that a horizon starts from.
     """
@@ -54,6 +55,11 @@ VARIANTS = (
     *METHODS,
 )
 """Every variant on the default model."""
+ROBUST: Mapping[str, Callable[..., Plan]] = {
+    "robust-horizon": solve_robust,
+    "robust-joint": solve_robust_per_frame,
+}
+"""Variants that plan for the robot's tolerances, on the elastic model; they take long: by name only."""
 
 
 RENAMED = {"seed-two-stage": "paper-two-stage"}
@@ -82,12 +88,17 @@ def parse_variant(name: str) -> Variant:
     def by_frame(problem: Problem, settings: Settings, _: Sequence[Array], progress: Progress | None) -> Plan:
         return march(problem, NlpFrames.of(problem, formulation, solver, model, settings), progress=progress)
 
+    def robust(problem: Problem, settings: Settings, _: Sequence[Array], progress: Progress | None) -> Plan:
+        return _tried(ROBUST[name](problem, settings=settings, progress=progress))
+
     name = RENAMED.get(name, name)
     if name in METHODS:
         return Variant(name, name, "dominant", reference)
+    if name in ROBUST:
+        return Variant(name, name, "elastic", robust)
     parts = name.split(":")
     if len(parts) not in (2, 3):
-        raise OptionError(f"variant is {name!r}; it must be one of {', '.join(VARIANTS)}")
+        raise OptionError(f"variant is {name!r}; it must be one of {', '.join([*VARIANTS, *ROBUST])}")
     formulation, solver, model = (*parts, "dominant")[:3]
     for kind, value, allowed in (
         ("formulation", formulation, ("horizon", *FORMULATIONS)),
@@ -171,9 +182,11 @@ def row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
 
     e3 and others are of the model planned on; dominant_*, elastic_* of the same motion on both, None where the
     robot's tubes are balanced and the dominant model does not describe it; *_no the matters in which verdicts
-    there are no.
+    there are no. draws_e3, draws_lost: mean of e3 over so many draws of the robot's tolerances, and the share of
+    them that is lost; None of plans on a model without snaps. Draws count as a verdict on robust variants only.
     """
-    found = summary(plan)
+    found, drawn = summary(plan), _tried(plan).drawn
+    errors = None if drawn is None else drawn.errors
     models = [model for model in MODELS if suits(plan.robot, model)]
     plans = {model: plan if model == plan.meta["model"] else plan.on(model) for model in models}
     on = {model: summary(each) for model, each in plans.items()}
@@ -192,6 +205,9 @@ def row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
         "iterations": plan.meta["iterations"],
         "failed": found["failed"],
         "interrupted": found["interrupted"],
+        "draws": None if drawn is None else len(drawn),
+        "draws_e3": None if errors is None else errors.mean,
+        "draws_lost": None if drawn is None else drawn.share,
         "seed_e3": e3,
         "seed_e4": e4,
         "seed_t_s": t_c,
@@ -201,3 +217,9 @@ def row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
         "no": ", ".join(plan.verdicts.failed),
         **{f"{model}_no": ", ".join(plans[model].verdicts.failed) if model in plans else None for model in MODELS},
     }
+
+
+def _tried(plan: Plan) -> Plan:
+    """A plan with its draws, where a robot can be lost on its model and there is a motion to try."""
+    able = plan.can_snap and plan.reached.any() and not plan.meta["interrupted"]
+    return plan.with_draws() if able and plan.drawn is None else plan

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,8 +13,10 @@ from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.verdicts import MOST_LOST
 from ctr_nlp.robot import Robot
+from ctr_nlp.robot.draws import drawn
 from ctr_nlp.robot.tolerances import LARGEST, Tolerances
 from ctr_nlp.steer import solve_horizon
+from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.robust import solve_robust
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.target.problem import Problem
@@ -56,23 +58,44 @@ def traded(
     margins: Sequence[float] = MARGINS,
     draws: int = DRAWS,
     seed: int = SEED,
-    told: Callable[[str], None] = lambda label: None,
+    progress: Progress | None = None,
 ) -> list[Traded]:
-    """Plans of a problem, far from any wall, for so much of its tolerances, then at these margins for none.
+    """Plans of a problem, far from any wall, one for each of those asked for, in their order.
 
-    All are judged on the same draws of the whole tolerances. told: what is planned next. Ctrl-C leaves what was
-    found. Raises OptionError, RobotError.
+    All are judged on the same draws of the whole tolerances. progress: (number done, of how many, what is planned
+    next). Ctrl-C leaves what was found. Raises OptionError, RobotError.
     """
-    free, found = replace(problem, lumen=None), list[Traded]()
-    asked = [(amount, None) for amount in amounts] + [(0.0, margin) for margin in margins]
+    free, found, wanted = replace(problem, lumen=None), list[Traded](), asked(amounts, margins)
+    drawn(problem.robot, draws, seed)
+    for amount, _ in wanted:
+        scaled(problem.robot, amount)
     with deferred_interrupt() as interrupted:
-        for amount, margin in asked:
+        for amount, margin in wanted:
             if interrupted():
                 break
-            told(f"{problem.name}, {amount:g} of the tolerances" if margin is None else f"margin {margin:g}")
+            if progress is not None:
+                progress(len(found), len(wanted), planned_for(amount, margin))
             plan = _planned(free, amount, margin)
+            if plan.meta["interrupted"]:
+                break
             found.append(_judged(plan, problem.robot, problem.name, amount, draws, seed))
     return found
+
+
+def asked(amounts: Sequence[float], margins: Sequence[float]) -> list[tuple[float, float]]:
+    """Parts of the tolerances that are planned for, in order, each with a stability margin; none of them twice.
+
+    Plans for none of them come first, at all margins and, where 0 is among the amounts, at the usual one; others
+    have the usual one. Raises OptionError for margins that there are not.
+    """
+    every = {(0.0, Settings(stability_margin=margin).stability_margin) for margin in margins}
+    every |= {(amount, Settings().stability_margin) for amount in amounts}
+    return sorted((amount, margin) for amount, margin in every if margin is not None)
+
+
+def planned_for(amount: float, margin: float) -> str:
+    """What a plan is for, in words."""
+    return f"{amount:g} × the tolerances" if amount else f"no tolerances, margin {margin:g}"
 
 
 def chosen(points: Sequence[Traded], most_lost: float = MOST_LOST) -> Traded | None:
@@ -87,10 +110,9 @@ def sentence(points: Sequence[Traded], most_lost: float = MOST_LOST) -> str:
     best = chosen(points, most_lost)
     if best is None:
         return f"None is chosen: each plan loses more than {most_lost:.3g} of its draws or is not solved."
-    what = f"{best.amount:g} times the tolerances" if best.amount else f"no tolerances, at margin {best.margin:g}"
     return (
-        f"Chosen: the plan for {what}, with the least mean e3 over draws ({best.mean:.3g} mm) of those that lose "
-        f"at most {most_lost:.1%}; it loses {best.lost} of {best.draws}."
+        f"Chosen: the plan for {planned_for(best.amount, best.margin)}, with the least mean e3 over draws "
+        f"({best.mean:.3g} mm) of those that lose at most {most_lost:.1%}; it loses {best.lost} of {best.draws}."
     )
 
 
@@ -105,10 +127,10 @@ def scaled(robot: Robot, amount: float) -> Robot:
     return replace(robot, tolerances=Tolerances(**parts, distribution=own.distribution))
 
 
-def _planned(problem: Problem, amount: float, margin: float | None) -> Plan:
+def _planned(problem: Problem, amount: float, margin: float) -> Plan:
+    settings = Settings(stability_margin=margin)
     if amount:
-        return solve_robust(replace(problem, robot=scaled(problem.robot, amount)))
-    settings = Settings() if margin is None else Settings(stability_margin=margin)
+        return solve_robust(replace(problem, robot=scaled(problem.robot, amount)), settings=settings)
     return solve_horizon(problem, model="elastic", settings=settings)
 
 

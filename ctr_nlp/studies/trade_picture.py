@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
+from typing import Any
 
 from matplotlib import rc_context
 from matplotlib.figure import Figure
@@ -13,6 +15,11 @@ from ctr_nlp.figures.parts.palette import BLACK, BLUE, VERMILLION
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.plan.verdicts import MOST_LOST
 from ctr_nlp.studies.trade import Traded, chosen
+
+MARKERS = "x+sd^v"
+"""Of plans at other margins."""
+LABELLED = "1235"
+"""Leading digits of ticks that carry a number."""
 
 
 @rc_context(STYLE)
@@ -26,15 +33,20 @@ def picture(points: Sequence[Traded], problem: str, most_lost: float = MOST_LOST
     above.plot(amounts, [p.planned or float("nan") for p in robust], "o--", color=BLUE, label="as planned")
     means = [p.amount for p in known], [p.mean or 0.0 for p in known]
     above.plot(*means, "o-", color=VERMILLION, label="mean over draws")
-    below.plot(amounts, [p.share for p in robust], "o-", color=VERMILLION)
-    for p in points:
-        if p not in robust and p.mean is not None:
-            above.plot(0, p.mean, "x", color=BLACK)
-            above.annotate(f"margin {p.margin:g}", (0, p.mean), (6, 0), textcoords="offset points", fontsize=8)
-            below.plot(0, p.share, "x", color=BLACK)
+    below.plot(amounts, [p.share for p in robust], "o-", color=VERMILLION, clip_on=False)
+    others = [p for p in points if p not in robust and p.mean is not None]
+    for p, marker in zip(others, itertools.cycle(MARKERS)):
+        look: dict[str, Any] = {"marker": marker, "ls": "", "color": BLACK, "mfc": "none", "clip_on": False}
+        above.plot(0, p.mean or 0.0, label=f"margin {p.margin:g}, mean over draws", **look)
+        below.plot(0, p.share, **look)
     if (best := chosen(points, most_lost)) is not None and best.mean is not None:
         above.plot(best.amount, best.mean, "o", ms=13, mfc="none", color=BLACK, label="chosen")
-    below.axhline(most_lost, color=BLACK, lw=0.8, ls=":")
+    below.axhline(most_lost, color=BLACK, lw=0.8, ls=":", label=f"allowed, {most_lost:.1%}")
+    below.legend()
+    above.set_yscale("log")  # a draw that is lost is ten times further away than another
+    for ticks in (above.yaxis.set_major_formatter, above.yaxis.set_minor_formatter):
+        ticks(lambda e3, _: f"{e3:g}" if f"{e3:.0e}"[0] in LABELLED else "")
+    above.grid(which="minor", lw=0.3)
     above.set_ylabel("e3 (mm)")
     below.set_ylim(bottom=0, top=max(1.1 * max(p.share for p in points), 2 * most_lost))
     below.set_ylabel("draws lost")

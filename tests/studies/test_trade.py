@@ -11,8 +11,9 @@ from truth import TWO
 
 from ctr_nlp import Problem, growing
 from ctr_nlp.cli.studies import trade as command
+from ctr_nlp.exceptions import OptionError, RobotError
 from ctr_nlp.robot.tolerances import Tolerances
-from ctr_nlp.studies.trade import Traded, chosen, scaled, sentence, traded
+from ctr_nlp.studies.trade import Traded, asked, chosen, scaled, sentence, traded
 from ctr_nlp.target.curve import curve_from_formula
 
 CURVE = curve_from_formula(lambda u: (8 - 8 * ca.cos(u / 25), 6 * ca.sin(u / 30), u), 0.0, 70.0)
@@ -27,8 +28,22 @@ def test_the_least_mean_is_chosen_of_plans_that_lose_few():
     assert chosen(points) is points[2]
     assert chosen(points, 0.002) is points[3]
     assert chosen(points[:2]) is None
-    assert "for 1 times the tolerances" in sentence(points)
+    assert "for 1 × the tolerances" in sentence(points)
     assert sentence(points[:2]).startswith("None is chosen")
+
+
+def test_no_plan_is_asked_for_twice():
+    assert asked((0, 1), (0.1, 0.5)) == [(0.0, 0.1), (0.0, 0.5), (1.0, 0.1)]
+    assert asked((1.0,), ()) == [(1.0, 0.1)]
+    with pytest.raises(OptionError, match="stability_margin is 2"):
+        asked((1.0,), (2.0,))
+
+
+def test_what_cannot_be_drawn_is_refused_before_anything_is_planned(problem, monkeypatch):
+    monkeypatch.setattr("ctr_nlp.studies.trade.solve_horizon", lambda *a, **k: pytest.fail("planned"))
+    for wrong in ({"draws": 0}, {"amounts": (0, -1.0)}, {"amounts": (0, 1e9)}):
+        with pytest.raises((OptionError, RobotError)):
+            traded(problem, **wrong)
 
 
 def test_so_much_of_every_tolerance_is_planned_for():
@@ -53,14 +68,16 @@ def test_the_command_writes_all_that_it_says(problem, tmp_path, capsys, monkeypa
     given = ["bend", "--amounts", "0", "1", "--margins", "0.5", "--draws", "20", "--out", str(out)]
     assert command.main(given) == 0
     rows = json.loads((out / "trade.json").read_text())
-    assert [(row["amount"], row["margin"]) for row in rows[::2]] == [(0.0, 0.1), (0.0, 0.5)]
-    assert rows[1]["amount"] == 1
+    assert [(row["amount"], row["margin"]) for row in rows] == [(0.0, 0.1), (0.0, 0.5), (1.0, 0.1)]
     assert sum(row["chosen"] for row in rows) == 1
     assert all(row["solved"] and row["draws"] == 20 and row["mean"] > 0 for row in rows)
     with (out / "trade.csv").open() as file:
         assert [float(row["mean"]) for row in csv.DictReader(file)] == [row["mean"] for row in rows]
     assert (out / "bend.png").stat().st_size > 10_000
-    assert "Chosen: the plan for" in capsys.readouterr().out
+    assert (out / "bend.pdf").read_bytes().startswith(b"%PDF")
+    told = capsys.readouterr().out
+    assert "Chosen: the plan for" in told
+    assert "bend.pdf, bend.png, trade.csv" in told
 
 
 def test_plans_are_judged_on_the_whole_tolerances(problem):

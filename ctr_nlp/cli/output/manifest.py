@@ -35,6 +35,7 @@ STANDARD: Mapping[str, tuple[str, ...]] = {
     "clearance": ("clearance.md", "clearance.csv", "clearance.png"),
     "design": ("robot.toml", "design.json", "sheet.svg", "sheet.pdf"),
     "trade": ("trade.md", "trade.csv", "trade.json"),
+    "survival": ("survival.md", "survival.csv", "survival.png", "survival.pdf"),
     "seed": (
         *("seed.md", "table2.csv", "fig9d.csv", "fig9d.png"),
         *(f"fig{number}.{suffix}" for number in (3, 4, 5, 6, 7, 8, 10) for suffix in ("csv", "png")),

@@ -9,23 +9,37 @@ from pathlib import Path
 
 from ctr_nlp.cli import problems
 from ctr_nlp.cli.arguments import add_compile_option, add_out_option, add_problem_options, whole
-from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, Command, console, print_table
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, Command, console, print_table, progress_bar
+from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
+from ctr_nlp.plan.account import shown
 from ctr_nlp.plan.verdicts import MOST_LOST
 from ctr_nlp.problems import NAMES
-from ctr_nlp.studies.trade import AMOUNTS, DRAWS, MARGINS, SEED, Traded, chosen, sentence, traded
+from ctr_nlp.studies.trade import (
+    AMOUNTS,
+    DRAWS,
+    MARGINS,
+    SEED,
+    Traded,
+    asked,
+    chosen,
+    planned_for,
+    sentence,
+    traded,
+)
 from ctr_nlp.support.interrupt import end_if_interrupted
 from ctr_nlp.support.tables import markdown, write_csv
 
-COLUMNS = "tolerances", "margin", "as planned mm", "mean over draws mm", "lost", "solved", "chosen"
+COLUMNS = "planned for", "as planned mm", "mean over draws mm", "lost", "solved", ""
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
-        description="Plan a motion for so much of the robot's tolerances, and judge every plan on the same draws "
-        "of all of them, which planning does not see: e3 as planned, its mean over draws, and how many are lost. "
-        "No wall counts. Write trade.md, .csv, .json, and a picture of every problem.",
+        description="Plan motions for more and less of the robot's tolerances, and judge them on the same draws "
+        "of all of these, which planning does not see: e3 as planned, its mean over draws, and how many are lost. "
+        "Of plans that lose few, the one with the least mean is chosen. No wall counts. Write trade.md, .csv, "
+        ".json, and for every problem a picture (.png, .pdf). It takes some minutes a problem.",
         epilog="Exit status: 0 a plan is chosen for every problem, 1 not for one, 2 bad input, 130 interrupted.",
     )
     parser.add_argument("problems", metavar="PROBLEM", nargs="*", help=f"{problems.KINDS} (default all names)")
@@ -52,21 +66,22 @@ def _run(arguments: argparse.Namespace) -> int:
     check_folder(out, "trade")
     end_if_interrupted()
     found = list[list[Traded]]()
-    asked = len(arguments.amounts) + len(arguments.margins)
-    with console(stderr=True).status("") as status:
+    count = len(asked(arguments.amounts, arguments.margins))
+    with progress_bar() as labelled:
         for problem in tasks:
             every = arguments.amounts, arguments.margins, arguments.draws, arguments.seed
-            found.append(traded(problem, *every, told=status.update))
-            if len(found[-1]) < asked:
+            found.append(traded(problem, *every, labelled(problem.name)))
+            if len(found[-1]) < count:
                 break
-    interrupted = len(found) < len(tasks) or any(len(points) < asked for points in found)
+    interrupted = len(found) < len(tasks) or any(len(points) < count for points in found)
     place = place_of(out, interrupted)
     with published(place, "trade") as staging:
         _write(found, staging, arguments)
+        files = sorted(path.name for path in staging.iterdir())
     for points in filter(None, found):
         print_table(points[0].problem, list(COLUMNS), _rows(points, arguments.most_lost))
         console().print(sentence(points, arguments.most_lost))
-    console().print(f"wrote {place}")
+    console().print(f"wrote {place}: {', '.join(files)}")
     if interrupted:
         return INTERRUPTED
     return SOLVED if all(chosen(points, arguments.most_lost) for points in found) else SOME_FAILED
@@ -76,9 +91,7 @@ def _rows(points: list[Traded], most_lost: float) -> list[list[str]]:
     best = chosen(points, most_lost)
     return [
         [
-            *(f"{point.amount:g}", f"{point.margin:g}"),
-            "" if point.planned is None else f"{point.planned:.3g}",
-            "" if point.mean is None else f"{point.mean:.3g}",
+            *(planned_for(point.amount, point.margin), shown(point.planned), shown(point.mean)),
             f"{point.lost} of {point.draws}",
             "yes" if point.solved else "no",
             "chosen" if point is best else "",
@@ -101,7 +114,8 @@ def _write(found: list[list[Traded]], folder: Path, arguments: argparse.Namespac
             from ctr_nlp.figures import save  # brings matplotlib, which takes long to load
             from ctr_nlp.studies.trade_picture import picture
 
-            save(picture(points, name, most), folder / f"{name}.png")
+            for ending in ("png", "pdf"):
+                save(picture(points, name, most), folder / f"{path_component(name)}.{ending}")
     (folder / "trade.md").write_text("\n".join(page), encoding="utf-8")
     (folder / "trade.json").write_text(json.dumps(every, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     write_csv(folder / "trade.csv", every)

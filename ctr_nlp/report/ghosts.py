@@ -1,0 +1,58 @@
+"""Robots drawn within the tolerances, beside the one that was planned for, as thin lines of a scene."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.colors import to_rgb
+
+from ctr_nlp.figures.parts.palette import SKY, VERMILLION
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.robot.draws import drawn_from
+from ctr_nlp.simulation.drawn import drawn_motion
+from ctr_nlp.typing import Array
+
+SHOWN, STRIDE = 20, 5
+"""The first so many draws, and every which of the 101 samples of their shapes: some 0.3 MB of a page."""
+KEPT, LOST = SKY, VERMILLION
+"""Colours of draws, and of draws from the frame on in which they are lost."""
+WIDTH = 0.35
+"""mm."""
+
+
+def ghosts(k3d: Any, plan: Plan) -> list[Any]:
+    """One hidden object of the first draws of a plan that was tried on some; its time is the index of the frame.
+
+    They are moved again as they were when the plan was tried: the plan holds their numbers. In frames in which
+    a draw has no shape it is a point at the insertion point.
+    """
+    if plan.drawn is None:
+        return []
+    shapes = _shapes(plan)
+    n, frames, samples = shapes.shape[:3]
+    first = samples * np.arange(n)[:, None] + np.arange(samples - 1)
+    lost, number = plan.drawn.lost[:n, None], np.arange(1, frames + 1)
+    gone = np.repeat((lost > 0) & (lost <= number), samples, axis=0).astype(np.float32)
+    told = k3d.lines(
+        {str(j): shapes[:, j].reshape(-1, 3) for j in range(frames)},
+        np.stack([first, first + 1], axis=-1).reshape(-1, 2).astype(np.uint32),
+        indices_type="segment",
+        attribute={str(j): gone[:, j] for j in range(frames)},
+        color_map=[part for at, colour in ((0.0, KEPT), (1.0, LOST)) for part in (at, *to_rgb(colour))],
+        color_range=[0.0, 1.0],
+        width=WIDTH,
+        shader="thick",
+        visible=False,
+        name="drawn robots",
+        custom_data={"drawn": True},
+    )
+    return [told]
+
+
+def _shapes(plan: Plan) -> Array:
+    """Of the first draws in every frame, (n, T, samples, 3) mm."""
+    assert plan.drawn is not None
+    draws = drawn_from(plan.robot, plan.drawn.parts[:SHOWN], plan.drawn.lags[:SHOWN])
+    found = drawn_motion(plan.robot, draws, plan.q, plan.evaluated)
+    return np.nan_to_num(found.shape[:, :, ::STRIDE]).astype(np.float32)

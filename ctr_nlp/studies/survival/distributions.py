@@ -1,0 +1,45 @@
+"""How errors and shares of lost draws are distributed over airways, as a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, PercentFormatter
+
+from ctr_nlp.figures.parts.page import STYLE
+from ctr_nlp.figures.parts.palette import BLUE, ORANGE, VERMILLION
+from ctr_nlp.studies.survival.cases import Airway
+
+
+@matplotlib.rc_context(STYLE)
+def distributions(airways: Sequence[Airway]) -> Figure:
+    """Upwards the part of airways in which the mean e3 over draws, or the share lost, is no larger."""
+    figure = Figure(figsize=(7.0, 3.4), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    looks: dict[str, Any] = {
+        "plain": {"color": VERMILLION, "ls": "-"},
+        "best margin": {"color": ORANGE, "ls": "--"},
+        "robust": {"color": BLUE, "ls": "-"},
+    }
+    named = {"plain": "plain", "best margin": "best", "robust": "robust"}
+    for label, name in named.items():
+        plans = [getattr(airway, name) for airway in airways]
+        left.ecdf([plan.mean for plan in plans if plan.mean is not None], label=label, lw=1.8, **looks[label])
+        right.ecdf([plan.share for plan in plans], label=label, lw=1.8, clip_on=False, **looks[label])
+    left.set_xscale("log")
+    left.xaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
+    left.xaxis.set_major_formatter("{x:g}")
+    left.minorticks_off()
+    left.set_xlabel("mean e3 over draws (mm)")
+    left.set_ylabel("airways with no more")
+    left.yaxis.set_major_formatter(PercentFormatter(1.0))
+    right.set_xlabel("draws lost")
+    right.set_xlim(left=-0.01)
+    right.xaxis.set_major_formatter(PercentFormatter(1.0))
+    right.legend(loc="lower right")
+    draws = airways[0].plain.draws
+    figure.suptitle(f"{len(airways)} airways, {draws} draws of the tolerances each", fontsize=10)
+    return figure
