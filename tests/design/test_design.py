@@ -1,0 +1,193 @@
+"""Designs: tubes fit their tasks better than those that they began as, can be made, and carry the plans."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+import shooting
+from truth import TWO
+
+from ctr_nlp import Manufacture, Plan, Problem, Robot, Settings, design, growing, solve_horizon, summary
+from ctr_nlp.cli.main import main
+from ctr_nlp.design.starts import starts
+from ctr_nlp.exceptions import OptionError, ProblemError
+from ctr_nlp.formulations.shared.design import DesignedTubes
+from ctr_nlp.target.curve import curve_from_formula
+
+PAIR = Robot(TWO.tubes)
+RULES = Manufacture(channel=0.3, wall=0.1, outer=4.0)
+FRAMES = 6
+
+
+def _task(name, bend, twist):
+    curve = curve_from_formula(lambda u: (bend * (1 - ca.cos(u / 40)), twist * ca.sin(u / 60), u), 0.0, 70.0)
+    return Problem(name, PAIR, growing(curve, FRAMES), duration=3.0)
+
+
+@pytest.fixture(scope="module")
+def tasks():
+    """Two bends that one robot of two tubes follows, and not exactly."""
+    return [_task("bend", 12.0, 0.0), _task("turn", 18.0, 4.0)]
+
+
+@pytest.fixture(scope="module")
+def nominal(tasks):
+    return design(tasks, nominal=True, rules=RULES, starts=2)
+
+
+def _rms(plans):
+    return float(np.sqrt(np.mean([summary(plan)["e3"] ** 2 for plan in plans])))
+
+
+def test_designed_tubes_are_better_than_those_they_began_as(tasks, nominal):
+    far = Settings(contact_weight=0.0)
+    own = [solve_horizon(task, model="elastic", settings=far) for task in tasks]
+    assert _rms(nominal.plans) < 0.5 * _rms(own)
+    assert all(plan.success.all() for plan in nominal.plans)
+    assert all(plan.robot == nominal.robot for plan in nominal.plans)
+
+
+def test_designed_tubes_can_be_made(nominal):
+    for rule in nominal.rules:
+        assert rule.lower <= rule.value <= rule.upper, rule
+    outer, inner = nominal.robot.tubes
+    assert inner.inner_diameter >= 0.3
+    assert outer.outer_diameter <= 4.0
+    assert outer.inner_diameter - inner.outer_diameter >= 0.1
+    for tube in nominal.robot.tubes:
+        assert tube.outer_diameter - tube.inner_diameter >= 0.2
+        assert tube.largest_curvature * tube.outer_diameter / 2 <= 0.04
+
+
+def test_no_tubes_nearby_are_better(tasks, nominal):
+    """A minimum: tubes that differ a little have no smaller errors, but for what motion costs."""
+    tubes = DesignedTubes(nominal.robot, RULES)
+    far, least = Settings(contact_weight=0.0), _rms(nominal.plans)
+    for k, name in enumerate(tubes.names[:2]):
+        for factor in (0.97, 1.03):
+            p = tubes.own.copy()
+            p[k] *= factor
+            if tubes.keeps(p):
+                moved = [replace(task, robot=tubes.robot_of(p)) for task in tasks]
+                found = _rms([solve_horizon(task, model="elastic", settings=far) for task in moved])
+                assert found > 0.98 * least, name
+
+
+def test_rules_that_bind_are_remarked_with_their_price(tasks, nominal):
+    tight = design(tasks, nominal=True, rules=replace(RULES, strain_made=0.008), starts=1)
+    assert _rms(tight.plans) > _rms(nominal.plans)
+    bound = [remark for remark in tight.remarks if "when made" in remark.rule.name]
+    assert bound
+    assert bound[0].gain > 0.001
+    assert "is at its bound, 0.008; a tenth of that more room would lower e3 by" in str(bound[0])
+
+
+def test_fixed_numbers_stay(tasks):
+    found = design(tasks[:1], nominal=True, rules=RULES, fixed=["outer_diameter_1"], starts=1)
+    assert found.robot.tubes[0].outer_diameter == PAIR.tubes[0].outer_diameter
+
+
+def test_random_tubes_to_start_from_can_be_made_and_come_again():
+    tubes = DesignedTubes(PAIR, RULES)
+    first, again = ([next(kind) for _ in range(5)] for kind in (starts(tubes, 3), starts(tubes, 3)))
+    for (name, p), (same, q) in zip(first[1:], again[1:], strict=True):
+        assert name == same
+        assert tubes.keeps(p)
+        np.testing.assert_array_equal(p, q)
+    assert len({tuple(p) for _, p in first}) == 5
+
+
+@pytest.mark.slow
+def test_a_design_for_tolerances_survives_its_draws(tasks):
+    found = design(tasks, rules=RULES, starts=2)
+    for plan in found.plans:
+        assert plan.meta["certificate"]["held"]
+        assert plan.robustness(200, 7).losses <= 2
+
+
+def test_a_design_for_tolerances_carries_robust_plans(tasks):
+    found = design(tasks[:1], rules=RULES, starts=1)
+    assert found.plans[0].meta["formulation"] == "robust-horizon"
+    assert found.plans[0].meta["certificate"]["held"]
+
+
+def test_problems_of_several_robots_are_refused(tasks):
+    with pytest.raises(ProblemError, match="the robot of turn is not that of bend"):
+        design([tasks[0], replace(tasks[1], robot=PAIR.with_locked_tilt())], nominal=True)
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"starts": 0}, "starts is 0"),
+        ({"model": "dominant"}, "model of a design is dominant"),
+        ({"fixed": ["wall"]}, "'wall' cannot be fixed"),
+    ],
+)
+def test_bad_input_is_refused(tasks, given, told):
+    with pytest.raises(OptionError, match=told):
+        design(tasks, nominal=True, rules=RULES, **given)
+
+
+def test_no_problems_and_equal_names_are_refused(tasks):
+    with pytest.raises(ProblemError, match="without problems"):
+        design([])
+    with pytest.raises(ProblemError, match="the same name"):
+        design([tasks[0], tasks[0]])
+
+
+PROGRAM = """
+import casadi as ca
+from ctr_nlp import Problem, Robot, curve_from_formula, growing
+
+def problem(frames, duration, robot):
+    curve = curve_from_formula(lambda u: ({bend} * (1 - ca.cos(u / 40)), 0 * u, u), 0.0, 70.0)
+    return Problem("{name}", robot, growing(curve, frames), duration=duration)
+"""
+
+
+def test_the_command_writes_a_robot_plans_and_a_sheet(tmp_path, capsys):
+    from ctr_nlp.robot.written import toml_of
+
+    (tmp_path / "two.toml").write_text(toml_of(PAIR), encoding="utf-8")
+    for name, bend in (("bend", 12), ("other", 15)):
+        (tmp_path / f"{name}.py").write_text(PROGRAM.format(name=name, bend=bend), encoding="utf-8")
+    out = tmp_path / "out"
+    rules = ["--channel", "0.3", "--wall", "0.1", "--outer", "4"]
+    asked = ["design", str(tmp_path / "bend.py"), "--hold-out", str(tmp_path / "other.py"), "--nominal"]
+    asked += ["--robot", str(tmp_path / "two.toml"), "--frames", "5", "--starts", "1", "--out", str(out), *rules]
+    assert main(asked) in (0, 1)
+    printed = capsys.readouterr().out
+    assert "held out" in printed
+    assert f"wrote {out}" in printed
+    written = sorted(path.name for path in out.iterdir() if not path.name.startswith("."))
+    assert written == ["bend.npz", "design.json", "other.npz", "robot.toml", "sheet.pdf", "sheet.svg"]
+    robot, plan = Robot.from_toml(out / "robot.toml"), Plan.load(out / "bend.npz")
+    np.testing.assert_array_equal(plan.robot.numbers, robot.numbers)
+    told = json.loads((out / "design.json").read_text())
+    assert [row["problem"] for row in told["problems"]] == ["bend", "other"]
+    assert told["problems"][0]["e3"] == pytest.approx(summary(plan)["e3"])
+    assert told["problems"][0]["e3"] < told["problems"][0]["e3_before"]
+
+
+def test_the_script_is_the_command():
+    done = subprocess.run(
+        [sys.executable, "scripts/design_tubes.py", "--help"], capture_output=True, text=True, check=True
+    )
+    assert "choose" in done.stdout.lower()
+    assert "--hold-out" in done.stdout
+
+
+def test_plans_on_designed_tubes_are_where_equations_say(nominal):
+    """The shapes of a model of other make, which shoots, and no snap on the way."""
+    for plan in nominal.plans:
+        shot = shooting.followed(shooting.tubes(plan.robot, np.zeros((1, 2, 5))), plan.q, np.linspace(0, 1, 21))
+        away = np.linalg.norm(shot.shapes[0] - plan.shape[:, ::5], axis=-1)
+        assert shot.snapped[0] == 0
+        assert away.max() < 0.01
