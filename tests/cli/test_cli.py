@@ -275,12 +275,15 @@ def test_a_plan_that_snaps_or_leaves_its_lumen_is_exit_status_1(arguments, matte
 def test_ctrl_c_writes_what_was_solved_and_exits_with_130(tmp_path):
     out = tmp_path / "out"
     command = [sys.executable, ROOT / "scripts" / "solve_per_frame.py", "cos", "--frames", "1500"]
-    command += ["--solver", "ipopt", "--out", out]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    time.sleep(10)
-    process.send_signal(signal.SIGINT)
-    output, errors = process.communicate(timeout=120)
-    assert process.returncode == 130, errors
+    command += ["--solver", "ipopt", "--no-figures", "--out", out]
+    for seconds in (3, 6, 12):  # a busy machine may not have begun to solve so early
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        time.sleep(seconds)
+        process.send_signal(signal.SIGINT)
+        output, errors = process.communicate(timeout=120)
+        assert process.returncode == 130, errors
+        if "nothing was written" not in errors:
+            break
     assert f"wrote {out / 'interrupted'}" in output.replace("\n", "")
     assert [path.name for path in out.iterdir()] == ["interrupted"]
     assert json.loads((out / "interrupted" / "summary.json").read_text())["interrupted"]
