@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from lumens import straight, wandering
-from truth import TWO
 
-from ctr_nlp import Problem, Settings, growing, table_i_robot
+from ctr_nlp import Problem, Robot, Settings, growing, table_i_robot
 from ctr_nlp.codegen import cache
 from ctr_nlp.formulations.around import Beside
 from ctr_nlp.formulations.wall import Wall, wall_of
@@ -17,6 +16,7 @@ from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.target.lumen import Lumen
 
 ROBOT = table_i_robot()
+TWO = Robot(ROBOT.tubes[1:])
 WITHIN = {"dominant": 1e-6, "elastic": 2e-2}
 """mm; a program's elastic shapes are integrated in fewer steps than others."""
 
