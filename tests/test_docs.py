@@ -10,13 +10,16 @@ from __future__ import annotations
 import ast
 import os
 import re
+import runpy
 import shutil
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from contextlib import suppress
+from contextlib import redirect_stdout, suppress
+from functools import partial
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +27,7 @@ import pytest
 from pages import Block, Page
 
 from ctr_nlp.anatomy.files import read_branches
+from ctr_nlp.cli import main
 from ctr_nlp.cli.main import COMMANDS
 from ctr_nlp.hardware.arm.description import Arm
 from ctr_nlp.hardware.axis import Axis
@@ -37,12 +41,14 @@ SCRIPTS = sorted(path.name for path in (ROOT / "scripts").glob("*.py"))
 ENVIRONMENT = "python3 -m venv"
 """What commands begin with that make an environment: .ci/run runs these."""
 THIN = {
+    ("plan",): "--frames 40",
+    ("steer",): "--frames 40",
     ("scripts/compare_solvers.py", "compare"): "--frames 2 --variants joint:sqp horizon:banded",
     ("scripts/benchmark.py", "benchmark"): "--parts rows --rows frame",
     ("scripts/study_clearance.py", "clearance"): "--seeds 1 --frames 5",
     ("scripts/reproduce_seed.py", "reproduce"): "--only fig10 --frames 3 --jobs 1",
 }
-"""A script and the same subcommand -> further arguments."""
+"""Names of one program, as a script or a subcommand -> further arguments."""
 
 PIP = '''#!{python}
 """Instead of pip, which needs a network: whether what is to be installed could be."""
@@ -128,7 +134,7 @@ RUNNABLE = [page for page in PAGES if {"bash", "python"} & {block.language for b
 LONG = [
     page
     for page in RUNNABLE
-    if any(script in page.read_text() or f"ctr-nlp {name}" in page.read_text() for script, name in THIN)
+    if any((name if "/" in name else f"ctr-nlp {name} ") in page.read_text() for names in THIN for name in names)
 ]
 
 
@@ -256,10 +262,13 @@ def test_every_file_that_contributors_are_sent_to_exists():
     ] == []
 
 
-def test_the_pages_of_the_api_are_built(tmp_path):
+@pytest.mark.parametrize("rooms", ["robot", pytest.param("all", marks=pytest.mark.slow)])
+def test_the_pages_of_the_api_are_built(tmp_path, rooms):
     pytest.importorskip("pdoc", reason='needs pdoc: pip install -e ".[dev]"')
     (command,) = (block.text for block in Page.read(ROOT / "CONTRIBUTING.md").blocks if "pdoc" in block.text)
     command = command.replace(".venv/bin/python", sys.executable).replace("runs/api", str(tmp_path))
+    if rooms != "all":
+        command = re.sub(r"\{.+\}", rooms, command)
     subprocess.run(["bash", "-c", command], cwd=ROOT, capture_output=True, check=True)
     assert "solve_horizon" in (tmp_path / "ctr_nlp.html").read_text(encoding="utf-8")
     assert "from_toml" in (tmp_path / "ctr_nlp" / "robot.html").read_text(encoding="utf-8")
@@ -268,18 +277,22 @@ def test_the_pages_of_the_api_are_built(tmp_path):
 @pytest.fixture(scope="module")
 def helps() -> dict[str, str]:
     """The --help of every program."""
+    programs = {name: partial(runpy.run_path, str(ROOT / "scripts" / name)) for name in SCRIPTS}
+    programs |= {f"ctr-nlp {name}": partial(runpy.run_module, "ctr_nlp") for name in COMMANDS}
+    programs |= {"ctr_nlp.hardware.emulator": partial(runpy.run_module, "ctr_nlp.hardware.emulator")}
+    return {name: help_of(name.split(), run) for name, run in programs.items()}
 
-    def asked(command: list[str]) -> str:
-        done = subprocess.run(
-            [sys.executable, *command, "--help"], cwd=ROOT, capture_output=True, text=True, check=True
-        )
-        return done.stdout
 
-    programs = {name: [f"scripts/{name}"] for name in SCRIPTS}
-    programs |= {f"ctr-nlp {name}": ["-m", "ctr_nlp", name] for name in COMMANDS}
-    programs |= {"ctr_nlp.hardware.emulator": ["-m", "ctr_nlp.hardware.emulator"]}
-    with ThreadPoolExecutor(2) as pool:
-        return dict(zip(programs, pool.map(asked, programs.values()), strict=True))
+def help_of(names: list[str], run: partial[dict[str, object]]) -> str:
+    """What a program of these names prints where it is asked for help."""
+    told = StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(told), pytest.raises(SystemExit) as end:
+        patch.setattr(main, "_hold_interrupts", lambda: None)  # as this process goes on after it
+        patch.setattr(sys, "argv", [*names, "--help"])
+        patch.setenv("COLUMNS", "80")
+        run(run_name="__main__")
+    assert not end.value.code
+    return told.getvalue()
 
 
 def test_every_program_tells_its_exit_status(helps):

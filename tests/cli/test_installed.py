@@ -64,11 +64,11 @@ def test_the_wheel_holds_problems_templates_and_types(wheel):
 def test_the_installed_command_plans_in_an_empty_folder(program, tmp_path):
     where = "import ctr_nlp; print(ctr_nlp.__file__)"
     assert str(program.parents[1]) in ran([program.with_name("python"), "-c", where], tmp_path)
-    ran([program, "plan", "bronchus", "--frames", 5], tmp_path)
+    ran([program, "plan", "cos", "--frames", 5], tmp_path)
     ran([program, "new", "problem", "my.py"], tmp_path)
     ran([program, "plan", "my.py", "--frames", 5], tmp_path)
     made = sorted(path.name for path in (tmp_path / "runs").iterdir())
-    assert made == ["bronchus-horizon-dominant", "mine-horizon-dominant"]
+    assert made == ["cos-horizon-dominant", "mine-horizon-dominant"]
     pytest.importorskip("k3d", reason='needs k3d: pip install "ctr_nlp[report]"')
     ran([program, "report", *(f"runs/{name}/plan.npz" for name in made)], tmp_path)
     assert (tmp_path / "runs" / "report" / "report.html").stat().st_size > 1e5

@@ -21,19 +21,19 @@ from ctr_nlp.report import page
 
 SMALL = """
 [[tubes]]
-length = 150
-curved_length = 90
-curvature = 0.012
-outer_diameter = 3
-inner_diameter = 2
+length = 90
+curved_length = 45
+curvature = [0.01, 0.025]
+outer_diameter = 4
+inner_diameter = 3.2
 [[tubes]]
-length = 300
-curved_length = 140
-curvature = 0.01
-outer_diameter = 1.8
-inner_diameter = 1.2
+length = 110
+curved_length = 80
+curvature = 0.02
+outer_diameter = 2.6
+inner_diameter = 1.6
 [limits]
-beta = [[0, 85], [0, 135]]
+beta = [[0, 60], [0, 110]]
 [tolerances]
 curvature = 0.03
 """

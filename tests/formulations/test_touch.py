@@ -18,7 +18,6 @@ from ctr_nlp.formulations.terms.touch import WIDTH
 from ctr_nlp.formulations.wall import wall_of
 from ctr_nlp.models import MODELS
 from ctr_nlp.nlp.scenarios import Scenarios
-from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.solvers.scenarios.condensed import Condensed
 from ctr_nlp.target.lumen import Lumen, outer_radius
 
@@ -45,7 +44,7 @@ def motions(lumen):
     settings = Settings(clearance=CLEARANCE, contact_weight=WEIGHT)
     wall = wall_of(TWO, lumen, MODELS["elastic"], settings, finer=1)
     scenarios = Scenarios(np.array([robot.numbers for robot in _robots()]), OFFSETS, np.ones(2))
-    at = TWO, problem.samples, problem.dt, 1e-6, Ends(), MODELS["elastic"], scenarios, fastest
+    at = TWO, problem.samples, problem.dt, 1e-6, Ends(), MODELS["elastic"], scenarios
     return [shared_motion(*at, wall=each) for each in (None, wall)]
 
 

@@ -70,6 +70,14 @@ def both(walled, plain, tmp_path_factory):
     return written(page([walled, plain], ["one/plan.npz", "other/plan.npz"]), tmp_path_factory)
 
 
+@pytest.fixture(scope="module")
+def wide(browser, file):
+    """The page in a wide window; tests go to a frame, and to a colouring, by themselves."""
+    with opened(browser, file, WIDTHS[0]) as view:
+        wait_for_scenes(view)
+        yield view
+
+
 def written(text, factory):
     path = factory.mktemp("page") / "report.html"
     path.write_text(text, encoding="utf-8")
@@ -179,53 +187,51 @@ def test_the_scene_shows_the_tubes_and_moves_with_the_slider(browser, file, wall
         assert view.evaluate("document.documentElement.scrollWidth") <= width
 
 
-def test_colours_show_where_the_wall_is_touched(browser, file):
-    with opened(browser, file, 1280) as view:
-        wait_for_scenes(view)
-        go_to(view, FRAMES)
-        contact = to_rgb(CONTACT)
-        assert share_of_hue(scene_of(view), contact, 0.02) < 1e-4
-        view.select_option("#colouring", "clearance")
+def test_colours_show_where_the_wall_is_touched(wide):
+    view = wide
+    go_to(view, FRAMES)
+    contact = to_rgb(CONTACT)
+    assert share_of_hue(scene_of(view), contact, 0.02) < 1e-4
+    view.select_option("#colouring", "clearance")
+    settle(view)
+    assert share_of_hue(scene_of(view), contact, 0.02) > 2e-4
+    assert share_of_hue(scene_of(view), to_rgb(TUBES[2])) < 1e-4
+    assert "contact below 0" in view.locator("header").inner_text()
+    go_to(view, 2)
+    assert share_of_hue(scene_of(view), contact, 0.02) < 1e-4
+    looks = {}
+    for key in ("error", "stability", "tube"):
+        view.select_option("#colouring", key)
         settle(view)
-        assert share_of_hue(scene_of(view), contact, 0.02) > 2e-4
-        assert share_of_hue(scene_of(view), to_rgb(TUBES[2])) < 1e-4
-        assert "contact below 0" in view.locator("header").inner_text()
-        go_to(view, 2)
-        assert share_of_hue(scene_of(view), contact, 0.02) < 1e-4
-        looks = {}
-        for key in ("error", "stability", "tube"):
-            view.select_option("#colouring", key)
-            settle(view)
-            looks[key] = view.locator(".scene").screenshot()
-        assert len(set(looks.values())) == 3
+        looks[key] = view.locator(".scene").screenshot()
+    assert len(set(looks.values())) == 3
 
 
-def test_playing_runs_to_the_end_and_stops_on_demand(browser, file, walled):
-    with opened(browser, file, 1280) as view:
-        wait_for_scenes(view)
-        go_to(view, 1)
-        play = view.get_by_role("button", name="Play")
-        play.click()
-        view.wait_for_function("slider.value > 2")
-        view.get_by_role("button", name="Pause").click()
-        settle(view)
-        stopped = view.input_value("#frame")
-        settle(view)
-        assert view.input_value("#frame") == stopped
-        go_to(view, FRAMES - 1)
-        play.click()
-        view.wait_for_function("playing === null")
-        assert cursors(view)[0][0] == walled.time[-1]
+def test_playing_runs_to_the_end_and_stops_on_demand(wide, walled):
+    view = wide
+    go_to(view, 1)
+    play = view.get_by_role("button", name="Play")
+    play.click()
+    view.wait_for_function("slider.value > 2")
+    view.get_by_role("button", name="Pause").click()
+    settle(view)
+    stopped = view.input_value("#frame")
+    settle(view)
+    assert view.input_value("#frame") == stopped
+    go_to(view, FRAMES - 1)
+    play.click()
+    view.wait_for_function("playing === null")
+    assert cursors(view)[0][0] == walled.time[-1]
 
 
-def test_a_tap_on_a_plot_moves_the_frame(browser, file, walled):
-    with opened(browser, file, 1280) as view:
-        wait_for_scenes(view)
-        box = view.locator(".plots canvas").first.bounding_box()
-        view.mouse.click(box["x"] + 0.55 * box["width"], box["y"] + 0.6 * box["height"])
-        settle(view)
-        assert 2 < int(view.input_value("#frame")) < FRAMES
-        assert cursors(view)[0][0] == walled.time[int(view.input_value("#frame")) - 1]
+def test_a_tap_on_a_plot_moves_the_frame(wide, walled):
+    view = wide
+    go_to(view, 1)
+    box = view.locator(".plots canvas").first.bounding_box()
+    view.mouse.click(box["x"] + 0.55 * box["width"], box["y"] + 0.6 * box["height"])
+    settle(view)
+    assert 2 < int(view.input_value("#frame")) < FRAMES
+    assert cursors(view)[0][0] == walled.time[int(view.input_value("#frame")) - 1]
 
 
 def test_several_plans_move_in_step_whatever_their_frames(browser, both, walled, plain):

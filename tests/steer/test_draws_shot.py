@@ -49,7 +49,7 @@ def agreed(plan, count):
 
 def test_draws_of_a_robust_plan_of_two_tubes_are_where_equations_say():
     curve = curve_from_formula(lambda u: (8 - 8 * ca.cos(u / 25), 6 * ca.sin(u / 30), u), 0.0, 70.0)
-    plan = solve_robust(Problem("bend", TWO, growing(curve, 20)), margins=(0.3,))
+    plan = solve_robust(Problem("bend", TWO, growing(curve, 10)), margins=(0.3,))
     assert plan.success.all()
     agreed(plan, 3)
 
