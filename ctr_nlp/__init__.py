@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ctr_nlp.anatomy.problem_files import problem_from_file, read_csv
-    from ctr_nlp.design.design import Design, design
+    from ctr_nlp.codesign.design import Design, design
     from ctr_nlp.exceptions import CtrError
     from ctr_nlp.formulations.settings import Settings
+    from ctr_nlp.formulations.shared.manufacture import Manufacture
     from ctr_nlp.plan.metrics import by_frame, summary
     from ctr_nlp.plan.plan import Plan
     from ctr_nlp.robot import Limits, Robot, Tolerances, Tube, seed_robot, table_i_robot
-    from ctr_nlp.robot.manufacture import Manufacture
-    from ctr_nlp.robot.written import toml_of
     from ctr_nlp.simulation.forward import shape_curve, shapes
     from ctr_nlp.steer import Steerer, solve_horizon, solve_per_frame
     from ctr_nlp.steer.robust import solve_robust, solve_robust_per_frame
@@ -59,19 +58,17 @@ __all__ = [
     "solve_robust_per_frame",
     "summary",
     "table_i_robot",
-    "toml_of",
 ]
 
 _HOMES = {
     "anatomy.problem_files": ("problem_from_file", "read_csv"),
-    "design.design": ("Design", "design"),
+    "codesign.design": ("Design", "design"),
     "exceptions": ("CtrError",),
     "formulations.settings": ("Settings",),
     "plan.metrics": ("by_frame", "summary"),
     "plan.plan": ("Plan",),
     "robot": ("Limits", "Robot", "Tolerances", "Tube", "seed_robot", "table_i_robot"),
-    "robot.manufacture": ("Manufacture",),
-    "robot.written": ("toml_of",),
+    "formulations.shared.manufacture": ("Manufacture",),
     "simulation.forward": ("shape_curve", "shapes"),
     "steer": ("Steerer", "solve_horizon", "solve_per_frame"),
     "steer.robust": ("solve_robust", "solve_robust_per_frame"),

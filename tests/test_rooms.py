@@ -16,7 +16,7 @@ ROOMS = (
     *(
         "cli",
         "studies",
-        "design",
+        "codesign",
         "report",
         "figures",
         "hardware",

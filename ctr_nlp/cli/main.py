@@ -28,7 +28,7 @@ COMMANDS = {
     "steer": Entry("commands.plan", "steer", "plan frame by frame, as a robot must while its target moves"),
     "branches": Entry("commands.branches", "main", "list the branches of a centreline file"),
     "robust": Entry("commands.robust", "main", "try a plan on robots that are not quite the one described"),
-    "design": Entry("commands.design", "main", "choose tubes together with motions along several targets"),
+    "design": Entry("studies.design", "main", "choose tubes together with motions along several targets"),
     "report": Entry("commands.report", "main", "write plans as one page for a browser"),
     "export": Entry("commands.export", "main", "write a plan as commands for other machines"),
     "play": Entry("commands.play", "main", "check a plan for some hardware and play it there"),

@@ -64,7 +64,8 @@ def middle_line(tube: Tube) -> Array:
     s = np.linspace(0.0, tube.curved_length, SAMPLES)
     bent = np.array([pre_curvature(tube, tube.curved_length - each) for each in s])
     angle = np.concatenate([[0.0], np.cumsum((bent[1:] + bent[:-1]) / 2 * np.diff(s))])
-    steps = np.diff(s)[:, None] * np.column_stack([np.sin(angle), np.cos(angle)])[:-1]
+    middle = (angle[1:] + angle[:-1]) / 2
+    steps = np.diff(s)[:, None] * np.column_stack([np.sin(middle), np.cos(middle)])
     curved = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
     straight = min(SHOWN, tube.length - tube.curved_length)
     return np.concatenate([[[0.0, -straight]], curved])

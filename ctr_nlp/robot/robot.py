@@ -21,6 +21,7 @@ from ctr_nlp.robot.tolerances import Tolerances
 from ctr_nlp.robot.tube import Tube
 from ctr_nlp.robot.units import angle_meant, between, did_you_mean
 from ctr_nlp.support.packing import packable
+from ctr_nlp.support.tables import toml_text
 from ctr_nlp.support.values import described, frozen, numbers, pairs, plain_floats, read_toml, strict_json
 from ctr_nlp.typing import Array
 
@@ -28,6 +29,14 @@ MM_PER_RAD = 10.0
 """What one radian counts as in the motion term and the roughness, in mm: the W of the design."""
 KEYS = ("name", "tubes", "limits", "tolerances")
 """Of a robot file."""
+UNITS = {
+    "length": "mm, the whole tube, from its carriage to its tip",
+    "curved_length": "mm, the part behind the tip that is pre-curved; the rest is straight transmission",
+    "curvature": "1/mm; [root, tip] of the curved part, linear between them",
+    "outer_diameter": "mm",
+    "inner_diameter": "mm",
+}
+"""What a robot file says beside numbers of its tubes."""
 
 
 @packable("robot")
@@ -224,6 +233,12 @@ class Robot:
         """Numbers, strings and lists as a robot file holds them, fit for strict JSON (no limit is "inf")."""
         plain = asdict(self)
         return {"tubes": list(plain["tubes"])} | {k: strict_json(plain[k]) for k in ("limits", "tolerances")}
+
+    def to_toml(self, head: str = "") -> str:
+        """The text of a robot file that from_toml reads as the same robot; head: lines of comment on top."""
+        plain = self.to_dict()
+        tubes = toml_text(head, [("[[tubes]]", tube) for tube in plain["tubes"]], UNITS)
+        return tubes + toml_text("", [(f"[{name}]", plain[name]) for name in ("limits", "tolerances")], {})
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Robot:

@@ -1,8 +1,10 @@
-"""Tables as Markdown and as CSV."""
+"""Tables as Markdown, CSV and TOML."""
 
 from __future__ import annotations
 
 import csv
+import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -28,3 +30,32 @@ def by_line(columns: Mapping[str, npt.NDArray[Any]]) -> list[dict[str, Any]]:
     """Named columns (n,) as the rows that write_csv takes."""
     lines = zip(*(column.tolist() for column in columns.values()), strict=True)
     return [dict(zip(columns, line, strict=True)) for line in lines]
+
+
+def toml_text(head: str, tables: Sequence[tuple[str, Mapping[str, Any]]], comments: Mapping[str, str]) -> str:
+    """The text of a file of tables with their headings, such as [limits] or [[tubes]].
+
+    head: lines of comment that it begins with, without their marks. comments: what is said beside keys.
+    """
+    lines = [f"# {line}" for line in head.splitlines()]
+    for heading, table in tables:
+        lines += ["", heading, *_lines(table, comments)]
+    return "\n".join(lines) + "\n"
+
+
+def _lines(table: Mapping[str, Any], comments: Mapping[str, str]) -> list[str]:
+    """Of the keys that have a value: TOML has no word for none."""
+    found = [(name, _value(value)) for name, value in table.items() if value is not None]
+    return [f"{name} = {text}{f'  # {comments[name]}' if name in comments else ''}" for name, text in found]
+
+
+def _value(value: Any) -> str:
+    """A number, a string or a list of these."""
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_value, value))}]"
+    if value in ("inf", "-inf"):
+        return str(value)
+    if isinstance(value, str):
+        return json.dumps(value)
+    number = float(value)
+    return repr(number) if math.isfinite(number) else f"{number}"

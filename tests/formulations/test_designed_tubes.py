@@ -15,7 +15,7 @@ from ctr_nlp.formulations.shared.design import FREED, HUNDRED_MM, DesignedTubes,
 from ctr_nlp.formulations.shared.tasks import WithinCurved
 from ctr_nlp.formulations.terms import ShapeDistance
 from ctr_nlp.models import MODELS
-from ctr_nlp.robot.manufacture import Manufacture
+from ctr_nlp.formulations.shared.manufacture import Manufacture
 from ctr_nlp.robot.strain import largest_strain
 from ctr_nlp.robot.structure import freed_places
 

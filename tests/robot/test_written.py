@@ -6,7 +6,6 @@ import pytest
 from truth import TWO
 
 from ctr_nlp import Limits, Robot, Tolerances, Tube, table_i_robot
-from ctr_nlp.robot.written import toml_of
 
 LIMITED = Robot(
     (Tube(90.0, 50.0, (0.001, 0.0077), 5.7, 4.3, 0.31, 60_000.0), Tube(202.0, 107.0, 1 / 60, 3.7, 2.9)),
@@ -18,6 +17,6 @@ LIMITED = Robot(
 @pytest.mark.parametrize("robot", [table_i_robot(), TWO, LIMITED], ids=["table I", "two", "limits and tolerances"])
 def test_a_written_robot_is_read_as_the_same(robot, tmp_path):
     path = tmp_path / "robot.toml"
-    path.write_text(toml_of(robot, "a robot\nof two lines"), encoding="utf-8")
+    path.write_text(robot.to_toml("a robot\nof two lines"), encoding="utf-8")
     assert path.read_text().startswith("# a robot\n# of two lines\n")
     assert Robot.from_toml(path) == robot

@@ -17,10 +17,10 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.formulations.shared.manufacture import Manufacture
 from ctr_nlp.nlp.nlp import Constraint, Cost, Nlp
 from ctr_nlp.nlp.scenarios import Common, Scenarios
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.manufacture import Manufacture
 from ctr_nlp.robot.structure import freed_places
 from ctr_nlp.robot.tube import Tube
 from ctr_nlp.typing import Array

@@ -26,11 +26,10 @@ from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command, console, print_tab
 from ctr_nlp.cli.output.file import path_component, write_text
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.cli.report import exit_status
-from ctr_nlp.design.design import STARTS, Design, design, planned_on
+from ctr_nlp.codesign.design import STARTS, Design, design, planned_on
+from ctr_nlp.formulations.shared.manufacture import Manufacture
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.robot.manufacture import Manufacture
-from ctr_nlp.robot.written import toml_of
 from ctr_nlp.support.interrupt import end_if_interrupted
 from ctr_nlp.support.values import strict_json
 from ctr_nlp.target.problem import Problem
@@ -133,7 +132,7 @@ def _write(
 ) -> None:
     """robot.toml, the plans, design.json and the sheet."""
     title = f"designed for {', '.join(found.names)}"
-    write_text(folder / "robot.toml", toml_of(found.robot, f"A robot {title}."))
+    write_text(folder / "robot.toml", found.robot.to_toml(f"A robot {title}."))
     for name, plan in zip(names, plans, strict=True):
         plan.save(folder / f"{name}.npz")
     told: dict[str, Any] = {

@@ -15,7 +15,7 @@ from truth import TWO
 
 from ctr_nlp import Manufacture, Plan, Problem, Robot, Settings, design, growing, solve_horizon, summary
 from ctr_nlp.cli.main import main
-from ctr_nlp.design.starts import starts
+from ctr_nlp.codesign.starts import starts
 from ctr_nlp.exceptions import OptionError, ProblemError
 from ctr_nlp.formulations.shared.design import DesignedTubes
 from ctr_nlp.target.curve import curve_from_formula
@@ -153,9 +153,7 @@ def problem(frames, duration, robot):
 
 
 def test_the_command_writes_a_robot_plans_and_a_sheet(tmp_path, capsys):
-    from ctr_nlp.robot.written import toml_of
-
-    (tmp_path / "two.toml").write_text(toml_of(PAIR), encoding="utf-8")
+    (tmp_path / "two.toml").write_text(PAIR.to_toml(), encoding="utf-8")
     for name, bend in (("bend", 12), ("other", 15)):
         (tmp_path / f"{name}.py").write_text(PROGRAM.format(name=name, bend=bend), encoding="utf-8")
     out = tmp_path / "out"

@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.design.search import AGAIN, LOOSER, PULL, Candidate, DesignSearch, least
-from ctr_nlp.design.starts import starts as first_tubes
+from ctr_nlp.codesign.search import AGAIN, LOOSER, PULL, Candidate, DesignSearch, least
+from ctr_nlp.codesign.starts import starts as first_tubes
 from ctr_nlp.exceptions import OptionError, ProblemError
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.shared.design import DesignedTubes, Kept, varying
+from ctr_nlp.formulations.shared.manufacture import Manufacture
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.manufacture import Manufacture
 from ctr_nlp.steer.horizon import solve_horizon
 from ctr_nlp.steer.motions import at_frames
 from ctr_nlp.steer.nlp_frames import DEFAULTS
