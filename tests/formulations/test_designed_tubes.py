@@ -12,10 +12,10 @@ from ctr_nlp import Limits, Robot, Tube, table_i_robot
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.frame import program
 from ctr_nlp.formulations.shared.design import FREED, HUNDRED_MM, DesignedTubes, varying
+from ctr_nlp.formulations.shared.manufacture import Manufacture
 from ctr_nlp.formulations.shared.tasks import WithinCurved
 from ctr_nlp.formulations.terms import ShapeDistance
 from ctr_nlp.models import MODELS
-from ctr_nlp.formulations.shared.manufacture import Manufacture
 from ctr_nlp.robot.strain import largest_strain
 from ctr_nlp.robot.structure import freed_places
 
