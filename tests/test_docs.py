@@ -286,11 +286,12 @@ def helps() -> dict[str, str]:
 def help_of(names: list[str], run: partial[dict[str, object]]) -> str:
     """What a program of these names prints where it is asked for help."""
     told = StringIO()
-    with pytest.MonkeyPatch.context() as patch, redirect_stdout(told), pytest.raises(SystemExit) as end:
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(told):
         patch.setattr(main, "_hold_interrupts", lambda: None)  # as this process goes on after it
         patch.setattr(sys, "argv", [*names, "--help"])
         patch.setenv("COLUMNS", "80")
-        run(run_name="__main__")
+        with pytest.raises(SystemExit) as end:
+            run(run_name="__main__")
     assert not end.value.code
     return told.getvalue()
 
