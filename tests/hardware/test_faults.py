@@ -17,6 +17,8 @@ from ctr_nlp.hardware import journal as journal_module
 from ctr_nlp.hardware.emulator.faults import FAULTS
 from ctr_nlp.hardware.playing.results import Outcome, Result, State
 
+pytestmark = pytest.mark.usefixtures("prepared_once")
+
 HOST_FAULTS = ("killed", "ctrl_c", "full_disk")
 KINDS = (*FAULTS, *HOST_FAULTS)
 AFTERWARDS = 8.0

@@ -26,6 +26,8 @@ from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.record import Recorder
 from ctr_nlp.hardware.playing.results import Outcome, State
 
+pytestmark = pytest.mark.usefixtures("prepared_once")
+
 STEP = np.array([1 / 400] * 3 + [1 / 100] * 3)
 """mm and deg of the emulated machine."""
 

@@ -27,6 +27,8 @@ from ctr_nlp.hardware.playing.results import Outcome, Result, State
 from ctr_nlp.hardware.playing.session import begin, prepared
 from ctr_nlp.plan.plan import Plan
 
+pytestmark = pytest.mark.usefixtures("prepared_once")
+
 HELD, ABORTED = 0.3, 0.5
 """s from a call within which a pause and an abort must have come to rest."""
 

@@ -18,6 +18,8 @@ from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.results import Outcome
 from ctr_nlp.hardware.playing.retract import innermost_first
 
+pytestmark = pytest.mark.usefixtures("prepared_once")
+
 
 def stopped(folder: Path, at: float = 1.0, **hardware: Any) -> World:
     """A rig whose motion was aborted so many s after it began."""

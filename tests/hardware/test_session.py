@@ -22,6 +22,8 @@ from ctr_nlp.hardware.playing.results import Outcome, Result, State
 from ctr_nlp.hardware.playing.session import begin, prepared, resume
 from ctr_nlp.plan.plan import Plan
 
+pytestmark = pytest.mark.usefixtures("prepared_once")
+
 SHORT = sweep(12)
 ALL = list(range(1, 13))
 HOMED = Firmware({20: 1}, homed=True).position

@@ -21,6 +21,8 @@ from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.results import Outcome
 from ctr_nlp.plan.plan import Plan
 
+pytestmark = pytest.mark.usefixtures("prepared_once")
+
 SECONDS, MILLIMETRES = 0.5, 12.0
 """Within which motion must end after any cause."""
 

@@ -21,6 +21,8 @@ from ctr_nlp.hardware.playing.supervision import (
     Supervisor,
 )
 
+pytestmark = pytest.mark.usefixtures("prepared_once")
+
 LATE = 0.8
 
 

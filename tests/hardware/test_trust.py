@@ -15,6 +15,8 @@ from ctr_nlp.exceptions import DeviceFault, HardwareError, Stopped
 from ctr_nlp.hardware.playing.results import Outcome, State
 from ctr_nlp.hardware.playing.trust import Memory, Remembered, doubt, state_folder
 
+pytestmark = pytest.mark.usefixtures("prepared_once")
+
 AT = np.array([1.0, 2.0])
 STEP = np.array([0.01, 0.01])
 
