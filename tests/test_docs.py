@@ -1,7 +1,7 @@
 """The documentation is executed: every command and example as written; links, options, files and functions exist.
 
 Commands run, page by page and in order, in a folder that looks like a clone with its environment. In the normal
-suite programs that take minutes get further arguments, those of THIN, last, where they win; `pytest -m slow` runs
+suite programs that take long get further arguments, those of THIN, last, where they win; `pytest -m slow` runs
 them in full.
 """
 
