@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ctr_nlp.anatomy.problem_files import problem_from_file, read_csv
-    from ctr_nlp.codesign.design import Design, design
+    from ctr_nlp.codesign.together import Design, design
     from ctr_nlp.exceptions import CtrError
     from ctr_nlp.formulations.settings import Settings
     from ctr_nlp.formulations.shared.manufacture import Manufacture
@@ -62,7 +62,7 @@ __all__ = [
 
 _HOMES = {
     "anatomy.problem_files": ("problem_from_file", "read_csv"),
-    "codesign.design": ("Design", "design"),
+    "codesign.together": ("Design", "design"),
     "exceptions": ("CtrError",),
     "formulations.settings": ("Settings",),
     "plan.metrics": ("by_frame", "summary"),

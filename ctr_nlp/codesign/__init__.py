@@ -2,6 +2,6 @@
 devices.
 """
 
-from ctr_nlp.codesign.design import Design, design
+from ctr_nlp.codesign.together import Design, design
 
 __all__ = ["Design", "design"]

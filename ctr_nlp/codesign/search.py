@@ -37,8 +37,9 @@ STEPS = 300
 """Of a round, at most."""
 ROUNDS, ENOUGH = 5, 2e-3
 """Rounds from a start, at most; they end when one makes less than this part of a difference."""
-AGAIN = 0.1
-"""First barrier, mm^2, of rounds after the first."""
+AGAIN, NEAR = 0.1, 1e-3
+"""First barriers, mm^2, of rounds after the first: for motions that were planned anew since, and for those of the
+round before, from which a larger one leads away."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,11 @@ class Candidate:
     p: Array
     motions: Motions
     solution: SharedSolution | None = None
+
+    @property
+    def solved(self) -> bool:
+        """Whether tubes and motions come from a round, and are a solution."""
+        return self.solution is not None and self.solution.success
 
 
 @dataclass(frozen=True)
@@ -166,8 +172,9 @@ class DesignSearch:
             found.append(again)
             if len(found) > 1 and found[-2].motions.rms - again.motions.rms < ENOUGH * again.motions.rms:
                 break
-            known = self.best_of_both(again) if len(scenarios) == 1 else again
-            pull, barrier = LOOSER * pull, AGAIN
+            alone = len(scenarios) == 1
+            known, barrier = (self.best_of_both(again), AGAIN) if alone else (again, NEAR)
+            pull *= LOOSER
         return least(found)
 
 

@@ -26,7 +26,7 @@ from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command, console, print_tab
 from ctr_nlp.cli.output.file import path_component, write_text
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.cli.report import exit_status
-from ctr_nlp.codesign.design import STARTS, Design, design, planned_on
+from ctr_nlp.codesign.together import STARTS, Design, design, planned_on
 from ctr_nlp.formulations.shared.manufacture import Manufacture
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan

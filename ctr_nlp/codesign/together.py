@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.codesign.search import AGAIN, LOOSER, PULL, Candidate, DesignSearch, least
+from ctr_nlp.codesign.search import AGAIN, LOOSER, NEAR, PULL, Candidate, DesignSearch, least
 from ctr_nlp.codesign.starts import starts as first_tubes
 from ctr_nlp.exceptions import OptionError, ProblemError
 from ctr_nlp.formulations.settings import Settings
@@ -33,8 +33,9 @@ from ctr_nlp.typing import Array
 
 STARTS = 6
 """Tubes that a design starts from."""
-GROWN = 0.5, 1.0
-"""Parts of the tolerances for which tubes are designed one after the other, from a design without any."""
+GROWN = {0.5: (AGAIN, NEAR), 1.0: (NEAR, AGAIN)}
+"""Parts of the tolerances for which tubes are designed one after the other, from a design without any, with first
+barriers, mm^2, of which the next is tried where one leads to no solution."""
 BINDING = 1e-3
 """A rule binds where it is kept by less than this part of its bound."""
 
@@ -183,9 +184,9 @@ def _whole(best: Candidate, search: DesignSearch) -> Candidate:
 def _tolerated(best: Candidate, search: DesignSearch) -> Candidate:
     """Tubes for the robots within the tolerances, which grow to what they are."""
     scenarios = scenarios_of(search.tubes.robot)
-    for part in GROWN:
-        found = search.settled(best, scenarios.shrunk(part), AGAIN)
-        best = best if found is None else found
+    for part, barriers in GROWN.items():
+        tried = (search.settled(best, scenarios.shrunk(part), barrier) for barrier in barriers)
+        best = next((one for one in tried if one is not None and one.solved), best)
     return best
 
 
@@ -204,7 +205,7 @@ def _told(one: Candidate) -> dict[str, Any]:
         "rms": one.motions.rms,
         "p": one.p.tolist(),
         "iterations": 0 if one.solution is None else one.solution.iterations,
-        "solved": one.solution is not None and one.solution.success,
+        "solved": one.solved,
     }
 
 
