@@ -210,6 +210,11 @@ def test_a_full_turn_of_one_axis_changes_nothing(case, data):
     np.testing.assert_allclose(shapes(robot, turned[None]), shapes(robot, q[None]), atol=1e-9)
 
 
+QUADRATURE = 1e-9
+"""mm by which a step of some 0.03 mm may be off: where curvature is linear, travel is found by six Gauss nodes. On a
+tube of 69 mm that turns by 1.6 rad steps are off by 3e-11 mm, and the tip by 5e-9 mm, beside the exact integral."""
+
+
 @given(robots_with_q())
 def test_the_polyline_through_the_shape_is_as_long_as_beta_d(case):
     robot, q = case
@@ -218,8 +223,8 @@ def test_the_polyline_through_the_shape_is_as_long_as_beta_d(case):
     beta_d = robot.split(q)[1][-1]
     largest = max(max(tube.root_curvature, tube.tip_curvature) for tube in robot.tubes)
     shortfall = beta_d / 2000 - steps
-    assert shortfall.min() > -1e-11
-    assert shortfall.max() <= (beta_d / 2000) ** 3 * largest**2 / 24 * 1.01 + 1e-11
+    assert shortfall.min() > -QUADRATURE
+    assert shortfall.max() <= (beta_d / 2000) ** 3 * largest**2 / 24 * 1.01 + QUADRATURE
 
 
 @given(robots(least=2, most=3), st.data())
