@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.codesign.search import AGAIN, LOOSER, NEAR, PULL, Candidate, DesignSearch, least
+from ctr_nlp.codesign.search import AGAIN, NEAR, Candidate, DesignSearch, least
 from ctr_nlp.codesign.starts import starts as first_tubes
 from ctr_nlp.exceptions import OptionError, ProblemError
 from ctr_nlp.formulations.settings import Settings
@@ -177,7 +177,7 @@ def _whole(best: Candidate, search: DesignSearch) -> Candidate:
     begun = search.start(best.start, best.p)
     if begun is None or search.stop():
         return best
-    found = search.refined(begun, _alone(search.tubes.robot), LOOSER * PULL, AGAIN)
+    found = search.settled(begun, _alone(search.tubes.robot), AGAIN)
     return begun if found is None else found
 
 
