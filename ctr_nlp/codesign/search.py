@@ -89,6 +89,10 @@ class DesignSearch:
         """Of motions, far from any wall."""
         return Settings(stability_margin=self.margin, contact_weight=0.0)
 
+    def each(self, of_all: Array) -> list[Array]:
+        """Rows (T, ...) of all tasks' frames, task by task."""
+        return np.split(of_all, np.cumsum([task.frames for task in self.tasks])[:-1])
+
     def on(self, robot: Robot) -> list[Problem]:
         """The tasks with another robot."""
         return [replace(task, robot=robot) for task in self.tasks]
@@ -113,9 +117,8 @@ class DesignSearch:
     def motion(self, p: Array, motions: Motions, scenarios: Scenarios, pull: float) -> SharedMotion:
         """The program for tubes near p and motions near these."""
         robot = self.tubes.robot_of(p)
-        parts = np.split(motions.q, np.cumsum([task.frames for task in self.tasks])[:-1])
         made = []
-        for task, q in zip(self.on(robot), parts, strict=True):
+        for task, q in zip(self.on(robot), self.each(motions.q), strict=True):
             weight = MOTION_PART * self._balanced(task, q)
             margins = np.full(task.frames, self.margin) if self.model.can_snap else None
             at = robot, task.samples, task.dt, weight, Ends(), self.model, scenarios
@@ -142,8 +145,7 @@ class DesignSearch:
         if max(found.violation, found.missing) > MISSED:
             return None
         squares = Condensed(motion).by_robot(found.q, found.phi, found.p) @ motion.weights
-        each = np.split(squares, np.cumsum([task.frames for task in self.tasks])[:-1])
-        e3 = np.sqrt([part.mean() for part in each])
+        e3 = np.sqrt([part.mean() for part in self.each(squares)])
         return Candidate(known.start, found.p, Motions(found.q, found.phi, e3), found)
 
     def best_of_both(self, known: Candidate) -> Candidate:
@@ -151,9 +153,8 @@ class DesignSearch:
         again = self.start(known.start, known.p)
         if again is None:
             return known
-        frames = np.cumsum([0, *(task.frames for task in self.tasks)])
         better = again.motions.e3 < known.motions.e3
-        rows = np.repeat(better, np.diff(frames))
+        rows = np.repeat(better, [task.frames for task in self.tasks])
         q = np.where(rows[:, None], again.motions.q, known.motions.q)
         phi = np.where(rows[:, None, None], again.motions.phi, known.motions.phi[:, :1])
         e3 = np.where(better, again.motions.e3, known.motions.e3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -57,16 +58,18 @@ class Remark:
 
 @dataclass(frozen=True)
 class Design:
-    """A designed robot. names: of the tasks; plans: one for each, on the robot; before (n,): e3 of the tasks'
-    motions on the robot that the design began with, mm, over the frames of a draft; rules: what can be made, and
-    how far it is used; remarks: the rules that bind; tried: what came of every start; interrupted: whether Ctrl-C
+    """A designed robot.
+
+    names: of the tasks; plans: one for each, on the robot; before: e3 of each task's motion on the robot that the
+    design began with, mm, over the frames of a draft, None where it has none; rules: what can be made, and how
+    far it is used; remarks: the rules that bind; tried: what came of every start; interrupted: whether Ctrl-C
     ended the work.
     """
 
     robot: Robot
     names: tuple[str, ...]
     plans: tuple[Plan, ...]
-    before: Array
+    before: tuple[float | None, ...]
     rules: tuple[Kept, ...]
     remarks: tuple[Remark, ...]
     tried: tuple[dict[str, Any], ...]
@@ -115,7 +118,7 @@ def design(
         best = least([one for one in tried if one is not None])
         if best is None:
             raise ProblemError("no tubes were found on which all problems can be followed; give more starts")
-        before = tried[0].motions.e3 if tried[0] is not None else np.full(len(tasks), np.nan)
+        before = (None,) * len(tasks) if tried[0] is None else _known(tried[0].motions.e3)
         best = _whole(best, replace(search, tasks=tasks)) if nominal else _tolerated(best, search)
         robot = tubes.robot_of(best.p)
         plans = list[Plan]()
@@ -198,10 +201,15 @@ def planned_on(task: Problem, settings: Settings, nominal: bool, model: str | Mo
     return solve_robust(task, model=model, settings=far)
 
 
+def _known(errors: Array) -> tuple[float | None, ...]:
+    """Numbers, and None for what is not known."""
+    return tuple(error if math.isfinite(error) else None for error in errors.tolist())
+
+
 def _told(one: Candidate) -> dict[str, Any]:
     return {
         "start": one.start,
-        "e3": one.motions.e3.tolist(),
+        "e3": _known(one.motions.e3),
         "rms": one.motions.rms,
         "p": one.p.tolist(),
         "iterations": 0 if one.solution is None else one.solution.iterations,

@@ -9,8 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ctr_nlp.cli import plan_options, problems
 from ctr_nlp.cli.arguments import (
     add_compile_option,
@@ -28,6 +26,7 @@ from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.cli.report import exit_status
 from ctr_nlp.codesign.together import STARTS, Design, design, planned_on
 from ctr_nlp.formulations.shared.manufacture import Manufacture
+from ctr_nlp.plan.account import shown
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.support.interrupt import end_if_interrupted
@@ -112,10 +111,10 @@ def _run(arguments: argparse.Namespace) -> int:
     if not found.interrupted:
         plans = [plan.with_draws(DRAWS, SEED) if plan.reached.any() else plan for plan in plans]
     place = place_of(out, found.interrupted)
-    names = [task.name for task in loaded][: len(plans)]
+    rows = [_row(found, plan, task.name) for plan, task in zip(plans, loaded, strict=False)]
     with published(place, "design") as staging:
-        _write(found, plans, names, staging, arguments)
-    _print(found, plans, names)
+        _write(found, plans, rows, staging, arguments)
+    _print(found, rows)
     console().print(f"wrote {place}")
     if found.interrupted:
         return INTERRUPTED
@@ -128,15 +127,19 @@ def _named(name: str, problem: Problem) -> Problem:
 
 
 def _write(
-    found: Design, plans: Sequence[Plan], names: Sequence[str], folder: Path, arguments: argparse.Namespace
+    found: Design,
+    plans: Sequence[Plan],
+    rows: Sequence[dict[str, Any]],
+    folder: Path,
+    arguments: argparse.Namespace,
 ) -> None:
     """robot.toml, the plans, design.json and the sheet."""
     title = f"designed for {', '.join(found.names)}"
     write_text(folder / "robot.toml", found.robot.to_toml(f"A robot {title}."))
-    for name, plan in zip(names, plans, strict=True):
-        plan.save(folder / f"{name}.npz")
+    for row, plan in zip(rows, plans, strict=True):
+        plan.save(folder / f"{row['problem']}.npz")
     told: dict[str, Any] = {
-        "problems": [_row(found, plan, name) for name, plan in zip(names, plans, strict=True)],
+        "problems": list(rows),
         "robot": found.robot.to_dict(),
         "rules": [{f: getattr(rule, f) for f in rule._fields} for rule in found.rules],
         "remarks": [str(remark) for remark in found.remarks],
@@ -144,21 +147,12 @@ def _write(
         "nominal": arguments.nominal,
         "interrupted": found.interrupted,
     }
-    text = json.dumps(_finite(strict_json(told)), indent=1, allow_nan=False)
+    text = json.dumps(strict_json(told), indent=1, allow_nan=False)
     write_text(folder / "design.json", text + "\n")
     if not arguments.no_figures:
         from ctr_nlp.figures.sheet import save_sheet  # brings matplotlib, which takes long to load
 
         save_sheet(found.robot, f"Robot {title}", folder)
-
-
-def _finite(value: Any) -> Any:
-    """The same with null for what is not known."""
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and np.isnan(value) else value
 
 
 def _row(found: Design, plan: Plan, name: str) -> dict[str, Any]:
@@ -167,7 +161,7 @@ def _row(found: Design, plan: Plan, name: str) -> dict[str, Any]:
     return {
         "problem": name,
         "designed_for": own,
-        "e3_before": float(found.before[found.names.index(name)]) if own else None,
+        "e3_before": found.before[found.names.index(name)] if own else None,
         "e3": summary(plan)["e3"],
         "mean_over_draws": None if drawn is None or drawn.errors is None else drawn.errors.mean,
         "draws": None if drawn is None else len(drawn),
@@ -176,18 +170,17 @@ def _row(found: Design, plan: Plan, name: str) -> dict[str, Any]:
     }
 
 
-def _print(found: Design, plans: Sequence[Plan], names: Sequence[str]) -> None:
-    rows = [_row(found, plan, name) for name, plan in zip(names, plans, strict=True)]
-    shown = [
+def _print(found: Design, rows: Sequence[dict[str, Any]]) -> None:
+    cells = [
         [
             row["problem"],
-            *(_mm(row[key]) for key in ("e3_before", "e3", "mean_over_draws")),
+            *(shown(row[key]) for key in ("e3_before", "e3", "mean_over_draws")),
             "" if row["draws"] is None else f"{row['lost']} of {row['draws']}",
             "yes" if row["designed_for"] else "held out",
         ]
         for row in rows
     ]
-    print_table("e3 in mm", list(COLUMNS), shown)
+    print_table("e3 in mm", list(COLUMNS), cells)
     tubes = [
         [
             *(f"{i + 1}", f"{tube.outer_diameter:.3f}", f"{tube.inner_diameter:.3f}", f"{tube.curved_length:.1f}"),
@@ -199,10 +192,6 @@ def _print(found: Design, plans: Sequence[Plan], names: Sequence[str]) -> None:
     print_table("tubes", columns, tubes)
     for remark in found.remarks:
         console().print(f"{remark}.")
-
-
-def _mm(value: float | None) -> str:
-    return "" if value is None or not np.isfinite(value) else f"{value:.3g}"
 
 
 main = Command("ctr-nlp design", _parser, _run)

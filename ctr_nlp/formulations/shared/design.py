@@ -21,7 +21,7 @@ from ctr_nlp.formulations.shared.manufacture import Manufacture
 from ctr_nlp.nlp.nlp import Constraint, Cost, Nlp
 from ctr_nlp.nlp.scenarios import Common, Scenarios
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.structure import freed_places
+from ctr_nlp.robot.structure import NUMBERS, freed_places
 from ctr_nlp.robot.tube import Tube
 from ctr_nlp.typing import Array
 
@@ -72,15 +72,15 @@ class DesignedTubes:
                 raise OptionError(f"{name!r} cannot be fixed; what can be is {', '.join(self.names)}")
 
     @cached_property
-    def _curvatures(self) -> tuple[tuple[int, str], ...]:
-        """The tube, from 0, and the kind of every pre-curvature among p."""
-        kinds = {"arc": ("curvature",), "linear": ("root_curvature", "tip_curvature"), "straight": ()}
-        return tuple((i, kind) for i, each in enumerate(self.robot.structure.kinds) for kind in kinds[each])
+    def _curvatures(self) -> tuple[tuple[int, tuple[int, ...]], ...]:
+        """The tube, from 0, and the columns among its numbers of every pre-curvature among p."""
+        return freed_places(self.robot.structure, ("curvature",))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Those of p's entries, with the number of the tube, from 1."""
-        curvatures = [f"{kind}_{i + 1}" for i, kind in self._curvatures]
+        kinds = ("curvature" if len(columns) > 1 else NUMBERS[columns[0]] for _, columns in self._curvatures)
+        curvatures = [f"{kind}_{i + 1}" for kind, (i, _) in zip(kinds, self._curvatures, strict=True)]
         tubes, ends = range(1, self.robot.d + 1), ("outer_diameter", "inner_diameter")
         return (
             *curvatures,
@@ -96,20 +96,18 @@ class DesignedTubes:
     @cached_property
     def own(self) -> Array:
         """The p of the robot's own tubes."""
-        of = {"curvature": "root_curvature"}
         tubes = self.robot.tubes
-        curvatures = [HUNDRED_MM * getattr(tubes[i], of.get(kind, kind)) for i, kind in self._curvatures]
+        curvatures = [HUNDRED_MM * self.robot.numbers[i, columns[0]] for i, columns in self._curvatures]
         lengths = [tube.curved_length / HUNDRED_MM for tube in tubes]
         diameters = [end for tube in tubes for end in (tube.outer_diameter, tube.inner_diameter)]
         return np.array([*curvatures, *lengths, *diameters])
 
     def robot_of(self, p: Array) -> Robot:
         """The robot with the tubes of p, which may be pushed out by all of their curved parts."""
-        found, lengths, diameters = self._split(p)
-        curvatures = {key: float(value) / HUNDRED_MM for key, value in zip(self._curvatures, found, strict=True)}
+        curvatures, lengths, diameters = self._split(p)
         tubes = list[Tube]()
         for i, (tube, (outer, inner)) in enumerate(zip(self.robot.tubes, diameters.tolist(), strict=True)):
-            own = [curvatures[i, kind] for at, kind in self._curvatures if at == i]
+            own = [float(curvatures[k]) / HUNDRED_MM for k, (at, _) in enumerate(self._curvatures) if at == i]
             bent = (own[0], own[-1]) if own else 0.0
             if len(own) == 2 and own[0] == own[1]:  # the same kind of part, though it happens to be an arc
                 bent = (own[0], own[1] * (1 + ALIKE))
