@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -23,11 +23,11 @@ from ctr_nlp.solvers.motion.judged import WIDE
 from ctr_nlp.solvers.scenarios import SharedSolution, SharedSolver
 from ctr_nlp.solvers.scenarios.condensed import Condensed
 from ctr_nlp.steer.horizon import Horizon, solve_horizon
+from ctr_nlp.steer.robust.plan import MOTION_PART
+from ctr_nlp.steer.robust.search import RobustSearch, Start
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
-MOTION_PART = 0.1
-"""Part of the lambda of a plain horizon: tubes are for errors, and motions are planned again on them."""
 MISSED = 1e-4
 """What a point may miss, rad and mm, that is gone on from though it is no solution yet."""
 PULL, LOOSER = 1e-3, 0.1
@@ -74,6 +74,20 @@ class Candidate:
         return self.solution is not None and self.solution.success
 
 
+Robots = Callable[[Robot], Scenarios]
+"""A robot -> those that share its motions, of which it is the first."""
+
+
+def alone(robot: Robot) -> Scenarios:
+    """A robot as described."""
+    return Scenarios(robot.numbers[None], np.zeros((1, robot.d)), np.ones(1))
+
+
+def never() -> bool:
+    """Whether to stop, where nobody can ask for that."""
+    return False
+
+
 @dataclass(frozen=True)
 class DesignSearch:
     """Solves for tubes over tasks, whose problems differ in their targets alone."""
@@ -82,7 +96,7 @@ class DesignSearch:
     tubes: DesignedTubes
     model: Model
     margin: float
-    stop: Callable[[], bool] = lambda: False
+    stop: Callable[[], bool] = never
 
     @cached_property
     def settings(self) -> Settings:
@@ -114,10 +128,10 @@ class DesignSearch:
             return None
         return Candidate(name, p, motions) if np.isfinite(motions.phi).all() else None
 
-    def motion(self, p: Array, motions: Motions, scenarios: Scenarios, pull: float) -> SharedMotion:
+    def motion(self, p: Array, motions: Motions, robots: Robots, pull: float) -> SharedMotion:
         """The program for tubes near p and motions near these."""
-        robot = self.tubes.robot_of(p)
-        made = []
+        robot, made = self.tubes.robot_of(p), list[SharedMotion]()
+        scenarios = robots(robot)
         for task, q in zip(self.on(robot), self.each(motions.q), strict=True):
             weight = MOTION_PART * self._balanced(task, q)
             margins = np.full(task.frames, self.margin) if self.model.can_snap else None
@@ -134,14 +148,29 @@ class DesignSearch:
         x = self.model.follow(task.robot, q).x
         return horizon.balanced_weight(np.nan_to_num(x))
 
-    def refined(self, known: Candidate, scenarios: Scenarios, pull: float, barrier: float) -> Candidate | None:
+    def shared(self, known: Candidate, robots: Robots) -> Candidate | None:
+        """The same tubes with motions that scenarios share, each task's for itself; None where one has none."""
+        robot = self.tubes.robot_of(known.p)
+        scenarios = robots(robot)
+        q, phi, e3 = list[Array](), list[Array](), list[float]()
+        parts = zip(self.on(robot), self.each(known.motions.q), self.each(known.motions.phi[:, 0]), strict=True)
+        for task, of_task, tips in parts:
+            weight = MOTION_PART * self._balanced(task, of_task)
+            margins = np.full(task.frames, self.margin)
+            search = RobustSearch(task, self.model, Ends(), (), weight, margins, stop=self.stop)
+            x = np.concatenate([tips, of_task[:, robot.d :]], axis=1)
+            tried = search.solve(Start(known.start, x), scenarios)
+            if not tried.solved:
+                return None
+            q.append(tried.solution.q)
+            phi.append(tried.solution.phi)
+            e3.append(np.sqrt(tried.solution.objective / task.frames))
+        return replace(known, motions=Motions(np.concatenate(q), np.concatenate(phi), np.array(e3)))
+
+    def refined(self, known: Candidate, robots: Robots, pull: float, barrier: float) -> Candidate | None:
         """Tubes and motions after one round from known ones; None where it leads to no motions that go on."""
-        motion = self.motion(known.p, known.motions, scenarios, pull)
-        count = len(scenarios)
-        tips = known.motions.phi
-        if tips.shape[1] != count:
-            tips = np.repeat(tips[:, :1], count, axis=1)
-        found = SharedSolver(motion)(known.motions.q, tips, barrier, self.stop, STEPS, known.p)
+        motion = self.motion(known.p, known.motions, robots, pull)
+        found = SharedSolver(motion)(known.motions.q, known.motions.phi, barrier, self.stop, STEPS, known.p)
         if max(found.violation, found.missing) > MISSED:
             return None
         squares = Condensed(motion).by_robot(found.q, found.phi, found.p) @ motion.weights
@@ -160,25 +189,25 @@ class DesignSearch:
         e3 = np.where(better, again.motions.e3, known.motions.e3)
         return replace(known, motions=Motions(q, phi, e3))
 
-    def settled(self, start: Candidate, scenarios: Scenarios, first: float = WIDE) -> Candidate | None:
-        """The best of rounds from a start, between which motions are planned anew; None where none leads anywhere.
+    def settled(self, start: Candidate, robots: Robots = alone, first: float = WIDE) -> Candidate | None:
+        """The best of rounds from a start; None where none leads anywhere.
 
-        first: barrier of the first round, mm^2.
+        robots: that share the motions; where that is the described one alone, motions are planned anew between
+        rounds. first: barrier of the first round, mm^2.
         """
         found, known, pull, barrier = list[Candidate](), start, PULL, first
         for _ in range(ROUNDS):
-            again = self.refined(known, scenarios, pull, barrier)
+            again = self.refined(known, robots, pull, barrier)
             if again is None or self.stop():
                 break
             found.append(again)
             if len(found) > 1 and found[-2].motions.rms - again.motions.rms < ENOUGH * again.motions.rms:
                 break
-            alone = len(scenarios) == 1
-            known, barrier = (self.best_of_both(again), AGAIN) if alone else (again, NEAR)
+            known, barrier = (self.best_of_both(again), AGAIN) if robots is alone else (again, NEAR)
             pull *= LOOSER
-        return least(found)
+        return min(found, key=error_of, default=None)
 
 
-def least(found: Sequence[Candidate]) -> Candidate | None:
-    """The one of least rms; None without any."""
-    return min(found, key=lambda one: one.motions.rms, default=None)
+def error_of(candidate: Candidate) -> float:
+    """The root mean square of the tasks' e3, mm: the candidate of the least is the best."""
+    return candidate.motions.rms

@@ -6,37 +6,34 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from ctr_nlp.codesign.search import AGAIN, NEAR, Candidate, DesignSearch, least
+from ctr_nlp.codesign.plans import planned_on
+from ctr_nlp.codesign.search import AGAIN, NEAR, Candidate, DesignSearch, error_of, never
 from ctr_nlp.codesign.starts import starts as first_tubes
 from ctr_nlp.exceptions import OptionError, ProblemError
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.shared.design import DesignedTubes, Kept, varying
 from ctr_nlp.formulations.shared.manufacture import Manufacture
 from ctr_nlp.models import Model, model_named
-from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
-from ctr_nlp.steer.horizon import solve_horizon
-from ctr_nlp.steer.motions import at_frames
+from ctr_nlp.steer.motions import at_frames, filled
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
-from ctr_nlp.steer.robust import solve_robust
 from ctr_nlp.steer.robust.tolerated import scenarios_of
 from ctr_nlp.steer.starts.search import drafted
 from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.support.pool import side_by_side
 from ctr_nlp.support.values import instance, whole_number
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
 STARTS = 6
 """Tubes that a design starts from."""
-GROWN = {0.5: (AGAIN, NEAR), 1.0: (NEAR, AGAIN)}
-"""Parts of the tolerances for which tubes are designed one after the other, from a design without any, with first
-barriers, mm^2, of which the next is tried where one leads to no solution."""
 BINDING = 1e-3
 """A rule binds where it is kept by less than this part of its bound."""
 
@@ -60,10 +57,10 @@ class Remark:
 class Design:
     """A designed robot.
 
-    names: of the tasks; plans: one for each, on the robot; before: e3 of each task's motion on the robot that the
-    design began with, mm, over the frames of a draft, None where it has none; rules: what can be made, and how
-    far it is used; remarks: the rules that bind; tried: what came of every start; interrupted: whether Ctrl-C
-    ended the work.
+    names: of the tasks; plans: one for each, on the robot, unless Ctrl-C came first; before: e3 of each task's
+    motion on the robot that the design began with, mm, over the frames of a draft, None where it has none; rules:
+    what can be made, and how far it is used; remarks: the rules that bind; tried: what came of every start;
+    interrupted: whether Ctrl-C ended the work.
     """
 
     robot: Robot
@@ -85,6 +82,7 @@ def design(
     fixed: Sequence[str] = (),
     constant_curvature: bool = False,
     starts: int = STARTS,
+    jobs: int = 1,
     settings: Settings = DEFAULTS,
     progress: Progress | None = None,
 ) -> Design:
@@ -98,8 +96,9 @@ def design(
     them, and each plan is certified on draws (solve_robust). rules: of manufacture. fixed: names of numbers that
     stay as they are, such as outer_diameter_1. constant_curvature: whether curved parts are arcs; otherwise their
     curvatures are linear in arc length. starts: tubes that are tried, the robot's own and random ones
-    (settings.seed). settings.stability_margin: the least of every robot. Ctrl-C ends the work; the design is then
-    the best so far, marked as interrupted. Raises OptionError, ProblemError, RobotError.
+    (settings.seed). jobs: in how many processes starts and plans are worked on. settings.stability_margin: the
+    least of every robot. Ctrl-C ends the work; the design is then the best so far, marked as interrupted, and
+    plans may be missing. Raises OptionError, ProblemError, RobotError.
     """
     tasks = _checked(problems, settings)
     described, count = model_named(model, "model of a design"), whole_number(OptionError, "starts", starts)
@@ -111,26 +110,29 @@ def design(
     tubes = DesignedTubes(robot, rules or Manufacture(), tuple(fixed))
     tasks = tuple(replace(task, robot=robot) for task in tasks)
     with deferred_interrupt() as interrupted:
-        drafts = tuple(_draft(task) for task in tasks)
         margin = 0.0 if settings.stability_margin is None else settings.stability_margin
-        search = DesignSearch(drafts, tubes, described, margin, interrupted)
-        tried = _tried(search, count, settings.seed, progress)
-        best = least([one for one in tried if one is not None])
-        if best is None:
+        search = DesignSearch(tuple(_draft(task) for task in tasks), tubes, described, margin, interrupted)
+        begun, found = _tried(search, count, settings.seed, jobs, progress)
+        tried = [one for one in (begun, *found) if one is not None]
+        if not tried:
             raise ProblemError("no tubes were found on which all problems can be followed; give more starts")
-        before = (None,) * len(tasks) if tried[0] is None else _known(tried[0].motions.e3)
-        best = _whole(best, replace(search, tasks=tasks)) if nominal else _tolerated(best, search)
-        robot = tubes.robot_of(best.p)
-        plans = list[Plan]()
-        for number, task in enumerate(tasks):
-            if progress is not None:
-                progress(count + number, count + len(tasks), f"plan of {task.name}")
-            plans.append(planned_on(replace(task, robot=robot), settings, nominal, described))
+        whole = replace(search, tasks=tasks)
+        best = _whole(min(tried, key=error_of), whole) if nominal else _tolerated(tried, search)
+        tasks = tuple(whole.on(tubes.robot_of(best.p)))
+        motions = (
+            ()
+            if nominal
+            else [
+                filled(q, drafted(task.frames), task.frames)
+                for q, task in zip(search.each(best.motions.q), tasks, strict=True)
+            ]
+        )
+        plans = planned_on(tasks, settings, nominal, described, motions, jobs, progress)
         stopped = interrupted()
+    before = (None,) * len(tasks) if begun is None else _known(begun.motions.e3)
+    told, kept = tuple(_told(one) for one in tried), tuple(tubes.kept(best.p))
     names = tuple(task.name for task in tasks)
-    told = tuple(_told(one) for one in tried if one is not None)
-    kept = tuple(tubes.kept(best.p))
-    return Design(robot, names, tuple(plans), before, kept, _remarks(best, kept), told, stopped)
+    return Design(tasks[0].robot, names, tuple(plans), before, kept, _remarks(best, kept), told, stopped)
 
 
 def _checked(problems: Sequence[Problem], settings: Settings) -> tuple[Problem, ...]:
@@ -156,23 +158,30 @@ def _draft(task: Problem) -> Problem:
     return task if len(picked) == task.frames else at_frames(task, picked, int(picked[-1] - picked[-2]))
 
 
-def _alone(robot: Robot) -> Scenarios:
-    """A robot as described."""
-    return Scenarios(robot.numbers[None], np.zeros((1, robot.d)), np.ones(1))
-
-
-def _tried(search: DesignSearch, count: int, seed: int, progress: Progress | None) -> list[Candidate | None]:
-    """The robot's own tubes as they are, then what came of every start."""
-    found, alone = list[Candidate | None](), _alone(search.tubes.robot)
-    for number, (name, p) in enumerate(itertools.islice(first_tubes(search.tubes, seed), count)):
+def _tried(
+    search: DesignSearch, count: int, seed: int, jobs: int, progress: Progress | None
+) -> tuple[Candidate | None, list[Candidate]]:
+    """The robot's own tubes as they are, and what came of every start that led anywhere."""
+    begun, found = dict[int, Candidate | None](), dict[int, Candidate]()
+    starts = list(itertools.islice(first_tubes(search.tubes, seed), count))
+    alike = replace(
+        search, tubes=replace(search.tubes), stop=never
+    )  # without what other processes cannot be given
+    for number, (before, after) in side_by_side(partial(_settled, alike), starts, jobs):
+        begun[number] = before
+        if after is not None:
+            found[number] = after
         if progress is not None:
-            progress(number, count + len(search.tasks), f"tubes from {name}")
-        begun = search.start(name, p)
-        if not number:
-            found.append(begun)
-        if begun is not None and not search.stop():
-            found.append(search.settled(begun, alone))
-    return found
+            progress(len(begun), len(starts), f"tubes from {starts[number][0]}")
+    return begun.get(0), [found[number] for number in sorted(found)]
+
+
+def _settled(search: DesignSearch, start: tuple[str, Array]) -> tuple[Candidate | None, Candidate | None]:
+    """What tubes do as they are, and what comes of them."""
+    with deferred_interrupt() as interrupted:
+        search = replace(search, stop=interrupted)
+        begun = search.start(*start)
+        return begun, None if begun is None or interrupted() else search.settled(begun)
 
 
 def _whole(best: Candidate, search: DesignSearch) -> Candidate:
@@ -180,25 +189,18 @@ def _whole(best: Candidate, search: DesignSearch) -> Candidate:
     begun = search.start(best.start, best.p)
     if begun is None or search.stop():
         return best
-    found = search.settled(begun, _alone(search.tubes.robot), AGAIN)
+    found = search.settled(begun, first=AGAIN)
     return begun if found is None else found
 
 
-def _tolerated(best: Candidate, search: DesignSearch) -> Candidate:
-    """Tubes for the robots within the tolerances, which grow to what they are."""
-    scenarios = scenarios_of(search.tubes.robot)
-    for part, barriers in GROWN.items():
-        tried = (search.settled(best, scenarios.shrunk(part), barrier) for barrier in barriers)
-        best = next((one for one in tried if one is not None and one.solved), best)
-    return best
-
-
-def planned_on(task: Problem, settings: Settings, nominal: bool, model: str | Model = "elastic") -> Plan:
-    """The plan of a task on its robot as a design makes it: far from any wall, for tolerances unless nominal."""
-    far = replace(settings, contact_weight=0.0)
-    if nominal:
-        return solve_horizon(task, model=model, settings=far)
-    return solve_robust(task, model=model, settings=far)
+def _tolerated(found: Sequence[Candidate], search: DesignSearch) -> Candidate:
+    """Tubes for the robots within the tolerances, from the best on which these share motions; else the best."""
+    for one in sorted(found, key=error_of):
+        begun = None if search.stop() else search.shared(one, scenarios_of)
+        settled = None if begun is None else search.settled(begun, scenarios_of, NEAR)
+        if settled is not None and settled.solved:
+            return settled
+    return min(found, key=error_of)
 
 
 def _known(errors: Array) -> tuple[float | None, ...]:

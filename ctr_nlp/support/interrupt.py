@@ -6,18 +6,33 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Protocol
+
+
+class _Pressed(Protocol):
+    """What remembers a Ctrl-C: an event of this process, or one that several share."""
+
+    def is_set(self) -> bool: ...
+
+    def set(self) -> None: ...
 
 
 class _Remember:
     """A signal handler that remembers the first Ctrl-C; a second one interrupts at once."""
 
-    def __init__(self) -> None:
-        self.pressed = threading.Event()
+    def __init__(self, pressed: _Pressed) -> None:
+        self.pressed = pressed
 
     def __call__(self, number: int, frame: Any) -> None:
         if self.pressed.is_set():
             raise KeyboardInterrupt
+        self.pressed.set()
+
+
+class _Shared(_Remember):
+    """One in a process that works for another, which alone decides when to end at once."""
+
+    def __call__(self, number: int, frame: Any) -> None:
         self.pressed.set()
 
 
@@ -35,7 +50,7 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
     if isinstance(before, _Remember):
         yield before.pressed.is_set
         return
-    handler = _Remember()
+    handler = _Remember(threading.Event())
     signal.signal(signal.SIGINT, handler)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
@@ -43,6 +58,11 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
         yield handler.pressed.is_set
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def share_interrupt(pressed: _Pressed) -> None:
+    """For a process that works for another: its Ctrl-C is that of the other, which sets this event."""
+    signal.signal(signal.SIGINT, _Shared(pressed))
 
 
 def end_if_interrupted() -> None:

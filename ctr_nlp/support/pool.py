@@ -8,11 +8,10 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from multiprocessing import get_context
-from signal import SIG_IGN, SIGINT, signal
 from typing import Any, TypeVar
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.support.interrupt import deferred_interrupt, share_interrupt
 
 Thing = TypeVar("Thing")
 Found = TypeVar("Found")
@@ -29,7 +28,8 @@ def side_by_side(
     """What work makes of things, each with its number in their order, as they are done.
 
     jobs: in how many processes; with 1 in this one. work and things must be fit for pickling where there are more.
-    After Ctrl-C nothing new is begun. Raises OptionError, and what work raises.
+    After Ctrl-C nothing new is begun, and what is at work is told (deferred_interrupt). Raises OptionError, and
+    what work raises.
     """
     if jobs < 1:
         raise OptionError(f"jobs is {jobs}; it must be at least 1")
@@ -46,7 +46,9 @@ def side_by_side(
 def _elsewhere(
     work: Callable[[Thing], Found], things: Sequence[Thing], jobs: int, interrupted: Callable[[], bool]
 ) -> Iterator[tuple[int, Found]]:
-    with _one_thread_each(), ProcessPoolExecutor(jobs, get_context("spawn"), signal, (SIGINT, SIG_IGN)) as pool:
+    context = get_context("spawn")
+    pressed = context.Event()
+    with _one_thread_each(), ProcessPoolExecutor(jobs, context, share_interrupt, (pressed,)) as pool:
         tasks: dict[Future[Found], int] = {pool.submit(work, thing): number for number, thing in enumerate(things)}
         waiting = set(tasks)
         try:
@@ -55,6 +57,7 @@ def _elsewhere(
                 for task in finished:
                     yield tasks[task], task.result()
                 if interrupted():
+                    pressed.set()
                     waiting = {task for task in waiting if not task.cancel()}
         finally:
             pool.shutdown(cancel_futures=True)

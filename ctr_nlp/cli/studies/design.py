@@ -24,12 +24,14 @@ from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command, console, print_tab
 from ctr_nlp.cli.output.file import path_component, write_text
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.cli.report import exit_status
-from ctr_nlp.codesign.together import STARTS, Design, design, planned_on
+from ctr_nlp.codesign.plans import planned_on
+from ctr_nlp.codesign.together import STARTS, Design, design
 from ctr_nlp.formulations.shared.manufacture import Manufacture
 from ctr_nlp.plan.account import shown
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.support.interrupt import end_if_interrupted
+from ctr_nlp.support.pool import side_by_side
 from ctr_nlp.support.values import strict_json
 from ctr_nlp.target.problem import Problem
 
@@ -73,6 +75,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     for name, what in RULES.items():
         option = name.replace("_", "-"), "X" if name.startswith("strain") else "MM"
         add_numbers(group, (*option, f"{what} (default {getattr(defaults, name):g})"))
+    parser.add_argument("--jobs", metavar="N", type=whole, default=2, help="processes side by side (default 2)")
     add_out_option(parser, "runs/design")
     add_figures_option(parser)
     add_problem_options(parser)
@@ -99,19 +102,19 @@ def _run(arguments: argparse.Namespace) -> int:
             fixed=arguments.fix,
             constant_curvature=arguments.constant_curvature,
             starts=arguments.starts,
+            jobs=arguments.jobs,
             settings=settings,
             progress=labelled("design"),
         )
         plans = list(found.plans)
         if not found.interrupted:
+            on = [replace(task, robot=found.robot) for task in held]
             show = labelled("held out")
-            for number, task in enumerate(held):
-                show(number, len(held), task.name)
-                plans.append(planned_on(replace(task, robot=found.robot), settings, arguments.nominal))
-    if not found.interrupted:
-        plans = [plan.with_draws(DRAWS, SEED) if plan.reached.any() else plan for plan in plans]
+            plans += planned_on(on, settings, arguments.nominal, jobs=arguments.jobs, progress=show)
+            tried = dict(side_by_side(_with_draws, plans, arguments.jobs))
+            plans = [tried.get(number, plan) for number, plan in enumerate(plans)]
     place = place_of(out, found.interrupted)
-    rows = [_row(found, plan, task.name) for plan, task in zip(plans, loaded, strict=False)]
+    rows = [_row(found, plan) for plan in plans]
     with published(place, "design") as staging:
         _write(found, plans, rows, staging, arguments)
     _print(found, rows)
@@ -119,6 +122,11 @@ def _run(arguments: argparse.Namespace) -> int:
     if found.interrupted:
         return INTERRUPTED
     return max((exit_status(plan, tried=not arguments.nominal) for plan in plans), default=SOLVED)
+
+
+def _with_draws(plan: Plan) -> Plan:
+    """The same with draws of its robot, where some of it was reached."""
+    return plan.with_draws(DRAWS, SEED) if plan.reached.any() else plan
 
 
 def _named(name: str, problem: Problem) -> Problem:
@@ -155,9 +163,10 @@ def _write(
         save_sheet(found.robot, f"Robot {title}", folder)
 
 
-def _row(found: Design, plan: Plan, name: str) -> dict[str, Any]:
+def _row(found: Design, plan: Plan) -> dict[str, Any]:
     """What design.json says of a plan."""
-    drawn, own = plan.drawn, name in found.names
+    drawn, name = plan.drawn, plan.meta["problem"]["name"]
+    own = name in found.names
     return {
         "problem": name,
         "designed_for": own,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.formulations.wall import wall_of
@@ -24,7 +25,7 @@ from ctr_nlp.steer.horizon import Horizon
 from ctr_nlp.steer.motions import per_frame_motions
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
-from ctr_nlp.steer.requests import check_described, check_search
+from ctr_nlp.steer.requests import check_described, check_search, checked_motions
 from ctr_nlp.steer.robust.rounds import RELAXATIONS, Judge, Round, best_of, planned_again, relaxed
 from ctr_nlp.steer.robust.search import RobustSearch, Start, Tried
 from ctr_nlp.steer.robust.tolerated import described
@@ -53,6 +54,7 @@ def solve_robust(
     start: npt.ArrayLike | None = None,
     end: npt.ArrayLike | None = None,
     motion_weight: float | None = None,
+    initial: Sequence[npt.ArrayLike] = (),
     margins: Sequence[float] = MARGINS,
     settings: Settings = DEFAULTS,
     terms: Sequence[Term] = (),
@@ -63,9 +65,11 @@ def solve_robust(
     scenarios: the first is the problem's own robot; by default those of its tolerances. most_lost: the share of
     all robots within the tolerances that may be lost. A motion is tried on robots drawn for it alone; where too
     many are lost for that to be certain with 95 % confidence, some of these join the scenarios, and it is planned
-    again, in at most so many rounds. What came of the last trial is meta["certificate"]. margins: of the robot as
-    described in the motions started from, which are found frame by frame. settings.stability_margin: the least of
-    every scenario. start, end, motion_weight, settings, terms, progress: as solve_horizon.
+    again, in at most so many rounds. What came of the last trial is meta["certificate"]. initial: motions
+    (T, 2d + 2) to start from. margins: of the robot as described in motions that are found frame by frame, to
+    start from where too many robots are lost on what comes of initial ones, or there are none.
+    settings.stability_margin: the least of every scenario. start, end, motion_weight, settings, terms, progress:
+    as solve_horizon.
     In a lumen, all scenarios are kept off the wall as far as settings say (walled.py), once the motion that is
     free of it is known. Where no motion is found that all share, the plan is the first motion started from, and no
     frame counts as solved. Raises OptionError, ProblemError, RobotError.
@@ -74,21 +78,25 @@ def solve_robust(
     check_search(motion_weight, None, 1)
     whole_number(OptionError, "rounds", rounds, 0)
     model, scenarios = described(problem.robot, model, scenarios)
-    trials = Trials(problem.robot, model, 2 * (rounds + 1) + RELAXATIONS, most_lost)
-    begin = time.perf_counter()
+    given = checked_motions(problem, initial)
+    motions = (1 + bool(given)) * (2 * (rounds + 1) + RELAXATIONS)
+    trials = Trials(problem.robot, model, motions, most_lost)
+    begin, searched = time.perf_counter(), 0.0
     with deferred_interrupt() as interrupted:
         nominal = Horizon(problem, model, None, start, end, _at(settings, margins[0]), terms)
-        per_frame = partial(per_frame_motions, progress=None, model=model, terms=terms)
-        motions = [per_frame(problem, nominal.ends, _at(settings, each))[0] for each in margins]
-        starts = [Start(f"margin {each:g}", x) for each, x in zip(margins, motions, strict=True)]
-        weight = MOTION_PART * nominal.balanced_weight(starts[0].x) if motion_weight is None else motion_weight
-        between, margin = time.perf_counter(), settings.stability_margin
-        least = None if margin is None else np.full(problem.frames, margin)
-        own = model, nominal.ends, tuple(terms), weight, least
-        search = RobustSearch(problem, *own, progress, interrupted)
-        tried = search.drafts(starts, scenarios)
-        made = _rounds(search, tried, scenarios, trials, rounds)
-        free = best_of(made, problem.frames)
+        least = None if settings.stability_margin is None else np.full(problem.frames, settings.stability_margin)
+        tried, made, free = list[Tried](), list[Round](), None
+        for starts, seconds in _starts(problem, model, given, margins, nominal.ends, terms, settings):
+            searched += seconds
+            weight = MOTION_PART * nominal.balanced_weight(starts[0].x) if motion_weight is None else motion_weight
+            own = model, nominal.ends, tuple(terms), weight, least
+            search = RobustSearch(problem, *own, progress, interrupted)
+            drafts = search.drafts(starts, scenarios)
+            tried += drafts
+            made += _rounds(search, drafts, scenarios, trials, rounds, len(made))
+            free = best_of(made, problem.frames)
+            if interrupted() or (free is not None and free.lost.few):
+                break
         wall = wall_of(problem.robot, problem.lumen, model, settings, finer=1)
         if wall is not None and free is not None:
             made += Walled(wall, free, settings.clearance_cost, trials, rounds).rounds(len(made))
@@ -101,8 +109,8 @@ def solve_robust(
         "solver": "interior-point",
         "options": strict_json(asdict(settings)) | asked | ends | {"terms": [str(term) for term in terms]},
         "build_s": nominal.build_seconds,
-        "search_s": between - begin,
-        "solve_s": time.perf_counter() - between,
+        "search_s": searched,
+        "solve_s": time.perf_counter() - begin - searched,
         "interrupted": stopped,
         "contact_weight": None,
         "starts": [_described(one) for one in tried],
@@ -121,26 +129,51 @@ def _at(settings: Settings, margin: float) -> Settings:
     return replace(settings, stability_margin=margin, contact_weight=0.0)
 
 
+def _starts(
+    problem: Problem,
+    model: Model,
+    given: Sequence[Array],
+    margins: Sequence[float],
+    ends: Ends,
+    terms: Sequence[Term],
+    settings: Settings,
+) -> Iterator[tuple[list[Start], float]]:
+    """Motions to start from, and the seconds that these took: given ones, then those found frame by frame."""
+    begin = time.perf_counter()
+    followed = [model.follow(problem.robot, motion).x for motion in given]
+    starts = [Start(f"motion {k}", x) for k, x in enumerate(followed, 1) if np.isfinite(x).all()]
+    if starts:
+        yield starts, time.perf_counter() - begin
+    begin = time.perf_counter()
+    found = partial(per_frame_motions, problem, ends, progress=None, model=model, terms=terms)
+    starts = [Start(f"margin {each:g}", found(settings=_at(settings, each))[0]) for each in margins]
+    yield starts, time.perf_counter() - begin
+
+
 def _rounds(
     search: RobustSearch,
     drafts: Sequence[Tried],
     scenarios: Scenarios,
     lost: Judge,
     most: int,
+    first: int,
 ) -> list[Round]:
-    """Rounds over the frames of the best draft, then over all; of the next best where none leads to a motion."""
+    """Rounds over the frames of the best draft, then over all; of the next best where none leads to a motion.
+
+    They are numbered from `first` on.
+    """
     for draft in drafts:
         if not draft.solved or search.stop():
             break
         coarse = list[Round]()
         if draft.made and search.picked is not None:
-            coarse = planned_again(search, draft, scenarios, lost, most)
+            coarse = planned_again(search, draft, scenarios, lost, most, first)
         tried = [(one.tried, one.scenarios) for one in reversed(coarse)] or [(draft, scenarios)]
         for one, joined in tried:
             whole = search.refined(one, joined)
             if whole.shared:
-                made = coarse + planned_again(search, whole, joined, lost, most, len(coarse))
-                return made + relaxed(made[-1], len(scenarios), lost, len(made))
+                made = coarse + planned_again(search, whole, joined, lost, most, first + len(coarse))
+                return made + relaxed(made[-1], len(scenarios), lost, first + len(made))
     return []
 
 

@@ -1,0 +1,48 @@
+"""Plans on a designed robot, of tasks that it was designed for and of others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.models import Model
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.steer.horizon import solve_horizon
+from ctr_nlp.steer.passes import Progress
+from ctr_nlp.steer.robust import solve_robust
+from ctr_nlp.support.pool import side_by_side
+from ctr_nlp.target.problem import Problem
+from ctr_nlp.typing import Array
+
+
+def planned_on(
+    tasks: Sequence[Problem],
+    settings: Settings,
+    nominal: bool,
+    model: str | Model = "elastic",
+    initial: Sequence[Array] = (),
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> list[Plan]:
+    """Plans of tasks on their robot as a design makes them: far from any wall, for tolerances unless nominal.
+
+    initial: for each task, if given, a motion (T, 2d + 2) that robust plans start from. jobs: in how many
+    processes. After Ctrl-C those of some tasks may be missing.
+    """
+    given = [[motion] for motion in initial] or [list[Array]()] * len(tasks)
+    pairs = list(zip(tasks, given, strict=True))
+    work, found = partial(_planned, replace(settings, contact_weight=0.0), nominal, model), dict[int, Plan]()
+    for number, plan in side_by_side(work, pairs, jobs):
+        found[number] = plan
+        if progress is not None:
+            progress(len(found), len(tasks), f"plan of {tasks[number].name}")
+    return [found[number] for number in sorted(found)]
+
+
+def _planned(settings: Settings, nominal: bool, model: str | Model, pair: tuple[Problem, list[Array]]) -> Plan:
+    task, initial = pair
+    if nominal:
+        return solve_horizon(task, model=model, settings=settings)
+    return solve_robust(task, model=model, settings=settings, initial=initial)
