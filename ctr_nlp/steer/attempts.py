@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import math
-import multiprocessing
-import signal
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,6 +20,8 @@ from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, ChainSolver, Iterate, Solut
 from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.solvers.motion.judged import NEAR, WIDE, judged
 from ctr_nlp.steer.passes import Progress
+from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.support.pool import side_by_side
 from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
@@ -32,8 +31,6 @@ TIE = 1e-9
 """Objectives that differ by this part are the same."""
 LENGTHS = "order", "carriage gap", "clearance"
 """Constraints in mm."""
-POLL = 0.2
-"""Seconds between two looks at whether Ctrl-C was pressed."""
 
 
 @dataclass(frozen=True)
@@ -214,20 +211,11 @@ class Task:
     terms: tuple[Term, ...] = ()
 
     def solve(self, motion: Array) -> Attempt:
-        """Solve from a motion, in a process that attempt_in_processes has prepared."""
+        """Solve from a motion, until Ctrl-C."""
         at = self.robot, self.frames, self.dt, self.motion_weight, self.ends, self.model
         chain = horizon(*at, fastest, self.stability_margin, self.wall, self.terms)
-        return attempt(chain, CHAIN_SOLVERS[self.solver], motion, None, _stopping.is_set)
-
-
-_stopping: Any = None
-"""In a process of attempt_in_processes: set when the work is to end."""
-
-
-def _prepare(stopping: Any) -> None:
-    global _stopping
-    _stopping = stopping
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+        with deferred_interrupt() as interrupted:
+            return attempt(chain, CHAIN_SOLVERS[self.solver], motion, None, interrupted)
 
 
 def attempt_in_processes(
@@ -235,24 +223,18 @@ def attempt_in_processes(
     motions: Sequence[Array],
     jobs: int,
     progress: Progress | None,
-    stop: Callable[[], bool],
     seen: Report | None = None,
 ) -> list[Attempt]:
-    """Solve from every motion, in up to so many processes at once; seen is told of each that is the best yet."""
-    context = multiprocessing.get_context("spawn")
-    stopping = context.Event()
-    with ProcessPoolExecutor(min(jobs, len(motions)), context, _prepare, (stopping,)) as pool:
-        futures = [pool.submit(task.solve, motion) for motion in motions]
-        waiting = set(futures)
-        best: Attempt | None = None
-        while waiting:
-            finished, waiting = wait(waiting, timeout=POLL, return_when=FIRST_COMPLETED)
-            if finished and progress is not None:
-                progress(len(futures) - len(waiting), len(futures), f"starts, in {jobs} processes")
-            for one in (future.result() for future in finished):
-                if seen is not None and (best is None or best_of([best, one]) is one):
-                    best = one
-                    seen(one.as_iterate())
-            if stop():
-                stopping.set()
-        return [future.result() for future in futures]
+    """Solve from every motion, in up to so many processes at once; seen is told of each that is the best yet.
+
+    After Ctrl-C some may be missing.
+    """
+    found, best = dict[int, Attempt](), None
+    for number, one in side_by_side(task.solve, motions, min(jobs, len(motions))):
+        found[number] = one
+        if progress is not None:
+            progress(len(found), len(motions), f"starts, in {jobs} processes")
+        if seen is not None and (best is None or best_of([best, one]) is one):
+            best = one
+            seen(one.as_iterate())
+    return [found[number] for number in sorted(found)]

@@ -117,6 +117,14 @@ def test_a_design_for_tolerances_carries_robust_plans(tasks):
     assert found.plans[0].meta["certificate"]["held"]
 
 
+def test_two_processes_find_what_one_alone_finds(tasks):
+    """The same work from the same starts: to the last bit."""
+    alone, several = (design(tasks[:1], nominal=True, rules=RULES, starts=2, jobs=jobs) for jobs in (1, 2))
+    assert alone.robot == several.robot
+    assert alone.tried == several.tried
+    np.testing.assert_array_equal(alone.plans[0].q, several.plans[0].q)
+
+
 def test_problems_of_several_robots_are_refused(tasks):
     with pytest.raises(ProblemError, match="the robot of turn is not that of bend"):
         design([tasks[0], replace(tasks[1], robot=PAIR.with_locked_tilt())], nominal=True)

@@ -195,3 +195,26 @@ def test_an_interrupted_search_gives_no_certificate(problem):
     assert stopped.meta["failures"] == {"all": "interrupted"}
     assert "certificate" not in stopped.meta
     assert not stopped.success.any()
+
+
+def test_a_given_motion_is_started_from_alone_where_few_robots_are_lost(problem):
+    known, _ = _planned(problem, _scenarios(), margins=(0.3,), motion_weight=1e-6)
+    again, _ = _planned(problem, _scenarios(), initial=[known.q], margins=(0.3,), motion_weight=1e-6)
+    assert [start["start"] for start in again.meta["starts"]] == ["motion 1"]
+    assert again.success.all()
+    np.testing.assert_allclose(again.objective.sum(), known.objective.sum(), rtol=1e-3)
+
+
+def test_other_motions_are_started_from_where_robots_are_lost_on_what_comes_of_a_given_one(problem):
+    known, _ = _planned(problem, _scenarios(), margins=(0.3,))
+    again, asked = _planned(problem, _scenarios(), 2, initial=[known.q], margins=(0.3,), rounds=0)
+    assert [start["start"] for start in again.meta["starts"]] == ["motion 1", "margin 0.3"]
+    assert again.success.all()
+    assert again.meta["certificate"]["held"]
+    numbers = [number for _, number, _ in asked]
+    assert numbers == sorted(set(numbers)), "every motion is tried on robots of its own"
+
+
+def test_a_given_motion_of_another_size_is_refused(problem):
+    with pytest.raises(OptionError, match="a motion of initial"):
+        solve_robust(problem, _scenarios(), initial=[np.zeros((3, 6))])

@@ -112,7 +112,7 @@ class Search:
         if self.jobs > 1 and count > 1:
             own = self.solver, self.model, self.settings.stability_margin, wall, self.terms
             task = Task(self.problem.robot, self.problem.samples, self.problem.dt, self.weight, self.ends, *own)
-            found = attempt_in_processes(task, motions, self.jobs, self.progress, self.stop, self.seen)
+            found = attempt_in_processes(task, motions, self.jobs, self.progress, self.seen)
         least = [*bounds, *itertools.repeat(-math.inf, count - len(bounds))]
         for number, motion in enumerate(() if found else motions, start=1):
             if found and self.stop():
