@@ -18,9 +18,9 @@ def numbers(low: float, high: float) -> st.SearchStrategy[float]:
 
 
 def curvatures(varying: bool | None = None) -> st.SearchStrategy[float | tuple[float, float]]:
-    """Pre-curvatures in 1/mm: constant, linear from root to tip, or (None) either."""
+    """Pre-curvatures in 1/mm: constant, linear from root to tip, of either sign at the root, or (None) either."""
     constant = st.one_of(st.just(0.0), numbers(1e-4, 0.04))
-    linear = st.tuples(numbers(0, 0.04), numbers(0, 0.04))
+    linear = st.tuples(numbers(-0.04, 0.04), numbers(0, 0.04)).filter(lambda pair: pair[0] >= 0 or pair[1] > 0)
     return {False: constant, True: linear, None: st.one_of(constant, linear)}[varying]
 
 

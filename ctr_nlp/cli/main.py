@@ -35,6 +35,7 @@ COMMANDS = {
     "commission": Entry("commands.commission", "main", "read a controller, try its axes and keep its settings"),
     "compare": Entry("studies.compare", "main", "solve problems by several methods, side by side"),
     "trade": Entry("studies.trade", "main", "study what robustness costs and brings"),
+    "baselines": Entry("studies.baselines", "main", "design tubes beside general optimisers"),
     "reproduce": Entry("studies.reproduce", "main", "remake the paper's figures and tables"),
     "clearance": Entry("studies.clearance", "main", "study what clearance costs and brings in many airways"),
     "survival": Entry("studies.survival", "main", "study how plans of many airways survive inexact robots"),

@@ -90,13 +90,17 @@ def never() -> bool:
 
 @dataclass(frozen=True)
 class DesignSearch:
-    """Solves for tubes over tasks, whose problems differ in their targets alone."""
+    """Solves for tubes over tasks, whose problems differ in their targets alone.
+
+    margin: the least of every robot; seen: told of what comes of every round.
+    """
 
     tasks: tuple[Problem, ...]
     tubes: DesignedTubes
     model: Model
     margin: float
     stop: Callable[[], bool] = never
+    seen: Callable[[Candidate], None] | None = None
 
     @cached_property
     def settings(self) -> Settings:
@@ -201,6 +205,8 @@ class DesignSearch:
             if again is None or self.stop():
                 break
             found.append(again)
+            if self.seen is not None:
+                self.seen(again)
             if len(found) > 1 and found[-2].motions.rms - again.motions.rms < ENOUGH * again.motions.rms:
                 break
             known, barrier = (self.best_of_both(again), AGAIN) if robots is alone else (again, NEAR)

@@ -100,25 +100,17 @@ def design(
     least of every robot. Ctrl-C ends the work; the design is then the best so far, marked as interrupted, and
     plans may be missing. Raises OptionError, ProblemError, RobotError.
     """
-    tasks = _checked(problems, settings)
-    described, count = model_named(model, "model of a design"), whole_number(OptionError, "starts", starts)
-    if not described.several_equilibria:
-        raise OptionError(
-            f"model of a design is {described.name}; tubes' diameters matter on the elastic one alone"
-        )
-    robot = tasks[0].robot if constant_curvature else varying(tasks[0].robot)
-    tubes = DesignedTubes(robot, rules or Manufacture(), tuple(fixed))
-    tasks = tuple(replace(task, robot=robot) for task in tasks)
+    count = whole_number(OptionError, "starts", starts)
     with deferred_interrupt() as interrupted:
-        margin = 0.0 if settings.stability_margin is None else settings.stability_margin
-        search = DesignSearch(tuple(_draft(task) for task in tasks), tubes, described, margin, interrupted)
+        whole = search_for(problems, model, rules, fixed, constant_curvature, settings)
+        whole = replace(whole, stop=interrupted)
+        search = replace(whole, tasks=tuple(draft(task) for task in whole.tasks))
         begun, found = _tried(search, count, settings.seed, jobs, progress)
         tried = [one for one in (begun, *found) if one is not None]
         if not tried:
             raise ProblemError("no tubes were found on which all problems can be followed; give more starts")
-        whole = replace(search, tasks=tasks)
         best = _whole(min(tried, key=error_of), whole) if nominal else _tolerated(tried, search)
-        tasks = tuple(whole.on(tubes.robot_of(best.p)))
+        tasks = tuple(whole.on(whole.tubes.robot_of(best.p)))
         motions = (
             ()
             if nominal
@@ -127,12 +119,33 @@ def design(
                 for q, task in zip(search.each(best.motions.q), tasks, strict=True)
             ]
         )
-        plans = planned_on(tasks, settings, nominal, described, motions, jobs, progress)
+        plans = planned_on(tasks, settings, nominal, model, motions, jobs, progress)
         stopped = interrupted()
     before = (None,) * len(tasks) if begun is None else _known(begun.motions.e3)
-    told, kept = tuple(_told(one) for one in tried), tuple(tubes.kept(best.p))
+    told, kept = tuple(_told(one) for one in tried), tuple(search.tubes.kept(best.p))
     names = tuple(task.name for task in tasks)
     return Design(tasks[0].robot, names, tuple(plans), before, kept, _remarks(best, kept), told, stopped)
+
+
+def search_for(
+    problems: Sequence[Problem],
+    model: str | Model = "elastic",
+    rules: Manufacture | None = None,
+    fixed: Sequence[str] = (),
+    constant_curvature: bool = False,
+    settings: Settings = DEFAULTS,
+) -> DesignSearch:
+    """The search for tubes over all frames of problems; as design."""
+    tasks = _checked(problems, settings)
+    described = model_named(model, "model of a design")
+    if not described.several_equilibria:
+        raise OptionError(
+            f"model of a design is {described.name}; tubes' diameters matter on the elastic one alone"
+        )
+    robot = tasks[0].robot if constant_curvature else varying(tasks[0].robot)
+    tubes = DesignedTubes(robot, rules or Manufacture(), tuple(fixed))
+    margin = 0.0 if settings.stability_margin is None else settings.stability_margin
+    return DesignSearch(tuple(replace(task, robot=robot) for task in tasks), tubes, described, margin)
 
 
 def _checked(problems: Sequence[Problem], settings: Settings) -> tuple[Problem, ...]:
@@ -152,7 +165,7 @@ def _checked(problems: Sequence[Problem], settings: Settings) -> tuple[Problem, 
     return tasks
 
 
-def _draft(task: Problem) -> Problem:
+def draft(task: Problem) -> Problem:
     """A task on the frames of a draft."""
     picked = drafted(task.frames)
     return task if len(picked) == task.frames else at_frames(task, picked, int(picked[-1] - picked[-2]))

@@ -26,8 +26,9 @@ class Tube:
     """One pre-curved tube: a straight transmission, then a curved part that ends at its tip.
 
     length, curved_length: mm. curvature: 1/mm, constant, or (root, tip) of the curved part and linear in
-    the distance from the tip between them. Diameters: mm. youngs_modulus: any unit, since only ratios
-    between tubes matter for an unloaded robot. Raises RobotError.
+    the distance from the tip between them; not negative, but at the root of a tube that is shaped like an S, bent
+    there to the other side than at its tip. Diameters: mm. youngs_modulus: any unit, since only ratios between
+    tubes matter for an unloaded robot. Raises RobotError.
 
     Bent into its pre-curvature, a straight tube is strained by curvature * outer_diameter / 2 at its outer fibre;
     so it is again wherever the tubes around it or its own carriage hold it straight. More than 8 % is refused, the
@@ -84,8 +85,10 @@ class Tube:
         _check_unit("outer_diameter", self.outer_diameter, DIAMETERS)
 
     def _check_curvature(self) -> None:
-        if min(self.root_curvature, self.tip_curvature) < 0:
-            raise RobotError(f"tube curvature is {self.curvature}; it is unsigned (turn the tube instead)")
+        if self.tip_curvature < 0 or self.root_curvature < 0 == self.tip_curvature:
+            shaped = "; at the root alone it may be negative, of a tube that is bent the other way at its tip"
+            what = f"it is unsigned (turn the tube instead){shaped if isinstance(self.curvature, tuple) else ''}"
+            raise RobotError(f"tube curvature is {self.curvature}; {what}")
         largest, most = self.largest_curvature, min(CURVATURE, 2 * STRAIN_MADE / self.outer_diameter)
         if largest > CURVATURE:
             meant = curvature_meant(largest, between(0, most))
@@ -113,8 +116,8 @@ class Tube:
 
     @property
     def largest_curvature(self) -> float:
-        """The larger of the curvatures at root and tip, 1/mm."""
-        return max(self.root_curvature, self.tip_curvature)
+        """The larger of the curvatures at root and tip, to whichever side, 1/mm."""
+        return max(abs(self.root_curvature), self.tip_curvature)
 
     @property
     def bending_stiffness(self) -> float:

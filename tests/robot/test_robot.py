@@ -65,6 +65,8 @@ def pair(outer=None, inner=None, **limits):
         ({"curved_length": -1}, r"curved_length is -1 mm"),
         ({"curvature": -0.01}, "curvature is -0.01.*unsigned"),
         ({"curvature": (0.01, -0.01)}, "curvature is .*unsigned"),
+        ({"curvature": (-0.01, 0.0)}, "curvature is .*unsigned.*at the root alone it may be negative"),
+        ({"curvature": (-0.6, 0.01)}, "curvature 0.6 per mm is a radius of 1.7 mm"),
         ({"curvature": (0.01, 0.02, 0.03)}, "curvature is .*2 of them"),
         ({"curvature": (0.01, math.nan)}, "curvature is .*finite"),
         ({"inner_diameter": 2}, r"inner_diameter is 2 mm.*\[0, outer_diameter = 2\)"),

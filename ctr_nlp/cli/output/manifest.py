@@ -34,6 +34,7 @@ STANDARD: Mapping[str, tuple[str, ...]] = {
     "comparison": ("comparison.md", "comparison.csv", "comparison.json", "agreement.json"),
     "clearance": ("clearance.md", "clearance.csv", "clearance.png"),
     "design": ("robot.toml", "design.json", "sheet.svg", "sheet.pdf"),
+    "baselines": ("baselines.md", "baselines.csv", "baselines.png", "baselines.pdf"),
     "trade": ("trade.md", "trade.csv", "trade.json"),
     "survival": ("survival.md", "survival.csv", "survival.png", "survival.pdf"),
     "seed": (

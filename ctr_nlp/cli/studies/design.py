@@ -70,11 +70,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument("--fix", metavar="NAME", nargs="+", default=[], help=what)
     what = f"tubes that are started from, the robot's own and random ones (default {STARTS})"
     parser.add_argument("--starts", metavar="N", type=whole, default=STARTS, help=what)
-    defaults = Manufacture()
-    group = parser.add_argument_group("what can be made")
-    for name, what in RULES.items():
-        option = name.replace("_", "-"), "X" if name.startswith("strain") else "MM"
-        add_numbers(group, (*option, f"{what} (default {getattr(defaults, name):g})"))
+    add_rules(parser)
     parser.add_argument("--jobs", metavar="N", type=whole, default=2, help="processes side by side (default 2)")
     add_out_option(parser, "runs/design")
     add_figures_option(parser)
@@ -85,13 +81,26 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     return parser
 
 
+def add_rules(parser: argparse.ArgumentParser) -> None:
+    """Options that say what tubes can be made."""
+    defaults = Manufacture()
+    group = parser.add_argument_group("what can be made")
+    for name, what in RULES.items():
+        option = name.replace("_", "-"), "X" if name.startswith("strain") else "MM"
+        add_numbers(group, (*option, f"{what} (default {getattr(defaults, name):g})"))
+
+
+def rules_from(arguments: argparse.Namespace) -> Manufacture:
+    """What those options say; raises OptionError."""
+    return Manufacture(**{name: value for name in RULES if (value := getattr(arguments, name)) is not None})
+
+
 def _run(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out)
     asked = [*arguments.problems, *arguments.hold_out]
     loaded = [_named(name, problems.load(name, arguments)) for name in asked]
     tasks, held = loaded[: len(arguments.problems)], loaded[len(arguments.problems) :]
-    given = {name: value for name in RULES if (value := getattr(arguments, name)) is not None}
-    rules, settings = Manufacture(**given), settings_from(arguments, "seed")
+    rules, settings = rules_from(arguments), settings_from(arguments, "seed")
     check_folder(out, "design")
     end_if_interrupted()
     with progress_bar() as labelled:

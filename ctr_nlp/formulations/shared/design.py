@@ -23,7 +23,7 @@ from ctr_nlp.nlp.scenarios import Common, Scenarios
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import NUMBERS, freed_places
 from ctr_nlp.robot.tube import Tube
-from ctr_nlp.typing import Array
+from ctr_nlp.typing import Array, Index
 
 FREED = "curvature", "bending_stiffness", "curved_length", "length"
 """Numbers of tubes that a design decides, in the order in which frames take them."""
@@ -32,7 +32,7 @@ HUNDRED_MM = 100.0
 SHORTEST = 10.0
 """Least length of a curved part, mm."""
 STRAIGHTEST = 1e-4
-"""Least curvature of a tube that is to be curved, 1/mm: less is another structure."""
+"""Least curvature at the tip of a tube that is to be curved, 1/mm: less is another structure."""
 ALIKE = 1e-9
 """Part by which the curvatures of a part with a linear one differ at least."""
 INSIDE = 1e-7
@@ -89,6 +89,12 @@ class DesignedTubes:
         )
 
     @cached_property
+    def _at_roots(self) -> Index:
+        """Which of p's entries are curvatures at roots, which may be negative: that at the tip is another."""
+        root = (NUMBERS.index("root_curvature"),)
+        return np.array([k for k, (_, columns) in enumerate(self._curvatures) if columns == root], dtype=int)
+
+    @cached_property
     def _transmissions(self) -> Array:
         """Lengths (d,) of the straight parts, mm."""
         return np.array([tube.length - tube.curved_length for tube in self.robot.tubes])
@@ -131,6 +137,7 @@ class DesignedTubes:
         lower = np.full(len(self.names), self.rules.channel)
         upper = np.full(len(self.names), self.rules.outer)
         lower[:count], upper[:count] = HUNDRED_MM * STRAIGHTEST, HUNDRED_MM / self.rules.bend_radius
+        lower[self._at_roots] = -HUNDRED_MM / self.rules.bend_radius
         lower[count : count + d], upper[count : count + d] = np.array([SHORTEST, self.robot.reach]) / HUNDRED_MM
         lower[count + d - 1] = upper[count + d - 1]
         held = np.array([name in self.fixed for name in self.names])
@@ -170,7 +177,12 @@ class DesignedTubes:
     ) -> list[tuple[str, ca.SX, float, float]]:
         rules, d, gap = self.rules, self.robot.d, self.robot.carriage_gap or 0.0
         found = [
-            (f"strain of tube {i + 1} when made", curvatures[k] * outer[i] / 2, -math.inf, rules.strain_made)
+            (
+                f"strain of tube {i + 1} when made",
+                curvatures[k] * outer[i] / 2,
+                -rules.strain_made,
+                rules.strain_made,
+            )
             for k, (i, _) in enumerate(self._curvatures)
         ]
         for i in range(d):

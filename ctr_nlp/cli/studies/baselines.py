@@ -1,0 +1,95 @@
+"""`ctr-nlp baselines`: the design of tubes beside general optimisers."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import replace
+from pathlib import Path
+
+from ctr_nlp.cli import problems
+from ctr_nlp.cli.arguments import (
+    add_compile_option,
+    add_out_option,
+    add_problem_options,
+    add_settings,
+    settings_from,
+    whole,
+)
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command, console, print_table
+from ctr_nlp.cli.output.file import write_text
+from ctr_nlp.cli.output.folder import check_folder, place_of, published
+from ctr_nlp.cli.studies.design import add_rules, rules_from
+from ctr_nlp.codesign.together import STARTS, draft, search_for
+from ctr_nlp.studies.baselines.race import METHODS, Run, race, rows, seconds_to
+from ctr_nlp.support.interrupt import end_if_interrupted
+from ctr_nlp.support.tables import markdown, write_csv
+
+COLUMNS = "method", "best e3 mm", "process s", "design as good after s", "tubes tried"
+
+
+def _parser(prog: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=prog,
+        description="Design tubes for several targets as `ctr-nlp design --nominal` does, and then search for "
+        "them with CMA-ES and Nelder-Mead, which plan the motions of every robot that they try, for as long. Draw "
+        "the least root mean square of the targets' e3 over process time. Write baselines.md, .csv, .png and "
+        ".pdf. CMA-ES needs the package cma (pip install ctr_nlp[studies]).",
+        epilog="Exit status: 0 all is done, 2 bad input, 130 interrupted.",
+    )
+    parser.add_argument("problems", metavar="PROBLEM", nargs="+", help=problems.KINDS)
+    what = f"tubes that the design is started from (default {STARTS})"
+    parser.add_argument("--starts", metavar="N", type=whole, default=STARTS, help=what)
+    what = "how many times the design's process time the others may take (default 1)"
+    parser.add_argument("--times", metavar="X", type=float, default=1.0, help=what)
+    add_rules(parser)
+    add_out_option(parser, "runs/baselines")
+    add_problem_options(parser)
+    add_settings(parser, "a tenth of a plain horizon's", jumps=False)
+    add_compile_option(parser)
+    return parser
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    out, settings = Path(arguments.out), settings_from(arguments, "seed")
+    tasks = [problems.load(name, arguments) for name in arguments.problems]
+    search = search_for(tasks, rules=rules_from(arguments), settings=settings)
+    search = replace(search, tasks=tuple(draft(task) for task in search.tasks))
+    check_folder(out, "baselines")
+    end_if_interrupted()
+    runs = race(search, arguments.starts, settings.seed, arguments.times)
+    names = [task.name for task in tasks]
+    interrupted = len(runs) < len(METHODS)
+    place = place_of(out, interrupted)
+    with published(place, "baselines") as staging:
+        _write(runs, names, staging)
+    print_table(f"one robot for {', '.join(names)}", list(COLUMNS), _rows(runs))
+    console().print(f"wrote {place}")
+    return INTERRUPTED if interrupted else SOLVED
+
+
+def _rows(runs: list[Run]) -> list[list[str]]:
+    design = runs[0]
+    return [
+        [
+            run.method,
+            f"{run.best:.3f}" if math.isfinite(run.best) else "",
+            f"{run.seconds[-1]:.0f}" if len(run.seconds) else "",
+            f"{seconds_to(design, run.best):.0f}" if math.isfinite(seconds_to(design, run.best)) else "never",
+            f"{run.asked}",
+        ]
+        for run in runs
+    ]
+
+
+def _write(runs: list[Run], names: list[str], folder: Path) -> None:
+    from ctr_nlp.figures import save  # brings matplotlib, which takes long to load
+    from ctr_nlp.studies.baselines.picture import picture
+
+    write_csv(folder / "baselines.csv", rows(runs))
+    write_text(folder / "baselines.md", f"One robot for {', '.join(names)}\n\n{markdown(COLUMNS, _rows(runs))}\n")
+    for ending in ("png", "pdf"):
+        save(picture(runs, names), folder / f"baselines.{ending}")
+
+
+main = Command("ctr-nlp baselines", _parser, _run)

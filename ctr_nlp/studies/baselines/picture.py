@@ -1,0 +1,35 @@
+"""The best tubes over time as a picture, apart from the numbers, which need no matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from ctr_nlp.figures.parts.page import STYLE, printable
+from ctr_nlp.figures.parts.palette import BLACK, BLUE, VERMILLION
+from ctr_nlp.studies.baselines.race import METHODS, Run
+
+COLOURS = dict(zip(METHODS, (VERMILLION, BLUE, BLACK), strict=True))
+
+
+@rc_context(STYLE)
+def picture(runs: Sequence[Run], names: Sequence[str]) -> Figure:
+    """The least error until then over process time, one line a method."""
+    figure = Figure(figsize=(7.0, 4.2), layout="constrained")
+    axes = figure.subplots()
+    last = max((run.seconds[-1] for run in runs if len(run.seconds)), default=1.0)
+    for run in runs:
+        if len(run.seconds):
+            seconds, e3 = [*run.seconds, last], [*run.e3, run.best]
+            label = f"{run.method}, {run.asked} tubes tried"
+            axes.plot(seconds, e3, drawstyle="steps-post", color=COLOURS[run.method], label=label)
+            axes.plot(run.seconds, run.e3, "o", ms=3, color=COLOURS[run.method])
+    axes.set_yscale("log")
+    axes.set_xlabel("process time (s)")
+    axes.set_ylabel("best root mean square of e3 (mm)")
+    axes.legend()
+    title = f"One robot for {', '.join(names)}"
+    figure.suptitle(printable(title), fontsize=10, parse_math=False)
+    return figure

@@ -1,0 +1,186 @@
+"""The design of tubes, and general optimisers over the same tubes, as long as each may work.
+
+CMA-ES (N. Hansen's package cma) and Nelder-Mead (scipy) see tubes as numbers: for each they ask what motions, each
+planned for itself, do on these. The design (codesign/) solves for tubes and motions together.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import islice
+
+import numpy as np
+from scipy.optimize import minimize
+
+from ctr_nlp.codesign.search import Candidate, DesignSearch
+from ctr_nlp.codesign.starts import starts as first_tubes
+from ctr_nlp.exceptions import CtrError, OptionError
+from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.typing import Array
+
+SPREAD = 0.2
+"""First standard deviation of CMA-ES, and first steps of Nelder-Mead, as parts of the ranges of tubes' numbers."""
+LOST = 100.0
+"""mm: what tubes count for on which some task has no motion, and to which what they break of rules is added."""
+SETTLED = 1e-3
+"""A simplex of this size, as a part of the ranges, ends Nelder-Mead, which then begins again elsewhere."""
+METHODS = "design", "CMA-ES", "Nelder-Mead"
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a method had found after so many seconds of process time, (n,): the least root mean square of the
+    tasks' e3 until then, mm. asked: tubes on which motions were planned.
+    """
+
+    method: str
+    seconds: Array
+    e3: Array
+    asked: int
+
+    @property
+    def best(self) -> float:
+        """mm; infinite where nothing was found."""
+        return float(self.e3[-1]) if len(self.e3) else math.inf
+
+
+class _Over(Exception):
+    """The time is over, or Ctrl-C was pressed."""
+
+
+@dataclass
+class _Course:
+    """A run on its way, which ends after so many seconds of process time."""
+
+    method: str
+    most: float
+    stop: Callable[[], bool]
+    seconds: list[float] = field(default_factory=list)
+    e3: list[float] = field(default_factory=list)
+    asked: int = 0
+    begin: float = field(default_factory=time.process_time)
+
+    def note(self, rms: float) -> None:
+        """Remember a root mean square where it is the least yet; raises _Over."""
+        now = time.process_time() - self.begin
+        self.asked += 1
+        if now <= self.most and math.isfinite(rms) and (not self.e3 or rms < self.e3[-1]):
+            self.seconds.append(now)
+            self.e3.append(rms)
+        if now > self.most or self.stop():
+            raise _Over
+
+    def made(self) -> Run:
+        """What came of it."""
+        return Run(self.method, np.array(self.seconds), np.array(self.e3), self.asked)
+
+
+def race(search: DesignSearch, starts: int, seed: int, times: float = 1.0) -> list[Run]:
+    """The design from so many starts, then CMA-ES and Nelder-Mead for so many times its process time.
+
+    Nominal robots. Ctrl-C ends the run at work; those after it are missing. Raises OptionError where the package
+    cma is not installed.
+    """
+    cma_es = _cma_es()
+    with deferred_interrupt() as interrupted:
+        course = _Course("design", math.inf, interrupted)
+        try:
+            _designed(search, starts, seed, course)
+        except _Over:
+            return [course.made()]
+        most, runs = times * (time.process_time() - course.begin), [course.made()]
+        for method, run in (("CMA-ES", cma_es), ("Nelder-Mead", _nelder_mead)):
+            course = _Course(method, most, interrupted)
+            try:
+                run(search, seed, course)
+            except _Over:
+                runs.append(course.made())
+            if interrupted():
+                break
+    return runs
+
+
+def _designed(search: DesignSearch, starts: int, seed: int, course: _Course) -> None:
+    def note(found: Candidate) -> None:
+        course.note(found.motions.rms if found.solved else math.inf)
+
+    search = replace(search, stop=course.stop, seen=note)
+    for start in islice(first_tubes(search.tubes, seed), starts):
+        begun = search.start(*start)
+        if begun is not None:
+            course.note(begun.motions.rms)
+            search.settled(begun)
+
+
+def _cma_es() -> Callable[[DesignSearch, int, _Course], None]:
+    try:
+        import cma
+    except ImportError as error:
+        raise OptionError("the package cma is missing; install ctr_nlp[studies]") from error
+
+    def run(search: DesignSearch, seed: int, course: _Course) -> None:
+        objective, first = _objective(search, course), _parts(search, search.tubes.own)
+        while True:
+            options = {"bounds": [0, 1], "seed": seed + 1, "verbose": -9}
+            strategy = cma.CMAEvolutionStrategy(first, SPREAD, options)
+            while not strategy.stop():
+                asked = strategy.ask()
+                strategy.tell(asked, [objective(x) for x in asked])
+            seed += 1
+
+    return run
+
+
+def _nelder_mead(search: DesignSearch, seed: int, course: _Course) -> None:
+    objective = _objective(search, course)
+    for _, p in first_tubes(search.tubes, seed):
+        x = _parts(search, p)
+        steps = np.where(x + SPREAD <= 1, SPREAD, -SPREAD)
+        simplex = np.vstack([x, x + np.diag(steps)])
+        minimize(objective, x, method="Nelder-Mead", options={"initial_simplex": simplex, "xatol": SETTLED})
+
+
+def _objective(search: DesignSearch, course: _Course) -> Callable[[Array], float]:
+    """Parts (n,) of the ranges of the tubes' free numbers -> root mean square of e3, mm."""
+    lower, upper = search.tubes.box
+    free = lower < upper
+
+    def objective(x: Array) -> float:
+        p = np.array(lower)
+        p[free] += np.clip(x, 0, 1) * (upper - lower)[free]
+        kept = search.tubes.kept(p)
+        broken = sum(max(rule.lower - rule.value, rule.value - rule.upper, 0.0) for rule in kept)
+        if broken:
+            return LOST + broken
+        try:
+            rms = search.planned(p).rms
+        except CtrError:
+            rms = math.inf
+        course.note(rms)
+        return min(rms, LOST)
+
+    return objective
+
+
+def _parts(search: DesignSearch, p: Array) -> Array:
+    lower, upper = search.tubes.box
+    free = lower < upper
+    return np.asarray(((p - lower)[free] / (upper - lower)[free]).clip(0, 1))
+
+
+def seconds_to(run: Run, e3: float) -> float:
+    """Process time, s, after which a run had an error of at most so many mm; infinite where it never had."""
+    reached = run.seconds[run.e3 <= e3]
+    return float(reached[0]) if len(reached) else math.inf
+
+
+def rows(runs: Sequence[Run]) -> list[dict[str, float | str]]:
+    """For a table: every improvement of every run."""
+    return [
+        {"method": run.method, "process_s": seconds, "rms_e3_mm": e3}
+        for run in runs
+        for seconds, e3 in zip(run.seconds.tolist(), run.e3.tolist(), strict=True)
+    ]
