@@ -5,12 +5,15 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from ctr_nlp.codesign.rounding import FINALISTS, Stocked, in_stock
 from ctr_nlp.codesign.search import AGAIN, NEAR, Candidate, DesignSearch, least
 from ctr_nlp.codesign.starts import starts as first_tubes
+from ctr_nlp.codesign.stock import StockTube, nearest
 from ctr_nlp.exceptions import OptionError, ProblemError
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.shared.design import DesignedTubes, Kept, varying
@@ -60,7 +63,7 @@ class Design:
     """A designed robot. names: of the tasks; plans: one for each, on the robot; before (n,): e3 of the tasks'
     motions on the robot that the design began with, mm, over the frames of a draft; rules: what can be made, and
     how far it is used; remarks: the rules that bind; tried: what came of every start; interrupted: whether Ctrl-C
-    ended the work.
+    ended the work; stocked: what to buy and what it loses, where tubes were rounded to a stock.
     """
 
     robot: Robot
@@ -71,6 +74,7 @@ class Design:
     remarks: tuple[Remark, ...]
     tried: tuple[dict[str, Any], ...]
     interrupted: bool
+    stocked: Stocked | None = None
 
 
 def design(
@@ -82,6 +86,7 @@ def design(
     fixed: Sequence[str] = (),
     constant_curvature: bool = False,
     starts: int = STARTS,
+    stock: Sequence[StockTube] | None = None,
     settings: Settings = DEFAULTS,
     progress: Progress | None = None,
 ) -> Design:
@@ -95,7 +100,8 @@ def design(
     them, and each plan is certified on draws (solve_robust). rules: of manufacture. fixed: names of numbers that
     stay as they are, such as outer_diameter_1. constant_curvature: whether curved parts are arcs; otherwise their
     curvatures are linear in arc length. starts: tubes that are tried, the robot's own and random ones
-    (settings.seed). settings.stability_margin: the least of every robot. Ctrl-C ends the work; the design is then
+    (settings.seed). stock: tubing (read_stock) to which the tubes are rounded, with lengths and curvatures that can
+    be made; without it diameters are free. settings.stability_margin: the least of every robot. Ctrl-C ends the work; the design is then
     the best so far, marked as interrupted. Raises OptionError, ProblemError, RobotError.
     """
     tasks = _checked(problems, settings)
@@ -106,6 +112,8 @@ def design(
         )
     robot = tasks[0].robot if constant_curvature else varying(tasks[0].robot)
     tubes = DesignedTubes(robot, rules or Manufacture(), tuple(fixed))
+    if stock is not None:
+        nearest(stock, tubes, tubes.own)  # refuses what cannot nest before anything is solved
     tasks = tuple(replace(task, robot=robot) for task in tasks)
     with deferred_interrupt() as interrupted:
         drafts = tuple(_draft(task) for task in tasks)
@@ -116,7 +124,13 @@ def design(
         if best is None:
             raise ProblemError("no tubes were found on which all problems can be followed; give more starts")
         before = tried[0].motions.e3 if tried[0] is not None else np.full(len(tasks), np.nan)
-        best = _whole(best, replace(search, tasks=tasks)) if nominal else _tolerated(best, search)
+        finish = partial(_finished, tasks=tasks if nominal else None)
+        best, stocked = finish(best, search)[0], None
+        if stock is not None and not interrupted():
+            if progress is not None:
+                progress(count, count + len(tasks), "tubes of stock")
+            found = in_stock(best, search, stock, finish, FINALISTS if nominal else 1)
+            best, stocked = (best, None) if found is None else found
         robot = tubes.robot_of(best.p)
         plans = list[Plan]()
         for number, task in enumerate(tasks):
@@ -127,7 +141,7 @@ def design(
     names = tuple(task.name for task in tasks)
     told = tuple(_told(one) for one in tried if one is not None)
     kept = tuple(tubes.kept(best.p))
-    return Design(robot, names, tuple(plans), before, kept, _remarks(best, kept), told, stopped)
+    return Design(robot, names, tuple(plans), before, kept, _remarks(best, kept), told, stopped, stocked)
 
 
 def _checked(problems: Sequence[Problem], settings: Settings) -> tuple[Problem, ...]:
@@ -170,6 +184,16 @@ def _tried(search: DesignSearch, count: int, seed: int, progress: Progress | Non
         if begun is not None and not search.stop():
             found.append(search.settled(begun, alone))
     return found
+
+
+def _finished(
+    best: Candidate, search: DesignSearch, tasks: tuple[Problem, ...] | None
+) -> tuple[Candidate, DesignSearch, Scenarios]:
+    """Tubes for all frames of tasks, or without these for the tolerances; with what they were found by."""
+    if tasks is None:
+        return _tolerated(best, search), search, scenarios_of(search.tubes.robot)
+    search = replace(search, tasks=tasks)
+    return _whole(best, search), search, _alone(search.tubes.robot)
 
 
 def _whole(best: Candidate, search: DesignSearch) -> Candidate:

@@ -38,6 +38,9 @@ ALIKE = 1e-9
 INSIDE = 1e-7
 """How far within its bounds a rule is kept, so that rounding does not break it."""
 
+DIGITS = 9
+"""Of rules that are told: sums of decimal numbers miss their bounds by less."""
+
 
 class Kept(NamedTuple):
     """A rule of manufacture on some tubes: its value, and the bounds within which that must lie."""
@@ -214,8 +217,9 @@ class DesignedTubes:
         for constraint in self.program.constraints:
             size = constraint.value.numel()
             if constraint.name != "freed":
-                bounds = float(constraint.lower[0]) - INSIDE, float(constraint.upper[0]) + INSIDE
-                found.append(Kept(constraint.name, float(g[at]), *bounds))
+                bounds = constraint.lower[0] - INSIDE, constraint.upper[0] + INSIDE
+                told = (round(float(each), DIGITS) for each in (g[at], *bounds))
+                found.append(Kept(constraint.name, *told))
             at += size
         return found
 

@@ -1,0 +1,155 @@
+"""Designed tubes rounded to what can be bought and heat set: diameters, lengths, then curvatures tube by tube.
+
+After every rounding what is not yet rounded is designed again, together with the motions.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ctr_nlp.codesign.search import NEAR, PULL, Candidate, DesignSearch, least
+from ctr_nlp.codesign.stock import ENDS, StockTube, nearest, with_diameters
+from ctr_nlp.exceptions import ProblemError
+from ctr_nlp.formulations.shared.design import HUNDRED_MM, DesignedTubes
+from ctr_nlp.nlp.scenarios import Scenarios
+from ctr_nlp.typing import Array
+
+TRIED, FINALISTS = 8, 2
+"""Combinations of tubes that are designed for on the frames of a draft, and of these those that are rounded to the
+end."""
+LENGTH_STEP = 0.5
+"""mm to which lengths of curved parts are rounded."""
+RADII = ((200.0, 1.0), (2000.0, 10.0), (math.inf, 100.0))
+"""Radii in mm up to which heat-setting forms are made in steps of so many mm. Forms can be cut to any radius; what
+a tube keeps of it differs by some percent from tube to tube, which Tolerances are for, and steps much smaller than
+that have no meaning. No published ladder of radii is known to us: this one is ours."""
+
+Finish = Callable[[Candidate, DesignSearch], tuple[Candidate, DesignSearch, Scenarios]]
+"""Takes tubes from the frames of a draft to what they are designed for: all frames, or tolerances."""
+
+
+@dataclass(frozen=True)
+class Stocked:
+    """What became of designed tubes in stock. tubes: what to buy, outermost first; free, rounded (n,): e3 of the
+    tasks' motions with free tubes and with these, mm, both over the same frames and scenarios; tried: of how many
+    combinations they are the best.
+    """
+
+    tubes: tuple[StockTube, ...]
+    free: Array
+    rounded: Array
+    tried: int
+
+    @property
+    def loss(self) -> float:
+        """By what part the root mean square of e3 is above that of the free tubes."""
+        return float(np.sqrt(np.mean(self.rounded**2) / np.mean(self.free**2)) - 1)
+
+    def __str__(self) -> str:
+        """In a sentence."""
+        parts = "; ".join(f"tube {i}: {one.part}" for i, one in enumerate(self.tubes, 1))
+        change = f"raise e3 by {self.loss:.1%}" if self.loss >= 0 else f"lower e3 by {-self.loss:.1%}"
+        return f"Tubes of stock ({parts}) {change}"
+
+
+def in_stock(
+    best: Candidate, search: DesignSearch, stock: Sequence[StockTube], finish: Finish, finalists: int = FINALISTS
+) -> tuple[Candidate, Stocked] | None:
+    """The best tubes of stock that come from designed ones, and what they lose; None when the search is stopped.
+
+    Combinations are tried in the order in which they promise to lose least. Raises OptionError where no tubes of
+    the stock nest, ProblemError where none of those tried can follow the tasks.
+    """
+    drafts = list[tuple[Candidate, DesignSearch, tuple[StockTube, ...]]]()
+    chosen = nearest(stock, search.tubes, best.p)[:TRIED]
+    for tubes in chosen:
+        if search.stop():
+            break
+        on = _held(_eased(search), with_diameters(search.tubes, best.p, tubes), ENDS)
+        begun = on.start(best.start, on.tubes.own)
+        if begun is not None:
+            settled = on.settled(begun, _alone(on))
+            drafts.append((begun if settled is None else settled, on, tubes))
+    drafts.sort(key=lambda one: one[0].motions.rms)
+    ended = list[tuple[Candidate, tuple[StockTube, ...]]]()
+    for draft, on, tubes in drafts[:finalists]:
+        found = _rounded(*finish(draft, on))
+        if found is not None and all(r.lower <= r.value <= r.upper for r in search.tubes.kept(found.p)):
+            ended.append((found, tubes))
+    if not ended:
+        if search.stop():
+            return None
+        raise ProblemError("no tubes of the stock were found on which all problems can be followed")
+    found, tubes = min(ended, key=lambda one: one[0].motions.rms)
+    return found, Stocked(tubes, best.motions.e3, found.motions.e3, len(chosen))
+
+
+def _alone(search: DesignSearch) -> Scenarios:
+    """The robot as described."""
+    robot = search.tubes.robot
+    return Scenarios(robot.numbers[None], np.zeros((1, robot.d)), np.ones(1))
+
+
+def _eased(search: DesignSearch) -> DesignSearch:
+    """The search with less of the rules of diameters, which are judged when these are chosen.
+
+    A wall that just keeps its rule, and cannot change, would leave an interior point no room.
+    """
+    rules = search.tubes.rules
+    eased = {name: getattr(rules, name) / 2 for name in ("wall", "clearance", "channel")}
+    return replace(search, tubes=replace(search.tubes, rules=replace(rules, **eased)))
+
+
+def _held(search: DesignSearch, p: Array, kinds: Sequence[str]) -> DesignSearch:
+    """The search with entries of these kinds as they are in p (P,)."""
+    tubes = search.tubes
+    names = tuple(name for name in tubes.names if name.startswith(tuple(kinds)) or name in tubes.fixed)
+    return replace(search, tubes=DesignedTubes(tubes.robot_of(p), tubes.rules, names))
+
+
+def _rounded(known: Candidate, search: DesignSearch, scenarios: Scenarios) -> Candidate | None:
+    """With lengths and curvatures as they can be made; None where no motion goes with these."""
+    d, solution = search.tubes.robot.d, known.solution
+    steps = [tuple(f"curved_length_{i}" for i in range(1, d + 1))]
+    steps += [tuple(f"{kind}_{i}" for kind in ("curvature", "root_curvature", "tip_curvature")) for i in range(1, d + 1)]
+    for names in steps:
+        search = _held(search, made(search.tubes, known.p, names), names)
+        unknown = replace(known.motions, e3=np.full_like(known.motions.e3, np.nan))
+        start = replace(known, p=search.tubes.own, motions=unknown)
+        known = search.refined(start, scenarios, PULL, NEAR) or start
+    again = search.start(known.start, search.tubes.own) if len(scenarios) == 1 else None
+    found = least([one for one in (known, again) if one is not None])
+    return None if found is None or not np.isfinite(found.motions.rms) else replace(found, solution=solution)
+
+
+def made(tubes: DesignedTubes, p: Array, names: Sequence[str]) -> Array:
+    """p (P,) with named entries, where they are not fixed, rounded to what can be made near them.
+
+    Of all ways to round them up or down the nearest that keeps the rules, and the nearest of all where none does.
+    """
+    lower, upper = tubes.box
+    at = [k for k, name in enumerate(tubes.names) if name in names and lower[k] < upper[k]]
+    ways = [[each for each in _around(tubes.names[k], p[k]) if lower[k] <= each <= upper[k]] or [p[k]] for k in at]
+    found = list[tuple[bool, float, tuple[float, ...]]]()
+    for way in itertools.product(*ways):
+        other = p.copy()
+        other[at] = way
+        found.append((not tubes.keeps(other), float(np.sum((np.array(way) / p[at] - 1) ** 2)), way))
+    other = p.copy()
+    other[at] = min(found)[2]
+    return other
+
+
+def _around(name: str, value: float) -> tuple[float, ...]:
+    """What can be made below and above an entry of p."""
+    if name.startswith("curved_length"):
+        step = LENGTH_STEP / HUNDRED_MM
+        return math.floor(value / step) * step, math.ceil(value / step) * step
+    radius = HUNDRED_MM / value
+    step = next(step for most, step in RADII if radius <= most)
+    return tuple(HUNDRED_MM / (whole * step) for whole in (math.floor(radius / step), math.ceil(radius / step)))
