@@ -12,16 +12,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ctr_nlp.codesign.search import NEAR, PULL, Candidate, DesignSearch, least
+from ctr_nlp.codesign.search import AGAIN, NEAR, PULL, Candidate, DesignSearch, least
 from ctr_nlp.codesign.stock import ENDS, StockTube, nearest, with_diameters
 from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.formulations.shared.design import HUNDRED_MM, DesignedTubes
 from ctr_nlp.nlp.scenarios import Scenarios
+from ctr_nlp.solvers.motion.judged import WIDE
 from ctr_nlp.typing import Array
 
 TRIED, FINALISTS = 8, 2
 """Combinations of tubes that are designed for on the frames of a draft, and of these those that are rounded to the
 end."""
+WAYS = 2
+"""Ways to round that are tried at every step, the nearest."""
 LENGTH_STEP = 0.5
 """mm to which lengths of curved parts are rounded."""
 RADII = ((200.0, 1.0), (2000.0, 10.0), (math.inf, 100.0))
@@ -73,8 +76,8 @@ def in_stock(
         on = _held(_eased(search), with_diameters(search.tubes, best.p, tubes), ENDS)
         begun = on.start(best.start, on.tubes.own)
         if begun is not None:
-            settled = on.settled(begun, _alone(on))
-            drafts.append((begun if settled is None else settled, on, tubes))
+            again = on.refined(begun, _alone(on), PULL, WIDE)
+            drafts.append((begun if again is None else again, on, tubes))
     drafts.sort(key=lambda one: one[0].motions.rms)
     ended = list[tuple[Candidate, tuple[StockTube, ...]]]()
     for draft, on, tubes in drafts[:finalists]:
@@ -116,33 +119,44 @@ def _rounded(known: Candidate, search: DesignSearch, scenarios: Scenarios) -> Ca
     """With lengths and curvatures as they can be made; None where no motion goes with these."""
     d, solution = search.tubes.robot.d, known.solution
     steps = [tuple(f"curved_length_{i}" for i in range(1, d + 1))]
-    steps += [tuple(f"{kind}_{i}" for kind in ("curvature", "root_curvature", "tip_curvature")) for i in range(1, d + 1)]
+    steps += [
+        tuple(f"{kind}_{i}" for kind in ("curvature", "root_curvature", "tip_curvature")) for i in range(1, d + 1)
+    ]
     for names in steps:
-        search = _held(search, made(search.tubes, known.p, names), names)
-        unknown = replace(known.motions, e3=np.full_like(known.motions.e3, np.nan))
-        start = replace(known, p=search.tubes.own, motions=unknown)
-        known = search.refined(start, scenarios, PULL, NEAR) or start
+        ways = [
+            _designed_on(known, search, p, names, scenarios) for p in made(search.tubes, known.p, names)[:WAYS]
+        ]
+        known, search = min(ways, key=lambda way: way[0].motions.rms)
     again = search.start(known.start, search.tubes.own) if len(scenarios) == 1 else None
     found = least([one for one in (known, again) if one is not None])
     return None if found is None or not np.isfinite(found.motions.rms) else replace(found, solution=solution)
 
 
-def made(tubes: DesignedTubes, p: Array, names: Sequence[str]) -> Array:
-    """p (P,) with named entries, where they are not fixed, rounded to what can be made near them.
+def _designed_on(
+    known: Candidate, search: DesignSearch, p: Array, names: Sequence[str], scenarios: Scenarios
+) -> tuple[Candidate, DesignSearch]:
+    """What is not held designed again, with named entries held as they are in p (P,); e3 NaN where that fails."""
+    search = _held(search, p, names)
+    unknown = replace(known.motions, e3=np.full_like(known.motions.e3, np.nan))
+    start = replace(known, p=search.tubes.own, motions=unknown)
+    found = (search.refined(start, scenarios, PULL, barrier) for barrier in (NEAR, AGAIN))
+    return next((one for one in found if one is not None), start), search
 
-    Of all ways to round them up or down the nearest that keeps the rules, and the nearest of all where none does.
+
+def made(tubes: DesignedTubes, p: Array, names: Sequence[str]) -> list[Array]:
+    """All ways to round named entries of p (P,) up or down to what can be made, fixed ones excepted.
+
+    Nearest first; those that break a rule come last.
     """
     lower, upper = tubes.box
     at = [k for k, name in enumerate(tubes.names) if name in names and lower[k] < upper[k]]
     ways = [[each for each in _around(tubes.names[k], p[k]) if lower[k] <= each <= upper[k]] or [p[k]] for k in at]
-    found = list[tuple[bool, float, tuple[float, ...]]]()
-    for way in itertools.product(*ways):
+    found = list[tuple[bool, float, Array]]()
+    for way in itertools.product(*map(dict.fromkeys, ways)):
         other = p.copy()
         other[at] = way
-        found.append((not tubes.keeps(other), float(np.sum((np.array(way) / p[at] - 1) ** 2)), way))
-    other = p.copy()
-    other[at] = min(found)[2]
-    return other
+        found.append((not tubes.keeps(other), float(np.sum((np.array(way) / p[at] - 1) ** 2)), other))
+    return [other for _, _, other in sorted(found, key=lambda each: each[:2])]
 
 
 def _around(name: str, value: float) -> tuple[float, ...]:

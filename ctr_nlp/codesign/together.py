@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ctr_nlp.codesign.doubts import doubts
 from ctr_nlp.codesign.rounding import FINALISTS, Stocked, in_stock
 from ctr_nlp.codesign.search import AGAIN, NEAR, Candidate, DesignSearch, least
 from ctr_nlp.codesign.starts import starts as first_tubes
@@ -20,6 +21,7 @@ from ctr_nlp.formulations.shared.design import DesignedTubes, Kept, varying
 from ctr_nlp.formulations.shared.manufacture import Manufacture
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.nlp.scenarios import Scenarios
+from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
 from ctr_nlp.steer.horizon import solve_horizon
@@ -63,7 +65,8 @@ class Design:
     """A designed robot. names: of the tasks; plans: one for each, on the robot; before (n,): e3 of the tasks'
     motions on the robot that the design began with, mm, over the frames of a draft; rules: what can be made, and
     how far it is used; remarks: the rules that bind; tried: what came of every start; interrupted: whether Ctrl-C
-    ended the work; stocked: what to buy and what it loses, where tubes were rounded to a stock.
+    ended the work; stocked: what to buy and what it loses, where tubes were rounded to a stock; doubts: sentences
+    on tubes that are not used or not sold.
     """
 
     robot: Robot
@@ -75,6 +78,7 @@ class Design:
     tried: tuple[dict[str, Any], ...]
     interrupted: bool
     stocked: Stocked | None = None
+    doubts: tuple[str, ...] = ()
 
 
 def design(
@@ -100,9 +104,9 @@ def design(
     them, and each plan is certified on draws (solve_robust). rules: of manufacture. fixed: names of numbers that
     stay as they are, such as outer_diameter_1. constant_curvature: whether curved parts are arcs; otherwise their
     curvatures are linear in arc length. starts: tubes that are tried, the robot's own and random ones
-    (settings.seed). stock: tubing (read_stock) to which the tubes are rounded, with lengths and curvatures that can
-    be made; without it diameters are free. settings.stability_margin: the least of every robot. Ctrl-C ends the work; the design is then
-    the best so far, marked as interrupted. Raises OptionError, ProblemError, RobotError.
+    (settings.seed). stock: tubing (read_stock) to which tubes are rounded, with lengths and curvatures that can be
+    made; without it diameters are free. settings.stability_margin: the least of every robot. Ctrl-C ends the work;
+    the design is then the best so far, marked as interrupted. Raises OptionError, ProblemError, RobotError.
     """
     tasks = _checked(problems, settings)
     described, count = model_named(model, "model of a design"), whole_number(OptionError, "starts", starts)
@@ -133,15 +137,19 @@ def design(
             best, stocked = (best, None) if found is None else found
         robot = tubes.robot_of(best.p)
         plans = list[Plan]()
-        for number, task in enumerate(tasks):
+        known = np.split(best.motions.q, np.cumsum([task.frames for task in tasks])[:-1])
+        for number, (task, q) in enumerate(zip(tasks, known, strict=True)):
             if progress is not None:
                 progress(count + number, count + len(tasks), f"plan of {task.name}")
-            plans.append(planned_on(replace(task, robot=robot), settings, nominal, described))
+            initial = [q] if len(q) == task.frames else []
+            plans.append(planned_on(replace(task, robot=robot), settings, nominal, described, initial))
         stopped = interrupted()
-    names = tuple(task.name for task in tasks)
+    names, found_doubts = tuple(task.name for task in tasks), doubts(robot, plans, stocked is not None)
     told = tuple(_told(one) for one in tried if one is not None)
     kept = tuple(tubes.kept(best.p))
-    return Design(robot, names, tuple(plans), before, kept, _remarks(best, kept), told, stopped, stocked)
+    return Design(
+        robot, names, tuple(plans), before, kept, _remarks(best, kept), told, stopped, stocked, found_doubts
+    )
 
 
 def _checked(problems: Sequence[Problem], settings: Settings) -> tuple[Problem, ...]:
@@ -214,11 +222,22 @@ def _tolerated(best: Candidate, search: DesignSearch) -> Candidate:
     return best
 
 
-def planned_on(task: Problem, settings: Settings, nominal: bool, model: str | Model = "elastic") -> Plan:
-    """The plan of a task on its robot as a design makes it: far from any wall, for tolerances unless nominal."""
+def planned_on(
+    task: Problem,
+    settings: Settings,
+    nominal: bool,
+    model: str | Model = "elastic",
+    initial: Sequence[Array] = (),
+) -> Plan:
+    """The plan of a task on its robot as a design makes it: far from any wall, for tolerances unless nominal.
+
+    initial: motions (T, 2d + 2) that a nominal plan is started from as well; of all its plans that of least e3.
+    """
     far = replace(settings, contact_weight=0.0)
     if nominal:
-        return solve_horizon(task, model=model, settings=far)
+        starts = ((), *([q] for q in initial))
+        found = [solve_horizon(task, model=model, settings=far, initial=start) for start in starts]
+        return min(found, key=lambda plan: (not plan.success.all(), summary(plan)["e3"]))
     return solve_robust(task, model=model, settings=far)
 
 

@@ -39,7 +39,7 @@ INSIDE = 1e-7
 """How far within its bounds a rule is kept, so that rounding does not break it."""
 
 DIGITS = 9
-"""Of rules that are told: sums of decimal numbers miss their bounds by less."""
+"""Of rules that are told, and of lengths in mm: sums of decimal numbers are off by less."""
 
 
 class Kept(NamedTuple):
@@ -116,7 +116,7 @@ class DesignedTubes:
             bent = (own[0], own[-1]) if own else 0.0
             if len(own) == 2 and own[0] == own[1]:  # the same kind of part, though it happens to be an arc
                 bent = (own[0], own[1] * (1 + ALIKE))
-            curved, straight = HUNDRED_MM * float(lengths[i]), float(self._transmissions[i])
+            curved, straight = round(HUNDRED_MM * float(lengths[i]), DIGITS), float(self._transmissions[i])
             whole = straight + curved
             tubes.append(Tube(whole, curved, bent, outer, inner, tube.poisson_ratio, tube.youngs_modulus))
         limits = replace(self.robot.limits, beta=None)
