@@ -43,6 +43,8 @@ GROWN = {0.5: (AGAIN, NEAR), 1.0: (NEAR, AGAIN)}
 barriers, mm^2, of which the next is tried where one leads to no solution."""
 BINDING = 1e-3
 """A rule binds where it is kept by less than this part of its bound."""
+TOLD = 5e-4
+"""Least gain of a rule that is remarked."""
 
 
 @dataclass(frozen=True)
@@ -261,4 +263,4 @@ def _remarks(best: Candidate, kept: Sequence[Kept]) -> tuple[Remark, ...]:
         bound = rule.upper if price > 0 else rule.lower
         if np.isfinite(bound) and abs(rule.value - bound) <= BINDING * max(abs(bound), BINDING):
             found.append(Remark(rule, abs(price) * abs(bound) / 10 / whole / 2))
-    return tuple(sorted(found, key=lambda one: -one.gain))
+    return tuple(sorted((one for one in found if one.gain >= TOLD), key=lambda one: -one.gain))

@@ -129,11 +129,10 @@ def test_rounding_keeps_the_rules():
 
 @pytest.fixture(scope="module")
 def stocked():
-    """Two bends, followed by two tubes of a coarse list."""
-    diameters = [
-        (outer, round(outer - 2 * wall, 2)) for outer in np.arange(0.6, 3.2, 0.2).round(2) for wall in (0.1, 0.2)
-    ]
-    stock = [StockTube(f"{outer}/{inner}", outer, inner, "here") for outer, inner in diameters]
+    """Two bends, followed by two tubes of a list in steps of 0.1 mm."""
+    sizes = itertools.product(range(6, 34), (0.1, 0.15, 0.2, 0.3))
+    stock = [StockTube(f"{k}/{wall}", k / 10, round(k / 10 - 2 * wall, 2), "here") for k, wall in sizes]
+    stock = [one for one in stock if one.inner > 0.1]
     tasks = [_task("bend", 12.0), _task("turn", 18.0, 3.0)]
     return stock, design(tasks, nominal=True, rules=RULES, starts=1, stock=stock)
 
