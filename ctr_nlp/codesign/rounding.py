@@ -8,13 +8,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ctr_nlp.codesign.search import AGAIN, NEAR, PULL, Candidate, DesignSearch, least
 from ctr_nlp.codesign.stock import ENDS, StockTube, nearest, with_diameters
-from ctr_nlp.exceptions import ProblemError
+from ctr_nlp.exceptions import CtrError, ProblemError
 from ctr_nlp.formulations.shared.design import HUNDRED_MM, DesignedTubes
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.solvers.motion.judged import WIDE
@@ -80,10 +81,13 @@ def in_stock(
             drafts.append((begun if again is None else again, on, tubes))
     drafts.sort(key=lambda one: one[0].motions.rms)
     ended = list[tuple[Candidate, tuple[StockTube, ...]]]()
-    for draft, on, tubes in drafts[:finalists]:
-        found = _rounded(*finish(draft, on))
-        if found is not None and all(r.lower <= r.value <= r.upper for r in search.tubes.kept(found.p)):
-            ended.append((found, tubes))
+    for draft, on, tubes in drafts:
+        if len(ended) == finalists:
+            break
+        with suppress(CtrError):  # where rounding leaves no robot that can be made
+            found = _rounded(*finish(draft, on))
+            if found is not None and all(r.lower <= r.value <= r.upper for r in search.tubes.kept(found.p)):
+                ended.append((found, tubes))
     if not ended:
         if search.stop():
             return None
@@ -144,9 +148,9 @@ def _designed_on(
 
 
 def made(tubes: DesignedTubes, p: Array, names: Sequence[str]) -> list[Array]:
-    """All ways to round named entries of p (P,) up or down to what can be made, fixed ones excepted.
+    """Ways to round named entries of p (P,) up or down to what can be made, fixed ones excepted; nearest first.
 
-    Nearest first; those that break a rule come last.
+    Those that break a rule are left out, but for the nearest where all do.
     """
     lower, upper = tubes.box
     at = [k for k, name in enumerate(tubes.names) if name in names and lower[k] < upper[k]]
@@ -156,7 +160,8 @@ def made(tubes: DesignedTubes, p: Array, names: Sequence[str]) -> list[Array]:
         other = p.copy()
         other[at] = way
         found.append((not tubes.keeps(other), float(np.sum((np.array(way) / p[at] - 1) ** 2)), other))
-    return [other for _, _, other in sorted(found, key=lambda each: each[:2])]
+    found.sort(key=lambda each: each[:2])
+    return [other for broken, _, other in found if not broken] or [found[0][2]]
 
 
 def _around(name: str, value: float) -> tuple[float, ...]:
