@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ctr_nlp.anatomy.problem_files import problem_from_file, read_csv
+    from ctr_nlp.codesign.stock import StockTube, read_stock
     from ctr_nlp.codesign.together import Design, design
     from ctr_nlp.exceptions import CtrError
     from ctr_nlp.formulations.settings import Settings
@@ -37,6 +38,7 @@ __all__ = [
     "Robot",
     "Settings",
     "Steerer",
+    "StockTube",
     "Target",
     "Tolerances",
     "Tube",
@@ -48,6 +50,7 @@ __all__ = [
     "growing",
     "problem_from_file",
     "read_csv",
+    "read_stock",
     "seed_robot",
     "sequence",
     "shape_curve",
@@ -62,6 +65,7 @@ __all__ = [
 
 _HOMES = {
     "anatomy.problem_files": ("problem_from_file", "read_csv"),
+    "codesign.stock": ("StockTube", "read_stock"),
     "codesign.together": ("Design", "design"),
     "exceptions": ("CtrError",),
     "formulations.settings": ("Settings",),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import Model
+from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.steer.horizon import solve_horizon
 from ctr_nlp.steer.passes import Progress
@@ -28,8 +30,9 @@ def planned_on(
 ) -> list[Plan]:
     """Plans of tasks on their robot as a design makes them: far from any wall, for tolerances unless nominal.
 
-    initial: for each task, if given, a motion (T, 2d + 2) that robust plans start from. jobs: in how many
-    processes. After Ctrl-C those of some tasks may be missing.
+    initial: for each task, if given, a motion (T, 2d + 2) to start from. Robust plans start from others only where
+    that does not do; nominal ones always, and the better of both is the plan. jobs: in how many processes. After
+    Ctrl-C those of some tasks may be missing.
     """
     given = [[motion] for motion in initial] or [list[Array]()] * len(tasks)
     pairs = list(zip(tasks, given, strict=True))
@@ -44,5 +47,7 @@ def planned_on(
 def _planned(settings: Settings, nominal: bool, model: str | Model, pair: tuple[Problem, list[Array]]) -> Plan:
     task, initial = pair
     if nominal:
-        return solve_horizon(task, model=model, settings=settings)
+        starts = ([], initial) if initial else ([],)
+        found = [solve_horizon(task, model=model, settings=settings, initial=start) for start in starts]
+        return min(found, key=lambda plan: (not plan.success.all(), e3(plan) or math.inf))
     return solve_robust(task, model=model, settings=settings, initial=initial)

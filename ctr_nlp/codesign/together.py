@@ -11,24 +11,28 @@ from typing import Any
 
 import numpy as np
 
+from ctr_nlp.codesign.doubts import doubts
 from ctr_nlp.codesign.plans import planned_on
-from ctr_nlp.codesign.search import AGAIN, NEAR, Candidate, DesignSearch, error_of, never
+from ctr_nlp.codesign.request import draft, search_for
+from ctr_nlp.codesign.rounding import FINALISTS, Stocked, in_stock
+from ctr_nlp.codesign.search import AGAIN, NEAR, Candidate, DesignSearch, Robots, alone, error_of, never
 from ctr_nlp.codesign.starts import starts as first_tubes
+from ctr_nlp.codesign.stock import StockTube, nearest
 from ctr_nlp.exceptions import OptionError, ProblemError
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.formulations.shared.design import DesignedTubes, Kept, varying
+from ctr_nlp.formulations.shared.design import Kept
 from ctr_nlp.formulations.shared.manufacture import Manufacture
-from ctr_nlp.models import Model, model_named
+from ctr_nlp.models import Model
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
-from ctr_nlp.steer.motions import at_frames, filled
+from ctr_nlp.steer.motions import filled
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.robust.tolerated import scenarios_of
 from ctr_nlp.steer.starts.search import drafted
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.pool import side_by_side
-from ctr_nlp.support.values import instance, whole_number
+from ctr_nlp.support.values import whole_number
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
@@ -36,6 +40,8 @@ STARTS = 6
 """Tubes that a design starts from."""
 BINDING = 1e-3
 """A rule binds where it is kept by less than this part of its bound."""
+TOLD = 5e-4
+"""Least gain of a rule that is remarked."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +55,10 @@ class Remark:
 
     def __str__(self) -> str:
         """In a sentence."""
-        name, bound = self.rule.name, self.rule.lower if np.isfinite(self.rule.lower) else self.rule.upper
-        return f"{name} is at its bound, {bound:.4g}; a tenth of that more room would lower e3 by {self.gain:.1%}"
+        rule = self.rule
+        bound = min(rule.lower, rule.upper, key=lambda bound: abs(bound - rule.value))
+        told = f"{rule.name} is at its bound, {abs(bound):.4g}"
+        return f"{told}; a tenth of that more room would lower e3 by {self.gain:.1%}"
 
 
 @dataclass(frozen=True)
@@ -60,7 +68,8 @@ class Design:
     names: of the tasks; plans: one for each, on the robot, unless Ctrl-C came first; before: e3 of each task's
     motion on the robot that the design began with, mm, over the frames of a draft, None where it has none; rules:
     what can be made, and how far it is used; remarks: the rules that bind; tried: what came of every start;
-    interrupted: whether Ctrl-C ended the work.
+    interrupted: whether Ctrl-C ended the work; stocked: what to buy and what it loses, where tubes were rounded to
+    a stock; doubts: sentences on tubes that are not used or not sold.
     """
 
     robot: Robot
@@ -71,6 +80,8 @@ class Design:
     remarks: tuple[Remark, ...]
     tried: tuple[dict[str, Any], ...]
     interrupted: bool
+    stocked: Stocked | None = None
+    doubts: tuple[str, ...] = ()
 
 
 def design(
@@ -83,6 +94,7 @@ def design(
     constant_curvature: bool = False,
     starts: int = STARTS,
     jobs: int = 1,
+    stock: Sequence[StockTube] | None = None,
     settings: Settings = DEFAULTS,
     progress: Progress | None = None,
 ) -> Design:
@@ -96,79 +108,43 @@ def design(
     them, and each plan is certified on draws (solve_robust). rules: of manufacture. fixed: names of numbers that
     stay as they are, such as outer_diameter_1. constant_curvature: whether curved parts are arcs; otherwise their
     curvatures are linear in arc length. starts: tubes that are tried, the robot's own and random ones
-    (settings.seed). jobs: in how many processes starts and plans are worked on. settings.stability_margin: the
-    least of every robot. Ctrl-C ends the work; the design is then the best so far, marked as interrupted, and
-    plans may be missing. Raises OptionError, ProblemError, RobotError.
+    (settings.seed). jobs: in how many processes starts and plans are worked on. stock: tubing (read_stock) to
+    which tubes are rounded, with lengths and curvatures that can be made; without it diameters are free.
+    settings.stability_margin: the least of every robot. Ctrl-C ends the work; the design is then the best so far,
+    marked as interrupted, and plans may be missing. Raises OptionError, ProblemError, RobotError.
     """
     count = whole_number(OptionError, "starts", starts)
     with deferred_interrupt() as interrupted:
         whole = search_for(problems, model, rules, fixed, constant_curvature, settings)
         whole = replace(whole, stop=interrupted)
+        if stock is not None:
+            nearest(stock, whole.tubes, whole.tubes.own)  # refuses what cannot nest before anything is solved
         search = replace(whole, tasks=tuple(draft(task) for task in whole.tasks))
         begun, found = _tried(search, count, settings.seed, jobs, progress)
         tried = [one for one in (begun, *found) if one is not None]
         if not tried:
             raise ProblemError("no tubes were found on which all problems can be followed; give more starts")
-        best = _whole(min(tried, key=error_of), whole) if nominal else _tolerated(tried, search)
+        finish = partial(_finished, tasks=whole.tasks if nominal else None)
+        (best, _, _), stocked = finish(tried, search), None
+        if stock is not None and not interrupted():
+            rounded = in_stock(best, search, stock, finish, FINALISTS if nominal else 1)
+            best, stocked = (best, None) if rounded is None else rounded
         tasks = tuple(whole.on(whole.tubes.robot_of(best.p)))
-        motions = (
-            ()
-            if nominal
-            else [
-                filled(q, drafted(task.frames), task.frames)
-                for q, task in zip(search.each(best.motions.q), tasks, strict=True)
-            ]
-        )
-        plans = planned_on(tasks, settings, nominal, model, motions, jobs, progress)
+        planned = planned_on(tasks, settings, nominal, model, _motions(best, whole), jobs, progress)
         stopped = interrupted()
-    before = (None,) * len(tasks) if begun is None else _known(begun.motions.e3)
-    told, kept = tuple(_told(one) for one in tried), tuple(search.tubes.kept(best.p))
-    names = tuple(task.name for task in tasks)
-    return Design(tasks[0].robot, names, tuple(plans), before, kept, _remarks(best, kept), told, stopped)
-
-
-def search_for(
-    problems: Sequence[Problem],
-    model: str | Model = "elastic",
-    rules: Manufacture | None = None,
-    fixed: Sequence[str] = (),
-    constant_curvature: bool = False,
-    settings: Settings = DEFAULTS,
-) -> DesignSearch:
-    """The search for tubes over all frames of problems; as design."""
-    tasks = _checked(problems, settings)
-    described = model_named(model, "model of a design")
-    if not described.several_equilibria:
-        raise OptionError(
-            f"model of a design is {described.name}; tubes' diameters matter on the elastic one alone"
-        )
-    robot = tasks[0].robot if constant_curvature else varying(tasks[0].robot)
-    tubes = DesignedTubes(robot, rules or Manufacture(), tuple(fixed))
-    margin = 0.0 if settings.stability_margin is None else settings.stability_margin
-    return DesignSearch(tuple(replace(task, robot=robot) for task in tasks), tubes, described, margin)
-
-
-def _checked(problems: Sequence[Problem], settings: Settings) -> tuple[Problem, ...]:
-    """Problems whose robots are one."""
-    tasks = tuple(problems)
-    if not tasks:
-        raise ProblemError("a design without problems; give at least one")
-    instance(OptionError, "settings", settings, Settings)
-    for task in tasks:
-        instance(ProblemError, "problem", task, Problem)
-        if task.robot != tasks[0].robot:
-            raise ProblemError(
-                f"the robot of {task.name} is not that of {tasks[0].name}; a design begins with one robot for all"
-            )
-    if len({task.name for task in tasks}) < len(tasks):
-        raise ProblemError("two problems of a design have the same name; plans are written under their names")
-    return tasks
-
-
-def draft(task: Problem) -> Problem:
-    """A task on the frames of a draft."""
-    picked = drafted(task.frames)
-    return task if len(picked) == task.frames else at_frames(task, picked, int(picked[-1] - picked[-2]))
+    kept = tuple(search.tubes.kept(best.p))
+    return Design(
+        robot=tasks[0].robot,
+        names=tuple(task.name for task in tasks),
+        plans=tuple(planned),
+        before=(None,) * len(tasks) if begun is None else _known(begun.motions.e3),
+        rules=kept,
+        remarks=_remarks(best, kept),
+        tried=tuple(_told(one) for one in tried),
+        interrupted=stopped,
+        stocked=stocked,
+        doubts=doubts(tasks[0].robot, planned, stocked is not None),
+    )
 
 
 def _tried(
@@ -177,9 +153,7 @@ def _tried(
     """The robot's own tubes as they are, and what came of every start that led anywhere."""
     begun, found = dict[int, Candidate | None](), dict[int, Candidate]()
     starts = list(itertools.islice(first_tubes(search.tubes, seed), count))
-    alike = replace(
-        search, tubes=replace(search.tubes), stop=never
-    )  # without what other processes cannot be given
+    alike = replace(search, tubes=replace(search.tubes), stop=never)  # without what no process can be handed
     for number, (before, after) in side_by_side(partial(_settled, alike), starts, jobs):
         begun[number] = before
         if after is not None:
@@ -195,6 +169,16 @@ def _settled(search: DesignSearch, start: tuple[str, Array]) -> tuple[Candidate 
         search = replace(search, stop=interrupted)
         begun = search.start(*start)
         return begun, None if begun is None or interrupted() else search.settled(begun)
+
+
+def _finished(
+    tried: Sequence[Candidate], search: DesignSearch, tasks: tuple[Problem, ...] | None
+) -> tuple[Candidate, DesignSearch, Robots]:
+    """Tubes for all frames of tasks, or without these for the tolerances; with what they were found by."""
+    if tasks is None:
+        return _tolerated(tried, search), search, scenarios_of
+    search = replace(search, tasks=tasks)
+    return _whole(min(tried, key=error_of), search), search, alone
 
 
 def _whole(best: Candidate, search: DesignSearch) -> Candidate:
@@ -214,6 +198,15 @@ def _tolerated(found: Sequence[Candidate], search: DesignSearch) -> Candidate:
         if settled is not None and settled.solved:
             return settled
     return min(found, key=error_of)
+
+
+def _motions(best: Candidate, whole: DesignSearch) -> list[Array]:
+    """Those (T, 2d + 2) of a candidate on the robots of all frames or of a draft, task by task over all frames."""
+    picked = [drafted(task.frames) for task in whole.tasks]
+    if len(best.motions.q) == sum(task.frames for task in whole.tasks):
+        return whole.each(best.motions.q)
+    parts = np.split(best.motions.q, np.cumsum([len(frames) for frames in picked])[:-1])
+    return [filled(q, at, task.frames) for q, at, task in zip(parts, picked, whole.tasks, strict=True)]
 
 
 def _known(errors: Array) -> tuple[float | None, ...]:
@@ -241,4 +234,4 @@ def _remarks(best: Candidate, kept: Sequence[Kept]) -> tuple[Remark, ...]:
         bound = rule.upper if price > 0 else rule.lower
         if np.isfinite(bound) and abs(rule.value - bound) <= BINDING * max(abs(bound), BINDING):
             found.append(Remark(rule, abs(price) * abs(bound) / 10 / whole / 2))
-    return tuple(sorted(found, key=lambda one: -one.gain))
+    return tuple(sorted((one for one in found if one.gain >= TOLD), key=lambda one: -one.gain))

@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_pdf import FigureCanvasPdf
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from ctr_nlp.exceptions import OutputError
@@ -37,11 +39,17 @@ def save_all(plan: Plan, folder: str | Path) -> list[Path]:
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write a picture, as lines and text where its name ends in .pdf; raises OutputError where it cannot be."""
+    """Write a picture, as lines and text where its name ends in .pdf or .svg, to the same bytes every time.
+
+    Raises OutputError where it cannot be written.
+    """
     try:
         figure.set_dpi(DPI)
         if path.suffix == ".pdf":
             FigureCanvasPdf(figure).print_pdf(path, metadata={"CreationDate": None})
+        elif path.suffix == ".svg":
+            with rc_context({"svg.hashsalt": "ctr-nlp"}):
+                FigureCanvasSVG(figure).print_svg(path, metadata={"Date": None})
         else:
             FigureCanvasAgg(figure).print_png(path)  # Figure.savefig draws a laid-out figure twice
     except OSError as error:

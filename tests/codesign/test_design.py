@@ -65,10 +65,15 @@ def test_designed_tubes_can_be_made(nominal):
         assert tube.largest_curvature * tube.outer_diameter / 2 <= 0.04
 
 
-def test_no_tubes_nearby_are_better(tasks, nominal):
-    """A minimum: tubes that differ a little have no smaller errors, but for what motion costs."""
-    tubes = DesignedTubes(nominal.robot, RULES)
-    far, least = Settings(contact_weight=0.0), _rms(nominal.plans)
+def test_no_tubes_nearby_are_better(tasks):
+    """A minimum: tubes that differ a little have no smaller errors, but for what motion costs.
+
+    Arcs: with curvatures that vary, errors are so small that the cost of motion decides.
+    """
+    arcs = design(tasks, nominal=True, rules=RULES, starts=2, constant_curvature=True)
+    tubes = DesignedTubes(arcs.robot, RULES)
+    far, least = Settings(contact_weight=0.0), _rms(arcs.plans)
+    assert least > 0.03
     for k, name in enumerate(tubes.names[:2]):
         for factor in (0.97, 1.03):
             p = tubes.own.copy()

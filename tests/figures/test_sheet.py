@@ -8,7 +8,8 @@ from truth import FOUR
 
 from ctr_nlp import Tube, table_i_robot
 from ctr_nlp.exceptions import OutputError
-from ctr_nlp.figures.sheet import COLUMNS, middle_line, save_sheet, sheet
+from ctr_nlp.figures import save
+from ctr_nlp.figures.sheet import COLUMNS, middle_line, sheet
 
 
 def test_a_free_tube_is_the_arc_of_its_curvature():
@@ -34,12 +35,19 @@ def test_the_table_tells_dimensions_of_every_tube(robot):
 
 
 def test_a_sheet_is_written_as_vectors(tmp_path):
-    written = save_sheet(table_i_robot(), "a robot", tmp_path)
+    figure = sheet(table_i_robot(), "a robot")
+    written = [save(figure, tmp_path / name) for name in ("sheet.svg", "sheet.pdf")]
     assert [path.name for path in written] == ["sheet.svg", "sheet.pdf"]
     assert b"<svg" in written[0].read_bytes()[:500]
     assert written[1].read_bytes().startswith(b"%PDF")
 
 
+@pytest.mark.parametrize("name", ["sheet.svg", "sheet.pdf"])
+def test_a_sheet_makes_the_same_file_again(tmp_path, name):
+    first, again = (save(sheet(table_i_robot(), "a robot"), tmp_path / f"{k}-{name}") for k in range(2))
+    assert first.read_bytes() == again.read_bytes()
+
+
 def test_a_sheet_that_cannot_be_written_is_said(tmp_path):
     with pytest.raises(OutputError, match="cannot be written"):
-        save_sheet(table_i_robot(), "a robot", tmp_path / "nowhere")
+        save(sheet(table_i_robot(), "a robot"), tmp_path / "nowhere" / "sheet.svg")

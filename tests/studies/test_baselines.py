@@ -11,7 +11,7 @@ from truth import TWO
 
 from ctr_nlp import Manufacture, Problem, Robot, growing
 from ctr_nlp.cli.main import main
-from ctr_nlp.codesign.together import draft, search_for
+from ctr_nlp.codesign.request import draft, search_for
 from ctr_nlp.studies.baselines.race import METHODS, Run, race, seconds_to
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.target.curve import curve_from_formula

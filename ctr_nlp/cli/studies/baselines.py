@@ -20,7 +20,8 @@ from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command, console, print_tab
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.cli.studies.design import add_rules, rules_from
-from ctr_nlp.codesign.together import STARTS, draft, search_for
+from ctr_nlp.codesign.request import draft, search_for
+from ctr_nlp.codesign.together import STARTS
 from ctr_nlp.studies.baselines.race import METHODS, Run, race, rows, seconds_to
 from ctr_nlp.support.interrupt import end_if_interrupted
 from ctr_nlp.support.tables import markdown, write_csv

@@ -25,6 +25,8 @@ from ctr_nlp.cli.output.file import path_component, write_text
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.cli.report import exit_status
 from ctr_nlp.codesign.plans import planned_on
+from ctr_nlp.codesign.rounding import Stocked
+from ctr_nlp.codesign.stock import read_stock
 from ctr_nlp.codesign.together import STARTS, Design, design
 from ctr_nlp.formulations.shared.manufacture import Manufacture
 from ctr_nlp.plan.account import shown
@@ -68,6 +70,10 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument("--constant-curvature", action="store_true", help="all curved parts are arcs")
     what = "numbers that stay as they are, such as outer_diameter_1 or curved_length_3"
     parser.add_argument("--fix", metavar="NAME", nargs="+", default=[], help=what)
+    what = "round the tubes to Nitinol tubing that can be bought, and lengths and curvatures to what can be made; "
+    what += "FILE: your own list, with columns part, outer_diameter_mm and inner_diameter_mm (or _in for inches), "
+    what += "instead of the package's short one"
+    parser.add_argument("--stock", metavar="FILE", nargs="?", const="", help=what)
     what = f"tubes that are started from, the robot's own and random ones (default {STARTS})"
     parser.add_argument("--starts", metavar="N", type=whole, default=STARTS, help=what)
     add_rules(parser)
@@ -101,6 +107,7 @@ def _run(arguments: argparse.Namespace) -> int:
     loaded = [_named(name, problems.load(name, arguments)) for name in asked]
     tasks, held = loaded[: len(arguments.problems)], loaded[len(arguments.problems) :]
     rules, settings = rules_from(arguments), settings_from(arguments, "seed")
+    stock = None if arguments.stock is None else read_stock(arguments.stock or None)
     check_folder(out, "design")
     end_if_interrupted()
     with progress_bar() as labelled:
@@ -112,6 +119,7 @@ def _run(arguments: argparse.Namespace) -> int:
             constant_curvature=arguments.constant_curvature,
             starts=arguments.starts,
             jobs=arguments.jobs,
+            stock=stock,
             settings=settings,
             progress=labelled("design"),
         )
@@ -160,6 +168,8 @@ def _write(
         "robot": found.robot.to_dict(),
         "rules": [{f: getattr(rule, f) for f in rule._fields} for rule in found.rules],
         "remarks": [str(remark) for remark in found.remarks],
+        "doubts": list(found.doubts),
+        "stock": None if found.stocked is None else _stocked(found.stocked),
         "starts": list(found.tried),
         "nominal": arguments.nominal,
         "interrupted": found.interrupted,
@@ -167,9 +177,22 @@ def _write(
     text = json.dumps(strict_json(told), indent=1, allow_nan=False)
     write_text(folder / "design.json", text + "\n")
     if not arguments.no_figures:
-        from ctr_nlp.figures.sheet import save_sheet  # brings matplotlib, which takes long to load
+        from ctr_nlp.figures import save  # brings matplotlib, which takes long to load
+        from ctr_nlp.figures.sheet import sheet
 
-        save_sheet(found.robot, f"Robot {title}", folder)
+        figure = sheet(found.robot, f"Robot {title}", found.plans)
+        for ending in ("svg", "pdf"):
+            save(figure, folder / f"sheet.{ending}")
+
+
+def _stocked(found: Stocked) -> dict[str, Any]:
+    return {
+        "tubes": [tube._asdict() for tube in found.tubes],
+        "e3_free": found.free.tolist(),
+        "e3": found.rounded.tolist(),
+        "loss": found.loss,
+        "tried": found.tried,
+    }
 
 
 def _row(found: Design, plan: Plan) -> dict[str, Any]:
@@ -208,8 +231,9 @@ def _print(found: Design, rows: Sequence[dict[str, Any]]) -> None:
     ]
     columns = ["tube", "outer mm", "inner mm", "curved part mm", "curvature at root 1/mm", "at tip 1/mm"]
     print_table("tubes", columns, tubes)
-    for remark in found.remarks:
-        console().print(f"{remark}.")
+    told = () if found.stocked is None else (found.stocked,)
+    for remark in (*told, *found.doubts, *found.remarks):
+        console().print(f"{remark}.", markup=False)
 
 
 main = Command("ctr-nlp design", _parser, _run)

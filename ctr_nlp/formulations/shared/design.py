@@ -38,6 +38,9 @@ ALIKE = 1e-9
 INSIDE = 1e-7
 """How far within its bounds a rule is kept, so that rounding does not break it."""
 
+DIGITS = 9
+"""Of rules that are told, and of lengths in mm: sums of decimal numbers are off by less."""
+
 
 class Kept(NamedTuple):
     """A rule of manufacture on some tubes: its value, and the bounds within which that must lie."""
@@ -117,7 +120,7 @@ class DesignedTubes:
             bent = (own[0], own[-1]) if own else 0.0
             if len(own) == 2 and own[0] == own[1]:  # the same kind of part, though it happens to be an arc
                 bent = (own[0], own[1] * (1 + ALIKE))
-            curved, straight = HUNDRED_MM * float(lengths[i]), float(self._transmissions[i])
+            curved, straight = round(HUNDRED_MM * float(lengths[i]), DIGITS), float(self._transmissions[i])
             whole = straight + curved
             tubes.append(Tube(whole, curved, bent, outer, inner, tube.poisson_ratio, tube.youngs_modulus))
         limits = replace(self.robot.limits, beta=None)
@@ -224,8 +227,9 @@ class DesignedTubes:
         for constraint in self.program.constraints:
             size = constraint.value.numel()
             if constraint.name != "freed":
-                bounds = float(constraint.lower[0]) - INSIDE, float(constraint.upper[0]) + INSIDE
-                found.append(Kept(constraint.name, float(g[at]), *bounds))
+                bounds = constraint.lower[0] - INSIDE, constraint.upper[0] + INSIDE
+                told = (round(float(each), DIGITS) for each in (g[at], *bounds))
+                found.append(Kept(constraint.name, *told))
             at += size
         return found
 

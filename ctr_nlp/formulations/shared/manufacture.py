@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from functools import partial
 
@@ -9,6 +10,21 @@ from ctr_nlp.exceptions import OptionError
 from ctr_nlp.robot.strain import STRAIN_DEPLOYED
 from ctr_nlp.robot.tube import DIAMETERS, STRAIN_MADE
 from ctr_nlp.support.values import number
+
+SOLD_RATIO = 1.1, 1.8
+"""Between what outer diameters are as parts of inner ones where Nitinol tubing is sold (Johnson Matthey, Nitinol
+specification guidelines, matthey.com)."""
+DIAMETERS_WITHIN = (
+    (0.3, 0.005, 0.010),
+    (0.5, 0.007, 0.015),
+    (1.5, 0.015, 0.020),
+    (2.5, 0.020, 0.030),
+    (3.5, 0.020, 0.040),
+    (5.0, 0.030, 0.050),
+    (math.inf, 0.050, 0.050),
+)
+"""Up to what outer diameter Nitinol tubing is sold with what tolerances of the outer and the inner one, +- mm
+(Lumenous, Nitinol tube, lumenous.com/nitinol-tube: the first of its two tables)."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +69,11 @@ class Manufacture:
                 f"least {least:.3g} mm thick, and outer of manufacture is {self.outer:g} mm; "
                 "allow a smaller channel, a thinner wall or a larger outer diameter"
             )
+
+
+def diameters_within(outer: float) -> tuple[float, float]:
+    """The tolerances, +- mm, of the outer and the inner diameter of tubing sold with this outer diameter, mm."""
+    return next((each, inner) for most, each, inner in DIAMETERS_WITHIN if outer <= most)
 
 
 def _within(high: float, value: float) -> bool:

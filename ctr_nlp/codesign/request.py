@@ -1,0 +1,62 @@
+"""What a design is asked for: problems, rules and settings, checked, as the search for tubes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from ctr_nlp.codesign.search import DesignSearch
+from ctr_nlp.exceptions import OptionError, ProblemError
+from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.formulations.shared.design import DesignedTubes, varying
+from ctr_nlp.formulations.shared.manufacture import Manufacture
+from ctr_nlp.models import Model, model_named
+from ctr_nlp.steer.motions import at_frames
+from ctr_nlp.steer.nlp_frames import DEFAULTS
+from ctr_nlp.steer.starts.search import drafted
+from ctr_nlp.support.values import instance
+from ctr_nlp.target.problem import Problem
+
+
+def search_for(
+    problems: Sequence[Problem],
+    model: str | Model = "elastic",
+    rules: Manufacture | None = None,
+    fixed: Sequence[str] = (),
+    constant_curvature: bool = False,
+    settings: Settings = DEFAULTS,
+) -> DesignSearch:
+    """The search for tubes over all frames of problems; as design."""
+    tasks = _checked(problems, settings)
+    described = model_named(model, "model of a design")
+    if not described.several_equilibria:
+        raise OptionError(
+            f"model of a design is {described.name}; tubes' diameters matter on the elastic one alone"
+        )
+    robot = tasks[0].robot if constant_curvature else varying(tasks[0].robot)
+    tubes = DesignedTubes(robot, rules or Manufacture(), tuple(fixed))
+    margin = 0.0 if settings.stability_margin is None else settings.stability_margin
+    return DesignSearch(tuple(replace(task, robot=robot) for task in tasks), tubes, described, margin)
+
+
+def _checked(problems: Sequence[Problem], settings: Settings) -> tuple[Problem, ...]:
+    """Problems whose robots are one."""
+    tasks = tuple(problems)
+    if not tasks:
+        raise ProblemError("a design without problems; give at least one")
+    instance(OptionError, "settings", settings, Settings)
+    for task in tasks:
+        instance(ProblemError, "problem", task, Problem)
+        if task.robot != tasks[0].robot:
+            raise ProblemError(
+                f"the robot of {task.name} is not that of {tasks[0].name}; a design begins with one robot for all"
+            )
+    if len({task.name for task in tasks}) < len(tasks):
+        raise ProblemError("two problems of a design have the same name; plans are written under their names")
+    return tasks
+
+
+def draft(task: Problem) -> Problem:
+    """A task on the frames of a draft."""
+    picked = drafted(task.frames)
+    return task if len(picked) == task.frames else at_frames(task, picked, int(picked[-1] - picked[-2]))

@@ -1,0 +1,171 @@
+"""Designed tubes rounded to what can be bought and heat set: diameters, lengths, then curvatures tube by tube.
+
+After every rounding what is not yet rounded is designed again, together with the motions.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ctr_nlp.codesign.search import AGAIN, NEAR, PULL, Candidate, DesignSearch, Robots, alone, error_of
+from ctr_nlp.codesign.stock import ENDS, StockTube, nearest, with_diameters
+from ctr_nlp.exceptions import CtrError, ProblemError
+from ctr_nlp.formulations.shared.design import HUNDRED_MM, DesignedTubes
+from ctr_nlp.solvers.motion.judged import WIDE
+from ctr_nlp.typing import Array
+
+TRIED, FINALISTS = 8, 2
+"""Combinations of tubes that are designed for on the frames of a draft, and of these those that are rounded to the
+end."""
+WAYS = 2
+"""Ways to round that are tried at every step, the nearest."""
+LENGTH_STEP = 0.5
+"""mm to which lengths of curved parts are rounded."""
+RADII = ((200.0, 1.0), (2000.0, 10.0), (math.inf, 100.0))
+"""Radii in mm up to which heat-setting forms are made in steps of so many mm. Forms can be cut to any radius; what
+a tube keeps of it differs by some percent from tube to tube, which Tolerances are for, and steps much smaller than
+that have no meaning. No published ladder of radii is known to us: this one is ours."""
+
+STRAIGHT = 0.1
+"""1/(100 mm): differences of smaller curvatures count as those of this one."""
+
+Finish = Callable[[Sequence[Candidate], DesignSearch], tuple[Candidate, DesignSearch, Robots]]
+"""Takes the best tubes from the frames of a draft to what they are designed for: all frames, or tolerances."""
+
+
+@dataclass(frozen=True)
+class Stocked:
+    """What became of designed tubes in stock. tubes: what to buy, outermost first; free, rounded (n,): e3 of the
+    tasks' motions with free tubes and with these, mm, both over the same frames and scenarios; tried: of how many
+    combinations they are the best.
+    """
+
+    tubes: tuple[StockTube, ...]
+    free: Array
+    rounded: Array
+    tried: int
+
+    @property
+    def loss(self) -> float:
+        """By what part the root mean square of e3 is above that of the free tubes."""
+        return float(np.sqrt(np.mean(self.rounded**2) / np.mean(self.free**2)) - 1)
+
+    def __str__(self) -> str:
+        """In a sentence."""
+        parts = "; ".join(f"tube {i}: {one.part}" for i, one in enumerate(self.tubes, 1))
+        change = f"raise e3 by {self.loss:.1%}" if self.loss >= 0 else f"lower e3 by {-self.loss:.1%}"
+        return f"Tubes of stock ({parts}) {change}"
+
+
+def in_stock(
+    best: Candidate, search: DesignSearch, stock: Sequence[StockTube], finish: Finish, finalists: int = FINALISTS
+) -> tuple[Candidate, Stocked] | None:
+    """The best tubes of stock that come from designed ones, and what they lose; None when the search is stopped.
+
+    Combinations are tried in the order in which they promise to lose least. Raises OptionError where no tubes of
+    the stock nest, ProblemError where none of those tried can follow the tasks.
+    """
+    drafts = list[tuple[Candidate, DesignSearch, tuple[StockTube, ...]]]()
+    chosen = nearest(stock, search.tubes, best.p)[:TRIED]
+    for tubes in chosen:
+        if search.stop():
+            break
+        on = _held(_eased(search), with_diameters(search.tubes, best.p, tubes), ENDS)
+        begun = on.start(best.start, on.tubes.own)
+        if begun is not None:
+            again = on.refined(begun, alone, PULL, WIDE)
+            drafts.append((begun if again is None else again, on, tubes))
+    drafts.sort(key=lambda one: error_of(one[0]))
+    ended = list[tuple[Candidate, tuple[StockTube, ...]]]()
+    for draft, on, tubes in drafts:
+        if len(ended) == finalists:
+            break
+        with suppress(CtrError):  # where rounding leaves no robot that can be made
+            found = _rounded(*finish([draft], on))
+            if found is not None and all(r.lower <= r.value <= r.upper for r in search.tubes.kept(found.p)):
+                ended.append((found, tubes))
+    if not ended:
+        if search.stop():
+            return None
+        raise ProblemError("no tubes of the stock were found on which all problems can be followed")
+    found, tubes = min(ended, key=lambda one: error_of(one[0]))
+    return found, Stocked(tubes, best.motions.e3, found.motions.e3, len(chosen))
+
+
+def _eased(search: DesignSearch) -> DesignSearch:
+    """The search with less of the rules of diameters, which are judged when these are chosen.
+
+    A wall that just keeps its rule, and cannot change, would leave an interior point no room.
+    """
+    rules = search.tubes.rules
+    eased = {name: getattr(rules, name) / 2 for name in ("wall", "clearance", "channel")}
+    return replace(search, tubes=replace(search.tubes, rules=replace(rules, **eased)))
+
+
+def _held(search: DesignSearch, p: Array, kinds: Sequence[str]) -> DesignSearch:
+    """The search with entries of these kinds as they are in p (P,)."""
+    tubes = search.tubes
+    names = tuple(name for name in tubes.names if name.startswith(tuple(kinds)) or name in tubes.fixed)
+    return replace(search, tubes=DesignedTubes(tubes.robot_of(p), tubes.rules, names))
+
+
+def _rounded(known: Candidate, search: DesignSearch, robots: Robots) -> Candidate | None:
+    """With lengths and curvatures as they can be made; None where no motion goes with these."""
+    d, solution = search.tubes.robot.d, known.solution
+    steps = [tuple(f"curved_length_{i}" for i in range(1, d + 1))]
+    steps += [
+        tuple(f"{kind}_{i}" for kind in ("curvature", "root_curvature", "tip_curvature")) for i in range(1, d + 1)
+    ]
+    for names in steps:
+        ways = [_designed_on(known, search, p, names, robots) for p in made(search.tubes, known.p, names)[:WAYS]]
+        known, search = min(ways, key=lambda way: error_of(way[0]))
+    again = search.start(known.start, search.tubes.own) if robots is alone else None
+    found = min((one for one in (known, again) if one is not None), key=error_of)
+    return None if not np.isfinite(found.motions.rms) else replace(found, solution=solution)
+
+
+def _designed_on(
+    known: Candidate, search: DesignSearch, p: Array, names: Sequence[str], robots: Robots
+) -> tuple[Candidate, DesignSearch]:
+    """What is not held designed again, with named entries held as they are in p (P,); e3 NaN where that fails."""
+    search = _held(search, p, names)
+    unknown = replace(known.motions, e3=np.full_like(known.motions.e3, np.nan))
+    start = replace(known, p=search.tubes.own, motions=unknown)
+    found = (search.refined(start, robots, PULL, barrier) for barrier in (NEAR, AGAIN))
+    return next((one for one in found if one is not None), start), search
+
+
+def made(tubes: DesignedTubes, p: Array, names: Sequence[str]) -> list[Array]:
+    """Ways to round named entries of p (P,) up or down to what can be made, fixed ones excepted; nearest first.
+
+    Those that break a rule are left out, but for the nearest where all do.
+    """
+    lower, upper = tubes.box
+    at = [k for k, name in enumerate(tubes.names) if name in names and lower[k] < upper[k]]
+    ways = [[each for each in _around(tubes.names[k], p[k]) if lower[k] <= each <= upper[k]] or [p[k]] for k in at]
+    found = list[tuple[bool, float, Array]]()
+    for way in itertools.product(*map(dict.fromkeys, ways)):
+        other = p.copy()
+        other[at] = way
+        changes = (np.array(way) - p[at]) / np.maximum(abs(p[at]), STRAIGHT)
+        found.append((not tubes.keeps(other), float(np.sum(changes**2)), other))
+    found.sort(key=lambda each: each[:2])
+    return [other for broken, _, other in found if not broken] or [found[0][2]]
+
+
+def _around(name: str, value: float) -> tuple[float, ...]:
+    """What can be made below and above an entry of p."""
+    if name.startswith("curved_length"):
+        step = LENGTH_STEP / HUNDRED_MM
+        return math.floor(value / step) * step, math.ceil(value / step) * step
+    if value == 0:
+        return (value,)
+    radius = HUNDRED_MM / value
+    step = next(step for most, step in RADII if abs(radius) <= most)
+    return tuple(HUNDRED_MM / (whole * step) for whole in (math.floor(radius / step), math.ceil(radius / step)))

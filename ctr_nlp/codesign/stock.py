@@ -1,0 +1,145 @@
+"""Nitinol tubing that can be bought: tables of it, and which of it comes nearest to designed tubes."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.formulations.shared.design import DesignedTubes
+from ctr_nlp.robot.tube import DIAMETERS
+from ctr_nlp.typing import Array
+
+OWN = Path(__file__).with_name("stock.csv")
+"""The package's table."""
+INCH = 25.4
+ENDS = "outer_diameter", "inner_diameter"
+BEAM = 400
+"""Unfinished combinations that a search keeps, from tube to tube."""
+STRAINED = 4.0
+"""How much more it weighs that a tube is too thick for its curvature than that it is too stiff or too soft."""
+ROUNDING = 1e-9
+"""mm by which sums of decimal numbers may miss a rule."""
+
+
+class StockTube(NamedTuple):
+    """Tubing as sold: what it is called, diameters in mm, and where these stand."""
+
+    part: str
+    outer: float
+    inner: float
+    source: str
+
+    @property
+    def stiffness(self) -> float:
+        """The second moment of its section but for a factor, mm^4."""
+        return self.outer**4 - self.inner**4
+
+
+def read_stock(path: str | Path | None = None) -> tuple[StockTube, ...]:
+    """The tubing of a CSV file; without one that of the package.
+
+    Columns part, outer_diameter_mm and inner_diameter_mm, or the diameters in inches as outer_diameter_in and
+    inner_diameter_in; a column source is kept, all others are passed over, and so are lines that begin with #.
+    Raises OptionError, which names the line and the column.
+    """
+    place = OWN if path is None else Path(path)
+    try:
+        with open(place, newline="", encoding="utf-8-sig") as file:
+            lines = [(number, line) for number, line in enumerate(file, 1) if line.strip() and line[0] != "#"]
+        rows = list(csv.DictReader(line for _, line in lines))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise OptionError(f"the stock {place} cannot be read: {error}") from error
+    names = set(rows[0]) if rows else set()
+    unit = next((unit for unit in ("mm", "in") if {f"{end}_{unit}" for end in ENDS} <= names), None)
+    if unit is None or "part" not in names:
+        raise OptionError(
+            f"the stock {place} must have rows, and columns part, outer_diameter_mm and inner_diameter_mm (or _in "
+            f"for inches); it has {', '.join(map(str, sorted(names, key=str))) or 'no rows'}"
+        )
+    return tuple(_tube(place, number, row, unit) for (number, _), row in zip(lines[1:], rows, strict=True))
+
+
+def _tube(place: Path, line: int, row: dict[str, str | None], unit: str) -> StockTube:
+    found = []
+    for end in ENDS:
+        name, text = f"{end}_{unit}", row[f"{end}_{unit}"]
+        try:
+            value = float(text or "") * (INCH if unit == "in" else 1.0)
+        except ValueError:
+            value = math.nan
+        if not DIAMETERS[0] <= value <= DIAMETERS[1]:
+            raise OptionError(
+                f"line {line} of the stock {place}: {name} is {text!r}; it must be a number between "
+                f"{DIAMETERS[0]:g} and {DIAMETERS[1]:g} mm"
+            )
+        found.append(round(value, 6))
+    outer, inner = found
+    if inner >= outer:
+        raise OptionError(
+            f"line {line} of the stock {place}: inner_diameter_{unit} is {row[f'inner_diameter_{unit}']!r}; it "
+            f"must be less than outer_diameter_{unit}, which is {row[f'outer_diameter_{unit}']!r}"
+        )
+    return StockTube(row["part"] or f"line {line}", outer, inner, row.get("source") or str(place))
+
+
+def nearest(stock: Sequence[StockTube], tubes: DesignedTubes, p: Array) -> list[tuple[StockTube, ...]]:
+    """Tubes of stock that nest within the rules, those first that promise to lose least against tubes p (P,).
+
+    Shapes depend on the ratios of tubes' stiffnesses alone, so what counts are the logarithms of these between
+    neighbours, and whether a thicker tube still bears its curvature. A tube with a diameter that is fixed stays as
+    it is. A beam search from the innermost tube outwards. Raises OptionError where none nest.
+    """
+    robot, rules = tubes.robot_of(p), tubes.rules
+    moduli = [tube.youngs_modulus for tube in robot.tubes]
+    wanted = [math.log(tube.bending_stiffness) for tube in robot.tubes]
+    found: list[tuple[float, tuple[StockTube, ...]]] = [(0.0, ())]
+    for i in reversed(range(robot.d)):
+        tube, longer = robot.tubes[i], list[tuple[float, tuple[StockTube, ...]]]()
+        for cost, inside in found:
+            least = inside[0].outer + rules.clearance if inside else rules.channel
+            for one in _choices(stock, tubes, p, i):
+                wall = (one.outer - one.inner) / 2
+                if min(one.inner - least, wall - rules.wall, rules.outer - one.outer) < -ROUNDING:
+                    continue
+                bent = tube.largest_curvature * one.outer / 2 / rules.strain_made
+                more = (STRAINED * math.log(bent)) ** 2 if bent > 1 else 0.0
+                if inside:
+                    ratio = math.log(moduli[i] * one.stiffness / (moduli[i + 1] * inside[0].stiffness))
+                    more += (ratio - wanted[i] + wanted[i + 1]) ** 2
+                longer.append((cost + more, (one, *inside)))
+        found = sorted(longer, key=lambda state: state[0])[:BEAM]
+    if not found:
+        raise OptionError(
+            f"no {robot.d} tubes of the stock nest with walls of at least {rules.wall:g} mm, {rules.clearance:g} "
+            f"mm between diameters, an inner channel of {rules.channel:g} mm and at most {rules.outer:g} mm "
+            "outside; ease these rules or give another list"
+        )
+    return [inside for _, inside in found]
+
+
+def _choices(stock: Sequence[StockTube], tubes: DesignedTubes, p: Array, i: int) -> Sequence[StockTube]:
+    """For the tube i, from 0."""
+    names = [f"{end}_{i + 1}" for end in ENDS]
+    if not any(name in tubes.fixed for name in names):
+        return stock
+    outer, inner = (float(p[tubes.names.index(name)]) for name in names)
+    return (StockTube("as it was fixed", outer, inner, "the robot"),)
+
+
+def with_diameters(tubes: DesignedTubes, p: Array, chosen: Sequence[StockTube]) -> Array:
+    """The unknowns (P,) with the diameters of these, and curvatures within what these bear."""
+    found, names = np.array(p, dtype=float), tubes.names
+    for k, name in enumerate(names):
+        kind, _, number = name.rpartition("_")
+        one = chosen[int(number) - 1]
+        if kind in ENDS:
+            found[k] = one.outer if kind == "outer_diameter" else one.inner
+        elif kind.endswith("curvature") and name not in tubes.fixed:
+            found[k] = min(found[k], 100.0 * 2 * tubes.rules.strain_made / one.outer)
+    return found
