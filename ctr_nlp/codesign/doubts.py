@@ -11,7 +11,7 @@ from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array
 
-USED = 3.0
+USED = 5.0
 """mm that a tube is pushed out by, or matters over, in some frame if it is of use."""
 MATTERS = 0.02
 """Least part of the bending stiffness of all tubes at a place with which a tube is felt there."""
