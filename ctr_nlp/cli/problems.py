@@ -7,7 +7,7 @@ import math
 import runpy
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,24 @@ def load(name: str, arguments: argparse.Namespace) -> Problem:
         if asked is not None:
             model_named(asked).check(problem.robot)
     return problem
+
+
+def expanded(names: Sequence[str]) -> list[str]:
+    """Names of problems and files, with the centreline files in a folder, in their order, in place of its name.
+
+    Raises OptionError where a folder has none.
+    """
+    found = list[str]()
+    for name in names:
+        folder = Path(name)
+        if not folder.is_dir():
+            found.append(name)
+            continue
+        files = sorted(str(path) for path in folder.iterdir() if path.name.endswith(CENTRELINES))
+        if not files:
+            raise OptionError(f"folder {name} has no centreline files ({', '.join(CENTRELINES)})")
+        found += files
+    return found
 
 
 def _problem(name: str, arguments: argparse.Namespace) -> Problem:

@@ -14,6 +14,7 @@ import shooting
 from truth import TWO
 
 from ctr_nlp import Manufacture, Plan, Problem, Robot, Settings, design, growing, solve_horizon, summary
+from ctr_nlp.cli import problems
 from ctr_nlp.cli.main import main
 from ctr_nlp.codesign.starts import starts
 from ctr_nlp.exceptions import OptionError, ProblemError
@@ -187,6 +188,22 @@ def test_the_command_writes_a_robot_plans_and_a_sheet(tmp_path, capsys):
     assert told["problems"][0]["e3"] < told["problems"][0]["e3_before"]
 
 
+def test_a_folder_stands_for_its_centrelines(tmp_path):
+    for name in ("b.csv", "a.csv", "notes.txt"):
+        (tmp_path / name).write_text("")
+    given = [str(tmp_path), "cos"]
+    assert problems.expanded(given) == [str(tmp_path / "a.csv"), str(tmp_path / "b.csv"), "cos"]
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(OptionError, match="has no centreline files"):
+        problems.expanded([str(tmp_path / "empty")])
+
+
+def test_problems_of_one_name_are_refused_before_anything_is_solved(tmp_path, capsys):
+    assert main(["design", "cos", "--hold-out", "cos", "--out", str(tmp_path / "out")]) == 2
+    assert "two problems are called cos" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_script_is_the_command():
     done = subprocess.run(
         [sys.executable, "scripts/design_tubes.py", "--help"], capture_output=True, text=True, check=True
@@ -195,9 +212,13 @@ def test_the_script_is_the_command():
     assert "--hold-out" in done.stdout
 
 
-def test_plans_on_designed_tubes_are_where_equations_say(nominal):
-    """The shapes of a model of other make, which shoots, and no snap on the way."""
-    for plan in nominal.plans:
+def test_plans_on_designed_tubes_are_where_equations_say(tasks):
+    """The shapes of a model of other make, which shoots, and no snap on the way.
+
+    Not as near to a fold as nominal designs are by default: there, four steps of integration miss 0.02 mm.
+    """
+    found = design(tasks, nominal=True, rules=RULES, starts=1, settings=Settings(stability_margin=0.3))
+    for plan in found.plans:
         shot = shooting.followed(shooting.tubes(plan.robot, np.zeros((1, 2, 5))), plan.q, np.linspace(0, 1, 21))
         away = np.linalg.norm(shot.shapes[0] - plan.shape[:, ::5], axis=-1)
         assert shot.snapped[0] == 0

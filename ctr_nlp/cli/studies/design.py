@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -28,6 +29,7 @@ from ctr_nlp.codesign.plans import planned_on
 from ctr_nlp.codesign.rounding import Stocked
 from ctr_nlp.codesign.stock import read_stock
 from ctr_nlp.codesign.together import STARTS, Design, design
+from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.shared.manufacture import Manufacture
 from ctr_nlp.plan.account import shown
 from ctr_nlp.plan.metrics import summary
@@ -63,8 +65,9 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         epilog="Exit status: 0 no verdict on a plan is no, 1 one is, 2 bad input, 130 interrupted. `ctr-nlp plan "
         "PROBLEM --robot DIR/robot.toml --model elastic` plans further problems on the robot.",
     )
-    parser.add_argument("problems", metavar="PROBLEM", nargs="+", help=problems.KINDS)
-    what = "problems that are planned on the designed robot, which is not designed for them"
+    kinds = f"{problems.KINDS}, or a folder of centreline files"
+    parser.add_argument("problems", metavar="PROBLEM", nargs="+", help=kinds)
+    what = "problems that are planned on the designed robot, which is not designed for them, or a folder of them"
     parser.add_argument("--hold-out", metavar="PROBLEM", nargs="+", default=[], help=what)
     parser.add_argument("--nominal", action="store_true", help="leave tolerances out")
     parser.add_argument("--constant-curvature", action="store_true", help="all curved parts are arcs")
@@ -103,9 +106,14 @@ def rules_from(arguments: argparse.Namespace) -> Manufacture:
 
 def _run(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out)
-    asked = [*arguments.problems, *arguments.hold_out]
-    loaded = [_named(name, problems.load(name, arguments)) for name in asked]
-    tasks, held = loaded[: len(arguments.problems)], loaded[len(arguments.problems) :]
+    tasks, held = (
+        [_named(name, problems.load(name, arguments)) for name in problems.expanded(names)]
+        for names in (arguments.problems, arguments.hold_out)
+    )
+    if twice := [name for name, count in Counter(task.name for task in (*tasks, *held)).items() if count > 1]:
+        raise OptionError(
+            f"two problems are called {twice[0]}; plans are written under these names, rename a file"
+        )
     rules, settings = rules_from(arguments), settings_from(arguments, "seed")
     stock = None if arguments.stock is None else read_stock(arguments.stock or None)
     check_folder(out, "design")
