@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -38,6 +38,9 @@ from ctr_nlp.typing import Array
 
 STARTS = 6
 """Tubes that a design starts from."""
+FIRM = 0.3
+"""Least margin of all robots within the tolerances while tubes are designed for them, where it can be kept: it
+hardly costs any error, and plans, which need not have as much, have it in hand."""
 BINDING = 1e-3
 """A rule binds where it is kept by less than this part of its bound."""
 TOLD = 5e-4
@@ -192,12 +195,23 @@ def _whole(best: Candidate, search: DesignSearch) -> Candidate:
 
 def _tolerated(found: Sequence[Candidate], search: DesignSearch) -> Candidate:
     """Tubes for the robots within the tolerances, from the best on which these share motions; else the best."""
-    for one in sorted(found, key=error_of):
-        begun = None if search.stop() else search.shared(one, scenarios_of)
-        settled = None if begun is None else search.settled(begun, scenarios_of, NEAR)
+    for firm, one in _promising(found, search):
+        begun = None if one is None or search.stop() else firm.shared(one, scenarios_of)
+        settled = None if begun is None else firm.settled(begun, scenarios_of, NEAR)
         if settled is not None and settled.solved:
             return settled
     return min(found, key=error_of)
+
+
+def _promising(
+    found: Sequence[Candidate], search: DesignSearch
+) -> Iterator[tuple[DesignSearch, Candidate | None]]:
+    """Tubes to begin with and margins to keep: each with its own motions, then with those planned anew on it."""
+    for one in sorted(found, key=error_of):
+        for margin in sorted({FIRM, search.margin}, reverse=True):
+            firm = replace(search, margin=margin)
+            yield firm, one
+            yield firm, firm.start(one.start, one.p)
 
 
 def _motions(best: Candidate, whole: DesignSearch) -> list[Array]:
