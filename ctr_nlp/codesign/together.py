@@ -196,7 +196,9 @@ def _whole(best: Candidate, search: DesignSearch) -> Candidate:
 def _tolerated(found: Sequence[Candidate], search: DesignSearch) -> Candidate:
     """Tubes for the robots within the tolerances, from the best on which these share motions; else the best."""
     for firm, one in _promising(found, search):
-        begun = None if one is None or search.stop() else firm.shared(one, scenarios_of)
+        if search.stop():
+            break
+        begun = None if one is None else firm.shared(one, scenarios_of)
         settled = None if begun is None else firm.settled(begun, scenarios_of, NEAR)
         if settled is not None and settled.solved:
             return settled
