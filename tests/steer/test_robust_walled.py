@@ -69,6 +69,7 @@ def test_robust_plans_pay_more_for_clearance_than_others(problem, plans):
     free, within = plans
     dear = _planned(problem)
     assert dear.options["clearance_cost"] == ROBUST_CLEARANCE_COST > within.options["clearance_cost"]
+    assert Settings().options() == Settings(clearance_cost=0.1).options()
     assert dear.verdicts.followed.word == "yes"
     assert 1.2 * _root(free) < _root(dear) <= (1.02 + ROBUST_CLEARANCE_COST) * _root(free)
     assert dear.robustness(60, SEED).losses == 0
