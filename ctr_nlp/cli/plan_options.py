@@ -9,6 +9,7 @@ from dataclasses import replace
 from ctr_nlp.anatomy.files import CENTRELINES, MASKS
 from ctr_nlp.cli.arguments import DEFAULTS, add_entry_option, add_live_option, add_numbers, add_triple, whole
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.formulations.settings import ROBUST_CLEARANCE_COST
 from ctr_nlp.formulations.terms import ShapeDistance, Term, TipDirection, TipPosition
 from ctr_nlp.models import MODELS
 from ctr_nlp.plan.verdicts import MOST_LOST
@@ -122,8 +123,9 @@ def add_wall_options(parser: argparse.ArgumentParser) -> None:
             "gives a little",
         ),
     ):
-        default = getattr(DEFAULTS, option.replace("-", "_"))
-        add_numbers(group, (option, metavar, f"{what} (default {default:g})"))
+        usual = f"{DEFAULTS.options()[option.replace('-', '_')]:g}"
+        usual += f", with --robust {ROBUST_CLEARANCE_COST:g}" if option == "clearance-cost" else ""
+        add_numbers(group, (option, metavar, f"{what} (default {usual})"))
 
 
 def add_file_options(parser: argparse.ArgumentParser) -> None:

@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.support.values import number, whole_number
+from ctr_nlp.support.values import number, strict_json, whole_number
+
+CLEARANCE_COST, ROBUST_CLEARANCE_COST = 0.1, 0.7
+"""By what part of itself the error e3 may grow for clearance where nothing else is asked for: in plans for the
+robot as described, and for all robots within its tolerances. With so much more, these touch the wall about as much
+as the robot described does in a plan of its own: tissue comes before the error."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +26,8 @@ class Settings:
     clearance: mm that are to be kept between tubes and the lumen's wall, where that is known, by the joint
     formulation and the horizon. contact_weight: what a mm less of it costs in a frame, mm^2, as an exact penalty:
     all is kept where that costs less; 0 for no wall. clearance_cost: by what part of itself the error e3 may
-    grow for clearance; where it would grow by more, contact costs less. contact_allowed: mm that a place of the
+    grow for clearance, None for the usual one of the kind of plan; where it would grow by more, contact costs
+    less. contact_allowed: mm that a place of the
     robot may be beyond the wall before a plan is not within it: tissue gives a little.
     """
 
@@ -30,7 +37,7 @@ class Settings:
     stability_margin: float | None = 0.1
     clearance: float = 0.05
     contact_weight: float = 30.0
-    clearance_cost: float = 0.1
+    clearance_cost: float | None = None
     contact_allowed: float = 1.0
 
     def __post_init__(self) -> None:
@@ -45,7 +52,18 @@ class Settings:
             number(OptionError, "stability_margin", self.stability_margin, lambda x: 0 <= x < 1, allowed)
         for name in ("clearance", "contact_weight", "contact_allowed"):
             number(OptionError, name, getattr(self, name), lambda x: 0 <= x < math.inf, "be a finite number >= 0")
-        number(OptionError, "clearance_cost", self.clearance_cost, lambda x: x >= 0, "be a number >= 0, or inf")
+        if self.clearance_cost is not None:
+            allowed = "be a number >= 0, or inf, or None"
+            number(OptionError, "clearance_cost", self.clearance_cost, lambda x: x >= 0, allowed)
+
+    def affordable(self, usual: float = CLEARANCE_COST) -> float:
+        """By what part of itself e3 may grow for clearance; usual: where nothing else is asked for."""
+        return usual if self.clearance_cost is None else self.clearance_cost
+
+    def options(self, usual: float = CLEARANCE_COST) -> dict[str, Any]:
+        """As the meta of a plan holds them; usual: as of affordable."""
+        found: dict[str, Any] = strict_json(asdict(replace(self, clearance_cost=self.affordable(usual))))
+        return found
 
 
 def check_motion_weight(weight: float) -> float:

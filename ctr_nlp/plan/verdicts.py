@@ -158,4 +158,4 @@ def _survives(plan: Record) -> Judgement:
 
 def _option(plan: Record, name: str) -> Any:
     """What was asked for, or by default is, where a plan was made before there was such an option."""
-    return plan.options.get(name, getattr(Settings(), name))
+    return plan.options.get(name, Settings().options()[name])

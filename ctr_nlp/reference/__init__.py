@@ -6,7 +6,6 @@ None of them knows the robot's speed limits; largest steps are part of every com
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
 
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import MODELS
@@ -30,7 +29,7 @@ def reference_frames(problem: Problem, name: str, settings: Settings) -> Referen
     check_choice("reference method", name, METHODS)
     MODELS["dominant"].check(problem.robot)
     method = METHODS[name](problem, settings.motion_weight / problem.dt**2)
-    return ReferenceFrames(problem, name, method, asdict(settings))
+    return ReferenceFrames(problem, name, method, settings.options())
 
 
 __all__ = ["METHODS", "reference_frames"]

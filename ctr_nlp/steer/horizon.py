@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -38,7 +38,7 @@ from ctr_nlp.steer.requests import (
 )
 from ctr_nlp.steer.starts.search import Search
 from ctr_nlp.support.interrupt import deferred_interrupt
-from ctr_nlp.support.values import check_choice, strict_json
+from ctr_nlp.support.values import check_choice
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
@@ -154,7 +154,7 @@ class Horizon:
                 wall, attempts = self._kept_inside(self._wall, search, attempts, given)
             work = {"search_s": between - begin, "solve_s": time.perf_counter() - between}
             stopped = interrupted()
-        options = strict_json(asdict(settings)) | {"motion_weight": weight, "starts": starts}
+        options = settings.options() | {"motion_weight": weight, "starts": starts}
         options["exhaustive"] = exhaustive
         options["terms"] = [str(term) for term in self._terms]
         for name, q in (("start", self.ends.start), ("end", self.ends.end)):
@@ -194,7 +194,7 @@ class Horizon:
             success = np.full(self.problem.frames, one.solution.success)
             return Outcome.of(self.problem, wall.model, self._q(one.motion), one.motion, success)
 
-        least, cost = outcome(free), self._settings.clearance_cost
+        least, cost = outcome(free), self._settings.affordable()
         kept = affordable(wall, solve, lambda attempts: outcome(attempts).affords(least, cost), search.stop)
         return (None, free) if kept is None else kept
 

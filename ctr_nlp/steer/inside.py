@@ -111,6 +111,6 @@ def kept_inside(frames: NlpFrames, free: Pass, stop: Callable[[], bool]) -> tupl
         return Outcome.of(problem, wall.model, one.motion(problem), one.unknowns(problem), success)
 
     least = outcome(free)
-    cost = frames.settings.clearance_cost
+    cost = frames.settings.affordable()
     found = affordable(wall, solve, lambda one: outcome(one).affords(least, cost), stop)
     return (free, None) if found is None else (found[1], found[0])

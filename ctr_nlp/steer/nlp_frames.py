@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -22,7 +22,7 @@ from ctr_nlp.simulation.forward import other_way
 from ctr_nlp.solvers import SOLVERS, NlpSolver, Solution, default_solver
 from ctr_nlp.steer.at_once import AtOnce, reach_of
 from ctr_nlp.steer.requests import checked_terms
-from ctr_nlp.support.values import check_choice, strict_json
+from ctr_nlp.support.values import check_choice
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
@@ -94,7 +94,7 @@ class NlpFrames:
             "formulation": formulation,
             "model": described.name,
             "solver": solver,
-            "options": strict_json(asdict(settings)) | {"terms": [str(term) for term in terms]},
+            "options": settings.options() | {"terms": [str(term) for term in terms]},
         }
         margins, seconds = np.full(problem.frames, margin), time.perf_counter() - begin
         return cls(problem, described, settings, free, inside, margins, wall, None, seconds, description)

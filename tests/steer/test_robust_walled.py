@@ -10,6 +10,7 @@ import pytest
 from truth import TWO
 
 from ctr_nlp import Problem, Settings, growing
+from ctr_nlp.formulations.settings import ROBUST_CLEARANCE_COST
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.steer.robust import solve_robust
 from ctr_nlp.target.curve import curve_from_formula, curve_from_points
@@ -33,8 +34,8 @@ def _planned(problem, **settings):
 
 @pytest.fixture(scope="module")
 def plans(problem):
-    """Without the wall, and within it."""
-    return _planned(problem, contact_weight=0.0), _planned(problem)
+    """Without the wall, and within it at a cost of a tenth."""
+    return _planned(problem, contact_weight=0.0), _planned(problem, clearance_cost=0.1)
 
 
 def _root(plan):
@@ -61,6 +62,18 @@ def test_what_the_wall_costs_is_told(plans):
     assert 0 < weight <= Settings().contact_weight
     assert within.meta["rounds"][-1]["contact_weight"] == weight
     assert free.meta["contact_weight"] is None
+
+
+def test_robust_plans_pay_more_for_clearance_than_others(problem, plans):
+    """By default: as little contact as that is worth, where errors of draws grow by no more than that."""
+    free, within = plans
+    dear = _planned(problem)
+    assert dear.options["clearance_cost"] == ROBUST_CLEARANCE_COST > within.options["clearance_cost"]
+    assert Settings().options() == Settings(clearance_cost=0.1).options()
+    assert dear.verdicts.followed.word == "yes"
+    assert 1.2 * _root(free) < _root(dear) <= (1.02 + ROBUST_CLEARANCE_COST) * _root(free)
+    assert dear.robustness(60, SEED).losses == 0
+    assert dear.robustness(60, SEED).contact.mean() < 0.9 * within.robustness(60, SEED).contact.mean()
 
 
 def test_more_is_kept_where_more_may_be_paid(problem, plans):

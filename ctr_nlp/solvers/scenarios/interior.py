@@ -36,7 +36,7 @@ STALL, STALLED = 6, 1e-9
 """A barrier problem is left when so many iterations at feasible points lower it by less than this part."""
 RETRIES, FIRMER = 4, 100.0
 """Times that a step of which nothing is taken is damped by so much more."""
-SETTLED, LOOKS = 1e-4, 12
+SETTLED, LOOKS = 1e-3, 6
 """What surrounds the robots is as it was solved for where the objective changes by no more than this part; times
 that it is looked at."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,6 @@ from ctr_nlp.solvers.scenarios import SharedSolver
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.robust.rounds import firmer, joined
 from ctr_nlp.steer.robust.trials import Lost
-from ctr_nlp.support.values import strict_json
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
@@ -78,7 +77,7 @@ class ScenarioFrames:
             "formulation": "robust-joint",
             "model": model.name,
             "solver": "interior-point",
-            "options": strict_json(asdict(settings)) | {"terms": [str(term) for term in terms]},
+            "options": settings.options() | {"terms": [str(term) for term in terms]},
         }
         margin = settings.stability_margin
         least = None if margin is None else np.full(problem.frames, margin)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.horizon import Ends
-from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.formulations.settings import ROBUST_CLEARANCE_COST, Settings
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.formulations.wall import wall_of
 from ctr_nlp.models import Model
@@ -32,7 +32,7 @@ from ctr_nlp.steer.robust.tolerated import described
 from ctr_nlp.steer.robust.trials import Trials
 from ctr_nlp.steer.robust.walled import Walled
 from ctr_nlp.support.interrupt import deferred_interrupt
-from ctr_nlp.support.values import strict_json, whole_number
+from ctr_nlp.support.values import whole_number
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
@@ -99,15 +99,17 @@ def solve_robust(
                 break
         wall = wall_of(problem.robot, problem.lumen, model, settings, finer=1)
         if wall is not None and free is not None:
-            made += Walled(wall, free, settings.clearance_cost, trials, rounds).rounds(len(made))
+            cost = settings.affordable(ROBUST_CLEARANCE_COST)
+            made += Walled(wall, free, cost, trials, rounds).rounds(len(made))
         stopped = interrupted()
     asked = {"motion_weight": weight, "most_lost": most_lost, "margins": list(margins), "rounds": rounds}
+    asked |= {"terms": [str(term) for term in terms]}
     ends = {"start": _listed(nominal.ends.start), "end": _listed(nominal.ends.end)}
     meta = {
         "formulation": "robust-horizon",
         "model": model.name,
         "solver": "interior-point",
-        "options": strict_json(asdict(settings)) | asked | ends | {"terms": [str(term) for term in terms]},
+        "options": settings.options(ROBUST_CLEARANCE_COST) | asked | ends,
         "build_s": nominal.build_seconds,
         "search_s": searched,
         "solve_s": time.perf_counter() - begin - searched,

@@ -18,9 +18,9 @@ from ctr_nlp.steer.robust.rounds import BARRIER, Judge, Round, planned_again
 from ctr_nlp.steer.robust.search import RobustSearch, Tried
 from ctr_nlp.typing import Array, Index
 
-FIRST, STEP = 0.03, 4.0
+FIRST, STEP = 0.1, 4.0
 """The first weight that is tried, as a part of the one asked for; by which factor the next is larger at most."""
-NEAR, AIM, FULL = 0.88, 0.93, 0.98
+NEAR, AIM, FULL = 0.8, 0.9, 0.98
 """Parts of what errors may grow by: a weight is taken where they grow by something between the first and the last,
 which is not all, since programs integrate in fewer steps than a plan is judged with; and what is aimed at."""
 LEAST = 1e-6
@@ -100,14 +100,15 @@ class Walled:
                 high = weight, growth
             if self.search.stop():
                 break
-            weight = min(most, self._between(low, high))
+            weight = self._between(low, high)
         return found
 
     def _between(self, low: tuple[float, float], high: tuple[float, float]) -> float:
         """The weight to try next, from one at which errors grow too little and one at which they grow too much."""
         least, aim = max(low[1], LEAST), max(AIM * self.cost, LEAST)
         if math.isinf(high[0]):
-            return low[0] * min(STEP, aim / least)
+            more = low[0] * min(STEP, aim / least)
+            return more if more < NEAR * self.wall.weight else self.wall.weight
         if not low[0]:
             return high[0] / STEP
         part = math.log(aim / least) / math.log(high[1] / least) if math.isfinite(high[1]) else 0.5

@@ -58,7 +58,7 @@ def _growth(axes: Axes, ranked: Sequence[Case]) -> None:
     real = np.array([not case.synthetic for case in ranked])
     for chosen, colour, label in ((~real, BLUE, "synthetic airway"), (real, ORANGE, "real airway")):
         axes.bar(place[chosen], growth[chosen], width=0.8, color=colour, lw=0, label=label)
-    most = 100 * WITH.clearance_cost
+    most = 100 * WITH.affordable()
     axes.axhline(most, color=VERMILLION, lw=1.2, label=f"limit, {most:g} %")
     axes.set_ylabel("growth of e3 (%)")
     axes.legend(loc="upper left", ncols=3)

@@ -42,7 +42,7 @@ def claims(cases: Sequence[Case]) -> tuple[Claim, Claim, Claim]:
     The last is said the other way round: cases without any contact left are not asked what clearance alone
     could have.
     """
-    most = 100 * WITH.clearance_cost
+    most = 100 * WITH.affordable()
     return (
         _claim(
             f"with clearance e3 is at most {most:g} % above that without",
@@ -182,7 +182,7 @@ def page(cases: Sequence[Case]) -> str:
         "frames": cases[0].frames,
         "clearance": WITH.clearance,
         "weight": WITH.contact_weight,
-        "most": 100 * WITH.clearance_cost,
+        "most": 100 * WITH.affordable(),
         "real": len(real),
         "synthetic": len(synthetic),
         "followed": FOLLOWED_MM,
