@@ -71,8 +71,9 @@ def solve_robust(
     settings.stability_margin: the least of every scenario. start, end, motion_weight, settings, terms, progress:
     as solve_horizon.
     In a lumen, all scenarios are kept off the wall as far as settings say (walled.py), once the motion that is
-    free of it is known. Where no motion is found that all share, the plan is the first motion started from, and no
-    frame counts as solved. Raises OptionError, ProblemError, RobotError.
+    free of it is known; a clearance_cost of None is ROBUST_CLEARANCE_COST. Where no motion is found that all
+    share, the plan is the first motion started from, and no frame counts as solved. Raises OptionError,
+    ProblemError, RobotError.
     """
     check_described(problem, settings)
     check_search(motion_weight, None, 1)
