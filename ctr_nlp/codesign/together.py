@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
+from ctr_nlp.codesign.certified import certified, tolerant
 from ctr_nlp.codesign.doubts import doubts
 from ctr_nlp.codesign.plans import planned_on
 from ctr_nlp.codesign.request import draft, search_for
 from ctr_nlp.codesign.rounding import FINALISTS, Stocked, in_stock
-from ctr_nlp.codesign.search import AGAIN, NEAR, Candidate, DesignSearch, Robots, alone, error_of, never
+from ctr_nlp.codesign.search import AGAIN, Candidate, DesignSearch, Robots, alone, error_of, never
 from ctr_nlp.codesign.starts import starts as first_tubes
 from ctr_nlp.codesign.stock import StockTube, nearest
 from ctr_nlp.exceptions import OptionError, ProblemError
@@ -38,9 +39,6 @@ from ctr_nlp.typing import Array
 
 STARTS = 6
 """Tubes that a design starts from."""
-FIRM = 0.3
-"""Least margin of all robots within the tolerances while tubes are designed for them, where it can be kept: it
-hardly costs any error, and plans, which need not have as much, have it in hand."""
 BINDING = 1e-3
 """A rule binds where it is kept by less than this part of its bound."""
 TOLD = 5e-4
@@ -127,26 +125,32 @@ def design(
         tried = [one for one in (begun, *found) if one is not None]
         if not tried:
             raise ProblemError("no tubes were found on which all problems can be followed; give more starts")
-        finish = partial(_finished, tasks=whole.tasks if nominal else None)
-        (best, _, _), stocked = finish(tried, search), None
+        plan = partial(_plans, whole, settings, nominal, model, jobs, progress)
+        if nominal:
+            best, planned = _whole(min(tried, key=error_of), whole), list[Plan]()
+        else:
+            best, planned = certified(tried, search, plan)
+        stocked = None
         if stock is not None and not interrupted():
+            finish = partial(_finished, tasks=whole.tasks if nominal else None)
             rounded = in_stock(best, search, stock, finish, FINALISTS if nominal else 1)
-            best, stocked = (best, None) if rounded is None else rounded
-        tasks = tuple(whole.on(whole.tubes.robot_of(best.p)))
-        planned = planned_on(tasks, settings, nominal, model, _motions(best, whole), jobs, progress)
+            if rounded is not None:
+                (best, stocked), planned = rounded, []
+        planned = planned or plan(best)
+        robot = whole.tubes.robot_of(best.p)
         stopped = interrupted()
     kept = tuple(search.tubes.kept(best.p))
     return Design(
-        robot=tasks[0].robot,
-        names=tuple(task.name for task in tasks),
+        robot=robot,
+        names=tuple(task.name for task in whole.tasks),
         plans=tuple(planned),
-        before=(None,) * len(tasks) if begun is None else _known(begun.motions.e3),
+        before=(None,) * len(whole.tasks) if begun is None else _known(begun.motions.e3),
         rules=kept,
         remarks=_remarks(best, kept),
         tried=tuple(_told(one) for one in tried),
         interrupted=stopped,
         stocked=stocked,
-        doubts=doubts(tasks[0].robot, planned, stocked is not None),
+        doubts=doubts(robot, planned, stocked is not None),
     )
 
 
@@ -179,7 +183,7 @@ def _finished(
 ) -> tuple[Candidate, DesignSearch, Robots]:
     """Tubes for all frames of tasks, or without these for the tolerances; with what they were found by."""
     if tasks is None:
-        return _tolerated(tried, search), search, scenarios_of
+        return next(tolerant(tried, search), min(tried, key=error_of)), search, scenarios_of
     search = replace(search, tasks=tasks)
     return _whole(min(tried, key=error_of), search), search, alone
 
@@ -193,27 +197,18 @@ def _whole(best: Candidate, search: DesignSearch) -> Candidate:
     return begun if found is None else found
 
 
-def _tolerated(found: Sequence[Candidate], search: DesignSearch) -> Candidate:
-    """Tubes for the robots within the tolerances, from the best on which these share motions; else the best."""
-    for firm, one in _promising(found, search):
-        if search.stop():
-            break
-        begun = None if one is None else firm.shared(one, scenarios_of)
-        settled = None if begun is None else firm.settled(begun, scenarios_of, NEAR)
-        if settled is not None and settled.solved:
-            return settled
-    return min(found, key=error_of)
-
-
-def _promising(
-    found: Sequence[Candidate], search: DesignSearch
-) -> Iterator[tuple[DesignSearch, Candidate | None]]:
-    """Tubes to begin with and margins to keep: each with its own motions, then with those planned anew on it."""
-    for one in sorted(found, key=error_of):
-        for margin in sorted({FIRM, search.margin}, reverse=True):
-            firm = replace(search, margin=margin)
-            yield firm, one
-            yield firm, firm.start(one.start, one.p)
+def _plans(
+    whole: DesignSearch,
+    settings: Settings,
+    nominal: bool,
+    model: str | Model,
+    jobs: int,
+    progress: Progress | None,
+    best: Candidate,
+) -> list[Plan]:
+    """Those of all tasks on the tubes of a candidate."""
+    tasks = whole.on(whole.tubes.robot_of(best.p))
+    return planned_on(tasks, settings, nominal, model, _motions(best, whole), jobs, progress)
 
 
 def _motions(best: Candidate, whole: DesignSearch) -> list[Array]:

@@ -1,0 +1,59 @@
+"""Tubes for all the robots within the tolerances, tried until plans on them are certified."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+from ctr_nlp.codesign.search import NEAR, Candidate, DesignSearch, error_of
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.steer.robust.tolerated import scenarios_of
+
+FIRM = 0.3
+"""Least margin of all robots within the tolerances while tubes are designed for them, where it can be kept: it
+hardly costs any error, and plans, which need not have as much, have it in hand."""
+ATTEMPTS = 4
+"""Tubes for tolerances that are tried, at most, until all plans on them are certified."""
+
+
+def certified(
+    found: Sequence[Candidate], search: DesignSearch, plan: Callable[[Candidate], list[Plan]]
+) -> tuple[Candidate, list[Plan]]:
+    """Tubes for the robots within the tolerances, and plans on them; of several those on which most plans hold.
+
+    Tubes are tried until all do: that motions exist on some frames says little of the ways between these.
+    """
+    tried = list[tuple[Candidate, list[Plan], int]]()
+    for best in itertools.islice(tolerant(found, search), ATTEMPTS):
+        plans = plan(best)
+        tried.append((best, plans, sum(plan.meta.get("certificate", {}).get("held", False) for plan in plans)))
+        if tried[-1][2] == len(search.tasks) or search.stop():
+            break
+    if not tried:
+        best = min(found, key=error_of)
+        return best, plan(best)
+    best, plans, _ = min(tried, key=lambda one: (-one[2], error_of(one[0])))
+    return best, plans
+
+
+def tolerant(found: Sequence[Candidate], search: DesignSearch) -> Iterator[Candidate]:
+    """Tubes for the robots within the tolerances, on which these share motions, the most promising first."""
+    for firm, one in _promising(found, search):
+        if search.stop():
+            return
+        begun = None if one is None else firm.shared(one, scenarios_of)
+        settled = None if begun is None else firm.settled(begun, scenarios_of, NEAR)
+        if settled is not None and settled.solved:
+            yield settled
+
+
+def _promising(
+    found: Sequence[Candidate], search: DesignSearch
+) -> Iterator[tuple[DesignSearch, Candidate | None]]:
+    """Tubes to begin with and margins to keep: each with its own motions, then with those planned anew on it."""
+    for one in sorted(found, key=error_of):
+        for margin in sorted({FIRM, search.margin}, reverse=True):
+            firm = replace(search, margin=margin)
+            yield firm, one
+            yield firm, firm.start(one.start, one.p)
