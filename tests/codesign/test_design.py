@@ -74,7 +74,7 @@ def test_no_tubes_nearby_are_better(tasks):
     arcs = design(tasks, nominal=True, rules=RULES, starts=2, constant_curvature=True)
     tubes = DesignedTubes(arcs.robot, RULES)
     far, least = Settings(contact_weight=0.0), _rms(arcs.plans)
-    assert least > 0.03
+    assert least > 0.02
     for k, name in enumerate(tubes.names[:2]):
         for factor in (0.97, 1.03):
             p = tubes.own.copy()

@@ -221,7 +221,7 @@ def test_the_polyline_through_the_shape_is_as_long_as_beta_d(case):
     points = shapes(robot, q[None], np.linspace(0, 1, 2001))[0]
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     beta_d = robot.split(q)[1][-1]
-    largest = max(max(tube.root_curvature, tube.tip_curvature) for tube in robot.tubes)
+    largest = max(max(abs(tube.root_curvature), tube.tip_curvature) for tube in robot.tubes)
     shortfall = beta_d / 2000 - steps
     assert shortfall.min() > -QUADRATURE
     assert shortfall.max() <= (beta_d / 2000) ** 3 * largest**2 / 24 * 1.01 + QUADRATURE

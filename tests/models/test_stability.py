@@ -65,7 +65,8 @@ def test_margins_are_at_most_one_and_do_not_depend_on_the_rest_of_a_batch(case):
     found = stability.margins(robot.tube_numbers, np.stack([x, np.full_like(x, np.nan), other]))
     assert found[0] <= 1
     assert np.isnan(found[1])
-    assert found[2] == pytest.approx(1, abs=1e-12)
+    if all(tube.root_curvature >= 0 for tube in robot.tubes):  # tubes shaped like an S act on each other aligned
+        assert found[2] == pytest.approx(1, abs=1e-12)
     np.testing.assert_allclose(stability.margins(robot.tube_numbers, x[None]), found[:1], atol=1e-12)
 
 

@@ -38,7 +38,7 @@ ALIKE = 1e-9
 INSIDE = 1e-7
 """How far within its bounds a rule is kept, so that rounding does not break it."""
 
-DIGITS = 9
+DIGITS = 12
 """Of rules that are told, and of lengths in mm: sums of decimal numbers are off by less."""
 
 
