@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ctr_nlp.anatomy.problem_files import problem_from_file, read_csv
+    from ctr_nlp.codesign.groups import divided, suited
     from ctr_nlp.codesign.stock import StockTube, read_stock
     from ctr_nlp.codesign.together import Design, design
     from ctr_nlp.exceptions import CtrError
@@ -47,6 +48,7 @@ __all__ = [
     "curve_from_formula",
     "curve_from_points",
     "design",
+    "divided",
     "growing",
     "problem_from_file",
     "read_csv",
@@ -59,12 +61,14 @@ __all__ = [
     "solve_per_frame",
     "solve_robust",
     "solve_robust_per_frame",
+    "suited",
     "summary",
     "table_i_robot",
 ]
 
 _HOMES = {
     "anatomy.problem_files": ("problem_from_file", "read_csv"),
+    "codesign.groups": ("divided", "suited"),
     "codesign.stock": ("StockTube", "read_stock"),
     "codesign.together": ("Design", "design"),
     "exceptions": ("CtrError",),
