@@ -95,9 +95,7 @@ def test_diameters_that_are_off_widen_the_bending_stiffness():
     np.testing.assert_allclose(band, 0.02 * 4 * np.hypot(1.3**3, 1) / (1.3**4 - 1), rtol=1e-12)
     normal = replace(robot, tolerances=replace(robot.tolerances, distribution="normal"))
     np.testing.assert_allclose(drawn(normal, 4000, 5).parts[:, 2, 1].std(), band / np.sqrt(3), rtol=0.03)
-    with pytest.raises(
-        RobotError, match=r"diameter of tolerances is 0\.16 mm and the wall of tube 3 0\.15 mm"
-    ):
+    with pytest.raises(RobotError, match=r"diameter of tolerances is 0\.16 mm and the wall of tube 3 0\.15 mm"):
         replace(robot, tolerances=Tolerances(diameter=(0, 0, 0.16)))
     with pytest.raises(RobotError, match=r"diameter of tolerances is 0\.02; leave it out where a covariance"):
         replace(correlated(), diameter=0.02)

@@ -25,9 +25,9 @@ from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command, console, progress_
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.cli.report import exit_status
-from ctr_nlp.cli.studies.designed import Made, show, write
+from ctr_nlp.cli.studies.designed import Made, Tried, show, write
 from ctr_nlp.codesign.groups import divided, suited
-from ctr_nlp.codesign.plans import planned_on
+from ctr_nlp.codesign.plans import on_tubing_as_sold, planned_on
 from ctr_nlp.codesign.stock import read_stock
 from ctr_nlp.codesign.together import STARTS, design
 from ctr_nlp.exceptions import OptionError
@@ -134,7 +134,7 @@ def _run(arguments: argparse.Namespace) -> int:
         for number, group in enumerate(groups, start=1):
             label = f"design {number} of {len(groups)}" if len(groups) > 1 else "design"
             found = design(group, progress=labelled(label), **only, **alike)
-            made.append(Made(found, found.plans))
+            made.append(Made(found, tuple(Tried(plan) for plan in found.plans)))
             if found.interrupted:
                 break
         interrupted = made[-1].design.interrupted
@@ -147,7 +147,7 @@ def _run(arguments: argparse.Namespace) -> int:
     console().print(f"wrote {place}")
     if interrupted:
         return INTERRUPTED
-    plans = [plan for one in made for plan in one.plans]
+    plans = [tried.plan for one in made for tried in one.tried]
     return max((exit_status(plan, tried=not arguments.nominal) for plan in plans), default=SOLVED)
 
 
@@ -163,19 +163,20 @@ def _planned(
     choice = suited(held, robots, settings, jobs) if held and len(robots) > 1 else [0] * len(held)
     on = [replace(task, robot=robots[k]) for task, k in zip(held, choice, strict=True)]
     plans = planned_on(on, settings, arguments.nominal, jobs=jobs, progress=labelled("held out"))
-    theirs = [[plan for plan in plans if plan.robot == robot] for robot in robots]
-    whole = [[*one.plans, *more] for one, more in zip(made, theirs, strict=True)]
-    tried = dict(side_by_side(_with_draws, [plan for each in whole for plan in each], jobs))
+    whole = [[*one.design.plans, *(plan for plan in plans if plan.robot == one.design.robot)] for one in made]
+    tried = dict(side_by_side(_on_draws, [plan for each in whole for plan in each], jobs))
     numbers = itertools.count()
     return [
-        Made(one.design, tuple(tried.get(next(numbers), plan) for plan in each))
+        Made(one.design, tuple(tried.get(next(numbers), Tried(plan)) for plan in each))
         for one, each in zip(made, whole, strict=True)
     ]
 
 
-def _with_draws(plan: Plan) -> Plan:
-    """The same with draws of its robot, where some of it was reached."""
-    return plan.with_draws(DRAWS, SEED) if plan.reached.any() else plan
+def _on_draws(plan: Plan) -> Tried:
+    """A plan tried on draws, where some of it was reached."""
+    if not plan.reached.any():
+        return Tried(plan)
+    return Tried(plan.with_draws(DRAWS, SEED), on_tubing_as_sold(plan, DRAWS, SEED))
 
 
 def _named(name: str, problem: Problem) -> Problem:

@@ -15,9 +15,21 @@ from ctr_nlp.codesign.together import Design
 from ctr_nlp.plan.account import shown
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.robustness import Robustness
 from ctr_nlp.support.values import strict_json
 
-COLUMNS = "problem", "with the first tubes", "planned", "mean over draws", "lost", "designed for"
+COLUMNS = (
+    *("problem", "with the first tubes", "planned", "mean over draws", "lost", "mean with diameters as sold"),
+    *("lost", "designed for"),
+)
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A plan, and what becomes of it on tubing as sold; None where that is not known."""
+
+    plan: Plan
+    sold: Robustness | None = None
 
 
 @dataclass(frozen=True)
@@ -25,7 +37,7 @@ class Made:
     """A design, and all plans on its robot: of the problems that it was designed for, then of others."""
 
     design: Design
-    plans: tuple[Plan, ...]
+    tried: tuple[Tried, ...]
 
 
 def write(made: Sequence[Made], folder: Path, nominal: bool, figures: bool) -> None:
@@ -39,9 +51,9 @@ def write(made: Sequence[Made], folder: Path, nominal: bool, figures: bool) -> N
 def _write(made: Made, folder: Path, nominal: bool, figures: bool) -> None:
     found, title = made.design, f"designed for {', '.join(made.design.names)}"
     write_text(folder / "robot.toml", found.robot.to_toml(f"A robot {title}."))
-    rows = [_row(found, plan) for plan in made.plans]
-    for row, plan in zip(rows, made.plans, strict=True):
-        plan.save(folder / f"{row['problem']}.npz")
+    rows = [_row(found, one) for one in made.tried]
+    for row, one in zip(rows, made.tried, strict=True):
+        one.plan.save(folder / f"{row['problem']}.npz")
     told: dict[str, Any] = {
         "problems": rows,
         "robot": found.robot.to_dict(),
@@ -74,19 +86,27 @@ def _stocked(found: Stocked) -> dict[str, Any]:
     }
 
 
-def _row(found: Design, plan: Plan) -> dict[str, Any]:
+def _row(found: Design, tried: Tried) -> dict[str, Any]:
     """What design.json says of a plan."""
-    drawn, name = plan.drawn, plan.meta["problem"]["name"]
+    plan = tried.plan
+    name = plan.meta["problem"]["name"]
     own = name in found.names
     return {
         "problem": name,
         "designed_for": own,
         "e3_before": found.before[found.names.index(name)] if own else None,
         "e3": summary(plan)["e3"],
+        **_of_draws(plan.drawn),
+        "diameters_as_sold": _of_draws(tried.sold),
+        "verdicts_no": list(plan.verdicts.failed),
+    }
+
+
+def _of_draws(drawn: Robustness | None) -> dict[str, Any]:
+    return {
         "mean_over_draws": None if drawn is None or drawn.errors is None else drawn.errors.mean,
         "draws": None if drawn is None else len(drawn),
         "lost": None if drawn is None else drawn.losses,
-        "verdicts_no": list(plan.verdicts.failed),
     }
 
 
@@ -101,11 +121,11 @@ def _show(made: Made, label: str) -> None:
     cells = [
         [
             row["problem"],
-            *(shown(row[key]) for key in ("e3_before", "e3", "mean_over_draws")),
-            "" if row["draws"] is None else f"{row['lost']} of {row['draws']}",
+            *(shown(row[key]) for key in ("e3_before", "e3")),
+            *(cell for of in (row, row["diameters_as_sold"]) for cell in _cells(of)),
             "yes" if row["designed_for"] else "held out",
         ]
-        for row in (_row(found, plan) for plan in made.plans)
+        for row in (_row(found, one) for one in made.tried)
     ]
     print_table(f"{label}e3 in mm", list(COLUMNS), cells)
     tubes = [
@@ -120,3 +140,8 @@ def _show(made: Made, label: str) -> None:
     told = () if found.stocked is None else (found.stocked,)
     for remark in (*told, *found.doubts, *found.remarks):
         console().print(f"{remark}.", markup=False)
+
+
+def _cells(of: dict[str, Any]) -> tuple[str, str]:
+    """A mean over draws, and how many are lost."""
+    return shown(of["mean_over_draws"]), "" if of["draws"] is None else f"{of['lost']} of {of['draws']}"
