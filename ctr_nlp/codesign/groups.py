@@ -65,17 +65,17 @@ def divided(
         return [tasks]
     search = replace(search, tasks=tuple(draft(task) for task in search.tasks))
     groups = _groups(_alike(search.tasks, count, settings.seed), count)
-    begun, least = [search.tubes.own] * count, np.inf
+    begun, least = [search.tubes.own] * count, (len(tasks), np.inf)
     for number in range(ROUNDS):
         found = dict(side_by_side(partial(_served, search), list(zip(groups, begun, strict=True)), jobs))
         end_if_interrupted()
         begun, errors = [found[k][0] for k in range(count)], np.array([found[k][1] for k in range(count)])
-        rms = float(np.sqrt(np.mean(np.nan_to_num(errors, nan=np.inf).min(axis=0) ** 2)))
+        unserved, rms = _how_well(errors)
         if progress is not None:
             progress(number + 1, ROUNDS, f"groups of problems, e3 {rms:.3f} mm")
-        if not rms < (1 - ENOUGH) * least:
+        if (unserved, rms) >= (least[0], (1 - ENOUGH) * least[1]):
             break
-        least, before, groups = rms, groups, _groups(taken(errors), count)
+        least, before, groups = (unserved, rms), groups, _groups(taken(errors), count)
         if groups == before:
             break
     return [[tasks[i] for i in group] for group in groups]
@@ -103,6 +103,13 @@ def taken(errors: Array) -> Index:
             shared = np.bincount(choice, minlength=len(errors))[choice] > 1
             choice[np.where(shared, errors.min(axis=0), -1.0).argmax()] = robot
     return choice
+
+
+def _how_well(errors: Array) -> tuple[int, float]:
+    """How many tasks no robot follows, of their errors (k, n), and the others' root mean square on their best, mm."""
+    known = np.isfinite(errors).any(axis=0)
+    best = np.nanmin(errors[:, known], axis=0) if known.any() else np.array([np.inf])
+    return int((~known).sum()), float(np.sqrt(np.mean(best**2)))
 
 
 def _alike(tasks: Sequence[Problem], count: int, seed: int) -> Index:
