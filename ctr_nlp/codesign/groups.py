@@ -106,7 +106,7 @@ def taken(errors: Array) -> Index:
 
 
 def _how_well(errors: Array) -> tuple[int, float]:
-    """How many tasks no robot follows, of their errors (k, n), and the others' root mean square on their best, mm."""
+    """How many tasks no robot follows, by their errors (k, n), and the RMS in mm of the others on their best."""
     known = np.isfinite(errors).any(axis=0)
     best = np.nanmin(errors[:, known], axis=0) if known.any() else np.array([np.inf])
     return int((~known).sum()), float(np.sqrt(np.mean(best**2)))

@@ -27,18 +27,21 @@ def planned_on(
     nominal: bool,
     model: str | Model = "elastic",
     initial: Sequence[Array] = (),
+    walls: bool = False,
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> list[Plan]:
-    """Plans of tasks on their robot as a design makes them: far from any wall, for tolerances unless nominal.
+    """Plans of tasks on their robot as a design makes them: for tolerances unless nominal.
 
-    initial: for each task, if given, a motion (T, 2d + 2) to start from. Robust plans start from others only where
-    that does not do; nominal ones always, and the better of both is the plan. jobs: in how many processes. After
-    Ctrl-C those of some tasks may be missing.
+    walls: whether they are kept within the lumens; otherwise they are made as if there were no walls. initial: for
+    each task, if given, a motion (T, 2d + 2) to start from. Robust plans start from others only where that does
+    not do; nominal ones always, and the better of both is the plan. jobs: in how many processes. After Ctrl-C some
+    plans may be missing.
     """
     given = [[motion] for motion in initial] or [list[Array]()] * len(tasks)
     pairs = list(zip(tasks, given, strict=True))
-    work, found = partial(_planned, replace(settings, contact_weight=0.0), nominal, model), dict[int, Plan]()
+    settings = settings if walls else replace(settings, contact_weight=0.0)
+    work, found = partial(_planned, settings, nominal, model), dict[int, Plan]()
     for number, plan in side_by_side(work, pairs, jobs):
         found[number] = plan
         if progress is not None:

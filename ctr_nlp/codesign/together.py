@@ -94,6 +94,7 @@ def design(
     fixed: Sequence[str] = (),
     constant_curvature: bool = False,
     starts: int = STARTS,
+    walls: bool = False,
     jobs: int = 1,
     stock: Sequence[StockTube] | None = None,
     settings: Settings = DEFAULTS,
@@ -104,12 +105,13 @@ def design(
     The root mean square of the problems' e3 is made small over tubes and motions at once: pre-curvatures, lengths
     of curved parts and diameters belong to all problems, q of every frame to its own
     (formulations/shared/design.py). The problems' robots must be equal; theirs are the limits, the tolerances and
-    the first tubes. The lumen's wall does not count.
+    the first tubes.
     nominal: whether the tolerances are left out; otherwise motions are shared by robots that stand for all within
     them, and each plan is certified on draws (solve_robust). rules: of manufacture. fixed: names of numbers that
     stay as they are, such as outer_diameter_1. constant_curvature: whether curved parts are arcs; otherwise their
     curvatures are linear in arc length. starts: tubes that are tried, the robot's own and random ones
-    (settings.seed). jobs: in how many processes starts and plans are worked on. stock: tubing (read_stock) to
+    (settings.seed). walls: whether the plans are kept within the lumens; tubes are chosen as if there were no
+    walls. jobs: in how many processes starts and plans are worked on. stock: tubing (read_stock) to
     which tubes are rounded, with lengths and curvatures that can be made; without it diameters are free.
     settings.stability_margin: the least of every robot. Ctrl-C ends the work; the design is then the best so far,
     marked as interrupted, and plans may be missing. Raises OptionError, ProblemError, RobotError.
@@ -125,7 +127,7 @@ def design(
         tried = [one for one in (begun, *found) if one is not None]
         if not tried:
             raise ProblemError("no tubes were found on which all problems can be followed; give more starts")
-        plan = partial(_plans, whole, settings, nominal, model, jobs, progress)
+        plan = partial(_plans, whole, settings, nominal, model, walls, jobs, progress)
         if nominal:
             best, planned = _whole(min(tried, key=error_of), whole), list[Plan]()
         else:
@@ -202,13 +204,14 @@ def _plans(
     settings: Settings,
     nominal: bool,
     model: str | Model,
+    walls: bool,
     jobs: int,
     progress: Progress | None,
     best: Candidate,
 ) -> list[Plan]:
     """Those of all tasks on the tubes of a candidate."""
     tasks = whole.on(whole.tubes.robot_of(best.p))
-    return planned_on(tasks, settings, nominal, model, _motions(best, whole), jobs, progress)
+    return planned_on(tasks, settings, nominal, model, _motions(best, whole), walls, jobs, progress)
 
 
 def _motions(best: Candidate, whole: DesignSearch) -> list[Array]:

@@ -11,7 +11,9 @@ from truth import TWO
 
 from ctr_nlp import Manufacture, Problem, Robot, Settings, divided, growing, suited
 from ctr_nlp.cli.main import main
+from ctr_nlp.codesign import plans
 from ctr_nlp.codesign.groups import _alike, taken
+from ctr_nlp.codesign.plans import planned_on
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.target.curve import curve_from_formula
 
@@ -93,3 +95,11 @@ def test_the_command_gives_each_group_a_robot_in_a_folder_of_its_own(tasks, tmp_
     printed = capsys.readouterr().out
     assert "robot 1: tubes" in printed
     assert "held out" in printed
+
+
+def test_plans_on_a_design_are_kept_within_walls_where_that_is_asked_for(tasks, monkeypatch):
+    weights = []
+    monkeypatch.setattr(plans, "solve_robust", lambda task, settings, **_: weights.append(settings.contact_weight))
+    for walls in (False, True):
+        planned_on(tasks[:1], Settings(contact_weight=7.0), False, walls=walls)
+    assert weights == [0.0, 7.0]

@@ -60,7 +60,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "elastic model: curvatures, lengths of curved parts and diameters, within what can be made of Nitinol. By "
         "default for all robots within the tolerances of the robot file, so that plans survive on robots as "
         "built. Write robot.toml, a plan of every problem, design.json and a drawing sheet (sheet.svg, "
-        "sheet.pdf), with several robots in a folder for each, robot_1 and so on. The wall does not count.",
+        "sheet.pdf), with several robots in a folder for each, robot_1 and so on.",
         epilog="Exit status: 0 no verdict on a plan is no, 1 one is, 2 bad input, 130 interrupted. `ctr-nlp plan "
         "PROBLEM --robot DIR/robot.toml --model elastic` plans further problems on the robot.",
     )
@@ -69,6 +69,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     what = "problems that are planned on the designed robot, which is not designed for them, or a folder of them"
     parser.add_argument("--hold-out", metavar="PROBLEM", nargs="+", default=[], help=what)
     parser.add_argument("--nominal", action="store_true", help="leave tolerances out")
+    what = "keep the plans within the lumens; the tubes are chosen as if there were no walls"
+    parser.add_argument("--walls", action="store_true", help=what)
     parser.add_argument("--constant-curvature", action="store_true", help="all curved parts are arcs")
     what = "numbers that stay as they are, such as outer_diameter_1 or curved_length_3"
     parser.add_argument("--fix", metavar="NAME", nargs="+", default=[], help=what)
@@ -129,11 +131,11 @@ def _run(arguments: argparse.Namespace) -> int:
     }
     with progress_bar() as labelled:
         groups = divided(tasks, arguments.robots, progress=labelled("groups"), **alike)
-        only = {"nominal": arguments.nominal, "starts": arguments.starts, "stock": stock}
+        only: dict[str, Any] = {name: getattr(arguments, name) for name in ("nominal", "starts", "walls")}
         made = list[Made]()
         for number, group in enumerate(groups, start=1):
             label = f"design {number} of {len(groups)}" if len(groups) > 1 else "design"
-            found = design(group, progress=labelled(label), **only, **alike)
+            found = design(group, stock=stock, progress=labelled(label), **only, **alike)
             made.append(Made(found, tuple(Tried(plan) for plan in found.plans)))
             if found.interrupted:
                 break
@@ -162,7 +164,9 @@ def _planned(
     robots, jobs = [one.design.robot for one in made], arguments.jobs
     choice = suited(held, robots, settings, jobs) if held and len(robots) > 1 else [0] * len(held)
     on = [replace(task, robot=robots[k]) for task, k in zip(held, choice, strict=True)]
-    plans = planned_on(on, settings, arguments.nominal, jobs=jobs, progress=labelled("held out"))
+    plans = planned_on(
+        on, settings, arguments.nominal, walls=arguments.walls, jobs=jobs, progress=labelled("held out")
+    )
     whole = [[*one.design.plans, *(plan for plan in plans if plan.robot == one.design.robot)] for one in made]
     tried = dict(side_by_side(_on_draws, [plan for each in whole for plan in each], jobs))
     numbers = itertools.count()
