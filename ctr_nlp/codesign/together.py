@@ -39,6 +39,8 @@ from ctr_nlp.typing import Array
 
 STARTS = 6
 """Tubes that a design starts from."""
+MOST_FRAMES = 1500
+"""Frames of all tasks for which tubes are found; of more, those of drafts say as much."""
 BINDING = 1e-3
 """A rule binds where it is kept by less than this part of its bound."""
 TOLD = 5e-4
@@ -191,7 +193,9 @@ def _finished(
 
 
 def _whole(best: Candidate, search: DesignSearch) -> Candidate:
-    """The same with all frames, from motions planned on its tubes."""
+    """The same with all frames, from motions planned on its tubes, unless these are very many."""
+    if sum(task.frames for task in search.tasks) > MOST_FRAMES:
+        return best
     begun = search.start(best.start, best.p)
     if begun is None or search.stop():
         return best
