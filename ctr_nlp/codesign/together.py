@@ -37,7 +37,7 @@ from ctr_nlp.support.values import whole_number
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
-STARTS = 6
+STARTS = 4
 """Tubes that a design starts from."""
 MOST_FRAMES = 1500
 """Frames of all tasks for which tubes are found; of more, those of drafts say as much."""
