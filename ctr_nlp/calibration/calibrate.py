@@ -34,9 +34,11 @@ class Calibration(Kept):
     robot: with the tubes found, and their covariance as tolerances. fit: values, covariance, noise. standing: of
     every parameter, determined, partly or held. untold: what the data cannot tell, in sentences. before: residuals
     of the robot as it was described, with bases registered. held_out: of fits that did not see the observation,
-    NaN where that was not asked for. fold (T,): -1 where it was not. retraced (n,): observations that have the
-    pose of another. next_q (k, 2d + 2): poses that would teach most; next_left (k,): what part of the doubt is
-    left then.
+    NaN where that was not asked for. fold (T,): -1 where it was not. retraced (n, 2): observations, and those that
+    had the same pose before. floor: half of what their places differ by on average, mm, which no model without a
+    memory of the motion can explain; None where there are none. bases: of every recording, the rotation (3, 3) and
+    the place (3,) mm of the robot's base for the sensor. next_q (k, 2d + 2): poses that would teach most;
+    next_left (k,): what part of the doubt is left then.
     """
 
     robot: Robot
@@ -50,6 +52,8 @@ class Calibration(Kept):
     held_out: Array
     fold: Index
     retraced: Index
+    floor: float | None
+    bases: tuple[tuple[Array, Array], ...]
     next_q: Array = field(default_factory=lambda: np.zeros((0, 0)))
     next_left: Array = field(default_factory=lambda: np.zeros(0))
 
@@ -98,11 +102,11 @@ def calibrate(
         found = at(fitted(prediction, fold != k), prediction)
         out[fold == k] = found.residuals[fold == k]
     told(total, total, "done")
-    made = calibrated_robot(fit, measured)
+    made, again = calibrated_robot(fit, measured), retraced(robot, measured, block)
     proposed = next_poses(fit, prediction, described, made, next_count, seed) if next_count else ()
     return Calibration(
         *(made, robot, measured, described.name, fit, tuple(standing(fit)), tuple(untold(fit))),
-        *(before, out, fold, retraced(robot, measured, block), *proposed),
+        *(before, out, fold, again, _floor(before, again), prediction.bases_at(fit.values), *proposed),
     )
 
 
@@ -120,12 +124,19 @@ def placed(parameters: Parameters, measured: Measurements, model: Model) -> Pred
     return Prediction(parameters, measured, model, bases)
 
 
+def _floor(before: Array, again: Index) -> float | None:
+    """Half the mean distance between places that were measured at the same pose, mm."""
+    known = errors(before[again[:, 0]] - before[again[:, 1]])
+    return float(np.nanmean(known)) / 2 if np.isfinite(known).any() else None
+
+
 def distances(residuals: Array) -> Array:
     """How far measured places are from predicted ones, (T, 1 + n) mm: the tip and the points; NaN where unseen.
 
     Of a place whose coordinates are known in part, by these.
     """
-    places = np.delete(residuals, slice(3, 6), axis=1).reshape(len(residuals), -1, 3)
+    places = np.delete(residuals, slice(3, 6), axis=1)
+    places = places.reshape(len(places), places.shape[1] // 3, 3)
     seen = np.isfinite(places).any(axis=2)
     return np.asarray(np.where(seen, np.sqrt(np.nansum(places**2, axis=2)), np.nan))
 

@@ -1,5 +1,4 @@
-"""Values that fit measurements best: robust least squares around what was known before, and what is left to doubt.
-"""
+"""Values that fit measurements best, by robust least squares around what was known before."""
 
 from __future__ import annotations
 

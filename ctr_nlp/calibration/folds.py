@@ -65,11 +65,11 @@ def folds(
 
 
 def retraced(robot: Robot, measured: Measurements, block: float = BLOCK, near: float = NEAR) -> Index:
-    """Which observations have the pose of one before them, in a motion of more than block seconds before, (n,)."""
+    """Observations with the first one that had the same pose, in a motion by more than block s away, (n, 2)."""
     first = same_poses(robot, measured, near)
     again = first != np.arange(len(measured))
     if measured.timed:
         again &= (abs(measured.time - measured.time[first]) > block) | (
             measured.recording != measured.recording[first]
         )
-    return np.flatnonzero(again)
+    return np.stack([np.flatnonzero(again), first[again]], axis=1)

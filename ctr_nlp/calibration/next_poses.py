@@ -76,8 +76,7 @@ def stable_poses(robot: Robot, model: Model, count: int, seed: int, margin: floa
 
 
 def _as_seen(measured: Measurements, q: Array) -> Measurements:
-    """Observations at q of which as much is seen as in the one that says most; their values are without meaning.
-    """
+    """Observations at q, each of as much as in the one that says most; their values are without meaning."""
     most = int(np.isfinite(flat_measured(measured)).sum(axis=1).argmax())
     like = measured[np.full(len(q), most)]
     return replace(like, q=q, time=np.full(len(q), np.nan))

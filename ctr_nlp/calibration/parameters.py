@@ -189,8 +189,7 @@ class Parameters:
 
 
 def default_kinds(robot: Robot, measured: Measurements) -> tuple[str, ...]:
-    """What is estimated where nothing is named: all that has a tolerance, and where time is known lag and delay.
-    """
+    """What is estimated where nothing is named: what has a tolerance, and where time is known lag and delay."""
     bands = robot.tolerances.bands(robot.d)
     known = [name for name, band in zip(NAMES, bands.T, strict=True) if band.any()]
     return (*known, *((*LAGS, DELAY) if measured.timed else ()))

@@ -172,6 +172,10 @@ class Prediction:
         turned = [np.einsum("tab,t...b->t...a", turns, part) for part in inside]
         return Seen(turned[0] + places, turned[1], turned[2] + places[:, None])
 
+    def bases_at(self, values: Array) -> tuple[tuple[Array, Array], ...]:
+        """The rotation (3, 3) and the place (3,) mm of every recording's base for the sensor."""
+        return tuple(zip(self._turns(values), self._places(values), strict=True))
+
     def _turns(self, values: Array) -> Array:
         """Rotations (recordings, 3, 3) from the bases' axes to the sensor's."""
         vectors = self._of_bases(values, BASE[3:])

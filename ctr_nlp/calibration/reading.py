@@ -16,7 +16,7 @@ import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -64,7 +64,7 @@ def read_measurements(path: str | Path | Sequence[str | Path], robot: Robot) -> 
     most = max(max(_points(table), default=0) for table in tables)
     found = [_observations(table, robot, number, most) for number, table in enumerate(tables)]
     names = ("q", "tip", "direction", "points", "sigma", "time", "recording")
-    arrays = {name: np.concatenate([getattr(one, name) for one in found]) for name in names}
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in found]) for name in names}
     together = Measurements(**arrays)
     if np.isfinite(together.time).any() and not together.timed:
         without = next(t.path for t, one in zip(tables, found, strict=True) if not one.timed)
