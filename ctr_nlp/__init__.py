@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ctr_nlp.anatomy.problem_files import problem_from_file, read_csv
-    from ctr_nlp.calibration.calibrate import Calibration, calibrate
+    from ctr_nlp.calibration.calibration import Calibration, calibrate
     from ctr_nlp.calibration.measurements import Measurements
     from ctr_nlp.calibration.reading import read_measurements
     from ctr_nlp.codesign.stock import StockTube, read_stock
@@ -72,7 +72,7 @@ __all__ = [
 
 _HOMES = {
     "anatomy.problem_files": ("problem_from_file", "read_csv"),
-    "calibration.calibrate": ("Calibration", "calibrate"),
+    "calibration.calibration": ("Calibration", "calibrate"),
     "calibration.measurements": ("Measurements",),
     "calibration.reading": ("read_measurements",),
     "codesign.stock": ("StockTube", "read_stock"),

@@ -15,6 +15,8 @@ DETERMINED = 0.5
 TOLD = 1.0
 """A direction of parameters, each over its standard deviation before, of which data tell less is not told by them.
 """
+BEYOND = 1e9
+"""What stands for the information along directions that are not looked at."""
 NAMED = 0.35
 """Parameters of at least this part of the largest in such a direction are named."""
 
@@ -28,7 +30,7 @@ def standing(fit: Fit) -> list[str]:
 
 
 def untold(fit: Fit) -> list[str]:
-    """What the data cannot tell apart or do not tell, a sentence each."""
+    """What the data do not tell or cannot tell apart, a sentence each."""
     parameters = fit.parameters
     scaled = fit.information * np.outer(parameters.sigma, parameters.sigma)
     sentences, known = list[str](), list[Array]()
@@ -36,16 +38,19 @@ def untold(fit: Fit) -> list[str]:
         if direction @ scaled @ direction < TOLD:
             known.append(direction)
             sentences.append(sentence)
+    weak = np.flatnonzero(np.diag(scaled) < TOLD)
+    if len(weak):
+        sentences.append(f"the data hardly tell {listed([parameters.each[k].words for k in weak])}")
+        known += list(np.eye(len(parameters))[weak])
     away = _orthogonal(known, len(parameters))
-    sizes, axes = np.linalg.eigh(away @ scaled @ away + 1e9 * (np.eye(len(parameters)) - away))
-    groups = [axes[:, k] for k, size in enumerate(sizes) if size < TOLD]
-    seen = set[str]()
-    for direction in groups:
-        sentence = _named(parameters, direction)
-        if sentence not in seen:
-            sentences.append(sentence)
-        seen.add(sentence)
-    return sentences
+    sizes, axes = np.linalg.eigh(away @ scaled @ away + BEYOND * (np.eye(len(parameters)) - away))
+    sentences += [_named(parameters, axes[:, k]) for k, size in enumerate(sizes) if size < TOLD]
+    return list(dict.fromkeys(sentences))
+
+
+def listed(words: Sequence[str]) -> str:
+    """Words as a list in a sentence: a, b and c."""
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
 
 
 def _invariances(parameters: Parameters) -> list[tuple[Array, str]]:
@@ -78,9 +83,7 @@ def _named(parameters: Parameters, direction: Array) -> str:
     weights = abs(direction) / abs(direction).max()
     chosen = sorted(np.flatnonzero(weights >= NAMED), key=lambda k: -weights[k])
     each = [parameters.each[k] for k in chosen]
-    if len(each) == 1:
-        return f"the data hardly tell {each[0].words}"
-    names = ", ".join(one.words for one in each[:-1]) + f" and {each[-1].words}"
-    if {one.kind for one in each} <= {*LAGS, DELAY}:
+    names = listed([one.words for one in each])
+    if {one.kind for one in each} <= {*LAGS, DELAY} and len(each) > 1:
         return f"the data hardly tell {names} apart: at one speed these look alike"
-    return f"the data hardly tell {names} apart"
+    return f"the data hardly tell {names}{' apart' * (len(each) > 1)}"

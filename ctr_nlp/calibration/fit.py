@@ -20,8 +20,12 @@ CLIPPED = 2.0
 """
 WITHIN = 0.9205369256363228
 """The mean of min(|z|, CLIPPED)^2 over a standard normal z."""
-ROUNDS = 6
-"""At most so many estimates of the noise, each followed by a fit."""
+ROUNDS, STEPS = 12, 4
+"""At most so many estimates of the noise, each followed by so many steps of a fit; the last one is to the end."""
+MOST_ROWS = 400
+"""Observations of a motion that a fit takes, evenly among more."""
+MOST_STEPS = 40
+"""Of the last fit."""
 SETTLED = 0.02
 """By which part the noise may still change in the last round."""
 LOST = 30.0
@@ -85,21 +89,26 @@ def fitted(prediction: Prediction, rows: Flags | None = None, start: Array | Non
     again until it stays. What the data hardly tell is then held at the value of before.
     """
     measured, parameters = prediction.measured, prediction.parameters
-    used = measured.seen & (True if rows is None else rows)
+    used = thinned(measured.seen & (True if rows is None else rows)) if measured.timed else measured.seen
+    used = used if rows is None else used & rows
     problem = _Problem(prediction, used)
     free, values = np.ones(len(parameters), dtype=bool), _inside(parameters, start)
     noise = problem.noise(values, np.zeros(0, dtype=int))
     for _ in range(ROUNDS):
-        values = problem.solved(values, free, noise)
+        values = problem.solved(values, free, noise, STEPS)
         before, noise = noise, problem.noise(values, np.flatnonzero(free))
         if _same(before, noise):
             break
-    found = problem.fit(values, free, noise)
-    if (found.left > HELD).any():
-        free = found.left <= HELD
-        values = problem.solved(np.where(free, values, parameters.mean), free, noise)
-        noise = problem.noise(values, np.flatnonzero(free))
-        found = problem.fit(values, free, noise)
+    held = problem.fit(values, free, noise).left > HELD
+    free, values = ~held, np.where(held, parameters.mean, values)
+    values = problem.solved(values, free, noise, MOST_STEPS)
+    return problem.fit(values, free, problem.noise(values, np.flatnonzero(free)))
+
+
+def thinned(rows: Flags) -> Flags:
+    """Rows (T,) of a motion, at most MOST_ROWS of those that there are: neighbours hardly differ."""
+    found, chosen = np.zeros(len(rows), dtype=bool), np.flatnonzero(rows)
+    found[chosen[:: -(-len(chosen) // MOST_ROWS) or 1]] = True
     return found
 
 
@@ -125,8 +134,8 @@ class _Problem:
         self._measured = flat_measured(prediction.measured)
         self._known = np.isfinite(self._measured) & rows[:, None]
 
-    def solved(self, values: Array, free: Flags, noise: Noise) -> Array:
-        """The best values (P,) from others; those not free stay."""
+    def solved(self, values: Array, free: Flags, noise: Noise, steps: int) -> Array:
+        """The best values (P,) from others, after so many steps at most; those not free stay."""
         chosen = np.flatnonzero(free)
         if not len(chosen):
             return values
@@ -155,7 +164,7 @@ class _Problem:
 
         bounds = low[chosen] / sigma[chosen], high[chosen] / sigma[chosen]
         begin = np.clip(values[chosen] / sigma[chosen], bounds[0] + INSIDE, bounds[1] - INSIDE)
-        options: dict[str, Any] = {"xtol": 1e-6, "ftol": 1e-8, "gtol": 1e-8, "max_nfev": 60}
+        options: dict[str, Any] = {"xtol": 1e-5, "ftol": 1e-6, "gtol": 1e-8, "max_nfev": steps}
         done = least_squares(residuals, begin, slopes, bounds, loss=loss, **options)
         return all_values(done.x)
 
@@ -179,9 +188,10 @@ class _Problem:
         measured = self._prediction.measured
         if not measured.timed:
             return 0.0
-        clipped = np.clip(residuals, -CLIPPED, CLIPPED)
+        used = np.flatnonzero(self._rows)
+        clipped = np.clip(residuals[used], -CLIPPED, CLIPPED)
         pairs = clipped[:-1] * clipped[1:]
-        pairs[measured.fresh[1:]] = np.nan
+        pairs[np.diff(measured.recording[used]) != 0] = np.nan
         if not np.isfinite(pairs).any():
             return 0.0
         return float(np.clip(np.nanmean(pairs) / np.nanmean(clipped**2), 0.0, 0.99))

@@ -119,7 +119,20 @@ class Measurements(Kept):
         if len(same):
             at = found.time[same[0]]
             raise MeasurementError(f"two different observations of one recording have the time {at:g} s")
+        found._check_turns()
         return replace(found, repeated=self.repeated + len(self) - len(kept))
+
+    def _check_turns(self) -> None:
+        """Raise MeasurementError where an angle of a motion jumps by more than half a turn."""
+        jumps = abs(np.diff(self.q, axis=0)) > math.pi
+        jumps[:, self.q.shape[1] // 2 - 1 : -2] = False
+        for row, axis in np.argwhere(jumps & ~self.fresh[1:, None])[:1]:
+            (before, after), (begin, end) = self.q[row : row + 2, axis], self.time[row : row + 2]
+            name = f"alpha_{axis + 1}" if axis < self.q.shape[1] - 2 else "theta"
+            raise MeasurementError(
+                f"{name} goes from {before:.4g} to {after:.4g} rad between {begin:g} and {end:g} s: is it "
+                "wrapped? An angle must count on past a turn: tubes a turn apart are not where they were"
+            )
 
 
 def _check_configuration(robot: Robot, row: int, q: Array, lengths: Array) -> None:

@@ -8,7 +8,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from ctr_nlp.calibration.calibrate import Calibration, errors
+from ctr_nlp.calibration.calibration import Calibration, errors
 from ctr_nlp.calibration.prediction import flat_measured
 from ctr_nlp.figures import save
 from ctr_nlp.figures.parts.page import STYLE, panels, root_scale

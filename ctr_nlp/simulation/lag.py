@@ -17,6 +17,9 @@ from ctr_nlp.support.equal import Kept
 from ctr_nlp.support.values import floats
 from ctr_nlp.typing import Array, Flags
 
+TINY = 1e-12
+"""What stands for 0 in a denominator."""
+
 
 @dataclass(frozen=True, eq=False)
 class Lag(Kept):
@@ -43,8 +46,8 @@ class Lag(Kept):
         """The configurations (.., T, 2d + 2) of tubes whose motors move through q (T, 2d + 2) at time (T,) s.
 
         (n, T, 2d + 2) where the lags are those of n robots. At those of q that are fresh (T,), by default at the
-        first alone, tubes stand where their motors do. Between two of them every motor turns one way. Over a time
-        dt a tube turns by 1 - exp(-dt / drag) of what would leave it behind by its play alone.
+        first alone, tubes stand where their motors do. From one to the next every motor turns at a steady speed,
+        and the play is that of the next: of such a motion what is found is the exact solution.
         """
         q, time = np.asarray(q, dtype=float), np.asarray(time, dtype=float)
         starts = np.arange(len(q)) == 0 if fresh is None else fresh
@@ -52,15 +55,41 @@ class Lag(Kept):
         found = np.broadcast_to(q, (*play.shape[:-1], *q.shape)).copy()
         passed = np.diff(time, prepend=time[:1])
         hidden, alpha = overlaps(robot, q), np.zeros(play.shape)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            for j, goal in enumerate(q[:, : robot.d]):
-                if starts[j]:
-                    alpha = np.broadcast_to(goal, play.shape)
-                else:
-                    part = np.where(drag > 0, -np.expm1(-passed[j] / drag), 1.0)
-                    alpha = alpha + part * (dragged(alpha, goal, play + slope * hidden[j]) - alpha)
-                found[..., j, : robot.d] = alpha
+        for j, goal in enumerate(q[:, : robot.d]):
+            width = play + slope * hidden[j]
+            if starts[j]:
+                alpha = np.broadcast_to(goal, play.shape)
+            else:
+                slow = goal + _behind(
+                    alpha - q[j - 1, : robot.d], goal - q[j - 1, : robot.d], width, drag, passed[j]
+                )
+                alpha = np.where(drag > 0, slow, dragged(alpha, goal, width))
+            found[..., j, : robot.d] = alpha
         return found
+
+
+def _behind(ahead: Array, turn: Array, play: Array, drag: Array, time: float) -> Array:
+    """What tubes are ahead of motors that turn steadily by turn in so much time s, after it; before it, ahead.
+
+    One that is ahead by more than its play is left behind by drag until it is within it, stands still while the
+    motor takes up the play, and then follows with drag. All (.., d).
+    """
+    to = np.where(turn < 0, -1.0, 1.0)
+    e, speed, left = to * ahead, abs(turn) / max(time, TINY), np.full(ahead.shape, time)
+    steady = np.maximum(drag * speed, TINY)
+    excess = np.maximum(e - play, 0.0)
+    within = np.minimum(drag * np.log1p(excess / steady), left)
+    e = np.minimum(e, play) + np.maximum((excess + steady) * _decay(within, drag) - steady, 0.0)
+    left = left - within
+    still = np.minimum(np.maximum(e + play, 0.0) / np.maximum(speed, TINY), left)
+    e, left = e - speed * still, left - still
+    short = np.minimum(e + play, 0.0)
+    follows = (short + drag * speed) * _decay(left, drag) - drag * speed
+    return np.asarray(to * np.where(left > 0, np.maximum(e, -play) + follows, e))
+
+
+def _decay(time: Array, drag: Array) -> Array:
+    return np.asarray(np.exp(-time / np.maximum(drag, TINY)))
 
 
 def overlaps(robot: Robot, q: Array) -> Array:

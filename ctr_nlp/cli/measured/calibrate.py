@@ -7,13 +7,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-from ctr_nlp.calibration.calibrate import Calibration, calibrate
+from ctr_nlp.calibration.calibration import Calibration, calibrate
 from ctr_nlp.calibration.folds import BLOCK
-from ctr_nlp.calibration.output import account, as_json, head, table, write_next, write_residuals
 from ctr_nlp.calibration.parameters import BASE, KINDS
 from ctr_nlp.calibration.reading import read_measurements
 from ctr_nlp.cli.arguments import add_figures_option, add_out_option, whole
 from ctr_nlp.cli.console import SOLVED, Command, console, print_table, progress_bar
+from ctr_nlp.cli.measured.files import account, as_json, head, table, write_next, write_residuals
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.models import MODELS
 from ctr_nlp.robot import Robot

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.calibration.calibrate import Calibration, errors, summary_of
+from ctr_nlp.calibration.calibration import Calibration, errors, summary_of
 from ctr_nlp.calibration.prediction import flat_measured
 from ctr_nlp.support.tables import by_line, write_csv
 from ctr_nlp.support.values import strict_json
