@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ctr_nlp.anatomy.problem_files import problem_from_file, read_csv
+    from ctr_nlp.calibration.calibration import Calibration, calibrate
+    from ctr_nlp.calibration.measurements import Measurements
+    from ctr_nlp.calibration.reading import read_measurements
     from ctr_nlp.codesign.groups import divided, suited
     from ctr_nlp.codesign.stock import StockTube, read_stock
     from ctr_nlp.codesign.together import Design, design
@@ -29,11 +32,13 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "Calibration",
     "CtrError",
     "Curve",
     "Design",
     "Limits",
     "Manufacture",
+    "Measurements",
     "Plan",
     "Problem",
     "Robot",
@@ -45,6 +50,7 @@ __all__ = [
     "Tube",
     "__version__",
     "by_frame",
+    "calibrate",
     "curve_from_formula",
     "curve_from_points",
     "design",
@@ -52,6 +58,7 @@ __all__ = [
     "growing",
     "problem_from_file",
     "read_csv",
+    "read_measurements",
     "read_stock",
     "seed_robot",
     "sequence",
@@ -69,6 +76,9 @@ __all__ = [
 _HOMES = {
     "anatomy.problem_files": ("problem_from_file", "read_csv"),
     "codesign.groups": ("divided", "suited"),
+    "calibration.calibration": ("Calibration", "calibrate"),
+    "calibration.measurements": ("Measurements",),
+    "calibration.reading": ("read_measurements",),
     "codesign.stock": ("StockTube", "read_stock"),
     "codesign.together": ("Design", "design"),
     "exceptions": ("CtrError",),

@@ -57,12 +57,16 @@ class Draws(Kept):
         if self.lags.any():
             alpha = found[:, 0, :d]
             for j, goal in enumerate(q[:, :d]):
-                alpha = np.clip(
-                    np.full_like(alpha, goal[-1]) if fresh[j] else alpha, goal - self.lags, goal + self.lags
-                )
+                alpha = dragged(np.full_like(alpha, goal[-1]) if fresh[j] else alpha, goal, self.lags)
                 found[:, j, :d] = alpha
         found[..., :d] += self.offsets[:, None]
         return found
+
+
+def dragged(alpha: Array, goal: Array, play: Array) -> Array:
+    """Where tubes at alpha (.., d) come to whose motors go to goal, with play (.., d) to either side; all rad."""
+    found: Array = np.clip(alpha, goal - play, goal + play)
+    return found
 
 
 def drawn(robot: Robot, count: int, seed: int) -> Draws:
