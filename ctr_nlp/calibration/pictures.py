@@ -79,13 +79,14 @@ def parameters(found: Calibration) -> Figure:
     axes = figure.subplots()
     sigma, rows = found.parameters.sigma[chosen], np.arange(len(chosen))[::-1]
     off = (found.fit.values - found.parameters.mean)[chosen] / sigma
-    axes.barh(rows, 4.0, left=-2.0, height=0.8, color="0.92", label="before")
+    axes.barh(rows, 4.0, left=-2.0, height=0.8, color="0.85", label="before")
     axes.errorbar(off, rows, xerr=2 * found.fit.sigma[chosen] / sigma, fmt="o", ms=3, color=BLUE, label="after")
     held = [place for place, k in enumerate(chosen) if found.standing[k] == "held"]
-    axes.plot(off[held], rows[held], "o", ms=3, color=VERMILLION, label="hardly told by the data")
+    if held:
+        axes.plot(off[held], rows[held], "o", ms=3, color=VERMILLION, label="hardly told by the data")
     axes.set_yticks(rows, [found.parameters.names[k] for k in chosen])
-    axes.set_xlabel("difference from the value before, in standard deviations of before (bars: two of them)")
-    axes.legend(loc="upper right")
+    axes.set_xlabel("difference from before, in its standard deviations (bars: two)")
+    figure.legend(loc="outside upper right", ncols=3)
     return figure
 
 

@@ -107,7 +107,9 @@ def _print(found: Calibration) -> None:
     if noise.position == noise.position:
         told.print(f"- a coordinate has a noise of {noise.position:.2g} mm that the robot does not explain")
     if found.measured.repeated:
-        told.print(f"- {found.measured.repeated} observations are copies of others, and were left out")
+        several = found.measured.repeated > 1
+        what = f"{found.measured.repeated} are copies of others, and were" if several else "1 is a copy of another, and was"
+        told.print(f"- of the observations {what} left out")
     if len(found.retraced):
         told.print(f"- {len(found.retraced)} observations have the pose of another; they share its fold")
     if found.floor is not None:
