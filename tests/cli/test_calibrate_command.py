@@ -33,7 +33,7 @@ def test_a_robot_is_written_with_what_is_left_to_doubt(files, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "curvature_2" in said
     assert "determine it" in said
-    assert "1 observations are copies of others" in said
+    assert "of the observations 1 is a copy of another, and was left out" in said
     out = tmp_path / "out"
     names = ["calibration.json", "correlations.png", "measured.png", "next.csv", "parameters.png"]
     assert sorted(path.name for path in out.iterdir() if path.name[0] != ".") == [

@@ -107,9 +107,9 @@ def _print(found: Calibration) -> None:
     if noise.position == noise.position:
         told.print(f"- a coordinate has a noise of {noise.position:.2g} mm that the robot does not explain")
     if found.measured.repeated:
-        several = found.measured.repeated > 1
-        what = f"{found.measured.repeated} are copies of others, and were" if several else "1 is a copy of another, and was"
-        told.print(f"- of the observations {what} left out")
+        count = found.measured.repeated
+        were = "is a copy of another, and was" if count == 1 else "are copies of others, and were"
+        told.print(f"- of the observations {count} {were} left out")
     if len(found.retraced):
         told.print(f"- {len(found.retraced)} observations have the pose of another; they share its fold")
     if found.floor is not None:
