@@ -220,3 +220,10 @@ def test_plans_on_designed_tubes_are_where_equations_say(tasks):
         away = np.linalg.norm(shot.shapes[0] - plan.shape[:, ::5], axis=-1)
         assert shot.snapped[0] == 0
         assert away.max() < 0.01
+
+
+def test_tubes_shaped_like_an_s_are_found_unless_they_are_ruled_out(tasks, nominal):
+    one_sided = design(tasks, nominal=True, rules=replace(RULES, one_sided=True), starts=2)
+    assert min(tube.root_curvature for tube in nominal.robot.tubes) < 0
+    assert min(tube.root_curvature for tube in one_sided.robot.tubes) >= 0
+    assert _rms(nominal.plans) < _rms(one_sided.plans)

@@ -101,11 +101,14 @@ def add_rules(parser: argparse.ArgumentParser) -> None:
     for name, what in RULES.items():
         option = name.replace("_", "-"), "X" if name.startswith("strain") else "MM"
         add_numbers(group, (*option, f"{what} (default {getattr(defaults, name):g})"))
+    what = "no tube is shaped like an S, bent to one side at its root and to the other at its tip"
+    group.add_argument("--one-sided", action="store_true", help=what)
 
 
 def rules_from(arguments: argparse.Namespace) -> Manufacture:
     """What those options say; raises OptionError."""
-    return Manufacture(**{name: value for name in RULES if (value := getattr(arguments, name)) is not None})
+    given = {name: value for name in RULES if (value := getattr(arguments, name)) is not None}
+    return Manufacture(**given, one_sided=arguments.one_sided)
 
 
 def _run(arguments: argparse.Namespace) -> int:

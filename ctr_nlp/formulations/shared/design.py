@@ -140,7 +140,8 @@ class DesignedTubes:
         lower = np.full(len(self.names), self.rules.channel)
         upper = np.full(len(self.names), self.rules.outer)
         lower[:count], upper[:count] = HUNDRED_MM * STRAIGHTEST, HUNDRED_MM / self.rules.bend_radius
-        lower[self._at_roots] = -HUNDRED_MM / self.rules.bend_radius
+        if not self.rules.one_sided:
+            lower[self._at_roots] = -HUNDRED_MM / self.rules.bend_radius
         lower[count : count + d], upper[count : count + d] = np.array([SHORTEST, self.robot.reach]) / HUNDRED_MM
         lower[count + d - 1] = upper[count + d - 1]
         held = np.array([name in self.fixed for name in self.names])

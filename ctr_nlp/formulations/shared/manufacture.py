@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.robot.strain import STRAIN_DEPLOYED
 from ctr_nlp.robot.tube import DIAMETERS, STRAIN_MADE
-from ctr_nlp.support.values import number
+from ctr_nlp.support.values import instance, number
 
 SOLD_RATIO = 1.1, 1.8
 """Between what outer diameters are as parts of inner ones where Nitinol tubing is sold (Johnson Matthey, Nitinol
@@ -34,8 +34,8 @@ class Manufacture:
     strain_made: of a tube's outer fibre when it is bent into its pre-curvature; strain_deployed: of the aligned
     robot's tubes, each against its own pre-curvature (robot/strain.py). clearance: by how much the inner diameter
     of a tube exceeds the outer diameter of the next. wall: least thickness. channel: least inner diameter of the
-    innermost tube. outer: largest outer diameter. bend_radius: the least of any tube's pre-curvature. Raises
-    OptionError.
+    innermost tube. outer: largest outer diameter. bend_radius: the least of any tube's pre-curvature. one_sided:
+    whether no tube is shaped like an S. Raises OptionError.
     """
 
     strain_made: float = 0.04
@@ -45,6 +45,7 @@ class Manufacture:
     channel: float = 1.0
     outer: float = 5.7
     bend_radius: float = 10.0
+    one_sided: bool = False
 
     def __post_init__(self) -> None:
         most = {
@@ -53,12 +54,12 @@ class Manufacture:
             **dict.fromkeys(("clearance", "wall", "channel", "outer"), DIAMETERS[1]),
             "bend_radius": 10_000.0,
         }
-        for f in fields(self):
-            high = most[f.name]
+        for name, high in most.items():
             allowed = f"be more than 0 and at most {high:g}"
-            given = getattr(self, f.name)
-            value = number(OptionError, f"{f.name} of manufacture", given, partial(_within, high), allowed)
-            object.__setattr__(self, f.name, value)
+            given = getattr(self, name)
+            value = number(OptionError, f"{name} of manufacture", given, partial(_within, high), allowed)
+            object.__setattr__(self, name, value)
+        instance(OptionError, "one_sided of manufacture", self.one_sided, bool)
 
     def check_tubes(self, d: int) -> None:
         """Raise OptionError where the thinnest d tubes that can be nested exceed the largest diameter."""
