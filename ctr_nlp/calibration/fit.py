@@ -30,7 +30,7 @@ SETTLED = 0.02
 """By which part the noise may still change in the last round."""
 LOST = 30.0
 """Standard deviations by which a place counts as missed where a robot has no equilibrium."""
-LEAST_NOISE = 1e-6, 1e-8
+LEAST_NOISE = 1e-4, 1e-6
 """mm and rad: noise that is taken for none."""
 HELD = 0.95
 """A parameter keeps the value of before where the data leave more than this part of its standard deviation."""
@@ -115,8 +115,10 @@ def thinned(rows: Flags) -> Flags:
 def posterior(parameters: Parameters, information: Array) -> Array:
     """The covariance (P, P) of parameters after what data tell, (P, P)."""
     scaled = np.linalg.inv(parameters.whitened)
-    core = np.eye(len(parameters)) + scaled.T @ information @ scaled
-    return np.asarray(scaled @ np.linalg.inv((core + core.T) / 2) @ scaled.T)
+    core = scaled.T @ information @ scaled
+    sizes, axes = np.linalg.eigh((core + core.T) / 2)
+    root = scaled @ axes / np.sqrt(1 + np.maximum(sizes, 0.0))
+    return np.asarray(root @ root.T)
 
 
 def information_of(changes: Array, known: Flags, noise: Noise) -> Array:
