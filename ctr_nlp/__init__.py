@@ -10,6 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ctr_nlp.anatomy.problem_files import problem_from_file, read_csv
+    from ctr_nlp.calibration.calibration import Calibration, calibrate
+    from ctr_nlp.calibration.measurements import Measurements
+    from ctr_nlp.calibration.reading import read_measurements
+    from ctr_nlp.codesign.groups import divided, suited
     from ctr_nlp.codesign.stock import StockTube, read_stock
     from ctr_nlp.codesign.together import Design, design
     from ctr_nlp.exceptions import CtrError
@@ -28,11 +32,13 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "Calibration",
     "CtrError",
     "Curve",
     "Design",
     "Limits",
     "Manufacture",
+    "Measurements",
     "Plan",
     "Problem",
     "Robot",
@@ -44,12 +50,15 @@ __all__ = [
     "Tube",
     "__version__",
     "by_frame",
+    "calibrate",
     "curve_from_formula",
     "curve_from_points",
     "design",
+    "divided",
     "growing",
     "problem_from_file",
     "read_csv",
+    "read_measurements",
     "read_stock",
     "seed_robot",
     "sequence",
@@ -59,12 +68,17 @@ __all__ = [
     "solve_per_frame",
     "solve_robust",
     "solve_robust_per_frame",
+    "suited",
     "summary",
     "table_i_robot",
 ]
 
 _HOMES = {
     "anatomy.problem_files": ("problem_from_file", "read_csv"),
+    "codesign.groups": ("divided", "suited"),
+    "calibration.calibration": ("Calibration", "calibrate"),
+    "calibration.measurements": ("Measurements",),
+    "calibration.reading": ("read_measurements",),
     "codesign.stock": ("StockTube", "read_stock"),
     "codesign.together": ("Design", "design"),
     "exceptions": ("CtrError",),

@@ -31,6 +31,10 @@ class OutputError(CtrError):
     """A place that cannot be written, or a plan that cannot be read."""
 
 
+class MeasurementError(CtrError):
+    """Measurements that cannot be read, or that no robot of this kind can have given."""
+
+
 class BenchmarkError(CtrError):
     """A row that cannot be timed, or a commit that cannot be checked out to be compared."""
 

@@ -17,6 +17,7 @@ ROOMS = (
         "cli",
         "studies",
         "codesign",
+        "calibration",
         "report",
         "figures",
         "hardware",

@@ -29,6 +29,7 @@ COMMANDS = {
     "branches": Entry("commands.branches", "main", "list the branches of a centreline file"),
     "robust": Entry("commands.robust", "main", "try a plan on robots that are not quite the one described"),
     "design": Entry("studies.design", "main", "choose tubes together with motions along several targets"),
+    "calibrate": Entry("measured.calibrate", "main", "find a robot's tubes from measurements of its shape"),
     "report": Entry("commands.report", "main", "write plans as one page for a browser"),
     "export": Entry("commands.export", "main", "write a plan as commands for other machines"),
     "play": Entry("commands.play", "main", "check a plan for some hardware and play it there"),

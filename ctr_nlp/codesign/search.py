@@ -33,8 +33,8 @@ MISSED = 1e-4
 PULL, LOOSER = 1e-3, 0.1
 """What a step of p by one unit costs in the first round, mm^2 for every frame, and the factor from round to round:
 where tubes matter little, they stay."""
-STEPS = 300
-"""Of a round, at most."""
+STEPS, STEPS_PER_TASK = 260, 10
+"""Of a round, at most: tubes that dozens of tasks share are found in more."""
 ROUNDS, ENOUGH = 5, 2e-3
 """Rounds from a start, at most; they end when one makes less than this part of a difference."""
 AGAIN, NEAR = 0.1, 1e-3
@@ -174,7 +174,8 @@ class DesignSearch:
     def refined(self, known: Candidate, robots: Robots, pull: float, barrier: float) -> Candidate | None:
         """Tubes and motions after one round from known ones; None where it leads to no motions that go on."""
         motion = self.motion(known.p, known.motions, robots, pull)
-        found = SharedSolver(motion)(known.motions.q, known.motions.phi, barrier, self.stop, STEPS, known.p)
+        steps = STEPS + STEPS_PER_TASK * len(self.tasks)
+        found = SharedSolver(motion)(known.motions.q, known.motions.phi, barrier, self.stop, steps, known.p)
         if max(found.violation, found.missing) > MISSED:
             return None
         squares = Condensed(motion).by_robot(found.q, found.phi, found.p) @ motion.weights

@@ -37,8 +37,10 @@ from ctr_nlp.support.values import whole_number
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
-STARTS = 6
+STARTS = 4
 """Tubes that a design starts from."""
+MOST_FRAMES = 1500
+"""Frames of all tasks for which tubes are found; of more, those of drafts say as much."""
 BINDING = 1e-3
 """A rule binds where it is kept by less than this part of its bound."""
 TOLD = 5e-4
@@ -94,6 +96,7 @@ def design(
     fixed: Sequence[str] = (),
     constant_curvature: bool = False,
     starts: int = STARTS,
+    walls: bool = False,
     jobs: int = 1,
     stock: Sequence[StockTube] | None = None,
     settings: Settings = DEFAULTS,
@@ -104,12 +107,13 @@ def design(
     The root mean square of the problems' e3 is made small over tubes and motions at once: pre-curvatures, lengths
     of curved parts and diameters belong to all problems, q of every frame to its own
     (formulations/shared/design.py). The problems' robots must be equal; theirs are the limits, the tolerances and
-    the first tubes. The lumen's wall does not count.
+    the first tubes.
     nominal: whether the tolerances are left out; otherwise motions are shared by robots that stand for all within
     them, and each plan is certified on draws (solve_robust). rules: of manufacture. fixed: names of numbers that
     stay as they are, such as outer_diameter_1. constant_curvature: whether curved parts are arcs; otherwise their
     curvatures are linear in arc length. starts: tubes that are tried, the robot's own and random ones
-    (settings.seed). jobs: in how many processes starts and plans are worked on. stock: tubing (read_stock) to
+    (settings.seed). walls: whether the plans are kept within the lumens; tubes are chosen as if there were no
+    walls. jobs: in how many processes starts and plans are worked on. stock: tubing (read_stock) to
     which tubes are rounded, with lengths and curvatures that can be made; without it diameters are free.
     settings.stability_margin: the least of every robot. Ctrl-C ends the work; the design is then the best so far,
     marked as interrupted, and plans may be missing. Raises OptionError, ProblemError, RobotError.
@@ -125,7 +129,7 @@ def design(
         tried = [one for one in (begun, *found) if one is not None]
         if not tried:
             raise ProblemError("no tubes were found on which all problems can be followed; give more starts")
-        plan = partial(_plans, whole, settings, nominal, model, jobs, progress)
+        plan = partial(_plans, whole, settings, nominal, model, walls, jobs, progress)
         if nominal:
             best, planned = _whole(min(tried, key=error_of), whole), list[Plan]()
         else:
@@ -189,7 +193,9 @@ def _finished(
 
 
 def _whole(best: Candidate, search: DesignSearch) -> Candidate:
-    """The same with all frames, from motions planned on its tubes."""
+    """The same with all frames, from motions planned on its tubes, unless these are very many."""
+    if sum(task.frames for task in search.tasks) > MOST_FRAMES:
+        return best
     begun = search.start(best.start, best.p)
     if begun is None or search.stop():
         return best
@@ -202,13 +208,14 @@ def _plans(
     settings: Settings,
     nominal: bool,
     model: str | Model,
+    walls: bool,
     jobs: int,
     progress: Progress | None,
     best: Candidate,
 ) -> list[Plan]:
     """Those of all tasks on the tubes of a candidate."""
     tasks = whole.on(whole.tubes.robot_of(best.p))
-    return planned_on(tasks, settings, nominal, model, _motions(best, whole), jobs, progress)
+    return planned_on(tasks, settings, nominal, model, _motions(best, whole), walls, jobs, progress)
 
 
 def _motions(best: Candidate, whole: DesignSearch) -> list[Array]:

@@ -152,7 +152,7 @@ def _section(axes: Axes, tubes: list[tuple[int, Tube]], width: float) -> None:
 
 def _table(axes: Axes, robot: Robot) -> None:
     axes.axis("off")
-    bands = robot.tolerances.bands(robot.d)
+    bands = robot.tolerances.bands(robot.tubes)
     rows = [_row(i, tube, float(bands[i, 0])) for i, tube in enumerate(robot.tubes)]
     table = axes.table([list(row) for row in rows], colLabels=list(COLUMNS), loc="center", cellLoc="center")
     table.auto_set_font_size(False)

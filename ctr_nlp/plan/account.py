@@ -129,7 +129,7 @@ def _certificate(plan: Plan) -> list[str]:
 def _tolerances(plan: Plan, part: float) -> str:
     """Part of the tolerances of a plan's robot, the largest of any tube, in words."""
     robot, told = plan.robot, list[str]()
-    bands = part * robot.tolerances.bands(robot.d).max(axis=0)
+    bands = part * robot.tolerances.bands(robot.tubes).max(axis=0)
     for name, band in zip(NAMES, bands.tolist(), strict=True):
         value = f"{band:.2g}{UNITS[name]}" if name in UNITS else f"{band:.2%}"
         told += [f"{name.replace('_', ' ')} {value}"] if band else []

@@ -93,7 +93,7 @@ def _costs(plan: Record) -> tuple[Array, Index]:
 def _alone(plan: Record) -> Iterator[tuple[tuple[int, int] | None, Array, Array]]:
     """The robot described, and then those that differ by one tolerance: which, parts (d, 5) and lags (d,)."""
     d, tolerances = plan.robot.d, plan.robot.tolerances
-    bands, lags = tolerances.bands(d), tolerances.lags(d)
+    bands, lags = tolerances.bands(plan.robot.tubes), tolerances.lags(d)
     yield None, np.zeros_like(bands), np.zeros(d)
     for (i, k), sign in itertools.product(np.ndindex(d, len(COSTLY)), (-1.0, 1.0)):
         parts, lag = np.zeros_like(bands), np.zeros(d)

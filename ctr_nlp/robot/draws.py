@@ -57,12 +57,16 @@ class Draws(Kept):
         if self.lags.any():
             alpha = found[:, 0, :d]
             for j, goal in enumerate(q[:, :d]):
-                alpha = np.clip(
-                    np.full_like(alpha, goal[-1]) if fresh[j] else alpha, goal - self.lags, goal + self.lags
-                )
+                alpha = dragged(np.full_like(alpha, goal[-1]) if fresh[j] else alpha, goal, self.lags)
                 found[:, j, :d] = alpha
         found[..., :d] += self.offsets[:, None]
         return found
+
+
+def dragged(alpha: Array, goal: Array, play: Array) -> Array:
+    """Where tubes at alpha (.., d) come to whose motors go to goal, with play (.., d) to either side; all rad."""
+    found: Array = np.clip(alpha, goal - play, goal + play)
+    return found
 
 
 def drawn(robot: Robot, count: int, seed: int) -> Draws:
@@ -72,11 +76,16 @@ def drawn(robot: Robot, count: int, seed: int) -> Draws:
     """
     count, seed = whole_number(RobotError, "draws", count), whole_number(RobotError, "seed of draws", seed, 0)
     tolerances, d = robot.tolerances, robot.d
-    bands, shares, random = tolerances.bands(d), np.random.default_rng([seed, 1]), np.random.default_rng([seed, 0])
+    random, shares, sections = (np.random.default_rng([seed, stream]) for stream in range(3))
     if tolerances.distribution == "uniform":
-        parts = random.uniform(-1.0, 1.0, (count, d, len(NAMES))) * bands
+        bands = tolerances.stated(d)
+        parts = random.uniform(-1.0, 1.0, (count, *bands.shape)) * bands
+        off = sections.uniform(-1.0, 1.0, (count, d, 2)) * tolerances.diameters(d)[:, None]
+        stiffness = parts[..., NAMES.index("bending_stiffness")]
+        stiffness[:] = (1 + stiffness) * _stiffened(robot, off) - 1
     else:
-        parts = (random.standard_normal((count, bands.size)) @ tolerances.root(d).T).reshape(count, *bands.shape)
+        root = tolerances.root(robot.tubes)
+        parts = (random.standard_normal((count, len(root))) @ root.T).reshape(count, d, len(NAMES))
     return drawn_from(robot, parts, shares.uniform(0.0, 1.0, (count, d)) * tolerances.lags(d))
 
 
@@ -86,7 +95,7 @@ def corners(robot: Robot) -> Draws:
     A band of width 0 has one end. The corners of a normal distribution are those of the uniform one with its
     variance.
     """
-    bands = robot.tolerances.bands(robot.d)
+    bands = robot.tolerances.bands(robot.tubes)
     wide = np.flatnonzero(bands.ravel())
     if 2 ** len(wide) > MOST_CORNERS:
         raise RobotError(
@@ -97,6 +106,14 @@ def corners(robot: Robot) -> Draws:
     parts[:, wide] = signs * bands.ravel()[wide]
     lags = np.tile(robot.tolerances.lags(robot.d), (len(signs), 1))
     return drawn_from(robot, parts.reshape(len(signs), *bands.shape), lags)
+
+
+def _stiffened(robot: Robot, off: Array) -> Array:
+    """By what factors (n, d) bending stiffnesses change with both diameters off (n, d, 2) mm, outer and inner."""
+    described = np.array([(tube.outer_diameter, tube.inner_diameter) for tube in robot.tubes])
+    fourth = np.maximum(described + off, 0.0) ** 4
+    whole = described**4
+    return np.asarray((fourth[..., 0] - fourth[..., 1]) / (whole[:, 0] - whole[:, 1]))
 
 
 def drawn_from(robot: Robot, parts: Array, lags: Array) -> Draws:

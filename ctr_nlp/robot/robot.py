@@ -59,7 +59,7 @@ class Robot:
             raise RobotError(f"limits of a robot are {self.limits!r}; they must be Limits(...)")
         if not isinstance(self.tolerances, Tolerances):
             raise RobotError(f"tolerances of a robot are {self.tolerances!r:.60}; they must be Tolerances(...)")
-        self.tolerances.check(self.d)
+        self.tolerances.check(self.tubes)
         for i, (outer, inner) in enumerate(zip(self.tubes, self.tubes[1:], strict=False), start=1):
             check_pair(i, outer, inner)
         self._check_limits()

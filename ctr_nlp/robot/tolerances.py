@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
 from ctr_nlp.exceptions import RobotError
+from ctr_nlp.robot.tube import Tube
 from ctr_nlp.support.packing import packable
 from ctr_nlp.support.values import numbers, plain_floats, unchanging
 from ctr_nlp.typing import Array
@@ -19,9 +21,10 @@ LARGEST = {
     **dict.fromkeys(("curvature", "bending_stiffness", "torsional_ratio"), 0.5),
     "curved_length": 100.0,
     **dict.fromkeys(("motor_zero", "rotation_lag"), math.pi / 2),
+    "diameter": 1.0,
 }
 """Tolerances beyond which nothing is known of a robot: parts, mm and rad."""
-UNITS = {"curved_length": " mm", "motor_zero": " rad", "rotation_lag": " rad"}
+UNITS = {"curved_length": " mm", "motor_zero": " rad", "rotation_lag": " rad", "diameter": " mm"}
 NAMES = "curvature", "bending_stiffness", "torsional_ratio", "curved_length", "motor_zero"
 """What differs from robot to robot, tube by tube: parts, mm and rad."""
 ROUNDING = 1e-9
@@ -36,7 +39,8 @@ class Tolerances:
     curvature, bending_stiffness, torsional_ratio: as parts of themselves, half the width of the band, so that 0.02
     stands for +-2 %. curved_length: mm. motor_zero: by what angle alpha is off where the motor reads 0, rad.
     rotation_lag: by up to what angle a tube stays behind its motor when that turns, rad; a robot has a lag of its
-    own in [0, rotation_lag], uniform whatever the distribution.
+    own in [0, rotation_lag], uniform whatever the distribution. diameter: of the outer and of the inner diameter,
+    mm; they change the bending stiffness, which then differs by more than bending_stiffness says.
 
     distribution: uniform in the band, or normal with the variance of that. covariance: of all tubes' differences
     together, (5 d, 5 d), for the normal distribution; tube by tube, outermost first, each with its curvature,
@@ -50,6 +54,7 @@ class Tolerances:
     curved_length: Any = 0.0
     motor_zero: Any = 0.02
     rotation_lag: Any = 0.0
+    diameter: Any = 0.0
     distribution: str = "uniform"
     covariance: Any = None
 
@@ -74,8 +79,8 @@ class Tolerances:
         name, found = _of("covariance"), self._covariance()
         if self.distribution != "normal":
             raise RobotError(f'{name} needs distribution = "normal"; it is {self.distribution!r}')
-        for f in fields(self)[: len(NAMES)]:
-            if getattr(self, f.name) != f.default:
+        for f in fields(self):
+            if f.name in (*NAMES, "diameter") and getattr(self, f.name) != f.default:
                 raise RobotError(
                     f"{_of(f.name)} is {getattr(self, f.name)}; leave it out where a covariance is given"
                 )
@@ -102,8 +107,9 @@ class Tolerances:
             raise RobotError(f"{_of('covariance')} has entries that are not finite; all must be")
         return found
 
-    def check(self, d: int) -> None:
-        """Raise RobotError unless these are the tolerances of d tubes."""
+    def check(self, tubes: Sequence[Tube]) -> None:
+        """Raise RobotError unless these are tolerances that so many tubes, and these, may have."""
+        d = len(tubes)
         for name in LARGEST:
             value = getattr(self, name)
             if isinstance(value, tuple) and len(value) != d:
@@ -113,17 +119,34 @@ class Tolerances:
         if self.covariance is not None and len(self.covariance) != len(NAMES) * d:
             rows = len(self.covariance)
             raise RobotError(f"{_of('covariance')} has {rows} rows; it must have {len(NAMES) * d}, for {d} tubes")
+        for i, (tube, off) in enumerate(zip(tubes, self.diameters(d).tolist(), strict=True), start=1):
+            wall = (tube.outer_diameter - tube.inner_diameter) / 2
+            if off > 0 and off >= wall:
+                raise RobotError(
+                    f"{_of('diameter')} is {off:g} mm and the wall of tube {i} {wall:.3g} mm thick; of a robot "
+                    "within such tolerances it may be gone"
+                )
 
-    def bands(self, d: int) -> Array:
-        """Half the widths (d, 5) of the bands of d tubes, in the order of NAMES; of the same variance."""
-        self.check(d)
+    def stated(self, d: int) -> Array:
+        """Half the widths (d, 5) of the bands of d tubes as they are given, in the order of NAMES."""
         if self.covariance is not None:
             return np.sqrt(3 * np.maximum(self._covariance().diagonal(), 0.0)).reshape(d, len(NAMES))
         return np.stack([numbers(_of(name), getattr(self, name), d) for name in NAMES], axis=1)
 
-    def root(self, d: int) -> Array:
+    def bands(self, tubes: Sequence[Tube]) -> Array:
+        """Half the widths (d, 5) of tubes' bands, in the order of NAMES; of the same variance.
+
+        To the bending stiffness's is added, to first order, what diameters within their tolerances make of it.
+        """
+        found = self.stated(len(tubes))
+        slopes = np.array([tube.stiffness_slopes for tube in tubes])
+        stiffness = NAMES.index("bending_stiffness")
+        found[:, stiffness] = np.hypot(found[:, stiffness], self.diameters(len(tubes)) * np.hypot(*slopes.T))
+        return found
+
+    def root(self, tubes: Sequence[Tube]) -> Array:
         """A square root (5 d, 5 d) of the covariance of d tubes."""
-        bands = self.bands(d)
+        bands = self.bands(tubes)
         if self.covariance is None:
             return np.diag(bands.ravel() / math.sqrt(3))
         found = self._covariance()
@@ -132,8 +155,11 @@ class Tolerances:
 
     def lags(self, d: int) -> Array:
         """The largest lags (d,) of d tubes, rad."""
-        self.check(d)
         return numbers(_of("rotation_lag"), self.rotation_lag, d)
+
+    def diameters(self, d: int) -> Array:
+        """By how much the outer and the inner diameters of d tubes may differ, (d,) mm."""
+        return numbers(_of("diameter"), self.diameter, d)
 
 
 def _of(name: str) -> str:

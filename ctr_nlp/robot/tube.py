@@ -124,6 +124,12 @@ class Tube:
         """EI, in units of youngs_modulus x mm^4."""
         return self.youngs_modulus * math.pi / 64 * (self.outer_diameter**4 - self.inner_diameter**4)
 
+    @property
+    def stiffness_slopes(self) -> tuple[float, float]:
+        """By what part the bending stiffness grows with the outer and the inner diameter, 1/mm."""
+        outer, inner = self.outer_diameter, self.inner_diameter
+        return 4 * outer**3 / (outer**4 - inner**4), -4 * inner**3 / (outer**4 - inner**4)
+
 
 def _check_unit(name: str, value: float, allowed: tuple[float, float]) -> None:
     """Raise RobotError where a length in mm was likely written in another unit."""

@@ -84,3 +84,29 @@ def derivatives(model: Model, structure: Structure, count: int) -> ca.Function:
     of_margin = -of_determinant / slope if shape.stability is not None else ca.SX.nan(1, over.numel())
     outputs = [ca.densify(each) for each in (of_points, of_alpha, moved, of_margin)]
     return ca.Function("derivatives", [shape.x, sigma, numbers, margin], outputs, {"cse": True})
+
+
+@functools.lru_cache(maxsize=16)
+def shown_changes(model: Model, structure: Structure, count: int) -> ca.Function:
+    """(x, sigma (count,), numbers (d, 6)) -> how the shape that a robot shows changes, as columns of a matrix
+    each.
+
+    Of points (3 count,), x of all before y and z: over numbers with the configuration held (3 count, 6 d), and
+    over the configuration (3 count, 2d + 2). Motors that turn by d alpha turn tips by (alpha_phi)^-1 d alpha.
+    """
+    d, sigma, numbers = structure.d, ca.SX.sym("sigma", count), ca.SX.sym("numbers", structure.d, len(NUMBERS))
+    shape = model.frame(structure, symbolic_tubes(structure, numbers), lambda beta: sigma * beta[-1])
+    symbols, values = shape.inner.columns
+    written = [ca.vertcat(*(ca.SX(axis) for axis in shape.placed(shape.points))), shape.alpha]
+    points, alpha = ca.substitute(written, [symbols], [values])
+    over_numbers, over_x = (ca.jacobian(points, each) for each in (ca.vec(numbers), shape.x))
+    if model.several_equilibria:
+        (of_numbers, of_x), rest = (
+            (ca.jacobian(alpha, each) for each in (ca.vec(numbers), shape.x)),
+            slice(d, None),
+        )
+        turned = ca.solve(of_x[:, :d].T, over_x[:, :d].T).T
+        over_numbers = over_numbers - turned @ of_numbers
+        over_x = ca.horzcat(turned, over_x[:, rest] - turned @ of_x[:, rest])
+    outputs = [ca.densify(each) for each in (over_numbers, over_x)]
+    return ca.Function("shown_changes", [shape.x, sigma, numbers], outputs, {"cse": True})

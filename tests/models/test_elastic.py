@@ -54,16 +54,17 @@ def test_shapes_match_shooting_from_the_base(name):
     np.testing.assert_allclose(shapes(shot.robot, x[None], SIGMA)[0], shot.points(SIGMA), atol=0.01)
 
 
-def test_errors_fall_with_the_fourth_power_of_the_steps():
+def test_errors_fall_with_a_power_of_the_steps():
+    """The fifth for motors' angles, the fourth for tangents."""
     shot = truth.shot("two tubes, both within their curved parts")
     x, finest = shot.x, motors(shot.robot, shot.x, 24)
     of_motors = [abs(motors(shot.robot, x, steps) - finest).max() for steps in (2, 4, 8)]
     tip = shot.at(shot.q[3])[-3:]
     found = [elastic.backbone(shot.robot.tube_numbers, list(x), 1.0, np, steps).tangents for steps in (1, 2, 4)]
     of_tangents = np.abs(np.array(found) - tip).max(axis=1)
-    for errors in (np.array(of_motors), of_tangents):
+    for errors, order in ((np.array(of_motors), 5), (of_tangents, 4)):
         orders = np.log2(errors[:-1] / errors[1:])
-        assert (orders > 3.7).all(), (errors, orders)
+        assert (orders > order - 0.3).all(), (errors, orders)
 
 
 @given(robots_with_q())

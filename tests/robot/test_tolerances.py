@@ -60,15 +60,15 @@ def test_uniform_draws_fill_their_bands_and_no_more():
 
 def test_normal_draws_have_the_variance_of_uniform_ones():
     parts = drawn(known_so(replace(WIDE, distribution="normal")), 4000, 5).parts
-    np.testing.assert_allclose(parts.std(axis=0), WIDE.bands(3) / np.sqrt(3), rtol=0.05)
-    assert (abs(parts) > 1.5 * WIDE.bands(3)).any()
+    np.testing.assert_allclose(parts.std(axis=0), WIDE.bands(table_i_robot().tubes) / np.sqrt(3), rtol=0.05)
+    assert (abs(parts) > 1.5 * WIDE.bands(table_i_robot().tubes)).any()
 
 
 def test_draws_have_the_covariance_that_is_given():
     robot = known_so(correlated())
     found = np.cov(drawn(robot, 20_000, 1).parts.reshape(20_000, 15).T)
     np.testing.assert_allclose(found, robot.tolerances.covariance, atol=1.5e-5)
-    np.testing.assert_allclose(robot.tolerances.bands(3)[:, 0], 0.01 * np.sqrt(3))
+    np.testing.assert_allclose(robot.tolerances.bands(robot.tubes)[:, 0], 0.01 * np.sqrt(3))
 
 
 def test_draws_are_those_of_their_seed_and_fewer_are_the_first_of_more():
@@ -79,12 +79,34 @@ def test_draws_are_those_of_their_seed_and_fewer_are_the_first_of_more():
         assert drawn(robot, 10, 4) != drawn(robot, 10, 3)
 
 
+def test_diameters_that_are_off_widen_the_bending_stiffness():
+    """Each draw's stiffness is that of a section with diameters off, by hand at the ends; bands to first order."""
+    thin = replace(table_i_robot().tubes[2], outer_diameter=1.3, inner_diameter=1.0)
+    robot = replace(table_i_robot(), tubes=(*table_i_robot().tubes[:2], thin))
+    robot = replace(robot, tolerances=Tolerances(bending_stiffness=0.0, diameter=(0, 0, 0.02)))
+    part = drawn(robot, 4000, 5).parts[..., 1]
+    assert (part[:, :2] == 0).all()
+    most = (1.32**4 - 0.98**4) / (1.3**4 - 1) - 1
+    least = (1.28**4 - 1.02**4) / (1.3**4 - 1) - 1
+    assert least < part[:, 2].min() < 0.9 * least
+    assert 0.9 * most < part[:, 2].max() < most
+    band = robot.tolerances.bands(robot.tubes)[2, 1]
+    np.testing.assert_allclose(part[:, 2].std(), band / np.sqrt(3), rtol=0.03)
+    np.testing.assert_allclose(band, 0.02 * 4 * np.hypot(1.3**3, 1) / (1.3**4 - 1), rtol=1e-12)
+    normal = replace(robot, tolerances=replace(robot.tolerances, distribution="normal"))
+    np.testing.assert_allclose(drawn(normal, 4000, 5).parts[:, 2, 1].std(), band / np.sqrt(3), rtol=0.03)
+    with pytest.raises(RobotError, match=r"diameter of tolerances is 0\.16 mm and the wall of tube 3 0\.15 mm"):
+        replace(robot, tolerances=Tolerances(diameter=(0, 0, 0.16)))
+    with pytest.raises(RobotError, match=r"diameter of tolerances is 0\.02; leave it out where a covariance"):
+        replace(correlated(), diameter=0.02)
+
+
 def test_corners_are_all_ends_of_all_bands():
     robot = known_so(Tolerances(bending_stiffness=(0.02, 0, 0), motor_zero=(0, 0.02, 0), rotation_lag=0.1))
     found = corners(robot)
     assert len(found) == 2**5
     assert len(np.unique(found.parts.reshape(32, 15), axis=0)) == 32
-    np.testing.assert_array_equal(abs(found.parts), np.tile(robot.tolerances.bands(3), (32, 1, 1)))
+    np.testing.assert_array_equal(abs(found.parts), np.tile(robot.tolerances.bands(robot.tubes), (32, 1, 1)))
     assert (found.lags == 0.1).all()
     outer = table_i_robot().tubes[0]
     six = Robot(tuple(replace(outer, outer_diameter=9 - k, inner_diameter=8.2 - k) for k in range(6)))

@@ -33,6 +33,10 @@ STANDARD: Mapping[str, tuple[str, ...]] = {
     "bag": ("metadata.yaml", "{folder}.mcap", "{folder}.db3"),
     "comparison": ("comparison.md", "comparison.csv", "comparison.json", "agreement.json"),
     "clearance": ("clearance.md", "clearance.csv", "clearance.png"),
+    "calibration": (
+        *("robot.toml", "calibration.json", "residuals.csv", "next.csv"),
+        *("residuals.png", "measured.png", "parameters.png", "correlations.png"),
+    ),
     "design": ("robot.toml", "design.json", "sheet.svg", "sheet.pdf"),
     "baselines": ("baselines.md", "baselines.csv", "baselines.png", "baselines.pdf"),
     "trade": ("trade.md", "trade.csv", "trade.json"),

@@ -71,10 +71,11 @@ class Dominant(Model):
 
     def points_apart(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
         """As Model.points_apart."""
-        points = np.empty((len(x), len(sigma), 3))
+        points = np.empty((len(x), np.shape(sigma)[-1], 3))
         for at in (slice(first, first + CHUNK) for first in range(0, len(x), CHUNK)):
             tubes = tubes_in_columns(structure, numbers[at])
-            points[at] = _stacked(shape.backbone(tubes, shape.columns_of(x[at]), sigma, np).points)
+            own = sigma[at] if np.ndim(sigma) > 1 else sigma
+            points[at] = _stacked(shape.backbone(tubes, shape.columns_of(x[at]), own, np).points)
         return points
 
     def tangents(self, robot: Robot, x: Array, sigma: Array) -> Array:

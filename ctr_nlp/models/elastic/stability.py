@@ -13,7 +13,7 @@ import numpy as np
 
 from ctr_nlp.models.elastic.compiled import compiled, numbers_of
 from ctr_nlp.models.elastic.energy import differences, energies
-from ctr_nlp.models.elastic.torsion import Node, Section, Twist, moved, stepped
+from ctr_nlp.models.elastic.torsion import Node, Section, Twist, moved
 from ctr_nlp.robot.structure import Structure, Tubes
 from ctr_nlp.typing import Array
 
@@ -43,13 +43,24 @@ def responses(
                 a = _times(stiff[k], y)
                 b = _times(stiff[k - 1], moved(y, (h / 2, rate), (h**2 / 8, a)))
                 c = _times(stiff[k - 2], moved(y, (h, rate), (h**2 / 2, b)))
-                columns[j], rates[j] = stepped(y, rate, h, a, b, c)
+                columns[j], rates[j] = _stepped(y, rate, h, a, b, c)
         found.append(_relative(columns))
     for i, tube in enumerate(tubes):
         for y, rate in zip(columns, rates, strict=True):
             y[i] = y[i] - rate[i] * (tube.length - x[d + i])
         found.append(_relative(columns))
     return found
+
+
+def _stepped(
+    values: Sequence[Any], rates: Sequence[Any], h: Any, *ks: Sequence[Any]
+) -> tuple[list[Any], list[Any]]:
+    """Values and rates after a step h of Nystroem's method of order 4, from its three second derivatives."""
+    a, b, c = ks
+    return (
+        moved(values, (h, rates), (h**2 / 6, a), (h**2 / 3, b)),
+        moved(rates, (h / 6, a), (h * 2 / 3, b), (h / 6, c)),
+    )
 
 
 def _stiffness(tubes: Tubes, part: Section, node: Node, factor: float, xp: Any) -> list[list[Any]]:

@@ -21,7 +21,7 @@ def scenarios_of(robot: Robot) -> Scenarios:
     Lags are left out. Raises OptionError where nothing may differ, and where tubes' curved parts may come to end
     in their transmissions, which is another structure.
     """
-    root = robot.tolerances.root(robot.d)
+    root = robot.tolerances.root(robot.tubes)
     deviations = root[:, abs(root).max(axis=0) > 0]
     if not deviations.size:
         raise OptionError("all tolerances of the robot are 0; give some, or plan without robustness")

@@ -1,0 +1,158 @@
+"""What was measured of a robot: its configurations, and what a sensor saw of its shape at each."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from ctr_nlp.exceptions import MeasurementError, RobotError
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.checks import check_angle
+from ctr_nlp.support.equal import Kept
+from ctr_nlp.typing import Array, Flags, Index
+
+SLACK = 1e-3
+"""mm by which recorded extensions may miss their order and the tubes' lengths: rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements(Kept):
+    """T observations of a robot; whatever was not measured is NaN. Raises MeasurementError.
+
+    q (T, 2d + 2): commanded configurations, rad and mm. tip (T, 3) mm; direction (T, 3): unit tangents at the tip.
+    points (T, n, 3) mm: of the shape, at sigma (T, n) in [0, 1], which is arc length over beta_d; single
+    coordinates may be NaN. All are in the sensor's axes, which are those of the robot's base or unknown. time (T,)
+    s, or NaN where poses were measured one by one. recording (T,): from 0; the sensor may stand elsewhere in each,
+    and the time of each grows. repeated: how many further copies of these observations were given.
+    """
+
+    q: Array
+    tip: Array
+    direction: Array
+    points: Array
+    sigma: Array
+    time: Array
+    recording: Index
+    repeated: int = 0
+
+    def __post_init__(self) -> None:
+        count = len(self.q)
+        wanted = {
+            **dict.fromkeys(("tip", "direction"), (count, 3)),
+            **dict.fromkeys(("time", "recording"), (count,)),
+            "points": (*self.sigma.shape, 3),
+            "sigma": (count, self.sigma.shape[-1]),
+        }
+        for name, shape in wanted.items():
+            if getattr(self, name).shape != shape:
+                raise MeasurementError(
+                    f"{name} of measurements has shape {getattr(self, name).shape}, not {shape}"
+                )
+        if not count:
+            raise MeasurementError("there are no measurements; at least one observation is needed")
+        if not self.seen.any():
+            raise MeasurementError("nothing was measured: no tip, no direction and no point has a value")
+        super().__post_init__()
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def __getitem__(self, chosen: Flags | Index | slice) -> Measurements:
+        """Some of the observations."""
+        arrays = {f.name: getattr(self, f.name)[chosen] for f in fields(self) if f.name != "repeated"}
+        return replace(self, **arrays)
+
+    @property
+    def seen(self) -> Flags:
+        """Which observations say something of the shape, (T,)."""
+        flat = np.concatenate([self.tip, self.direction, self.points.reshape(len(self.q), -1)], axis=1)
+        return np.asarray(np.isfinite(flat).any(axis=1))
+
+    @property
+    def timed(self) -> bool:
+        """Whether these are motions, of which the time is known."""
+        return bool(np.isfinite(self.time).all())
+
+    @property
+    def fresh(self) -> Flags:
+        """Where a recording begins, (T,); every observation is a beginning where no time is known."""
+        if not self.timed:
+            return np.ones(len(self), dtype=bool)
+        return np.asarray(np.diff(self.recording, prepend=-1) != 0)
+
+    @property
+    def recordings(self) -> int:
+        """How many there are."""
+        return int(self.recording.max()) + 1
+
+    def check(self, robot: Robot) -> None:
+        """Raise MeasurementError unless a robot can have been at all configurations."""
+        if self.q.shape[1] != len(robot.axes):
+            raise MeasurementError(
+                f"q of measurements has {self.q.shape[1]} columns; it must have {len(robot.axes)}: "
+                f"{', '.join(robot.axes)}"
+            )
+        lengths = np.array([tube.length for tube in robot.tubes])
+        for row, q in enumerate(self.q, start=1):
+            _check_configuration(robot, row, q, lengths)
+        for row, (sigma, points) in enumerate(zip(self.sigma, self.points, strict=True), start=1):
+            known = np.isfinite(points).any(axis=1)
+            if known.any() and not ((sigma[known] >= 0) & (sigma[known] <= 1 + 1e-9)).all():
+                raise MeasurementError(
+                    f"observation {row}: a point lies at sigma {sigma[known].tolist()}; it must lie in [0, 1]"
+                )
+
+    def distinct(self) -> Measurements:
+        """Without copies of an observation, each recording in the order of time; repeated counts the copies."""
+        order = np.lexsort((np.where(np.isfinite(self.time), self.time, 0.0), self.recording))
+        columns = [
+            *(self.recording[:, None], self.time[:, None], self.q, self.tip, self.direction),
+            *(self.sigma, self.points.reshape(len(self), -1)),
+        ]
+        table = np.hstack(columns)
+        _, first = np.unique(np.where(np.isfinite(table), table, math.inf), axis=0, return_index=True)
+        kept = order[np.isin(order, first)]
+        found = self[kept]
+        same = np.flatnonzero((np.diff(found.time) <= 0) & (np.diff(found.recording) == 0))
+        if len(same):
+            at = found.time[same[0]]
+            raise MeasurementError(f"two different observations of one recording have the time {at:g} s")
+        found._check_turns()
+        return replace(found, repeated=self.repeated + len(self) - len(kept))
+
+    def _check_turns(self) -> None:
+        """Raise MeasurementError where an angle of a motion jumps by more than half a turn."""
+        jumps = abs(np.diff(self.q, axis=0)) > math.pi
+        jumps[:, self.q.shape[1] // 2 - 1 : -2] = False
+        for row, axis in np.argwhere(jumps & ~self.fresh[1:, None])[:1]:
+            (before, after), (begin, end) = self.q[row : row + 2, axis], self.time[row : row + 2]
+            name = f"alpha_{axis + 1}" if axis < self.q.shape[1] - 2 else "theta"
+            raise MeasurementError(
+                f"{name} goes from {before:.4g} to {after:.4g} rad between {begin:g} and {end:g} s: is it "
+                "wrapped? An angle must count on past a turn: tubes a turn apart are not where they were"
+            )
+
+
+def _check_configuration(robot: Robot, row: int, q: Array, lengths: Array) -> None:
+    where = f"of observation {row}"
+    for axis, value in zip(robot.axes, q, strict=True):
+        if not math.isfinite(value):
+            raise MeasurementError(f"{axis} {where} is {value}; it must be a number, in rad or mm")
+        if not axis.startswith("beta"):
+            try:
+                check_angle(f"{axis} {where} is {value:g} rad, and it", axis, value)
+            except RobotError as error:
+                raise MeasurementError(str(error)) from error
+    beta, before = robot.split(q)[1], 0.0
+    for i, (value, length) in enumerate(zip(beta, lengths, strict=True), start=1):
+        if not before - SLACK <= value <= length + SLACK:
+            least = f"beta_{i - 1}, {before:g}" if i > 1 else "0"
+            raise MeasurementError(
+                f"beta_{i} {where} is {value:g} mm; it must lie between {least} mm and the tube's length, "
+                f"{length:g} mm"
+            )
+        before = value
+    if beta[-1] <= 0:
+        raise MeasurementError(f"beta_{robot.d} {where} is {beta[-1]:g} mm; it must be positive")

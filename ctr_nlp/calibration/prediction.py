@@ -1,0 +1,216 @@
+"""What a sensor would see of a robot with some values of its parameters, and how that changes with them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ctr_nlp.calibration.measurements import Measurements
+from ctr_nlp.calibration.parameters import BASE, DELAY, LAGS, NAMES, OFFSET, Parameters
+from ctr_nlp.models import Model
+from ctr_nlp.models.protocol import Passage
+from ctr_nlp.robot.draws import drawn_from
+from ctr_nlp.simulation.lag import delayed
+from ctr_nlp.simulation.sensitivities import shown_changes
+from ctr_nlp.typing import Array, Flags
+
+AHEAD = 2e-3
+"""Part of the robot's length between the places at its tip whose differences give the direction there."""
+STENCIL = np.array([3.0, -4.0, 1.0])
+"""Their weights, at the tip, one and two steps before it: differences of second order."""
+STEP = 1e-6
+"""rad and s by which rotations of the base, delays and lags are changed to see what they do."""
+
+
+class Seen(NamedTuple):
+    """Of T observations in the sensor's axes: tip (T, 3) mm, direction (T, 3), points (T, n, 3) mm.
+
+    As derivatives each has the parameters as last axis.
+    """
+
+    tip: Array
+    direction: Array
+    points: Array
+
+    def flat(self) -> Array:
+        """All of an observation side by side, (T, 6 + 3 n) or (T, 6 + 3 n, P)."""
+        rows = len(self.tip), -1
+        return np.concatenate(
+            [self.tip, self.direction, self.points.reshape(*rows, *self.points.shape[3:])], axis=1
+        )
+
+
+class Prediction:
+    """Predicts measurements at their configurations, for values of parameters.
+
+    bases: (rotation (3, 3), place (3,) mm) of every recording's base for the sensor before measuring.
+    """
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        measured: Measurements,
+        model: Model,
+        bases: list[tuple[Array, Array]] | None = None,
+    ) -> None:
+        self.parameters, self.measured, self._model = parameters, measured, model
+        self.bases = bases or [(np.eye(3), np.zeros(3))] * measured.recordings
+        count = len(measured)
+        tip = np.broadcast_to([1.0, 1.0 - AHEAD, 1.0 - 2 * AHEAD], (count, 3))
+        self._sigma = np.hstack([tip, np.where(np.isfinite(measured.sigma), measured.sigma, 1.0)])
+
+    def seen(self, values: Array) -> Seen:
+        """What the sensor sees with values (P,); NaN where the robot has no equilibrium."""
+        return self._for_sensor(values, self._in_base(values, *self._equilibria(values))[0])
+
+    def with_changes(self, values: Array, rows: Flags | None = None) -> tuple[Seen, Array]:
+        """The same, and its derivatives (T, 6 + 3 n, P) over the values; 0 outside rows (T,) and at a fold."""
+        x, numbers = self._equilibria(values)
+        inside, ahead = self._in_base(values, x, numbers)
+        asked = np.asarray(np.isfinite(x).all(axis=1) & (True if rows is None else rows))
+        over = self._in_base_over(values, x, numbers, asked)
+        changes = np.where(asked[:, None, None], self._changes(values, inside, ahead, over), 0.0)
+        return self._for_sensor(values, inside), changes
+
+    def configurations(self, values: Array) -> Array:
+        """Where the tubes are when the sensor looks, (T, 2d + 2): after lags, zeros and its delay."""
+        parameters, measured = self.parameters, self.measured
+        q = measured.q
+        if parameters.columns(*LAGS):
+            q = parameters.lag(values).turned(parameters.robot, q, measured.time, measured.fresh)
+        if parameters.columns(DELAY):
+            q = delayed(q, measured.time, parameters.delay(values), measured.fresh)
+        q = np.array(q)
+        q[:, : parameters.robot.d] += parameters.of_tubes(values, "motor_zero")
+        return q
+
+    def _equilibria(self, values: Array) -> tuple[Array, Array]:
+        """Unknowns x (T, n_x) of the model, and the tubes' numbers (d, 6)."""
+        parameters, measured = self.parameters, self.measured
+        parts = parameters.parts(values)[None]
+        numbers = drawn_from(parameters.robot, parts, np.zeros(parts.shape[:2])).numbers
+        count, q = len(measured), self.configurations(values)
+        way = Passage(q, np.arange(count), measured.fresh, count)
+        (found,) = self._model.follow_apart(parameters.structure, numbers, way, q[None], False)
+        return found.x, numbers[0]
+
+    def _in_base(self, values: Array, x: Array, numbers: Array) -> tuple[Seen, Array]:
+        """In the axes of the robot's base; and the vectors (T, 3) along its tip, whose length cancels."""
+        repeated = np.broadcast_to(numbers, (len(x), *numbers.shape))
+        points = self._model.points_apart(self.parameters.structure, repeated, x, self._sigma)
+        ahead = np.einsum("k,tka->ta", STENCIL, points[:, :3])
+        direction = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
+        offset = sum(values[k] for k in self.parameters.columns(OFFSET))
+        return Seen(points[:, 0] + offset * direction, direction, points[:, 3:]), ahead
+
+    def _in_base_over(self, values: Array, x: Array, numbers: Array, rows: Flags) -> Array:
+        """Derivatives (T, places, 3, P) of all places in the base's axes over what concerns tubes; 0 elsewhere."""
+        parameters, (count, places) = self.parameters, self._sigma.shape
+        found, columns = np.zeros((count, places, 3, len(values))), parameters.columns(*NAMES, *LAGS, DELAY)
+        if not columns:
+            return found
+        function = shown_changes(self._model, parameters.structure, places)
+        over = np.stack([parameters.numbers_over(k).ravel(order="F") for k in columns], axis=1)
+        moved = self._configurations_over(values, columns)
+        for row in np.flatnonzero(rows):
+            of_numbers, of_q = (each.full() for each in function(x[row], self._sigma[row], numbers))
+            change = np.nan_to_num(of_numbers @ over + of_q @ moved[row], posinf=0.0, neginf=0.0)
+            found[row][..., columns] = change.reshape(3, places, len(columns)).swapaxes(0, 1)
+        return found
+
+    def _configurations_over(self, values: Array, columns: list[int]) -> Array:
+        """How configurations change with some parameters, (T, 2d + 2, n)."""
+        parameters, here = self.parameters, self.configurations(values)
+        found = np.zeros((*here.shape, len(columns)))
+        for place, k in enumerate(columns):
+            one = parameters.each[k]
+            if one.kind in (*LAGS, DELAY):
+                changed = np.array(values)
+                changed[k] += STEP
+                found[..., place] = (self.configurations(changed) - here) / STEP
+            elif one.kind == "motor_zero":
+                found[:, parameters.tube(k), place] = 1.0
+        return found
+
+    def _changes(self, values: Array, inside: Seen, ahead: Array, over: Array) -> Array:
+        """Derivatives (T, 6 + 3 n, P) of what the sensor sees, from those of places in the base's axes."""
+        parameters, turns = self.parameters, self._turns(values)[self.measured.recording]
+        along = np.einsum("k,tkap->tap", STENCIL, over[:, :3]) / np.linalg.norm(ahead, axis=1)[:, None, None]
+        along -= inside.direction[..., None] * np.einsum("ta,tap->tp", inside.direction, along)[:, None]
+        tip, offsets = np.array(over[:, 0]), parameters.columns(OFFSET)
+        tip += sum(values[k] for k in offsets) * along
+        for k in offsets:
+            tip[..., k] += inside.direction
+        changes = Seen(tip, along, over[:, 3:])
+        found = Seen(*(np.einsum("tab,t...bp->t...ap", turns, part) for part in changes))
+        self._add_bases(values, inside, found)
+        return found.flat()
+
+    def _add_bases(self, values: Array, inside: Seen, found: Seen) -> None:
+        """Add what the poses of bases change."""
+        recording = self.measured.recording
+        for axis, kind in enumerate(BASE):
+            for k in self.parameters.columns(kind):
+                own = recording == (self.parameters.each[k].number or 1) - 1
+                if axis < 3:
+                    found.tip[own, axis, k] += 1.0
+                    found.points[own, :, axis, k] += 1.0
+                    continue
+                ends = [np.array(values), np.array(values)]
+                ends[0][k] += STEP
+                ends[1][k] -= STEP
+                turn = (self._turns(ends[0]) - self._turns(ends[1]))[recording[own]] / (2 * STEP)
+                for part, vectors in zip(found, inside, strict=True):
+                    part[own, ..., k] += np.einsum("tab,t...b->t...a", turn, vectors[own])
+
+    def _for_sensor(self, values: Array, inside: Seen) -> Seen:
+        """In the sensor's axes."""
+        recording = self.measured.recording
+        turns, places = self._turns(values)[recording], self._places(values)[recording]
+        turned = [np.einsum("tab,t...b->t...a", turns, part) for part in inside]
+        return Seen(turned[0] + places, turned[1], turned[2] + places[:, None])
+
+    def bases_at(self, values: Array) -> tuple[tuple[Array, Array], ...]:
+        """The rotation (3, 3) and the place (3,) mm of every recording's base for the sensor."""
+        return tuple(zip(self._turns(values), self._places(values), strict=True))
+
+    def _turns(self, values: Array) -> Array:
+        """Rotations (recordings, 3, 3) from the bases' axes to the sensor's."""
+        vectors = self._of_bases(values, BASE[3:])
+        rotations = Rotation.from_rotvec(vectors).as_matrix()
+        return np.stack([turn for turn, _ in self.bases]) @ rotations
+
+    def _places(self, values: Array) -> Array:
+        """The bases' origins (recordings, 3) in the sensor's axes, mm."""
+        return np.stack([place for _, place in self.bases]) + self._of_bases(values, BASE[:3])
+
+    def _of_bases(self, values: Array, kinds: tuple[str, ...]) -> Array:
+        found = np.zeros((len(self.bases), len(kinds)))
+        for axis, kind in enumerate(kinds):
+            for k in self.parameters.columns(kind):
+                found[(self.parameters.each[k].number or 1) - 1, axis] = values[k]
+        return found
+
+
+def flat_measured(measured: Measurements) -> Array:
+    """What was measured, as Seen.flat orders it, (T, 6 + 3 n)."""
+    return Seen(measured.tip, measured.direction, measured.points).flat()
+
+
+def registered_to(points: Array, seen: Array) -> tuple[Array, Array]:
+    """The rotation (3, 3) and the place (3,) that bring points (K, 3) closest to those seen (K, 3), mm.
+
+    The least mean square: Kabsch, A solution for the best rotation to relate two sets of vectors, 1976. Only rows
+    without NaN count.
+    """
+    known = np.isfinite(points).all(axis=1) & np.isfinite(seen).all(axis=1)
+    own, there = points[known], seen[known]
+    if not len(own):
+        return np.eye(3), np.zeros(3)
+    centres = own.mean(axis=0), there.mean(axis=0)
+    u, _, v = np.linalg.svd((own - centres[0]).T @ (there - centres[1]))
+    mirrored = np.sign(np.linalg.det(u @ v))
+    turn = v.T @ np.diag([1.0, 1.0, mirrored]) @ u.T
+    return turn, centres[1] - turn @ centres[0]

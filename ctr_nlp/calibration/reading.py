@@ -1,0 +1,176 @@
+"""Measurements from CSV files.
+
+Columns, in any order; angles in rad, lengths in mm; empty cells and nan mean that a value was not measured:
+
+    alpha_1 ..  beta_1 ..       the configuration, of every tube; theta_x, theta_y: 0 where there is no such column
+    time_s                      of a motion; without it poses were measured one by one tip_x  tip_y  tip_z
+    the tip tip_qw tip_qx tip_qy tip_qz the rotation from axes at the tip, z along the robot, to the sensor's, as
+    quaternion p1_x   p1_y   p1_z   p1_sigma or p1_s   a point of the shape at arc length s, or at sigma = s /
+    beta_d; p2_x ..
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ctr_nlp.calibration.measurements import Measurements
+from ctr_nlp.exceptions import MeasurementError
+from ctr_nlp.robot import Robot
+from ctr_nlp.support.values import checked_path
+from ctr_nlp.typing import Array
+
+TIP = "tip_x", "tip_y", "tip_z"
+QUATERNION = "tip_qw", "tip_qx", "tip_qy", "tip_qz"
+THETA = "theta_x", "theta_y"
+TIME = "time_s"
+POINT = re.compile(r"p([1-9]\d*)_(x|y|z|sigma|s)")
+UNIT = 0.05
+"""By how much the length of a quaternion may differ from 1: rounding, or a mean of several."""
+
+
+class _Table(NamedTuple):
+    """A file: its name, the columns that it has, and their values (T, columns), with the line of each row."""
+
+    path: Path
+    names: tuple[str, ...]
+    values: Array
+    lines: tuple[int, ...]
+
+    def columns(self, names: Sequence[str]) -> Array:
+        """Of those names, (T, n); NaN for those that are not there."""
+        found = np.full((len(self.values), len(names)), np.nan)
+        for k, name in enumerate(names):
+            if name in self.names:
+                found[:, k] = self.values[:, self.names.index(name)]
+        return found
+
+
+def read_measurements(path: str | Path | Sequence[str | Path], robot: Robot) -> Measurements:
+    """The observations of a CSV file, or of several, each a recording of its own; raises MeasurementError.
+
+    Messages name file, line, column and value. Copies of an observation are left out, and counted in `repeated`.
+    """
+    paths = [path] if isinstance(path, str | Path) else list(path)
+    if not paths:
+        raise MeasurementError("no file of measurements is given; at least one is needed")
+    tables = [_table(checked_path(MeasurementError, each), robot) for each in paths]
+    most = max(max(_points(table), default=0) for table in tables)
+    found = [_observations(table, robot, number, most) for number, table in enumerate(tables)]
+    names = ("q", "tip", "direction", "points", "sigma", "time", "recording")
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in found]) for name in names}
+    together = Measurements(**arrays)
+    if np.isfinite(together.time).any() and not together.timed:
+        without = next(t.path for t, one in zip(tables, found, strict=True) if not one.timed)
+        raise MeasurementError(f"{without} has no {TIME} in some rows, and others have it; give it everywhere")
+    together.check(robot)
+    return together.distinct()
+
+
+def _table(path: Path, robot: Robot) -> _Table:
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            rows = list(csv.reader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise MeasurementError(f"measurements {path} cannot be read: {error}") from error
+    lines = [(n, row) for n, row in enumerate(rows, 1) if any(map(str.strip, row)) and row[0][:1] != "#"]
+    if len(lines) < 2:
+        raise MeasurementError(
+            f"measurements {path} hold no rows; they must have a line of names and one of values"
+        )
+    names = tuple(name.strip().lower() for name in lines[0][1])
+    _check_names(path, names, robot)
+    values = np.array([_row(path, n, names, row) for n, row in lines[1:]])
+    return _Table(path, names, values, tuple(n for n, _ in lines[1:]))
+
+
+def _check_names(path: Path, names: tuple[str, ...], robot: Robot) -> None:
+    """Raise MeasurementError for a column that is missing, unknown or there twice."""
+    needed = robot.axes[: 2 * robot.d]
+    known = {*robot.axes, TIME, *TIP, *QUATERNION}
+    for name in needed:
+        if name not in names:
+            raise MeasurementError(f"{path} has no column {name}; it must have {', '.join(needed)}")
+    for name in names:
+        if names.count(name) > 1:
+            raise MeasurementError(f"{path} has the column {name!r} twice")
+        if name not in known and not POINT.fullmatch(name):
+            raise MeasurementError(
+                f"{path} has a column {name!r}, which is unknown; known are {', '.join(robot.axes)}, {TIME}, "
+                f"{', '.join((*TIP, *QUATERNION))} and, for points of the shape, p1_x, p1_y, p1_z with p1_sigma "
+                "or p1_s, p2_x .."
+            )
+
+
+def _row(path: Path, line: int, names: tuple[str, ...], row: Sequence[str]) -> list[float]:
+    if len(row) != len(names):
+        raise MeasurementError(f"line {line} of {path} has {len(row)} cells; the first line names {len(names)}")
+    found = []
+    for name, cell in zip(names, row, strict=True):
+        try:
+            value = float(cell) if cell.strip() else math.nan
+        except ValueError:
+            value = math.inf
+        if math.isinf(value):
+            raise MeasurementError(f"{name} in line {line} of {path} is {cell!r}; it must be a number, or empty")
+        found.append(value)
+    return found
+
+
+def _points(table: _Table) -> list[int]:
+    """The numbers of the points that a table has columns of."""
+    return sorted({int(match[1]) for name in table.names if (match := POINT.fullmatch(name))})
+
+
+def _observations(table: _Table, robot: Robot, recording: int, most: int) -> Measurements:
+    q = table.columns(robot.axes)
+    absent = [k for k, name in enumerate(robot.axes) if name in THETA and name not in table.names]
+    q[:, absent] = 0.0
+    for row, axis in np.argwhere(~np.isfinite(q)):
+        raise MeasurementError(
+            f"{robot.axes[axis]} in line {table.lines[row]} of {table.path} is empty; every configuration "
+            "must be known"
+        )
+    points, sigma = np.full((len(q), most, 3), np.nan), np.full((len(q), most), np.nan)
+    for number in _points(table):
+        points[:, number - 1] = table.columns([f"p{number}_{axis}" for axis in "xyz"])
+        sigma[:, number - 1] = _places(table, number, points[:, number - 1], robot.split(q)[1][:, -1])
+    time = table.columns([TIME])[:, 0]
+    return Measurements(q, table.columns(TIP), _directions(table), points, sigma, time, np.full(len(q), recording))
+
+
+def _places(table: _Table, number: int, points: Array, reach: Array) -> Array:
+    """The sigma (T,) of a point, where it was seen."""
+    sigma, s = table.columns([f"p{number}_sigma", f"p{number}_s"]).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = np.where(np.isfinite(sigma), sigma, s / reach)
+    for row in np.flatnonzero(np.isfinite(points).any(axis=1)):
+        where = f"in line {table.lines[row]} of {table.path}"
+        if not np.isfinite(found[row]):
+            raise MeasurementError(f"p{number} {where} has neither p{number}_sigma nor p{number}_s; one is needed")
+        if not 0 <= found[row] <= 1 + 1e-9:
+            told = f"sigma is {sigma[row]:g}" if np.isfinite(sigma[row]) else f"s is {s[row]:g} mm"
+            raise MeasurementError(
+                f"p{number}_{told} {where}; the point must lie on the robot, sigma in [0, 1] and s in "
+                f"[0, {reach[row]:g}] mm"
+            )
+    return np.asarray(found)
+
+
+def _directions(table: _Table) -> Array:
+    """Unit tangents at the tip, (T, 3): where quaternions turn the z axis to."""
+    quaternions = table.columns(QUATERNION)
+    size = np.linalg.norm(quaternions, axis=1)
+    for row in np.flatnonzero(abs(size - 1) > UNIT):
+        raise MeasurementError(
+            f"{', '.join(QUATERNION)} in line {table.lines[row]} of {table.path} are {quaternions[row].tolist()}, "
+            f"of length {size[row]:.3g}; a quaternion of a rotation has length 1"
+        )
+    w, x, y, z = (quaternions / size[:, None]).T
+    return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)

@@ -1,0 +1,1 @@
+"""Programs that begin with what was measured of a robot."""

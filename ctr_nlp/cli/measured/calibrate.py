@@ -1,0 +1,133 @@
+"""`ctr-nlp calibrate`: a robot's tubes, its motors' zeros and lags, from measurements of its shape."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from ctr_nlp.calibration.calibration import Calibration, calibrate
+from ctr_nlp.calibration.folds import BLOCK
+from ctr_nlp.calibration.parameters import BASE, KINDS
+from ctr_nlp.calibration.reading import read_measurements
+from ctr_nlp.cli.arguments import add_figures_option, add_out_option, whole
+from ctr_nlp.cli.console import SOLVED, Command, console, print_table, progress_bar
+from ctr_nlp.cli.measured.files import account, as_json, head, table, write_next, write_residuals
+from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.models import MODELS
+from ctr_nlp.robot import Robot
+
+FOLDS = 5
+COLUMNS = "parameter", "unit", "before", "+-", "after", "+-", "the data"
+SAYS = {"determined": "determine it", "partly": "tell a part", "held": "hardly tell it: kept as before"}
+WORDS = {"described": "as described", "fitted": "fitted", "held_out": "held out"}
+
+
+def _parser(prog: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=prog,
+        description="Find a robot's tubes and its motors' zeros from measured tips, tip poses or points of its "
+        "shape; with time, also the lag of its rotations and the delay of the sensor. Write robot.toml, whose "
+        "tolerances are the covariance of what is left to doubt (`ctr-nlp plan --robot DIR/robot.toml --robust` "
+        "plans for it), calibration.json, residuals.csv and pictures. What the data cannot tell is said, and "
+        "stays as it was before.",
+        epilog="Columns: alpha_1.., beta_1.. (theta_x, theta_y), time_s of a motion; tip_x, tip_y, tip_z; the "
+        "rotation of axes at the tip, z along the robot, as tip_qw, tip_qx, tip_qy, tip_qz; points p1_x, p1_y, "
+        "p1_z with p1_sigma or arc length p1_s, p2_x ..; mm, rad and s. An empty cell was not measured. Exit "
+        "status: 0 written, 2 bad input, nothing written, 130 interrupted, nothing written.",
+    )
+    what = "what was measured; each file is a recording of its own, with the sensor anywhere"
+    parser.add_argument("measured", metavar="MEASURED.csv", nargs="+", help=what)
+    what = "the robot as described; its tolerances say how well that is known"
+    parser.add_argument("--robot", metavar="ROBOT.toml", required=True, help=what)
+    what = (
+        f"what to estimate, of {', '.join(KINDS)} (default: what has a tolerance, and of a motion lag and delay)"
+    )
+    parser.add_argument("--estimate", metavar="NAME", nargs="+", help=what)
+    what = "measurements are in the axes of the robot's base; else its pose is estimated, in every recording"
+    parser.add_argument("--registered", action="store_true", help=what)
+    parser.add_argument("--model", choices=sorted(MODELS), default="elastic", help="default: elastic")
+    what = f"folds for errors on what the fit did not see, 0 for none (default {FOLDS})"
+    parser.add_argument("--folds", metavar="N", type=whole, default=FOLDS, help=what)
+    what = f"seconds of a motion that stay together in a fold (default {BLOCK:g})"
+    parser.add_argument("--block", metavar="S", type=float, default=BLOCK, help=what)
+    parser.add_argument("--next", metavar="N", type=whole, default=0, help="propose N poses that would teach most")
+    parser.add_argument("--seed", metavar="N", type=whole, default=0, help="of folds and proposals (default 0)")
+    add_out_option(parser, "runs/calibration")
+    add_figures_option(parser)
+    return parser
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    out, robot = Path(arguments.out), Robot.from_toml(arguments.robot)
+    measured = read_measurements(arguments.measured, robot)
+    check_folder(out, "calibration")
+    with progress_bar() as labelled:
+        found = calibrate(
+            robot,
+            measured,
+            arguments.estimate,
+            model=arguments.model,
+            registered=arguments.registered,
+            held_out=arguments.folds,
+            block=arguments.block,
+            next_count=arguments.next,
+            seed=arguments.seed,
+            progress=labelled("fits"),
+        )
+    _print(found)
+    with published(out, "calibration") as staging:
+        _write(found, staging, not arguments.no_figures)
+        files = sorted(path.name for path in staging.iterdir())
+    console().print(f"wrote {out}: {', '.join(files)}")
+    return SOLVED
+
+
+def _write(found: Calibration, folder: Path, pictures: bool) -> None:
+    (folder / "robot.toml").write_text(found.robot.to_toml(head(found)), encoding="utf-8")
+    (folder / "calibration.json").write_text(json.dumps(as_json(found), indent=1) + "\n", encoding="utf-8")
+    write_residuals(found, folder / "residuals.csv")
+    if len(found.next_q):
+        write_next(found, folder / "next.csv")
+    if pictures:
+        from ctr_nlp.calibration.pictures import save_all  # brings matplotlib, which takes long to load
+
+        save_all(found, folder)
+
+
+def _print(found: Calibration) -> None:
+    """What a person wants to know."""
+    rows = [row for row in table(found) if row["name"].rpartition("_")[0] not in BASE and row["name"] not in BASE]
+    print_table("what was estimated", COLUMNS, [_row(row) for row in rows], ("unit", "the data"))
+    told, noise = console(), found.fit.noise
+    lines = [[WORDS[name], *of.values()] for name, of in account(found).items() if of is not None]
+    count = len(found.measured)
+    print_table(f"errors of {count} observations, mm", ("robot", "mean", "95 %", "largest"), lines)
+    if noise.position == noise.position:
+        told.print(f"- a coordinate has a noise of {noise.position:.2g} mm that the robot does not explain")
+    if found.measured.repeated:
+        count = found.measured.repeated
+        were = "is a copy of another, and was" if count == 1 else "are copies of others, and were"
+        told.print(f"- of the observations {count} {were} left out")
+    if len(found.retraced):
+        told.print(f"- {len(found.retraced)} observations have the pose of another; they share its fold")
+    if found.floor is not None:
+        told.print(
+            f"- at the same pose, measurements differ by {2 * found.floor:.2g} mm on average: without a memory of "
+            f"the motion, no model comes below {found.floor:.2g} mm"
+        )
+    for sentence in found.untold:
+        told.print(f"- {sentence}")
+    if len(found.next_q):
+        told.print(
+            f"- measured next, the {len(found.next_q)} proposed poses leave {found.next_left[-1]:.0%} of the doubt"
+        )
+
+
+def _row(row: dict[str, Any]) -> list[Any]:
+    sizes = [f"{row[name]:.4g}" for name in ("before", "before_sigma", "value", "sigma")]
+    return [row["name"], row["unit"], *sizes, SAYS[row["standing"]]]
+
+
+main = Command("ctr-nlp calibrate", _parser, _run)

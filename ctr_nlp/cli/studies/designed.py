@@ -1,0 +1,147 @@
+"""What `ctr-nlp design` writes and shows of designed robots."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ctr_nlp.cli.console import console, print_table
+from ctr_nlp.cli.output.file import write_text
+from ctr_nlp.codesign.rounding import Stocked
+from ctr_nlp.codesign.together import Design
+from ctr_nlp.plan.account import shown
+from ctr_nlp.plan.metrics import summary
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.robustness import Robustness
+from ctr_nlp.support.values import strict_json
+
+COLUMNS = (
+    *("problem", "with the first tubes", "planned", "mean over draws", "lost", "mean with diameters as sold"),
+    *("lost", "designed for"),
+)
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A plan, and what becomes of it on tubing as sold; None where that is not known."""
+
+    plan: Plan
+    sold: Robustness | None = None
+
+
+@dataclass(frozen=True)
+class Made:
+    """A design, and all plans on its robot: of the problems that it was designed for, then of others."""
+
+    design: Design
+    tried: tuple[Tried, ...]
+
+
+def write(made: Sequence[Made], folder: Path, nominal: bool, figures: bool) -> None:
+    """robot.toml, the plans, design.json and the sheet; in a folder for each robot where there are several."""
+    for number, one in enumerate(made, start=1):
+        place = folder / f"robot_{number}" if len(made) > 1 else folder
+        place.mkdir(exist_ok=True)
+        _write(one, place, nominal, figures)
+
+
+def _write(made: Made, folder: Path, nominal: bool, figures: bool) -> None:
+    found, title = made.design, f"designed for {', '.join(made.design.names)}"
+    write_text(folder / "robot.toml", found.robot.to_toml(f"A robot {title}."))
+    rows = [_row(found, one) for one in made.tried]
+    for row, one in zip(rows, made.tried, strict=True):
+        one.plan.save(folder / f"{row['problem']}.npz")
+    told: dict[str, Any] = {
+        "problems": rows,
+        "robot": found.robot.to_dict(),
+        "rules": [{f: getattr(rule, f) for f in rule._fields} for rule in found.rules],
+        "remarks": [str(remark) for remark in found.remarks],
+        "doubts": list(found.doubts),
+        "stock": None if found.stocked is None else _stocked(found.stocked),
+        "starts": list(found.tried),
+        "nominal": nominal,
+        "interrupted": found.interrupted,
+    }
+    text = json.dumps(strict_json(told), indent=1, allow_nan=False)
+    write_text(folder / "design.json", text + "\n")
+    if figures:
+        from ctr_nlp.figures import save  # brings matplotlib, which takes long to load
+        from ctr_nlp.figures.sheet import sheet
+
+        figure = sheet(found.robot, f"Robot {title}", found.plans)
+        for ending in ("svg", "pdf"):
+            save(figure, folder / f"sheet.{ending}")
+
+
+def _stocked(found: Stocked) -> dict[str, Any]:
+    return {
+        "tubes": [tube._asdict() for tube in found.tubes],
+        "e3_free": found.free.tolist(),
+        "e3": found.rounded.tolist(),
+        "loss": found.loss,
+        "tried": found.tried,
+    }
+
+
+def _row(found: Design, tried: Tried) -> dict[str, Any]:
+    """What design.json says of a plan."""
+    plan = tried.plan
+    name = plan.meta["problem"]["name"]
+    own = name in found.names
+    return {
+        "problem": name,
+        "designed_for": own,
+        "e3_before": found.before[found.names.index(name)] if own else None,
+        "e3": summary(plan)["e3"],
+        **_of_draws(plan.drawn),
+        "diameters_as_sold": _of_draws(tried.sold),
+        "verdicts_no": list(plan.verdicts.failed),
+    }
+
+
+def _of_draws(drawn: Robustness | None) -> dict[str, Any]:
+    return {
+        "mean_over_draws": None if drawn is None or drawn.errors is None else drawn.errors.mean,
+        "draws": None if drawn is None else len(drawn),
+        "lost": None if drawn is None else drawn.losses,
+    }
+
+
+def show(made: Sequence[Made]) -> None:
+    """Tables and remarks, robot by robot."""
+    for number, one in enumerate(made, start=1):
+        _show(one, f"robot {number}: " if len(made) > 1 else "")
+
+
+def _show(made: Made, label: str) -> None:
+    found = made.design
+    cells = [
+        [
+            row["problem"],
+            *(shown(row[key]) for key in ("e3_before", "e3")),
+            *(cell for of in (row, row["diameters_as_sold"]) for cell in _cells(of)),
+            "yes" if row["designed_for"] else "held out",
+        ]
+        for row in (_row(found, one) for one in made.tried)
+    ]
+    print_table(f"{label}e3 in mm", list(COLUMNS), cells)
+    tubes = [
+        [
+            *(f"{i + 1}", f"{tube.outer_diameter:.3f}", f"{tube.inner_diameter:.3f}", f"{tube.curved_length:.1f}"),
+            *(f"{tube.root_curvature:.5f}", f"{tube.tip_curvature:.5f}"),
+        ]
+        for i, tube in enumerate(found.robot.tubes)
+    ]
+    columns = ["tube", "outer mm", "inner mm", "curved part mm", "curvature at root 1/mm", "at tip 1/mm"]
+    print_table(f"{label}tubes", columns, tubes)
+    told = () if found.stocked is None else (found.stocked,)
+    for remark in (*told, *found.doubts, *found.remarks):
+        console().print(f"{remark}.", markup=False)
+
+
+def _cells(of: dict[str, Any]) -> tuple[str, str]:
+    """A mean over draws, and how many are lost."""
+    return shown(of["mean_over_draws"]), "" if of["draws"] is None else f"{of['lost']} of {of['draws']}"

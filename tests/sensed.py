@@ -1,0 +1,62 @@
+"""What a sensor sees of a robot whose numbers are known, for tests of calibrations."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ctr_nlp import Measurements, Robot, Tolerances, Tube
+from ctr_nlp.calibration.next_poses import stable_poses
+from ctr_nlp.models import MODELS
+from ctr_nlp.models.protocol import Passage
+from ctr_nlp.robot.draws import drawn_from
+
+TWO = Robot(
+    (Tube(90, 60, 1 / 130, 3.0, 2.4), Tube(160, 110, 1 / 60, 2.0, 1.4)),
+    tolerances=Tolerances(0.1, 0.1, motor_zero=0.05),
+)
+
+
+def wide(robot, tolerances=None):
+    """The robot, known to within 10 % and 0.05 rad, without an arm."""
+    known = tolerances or Tolerances(0.1, 0.1, motor_zero=0.05)
+    return replace(robot, tolerances=known).with_locked_tilt()
+
+
+def shapes_of(robot, parts, q, sigma, model="elastic"):
+    """Points (T, n, 3) of the robot whose parts are off by parts (d, 5), each pose by itself."""
+    model = MODELS[model]
+    draws = drawn_from(robot, np.asarray(parts)[None], np.zeros((1, robot.d)))
+    turned = np.array(q)
+    turned[:, : robot.d] += draws.offsets[0]
+    way = Passage(turned, np.arange(len(q)), np.ones(len(q), dtype=bool), len(q))
+    (found,) = model.follow_apart(draws.structure, draws.numbers, way, turned[None], False)
+    return model.points_apart(draws.structure, np.repeat(draws.numbers, len(q), axis=0), found.x, sigma)
+
+
+def observations(q, points=None, sigma=(), tip=None, direction=None, time=None, recording=None):
+    """Measurements of what is given; the rest was not seen."""
+    count = len(q)
+    unseen = np.full((count, 3), np.nan)
+    return Measurements(
+        np.asarray(q, dtype=float),
+        unseen if tip is None else tip,
+        unseen if direction is None else direction,
+        np.zeros((count, 0, 3)) if points is None else points,
+        np.tile(np.asarray(sigma, dtype=float), (count, 1)),
+        np.full(count, np.nan) if time is None else time,
+        np.zeros(count, dtype=int) if recording is None else recording,
+    )
+
+
+def measured_shapes(robot, parts, seed, count=40, places=5, noise=0.5, model="elastic"):
+    """Shapes at random stable poses, with noise in mm in every coordinate."""
+    q = stable_poses(robot, MODELS[model], count, seed)
+    sigma = np.linspace(1 / places, 1, places)
+    points = shapes_of(robot, parts, q, sigma, model)
+    return observations(q, points + noise * np.random.default_rng(seed).standard_normal(points.shape), sigma)
+
+
+def parts_within(robot, seed):
+    """Parts (d, 5) at random within the robot's tolerances."""
+    bands = robot.tolerances.bands(robot.tubes)
+    return np.random.default_rng(seed).uniform(-1, 1, bands.shape) * bands

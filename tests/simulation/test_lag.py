@@ -1,0 +1,119 @@
+"""Tubes that lag behind their motors, and sensors that are late."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from ctr_nlp import table_i_robot
+from ctr_nlp.exceptions import RobotError
+from ctr_nlp.robot.draws import drawn_from
+from ctr_nlp.simulation.lag import Lag, delayed, overlaps
+
+ROBOT = table_i_robot()
+NONE = np.zeros(3)
+
+
+def there_and_back(speed, seconds=10.0, steps=400):
+    """All tubes turned to one side and back at a speed, half pushed out."""
+    time = np.linspace(0, seconds, steps)
+    q = np.zeros((steps, 8))
+    q[:, :3] = (speed * np.minimum(time, seconds - time))[:, None]
+    q[:, 3:6] = 20.0, 50.0, 80.0
+    return q, time
+
+
+def test_without_lag_tubes_are_where_motors_are():
+    q, time = there_and_back(1.0)
+    np.testing.assert_array_equal(Lag(NONE, NONE, NONE).turned(ROBOT, q, time), q)
+
+
+def test_constant_play_is_that_of_draws():
+    """Draws come from where all tubes are aligned; from there on both follow the same rule."""
+    q, time = there_and_back(0.7)
+    lags = np.array([0.1, 0.02, 0.3])
+    draws = drawn_from(ROBOT, np.zeros((1, 3, 5)), lags[None])
+    fresh = np.arange(len(q)) == 0
+    np.testing.assert_allclose(Lag(lags, NONE, NONE).turned(ROBOT, q, time), draws.turned(q, fresh)[0], atol=1e-14)
+
+
+def test_play_grows_with_what_of_the_curved_part_is_hidden():
+    q = np.array([0, 0, 0, 20.0, 50.0, 80.0, 0, 0])
+    np.testing.assert_allclose(overlaps(ROBOT, q), [50 - 20, 107 - 30, 150 - 30])
+    q[3:6] = 50.0, 107.0, 150.0
+    np.testing.assert_allclose(overlaps(ROBOT, q), [0, 50, 107])
+    moved, time = there_and_back(1.0)
+    found = Lag(NONE, np.full(3, 0.001), NONE).turned(ROBOT, moved, time)
+    behind = moved[150, :3] - found[150, :3]
+    np.testing.assert_allclose(behind, 0.001 * overlaps(ROBOT, moved[150]), atol=1e-12)
+
+
+@pytest.mark.parametrize("speed", [0.2, 1.0])
+def test_drag_is_proportional_to_the_speed_and_play_is_not(speed):
+    q, time = there_and_back(speed, 20.0, 4000)
+    found = Lag(np.full(3, 0.03), NONE, np.full(3, 0.4)).turned(ROBOT, q, time)
+    for row, sign in ((1900, 1), (3900, -1)):
+        np.testing.assert_allclose(q[row, :3] - found[row, :3], sign * (0.03 + 0.4 * speed), rtol=0.01)
+
+
+def integrated(q, time, play, drag, steps=4000):
+    """The same of one tube, by tiny steps of drag * d alpha / dt = (what play leaves) - alpha."""
+    alpha, found = q[0], [q[0]]
+    for (a, b), (s, t) in zip(itertools.pairwise(q), itertools.pairwise(time), strict=True):
+        for goal in np.linspace(a, b, steps + 1)[1:]:
+            alpha += (t - s) / steps * (np.clip(alpha, goal - play, goal + play) - alpha) / drag
+        found.append(alpha)
+    return np.array(found)
+
+
+@pytest.mark.parametrize(("play", "drag"), [(0.1, 0.2), (0.0, 0.5), (0.3, 0.05)])
+def test_tubes_follow_as_the_equation_of_play_and_drag_says(play, drag):
+    random = np.random.default_rng(1)
+    time = np.cumsum(random.uniform(0.05, 0.4, 30))
+    turned = np.cumsum(random.uniform(-0.4, 0.4, 30) * (random.uniform(size=30) < 0.8))
+    q = np.zeros((30, 8))
+    q[:, 1], q[:, 3:6] = turned, (20.0, 50.0, 80.0)
+    found = Lag(np.full(3, play), NONE, np.full(3, drag)).turned(ROBOT, q, time)
+    np.testing.assert_allclose(found[:, 1], integrated(turned, time, play, drag), atol=2e-4)
+
+
+def test_between_samples_of_a_steady_motion_nothing_depends_on_how_often_one_looks():
+    ends = []
+    for steps in (2, 11, 101):
+        time = np.linspace(0, 0.4, steps)
+        q = np.zeros((steps, 8))
+        q[:, :3] = 2.0 * time[:, None]
+        ends.append(Lag(np.full(3, 0.03), NONE, np.full(3, 0.4)).turned(ROBOT, q, time)[-1])
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-12)
+    np.testing.assert_allclose(ends[0], ends[2], atol=1e-12)
+
+
+def test_a_little_drag_shows_in_proportion():
+    """A fit that begins without drag must see where more of it leads."""
+    q, time = there_and_back(0.5)
+    found = [Lag(NONE, NONE, np.full(3, drag)).turned(ROBOT, q, time) for drag in (0.0, 1e-6)]
+    np.testing.assert_allclose((found[0] - found[1])[5:100, :3] / 1e-6, 0.5, rtol=1e-3)
+
+
+def test_several_robots_at_once_are_each_by_itself():
+    q, time = there_and_back(0.9)
+    play, drag = np.array([[0.1, 0, 0], [0, 0.2, 0.05]]), np.array([[0, 0.1, 0], [0.3, 0, 0]])
+    both = Lag(play, np.zeros((2, 3)), drag).turned(ROBOT, q, time)
+    for k in range(2):
+        np.testing.assert_allclose(both[k], Lag(play[k], NONE, drag[k]).turned(ROBOT, q, time), atol=1e-14)
+
+
+def test_a_delay_holds_back_all_axes_and_stops_where_a_recording_begins():
+    time = np.array([0.0, 1.0, 2.0, 0.0, 1.0, 2.0])
+    q = np.arange(6.0)[:, None] * np.ones(8)
+    fresh = np.array([True, False, False, True, False, False])
+    found = delayed(q, time, 0.5, fresh)
+    np.testing.assert_allclose(found[:, 0], [0, 0.5, 1.5, 3, 3.5, 4.5])
+    np.testing.assert_allclose(found, np.repeat(found[:, :1], 8, axis=1))
+
+
+def test_lags_that_cannot_be_are_refused():
+    with pytest.raises(RobotError, match=r"drag of a lag is -0\.1; it must be at least 0"):
+        Lag(NONE, NONE, np.array([0, -0.1, 0]))
+    with pytest.raises(RobotError, match="play of a lag has nan"):
+        Lag(np.array([np.nan, 0, 0]), NONE, NONE)
