@@ -7,24 +7,31 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
+from scipy.linalg import lapack
 
-from ctr_nlp.loops.prediction import Predicted
 from ctr_nlp.nlp.nlp import Constraint, Cost, Nlp, Residual
 from ctr_nlp.robot import Robot
-from ctr_nlp.solvers.frame.adapter import FEASIBLE
 from ctr_nlp.solvers.frame.program import Program
 from ctr_nlp.typing import Array
 
 SHORT = 30.0
-"""mm^2 that a margin costs which is missed by 1, so that it is held unless limits of speed do not allow it."""
+"""mm^2 that what must hold costs where it is missed by 1: it is held unless limits of speed do not allow it."""
+NEAR = 1e-3
+"""rad, mm and parts of a margin by which limits may be missed for want of digits, before they are held."""
 
 
-class Linear(NamedTuple):
-    """A robot at q (2d + 2,) of its tubes and what is predicted there, at the places in shape; margin: there."""
+class Place(NamedTuple):
+    """The estimated robot where its tubes are at q (2d + 2,), and how it changes to first order with them.
+
+    seen (n, 3): places of its shape, mm, with slopes over (2d + 2, n, 3); margin, NaN where nothing can be unstable,
+    with slopes of_margin (2d + 2,).
+    """
 
     q: Array
-    predicted: Predicted
+    seen: Array
+    over: Array
     margin: float
+    of_margin: Array
 
 
 class Correction:
@@ -40,51 +47,55 @@ class Correction:
         self._roots, self._size = np.repeat(roots, 3), len(robot.axes)
         self._program = Program(_nlp(robot), wait=True)
         nlp = self._program.nlp
-        self._root, self._wanted, self._margin = (
-            self._program.p[nlp.place(name)] for name in ("root", "wanted", "margin")
+        self._root, self._wanted, self._margin, self._growth = (
+            self._program.p[nlp.place(name)] for name in ("root", "wanted", "margin", "growth")
         )
+        self._betas = slice(robot.d, 2 * robot.d)
 
-    def __call__(self, at: Linear, points: Array, planned: Array, low: Array, high: Array, margin: float) -> Array | None:
+    def __call__(
+        self, at: Place, wanted: Array, planned: Array, low: Array, high: Array, margin: float
+    ) -> Array | None:
         """The configuration of the tubes (2d + 2,) within low and high; None where none is found.
 
-        points (n, 3): where the places are to be, mm; planned (2d + 2,): where the tubes were planned to be. margin:
-        the least, which is missed where limits do not allow it.
+        wanted (n, 3): where the places of the shape are to be, mm; planned (2d + 2,): where the tubes were planned to
+        be. margin: the least, which is missed where limits do not allow it.
         """
-        size, program = self._size, self._program
-        slopes = at.predicted.of_points[:size].reshape(size, -1).T * self._roots[:, None]
-        away = (points - at.predicted.points).ravel() * self._roots
-        whole = np.vstack([slopes, np.diag(self._scale)])
-        right = np.concatenate([away + slopes @ at.q, self._scale * planned])
-        factor, root = np.linalg.qr(whole)
-        self._root[:], self._wanted[:] = root.ravel("F"), right @ factor
-        slope = np.zeros(size) if math.isnan(at.margin) else at.predicted.of_margin[:size]
-        least = 0.0 if math.isnan(at.margin) else margin - at.margin
-        self._margin[:] = np.append(slope, least + slope @ at.q)
-        program.lower[:size], program.upper[:size] = low, high
-        program.x[:] = np.append(np.clip(planned, low, high), 0.0)
+        q, size, program = at.q, self._size, self._program
+        slopes = at.over.reshape(size, -1).T * self._roots[:, None]
+        away = (wanted - at.seen).ravel() * self._roots
+        root = np.linalg.cholesky(slopes.T @ slopes + np.diag(self._scale**2)).T
+        pull = slopes.T @ away + self._scale**2 * (planned - q)
+        self._root[:], self._wanted[:] = root.ravel("F"), lapack.dtrtrs(root, pull, trans=1)[0]
+        stable = math.isnan(at.margin)
+        self._margin[:] = (
+            np.append(np.zeros(size), -1.0) if stable else np.append(at.of_margin, margin - at.margin)
+        )
+        self._growth[:] = np.diff(q[self._betas])
+        program.lower[:size], program.upper[:size] = low - q, high - q
+        program.x[:] = np.append(np.clip(0.0, low - q, high - q), 0.0)
         program.multipliers[:] = 0.0
         found = program.run()
-        return None if found.violation > FEASIBLE else np.clip(program.x[:size], low, high)
+        return None if found.violation > NEAR else np.clip(q + program.x[:size], low, high)
 
 
 def _nlp(robot: Robot) -> Nlp:
-    """|root q - wanted|^2 with the order of tubes, the carriages' gap and a margin that may be missed at a cost."""
+    """|root step - wanted|^2 with the order of tubes, the carriages' gap and a margin that may be missed at a cost."""
     size, d = len(robot.axes), robot.d
-    q, short = ca.SX.sym("q", size), ca.SX.sym("short")
-    root, wanted, margin = ca.SX.sym("root", size, size), ca.SX.sym("wanted", size), ca.SX.sym("margin", size + 1)
-    growth = ca.diff(q[d : 2 * d])
-    free = np.full(size + 1, np.inf)
-    held = ca.dot(margin[:size], q) - margin[size] + short
+    step, short = ca.SX.sym("step", size), ca.SX.sym("short")
+    root, wanted, growth = ca.SX.sym("root", size, size), ca.SX.sym("wanted", size), ca.SX.sym("growth", d - 1)
+    margin = ca.SX.sym("margin", size + 1)
+    held = ca.dot(margin[:size], step) - margin[size] + short
+    free, order = np.full(size + 1, np.inf), growth + ca.diff(step[d : 2 * d])
     return Nlp(
         "correction",
-        ca.vertcat(q, short),
+        ca.vertcat(step, short),
         np.append(-free[:-1], 0.0),
         free,
-        {"root": root, "wanted": wanted, "margin": margin},
-        residuals=(Residual("shape", ca.triu(root) @ q - wanted),),
-        costs=(Cost("margin", SHORT * short),),
+        {"root": root, "wanted": wanted, "margin": margin, "growth": growth},
+        residuals=(Residual("shape", ca.triu(root) @ step - wanted),),
+        costs=(Cost("short", SHORT * short),),
         constraints=(
-            Constraint("order", growth, np.zeros(d - 1), np.asarray(robot.most_growth)),
+            Constraint("order", order, np.zeros(d - 1), np.asarray(robot.most_growth)),
             Constraint("margin", held, np.zeros(1), np.full(1, np.inf)),
         ),
         slacks=1,

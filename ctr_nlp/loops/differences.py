@@ -9,9 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.loops.prediction import TUBE_PARTS
+from ctr_nlp.loops.prediction import CHANGED, TUBE_PARTS
 from ctr_nlp.robot import Robot, Tolerances
 from ctr_nlp.robot.draws import Draws, drawn_from
+from ctr_nlp.robot.structure import NUMBERS
 from ctr_nlp.robot.tolerances import NAMES
 from ctr_nlp.typing import Array, Index
 
@@ -39,7 +40,7 @@ class Differences:
         A lag is uniform between 0 and its tolerance.
         """
         allowed, d = robot.tolerances if tolerances is None else tolerances, robot.d
-        bands, lags, root = allowed.bands(d), allowed.lags(d), allowed.root(d)
+        bands, lags, root = allowed.bands(robot.tubes), allowed.lags(d), allowed.root(robot.tubes)
         order = [(i, k) for k in range(len(NAMES)) for i in range(d) if bands[i, k] > 0]
         rows = [i * len(NAMES) + k for i, k in order]
         late = np.flatnonzero(lags)
@@ -74,6 +75,39 @@ class Differences:
         rows = np.array(found, dtype=int).reshape(-1, 2)
         return rows[:, 0], rows[:, 1]
 
+    @cached_property
+    def _effects(self) -> Array:
+        """How numbers (d, 6) of the tubes change with each of those freed, (freed, 6 d)."""
+        found = np.zeros((len(self.freed), *self.robot.numbers.shape))
+        for k, (tube, name) in enumerate(self.freed):
+            for column in CHANGED[name]:
+                at = NUMBERS.index(column)
+                found[k, tube, at] = 1.0 if name == "curved_length" else self.robot.numbers[tube, at]
+        return found.reshape(len(self.freed), -1)
+
+    def numbers(self, values: Array) -> Array:
+        """Of the tubes (d, 6) at a vector (k,): those of draws, without their bounds."""
+        change = values[: len(self.freed)] @ self._effects
+        return self.robot.numbers + change.reshape(self.robot.numbers.shape)
+
+    def offsets(self, values: Array) -> Array:
+        """Of the motors' zeros (d,) rad."""
+        found, (rows, tubes) = np.zeros(self.robot.d), self.zeros
+        found[tubes] = values[rows]
+        return found
+
+    def lags(self, values: Array) -> Array:
+        """Of the tubes (d,) rad, at least 0."""
+        found, (rows, tubes) = np.zeros(self.robot.d), self.late
+        found[tubes] = np.maximum(values[rows], 0.0)
+        return found
+
+    @cached_property
+    def over(self) -> Index:
+        """Over which of alpha, beta, theta and the freed each of them acts on shapes."""
+        freed = 2 * self.robot.d + 2 + np.arange(len(self.freed))
+        return np.concatenate([freed, self.zeros[1], self.late[1]])
+
     def draws(self, values: Array) -> Draws:
         """The robots (n,) of vectors (n, k)."""
         parts, lags = np.zeros((len(values), self.robot.d, len(NAMES))), np.zeros((len(values), self.robot.d))
@@ -86,4 +120,6 @@ class Differences:
 
     def told(self, values: Sequence[float]) -> dict[str, float]:
         """Values (k,) by name, as "curvature of tube 1"."""
-        return {f"{name} of tube {tube + 1}": float(v) for (tube, name), v in zip(self.places, values, strict=True)}
+        return {
+            f"{name} of tube {tube + 1}": float(v) for (tube, name), v in zip(self.places, values, strict=True)
+        }

@@ -18,7 +18,7 @@ from ctr_nlp.models import Model, model_named
 from ctr_nlp.models.protocol import samples
 from ctr_nlp.models.walker import Walker
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.draws import Draws
+from ctr_nlp.robot.draws import Draws, dragged
 from ctr_nlp.robot.structure import Structure
 from ctr_nlp.simulation.drawn import SUBSTEPS
 from ctr_nlp.support.values import floats
@@ -81,13 +81,13 @@ class Plant:
         """The robot after its motors have moved to q (2d + 2,), all at once and evenly, at a time, s."""
         q, jumps = self._stepped(np.asarray(q, dtype=float)), list[Array]()
         if self._walker is None:
-            self._alpha = np.clip(q[len(self._lags) - 1], *self._between(q))
+            self._alpha = self._dragged(np.full_like(self._lags, q[len(self._lags) - 1]), q)
             self._walker = self._model.walker(self._structure, self._numbers, self._turned(q))
         else:
             before = self.history[-1].q
             for k in range(1, SUBSTEPS + 1):
                 place = before + (q - before) * (k / SUBSTEPS)
-                self._alpha = np.clip(self._alpha, *self._between(place))
+                self._alpha = self._dragged(self._alpha, place)
                 jumps += self._walker.go(self._turned(place))
         found = Moved(time, q, self._walker.x, self._at(SIGMA)[0], tuple(jumps))
         self.history.append(found)
@@ -98,9 +98,8 @@ class Plant:
         size = np.where(self._steps > 0, self._steps, 1.0)
         return np.where(self._steps > 0, np.round(q / size) * size, q)
 
-    def _between(self, q: Array) -> tuple[Array, Array]:
-        alpha = q[: len(self._lags)]
-        return alpha - self._lags, alpha + self._lags
+    def _dragged(self, alpha: Array, q: Array) -> Array:
+        return dragged(alpha, q[: len(self._lags)], self._lags)
 
     def _turned(self, q: Array) -> Array:
         """Of the tubes, where motors are at q."""

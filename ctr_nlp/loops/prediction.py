@@ -25,6 +25,14 @@ from ctr_nlp.typing import Array
 TUBE_PARTS = NAMES[:-1]
 """Of NAMES, what changes numbers of tubes; the last is the motor's zero, which changes alpha."""
 
+CHANGED = {
+    "curvature": ("root_curvature", "tip_curvature"),
+    "bending_stiffness": ("bending_stiffness",),
+    "torsional_ratio": ("torsional_ratio",),
+    "curved_length": ("curved_length",),
+}
+"""Which numbers of a tube each part changes: in proportion to what is described, but for the length."""
+
 
 class Predicted(NamedTuple):
     """A shape at n places, and its slopes over alpha, beta, theta and the freed parts of tubes, k in all.
@@ -44,7 +52,9 @@ class Predicted(NamedTuple):
 class Predictor:
     """Evaluates Predicted for robots of a structure; what a call returns is overwritten by the next."""
 
-    def __init__(self, model: Model, structure: Structure, sigma: Array, freed: tuple[tuple[int, str], ...]) -> None:
+    def __init__(
+        self, model: Model, structure: Structure, sigma: Array, freed: tuple[tuple[int, str], ...]
+    ) -> None:
         """sigma (n,): the places. freed: tubes, from 0, and their parts, of TUBE_PARTS, over which slopes are wanted.
 
         Compiles where that can be done, and waits for it.
@@ -113,16 +123,8 @@ def _symbolic(model: Model, structure: Structure, count: int, freed: tuple[tuple
 def _changed(numbers: ca.SX, described: ca.SX, parts: ca.SX, freed: tuple[tuple[int, str], ...]) -> ca.SX:
     """Numbers (d, 6) with parts added of those described, as robot.draws does; lengths in mm."""
     found = ca.SX(numbers)
-    columns = {
-        "curvature": ("root_curvature", "tip_curvature"),
-        "bending_stiffness": ("bending_stiffness",),
-        "torsional_ratio": ("torsional_ratio",),
-        "curved_length": ("curved_length",),
-    }
     for k, (tube, name) in enumerate(freed):
-        for column in (NUMBERS.index(each) for each in columns[name]):
+        for column in (NUMBERS.index(each) for each in CHANGED[name]):
             scale = 1.0 if name == "curved_length" else described[tube, column]
             found[tube, column] += parts[k] * scale
     return found
-
-

@@ -193,7 +193,9 @@ def view(source: Array, centre: Array, up: Array, magnification: float = 1.0) ->
     away = np.asarray(centre, dtype=float) - source
     distance, right = float(np.linalg.norm(away)), np.cross(away, up)
     if not distance > 0 or not np.linalg.norm(right) > 0:
-        raise OptionError("a view needs a source away from its centre, and an up that does not point along the ray")
+        raise OptionError(
+            "a view needs a source away from its centre, and an up that does not point along the ray"
+        )
     across = right / np.linalg.norm(right)
     turned = np.stack([across, np.cross(across, away / distance), away / distance])
     scaled = np.diag([magnification * distance, magnification * distance, 1.0]) @ turned

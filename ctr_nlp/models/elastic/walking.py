@@ -40,10 +40,11 @@ class ElasticWalker(Walker):
 
     def become(self, numbers: Array, x: Array | None = None) -> list[Array]:
         """As Walker; in steps, where a robot of other numbers is far away."""
-        change = np.zeros(len(self.x)) if x is None else x - self.x
-        before, jumps = self._numbers, list[Array]()
+        before, jumps, change = self._numbers, list[Array](), np.zeros(len(self.q))
+        if x is not None and self._state is not None:
+            change = x - self.x
         self._numbers = np.array(numbers)
-        steps = 1 + int(np.nan_to_num(abs(change).max()) / NEAR)
+        steps = 1 + int(abs(change).max() / NEAR)
         for k in range(1, steps + 1):
             there = before + (self._numbers - before) * (k / steps)
             self._equilibria = Equilibria(self._structure, there)
