@@ -1,1 +1,1 @@
-"""Loops that close: a plant, what is measured of it, what is estimated from that, and a motion that is corrected."""
+"""Loops: robots to experiment on, sensors, what these say of tubes, and steering by that. Knows no device."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,10 +22,10 @@ from ctr_nlp.typing import Array
 class Run(Kept):
     """What became of a plan of T frames on a plant.
 
-    q (T, 2d + 2): where motors were told to go. shape (T, 101, 3): the plant's, mm; e2 (T,): root mean squares over
-    sigma of its distance from the target, mm. lost, snapped: the frame, from 1, in which it is not where the robot
-    described would be, or snaps first; 0 where none. means (T, k), deviations (T, k): of the differences estimated;
-    none of an open loop. notes: what the operator was told; stopped: whether the tracker gave up.
+    q (T, 2d + 2): where motors were told to go. shape (T, 101, 3): the plant's, mm; e2 (T,): root mean squares
+    over sigma of its distance from the target, mm. lost, snapped: the frame, from 1, in which it is not where the
+    robot described would be, or snaps first; 0 where none. means (T, k), deviations (T, k): of the differences
+    estimated; none of an open loop. notes: what the operator was told; stopped: whether the tracker gave up.
     """
 
     q: Array
@@ -69,20 +69,13 @@ def _run(plan: Plan, plant: Plant, means: Array, deviations: Array, tracker: Tra
     away = shape - plan.target
     lost = next((k for k, far in enumerate(_elsewhere(plan, x), start=1) if far), 0)
     lost = min(lost, snapped) if lost and snapped else lost or snapped
-    told = () if tracker is None else (tuple(tracker.innovations), tuple(tracker.notes))
-    stopped = tracker is not None and tracker.state is State.STOPPED
-    e2 = rms_over_sigma(np.sqrt((away**2).sum(axis=-1)))
-    return Run(
-        plan.q if tracker is None else np.array([m.q for m in plant.history]),
-        shape,
-        e2,
-        lost,
-        snapped,
-        means,
-        deviations,
-        *told,
-        stopped=stopped,
-    )
+    e2 = rms_over_sigma(np.linalg.norm(away, axis=-1))
+    q = np.array([moved.q for moved in plant.history])
+    found = Run(q, shape, e2, lost, snapped, means, deviations)
+    if tracker is None:
+        return found
+    stopped = tracker.state is State.STOPPED
+    return replace(found, innovations=tuple(tracker.innovations), notes=tuple(tracker.notes), stopped=stopped)
 
 
 def _elsewhere(plan: Plan, x: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Where an estimated robot has a planned shape, to first order: near the planned configuration and within limits."""
+"""Where an estimated robot has a planned shape, to first order: near the planned place and within limits."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ NEAR = 1e-3
 class Place(NamedTuple):
     """The estimated robot where its tubes are at q (2d + 2,), and how it changes to first order with them.
 
-    seen (n, 3): places of its shape, mm, with slopes over (2d + 2, n, 3); margin, NaN where nothing can be unstable,
-    with slopes of_margin (2d + 2,).
+    seen (n, 3): places of its shape, mm, with slopes over (2d + 2, n, 3); margin, NaN where nothing can be
+    unstable, with slopes of_margin (2d + 2,).
     """
 
     q: Array
@@ -38,7 +38,7 @@ class Correction:
     """A quadratic program over the configuration of the tubes, whose numbers are given every time."""
 
     def __init__(self, robot: Robot, roots: Array, pull: float) -> None:
-        """roots (n,): square roots of the weights of places of the shape, whose squares sum to 1.
+        """Build; roots (n,): square roots of the weights of places of the shape, whose squares sum to 1.
 
         pull: mm^2 that a mm away from the planned configuration costs. Raises OptionError where nothing can be
         compiled.
@@ -57,8 +57,8 @@ class Correction:
     ) -> Array | None:
         """The configuration of the tubes (2d + 2,) within low and high; None where none is found.
 
-        wanted (n, 3): where the places of the shape are to be, mm; planned (2d + 2,): where the tubes were planned to
-        be. margin: the least, which is missed where limits do not allow it.
+        wanted (n, 3): where the places of the shape are to be, mm; planned (2d + 2,): where the tubes were planned
+        to be. margin: the least, which is missed where limits do not allow it.
         """
         q, size, program = at.q, self._size, self._program
         slopes = at.over.reshape(size, -1).T * self._roots[:, None]
@@ -79,7 +79,7 @@ class Correction:
 
 
 def _nlp(robot: Robot) -> Nlp:
-    """|root step - wanted|^2 with the order of tubes, the carriages' gap and a margin that may be missed at a cost."""
+    """|root step - wanted|^2, with the order of tubes, carriages apart, and a margin missed only at a cost."""
     size, d = len(robot.axes), robot.d
     step, short = ca.SX.sym("step", size), ca.SX.sym("short")
     root, wanted, growth = ca.SX.sym("root", size, size), ca.SX.sym("wanted", size), ca.SX.sym("growth", d - 1)

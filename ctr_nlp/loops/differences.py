@@ -24,8 +24,8 @@ ZERO, LAG = NAMES[-1], "rotation_lag"
 class Differences:
     """The k differences of a robot whose tolerances are not 0: of tubes, then of zeros, then lags.
 
-    places: the tube, from 0, and the name of each, as robot.tolerances has them. mean (k,), covariance (k, k): what
-    is known before anything is measured, in parts, mm and rad.
+    places: the tube, from 0, and the name of each, as robot.tolerances has them. mean (k,), covariance (k, k):
+    what is known before anything is measured, in parts, mm and rad.
     """
 
     robot: Robot
@@ -35,7 +35,8 @@ class Differences:
 
     @classmethod
     def of(cls, robot: Robot, tolerances: Tolerances | None = None) -> Differences:
-        """What tolerances allow, None for the robot's own; raises RobotError, and OptionError where they are all 0.
+        """What tolerances allow, None for the robot's own; raises RobotError, and OptionError where they are all
+        0.
 
         A lag is uniform between 0 and its tolerance.
         """

@@ -33,12 +33,13 @@ class Doubts:
         self._seen = deque[tuple[Innovation, Array, float]]()
 
     def silent(self, time: float, begun: float) -> str:
-        """Why sensors count as silent at a time, s; "" where they do not. begun: when they were first listened to."""
+        """Why sensors count as silent at a time, s, or ""; begun: when they were first listened to."""
         since = time - (begun if self._last is None else self._last[0])
         return f"no measurement for {since:.2g} s" if since > SILENT + 1e-9 else ""
 
     def looked(self, time: float, reading: Reading, innovation: Innovation, rates: Array) -> tuple[str, str]:
-        """Why a reading that has come at a time is not to be believed, and what else is to be told; "" for nothing.
+        """Why a reading that has come at a time is not to be believed, and what else is to be told; "" for
+        nothing.
 
         rates (m,): at which what is measured changes, per s.
         """

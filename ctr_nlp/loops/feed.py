@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ctr_nlp.loops.plant import Plant
 from ctr_nlp.loops.sensors import Reading, Seen, Sensors
-from ctr_nlp.typing import Array
+from ctr_nlp.typing import Array, Index
+
+Random = np.random.Generator
 
 
 @dataclass(frozen=True)
@@ -28,9 +29,7 @@ class Fault:
         """What the sensor looks at instead."""
         return seen
 
-    def told(
-        self, values: Array, before: Array | None, random: np.random.Generator, groups: Sequence[Any]
-    ) -> Array:
+    def told(self, values: Array, before: Array | None, random: Random, groups: Sequence[Index]) -> Array:
         """What it tells (m,) instead of values (m,); before: told last. groups: of Sensors.grouped."""
         return values
 
@@ -39,9 +38,7 @@ class Fault:
 class Silence(Fault):
     """Nothing is told."""
 
-    def told(
-        self, values: Array, before: Array | None, random: np.random.Generator, groups: Sequence[Any]
-    ) -> Array:
+    def told(self, values: Array, before: Array | None, random: Random, groups: Sequence[Index]) -> Array:
         """As Fault."""
         return np.full_like(values, np.nan)
 
@@ -53,9 +50,7 @@ class Outliers(Fault):
     share: float = 0.3
     size: float = 20.0
 
-    def told(
-        self, values: Array, before: Array | None, random: np.random.Generator, groups: Sequence[Any]
-    ) -> Array:
+    def told(self, values: Array, before: Array | None, random: Random, groups: Sequence[Index]) -> Array:
         """As Fault."""
         found = values.copy()
         for rows in groups:
@@ -99,9 +94,7 @@ class Swapped(Fault):
 class Stuck(Fault):
     """The last values are told again and again."""
 
-    def told(
-        self, values: Array, before: Array | None, random: np.random.Generator, groups: Sequence[Any]
-    ) -> Array:
+    def told(self, values: Array, before: Array | None, random: Random, groups: Sequence[Index]) -> Array:
         """As Fault."""
         return values if before is None else before
 
@@ -139,11 +132,7 @@ class Feed:
         self._taken.append(Reading(time, values))
         for fault in faults:
             if isinstance(fault, Late):
-                values = next(
-                    r.values
-                    for r in self._taken[::-1]
-                    if r.time <= time - fault.delay + 1e-9 or r is self._taken[0]
-                )
+                values = self._earlier(time - fault.delay)
             values = fault.told(values, self._told, self._random, self._sensors.grouped)
         if np.isfinite(values).any():
             self._told = values
@@ -152,3 +141,7 @@ class Feed:
         due = [each for each in self._waiting if each.time + self._latency <= time + 1e-9]
         self._waiting = [each for each in self._waiting if each.time + self._latency > time + 1e-9]
         return [each for each in due if np.isfinite(each.values).any()]
+
+    def _earlier(self, time: float) -> Array:
+        """The last values taken by a time, s; the first ones where there are none."""
+        return next((r.values for r in self._taken[::-1] if r.time <= time + 1e-9), self._taken[0].values)

@@ -1,4 +1,4 @@
-"""Functions that loops evaluate: as machine code, compiled and waited for, and interpreted where that cannot be."""
+"""Functions that loops evaluate: compiled and waited for, and interpreted where that cannot be."""
 
 from __future__ import annotations
 

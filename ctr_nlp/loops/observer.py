@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,8 @@ from ctr_nlp.models.walker import Walker
 from ctr_nlp.typing import Array, Flags
 
 GATE = {1: 10.83, 2: 13.82, 3: 16.27}
-"""Squared distances, in standard deviations, that values which belong together exceed once in a thousand: chi-square."""
+"""Squared distances, in standard deviations, that values which belong together exceed once in a thousand:
+chi-square."""
 MODEL = 0.1
 """Part of a sensor's noise that is added for what the model does not know."""
 STILL = 1e-4
@@ -41,7 +43,8 @@ class Record(NamedTuple):
 
 
 class Innovation(NamedTuple):
-    """A reading beside what was predicted for its time: what it exceeds that by (m,), and the deviation (m,) expected.
+    """A reading beside what was predicted for its time: what it exceeds that by (m,), and the deviation (m,)
+    expected.
 
     accepted (m,): which values were taken; missing ones were not. size: the mean square of accepted innovations in
     expected deviations, about 1; NaN without any.
@@ -57,9 +60,9 @@ class Innovation(NamedTuple):
 class Observer:
     """One hypothesis of a robot: a mean and a covariance of its differences, and the equilibrium that it is in.
 
-    q (2d + 2,): where the motors are. margin: of the estimated robot, NaN where nothing can be unstable. predicted:
-    its shape at the predictor's places, of which the sensors' come first. jumps: by what its tips jumped so far;
-    refused: how many readings were not taken since the estimated robot would have snapped.
+    q (2d + 2,): where the motors are. margin: of the estimated robot, NaN where nothing can be unstable.
+    predicted: its shape at the predictor's places, of which the sensors' come first. jumps: by what its tips
+    jumped so far; refused: how many readings were not taken since the estimated robot would have snapped.
     """
 
     def __init__(self, model: Model, differences: Differences, sensors: Sensors, predictor: Predictor) -> None:
@@ -68,6 +71,7 @@ class Observer:
         self._described, self._d = differences.robot.numbers, differences.robot.d
         self._structure = differences.draws(self.mean[None]).structure
         self._behind, self._engaged = np.zeros((2, self._d))
+        self.q = np.zeros(len(differences.robot.axes))
         self._records = list[Record]()
         self._walker: Walker | None = None
         self.jumps, self.refused, self._odds = list[Array](), 0, 0.0
@@ -107,7 +111,7 @@ class Observer:
     def deviation(self, of_margin: Array) -> float:
         """That of the margin, by what is not known: of_margin as Predicted has it."""
         slopes = self._signs_over * of_margin[self.differences.over]
-        return float(np.sqrt(max(slopes @ self.covariance @ slopes, 0.0)))
+        return math.sqrt(max(float(slopes @ self.covariance @ slopes), 0.0))
 
     def moved(self, q: Array, time: float) -> None:
         """The motors have moved to q (2d + 2,) at a time, s."""
@@ -131,7 +135,8 @@ class Observer:
         self._look(time)
 
     def _forked(self, stood: Walker, fell: list[Array], time: float) -> None:
-        """The estimated robot has fallen from where it stood: go on as the nearest likely one that has not, if any.
+        """The estimated robot has fallen from where it stood: go on as the nearest likely one that has not, if
+        any.
 
         The one that has is the rival; measurements tell them apart.
         """
@@ -149,7 +154,7 @@ class Observer:
         self.jumps = self.jumps + fell
 
     def _fallen(self, fell: list[Array]) -> Observer:
-        """This one, after a fall."""
+        """The same hypothesis, after a fall."""
         self.jumps = self.jumps + fell
         return self
 
@@ -167,8 +172,8 @@ class Observer:
         rows, signs, n = self.differences.over, self._signs_over[:, None, None], len(self._sensors.sigma)
         points, tangents, of_points, of_tangents, of_phi, _ = self.predicted
         self._of_phi = of_phi.copy()
-        slopes = (signs * of[rows, :n] for of in (of_points, of_tangents))
-        seen = Seen(points[:n], tangents[:n], *slopes, float(self.q[2 * self._d - 1]))
+        of_seen, of_turned = (signs * of[rows, :n] for of in (of_points, of_tangents))
+        seen = Seen(points[:n], tangents[:n], of_seen, of_turned, float(self.q[2 * self._d - 1]))
         values, over = self._sensors.values(seen).copy(), self._sensors.slopes(seen)
         record = Record(time, values, over, self.mean)
         self._records = [old for old in self._records if old.time > time - KEPT] + [record]
@@ -259,7 +264,8 @@ class Observer:
             known = np.isfinite(away).all(axis=1)
             there = np.where(known[:, None], away, 0.0)
             solved = np.linalg.solve(spread[rows[:, :, None], rows[:, None, :]], there[..., None])[..., 0]
-            found[rows] = (known & ((solved * there).sum(axis=1) <= GATE[rows.shape[1]]))[:, None]
+            near = np.asarray((solved * there).sum(axis=1) <= GATE[rows.shape[1]])
+            found[rows] = np.logical_and(known, near)[:, None]
         return found
 
     def restored(self, mean: Array, covariance: Array) -> None:

@@ -1,4 +1,4 @@
-"""A robot to experiment on: its tubes, zeros and lags are its own, and whoever steers it sees only what sensors tell."""
+"""A robot to experiment on, with tubes, zeros and lags of its own; who steers it sees what sensors tell."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ class Plant:
 
     @property
     def _length(self) -> float:
-        """mm."""
+        """Of the robot, mm."""
         return float(self.history[-1].q[2 * len(self._lags) - 1]) if self.history else 0.0
 
     def _at(self, sigma: Array) -> tuple[Array, Array]:

@@ -2,8 +2,8 @@
 
 With x = (phi, rest) the unknowns of a model and alpha(x; tubes) the motors' angles, a shape p(x; tubes) changes at
 held alpha and rest by dp = (p_tubes - p_phi A alpha_tubes) dtubes, A = (alpha_phi)^-1, and with the motors by
-p_phi A dalpha + (p_rest - p_phi A alpha_rest) drest. With D the determinant that vanishes where its margin mu is the
-smallest eigenvalue, mu changes by -D_x / D_mu and -D_tubes / D_mu.
+p_phi A dalpha + (p_rest - p_phi A alpha_rest) drest. With D the determinant that vanishes where its margin mu is
+the smallest eigenvalue, mu changes by -D_x / D_mu and -D_tubes / D_mu.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ CHANGED = {
 class Predicted(NamedTuple):
     """A shape at n places, and its slopes over alpha, beta, theta and the freed parts of tubes, k in all.
 
-    points (n, 3) mm; tangents (n, 3), unit vectors. Slopes: of_points, of_tangents (k, n, 3); of_phi (k, d): of the
-    unknown tips' angles; of_margin (k,), NaN where nothing can be unstable.
+    points (n, 3) mm; tangents (n, 3), unit vectors. Slopes: of_points, of_tangents (k, n, 3); of_phi (k, d): of
+    the unknown tips' angles; of_margin (k,), NaN where nothing can be unstable.
     """
 
     points: Array
@@ -55,9 +55,9 @@ class Predictor:
     def __init__(
         self, model: Model, structure: Structure, sigma: Array, freed: tuple[tuple[int, str], ...]
     ) -> None:
-        """sigma (n,): the places. freed: tubes, from 0, and their parts, of TUBE_PARTS, over which slopes are wanted.
+        """Compile, where that can be done, and wait for it; sigma (n,): the places.
 
-        Compiles where that can be done, and waits for it.
+        freed: tubes, from 0, and their parts, of TUBE_PARTS, over which slopes are wanted.
         """
         self._call = Mapped(_code(model, structure, len(sigma), freed), 1, 1)
         self._d, self._n, self._k = structure.d, len(sigma), 2 * structure.d + 2 + len(freed)

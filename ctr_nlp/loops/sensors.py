@@ -1,7 +1,7 @@
 """Sensors: what each would measure of a shape, and how that changes as the shape does.
 
-A sensor looks at places of the robot of its own. Its values come in groups that are right or wrong together, as the
-three coordinates of a point.
+A sensor looks at places of the robot of its own. Its values come in groups that are right or wrong together, as
+the three coordinates of a point.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ import numpy as np
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.support.values import floats, number
-from ctr_nlp.typing import Array
+from ctr_nlp.typing import Array, Index
 
 
 class Seen(NamedTuple):
     """A robot's shape at n places, and its slopes over k variables.
 
-    points (n, 3) mm, tangents (n, 3); of_points, of_tangents (k, n, 3). length: of the robot, mm, which the variables
-    do not change.
+    points (n, 3) mm, tangents (n, 3); of_points, of_tangents (k, n, 3). length: of the robot, mm, which the
+    variables do not change.
     """
 
     points: Array
@@ -33,7 +33,8 @@ class Seen(NamedTuple):
 
 
 class Sensor(ABC):
-    """One sensor. sigma (n,): the places it looks at. noise (m,): standard deviations of its values, in their units.
+    """One sensor. sigma (n,): the places it looks at. noise (m,): standard deviations of its values, in their
+    units.
 
     group: how many of its values, one after the other, are right or wrong together.
     """
@@ -72,7 +73,7 @@ def _places(sigma: Sequence[float]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class ShapePoints(Sensor):
-    """Positions of points of the robot at known sigma, mm; deviation: of each coordinate, mm. Raises OptionError."""
+    """Points of the robot at known sigma, mm; deviation: of each coordinate, mm. Raises OptionError."""
 
     places: Sequence[float]
     deviation: float = 0.5
@@ -141,8 +142,8 @@ class TipPose(Sensor):
 class Views(Sensor):
     """Points of the robot at known sigma in pictures of known geometry, as of two fluoroscopes.
 
-    projections (v, 3, 4): of homogeneous points, mm, to homogeneous places in each picture, in its units. deviation:
-    of each coordinate there. Raises OptionError.
+    projections (v, 3, 4): of homogeneous points, mm, to homogeneous places in each picture, in its units.
+    deviation: of each coordinate there. Raises OptionError.
     """
 
     places: Sequence[float]
@@ -206,8 +207,8 @@ def view(source: Array, centre: Array, up: Array, magnification: float = 1.0) ->
 class Fibre(Sensor):
     """The bending of a fibre in the robot, 1/mm: by how much the tangent turns from place to place, unsigned.
 
-    places: between neighbouring ones of these, the curvature is measured as their tangents' distance over the length
-    between them. deviation: 1/mm.
+    places: between neighbouring ones of these, the curvature is measured as their tangents' distance over the
+    length between them. deviation: 1/mm.
     """
 
     places: Sequence[float] = field(default_factory=lambda: tuple(np.linspace(0.0, 1.0, 11).tolist()))
@@ -245,7 +246,8 @@ class Fibre(Sensor):
 class Sensors:
     """Several sensors as one. sigma (n,), noise (m,): of all.
 
-    grouped: the places (groups, size) of values that are right or wrong together, an array for every size of groups.
+    grouped: the places (groups, size) of values that are right or wrong together, an array for every size of
+    groups.
     """
 
     def __init__(self, *sensors: Sensor) -> None:
@@ -258,7 +260,7 @@ class Sensors:
         self.sigma = np.concatenate([each.sigma for each in sensors])
         self.noise = np.concatenate([each.noise for each in sensors])
         begins = np.cumsum([0, *(len(each.noise) for each in sensors)])
-        rows: dict[int, list[Array]] = {}
+        rows: dict[int, list[Index]] = {}
         for each, begin in zip(sensors, begins, strict=False):
             own = begin + np.arange(len(each.noise)).reshape(-1, each.group)
             rows.setdefault(each.group, []).append(own)

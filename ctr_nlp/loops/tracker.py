@@ -25,12 +25,13 @@ from ctr_nlp.typing import Array
 PLACES = 11
 """Of the shape, evenly spaced, that are brought to where they were planned to be."""
 ROOM = 24
-"""Places for which predictions are compiled at least, so that robots of a kind share them whatever their sensors."""
+"""Places for which predictions are compiled at least, so that robots of a kind share them whatever their sensors.
+"""
 PULL = 0.03
 """mm^2 that a mm away from the planned configuration costs, W as in the motion term."""
-MARGIN = 0.1
+MARGIN = 0.25
 """The least stability margin of the estimated robot, where nothing is uncertain."""
-UNCERTAIN = 1.0
+UNCERTAIN = 2.0
 """Standard deviations of the margin by which it is raised for what is uncertain, up to the planned one."""
 STOPS = 2.0
 """Standard deviations of the margin that must be left where sensors cannot be believed, or the robot stops."""
@@ -58,13 +59,18 @@ class Tracker:
     """Leads one robot through a plan. notes: what the operator was told, in order.
 
     Where sensors cannot be believed, the estimate goes back to what it was before, and is kept: the robot goes on
-    along the plan as corrected until then. It stops where its margin is not safe by then, and after a snap.
+    along the plan as corrected until then. It tracks again after silence alone: a registration that has jumped may
+    seem right again where little can be told apart. It stops where its margin is not safe by then, and after a
+    snap.
     """
 
     def __init__(
         self, plan: Plan, sensors: Sensors, tolerances: Tolerances | None = None, pull: float = PULL
     ) -> None:
-        """tolerances: of the robot, None for the plan's; raises OptionError, RobotError. Compiles, and waits for it."""
+        """Compile, and wait for it; tolerances: of the robot, None for the plan's.
+
+        Raises OptionError, RobotError.
+        """
         if not plan.complete:
             raise OptionError("the plan has frames without a solution, and cannot be tracked")
         self.plan, self._robot, model = plan, plan.robot, model_named(plan.evaluated)
@@ -83,6 +89,7 @@ class Tracker:
         self._doubts, self.state, self.notes = Doubts(), State.TRACKING, list[Note]()
         self._known, self._warned = deque[tuple[Array, Array]](maxlen=BACK), ""
         self.innovations = list[Innovation]()
+        self._silent = False
 
     def step(self, frame: int, q: Array, time: float, readings: Sequence[Reading]) -> Array:
         """Where motors are to be (2d + 2,) in the next frame.
@@ -96,6 +103,7 @@ class Tracker:
             self._read(time, reading)
         silent = self._doubts.silent(time, float(self.plan.time[0]))
         if silent and self.state is State.TRACKING:
+            self._silent = True
             self._tell(time, State.HELD, silent)
         if self.state is State.STOPPED or frame + 1 >= len(self._q):
             return q
@@ -113,12 +121,16 @@ class Tracker:
         if outliers and not self._warned:
             self.notes.append(Note(time, self.state, outliers))
         self._warned = outliers
-        if why and self.state is State.TRACKING:
+        if why and self._silent:
+            self._silent = False
+            self._tell(time, State.HELD, why)
+        elif why and self.state is State.TRACKING:
             if self._known:
                 self.observer.restored(*self._known[0])
             self._known.clear()
             self._tell(time, State.HELD, why)
-        elif self.state is State.HELD and self._doubts.sound:
+        elif self.state is State.HELD and self._silent and self._doubts.sound:
+            self._silent = False
             self._tell(time, State.TRACKING, "measurements agree again with what is known")
         if self.state is State.TRACKING:
             self._known.append((self.observer.mean, self.observer.covariance))

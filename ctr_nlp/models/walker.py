@@ -11,7 +11,7 @@ from ctr_nlp.typing import Array
 
 
 class Walker(ABC):
-    """A robot at rest in an equilibrium: its configuration q (2d + 2,), its unknowns x (n_x,). One object a thread."""
+    """A robot at rest at q (2d + 2,), in an equilibrium of unknowns x (n_x,). One object a thread."""
 
     q: Array
     x: Array

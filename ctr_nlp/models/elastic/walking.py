@@ -13,8 +13,8 @@ from ctr_nlp.robot.structure import Structure, tubes_of
 from ctr_nlp.typing import Array
 
 NEAR = 0.05
-"""rad that tips may be predicted to turn by in one step from a robot's numbers to others: half of what would belong
-to another branch."""
+"""rad that tips may be predicted to turn by in one step from a robot's numbers to others: half of what would
+belong to another branch."""
 
 
 class ElasticWalker(Walker):
