@@ -261,11 +261,11 @@ class Observer:
         found = np.zeros(len(excess), dtype=bool)
         for rows in self._sensors.grouped:
             away = excess[rows]
-            known = np.isfinite(away).all(axis=1)
+            known: Flags = np.asarray(np.isfinite(away).all(axis=1))
             there = np.where(known[:, None], away, 0.0)
             solved = np.linalg.solve(spread[rows[:, :, None], rows[:, None, :]], there[..., None])[..., 0]
-            near = np.asarray((solved * there).sum(axis=1) <= GATE[rows.shape[1]])
-            found[rows] = np.logical_and(known, near)[:, None]
+            near: Flags = np.asarray((solved * there).sum(axis=1) <= GATE[rows.shape[1]])
+            found[rows] = (known & near).reshape(-1, 1)
         return found
 
     def restored(self, mean: Array, covariance: Array) -> None:
