@@ -57,7 +57,8 @@ class Looped:
     """A plan on robots in one case. planned: its e3, mm; opened, closed: mean e3 of all over that; kept: of those
     neither lost nor stopped, with feedback. lost_open, lost, stopped: of so many draws; told: of those that were
     lost with feedback, of how many the operator was told. cycle, slowest: median and 99 % quantile of one cycle,
-    ms."""
+    ms.
+    """
 
     plan: str
     case: str
