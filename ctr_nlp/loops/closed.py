@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from time import process_time
 
 import numpy as np
 
@@ -25,7 +26,8 @@ class Run(Kept):
     q (T, 2d + 2): where motors were told to go. shape (T, 101, 3): the plant's, mm; e2 (T,): root mean squares
     over sigma of its distance from the target, mm. lost, snapped: the frame, from 1, in which it is not where the
     robot described would be, or snaps first; 0 where none. means (T, k), deviations (T, k): of the differences
-    estimated; none of an open loop. notes: what the operator was told; stopped: whether the tracker gave up.
+    estimated; none of an open loop. seconds (T,): of the process, for a cycle each. notes: what the operator was
+    told; stopped: whether the tracker gave up.
     """
 
     q: Array
@@ -35,6 +37,7 @@ class Run(Kept):
     snapped: int
     means: Array
     deviations: Array
+    seconds: Array
     innovations: tuple[Innovation, ...] = ()
     notes: tuple[Note, ...] = ()
     stopped: bool = False
@@ -49,21 +52,26 @@ def open_loop(plan: Plan, plant: Plant) -> Run:
     """A plan as it is, on a plant."""
     for q, time in zip(plan.q, plan.time, strict=True):
         plant.moved(q, float(time))
-    return _run(plan, plant, np.zeros((len(plan.q), 0)), np.zeros((len(plan.q), 0)))
+    nothing = np.zeros((len(plan.q), 0))
+    return _run(plan, plant, nothing, nothing, np.zeros(len(plan.q)))
 
 
 def closed_loop(plan: Plan, plant: Plant, feed: Feed, tracker: Tracker) -> Run:
     """A plan led by a tracker on a plant, of which a feed tells; each is used once. Raises as Tracker."""
-    q, means, deviations = plan.q[0], list[Array](), list[Array]()
+    q, means, deviations, seconds = plan.q[0], list[Array](), list[Array](), list[float]()
     for frame, time in enumerate(plan.time.tolist()):
         plant.moved(q, time)
-        q = tracker.step(frame, q, time, feed.arrived(time))
+        readings, begin = feed.arrived(time), process_time()
+        q = tracker.step(frame, q, time, readings)
+        seconds.append(process_time() - begin)
         means.append(tracker.observer.mean)
         deviations.append(np.sqrt(tracker.observer.covariance.diagonal()))
-    return _run(plan, plant, np.array(means), np.array(deviations), tracker)
+    return _run(plan, plant, np.array(means), np.array(deviations), np.array(seconds), tracker)
 
 
-def _run(plan: Plan, plant: Plant, means: Array, deviations: Array, tracker: Tracker | None = None) -> Run:
+def _run(
+    plan: Plan, plant: Plant, means: Array, deviations: Array, seconds: Array, tracker: Tracker | None = None
+) -> Run:
     shape, x = (np.array([getattr(moved, name) for moved in plant.history]) for name in ("shape", "x"))
     snapped = next((k for k, moved in enumerate(plant.history, start=1) if moved.jumps), 0)
     away = shape - plan.target
@@ -71,7 +79,7 @@ def _run(plan: Plan, plant: Plant, means: Array, deviations: Array, tracker: Tra
     lost = min(lost, snapped) if lost and snapped else lost or snapped
     e2 = rms_over_sigma(np.linalg.norm(away, axis=-1))
     q = np.array([moved.q for moved in plant.history])
-    found = Run(q, shape, e2, lost, snapped, means, deviations)
+    found = Run(q, shape, e2, lost, snapped, means, deviations, seconds)
     if tracker is None:
         return found
     stopped = tracker.state is State.STOPPED

@@ -1,0 +1,37 @@
+"""Plans on robots that are off by 10 % and 0.05 rad, led by sensors, and open loop beside: a table.
+
+python scripts/studies/closed_loop.py PLAN.npz [PLAN.npz ...] [--draws N] [--case CASE ...]
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from pathlib import Path
+
+from ctr_nlp import Plan
+from ctr_nlp.studies.loops import CASES, DRAWS, looped
+from ctr_nlp.support.tables import markdown
+
+
+def main() -> None:
+    """Read options, and print a row for every plan and case."""
+    parser = argparse.ArgumentParser(description="What feedback makes of plans, and what open loop does.")
+    parser.add_argument("plans", metavar="PLAN.npz", nargs="+")
+    parser.add_argument("--draws", type=int, default=DRAWS, help=f"robots a plan (default {DRAWS})")
+    parser.add_argument("--case", nargs="+", choices=list(CASES), default=list(CASES), help="(default all)")
+    asked = parser.parse_args()
+    rows = [
+        asdict(looped(Path(name).stem, Plan.load(name), case, asked.draws))
+        for case in asked.case
+        for name in asked.plans
+    ]
+    print(
+        markdown(
+            list(rows[0]), [[f"{v:.3g}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows]
+        )
+    )
+
+
+if __name__ == "__main__":
+    main()
