@@ -22,6 +22,7 @@ ROOMS = (
         "figures",
         "hardware",
         "problems",
+        "loops",
         "steer",
         "reference",
         "plan",

@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.models.walker import Rigid, Walker
 from ctr_nlp.nlp.nlp import Inner
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import NUMBERS, Structure, Tubes, tubes_of
@@ -184,6 +185,12 @@ class Model(ABC):
         """
         unknown = np.full(len(q), np.nan)
         return Followed(np.array([self.rest(robot, each) for each in q]), unknown, unknown)
+
+    def walker(self, structure: Structure, numbers: Array, q: Array) -> Walker:
+        """A robot of numbers (d, 6) that stands at q (2d + 2,) without a history, to be moved step by step."""
+        if self.several_equilibria:
+            raise OptionError(f"model is {self.name!r}, and does not tell how robots move step by step")
+        return Rigid(q)
 
     def follow_apart(
         self, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True

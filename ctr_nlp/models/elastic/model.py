@@ -8,6 +8,7 @@ import numpy as np
 from ctr_nlp.models.dominant.shape import columns_of
 from ctr_nlp.models.elastic import shape, stability, torsion
 from ctr_nlp.models.elastic.following import follow, followed, settled
+from ctr_nlp.models.elastic.walking import ElasticWalker
 from ctr_nlp.models.protocol import (
     SUBSTEPS,
     Followed,
@@ -19,6 +20,7 @@ from ctr_nlp.models.protocol import (
     matrix_of,
     vectors_of,
 )
+from ctr_nlp.models.walker import Walker
 from ctr_nlp.nlp.nlp import Inner
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import Structure, Tubes, tubes_in_columns
@@ -118,6 +120,10 @@ class Elastic(Model):
     def follow(self, robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBSTEPS) -> Followed:
         """As Model.follow; following.py."""
         return follow(robot, q, x0, substeps)
+
+    def walker(self, structure: Structure, numbers: Array, q: Array) -> Walker:
+        """As Model.walker; walking.py."""
+        return ElasticWalker(structure, numbers, q)
 
     def follow_apart(
         self, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True

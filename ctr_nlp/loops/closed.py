@@ -1,0 +1,89 @@
+"""Plans played on plants in closed loop, and open loop beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ctr_nlp.loops.feed import Feed
+from ctr_nlp.loops.observer import Innovation
+from ctr_nlp.loops.plant import Plant
+from ctr_nlp.loops.tracker import Note, State, Tracker
+from ctr_nlp.models import model_named
+from ctr_nlp.plan.measures import rms_over_sigma
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.simulation.drawn import APART
+from ctr_nlp.support.equal import Kept
+from ctr_nlp.typing import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Run(Kept):
+    """What became of a plan of T frames on a plant.
+
+    q (T, 2d + 2): where motors were told to go. shape (T, 101, 3): the plant's, mm; e2 (T,): root mean squares
+    over sigma of its distance from the target, mm. lost, snapped: the frame, from 1, in which it is not where the
+    robot described would be, or snaps first; 0 where none. means (T, k), deviations (T, k): of the differences
+    estimated; none of an open loop. notes: what the operator was told; stopped: whether the tracker gave up.
+    """
+
+    q: Array
+    shape: Array
+    e2: Array
+    lost: int
+    snapped: int
+    means: Array
+    deviations: Array
+    innovations: tuple[Innovation, ...] = ()
+    notes: tuple[Note, ...] = ()
+    stopped: bool = False
+
+    @property
+    def e3(self) -> float:
+        """Root mean square over frames of e2, mm."""
+        return float(np.sqrt((self.e2**2).mean()))
+
+
+def open_loop(plan: Plan, plant: Plant) -> Run:
+    """A plan as it is, on a plant."""
+    for q, time in zip(plan.q, plan.time, strict=True):
+        plant.moved(q, float(time))
+    return _run(plan, plant, np.zeros((len(plan.q), 0)), np.zeros((len(plan.q), 0)))
+
+
+def closed_loop(plan: Plan, plant: Plant, feed: Feed, tracker: Tracker) -> Run:
+    """A plan led by a tracker on a plant, of which a feed tells; each is used once. Raises as Tracker."""
+    q, means, deviations = plan.q[0], list[Array](), list[Array]()
+    for frame, time in enumerate(plan.time.tolist()):
+        plant.moved(q, time)
+        q = tracker.step(frame, q, time, feed.arrived(time))
+        means.append(tracker.observer.mean)
+        deviations.append(np.sqrt(tracker.observer.covariance.diagonal()))
+    return _run(plan, plant, np.array(means), np.array(deviations), tracker)
+
+
+def _run(plan: Plan, plant: Plant, means: Array, deviations: Array, tracker: Tracker | None = None) -> Run:
+    shape, x = (np.array([getattr(moved, name) for moved in plant.history]) for name in ("shape", "x"))
+    snapped = next((k for k, moved in enumerate(plant.history, start=1) if moved.jumps), 0)
+    away = shape - plan.target
+    lost = next((k for k, far in enumerate(_elsewhere(plan, x), start=1) if far), 0)
+    lost = min(lost, snapped) if lost and snapped else lost or snapped
+    e2 = rms_over_sigma(np.linalg.norm(away, axis=-1))
+    q = np.array([moved.q for moved in plant.history])
+    found = Run(q, shape, e2, lost, snapped, means, deviations)
+    if tracker is None:
+        return found
+    stopped = tracker.state is State.STOPPED
+    return replace(found, innovations=tuple(tracker.innovations), notes=tuple(tracker.notes), stopped=stopped)
+
+
+def _elsewhere(plan: Plan, x: Array) -> Array:
+    """In which frames tips are turned by more than APART against each other than the described robot's, (T,)."""
+    model = model_named(plan.evaluated)
+    if not model.several_equilibria:
+        return np.zeros(len(x), dtype=bool)
+    own = model.follow(plan.robot, plan.q).x
+    apart = abs(x - own)[:, : plan.robot.d - 1].max(axis=1, initial=0.0)
+    found: Array = ~(apart <= APART)
+    return found

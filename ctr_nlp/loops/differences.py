@@ -1,0 +1,126 @@
+"""By what a robot may differ from its description, as one vector, with what is known of it beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.loops.prediction import CHANGED, TUBE_PARTS
+from ctr_nlp.robot import Robot, Tolerances
+from ctr_nlp.robot.draws import Draws, drawn_from
+from ctr_nlp.robot.structure import NUMBERS
+from ctr_nlp.robot.tolerances import NAMES
+from ctr_nlp.typing import Array, Index
+
+ZERO, LAG = NAMES[-1], "rotation_lag"
+"""The names of a motor's zero and of a tube's lag behind it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Differences:
+    """The k differences of a robot whose tolerances are not 0: of tubes, then of zeros, then lags.
+
+    places: the tube, from 0, and the name of each, as robot.tolerances has them. mean (k,), covariance (k, k):
+    what is known before anything is measured, in parts, mm and rad.
+    """
+
+    robot: Robot
+    places: tuple[tuple[int, str], ...]
+    mean: Array
+    covariance: Array
+
+    @classmethod
+    def of(cls, robot: Robot, tolerances: Tolerances | None = None) -> Differences:
+        """What tolerances allow, None for the robot's own; raises RobotError, and OptionError where they are all
+        0.
+
+        A lag is uniform between 0 and its tolerance.
+        """
+        allowed, d = robot.tolerances if tolerances is None else tolerances, robot.d
+        bands, lags, root = allowed.bands(robot.tubes), allowed.lags(d), allowed.root(robot.tubes)
+        order = [(i, k) for k in range(len(NAMES)) for i in range(d) if bands[i, k] > 0]
+        rows = [i * len(NAMES) + k for i, k in order]
+        late = np.flatnonzero(lags)
+        places = (*((i, NAMES[k]) for i, k in order), *((int(i), LAG) for i in late))
+        if not places:
+            raise OptionError("tolerances of the robot are all 0: there is nothing that measurements could tell")
+        covariance = np.zeros((len(places), len(places)))
+        covariance[: len(rows), : len(rows)] = (root @ root.T)[np.ix_(rows, rows)]
+        covariance[len(rows) :, len(rows) :] = np.diag(lags[late] ** 2 / 12)
+        return cls(robot, places, np.concatenate([np.zeros(len(rows)), lags[late] / 2]), covariance)
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    @cached_property
+    def freed(self) -> tuple[tuple[int, str], ...]:
+        """Those that change numbers of tubes; they come first."""
+        return tuple(place for place in self.places if place[1] in TUBE_PARTS)
+
+    @cached_property
+    def zeros(self) -> tuple[Index, Index]:
+        """Where motors' zeros stand in the vector, and of which tubes."""
+        return self._of(ZERO)
+
+    @cached_property
+    def late(self) -> tuple[Index, Index]:
+        """The same of lags."""
+        return self._of(LAG)
+
+    def _of(self, name: str) -> tuple[Index, Index]:
+        found = [(k, tube) for k, (tube, other) in enumerate(self.places) if other == name]
+        rows = np.array(found, dtype=int).reshape(-1, 2)
+        return rows[:, 0], rows[:, 1]
+
+    @cached_property
+    def _effects(self) -> Array:
+        """How numbers (d, 6) of the tubes change with each of those freed, (freed, 6 d)."""
+        found = np.zeros((len(self.freed), *self.robot.numbers.shape))
+        for k, (tube, name) in enumerate(self.freed):
+            for column in CHANGED[name]:
+                at = NUMBERS.index(column)
+                found[k, tube, at] = 1.0 if name == "curved_length" else self.robot.numbers[tube, at]
+        return found.reshape(len(self.freed), -1)
+
+    def numbers(self, values: Array) -> Array:
+        """Of the tubes (d, 6) at a vector (k,): those of draws, without their bounds."""
+        change = values[: len(self.freed)] @ self._effects
+        return self.robot.numbers + change.reshape(self.robot.numbers.shape)
+
+    def offsets(self, values: Array) -> Array:
+        """Of the motors' zeros (d,) rad."""
+        found, (rows, tubes) = np.zeros(self.robot.d), self.zeros
+        found[tubes] = values[rows]
+        return found
+
+    def lags(self, values: Array) -> Array:
+        """Of the tubes (d,) rad, at least 0."""
+        found, (rows, tubes) = np.zeros(self.robot.d), self.late
+        found[tubes] = np.maximum(values[rows], 0.0)
+        return found
+
+    @cached_property
+    def over(self) -> Index:
+        """Over which of alpha, beta, theta and the freed each of them acts on shapes."""
+        freed = 2 * self.robot.d + 2 + np.arange(len(self.freed))
+        return np.concatenate([freed, self.zeros[1], self.late[1]])
+
+    def draws(self, values: Array) -> Draws:
+        """The robots (n,) of vectors (n, k)."""
+        parts, lags = np.zeros((len(values), self.robot.d, len(NAMES))), np.zeros((len(values), self.robot.d))
+        for k, (tube, name) in enumerate(self.places):
+            if name == LAG:
+                lags[:, tube] = np.maximum(values[:, k], 0.0)
+            else:
+                parts[:, tube, NAMES.index(name)] = values[:, k]
+        return drawn_from(self.robot, parts, lags)
+
+    def told(self, values: Sequence[float]) -> dict[str, float]:
+        """Values (k,) by name, as "curvature of tube 1"."""
+        return {
+            f"{name} of tube {tube + 1}": float(v) for (tube, name), v in zip(self.places, values, strict=True)
+        }

@@ -1,0 +1,147 @@
+"""What sensors tell of a plant, with their noise and with what may be wrong with them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ctr_nlp.loops.plant import Plant
+from ctr_nlp.loops.sensors import Reading, Seen, Sensors
+from ctr_nlp.typing import Array, Index
+
+Random = np.random.Generator
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What is wrong with a sensor from a time on, s, until another; a fault that changes nothing by itself."""
+
+    begin: float = 0.0
+    end: float = np.inf
+
+    def at(self, time: float) -> bool:
+        """Whether it is there."""
+        return self.begin <= time < self.end
+
+    def seen(self, seen: Seen) -> Seen:
+        """What the sensor looks at instead."""
+        return seen
+
+    def told(self, values: Array, before: Array | None, random: Random, groups: Sequence[Index]) -> Array:
+        """What it tells (m,) instead of values (m,); before: told last. groups: of Sensors.grouped."""
+        return values
+
+
+@dataclass(frozen=True)
+class Silence(Fault):
+    """Nothing is told."""
+
+    def told(self, values: Array, before: Array | None, random: Random, groups: Sequence[Index]) -> Array:
+        """As Fault."""
+        return np.full_like(values, np.nan)
+
+
+@dataclass(frozen=True)
+class Outliers(Fault):
+    """A share of the groups of values is off by size, in a direction of its own each time."""
+
+    share: float = 0.3
+    size: float = 20.0
+
+    def told(self, values: Array, before: Array | None, random: Random, groups: Sequence[Index]) -> Array:
+        """As Fault."""
+        found = values.copy()
+        for rows in groups:
+            off = random.standard_normal(rows.shape)
+            off *= self.size / np.linalg.norm(off, axis=1, keepdims=True)
+            found[rows] += np.where(random.random(len(rows))[:, None] < self.share, off, 0.0)
+        return found
+
+
+@dataclass(frozen=True)
+class Late(Fault):
+    """Values are those of some time before, s, and are told as if they were of now."""
+
+    delay: float = 0.2
+
+
+@dataclass(frozen=True)
+class Shifted(Fault):
+    """A registration that jumps: points are off by (x, y, z), mm."""
+
+    offset: tuple[float, float, float] = (2.0, 0.0, 0.0)
+
+    def seen(self, seen: Seen) -> Seen:
+        """As Fault."""
+        return seen._replace(points=seen.points + self.offset)
+
+
+@dataclass(frozen=True)
+class Swapped(Fault):
+    """Axes are taken for each other."""
+
+    axes: tuple[int, int, int] = (1, 0, 2)
+
+    def seen(self, seen: Seen) -> Seen:
+        """As Fault."""
+        order = list(self.axes)
+        return seen._replace(points=seen.points[:, order], tangents=seen.tangents[:, order])
+
+
+@dataclass(frozen=True)
+class Stuck(Fault):
+    """The last values are told again and again."""
+
+    def told(self, values: Array, before: Array | None, random: Random, groups: Sequence[Index]) -> Array:
+        """As Fault."""
+        return values if before is None else before
+
+
+class Feed:
+    """Readings of a plant, as they arrive; the same seed gives the same noise.
+
+    latency: s by which readings arrive late, with the time at which they were taken. dropped: share of those that
+    never arrive. noise: how much of the sensors' own there is.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        sensors: Sensors,
+        seed: int = 0,
+        latency: float = 0.0,
+        dropped: float = 0.0,
+        faults: Sequence[Fault] = (),
+        noise: float = 1.0,
+    ) -> None:
+        self._plant, self._sensors, self._random = plant, sensors, np.random.default_rng([seed, 3])
+        self._latency, self._dropped, self._faults, self._noise = latency, dropped, tuple(faults), noise
+        self._waiting, self._taken = list[Reading](), list[Reading]()
+        self._told: Array | None = None
+
+    def arrived(self, time: float) -> list[Reading]:
+        """Measure at a time, s, and tell what arrives by then."""
+        faults = [fault for fault in self._faults if fault.at(time)]
+        seen = self._plant.seen(self._sensors.sigma)
+        for fault in faults:
+            seen = fault.seen(seen)
+        noise = self._random.standard_normal(len(self._sensors)) * self._sensors.noise
+        values = self._sensors.values(seen) + self._noise * noise
+        self._taken.append(Reading(time, values))
+        for fault in faults:
+            if isinstance(fault, Late):
+                values = self._earlier(time - fault.delay)
+            values = fault.told(values, self._told, self._random, self._sensors.grouped)
+        if np.isfinite(values).any():
+            self._told = values
+        if self._random.random() >= self._dropped:
+            self._waiting.append(Reading(time, values))
+        due = [each for each in self._waiting if each.time + self._latency <= time + 1e-9]
+        self._waiting = [each for each in self._waiting if each.time + self._latency > time + 1e-9]
+        return [each for each in due if np.isfinite(each.values).any()]
+
+    def _earlier(self, time: float) -> Array:
+        """The last values taken by a time, s; the first ones where there are none."""
+        return next((r.values for r in self._taken[::-1] if r.time <= time + 1e-9), self._taken[0].values)

@@ -1,0 +1,285 @@
+"""What measurements say of a robot's tubes, zeros and lags: an extended Kalman filter over its differences."""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import lapack
+
+from ctr_nlp.loops.differences import Differences
+from ctr_nlp.loops.prediction import Predicted, Predictor
+from ctr_nlp.loops.sensors import Reading, Seen, Sensors
+from ctr_nlp.models import Model
+from ctr_nlp.models.walker import Walker
+from ctr_nlp.typing import Array, Flags
+
+GATE = {1: 10.83, 2: 13.82, 3: 16.27}
+"""Squared distances, in standard deviations, that values which belong together exceed once in a thousand:
+chi-square."""
+MODEL = 0.1
+"""Part of a sensor's noise that is added for what the model does not know."""
+STILL = 1e-4
+"""rad: tubes that are to turn by less are left where they are within their lags."""
+LIKELY = 0.5, 1.0, 1.5, 2.0, 3.0
+"""Standard deviations away among which a robot is looked for that has not fallen where the estimated one has."""
+CERTAIN, FAR = 10.0, 5.0
+"""Logarithm of the odds at which one of two hypotheses is dropped; deviations more than which count no more."""
+TINY = 1e-300
+"""What stands for 0 in a denominator."""
+KEPT = 1.0
+"""s for which what was predicted is remembered, for readings that come late."""
+
+
+class Record(NamedTuple):
+    """What was predicted at a time: values (m,), their slopes (m, k) over differences, and the mean (k,) then."""
+
+    time: float
+    values: Array
+    slopes: Array
+    mean: Array
+
+
+class Innovation(NamedTuple):
+    """A reading beside what was predicted for its time: what it exceeds that by (m,), and the deviation (m,)
+    expected.
+
+    accepted (m,): which values were taken; missing ones were not. size: the mean square of accepted innovations in
+    expected deviations, about 1; NaN without any.
+    """
+
+    time: float
+    excess: Array
+    expected: Array
+    accepted: Flags
+    size: float
+
+
+class Observer:
+    """One hypothesis of a robot: a mean and a covariance of its differences, and the equilibrium that it is in.
+
+    q (2d + 2,): where the motors are. margin: of the estimated robot, NaN where nothing can be unstable.
+    predicted: its shape at the predictor's places, of which the sensors' come first. jumps: by what its tips
+    jumped so far; refused: how many readings were not taken since the estimated robot would have snapped.
+    """
+
+    def __init__(self, model: Model, differences: Differences, sensors: Sensors, predictor: Predictor) -> None:
+        self._model, self.differences, self._sensors, self._predict = model, differences, sensors, predictor
+        self.mean, self.covariance = differences.mean.copy(), differences.covariance.copy()
+        self._described, self._d = differences.robot.numbers, differences.robot.d
+        self._structure = differences.draws(self.mean[None]).structure
+        self._behind, self._engaged = np.zeros((2, self._d))
+        self.q = np.zeros(len(differences.robot.axes))
+        self._records = list[Record]()
+        self._walker: Walker | None = None
+        self.jumps, self.refused, self._odds = list[Array](), 0, 0.0
+        self.rival: Observer | None = None
+        self._judged: tuple[tuple[Reading, Array, Array], tuple[Innovation, Array, Array]] | None = None
+        self._take_mean()
+
+    def _take_mean(self) -> None:
+        of = self.differences
+        self._numbers, self._offsets, self._lags = (take(self.mean) for take in (of.numbers, of.offsets, of.lags))
+
+    @property
+    def walker(self) -> Walker:
+        """The estimated robot, after its motors have moved at least once."""
+        assert self._walker is not None
+        return self._walker
+
+    @property
+    def tubes(self) -> Array:
+        """The configuration (2d + 2,) of the estimated robot's tubes."""
+        found = self.q.copy()
+        found[: self._d] += self._offsets + self._behind
+        return found
+
+    def motors(self, tubes: Array) -> Array:
+        """Where motors must go to turn tubes to a configuration (2d + 2,): past it by their lags."""
+        found, d = tubes.copy(), self._d
+        turn = tubes[:d] - self.tubes[:d]
+        found[:d] -= self._offsets - np.where(abs(turn) > STILL, np.sign(turn), -self._engaged) * self._lags
+        return found
+
+    def at(self, walker: Walker) -> tuple[Predicted, float]:
+        """What is predicted of the estimated robot where a walker stands, and the margin there."""
+        margin = walker.margin()
+        return self._predict(walker.x, self._numbers, self._described, margin), margin
+
+    def deviation(self, of_margin: Array) -> float:
+        """That of the margin, by what is not known: of_margin as Predicted has it."""
+        slopes = self._signs_over * of_margin[self.differences.over]
+        return math.sqrt(max(float(slopes @ self.covariance @ slopes), 0.0))
+
+    def moved(self, q: Array, time: float) -> None:
+        """The motors have moved to q (2d + 2,) at a time, s."""
+        d = self._d
+        before = np.full(d, q[d - 1]) if self._walker is None else self.q[:d]
+        free = self._behind - (q[:d] - before)
+        self._behind = np.clip(free, -self._lags, self._lags)
+        self._engaged = np.where(self._behind != free, np.sign(self._behind), self._engaged)
+        self.q = np.array(q)
+        if self._walker is None:
+            self._walker = self._model.walker(self._structure, self._numbers, self.tubes)
+        else:
+            stood = self._walker.copy()
+            fell = self._walker.go(self.tubes)
+            if fell and self.rival is None:
+                self._forked(stood, fell, time)
+            else:
+                self.jumps = self.jumps + fell
+        if self.rival is not None:
+            self.rival.moved(q, time)
+        self._look(time)
+
+    def _forked(self, stood: Walker, fell: list[Array], time: float) -> None:
+        """The estimated robot has fallen from where it stood: go on as the nearest likely one that has not, if
+        any.
+
+        The one that has is the rival; measurements tell them apart.
+        """
+        rival = copy.copy(self)
+        slopes = self._signs_over * self.predicted.of_margin[self.differences.over]
+        towards = self.covariance @ slopes / np.sqrt(max(float(slopes @ self.covariance @ slopes), TINY))
+        for part in LIKELY:
+            self._walker = stood.copy()
+            self._shifted(part * towards)
+            before = [*self._walker.become(self._numbers), *self._walker.go(self.tubes)]
+            if not before and np.isfinite(self._walker.x).all():
+                self.rival, self._odds = rival._fallen(fell), 0.0
+                return
+            self.__dict__.update(rival.__dict__)
+        self.jumps = self.jumps + fell
+
+    def _fallen(self, fell: list[Array]) -> Observer:
+        """The same hypothesis, after a fall."""
+        self.jumps = self.jumps + fell
+        return self
+
+    def _shifted(self, change: Array) -> None:
+        """The mean moves by so much (k,), and where tubes are within their lags."""
+        rows, tubes = self.differences.late
+        self.mean, self._behind = self.mean + change, self._behind.copy()
+        self._behind[tubes] += self._engaged[tubes] * change[rows]
+        self._take_mean()
+        self._behind = np.clip(self._behind, -self._lags, self._lags)
+
+    def _look(self, time: float) -> None:
+        """Predict what is measured now."""
+        self.predicted, self.margin = self.at(self.walker)
+        rows, signs, n = self.differences.over, self._signs_over[:, None, None], len(self._sensors.sigma)
+        points, tangents, of_points, of_tangents, of_phi, _ = self.predicted
+        self._of_phi = of_phi.copy()
+        of_seen, of_turned = (signs * of[rows, :n] for of in (of_points, of_tangents))
+        seen = Seen(points[:n], tangents[:n], of_seen, of_turned, float(self.q[2 * self._d - 1]))
+        values, over = self._sensors.values(seen).copy(), self._sensors.slopes(seen)
+        record = Record(time, values, over, self.mean)
+        self._records = [old for old in self._records if old.time > time - KEPT] + [record]
+
+    @property
+    def _signs_over(self) -> Array:
+        """By how much of each difference it does."""
+        ones = np.ones(len(self.differences) - len(self.differences.late[1]))
+        return np.concatenate([ones, self._engaged[self.differences.late[1]]])
+
+    def expected(self, time: float) -> tuple[Array, Array]:
+        """What is predicted of a reading at a time, (m,), and its slopes (m, k), by what is known now."""
+        records = self._records
+        after = next((k for k, each in enumerate(records) if each.time >= time - 1e-9), len(records) - 1)
+        ends, part = [records[after]], 1.0
+        if after and time < ends[0].time - 1e-9:
+            ends.insert(0, records[after - 1])
+            part = (time - ends[0].time) / (ends[1].time - ends[0].time)
+        values = [each.values + each.slopes @ (self.mean - each.mean) for each in ends]
+        if len(ends) == 1:
+            return values[0], ends[0].slopes
+        return values[0] + part * (values[1] - values[0]), ends[0].slopes + part * (
+            ends[1].slopes - ends[0].slopes
+        )
+
+    def rates(self, time: float) -> Array:
+        """At which values (m,) change at a time, per s; 0 where that is not known."""
+        after = next(
+            (k for k, each in enumerate(self._records) if each.time >= time - 1e-9), len(self._records) - 1
+        )
+        if after == 0:
+            return np.zeros(len(self._sensors))
+        before, now = self._records[after - 1 : after + 1]
+        return (now.values - before.values) / (now.time - before.time)
+
+    def judged(self, reading: Reading) -> Innovation:
+        """A reading beside what is expected, of which nothing is taken."""
+        return self._compared(reading)[0]
+
+    def _compared(self, reading: Reading) -> tuple[Innovation, Array, Array]:
+        """The same, the gain (m, k) on what is accepted, and the slopes (m, k); once for each reading."""
+        known = reading, self.mean, self.covariance
+        if self._judged is None or any(a is not b for a, b in zip(self._judged[0], known, strict=True)):
+            self._judged = known, self._comparison(reading)
+        return self._judged[1]
+
+    def _comparison(self, reading: Reading) -> tuple[Innovation, Array, Array]:
+        values, slopes = self.expected(reading.time)
+        excess, over = reading.values - values, slopes @ self.covariance
+        spread = over @ slopes.T
+        spread[np.diag_indices_from(spread)] += self._sensors.noise**2 * (1 + MODEL)
+        accepted, expected = self._accepted(excess, spread), np.sqrt(spread.diagonal())
+        gain, size = np.zeros_like(slopes), float("nan")
+        if accepted.any():
+            right = excess[accepted]
+            _, solved, _ = lapack.dposv(spread[accepted][:, accepted], np.column_stack([over[accepted], right]))
+            gain[accepted], size = solved[:, :-1], float(right @ solved[:, -1] / len(right))
+        return Innovation(reading.time, excess, expected, accepted, size), gain, slopes
+
+    def measured(self, reading: Reading) -> Innovation:
+        """Take a reading of a moment that the motors have passed: what is right of it changes the estimate.
+
+        A change in which the estimated robot would snap is not taken.
+        """
+        innovation, gain, slopes = self._compared(reading)
+        if self.rival is not None:
+            self._decide(innovation, self.rival.measured(reading))
+        if innovation.accepted.any():
+            covariance = self.covariance @ (np.eye(len(self.mean)) - slopes.T @ gain)
+            change = np.where(innovation.accepted, innovation.excess, 0.0) @ gain
+            self._changed(change, (covariance + covariance.T) / 2)
+        return innovation
+
+    def _decide(self, own: Innovation, other: Innovation) -> None:
+        """Take the rival's place once measurements speak for it, or go on without it."""
+        away = [np.minimum(abs(each.excess / each.expected), FAR) for each in (own, other)]
+        self._odds += float(np.nansum(away[0] ** 2) - np.nansum(away[1] ** 2)) / 2
+        if self._odds > CERTAIN and self.rival is not None:
+            self.__dict__.update(self.rival.__dict__)
+        elif self._odds < -CERTAIN:
+            self.rival = None
+
+    def _accepted(self, excess: Array, spread: Array) -> Flags:
+        """Which values are no further from what was expected than once in a thousand readings."""
+        found = np.zeros(len(excess), dtype=bool)
+        for rows in self._sensors.grouped:
+            away = excess[rows]
+            known: Flags = np.asarray(np.isfinite(away).all(axis=1))
+            there = np.where(known[:, None], away, 0.0)
+            solved = np.linalg.solve(spread[rows[:, :, None], rows[:, None, :]], there[..., None])[..., 0]
+            near: Flags = np.asarray((solved * there).sum(axis=1) <= GATE[rows.shape[1]])
+            found[rows] = (known & near).reshape(-1, 1)
+        return found
+
+    def restored(self, mean: Array, covariance: Array) -> None:
+        """Go back to what was known before."""
+        self._changed(mean - self.mean, covariance)
+
+    def _changed(self, change: Array, covariance: Array) -> None:
+        """The mean moves by so much (k,), and the estimated robot with it."""
+        d, freed, before = self._d, len(self.differences.freed), self.__dict__.copy()
+        self._walker, self.covariance = self.walker.copy(), covariance
+        self._shifted(change)
+        x = self._walker.x.copy()
+        x[:d] += change[:freed] @ self._of_phi[2 * d + 2 :]
+        fell = [*self._walker.become(self._numbers, x), *self._walker.go(self.tubes)]
+        if fell or not np.isfinite(self._walker.x).all():
+            self.__dict__.update(before)
+            self.refused += 1

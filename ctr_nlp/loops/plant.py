@@ -1,0 +1,146 @@
+"""A robot to experiment on, with tubes, zeros and lags of its own; who steers it sees what sensors tell."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from ctr_nlp.codegen.mapped import Mapped
+from ctr_nlp.exceptions import RobotError
+from ctr_nlp.loops.machine import machine_code
+from ctr_nlp.loops.sensors import Seen
+from ctr_nlp.models import Model, model_named
+from ctr_nlp.models.protocol import samples
+from ctr_nlp.models.walker import Walker
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.draws import Draws, dragged
+from ctr_nlp.robot.structure import Structure
+from ctr_nlp.simulation.drawn import SUBSTEPS
+from ctr_nlp.support.values import floats
+from ctr_nlp.target.target import SIGMA
+from ctr_nlp.typing import Array
+
+
+class Moved(NamedTuple):
+    """Where a robot is at a time, s: motors q (2d + 2,), unknowns x (n_x,), shape (101, 3) mm at uniform sigma.
+
+    jumps: by what its tips jumped (d,) rad on the way there, an entry a snap.
+    """
+
+    time: float
+    q: Array
+    x: Array
+    shape: Array
+    jumps: tuple[Array, ...]
+
+
+class Plant:
+    """One drawn robot that its motors move; it comes to rest at the first q from where all tubes are aligned.
+
+    A tube stays behind its motor within its lag, as in Draws.turned. The same calls give the same motion.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        draw: Draws,
+        model: str | Model = "elastic",
+        steps: npt.ArrayLike = 0.0,
+        bending: Sequence[float] = (0.0, 0.0),
+    ) -> None:
+        """draw: of the robot described, one. steps: of the motors, rad and mm, one or (2d + 2,), 0 for none.
+
+        bending: how far along x and y the tip is bent away, mm, where the robot is all out, by what the model does
+        not know; elsewhere in proportion to the square of arc length. Raises RobotError, OptionError.
+        """
+        if len(draw) != 1:
+            raise RobotError(f"a plant is one robot, and {len(draw)} draws are given")
+        self._model = model_named(model)
+        self._model.check(robot)
+        self._structure, self._numbers = draw.structure, draw.numbers[0]
+        self._offsets, self._lags, self._reach = draw.offsets[0], draw.lags[0], robot.reach
+        size = 2 * robot.d + 2
+        self._steps = np.broadcast_to(np.asarray(steps, dtype=float), (size,))
+        self._bent = floats(RobotError, "bending", bending, (2,))
+        self._view = _view(self._model, self._structure)
+        self._walker: Walker | None = None
+        self.history = list[Moved]()
+        """Where it was told to go, and came to, in order."""
+
+    @property
+    def snapped(self) -> bool:
+        """Whether it has ever jumped from one equilibrium into another, or came to none."""
+        return any(moved.jumps or not np.isfinite(moved.x).all() for moved in self.history)
+
+    def moved(self, q: Array, time: float) -> Moved:
+        """The robot after its motors have moved to q (2d + 2,), all at once and evenly, at a time, s."""
+        q, jumps = self._stepped(np.asarray(q, dtype=float)), list[Array]()
+        if self._walker is None:
+            self._alpha = self._dragged(np.full_like(self._lags, q[len(self._lags) - 1]), q)
+            self._walker = self._model.walker(self._structure, self._numbers, self._turned(q))
+        else:
+            before = self.history[-1].q
+            for k in range(1, SUBSTEPS + 1):
+                place = before + (q - before) * (k / SUBSTEPS)
+                self._alpha = self._dragged(self._alpha, place)
+                jumps += self._walker.go(self._turned(place))
+        found = Moved(time, q, self._walker.x, self._at(SIGMA)[0], tuple(jumps))
+        self.history.append(found)
+        return found
+
+    def _stepped(self, q: Array) -> Array:
+        """Where motors of so large steps stop."""
+        size = np.where(self._steps > 0, self._steps, 1.0)
+        return np.where(self._steps > 0, np.round(q / size) * size, q)
+
+    def _dragged(self, alpha: Array, q: Array) -> Array:
+        return dragged(alpha, q[: len(self._lags)], self._lags)
+
+    def _turned(self, q: Array) -> Array:
+        """Of the tubes, where motors are at q."""
+        found = q.copy()
+        found[: len(self._lags)] = self._alpha + self._offsets
+        return found
+
+    def seen(self, sigma: Array) -> Seen:
+        """The shape at sigma (n,), at most 101, without slopes."""
+        points, tangents = self._at(sigma)
+        none = np.zeros((0, len(sigma), 3))
+        return Seen(points, tangents, none, none, self._length)
+
+    @property
+    def _length(self) -> float:
+        """Of the robot, mm."""
+        return float(self.history[-1].q[2 * len(self._lags) - 1]) if self.history else 0.0
+
+    def _at(self, sigma: Array) -> tuple[Array, Array]:
+        """Points and tangents (n, 3) at sigma (n,)."""
+        assert self._walker is not None
+        x, d, count = self._walker.x, len(self._lags), len(sigma)
+        given = np.concatenate([np.resize(sigma, len(SIGMA)), self._numbers.ravel("F")])
+        self._view.inputs[1][0] = given
+        points, tangents = (found.reshape(3, -1).T[:count].copy() for found in self._view(x))
+        if self._bent.any():
+            s, aside = sigma * x[2 * d - 1], np.append(self._bent, 0.0) / self._reach**2
+            points += np.multiply.outer(s**2, aside)
+            tangents += np.multiply.outer(2 * s, aside)
+            tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+        return points, tangents
+
+
+def _view(model: Model, structure: Structure) -> Mapped:
+    """(x, (sigma (101,), numbers (d, 6))) -> points and tangents (101, 3) in columns."""
+    return Mapped(_compiled_view(model, structure), 1, 1)
+
+
+@functools.lru_cache(maxsize=16)
+def _compiled_view(model: Model, structure: Structure) -> ca.Function:
+    of = samples(model, structure, len(SIGMA))
+    x, sigma, numbers = (ca.SX.sym(of.name_in(i), *of.size_in(i)) for i in range(3))
+    found = [ca.densify(each) for each in of(x, sigma, numbers)]
+    return machine_code(ca.Function("view", [x, ca.vertcat(ca.vec(sigma), ca.vec(numbers))], found))

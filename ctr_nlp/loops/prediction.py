@@ -1,0 +1,130 @@
+"""The shape of a robot at places of its own, and how it changes with motors and tubes, as machine code.
+
+With x = (phi, rest) the unknowns of a model and alpha(x; tubes) the motors' angles, a shape p(x; tubes) changes at
+held alpha and rest by dp = (p_tubes - p_phi A alpha_tubes) dtubes, A = (alpha_phi)^-1, and with the motors by
+p_phi A dalpha + (p_rest - p_phi A alpha_rest) drest. With D the determinant that vanishes where its margin mu is
+the smallest eigenvalue, mu changes by -D_x / D_mu and -D_tubes / D_mu.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from ctr_nlp.codegen.mapped import Mapped
+from ctr_nlp.loops.machine import machine_code
+from ctr_nlp.models import Model
+from ctr_nlp.models.protocol import symbolic_tubes
+from ctr_nlp.robot.structure import NUMBERS, Structure
+from ctr_nlp.robot.tolerances import NAMES
+from ctr_nlp.typing import Array
+
+TUBE_PARTS = NAMES[:-1]
+"""Of NAMES, what changes numbers of tubes; the last is the motor's zero, which changes alpha."""
+
+CHANGED = {
+    "curvature": ("root_curvature", "tip_curvature"),
+    "bending_stiffness": ("bending_stiffness",),
+    "torsional_ratio": ("torsional_ratio",),
+    "curved_length": ("curved_length",),
+}
+"""Which numbers of a tube each part changes: in proportion to what is described, but for the length."""
+
+
+class Predicted(NamedTuple):
+    """A shape at n places, and its slopes over alpha, beta, theta and the freed parts of tubes, k in all.
+
+    points (n, 3) mm; tangents (n, 3), unit vectors. Slopes: of_points, of_tangents (k, n, 3); of_phi (k, d): of
+    the unknown tips' angles; of_margin (k,), NaN where nothing can be unstable.
+    """
+
+    points: Array
+    tangents: Array
+    of_points: Array
+    of_tangents: Array
+    of_phi: Array
+    of_margin: Array
+
+
+class Predictor:
+    """Evaluates Predicted for robots of a structure; what a call returns is overwritten by the next."""
+
+    def __init__(
+        self, model: Model, structure: Structure, sigma: Array, freed: tuple[tuple[int, str], ...]
+    ) -> None:
+        """Compile, where that can be done, and wait for it; sigma (n,): the places.
+
+        freed: tubes, from 0, and their parts, of TUBE_PARTS, over which slopes are wanted.
+        """
+        self._call = Mapped(_code(model, structure, len(sigma), freed), 1, 1)
+        self._d, self._n, self._k = structure.d, len(sigma), 2 * structure.d + 2 + len(freed)
+        self._given = self._call.inputs[1][0]
+        self._given[:] = np.concatenate([sigma, np.zeros(12 * self._d + 1)])
+
+    def __call__(self, x: Array, numbers: Array, described: Array, margin: float) -> Predicted:
+        """At unknowns x (n_x,) of tubes of numbers (d, 6), with a margin; described (d, 6): of which parts are."""
+        self._given[self._n :] = np.concatenate([numbers.ravel("F"), described.ravel("F"), [margin]])
+        points, tangents, of_points, of_tangents, of_phi, of_margin = self._call(x)
+        slopes = self._k, self._n, 3
+        return Predicted(
+            points.reshape(self._n, 3),
+            tangents.reshape(self._n, 3),
+            of_points.reshape(slopes),
+            of_tangents.reshape(slopes),
+            of_phi.reshape(self._k, self._d),
+            of_margin[0],
+        )
+
+
+@functools.lru_cache(maxsize=16)
+def _code(model: Model, structure: Structure, count: int, freed: tuple[tuple[int, str], ...]) -> ca.Function:
+    """The function of a Predictor, compiled where that can be done."""
+    return machine_code(_symbolic(model, structure, count, freed))
+
+
+def _symbolic(model: Model, structure: Structure, count: int, freed: tuple[tuple[int, str], ...]) -> ca.Function:
+    """(x, (sigma (count,), numbers (d, 6), described (d, 6), margin)) -> Predicted, in columns."""
+    d, sigma, margin = structure.d, ca.SX.sym("sigma", count), ca.SX.sym("margin")
+    numbers, described = (ca.SX.sym(name, d, len(NUMBERS)) for name in ("numbers", "described"))
+    parts = ca.SX.sym("parts", len(freed))
+    tubes = symbolic_tubes(structure, _changed(numbers, described, parts, freed))
+    asked = margin if model.can_snap else None
+    shape = model.frame(structure, tubes, lambda beta: sigma * beta[-1], asked, tangents=True)
+    assert shape.tangents is not None
+    determinant = ca.SX(0) if shape.stability is None else shape.stability[-1]
+    points, tangents = (
+        ca.vec(ca.vertcat(*(ca.SX(axis).T for axis in shape.placed(of)))) for of in (shape.points, shape.tangents)
+    )
+    symbols, values = shape.inner.columns
+    seen, alpha, determinant = ca.substitute(
+        [ca.vertcat(points, tangents), shape.alpha, determinant], [symbols], [values]
+    )
+    phi, over = shape.x[:d], ca.vertcat(shape.x[d:], parts)
+    slopes = ca.jacobian(ca.vertcat(seen, alpha), ca.vertcat(phi, over))
+    into_tips = ca.inv(slopes[-d:, :d])
+    of_phi = into_tips @ ca.horzcat(ca.SX.eye(d), -slopes[-d:, d:])
+
+    def moved(of: ca.SX) -> ca.SX:
+        """Slopes over alpha, the rest of the configuration, and parts, from those over unknowns and parts."""
+        return of[:, :d] @ of_phi + ca.horzcat(ca.SX(of.shape[0], d), of[:, d:])
+
+    slope = ca.SX.nan(1) if shape.stability is None else -ca.jacobian(determinant, margin)
+    of_margin = moved(ca.jacobian(determinant, ca.vertcat(phi, over))) / slope
+    of_points, of_tangents = ca.vertsplit(moved(slopes[:-d, :]), 3 * count)
+    found = [*ca.vertsplit(seen, 3 * count), of_points, of_tangents, of_phi, of_margin]
+    found = ca.substitute(found, [parts], [ca.SX.zeros(len(freed))])
+    given = ca.vertcat(sigma, ca.vec(numbers), ca.vec(described), margin)
+    return ca.Function("predicted", [shape.x, given], [ca.densify(each) for each in found])
+
+
+def _changed(numbers: ca.SX, described: ca.SX, parts: ca.SX, freed: tuple[tuple[int, str], ...]) -> ca.SX:
+    """Numbers (d, 6) with parts added of those described, as robot.draws does; lengths in mm."""
+    found = ca.SX(numbers)
+    for k, (tube, name) in enumerate(freed):
+        for column in (NUMBERS.index(each) for each in CHANGED[name]):
+            scale = 1.0 if name == "curved_length" else described[tube, column]
+            found[tube, column] += parts[k] * scale
+    return found

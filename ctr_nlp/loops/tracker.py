@@ -1,0 +1,164 @@
+"""Steering along a plan by what sensors tell of the robot: observe, correct, and fall back where sensing fails."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.loops.correction import Correction, Place
+from ctr_nlp.loops.differences import Differences
+from ctr_nlp.loops.doubts import Doubts
+from ctr_nlp.loops.observer import Innovation, Observer
+from ctr_nlp.loops.prediction import Predictor
+from ctr_nlp.loops.sensors import Reading, Sensors
+from ctr_nlp.models import model_named
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.robot import Tolerances
+from ctr_nlp.target.target import SIGMA
+from ctr_nlp.typing import Array
+
+PLACES = 11
+"""Of the shape, evenly spaced, that are brought to where they were planned to be."""
+ROOM = 24
+"""Places for which predictions are compiled at least, so that robots of a kind share them whatever their sensors.
+"""
+PULL = 0.03
+"""mm^2 that a mm away from the planned configuration costs, W as in the motion term."""
+MARGIN = 0.25
+"""The least stability margin of the estimated robot, where nothing is uncertain."""
+UNCERTAIN = 2.0
+"""Standard deviations of the margin by which it is raised for what is uncertain, up to the planned one."""
+STOPS = 2.0
+"""Standard deviations of the margin that must be left where sensors cannot be believed, or the robot stops."""
+BACK = 6
+"""Readings before a doubtful one from which on nothing is believed."""
+
+
+class State(Enum):
+    """Of a tracker; the value is what a person reads."""
+
+    TRACKING = "tracking"
+    HELD = "on what was known before"
+    STOPPED = "stopped"
+
+
+class Note(NamedTuple):
+    """What the operator is told at a time, s: in which state the tracker is from then on, and why."""
+
+    time: float
+    state: State
+    why: str
+
+
+class Tracker:
+    """Leads one robot through a plan. notes: what the operator was told, in order.
+
+    Where sensors cannot be believed, the estimate goes back to what it was before, and is kept: the robot goes on
+    along the plan as corrected until then. It tracks again after silence alone: a registration that has jumped may
+    seem right again where little can be told apart. It stops where its margin is not safe by then, and after a
+    snap.
+    """
+
+    def __init__(
+        self, plan: Plan, sensors: Sensors, tolerances: Tolerances | None = None, pull: float = PULL
+    ) -> None:
+        """Compile, and wait for it; tolerances: of the robot, None for the plan's.
+
+        Raises OptionError, RobotError.
+        """
+        if not plan.complete:
+            raise OptionError("the plan has frames without a solution, and cannot be tracked")
+        self.plan, self._robot, model = plan, plan.robot, model_named(plan.evaluated)
+        differences = Differences.of(plan.robot, tolerances)
+        places = np.linspace(0.0, 1.0, PLACES)
+        count = len(sensors.sigma)
+        spare = np.zeros(max(ROOM - count - PLACES, 0))
+        structure = differences.draws(differences.mean[None]).structure
+        predictor = Predictor(model, structure, np.concatenate([sensors.sigma, places, spare]), differences.freed)
+        self.observer = Observer(model, differences, sensors, predictor)
+        weights = np.full(PLACES, 1.0)
+        weights[[0, -1]] /= 2
+        self._correction = Correction(plan.robot, np.sqrt(weights / weights.sum()), pull)
+        self._shape, self._q = plan.shape[:, :: (len(SIGMA) - 1) // (PLACES - 1)], plan.q
+        self._at, self._size = slice(count, count + PLACES), len(plan.robot.axes)
+        self._doubts, self.state, self.notes = Doubts(), State.TRACKING, list[Note]()
+        self._known, self._warned = deque[tuple[Array, Array]](maxlen=BACK), ""
+        self.innovations = list[Innovation]()
+        self._silent = False
+
+    def step(self, frame: int, q: Array, time: float, readings: Sequence[Reading]) -> Array:
+        """Where motors are to be (2d + 2,) in the next frame.
+
+        frame, from 0, was just reached, with the motors at q (2d + 2,) at a time, s; readings: what arrived since.
+        """
+        self.observer.moved(q, time)
+        if self.observer.jumps and self.state is not State.STOPPED:
+            self._tell(time, State.STOPPED, "the robot has snapped, by what is known of it")
+        for reading in readings:
+            self._read(time, reading)
+        silent = self._doubts.silent(time, float(self.plan.time[0]))
+        if silent and self.state is State.TRACKING:
+            self._silent = True
+            self._tell(time, State.HELD, silent)
+        if self.state is State.STOPPED or frame + 1 >= len(self._q):
+            return q
+        return self._next(frame, q, time)
+
+    def _tell(self, time: float, state: State, why: str) -> None:
+        self.state = state
+        self.notes.append(Note(time, state, why))
+
+    def _read(self, time: float, reading: Reading) -> None:
+        """Believe a reading, or tell why not."""
+        seen, rates = self.observer.judged(reading), self.observer.rates(reading.time)
+        why, outliers = self._doubts.looked(time, reading, seen, rates)
+        self.innovations.append(seen)
+        if outliers and not self._warned:
+            self.notes.append(Note(time, self.state, outliers))
+        self._warned = outliers
+        if why and self._silent:
+            self._silent = False
+            self._tell(time, State.HELD, why)
+        elif why and self.state is State.TRACKING:
+            if self._known:
+                self.observer.restored(*self._known[0])
+            self._known.clear()
+            self._tell(time, State.HELD, why)
+        elif self.state is State.HELD and self._silent and self._doubts.sound:
+            self._silent = False
+            self._tell(time, State.TRACKING, "measurements agree again with what is known")
+        if self.state is State.TRACKING:
+            self._known.append((self.observer.mean, self.observer.covariance))
+            self.observer.measured(reading)
+
+    def _next(self, frame: int, q: Array, time: float) -> Array:
+        """The corrected configuration of the frame after this one, within all limits."""
+        robot, observer = self._robot, self.observer
+        reach = robot.speed * (self.plan.time[frame + 1] - self.plan.time[frame])
+        least, most = np.maximum(robot.lower, q - reach), np.minimum(robot.upper, q + reach)
+        off = observer.tubes - q
+        low, high = least + off, most + off
+        start = np.clip(self._q[frame + 1] + (observer.tubes - self._q[frame]), low, high)
+        walker = observer.walker.copy()
+        walker.go(start)
+        predicted, margin = observer.at(walker)
+        deviation = observer.deviation(predicted.of_margin)
+        if self.state is State.HELD and margin - STOPS * deviation < 0:
+            self._tell(time, State.STOPPED, "what is uncertain of the robot exceeds its stability margin")
+            return q
+        k = self._size
+        at = Place(
+            start, predicted.points[self._at], predicted.of_points[:k, self._at], margin, predicted.of_margin[:k]
+        )
+        planned = np.fmin(self.plan.stability[frame + 1], MARGIN + UNCERTAIN * deviation)
+        least_margin = max(MARGIN, float(np.nan_to_num(planned)))
+        tubes = self._correction(at, self._shape[frame + 1], self._q[frame + 1], low, high, least_margin)
+        motors = np.clip(observer.motors(start if tubes is None else tubes), least, most)
+        d = robot.d
+        motors[d : 2 * d] = np.maximum.accumulate(motors[d : 2 * d])
+        return motors

@@ -1,0 +1,100 @@
+"""Closed loops: nearer to the plan than open ones, within limits, and told of what is wrong with sensors."""
+
+import numpy as np
+import pytest
+from loops_of import OFF, ROBOT, SENSORS, made_plan, robots
+
+from ctr_nlp.loops.closed import closed_loop, open_loop
+from ctr_nlp.loops.feed import Feed, Late, Outliers, Shifted, Silence, Stuck, Swapped
+from ctr_nlp.loops.plant import Plant
+from ctr_nlp.loops.tracker import State, Tracker
+
+BEGIN = 2.0
+FAULTS = {
+    "silence": Silence(BEGIN),
+    "outliers": Outliers(BEGIN),
+    "late": Late(BEGIN, delay=0.6),
+    "registration": Shifted(BEGIN, offset=(2.0, 0.0, 0.0)),
+    "stuck": Stuck(BEGIN),
+    "axes": Swapped(BEGIN),
+}
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return made_plan()
+
+
+def away(run, plan):
+    """Root mean square distance from the planned shapes, mm."""
+    return float(np.sqrt(((run.shape - plan.shape) ** 2).sum(axis=-1).mean()))
+
+
+def led(plan, draw, seed=0, faults=(), **feed):
+    plant = Plant(ROBOT, draw)
+    return closed_loop(plan, plant, Feed(plant, SENSORS, seed, faults=faults, **feed), Tracker(plan, SENSORS, OFF))
+
+
+def check_limits(run, plan):
+    dt = plan.time[1] - plan.time[0]
+    assert (abs(np.diff(run.q, axis=0)) <= ROBOT.speed * dt + 1e-9).all()
+    assert (run.q >= ROBOT.lower - 1e-9).all()
+    assert (run.q <= ROBOT.upper + 1e-9).all()
+    assert (np.diff(run.q[:, 2:4], axis=1) >= -1e-9).all()
+
+
+def test_feedback_brings_robots_to_the_planned_shapes(plan):
+    draws = robots(6)
+    runs = [(open_loop(plan, Plant(ROBOT, draws[k : k + 1])), led(plan, draws[k : k + 1], k)) for k in range(6)]
+    opened, closed = (np.array([away(run, plan) for run in some]) for some in zip(*runs, strict=True))
+    assert closed.mean() < 0.5 * opened.mean()
+    for _, run in runs:
+        check_limits(run, plan)
+        assert not run.lost
+        assert not run.stopped
+        assert run.notes == ()
+
+
+def test_the_same_seed_gives_the_same_run(plan):
+    first, second = (led(plan, robots(1)) for _ in range(2))
+    assert (first.q == second.q).all()
+    assert (first.means == second.means).all()
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_faults_of_sensors_are_told_in_half_a_second_and_do_no_harm(plan, name):
+    draws = robots(3)
+    for k in range(3):
+        run = led(plan, draws[k : k + 1], k, (FAULTS[name],))
+        opened = open_loop(plan, Plant(ROBOT, draws[k : k + 1]))
+        check_limits(run, plan)
+        assert opened.lost or not run.lost
+        first = next(note for note in run.notes if note.time >= BEGIN)
+        assert first.time <= BEGIN + 0.5 + 1e-9
+        assert opened.snapped or not run.snapped
+
+
+def test_tracking_goes_on_once_sensors_can_be_believed_again(plan):
+    run = led(plan, robots(1), faults=(Silence(1.0, 2.5),))
+    assert [note.state for note in run.notes] == [State.HELD, State.TRACKING]
+    assert run.notes[-1].time == pytest.approx(2.5, abs=0.51)
+
+
+def test_a_robot_whose_margin_is_not_safe_stops_where_nothing_is_measured(plan):
+    draw = robots(1)
+    plant, tracker = Plant(ROBOT, draw), Tracker(plan, SENSORS, OFF)
+    q = plan.q[0]
+    for frame, time in enumerate(plan.time[:5].tolist()):
+        plant.moved(q, time)
+        q = tracker.step(frame, q, time, [])
+    assert tracker.notes[0].state is State.HELD
+    assert "no measurement" in tracker.notes[0].why
+    assert tracker.observer.mean == pytest.approx(tracker.observer.differences.mean)
+
+
+@pytest.mark.parametrize("name", ["registration", "axes"])
+def test_sensors_that_have_contradicted_are_not_believed_again(plan, name):
+    run = led(plan, robots(3)[2:], 2, (FAULTS[name],))
+    held = next(note.time for note in run.notes if note.state is State.HELD)
+    after = run.means[plan.time >= held]
+    assert (after == after[0]).all()

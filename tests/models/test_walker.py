@@ -1,0 +1,55 @@
+"""Robots moved step by step: as along whole motions, and as other robots from where they stand."""
+
+import numpy as np
+import pytest
+from near_fold import LONG, near_the_fold
+
+from ctr_nlp import table_i_robot
+from ctr_nlp.models import MODELS
+from ctr_nlp.models.elastic import stability
+from ctr_nlp.robot.draws import drawn_from
+
+
+def stepped(model, robot, q):
+    """x at every row of q, margins there, and jumps on the way."""
+    walker = model.walker(robot.structure, robot.numbers, q[0])
+    x, margins, jumps = [walker.x], [walker.margin()], []
+    for row in q[1:]:
+        jumps.append(walker.go(row))
+        x.append(walker.x)
+        margins.append(walker.margin())
+    return np.array(x), np.array(margins), jumps
+
+
+@pytest.mark.parametrize("name", ["elastic", "dominant"])
+def test_step_by_step_a_robot_comes_to_where_the_whole_motion_leads(name):
+    robot, model = table_i_robot(), MODELS[name]
+    part = np.linspace(0.3, 0.9, 5)[:, None]
+    q = np.hstack([(1 - part) * [-0.6, 0.0, 0.6], part * robot.upper[3:6], 0.1 * part, 0.0 * part])
+    x, margins, jumps = stepped(model, robot, q)
+    found = model.follow(robot, q)
+    assert x == pytest.approx(found.x, abs=1e-6)
+    assert margins == pytest.approx(found.stability, abs=1e-6, nan_ok=True)
+    assert not any(jumps)
+
+
+def test_a_snap_is_told_as_a_jump_of_the_tips():
+    q = np.vstack([near_the_fold(), near_the_fold()[-1:]])
+    q[-1, 0] += 0.4
+    _, _, (*before, jumps) = stepped(MODELS["elastic"], LONG, q)
+    assert not any(before)
+    assert [abs(jump).max() > 1 for jump in jumps] == [True]
+
+
+def test_a_robot_becomes_another_where_it_stands():
+    robot, model = table_i_robot(), MODELS["elastic"]
+    q = np.array([0.4, -0.3, 0.2, 30.0, 70.0, 100.0, 0.1, 0.0])
+    parts = np.zeros((1, 3, 5))
+    parts[..., 0] = 0.1, -0.08, 0.05
+    (other,) = drawn_from(robot, parts, np.zeros((1, 3))).numbers
+    walker = model.walker(robot.structure, robot.numbers, q)
+    twin = walker.copy()
+    assert walker.become(other) == []
+    assert walker.x == pytest.approx(model.walker(robot.structure, other, q).x, abs=1e-6)
+    assert twin.x == pytest.approx(model.rest(robot, q), abs=1e-6)
+    assert twin.margin() == pytest.approx(float(stability.margins(robot.tube_numbers, twin.x[None])[0]))
