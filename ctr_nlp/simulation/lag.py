@@ -1,7 +1,9 @@
 """Rotation lag as a state of a motion: play that grows with the overlap of tubes, viscous drag; a sensor's delay.
 
-All three show the same while a motor turns one way at one speed: a tube that is behind. Play does not depend on
-the speed, drag is proportional to it, and a delay holds back insertions and tilt as well.
+Tubes rub against those around them: a tube is held back while its motor turns against that of the next one
+outwards, the outermost while it turns in its guide, and tubes that turn together do not lag. All three show the
+same while motors turn one way at one speed: a tube that is behind. Play does not depend on the speed, drag is
+proportional to it, and a delay holds back insertions and tilt as well.
 """
 
 from __future__ import annotations
@@ -53,23 +55,23 @@ class Lag(Kept):
         starts = np.arange(len(q)) == 0 if fresh is None else fresh
         play, slope, drag = np.broadcast_arrays(self.play, self.play_per_mm, self.drag)
         found = np.broadcast_to(q, (*play.shape[:-1], *q.shape)).copy()
-        passed = np.diff(time, prepend=time[:1])
-        hidden, alpha = overlaps(robot, q), np.zeros(play.shape)
-        for j, goal in enumerate(q[:, : robot.d]):
+        passed, hidden = np.diff(time, prepend=time[:1]), overlaps(robot, q)
+        turned = np.diff(q[:, : robot.d], prepend=0.0, axis=1)
+        ahead = np.zeros(play.shape)
+        for j in range(len(q)):
             width = play + slope * hidden[j]
             if starts[j]:
-                alpha = np.broadcast_to(goal, play.shape)
+                ahead = np.zeros(play.shape)
             else:
-                slow = goal + _behind(
-                    alpha - q[j - 1, : robot.d], goal - q[j - 1, : robot.d], width, drag, passed[j]
-                )
-                alpha = np.where(drag > 0, slow, dragged(alpha, goal, width))
-            found[..., j, : robot.d] = alpha
+                turn = turned[j] - turned[j - 1]
+                at_once = dragged(dragged(ahead, np.zeros(robot.d), width), turn, width) - turn
+                ahead = np.where(drag > 0, _behind(ahead, turn, width, drag, passed[j]), at_once)
+            found[..., j, : robot.d] += ahead
         return found
 
 
 def _behind(ahead: Array, turn: Array, play: Array, drag: Array, time: float) -> Array:
-    """What tubes are ahead of motors that turn steadily by turn in so much time s, after it; before it, ahead.
+    """What tubes are ahead of motors that turn steadily by turn, against others, in time s; before that, ahead.
 
     One that is ahead by more than its play is left behind by drag until it is within it, stands still while the
     motor takes up the play, and then follows with drag. All (.., d).

@@ -31,6 +31,8 @@ POSES, PLACES, NOISE = 60, 10, 0.5
 KNOWN = Tolerances(0.1, 0.1, motor_zero=0.05)
 ELASTIC = model_named("elastic")
 WITHIN = 3.0
+APART = 5.0
+"""mm: a shape that is further from the true one is that of another equilibrium, which lie apart at a fork."""
 
 
 def main() -> int:
@@ -53,6 +55,10 @@ def main() -> int:
     print(
         f"held-out error over that of the noise-free optimum: mean {ratio.mean():.3f}, largest {ratio.max():.3f}"
     )
+    same = found["elsewhere"] == 0
+    told = f"mean {ratio[same].mean():.3f}, largest {ratio[same].max():.3f}"
+    print(f"the same where all poses are on the robot's branch ({same.sum()} trials): {told}")
+    print(f"held-out poses at which the fit is on another branch: {found['elsewhere'].sum():.0f}")
     print(f"held-out distance from the true shape: mean {found['true_mm'].mean():.3f} mm")
     print(f"seconds of a fit: median {np.median(found['seconds']):.2f}")
     return 0
@@ -77,6 +83,7 @@ def trial(robot: Robot, seed: int) -> dict[str, float]:
         "held_out_mm": _error(found, unseen),
         "optimum_mm": _error(optimum, unseen),
         "true_mm": _error(found, truth),
+        "elsewhere": float((_errors(found, truth) > APART).sum()),
         "seconds": seconds,
     }
 
@@ -111,10 +118,15 @@ def _deviations(found: Calibration, own: Draws) -> Array:
 
 def _error(found: Calibration, measured: Measurements) -> float:
     """The root mean square distance between measured and predicted places at other poses, mm."""
+    return float(np.sqrt(np.mean(_errors(found, measured) ** 2)))
+
+
+def _errors(found: Calibration, measured: Measurements) -> Array:
+    """That of every pose, (T,) mm."""
     values = np.array(found.fit.values)
     values[found.parameters.columns(*BASE)] = 0.0  # found.bases have them
     predicted = Prediction(found.parameters, measured, ELASTIC, list(found.bases)).seen(values).flat()
-    return float(np.sqrt(np.mean(errors(flat_measured(measured) - predicted) ** 2)))
+    return errors(flat_measured(measured) - predicted)
 
 
 if __name__ == "__main__":

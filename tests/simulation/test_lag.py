@@ -15,10 +15,10 @@ NONE = np.zeros(3)
 
 
 def there_and_back(speed, seconds=10.0, steps=400):
-    """All tubes turned to one side and back at a speed, half pushed out."""
+    """Every tube turned against the one around it, to one side and back at a speed, half pushed out."""
     time = np.linspace(0, seconds, steps)
     q = np.zeros((steps, 8))
-    q[:, :3] = (speed * np.minimum(time, seconds - time))[:, None]
+    q[:, :3] = (speed * np.minimum(time, seconds - time))[:, None] * np.array([1, 2, 3])
     q[:, 3:6] = 20.0, 50.0, 80.0
     return q, time
 
@@ -29,12 +29,21 @@ def test_without_lag_tubes_are_where_motors_are():
 
 
 def test_constant_play_is_that_of_draws():
-    """Draws come from where all tubes are aligned; from there on both follow the same rule."""
+    """Where one tube turns, and those within it with it, it lags as a draw's tube does."""
     q, time = there_and_back(0.7)
-    lags = np.array([0.1, 0.02, 0.3])
+    q[:, 1:3] = q[:, :1]
+    lags = np.array([0.1, 0.0, 0.0])
     draws = drawn_from(ROBOT, np.zeros((1, 3, 5)), lags[None])
     fresh = np.arange(len(q)) == 0
     np.testing.assert_allclose(Lag(lags, NONE, NONE).turned(ROBOT, q, time), draws.turned(q, fresh)[0], atol=1e-14)
+
+
+def test_tubes_that_turn_together_do_not_hold_each_other():
+    q, time = there_and_back(0.7)
+    q[:, 0], q[:, 2] = 0.0, q[:, 1]
+    found = Lag(np.full(3, 0.1), NONE, np.full(3, 0.2)).turned(ROBOT, q, time)
+    np.testing.assert_array_equal(found[:, [0, 2]], q[:, [0, 2]])
+    assert (q[100, 1] - found[100, 1]) > 0.1
 
 
 def test_play_grows_with_what_of_the_curved_part_is_hidden():
@@ -72,7 +81,7 @@ def test_tubes_follow_as_the_equation_of_play_and_drag_says(play, drag):
     time = np.cumsum(random.uniform(0.05, 0.4, 30))
     turned = np.cumsum(random.uniform(-0.4, 0.4, 30) * (random.uniform(size=30) < 0.8))
     q = np.zeros((30, 8))
-    q[:, 1], q[:, 3:6] = turned, (20.0, 50.0, 80.0)
+    q[:, 1], q[:, 2], q[:, 3:6] = turned, turned, (20.0, 50.0, 80.0)
     found = Lag(np.full(3, play), NONE, np.full(3, drag)).turned(ROBOT, q, time)
     np.testing.assert_allclose(found[:, 1], integrated(turned, time, play, drag), atol=2e-4)
 
@@ -82,7 +91,7 @@ def test_between_samples_of_a_steady_motion_nothing_depends_on_how_often_one_loo
     for steps in (2, 11, 101):
         time = np.linspace(0, 0.4, steps)
         q = np.zeros((steps, 8))
-        q[:, :3] = 2.0 * time[:, None]
+        q[:, :3] = np.outer(time, [2.0, 1.0, -1.0])
         ends.append(Lag(np.full(3, 0.03), NONE, np.full(3, 0.4)).turned(ROBOT, q, time)[-1])
     np.testing.assert_allclose(ends[0], ends[1], atol=1e-12)
     np.testing.assert_allclose(ends[0], ends[2], atol=1e-12)
@@ -93,6 +102,9 @@ def test_a_little_drag_shows_in_proportion():
     q, time = there_and_back(0.5)
     found = [Lag(NONE, NONE, np.full(3, drag)).turned(ROBOT, q, time) for drag in (0.0, 1e-6)]
     np.testing.assert_allclose((found[0] - found[1])[5:100, :3] / 1e-6, 0.5, rtol=1e-3)
+    q[:, 3:6] *= np.linspace(0.5, 1.2, len(q))[:, None]  # whose play becomes less on the way
+    found = [Lag(NONE, np.full(3, 0.002), np.full(3, drag)).turned(ROBOT, q, time) for drag in (0.0, 1e-6)]
+    assert abs(found[0] - found[1]).max() < 1e-5
 
 
 def test_several_robots_at_once_are_each_by_itself():
