@@ -12,14 +12,14 @@ typedef int (*Function)(const double **, double **, long long *, double *, int);
    and `second`, has entries starts[r] .. starts[r + 1] in columns. ends: the tube whose tip a twist turns, or -1.
 
    converged: the last step of Newton's method, near: on the way, rad; stray: how far an equilibrium may be from its
-   prediction; smallest: part of a step; stride: rad that tubes are turned by at once; push, fall: rad that tubes turn
+   prediction; leap: rad that tips may be predicted to turn against each other in a step, beyond their motors; smallest: part of a step; stride: rad that tubes are turned by at once; push, fall: rad that tubes turn
    by against each other where a branch ends, and at most in a step of a fall; iterations: at most. */
 typedef struct {
     long d, twists, rows;
     const long *starts, *columns, *first, *second, *ends;
     const double *entries;
     Function motors, energy;
-    double converged, near, stray, smallest, stride, push, fall;
+    double converged, near, stray, leap, smallest, stride, push, fall;
     long iterations;
 } Elastic;
 
@@ -117,6 +117,12 @@ static int holds(const Elastic *e, const double *numbers, const double *x);
 static int stepped(const Elastic *e, const double *numbers, const State *from, const double *goal, State *to, int end) {
     double ahead[SIDE];
     predicted(e, numbers, from, goal, ahead);
+    double turn[MOST_TUBES], by_motors[MOST_TUBES];
+    for (long i = 0; i + 1 < e->d; ++i) {
+        turn[i] = ahead[i] - from->x[i];
+        by_motors[i] = (goal[i] - goal[e->d - 1]) - (from->q[i] - from->q[e->d - 1]);
+    }
+    if (!(largest(turn, e->d - 1) < e->leap + largest(by_motors, e->d - 1))) return 0;
     memcpy(to->x, ahead, e->d * sizeof *ahead);
     to->stable = from->stable;
     if (!newton(e, numbers, goal, to, end ? e->converged : e->near)) return 0;

@@ -29,6 +29,10 @@ CONVERGED, NEAR, ITERATIONS = 1e-7, 1e-4, 8
 """rad of the last Newton step, whose error is about its square, and of that on the way; steps at most."""
 STRAY = 0.1
 """rad: an equilibrium further than this from its prediction may belong to another branch."""
+LEAP = 1.0
+"""rad that tips may be predicted to turn against each other in one step, beyond what their motors turn: further
+away, and as near to the prediction by chance, there is another branch.
+"""
 SMALLEST = 2.0**-20
 """Part of a step at which a branch that cannot be followed is held to end."""
 PUSH = 0.1
@@ -62,7 +66,7 @@ class _Elastic(ctypes.Structure):
         *((name, ctypes.c_void_p) for name in ("motors", "energy")),
         *(
             (name, ctypes.c_double)
-            for name in ("converged", "near", "stray", "smallest", "stride", "push", "fall")
+            for name in ("converged", "near", "stray", "leap", "smallest", "stride", "push", "fall")
         ),
         ("iterations", ctypes.c_long),
     ]
@@ -83,7 +87,7 @@ class Compiled:
         addresses = (ctypes.cast(library[function.name()], ctypes.c_void_p).value for function in functions)
         self._keep = library, longs, entries
         places = *(array.ctypes.data for array in (*longs, entries)), *addresses
-        steps = CONVERGED, NEAR, STRAY, SMALLEST, STRIDE, PUSH, FALL, ITERATIONS
+        steps = CONVERGED, NEAR, STRAY, LEAP, SMALLEST, STRIDE, PUSH, FALL, ITERATIONS
         self._elastic = _Elastic(structure.d, len(of.ends), len(of.pattern), *places, *steps)
         self._reference = ctypes.byref(self._elastic)
         self.motors = ca.external(functions[0].name(), str(path))

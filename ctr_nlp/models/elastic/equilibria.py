@@ -22,6 +22,7 @@ from ctr_nlp.models.elastic.compiled import (
     FALL,
     FALLS,
     ITERATIONS,
+    LEAP,
     PUSH,
     SMALLEST,
     STRAY,
@@ -143,7 +144,10 @@ class Equilibria:
 
     def _step(self, state: State, goal: Array) -> State | None:
         """The equilibrium at goal on the branch of one nearby."""
-        predicted = self._predicted(state, goal)
+        predicted, d = self._predicted(state, goal), self._d
+        turns, motors = (predicted - state.x)[: d - 1], (goal - state.q)[:d]
+        if not abs(turns).max(initial=0.0) < LEAP + abs(motors[:-1] - motors[-1]).max(initial=0.0):
+            return None
         new = self._solved(goal, predicted, state.stable)
         if new is None or not abs(new.x - predicted).max() < STRAY:
             return None
