@@ -78,7 +78,8 @@ def test_without_pictures_there_is_none_and_bad_counts_are_refused(saved, tmp_pa
 def test_draws_on_a_model_without_snaps_say_nothing_of_losses(saved, tmp_path, capsys):
     of_dominant = Plan.load(saved / "near.npz").on("dominant")
     of_dominant.save(tmp_path / "plan.npz")
-    given = [str(tmp_path / "plan.npz"), "--draws", "20", "--seed", "4", "--no-figures", "--out", str(tmp_path / "o")]
+    given = [str(tmp_path / "plan.npz"), "--draws", "20", "--seed", "4", "--no-figures"]
+    given += ["--out", str(tmp_path / "o")]
     assert robust(given) == 0
     verdict = Plan.load(tmp_path / "o" / "plan.npz").verdicts.survives_draws
     assert (verdict.word, verdict.number) == ("not known", None)
