@@ -9,16 +9,20 @@ typedef int (*Function)(const double **, double **, long long *, double *, int);
 
 /* d tubes; motors: (x, numbers) -> alpha, slopes (d, d - 1) over phi, column by column. energy: (x, numbers) -> of
    rows the strengths and angles, and scales of twists. The row r of the pattern, the angle between the tubes `first`
-   and `second`, has entries starts[r] .. starts[r + 1] in columns. ends: the tube whose tip a twist turns, or -1.
+   and `other`, has entries starts[r] .. starts[r + 1] in columns. ends: the tube whose tip a twist turns, or -1.
+   second: (x, numbers) -> the energy's second variation (against, against) for twists of tubes against each other.
+   shape: -> vectors (3, vectors) and the tip's direction; travels: (arc lengths, extensions (d,), numbers) ->
+   travel (vectors,) along these, for LANES at once.
 
    converged: the last step of Newton's method, near: on the way, rad; stray: how far an equilibrium may be from its
-   prediction; leap: rad that tips may be predicted to turn against each other in a step, beyond their motors; smallest: part of a step; stride: rad that tubes are turned by at once; push, fall: rad that tubes turn
-   by against each other where a branch ends, and at most in a step of a fall; iterations: at most. */
+   prediction; leap: rad that tips may be predicted to turn against each other in a step, beyond their motors;
+   smallest: part of a step; stride: rad that tubes are turned by at once; push, fall: rad that tubes turn by against
+   each other where a branch ends, and at most in a step of a fall; iterations: at most. */
 typedef struct {
-    long d, twists, rows;
-    const long *starts, *columns, *first, *second, *ends;
+    long d, twists, rows, against, vectors;
+    const long *starts, *columns, *first, *other, *ends;
     const double *entries;
-    Function motors, energy;
+    Function motors, energy, second, shape, travels;
     double converged, near, stray, leap, smallest, stride, push, fall;
     long iterations;
 } Elastic;
@@ -111,7 +115,7 @@ static void predicted(const Elastic *e, const double *numbers, const State *from
         for (long i = 0; i < d; ++i) x[i] += turn[i];
 }
 
-static int holds(const Elastic *e, const double *numbers, const double *x);
+static double margin_at(const Elastic *e, const double *numbers, const double *x);
 
 /* One step along a branch; whether it is clear that `to` is on it. An unstable one may pass a fold. */
 static int stepped(const Elastic *e, const double *numbers, const State *from, const double *goal, State *to, int end) {
@@ -129,7 +133,7 @@ static int stepped(const Elastic *e, const double *numbers, const State *from, c
     for (long i = 0; i < e->d; ++i) ahead[i] -= to->x[i];
     if (!(largest(ahead, e->d) < e->stray)) return 0;
     if (to->determinant * from->determinant > 0) return 1;
-    if (!from->stable) to->stable = holds(e, numbers, to->x);
+    if (!from->stable) to->stable = margin_at(e, numbers, to->x) > 0;
     return !from->stable;
 }
 
