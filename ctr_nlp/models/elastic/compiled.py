@@ -14,7 +14,7 @@ import numpy as np
 
 from ctr_nlp.codegen import cache
 from ctr_nlp.codegen.background import Library
-from ctr_nlp.codegen.vector import LANES
+from ctr_nlp.codegen.vector import LANES, SAME
 from ctr_nlp.models.elastic import energy, shape, torsion
 from ctr_nlp.models.protocol import Rest, combination, matrix_of, symbolic_tubes
 from ctr_nlp.robot.structure import NUMBERS, Structure, Tubes
@@ -23,12 +23,12 @@ from ctr_nlp.typing import Array, Flags
 MOST_TUBES = 8
 """That branch.c has room for."""
 CODE = "branch.c", "margin.c", "energy.c", "fall.c", "shape.c"
-FUNCTIONS = "motors", "energy", "second", "shape", "travels"
+FUNCTIONS = "motors", "energy", "second", "shape", "points"
 """That the struct Elastic of branch.c holds; the last for LANES arc lengths at once."""
 
-STRIDE = 0.5
+STRIDE = 1.0
 """rad that tubes are turned by at once on the way from the aligned robot."""
-CONVERGED, NEAR, ITERATIONS = 1e-7, 1e-4, 8
+CONVERGED, NEAR, ITERATIONS = 1e-7, 1e-2, 8
 """rad of the last Newton step, whose error is about its square, and of that on the way; steps at most."""
 STRAY = 0.1
 """rad: an equilibrium further than this from its prediction may belong to another branch."""
@@ -156,8 +156,8 @@ class Symbolic(NamedTuple):
     """Functions of a structure, in the order of FUNCTIONS, but for the last; that, for LANES at once; the energy.
 
     motors: (x, numbers (d, 6)) -> alpha and slopes over phi but the last. energy: -> strength, angles, scales.
-    second: -> the same in Symbols. shape: -> vectors (3, n) and the tip's direction. travels: (s, extensions (d,),
-    numbers) -> travel along the vectors (n,).
+    second: -> the same in Symbols. shape: -> vectors (3, n) and the tip's direction. points: (arc length, vectors,
+    extensions (d,), numbers) -> the point there (3,), mm.
     """
 
     alone: tuple[ca.Function, ...]
@@ -167,7 +167,7 @@ class Symbolic(NamedTuple):
     @property
     def vectors(self) -> int:
         """How many a shape is made of."""
-        return int(self.beside.numel_out(0))
+        return int(self.beside.size_in(1)[1])
 
 
 @functools.lru_cache(maxsize=64)
@@ -191,9 +191,10 @@ def symbolic(structure: Structure) -> Symbolic:
         ca.Function(name, [x, numbers], [ca.densify(part) for part in parts])
         for name, parts in zip(FUNCTIONS, made, strict=False)
     ]
-    own = ca.SX.sym("beta", d)
-    (travelled,) = ca.substitute([ca.densify(ca.vertcat(*travels))], [ca.vertcat(*beta)], [own])
-    return Symbolic(tuple(alone), ca.Function("travels", [s, own, numbers], [travelled]), of)
+    given = s, ca.SX.sym("vectors", 3, len(placed)), ca.SX.sym("beta", d), numbers
+    (point,) = ca.substitute([given[1] @ ca.vertcat(*travels)], [ca.vertcat(*beta)], [given[2]])
+    names = "s", f"{SAME}vectors", f"{SAME}beta", f"{SAME}numbers"
+    return Symbolic(tuple(alone), ca.Function("points", given, [ca.densify(point)], names, ["point"]), of)
 
 
 def compiled(structure: Structure) -> Compiled | None:

@@ -1,31 +1,19 @@
-/* Shapes of the elastic model: sums of vectors, each times how far a robot travels along it; branch.c, margin.c
-   and fall.c come before this file. */
+/* Shapes of the elastic model; branch.c, margin.c and fall.c come before this file. */
 
-enum { LANES = 8, NUMBERS = 6 };
+enum { LANES = 8 };
 
 /* Points (samples, 3) at sigma (samples,), mm, and the tip's direction (3,). */
 static void shape_at(const Elastic *e, const double *numbers, const double *x, const double *sigma, long samples,
                      double *points, double *tip) {
-    long d = e->d, n = e->vectors, count = d * NUMBERS;
-    double vectors[3 * n], s[LANES], beta[LANES * d], known[LANES * count], travels[LANES * n];
-    const double *at[] = {x, numbers}, *arg[] = {s, beta, known};
-    double *res[] = {vectors, tip}, *found[] = {travels};
-    e->shape(at, res, 0, 0, 0);
-    for (long l = 0; l < LANES; ++l) {
-        memcpy(beta + l * d, x + d, d * sizeof *x);
-        memcpy(known + l * count, numbers, count * sizeof *x);
-    }
+    double vectors[3 * e->vectors], s[LANES], found[3 * LANES];
+    const double *at[] = {x, numbers}, *arg[] = {s, vectors, x + e->d, numbers};
+    double *whole[] = {vectors, tip}, *res[] = {found};
+    e->shape(at, whole, 0, 0, 0);
     for (long first = 0; first < samples; first += LANES) {
         long here = samples - first < LANES ? samples - first : LANES;
-        double sums[3][LANES] = {{0}};
-        for (long l = 0; l < LANES; ++l) s[l] = sigma[first + (l < here ? l : here - 1)] * x[2 * d - 1];
-        e->travels(arg, found, 0, 0, 0);
-        for (long k = 0; k < n; ++k)
-            for (long i = 0; i < 3; ++i)
-#pragma omp simd
-                for (long l = 0; l < LANES; ++l) sums[i][l] += vectors[3 * k + i] * travels[l * n + k];
-        for (long l = 0; l < here; ++l)
-            for (long i = 0; i < 3; ++i) points[3 * (first + l) + i] = sums[i][l];
+        for (long l = 0; l < LANES; ++l) s[l] = sigma[first + (l < here ? l : 0)] * x[2 * e->d - 1];
+        e->points(arg, res, 0, 0, 0);
+        memcpy(points + 3 * first, found, 3 * here * sizeof *found);
     }
 }
 
