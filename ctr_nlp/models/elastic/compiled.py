@@ -136,11 +136,13 @@ class Compiled:
 
     def rests(self, numbers: Array, q: Array, sigma: Array) -> Rest:
         """One robot, of numbers (1, 6d), at rest at every q (T, 2d + 2) without a history; points at sigma (m,)."""
-        q, sigma, rows = np.ascontiguousarray(q, dtype=float), np.ascontiguousarray(sigma, dtype=float), len(q)
-        found = Rest(np.empty(q.shape), np.empty((rows, len(sigma), 3)), np.empty((rows, 3)), np.empty(rows))
-        at = _address(numbers), _address(q), ctypes.c_long(rows), _address(sigma), ctypes.c_long(len(sigma))
-        self._run.rests(self._reference, *at, *map(_address, found))
-        return found
+        q, sigma = np.ascontiguousarray(q, dtype=float), np.ascontiguousarray(sigma, dtype=float)
+        rows, n, m = *q.shape, len(sigma)
+        found = np.empty((rows, n + 4 + 3 * m))
+        at = _address(numbers), _address(q), ctypes.c_long(rows), _address(sigma), ctypes.c_long(m)
+        self._run.rests(self._reference, *at, _address(found))
+        points = found[:, n + 4 :].reshape(rows, m, 3)
+        return Rest(found[:, :n], points, found[:, n : n + 3], found[:, n + 3])
 
 
 def _address(array: np.ndarray[Any, Any]) -> ctypes.c_void_p:
@@ -201,13 +203,13 @@ def compiled(structure: Structure) -> Compiled | None:
     """What all robots of a structure share; None until it has been made, and where nothing can be compiled."""
     if os.environ.get(cache.SWITCH) == "0" or structure.d > MOST_TUBES:
         return None
-    return _soon(replace(structure, gap=False))()
+    return _soon(structure)()
 
 
 class _Soon:
     def __init__(self, structure: Structure) -> None:
-        made = symbolic(structure)
-        self._structure = structure
+        self._structure = replace(structure, gap=False)
+        made = symbolic(self._structure)
         described = "\n".join(function.serialize() for function in made.alone)
         self._alone = Library(described, lambda: made.alone, 1)
         self._beside = Library(made.beside.serialize(), lambda: (made.beside,), LANES)

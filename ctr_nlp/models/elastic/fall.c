@@ -104,7 +104,7 @@ static double step_down(const Elastic *e, const Energy *of, const double *motors
     double *angles = ahead + n, *there = angles + e->rows, size = 0;
     double height = energy_at(e, of, motors, a, angles, slope);
     bent(e, of, angles);
-    for (*time *= 8; *time > 1e-12; *time *= size > e->fall ? fmax(0.1, 0.8 * e->fall / size) : 0.5) {
+    for (; *time > 1e-12; *time *= size > e->fall ? fmax(0.1, 0.8 * e->fall / size) : 0.5) {
         size = 0;
         if (!factored(of->matrix, n, gamma * *time, l)) continue;
         for (long i = 0; i < n; ++i) first[i] = -slope[i];
@@ -127,7 +127,7 @@ static double step_down(const Elastic *e, const Energy *of, const double *motors
 static int fall(const Elastic *e, const Energy *of, const double *motors, const double *angles, const double *towards,
                 double *a) {
     long n = of->n;
-    double *v = of->work, *there = v + n, *l = there + e->rows, along = 0, time = 1;
+    double *v = of->work, *there = v + n, *l = there + e->rows, along = 0, time = 8;
     memset(a, 0, n * sizeof *a);
     for (long r = 0; r < e->rows; ++r) {
         double pull = of->strengths[r] * sin(angles[r]);
@@ -138,8 +138,11 @@ static int fall(const Elastic *e, const Energy *of, const double *motors, const 
     turned(e, of, v, there);
     for (long r = 0; r < e->rows; ++r) along += there[r] * towards[r];
     for (long i = 0; i < n; ++i) a[i] += v[i] * copysign(e->push / largest(there, e->rows), along);
-    for (long k = 0; k < MOST_STEPS; ++k)
-        if (step_down(e, of, motors, a, &time) < e->converged && time > 40) return 1;
+    for (long k = 0; k < MOST_STEPS; ++k) {
+        double size = step_down(e, of, motors, a, &time);
+        if (size < e->converged && time > 40) return 1;
+        time *= size > 0.125 * e->fall ? e->fall / size : 8;
+    }
     return 0;
 }
 

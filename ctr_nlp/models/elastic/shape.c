@@ -24,15 +24,16 @@ void shapes(const Elastic *e, const double *numbers, long step, const double *x,
         shape_at(e, numbers, x, sigma, samples, points + 3 * samples * row, tips + 3 * row);
 }
 
-/* Robots at rest at every q without a history: x, points, directions of tips, margins; NaN where none is found. */
+/* Robots at rest at every q without a history: x, the tip's direction, the margin and points, row by row; NaN where no
+   equilibrium is found. */
 void rests(const Elastic *e, const double *numbers, const double *q, long rows, const double *sigma, long samples,
-           double *x, double *points, double *tips, double *margins) {
+           double *to) {
     long n = 2 * e->d + 2, found;
     State state;
-    for (long row = 0; row < rows; ++row, x += n) {
-        settle(e, numbers, 0, q + n * row, 1, &state, &found);
-        for (long i = 0; i < n; ++i) x[i] = found ? state.x[i] : NAN;
-        margins[row] = margin_at(e, numbers, x);
-        shape_at(e, numbers, x, sigma, samples, points + 3 * samples * row, tips + 3 * row);
+    for (long row = 0; row < rows; ++row, q += n, to += n + 4 + 3 * samples) {
+        settle(e, numbers, 0, q, 1, &state, &found);
+        for (long i = 0; i < n; ++i) to[i] = found ? state.x[i] : NAN;
+        shape_at(e, numbers, to, sigma, samples, to + n + 4, to + n);
+        to[n + 3] = margin_at(e, numbers, to);
     }
 }
