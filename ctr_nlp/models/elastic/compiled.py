@@ -151,7 +151,7 @@ class _Soon:
     def __init__(self, structure: Structure) -> None:
         functions, _ = symbolic(structure)
         described = "\n".join(function.serialize() for function in functions)
-        self._structure, self._library = structure, Library(described, lambda: functions, 1)
+        self._structure, self._library = structure, Library(described, functools.partial(tuple, functions), 1)
         self._found: Compiled | None = None
 
     def __call__(self) -> Compiled | None:
