@@ -135,7 +135,7 @@ class Compiled:
         return points, tips
 
     def rests(self, numbers: Array, q: Array, sigma: Array) -> Rest:
-        """One robot, of numbers (1, 6d), at rest at every q (T, 2d + 2) without a history; points at sigma (m,)."""
+        """One robot, of numbers (1, 6d), at rest at every q (T, 2d + 2) without history; points at sigma (m,)."""
         q, sigma = np.ascontiguousarray(q, dtype=float), np.ascontiguousarray(sigma, dtype=float)
         rows, n, m = *q.shape, len(sigma)
         found = np.empty((rows, n + 4 + 3 * m))
@@ -211,8 +211,8 @@ class _Soon:
         self._structure = replace(structure, gap=False)
         made = symbolic(self._structure)
         described = "\n".join(function.serialize() for function in made.alone)
-        self._alone = Library(described, lambda: made.alone, 1)
-        self._beside = Library(made.beside.serialize(), lambda: (made.beside,), LANES)
+        self._alone = Library(described, functools.partial(tuple, made.alone), 1)
+        self._beside = Library(made.beside.serialize(), functools.partial(tuple, (made.beside,)), LANES)
         self._found: Compiled | None = None
 
     def __call__(self) -> Compiled | None:
