@@ -11,7 +11,8 @@ import scipy.sparse as sp
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.nlp.links import Link
-from ctr_nlp.nlp.nlp import FrameFunctions, Nlp
+from ctr_nlp.nlp.nlp import Nlp
+from ctr_nlp.nlp.written import FrameFunctions
 from ctr_nlp.support.values import frozen
 from ctr_nlp.typing import Array, Index
 

@@ -21,8 +21,9 @@ from ctr_nlp.formulations.joint import terms_of
 from ctr_nlp.formulations.terms import Term, Touch
 from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.models import Model
-from ctr_nlp.nlp.nlp import FrameFunctions, Nlp
+from ctr_nlp.nlp.nlp import Nlp
 from ctr_nlp.nlp.scenarios import Scenarios, SharedMotion
+from ctr_nlp.nlp.written import FrameFunctions
 from ctr_nlp.robot import Robot
 from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
