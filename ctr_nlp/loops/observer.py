@@ -115,24 +115,40 @@ class Observer:
 
     def moved(self, q: Array, time: float) -> None:
         """The motors have moved to q (2d + 2,) at a time, s."""
+        stood = None if self._walker is None else self._walker.copy()
+        fell = self._gone(q)
+        if fell and stood is not None and self.rival is None:
+            self._forked(stood, fell, time)
+        else:
+            self.jumps = self.jumps + fell
+        if self.rival is not None:
+            self.rival.moved(q, time)
+        self._look(time)
+
+    def _gone(self, q: Array) -> list[Array]:
+        """The motors have moved to q (2d + 2,); by what the tips of the estimated robot jumped."""
         d = self._d
         before = np.full(d, q[d - 1]) if self._walker is None else self.q[:d]
         free = self._behind - (q[:d] - before)
         self._behind = np.clip(free, -self._lags, self._lags)
         self._engaged = np.where(self._behind != free, np.sign(self._behind), self._engaged)
         self.q = np.array(q)
-        if self._walker is None:
-            self._walker = self._model.walker(self._structure, self._numbers, self.tubes)
-        else:
-            stood = self._walker.copy()
-            fell = self._walker.go(self.tubes)
-            if fell and self.rival is None:
-                self._forked(stood, fell, time)
-            else:
-                self.jumps = self.jumps + fell
-        if self.rival is not None:
-            self.rival.moved(q, time)
-        self._look(time)
+        if self._walker is not None:
+            return self._walker.go(self.tubes)
+        self._walker = self._model.walker(self._structure, self._numbers, self.tubes)
+        return []
+
+    def led(self, places: Array) -> None:
+        """The motors pass places (n, 2d + 2), of which nothing is predicted."""
+        self._walker = None if self._walker is None else self._walker.copy()
+        for q in places:
+            self._gone(q)
+
+    def ahead(self, places: Array) -> Observer:
+        """The same estimate where its motors will have passed places (n, 2d + 2)."""
+        found = copy.copy(self)
+        found.led(places)
+        return found
 
     def _forked(self, stood: Walker, fell: list[Array], time: float) -> None:
         """The estimated robot has fallen from where it stood: go on as the nearest likely one that has not, if
