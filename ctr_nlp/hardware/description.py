@@ -149,6 +149,14 @@ class Hardware:
         q[..., [robot.axes.index(axis.joint) for axis in self.axes]] = lengths / self.each("scale")
         return q
 
+    def reach(self, robot: Robot) -> tuple[Array, Array]:
+        """The least and the largest q (2d + 2,) in the axes' ranges; infinite where no axis moves it."""
+        least, most = np.full((2, 2 * robot.d + 2), [[-np.inf], [np.inf]])
+        for axis in self.axes:
+            i = robot.axes.index(axis.joint)
+            least[i], most[i] = sorted((end - axis.zero) / axis.scale for end in axis.range)
+        return least, most
+
     @classmethod
     def from_toml(cls, path: str | Path) -> Hardware:
         """The hardware of a TOML file; raises HardwareError, also where it cannot move the robot that it names."""

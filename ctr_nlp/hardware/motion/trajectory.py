@@ -39,6 +39,7 @@ class Trajectory:
     robot: with the limits of the hardware. knots (T,): parameters of the path (the plan's time) where frames are
     passed, the first of which may be a place between frames; frames (T,): their numbers. lash: what is added to
     the axes' positions (.., m) for play in the drives, a function of that parameter. digests: of what is played.
+    share: of the largest speeds and accelerations that it was timed with; the rest is left for corrections.
     """
 
     robot: Robot
@@ -48,6 +49,7 @@ class Trajectory:
     knots: Array
     frames: npt.NDArray[np.int64]
     digests: Digests
+    share: float = 1.0
 
     @property
     def duration(self) -> float:
@@ -84,6 +86,22 @@ class Trajectory:
         """The last frame that is passed by a time in s, 0 before the first."""
         return int(self.frames[self.frame_time <= time].max(initial=0))
 
+    def shifted(self, knots: Array, offsets: Array) -> Trajectory:
+        """The same motion at the same pace, with offsets (K, 2d + 2) added to q at knots (K,) of its path.
+
+        They change from knot to knot as 3 x^2 - 2 x^3; knots are parameters where frames are passed, or a start
+        between them at which the offset is that of the next.
+        """
+        path = self.motion.path
+        added = CubicHermiteSpline(knots, offsets, np.zeros_like(offsets))
+        at = np.clip(path.x, knots[0], knots[-1])
+        places, slopes = path(path.x) + added(at), path(path.x, 1) + added(at, 1)
+        return replace(self, motion=replace(self.motion, path=CubicHermiteSpline(path.x, places, slopes)))
+
+    def continues(self, other: Trajectory | None) -> bool:
+        """Whether it is the same motion as another, but for what was shifted."""
+        return other is not None and self.knots is other.knots
+
     def commands(self, longest: float = LONGEST) -> Commands:
         """The motion in straight pieces of at most so many s, with frames among their ends."""
         counts = np.maximum(1, np.ceil(np.diff(self.frame_time) / longest - 1e-6)).astype(int)
@@ -95,10 +113,13 @@ class Trajectory:
         return Commands(time, np.repeat(self.frames[1:], counts), self.positions(time))
 
 
-def trajectory_of(plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: Array | None = None) -> Trajectory:
+def trajectory_of(
+    plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: Array | None = None, share: float = 1.0
+) -> Trajectory:
     """A plan's motion from its first frame on, at its own pace times tempo, slower where the hardware has to.
 
-    standing (m,): positions from which axes come to the first frame. Raises HardwareError, OptionError,
+    standing (m,): positions from which axes come to the first frame. share: of the largest speeds and
+    accelerations. Raises HardwareError, OptionError,
     TrajectoryError; what is played must be checked before (checks.checked).
     """
     if isinstance(tempo, bool) or not 0 < tempo <= 1:
@@ -111,7 +132,7 @@ def trajectory_of(plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: 
     lash = made_up(plan.time, positions, hardware.backlash, before)
     path = path_through(robot, plan.time, plan.q)
     frames = np.arange(1, len(plan.time) + 1)
-    return along(robot, hardware, path, lash, plan.time, frames, digests(plan, hardware), tempo)
+    return along(robot, hardware, path, lash, plan.time, frames, digests(plan, hardware), tempo, share)
 
 
 def rest_of(trajectory: Trajectory, s: float, tempo: float = 1.0) -> Trajectory:
@@ -121,10 +142,13 @@ def rest_of(trajectory: Trajectory, s: float, tempo: float = 1.0) -> Trajectory:
         raise TrajectoryError("nothing is left of this trajectory: it has reached its last frame")
     knots = np.append(s, trajectory.knots[ahead])
     frames = np.append(trajectory.frames[ahead][0] - 1, trajectory.frames[ahead])
-    path = trajectory.motion.path
-    return along(
-        trajectory.robot, trajectory.hardware, path, trajectory.lash, knots, frames, trajectory.digests, tempo
+    robot, hardware, path, lash = (
+        trajectory.robot,
+        trajectory.hardware,
+        trajectory.motion.path,
+        trajectory.lash,
     )
+    return along(robot, hardware, path, lash, knots, frames, trajectory.digests, tempo, trajectory.share)
 
 
 def approach_to(trajectory: Trajectory, standing: Array, theta: Array) -> Trajectory:
@@ -173,14 +197,15 @@ def along(
     frames: npt.NDArray[np.int64],
     names: Digests,
     tempo: float,
+    share: float = 1.0,
 ) -> Trajectory:
-    """The trajectory along a path, whose limits are those of what the drives do."""
+    """The trajectory along a path, within a share of the largest speeds and accelerations of what the drives do."""
 
     def driven(s: Array, order: int = 0) -> Array:
         return np.asarray(path(s, order) + hardware.in_joints(robot, lash(s, order)))
 
-    motion = timed(path, driven, knots, robot.speed, robot.acceleration, tempo)
-    return Trajectory(robot, hardware, motion, lash, knots, frames, names)
+    motion = timed(path, driven, knots, share * robot.speed, share * robot.acceleration, tempo)
+    return Trajectory(robot, hardware, motion, lash, knots, frames, names, share)
 
 
 def digests(plan: Plan, hardware: Hardware) -> Digests:
