@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from enum import Enum
 from typing import NamedTuple
 
@@ -65,16 +66,24 @@ class Tracker:
     """
 
     def __init__(
-        self, plan: Plan, sensors: Sensors, tolerances: Tolerances | None = None, pull: float = PULL
+        self,
+        plan: Plan,
+        sensors: Sensors,
+        tolerances: Tolerances | None = None,
+        pull: float = PULL,
+        known: tuple[Array, Array] | None = None,
     ) -> None:
         """Compile, and wait for it; tolerances: of the robot, None for the plan's.
 
-        Raises OptionError, RobotError.
+        known: mean (k,) and covariance (k, k) of the robot's differences, None for what the tolerances say. Raises
+        OptionError, RobotError.
         """
         if not plan.complete:
             raise OptionError("the plan has frames without a solution, and cannot be tracked")
         self.plan, self._robot, model = plan, plan.robot, model_named(plan.evaluated)
         differences = Differences.of(plan.robot, tolerances)
+        if known is not None:
+            differences = replace(differences, mean=known[0], covariance=known[1])
         places = np.linspace(0.0, 1.0, PLACES)
         count = len(sensors.sigma)
         spare = np.zeros(max(ROOM - count - PLACES, 0))

@@ -32,6 +32,23 @@ class Digests(NamedTuple):
     hardware: str
 
 
+class Patch(NamedTuple):
+    """Places q (K, 2d + 2) and slopes (K, 2d + 2) of a path at its breakpoints from one, `first`, on."""
+
+    first: int
+    q: Array
+    slopes: Array
+
+    def told(self) -> dict[str, Any]:
+        """For a journal."""
+        return {"first": self.first, "q": self.q.tolist(), "slopes": self.slopes.tolist()}
+
+    @classmethod
+    def of(cls, told: dict[str, Any]) -> Patch:
+        """The patch that told tells."""
+        return cls(int(told["first"]), np.array(told["q"]), np.array(told["slopes"]))
+
+
 @dataclass(frozen=True)
 class Trajectory:
     """A motion of a robot through numbered frames, at rest at both ends, on some hardware.
@@ -86,20 +103,15 @@ class Trajectory:
         """The last frame that is passed by a time in s, 0 before the first."""
         return int(self.frames[self.frame_time <= time].max(initial=0))
 
-    def shifted(self, knots: Array, offsets: Array) -> Trajectory:
-        """The same motion at the same pace, with offsets (K, 2d + 2) added to q at knots (K,) of its path.
-
-        They change from knot to knot as 3 x^2 - 2 x^3; knots are parameters where frames are passed, or a start
-        between them at which the offset is that of the next.
-        """
-        path = self.motion.path
-        added = CubicHermiteSpline(knots, offsets, np.zeros_like(offsets))
-        at = np.clip(path.x, knots[0], knots[-1])
-        places, slopes = path(path.x) + added(at), path(path.x, 1) + added(at, 1)
-        return replace(self, motion=replace(self.motion, path=CubicHermiteSpline(path.x, places, slopes)))
+    def patched(self, patch: Patch) -> Trajectory:
+        """The same motion at the same pace, with other places from some of its path's breakpoints on."""
+        path, rows = self.motion.path, slice(patch.first, patch.first + len(patch.q))
+        q, slopes = path(path.x), path(path.x, 1)
+        q[rows], slopes[rows] = patch.q, patch.slopes
+        return replace(self, motion=replace(self.motion, path=CubicHermiteSpline(path.x, q, slopes)))
 
     def continues(self, other: Trajectory | None) -> bool:
-        """Whether it is the same motion as another, but for what was shifted."""
+        """Whether it is the same motion as another, but for patches."""
         return other is not None and self.knots is other.knots
 
     def commands(self, longest: float = LONGEST) -> Commands:
@@ -199,7 +211,7 @@ def along(
     tempo: float,
     share: float = 1.0,
 ) -> Trajectory:
-    """The trajectory along a path, within a share of the largest speeds and accelerations of what the drives do."""
+    """The trajectory along a path; limits, a share of the largest, are those of what the drives do."""
 
     def driven(s: Array, order: int = 0) -> Array:
         return np.asarray(path(s, order) + hardware.in_joints(robot, lash(s, order)))

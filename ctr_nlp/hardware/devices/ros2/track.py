@@ -66,7 +66,8 @@ class Ramp(NamedTuple):
 class Track:
     """The path that a controller is to follow, from a position (m,) along commands, and its pace.
 
-    ramp: of a track whose place this one takes, None where it is at rest. It is at rest at both ends, overshoots no command, and is a cubic between commands, as the controller's is.
+    It is at rest at both ends, overshoots no command, and is a cubic between commands, as the controller's is.
+    ramp: of the track whose place it takes, None for one that is at rest.
     """
 
     def __init__(self, start: Array, commands: Commands, ramp: Ramp | None = None) -> None:
