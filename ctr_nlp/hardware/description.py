@@ -13,6 +13,7 @@ import numpy as np
 from ctr_nlp.exceptions import HardwareError, RobotError
 from ctr_nlp.hardware.arm.description import Arm
 from ctr_nlp.hardware.axis import Axis, check_fit, tightened
+from ctr_nlp.hardware.sensing.description import Sensing
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.values import described, number, read_toml
 from ctr_nlp.typing import Array
@@ -21,7 +22,7 @@ DEVICES = ("simulated", "grbl", "ros2")
 HOMING = ("manual", "cycle")
 FLOW = ("count", "wait")
 
-KEYS = "name, robot, axes, arm, connection, approach, late"
+KEYS = "name, robot, axes, arm, connection, sensing, approach, late"
 """Of a hardware file."""
 
 
@@ -85,7 +86,7 @@ class Hardware:
     approach: part of the largest speeds at which the first frame is gone to. robot: whose tubes are mounted; plans
     for others are refused, None takes any. late: s that a motion may be behind its schedule. commissioned: the
     controller's settings by name when the rig was commissioned, as it told them; None where that was not done.
-    Raises HardwareError.
+    sensing: what measures the robot, None for nothing. Raises HardwareError.
     """
 
     axes: tuple[Axis, ...]
@@ -95,6 +96,7 @@ class Hardware:
     robot: Robot | None = None
     late: float = 1.0
     commissioned: dict[str, str] | None = None
+    sensing: Sensing | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axes", tuple(self.axes))
@@ -177,6 +179,7 @@ class Hardware:
                 Robot.from_toml(Path(path).parent / data["robot"]) if "robot" in data else None,
                 data.get("late", cls.late),
                 read_commissioned(path),
+                described(Sensing, data["sensing"]) if "sensing" in data else None,
             )
             if hardware.robot is not None:
                 hardware.tightened(hardware.robot)

@@ -30,6 +30,8 @@ class ClosedLoop:
 
     def guide(self, trajectory: Trajectory, before: Array, journal: Journal) -> Guide:
         """Who corrects a trajectory; before (n, 2d + 2): where the robot has come through."""
+        observer = self.tracker.observer
+        journal.record("estimate", mean=observer.mean.tolist(), covariance=observer.covariance.tolist())
         self._source.led(before)
         guide = Guide(Course(trajectory, self.tracker, before), self._source, journal, self._told)
         self.estimates = guide.estimates
@@ -42,5 +44,13 @@ class ClosedLoop:
 
 def known_of(records: list[dict[str, Any]]) -> tuple[Array, Array] | None:
     """Mean (k,) and covariance (k, k) of the robot's differences at a session's end; None where nobody knew."""
-    told = next((record for record in records[::-1] if record["kind"] == "corrected"), None)
-    return None if told is None else (np.array(told["mean"]), np.array(told["covariance"]))
+    return next((_known(record) for record in records[::-1] if "covariance" in record), None)
+
+
+def begun_with(records: list[dict[str, Any]]) -> tuple[Array, Array] | None:
+    """The same when a session began."""
+    return next((_known(record) for record in records if "covariance" in record), None)
+
+
+def _known(record: dict[str, Any]) -> tuple[Array, Array]:
+    return np.array(record["mean"]), np.array(record["covariance"])

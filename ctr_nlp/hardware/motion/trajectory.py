@@ -105,6 +105,8 @@ class Trajectory:
 
     def patched(self, patch: Patch) -> Trajectory:
         """The same motion at the same pace, with other places from some of its path's breakpoints on."""
+        if not len(patch.q):
+            return self
         path, rows = self.motion.path, slice(patch.first, patch.first + len(patch.q))
         q, slopes = path(path.x), path(path.x, 1)
         q[rows], slopes[rows] = patch.q, patch.slopes
@@ -230,5 +232,6 @@ def digests(plan: Plan, hardware: Hardware) -> Digests:
                 f"{field.name} {array.dtype} {array.shape}".encode() + np.ascontiguousarray(array).tobytes()
             )
     return Digests(
-        known.hexdigest(), hashlib.sha256(repr(replace(hardware, commissioned=None)).encode()).hexdigest()
+        known.hexdigest(),
+        hashlib.sha256(repr(replace(hardware, commissioned=None, sensing=None)).encode()).hexdigest(),
     )
