@@ -15,7 +15,7 @@ from ctr_nlp.hardware.axis import Axis
 from ctr_nlp.hardware.description import Connection, Hardware
 from ctr_nlp.hardware.emulator.firmware import Firmware
 from ctr_nlp.hardware.emulator.wire import Fault as WireFault
-from ctr_nlp.hardware.guiding.loop import ClosedLoop, known_of
+from ctr_nlp.hardware.guiding.loop import ClosedLoop, begun_with, known_of
 from ctr_nlp.hardware.guiding.replay import Replay, replayed
 from ctr_nlp.hardware.journal import read_journal
 from ctr_nlp.hardware.playing.results import Result
@@ -60,19 +60,22 @@ class Loops:
     def begin(self, wire: tuple[WireFault, ...] = (), seen: Callable[..., None] | None = None) -> Result:
         """Play from the first frame."""
         self.world.latest = self.world.player(wire)
-        return begin(self.world.latest, self.world.plan, self.world.hardware, seen=seen, loop=self.loop())
+        self.latest = self.loop()
+        return begin(self.world.latest, self.world.plan, self.world.hardware, seen=seen, loop=self.latest)
 
     def resume(self, seen: Callable[..., None] | None = None) -> Result:
         """Go on."""
         records = read_journal(self.world.path)
         self.world.latest = self.world.player()
-        loop = self.loop(known_of(records))
-        return resume(self.world.latest, self.world.plan, self.world.hardware, records, seen=seen, loop=loop)
+        self.latest = self.loop(known_of(records))
+        world = self.world
+        return resume(world.latest, world.plan, world.hardware, records, seen=seen, loop=self.latest)
 
-    def replayed(self, known: Any = None) -> Replay:
+    def replayed(self) -> Replay:
         """The last session again, from its journal."""
-        tracker = Tracker(self.world.plan, SENSORS, known=known)
-        return replayed(self.world.plan, self.world.hardware, read_journal(self.world.path), tracker)
+        records = read_journal(self.world.path)
+        tracker = Tracker(self.world.plan, SENSORS, known=begun_with(records))
+        return replayed(self.world.plan, self.world.hardware, records, tracker)
 
     def away(self) -> float:
         """Root mean square distance of the robot's shapes from the planned ones where it was as long, mm."""

@@ -28,8 +28,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--closed-loop",
         action="store_true",
-        help="correct the plan while it is played, by what the sensor in the hardware file ([sensing]) tells of the"
-        " robot, whose tubes may differ from the plan's by its tolerances",
+        help="correct the plan while it is played, by what the sensor in the hardware file ([sensing]) tells of "
+        "the robot, whose tubes may differ from the plan's by its tolerances",
     )
     parser.add_argument(
         "--sensor",
@@ -40,8 +40,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--replay",
         action="store_true",
-        help="work out again, from the journal, what the last session in a closed loop commanded, and tell whether "
-        "it is the same bit for bit; opens no device",
+        help="work out again, from the journal, what the last session in a closed loop commanded, and tell "
+        "whether it is the same bit for bit; opens no device",
     )
 
 

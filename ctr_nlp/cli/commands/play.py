@@ -15,8 +15,8 @@ from ctr_nlp.cli import closed_loop, live
 from ctr_nlp.cli.arguments import add_live_option
 from ctr_nlp.cli.commands.commission import commission
 from ctr_nlp.cli.console import BAD_INPUT, INTERRUPTED, SOLVED, SOME_FAILED, Command, progress_bar
-from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.obeying import obeying
+from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.play_report import JOURNAL, claim, print_trajectory, report
 from ctr_nlp.exceptions import DeviceFault, OptionError
 from ctr_nlp.hardware.clock import RealClock

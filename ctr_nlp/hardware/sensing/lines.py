@@ -30,7 +30,7 @@ def message_of(line: bytes) -> Message | str:
         values = np.array([math.nan if value is None else value for value in told["values"]], dtype=float)
         stamp = told.get("time")
         known = None if stamp is None else float(stamp)
-    except (ValueError, TypeError, KeyError, AttributeError, OverflowError):
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
         return f'{line[:60]!r}, which is no line as {{"values": [1.0, 2.0, 3.0], "time": 0.1}}'
     if values.ndim != 1 or np.isinf(values).any() or not (known is None or math.isfinite(known)):
         return f"{line[:60]!r}, with numbers that are not finite"
@@ -56,6 +56,7 @@ class Lines(Remote):
                 self._socket = socket.create_connection((host, port), PATIENCE)
             self._socket.setblocking(False)
         except OSError as exception:
+            self.close()
             raise DeviceFault(
                 f"the sensor at {self._sensing.url} cannot be listened to: {exception}"
             ) from exception
