@@ -24,6 +24,7 @@ from ctr_nlp.hardware.sensing.lines import Lines, message_of
 from ctr_nlp.hardware.sensing.source import OLDEST, Message, Remote
 from ctr_nlp.loops.sensors import Reading
 
+EXAMPLE = Path(__file__).parents[2] / "examples" / "hardware.toml"
 NOWHERE = np.zeros(8)
 
 
@@ -104,7 +105,9 @@ def test_what_no_sensor_can_be_is_one_clear_error(given: dict[str, Any], said: s
 
 
 def test_a_hardware_file_describes_it(tmp_path: Path) -> None:
-    text = Path("examples/hardware.toml").read_text()
+    text = EXAMPLE.read_text(encoding="utf-8")
+    assert Hardware.from_toml(EXAMPLE).sensing == Sensing()
+    text = text[: text.index("[sensing]")] + text[text.index("# One table") :]
     table = (
         '\n[sensing]\nurl = "tcp://127.0.0.1:9"\nmeasures = "points"\nplaces = [0.5, 1]\ntranslation = [1, 2, 3]\n'
     )
