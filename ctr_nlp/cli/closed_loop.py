@@ -112,9 +112,9 @@ def replay(plan: Plan, hardware: Hardware, records: list[dict[str, Any]]) -> int
     """Tell whether the last session's commands follow from its measurements; exit status."""
     tracker = Tracker(plan, sensing_of(hardware).sensors, known=begun_with(records))
     corrections, commands, differs = replayed(plan, hardware, records, tracker)
-    told = f"{corrections} corrections and {commands} lines of motion"
     if differs:
         console().print(f"not the same as in the journal: {differs}", markup=False)
         return SOME_FAILED
-    console().print(f"{told} worked out again: the same, bit for bit", markup=False)
+    lines = f" and {commands} lines of motion" if commands else ""
+    console().print(f"{corrections} corrections{lines} worked out again: the same, bit for bit", markup=False)
     return SOLVED

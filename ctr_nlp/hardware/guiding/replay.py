@@ -7,12 +7,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ctr_nlp.exceptions import TrajectoryError
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.guiding.course import Course
 from ctr_nlp.hardware.guiding.guide import readings_of
 from ctr_nlp.hardware.motion.gcode import MEANING, lines
 from ctr_nlp.hardware.motion.trajectory import Patch, Trajectory
-from ctr_nlp.hardware.playing.session import announced, as_planned, from_there
+from ctr_nlp.hardware.playing.session import announced, as_planned, closed, from_there
 from ctr_nlp.loops.tracker import Tracker
 from ctr_nlp.plan.plan import Plan
 
@@ -31,9 +32,11 @@ class Replay(NamedTuple):
 def replayed(plan: Plan, hardware: Hardware, records: list[dict[str, Any]], tracker: Tracker) -> Replay:
     """The closed loop of a session (the records of its journal) again; tracker: as it was when that began.
 
-    Raises TrajectoryError where plan or hardware is another, or where it played nothing.
+    Raises TrajectoryError where plan or hardware is another, or where it was none of a closed loop.
     """
     told = announced(records)
+    if not closed(told):
+        raise TrajectoryError("the journal's session was not of a closed loop: nothing was measured")
     trajectory = as_planned(plan, hardware, told)
     for patch in told["patches"]:
         trajectory = trajectory.patched(Patch.of(patch))
