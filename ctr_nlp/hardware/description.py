@@ -86,7 +86,7 @@ class Hardware:
     approach: part of the largest speeds at which the first frame is gone to. robot: whose tubes are mounted; plans
     for others are refused, None takes any. late: s that a motion may be behind its schedule. commissioned: the
     controller's settings by name when the rig was commissioned, as it told them; None where that was not done.
-    sensing: what measures the robot, None for nothing. Raises HardwareError.
+    sensing: what measures the robot, None for nothing; sensors may change between sessions. Raises HardwareError.
     """
 
     axes: tuple[Axis, ...]
@@ -96,7 +96,7 @@ class Hardware:
     robot: Robot | None = None
     late: float = 1.0
     commissioned: dict[str, str] | None = None
-    sensing: Sensing | None = None
+    sensing: Sensing | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axes", tuple(self.axes))

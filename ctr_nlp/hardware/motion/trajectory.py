@@ -233,5 +233,5 @@ def digests(plan: Plan, hardware: Hardware) -> Digests:
             )
     return Digests(
         known.hexdigest(),
-        hashlib.sha256(repr(replace(hardware, commissioned=None, sensing=None)).encode()).hexdigest(),
+        hashlib.sha256(repr(replace(hardware, commissioned=None)).encode()).hexdigest(),
     )
