@@ -11,6 +11,7 @@ import hashlib
 import inspect
 import math
 import os
+import pickle
 import shutil
 import subprocess
 import sys
@@ -34,6 +35,8 @@ NICE = 10
 """By how much a compiling process steps back for those that somebody waits for."""
 POLL = 0.5
 """s between two looks at whether a library has been made meanwhile."""
+TASK = "task"
+"""The file that tells a process what to compile."""
 CLAIMED = 900.0
 """s after which a build that has not ended is given up."""
 
@@ -42,9 +45,10 @@ class Library:
     """Functions as a shared library for so many frames at once, made when somebody first asks for it."""
 
     def __init__(self, described: str, functions: Callable[[], Sequence[ca.Function]], lanes: int) -> None:
-        """described: text that changes whenever the functions do; they are called for only where code is written.
+        """described: text that changes whenever the functions do.
 
-        key: under which the cache keeps the library.
+        functions: called only where code is written, perhaps in another process, and so pickled. key: under which
+        the cache keeps the library.
         """
         self.key = "\n".join([f"{lanes} lanes", ca.CasadiMeta.version(), _writer(), described])
         self._functions, self._lanes = functions, lanes
@@ -69,7 +73,7 @@ class Library:
             self._missed = time.monotonic()
             if _claimed(self.key):
                 cache.say(NOTE)
-                _begin(self.key, self._functions(), self._lanes)
+                _begin(self.key, self._functions, self._lanes)
         return found
 
 
@@ -90,12 +94,10 @@ def _claimed(key: str) -> bool:
     return False
 
 
-def _begin(key: str, functions: Sequence[ca.Function], lanes: int) -> None:
+def _begin(key: str, functions: Callable[[], Sequence[ca.Function]], lanes: int) -> None:
+    """Begin to make a library: whoever waits for a solution need not even derive what is compiled."""
     work = Path(tempfile.mkdtemp(prefix="ctr_nlp-build-"))
-    (work / "key").write_text(key, encoding="utf-8")
-    (work / "lanes").write_text(str(lanes), encoding="ascii")
-    for number, function in enumerate(functions):
-        (work / f"{number}.casadi").write_text(function.serialize(), encoding="ascii")
+    (work / TASK).write_bytes(pickle.dumps((key, functions, lanes)))
     path = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])])
     with contextlib.suppress(OSError):
         process = Lasting(
@@ -113,11 +115,9 @@ def main(work: Path) -> None:
     """Make the library that a folder describes, and remove the folder."""
     with contextlib.suppress(OSError, AttributeError):
         os.nice(NICE)
-    key, lanes = (work / "key").read_text(encoding="utf-8"), int((work / "lanes").read_text(encoding="ascii"))
-    texts = [path.read_text(encoding="ascii") for path in sorted(work.glob("*.casadi"))]
-    functions = tuple(ca.Function.deserialize(text) for text in texts)
     try:
-        cache.library(key, lambda: vector.vector_code(functions, lanes))
+        key, functions, lanes = pickle.loads((work / TASK).read_bytes())
+        cache.library(key, lambda: vector.vector_code(tuple(functions()), lanes))
     finally:
         shutil.rmtree(work, ignore_errors=True)
 

@@ -11,7 +11,8 @@ import scipy.sparse as sp
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.nlp.links import Link
-from ctr_nlp.nlp.nlp import FrameFunctions, Nlp
+from ctr_nlp.nlp.nlp import Nlp
+from ctr_nlp.nlp.written import FrameFunctions
 from ctr_nlp.support.values import frozen
 from ctr_nlp.typing import Array, Index
 
@@ -77,7 +78,9 @@ class SharedMotion:
 
     frame: the program of one robot in one frame over (phi, beta, theta), the last two of them q's own, and what
     common unknowns give it, where there are any: these are then solved for, too. parameters (T S, p): a row for
-    every scenario of every frame. lower, upper (T, n): of q, equal where it is fixed.
+    every scenario of every frame. lower, upper (T, n): of q, equal where it is fixed. apart: rad by which scenarios'
+    tips may differ from the first's, relative to the innermost. twist_steps (T,): rad by which the first's tips,
+    relative to the innermost, may turn beyond its motors on the way to each frame; infinite where none is before it.
     surroundings: where some parameters hold near a motion only, these (T, S, ..), by name, of all robots' unknowns
     (T, S, n).
     """
@@ -90,6 +93,7 @@ class SharedMotion:
     upper: Array
     links: tuple[Link, ...]
     apart: float
+    twist_steps: Array
     functions: Callable[[], FrameFunctions]
     surroundings: Callable[[Array], Mapping[str, Array]] | None = None
     common: Common | None = None
