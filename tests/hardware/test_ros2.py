@@ -39,7 +39,8 @@ from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.results import Outcome, State
 from ctr_nlp.hardware.playing.session import begin, resume
 from ctr_nlp.hardware.sensing.simulated import SimulatedRobot
-from ctr_nlp.loops.sensors import Sensors, TipPosition
+from ctr_nlp.loops.sensors import Sensors
+from ctr_nlp.loops.sensors.points import TipPosition
 from ctr_nlp.loops.tracker import Tracker
 from ctr_nlp.plan.plan import plan_from_configurations
 

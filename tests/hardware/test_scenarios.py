@@ -34,7 +34,8 @@ from ctr_nlp.hardware.playing.record import Recorder
 from ctr_nlp.hardware.playing.results import Outcome, State
 from ctr_nlp.hardware.playing.session import begin, resume
 from ctr_nlp.hardware.sensing.simulated import SimulatedRobot
-from ctr_nlp.loops.sensors import Sensors, TipPosition
+from ctr_nlp.loops.sensors import Sensors
+from ctr_nlp.loops.sensors.points import TipPosition
 from ctr_nlp.loops.tracker import Note, Tracker
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.typing import Array

@@ -11,7 +11,8 @@ import numpy as np
 
 from ctr_nlp.exceptions import HardwareError, OptionError
 from ctr_nlp.hardware.arm.description import all_numbers, frame_of, some_numbers
-from ctr_nlp.loops.sensors import Sensors, ShapePoints, TipPose, TipPosition
+from ctr_nlp.loops.sensors import Sensors
+from ctr_nlp.loops.sensors.points import ShapePoints, TipPose, TipPosition
 from ctr_nlp.typing import Array
 
 KINDS = ("simulated", "udp", "tcp", "igtl", "ros2")
