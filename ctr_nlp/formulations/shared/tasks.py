@@ -24,11 +24,13 @@ def shared_tubes(motions: Sequence[SharedMotion], common: Common) -> SharedMotio
         for motion, begin, frame in zip(motions, begins, frames, strict=False)
         for link in motion.links
     ]
-    of_frames = {
-        name: np.concatenate([getattr(motion, name) for motion in motions])
+    joined = (
+        np.concatenate([getattr(motion, name) for motion in motions])
         for name in ("parameters", "lower", "upper", "twist_steps")
-    }
-    return replace(motions[0], **of_frames, links=tuple(links), common=common)
+    )
+    parameters, lower, upper, twists = joined
+    own = replace(motions[0], parameters=parameters, lower=lower, upper=upper, twist_steps=twists)
+    return replace(own, links=tuple(links), common=common)
 
 
 @dataclass(frozen=True)
