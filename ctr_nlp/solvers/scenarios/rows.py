@@ -157,9 +157,7 @@ class SharedRows:
         of_q, of_frames, *others = np.split(rows, self._ends)
         return Parts(of_q.reshape(self._shape), of_frames.reshape(self._shape[0], -1), *others)
 
-    def equations(
-        self, about: Expansion, rows: Array, step: Array | None = None, damping: float = 0.0
-    ) -> Array:
+    def equations(self, about: Expansion, rows: Array, step: Array | None = None, damping: float = 0.0) -> Array:
         """Multipliers (T, S, d) of the equations that go with those of all rows (Expansion.multipliers)."""
         parts = self.split(rows)
         return about.multipliers(parts.frames, self.twists.of_tips(parts.twists), step, damping)
