@@ -62,7 +62,7 @@ def _poses(robot: Any) -> Any:
 
 
 def shape(count: int) -> WORK:
-    """Elastic shapes with margins of a robot moved through random configurations, count in a call; the time of one."""
+    """Elastic shapes with margins on the way through random configurations, count in a call; the time of one."""
     from ctr_nlp.robot import table_i_robot
     from ctr_nlp.simulation.forward import simulated
 
@@ -73,7 +73,7 @@ def shape(count: int) -> WORK:
 
 
 def rest() -> WORK:
-    """Elastic shapes with margins of a robot at rest at random configurations, BATCH in a call; the time of one."""
+    """Elastic shapes with margins at rest at random configurations, BATCH in a call; the time of one."""
     from ctr_nlp.models import model_named
     from ctr_nlp.robot import table_i_robot
     from ctr_nlp.target.target import SIGMA
