@@ -133,7 +133,8 @@ class SharedRows:
             rows[:, -len(motion.common_rows) :] = of_q[:, d:] @ depends.T
         links = abs(motion.linking) @ of_q.ravel() > 0
         own = np.full(len(self.condensed.common.row_lower), of_p.any())
-        return ~Parts(of_q, rows, links, self.condensed.twists.free(of_q), of_p, own).joined
+        parts = of_q, rows, links, self.condensed.twists.free(of_q), of_p, own
+        return ~np.concatenate([part.ravel() for part in parts])
 
     def start(self, q: Array, phi: Array, p: Array, barrier: float) -> Point:
         """A point at q, phi and p, with slacks within their bounds."""
