@@ -97,9 +97,10 @@ def planned_again(
         rounds.append(Round(search, tried, scenarios, trial))
         if trial.few or number == most or search.stop():
             break
-        known = trial.worst.among(scenarios) | (trial.extremes.few & (number > 0))
-        search = replace(search, margins=firmer(search.margins, trial.worst.frames[known], picked))
-        scenarios = joined(scenarios, trial.worst)
+        new = trial.worst.beside(scenarios)
+        if not len(new.frames) or (trial.extremes.few and number):
+            search = replace(search, margins=firmer(search.margins, trial.worst.frames, picked))
+        scenarios = joined(scenarios, new)
         tried = _again(search, tried, scenarios, picked)
         if not tried.shared:
             break
@@ -113,12 +114,13 @@ def spared(held: Round, lost: Judge, first: int) -> list[Round]:
     held: a round on whose motion few are. lost: asked of every round, which are numbered from `first` on.
     """
     rounds, search, given_up = list[Round](), held.search, held.scenarios.only(~held.scenarios.guards)
-    while len(rounds) < SPARINGS and not search.stop():
+    while (held.trial.few or rounds) and len(rounds) < SPARINGS and not search.stop():
         left = held.trial.extremes.allowed - int(given_up.guards.sum())
         burdens = held.tried.solution.burdens * held.scenarios.guards
-        if left < 1 or burdens.max() < DEAR * held.tried.solution.objective:
+        worth = left > 0 and burdens.max() >= DEAR * held.tried.solution.objective
+        if held.trial.few and not worth:
             break
-        dear = burdens >= max(np.sort(burdens)[-(left // 2 + 1)], IDLE * burdens.max())
+        dear = worth & (burdens >= max(np.sort(burdens)[-(left // 2 + 1)], IDLE * burdens.max()))
         given_up = given_up.joined(held.scenarios.numbers[dear], held.scenarios.offsets[dear])
         before, scenarios = held.only(~dear)
         scenarios = joined(scenarios, held.trial.extremes.beside(given_up))
