@@ -111,7 +111,7 @@ def test_dear_robots_are_given_up_as_far_as_extreme_ones_may_be_lost(problem, fo
     search = RobustSearch(
         problem, MODELS["elastic"], Ends(), (), robust.options["motion_weight"], np.full(FRAMES, 0.1)
     )
-    joined = _scenarios().joined(np.repeat(TWO.numbers[None], 2, 0), np.array([[0.4, -0.4], [0.01, 0.01]]))
+    joined = _scenarios().joined(np.repeat(TWO.numbers[None], 2, 0), np.array([[0.445, -0.445], [0.01, 0.01]]))
     tried = search.solve(Start("a plan", follow(TWO, robust.q).x), joined)
     held = Round(search, tried, joined, _Losing(0)(robust.q, 0, False))
     assert tried.solution.burdens[3] > 10 * tried.solution.burdens[4]
