@@ -30,11 +30,13 @@ WALL = ("clearance", "contact_weight", "clearance_cost", "contact_allowed")
 def add_model_options(parser: argparse.ArgumentParser) -> None:
     """The model to plan on, and the one that errors are taken on."""
     parser.add_argument("--model", choices=MODELS, default="dominant", help="(default dominant)")
-    parser.add_argument(
-        "--evaluate",
-        choices=MODELS,
-        help="model on which the plan's shapes are found (default: the one planned on)",
-    )
+    add_evaluate_option(parser, "the one planned on")
+
+
+def add_evaluate_option(parser: argparse.ArgumentParser, default: str) -> None:
+    """The model that a plan's shapes are those of; default: in words."""
+    told = f"model on which the plan's shapes are found (default: {default})"
+    parser.add_argument("--evaluate", choices=MODELS, help=told)
 
 
 def add_motion_options(parser: argparse.ArgumentParser) -> None:

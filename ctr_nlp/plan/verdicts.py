@@ -147,9 +147,15 @@ def _within_wall(plan: Record) -> Judgement:
 
 
 def _survives(plan: Record) -> Judgement:
-    """Whether hardly any of the robots drawn within the tolerances is lost; the share of those that are."""
+    """Whether hardly any of the robots drawn within the tolerances is lost; the share of those that are.
+
+    On a model that knows no snaps no robot can be lost, which says nothing about real ones.
+    """
     if plan.drawn is None:
         return NOT_ASKED, None, "", "Only tubes exactly as described were looked at."
+    if not plan.can_snap:
+        told = f"The {plan.evaluated} model knows no snaps, so that none of its draws can be lost"
+        return NOT_KNOWN, None, "", f"{told}; `ctr-nlp robust --evaluate elastic` moves robots that can be."
     if plan.drawn.share <= plan.options.get("most_lost", MOST_LOST):
         return YES, plan.drawn.share, "of draws", plan.drawn.told
     hint = "" if "certificate" in plan.meta else " `ctr-nlp plan --robust` plans for them."

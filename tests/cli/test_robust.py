@@ -75,6 +75,19 @@ def test_without_pictures_there_is_none_and_bad_counts_are_refused(saved, tmp_pa
     assert robust([str(tmp_path / "none.npz"), *out]) == 2
 
 
+def test_draws_on_a_model_without_snaps_say_nothing_of_losses(saved, tmp_path, capsys):
+    of_dominant = Plan.load(saved / "near.npz").on("dominant")
+    of_dominant.save(tmp_path / "plan.npz")
+    given = [str(tmp_path / "plan.npz"), "--draws", "20", "--seed", "4", "--no-figures"]
+    given += ["--out", str(tmp_path / "o")]
+    assert robust(given) == 0
+    verdict = Plan.load(tmp_path / "o" / "plan.npz").verdicts.survives_draws
+    assert (verdict.word, verdict.number) == ("not known", None)
+    assert "knows no snaps" in capsys.readouterr().out
+    assert robust([*given, "--evaluate", "elastic"]) == 1
+    assert Plan.load(tmp_path / "o" / "plan.npz").verdicts.survives_draws.word == "no"
+
+
 def test_an_elastic_plan_is_tried_by_itself_and_its_status_stays(tmp_path, capsys):
     given = ["arc", "--frames", "4", "--formulation", "joint", "--no-figures", "--stability-margin", "0.1"]
     status = command(["steer", *given, "--model", "elastic", "--out", str(tmp_path / "elastic")])

@@ -9,6 +9,7 @@ from ctr_nlp.cli.arguments import add_figures_option, add_out_option, whole
 from ctr_nlp.cli.console import Command, console
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.cli.plan_options import add_evaluate_option
 from ctr_nlp.cli.report import exit_status, print_robustness, write
 from ctr_nlp.plan.draws import DRAWS, SEED
 from ctr_nlp.plan.plan import Plan
@@ -27,6 +28,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     what = f"robots drawn within the tolerances of the robot file (default {DRAWS})"
     parser.add_argument("--draws", metavar="N", type=whole, default=DRAWS, help=what)
     parser.add_argument("--seed", metavar="N", type=whole, default=SEED, help=f"of the draws (default {SEED})")
+    add_evaluate_option(parser, "the one that the plan was evaluated on")
     add_out_option(parser, "runs/PROBLEM-robust")
     add_figures_option(parser)
     return parser
@@ -36,6 +38,8 @@ def _run(arguments: argparse.Namespace) -> int:
     plan = Plan.load(arguments.plan)
     out = Path(arguments.out or f"runs/{path_component(str(plan.meta['problem']['name']))}-robust")
     check_folder(out, "robust")
+    if arguments.evaluate is not None:
+        plan = plan.on(arguments.evaluate)
     plan = plan.with_draws(arguments.draws, arguments.seed)
     print_robustness(plan)
     with published(out, "robust") as staging:

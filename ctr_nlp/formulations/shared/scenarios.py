@@ -3,8 +3,10 @@
 alpha, beta and theta of every frame belong to all of S robots, and each has tips phi of its own, which its motors'
 angles and their offsets determine: alpha(phi_s, beta; tubes_s) = alpha + offset_s. What is minimised is the
 weighted mean of their shape errors and the motion (9); each keeps a stability margin, and tips near the first's,
-so that all are on one branch of a fork, which the margin does not see. Those that count nothing are there to keep
-others like them from being lost: less margin does for them, and tips that are further away.
+so that all are on one branch of a fork, which the margin does not see. Nor does it see a fork between two frames:
+the first's tips turn by little more than its motors from frame to frame.
+Scenarios that count nothing keep others like them from being lost: less margin does for them, and tips that are
+further away.
 """
 
 from __future__ import annotations
@@ -21,8 +23,9 @@ from ctr_nlp.formulations.joint import terms_of
 from ctr_nlp.formulations.terms import Term, Touch
 from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.models import Model
-from ctr_nlp.nlp.nlp import FrameFunctions, Nlp
+from ctr_nlp.nlp.nlp import Nlp
 from ctr_nlp.nlp.scenarios import Scenarios, SharedMotion
+from ctr_nlp.nlp.written import FrameFunctions
 from ctr_nlp.robot import Robot
 from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
@@ -32,6 +35,8 @@ APART, FURTHEST = 0.7, 0.9
 of one that need only not be lost, which it is from simulation.drawn.APART on."""
 EASED = 0.3
 """The part of the margin that one that need only not be lost keeps."""
+TWIST_STEP = 0.7
+"""rad by which the first scenario's tips, relative to the innermost one, may turn beyond its motors in a frame."""
 
 
 def check_shared(robot: Robot, model: Model, scenarios: Scenarios) -> None:
@@ -81,4 +86,6 @@ def shared_motion(
     flat = parameters.reshape(len(frames) * len(scenarios), -1)
     near = None if wall is None else partial(wall.of_scenarios, numbers=scenarios.numbers)
     apart = np.where(scenarios.guards, FURTHEST, APART)
-    return SharedMotion(frame, robot.d, scenarios, flat, lower, upper, links, apart, functions(frame), near)
+    twists = np.append(np.inf, np.full(len(frames) - 1, TWIST_STEP))
+    own = flat, lower, upper, links, apart, twists
+    return SharedMotion(frame, robot.d, scenarios, *own, functions(frame), near)
