@@ -17,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import casadi as ca
@@ -37,6 +37,8 @@ POLL = 0.5
 """s between two looks at whether a library has been made meanwhile."""
 TASK = "task"
 """The file that tells a process what to compile."""
+LOCKED = 12
+"""Digits of a key's hash that tell its place among the locks of one file."""
 CLAIMED = 900.0
 """s after which a build that has not ended is given up."""
 
@@ -50,13 +52,16 @@ class Library:
         functions: called only where code is written, perhaps in another process, and so pickled. key: under which
         the cache keeps the library.
         """
-        self.key = "\n".join([f"{lanes} lanes", ca.CasadiMeta.version(), _writer(), described])
+        self.key = "\n".join(
+            [f"{lanes} lanes", vector.effort(lanes), ca.CasadiMeta.version(), _writer(), described]
+        )
         self._functions, self._lanes = functions, lanes
         self._missed = -math.inf
 
     def now(self) -> Path:
         """The library, made at once where it is not there; raises OptionError where nothing can be compiled."""
-        return cache.library(self.key, lambda: vector.vector_code(tuple(self._functions()), self._lanes))
+        with _alone(self.key):
+            return cache.library(self.key, lambda: vector.vector_code(tuple(self._functions()), self._lanes))
 
     def soon(self) -> Path | None:
         """The same, or None while it is made in the background, which the first call begins.
@@ -77,6 +82,22 @@ class Library:
         return found
 
 
+@contextlib.contextmanager
+def _alone(key: str) -> Iterator[None]:
+    """Where processes of a user wait for one library, one makes it for all, if the system has locks."""
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(ImportError, OSError):
+            import fcntl
+
+            lock = stack.enter_context(open(Path(tempfile.gettempdir(), f"ctr_nlp-{os.getuid()}.lock"), "a"))
+            fcntl.lockf(lock, fcntl.LOCK_EX, 1, int(_hash(key)[:LOCKED], 16))
+        yield
+
+
+def _hash(key: str) -> str:
+    return hashlib.sha256(key.encode()).hexdigest()[:32]
+
+
 @functools.cache
 def _writer() -> str:
     return inspect.getsource(vector)
@@ -84,7 +105,7 @@ def _writer() -> str:
 
 def _claimed(key: str) -> bool:
     """Whether nobody makes the library yet, so that this process is the one to begin."""
-    claim = cache.folder() / f"claim-{hashlib.sha256(key.encode()).hexdigest()[:32]}"
+    claim = cache.folder() / f"claim-{_hash(key)}"
     with contextlib.suppress(OSError):
         if claim.exists() and time.time() - claim.stat().st_mtime > CLAIMED:
             claim.unlink()

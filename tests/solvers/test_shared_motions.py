@@ -239,7 +239,9 @@ def test_squares_of_twists_are_those_of_the_whole_jacobian(limited):
     rows, sigma = rng.normal(size=2), rng.uniform(1.0, 2.0, 2)
     jacobian = np.array([_gathered(twists.pulled(slopes, row), n) for row in np.eye(2)])
     step = rng.normal(size=frames * n + 2)
-    seen = np.concatenate([step[: frames * n].reshape(frames, n), np.tile(step[frames * n :], (frames, 1))], axis=1)
+    seen = np.concatenate(
+        [step[: frames * n].reshape(frames, n), np.tile(step[frames * n :], (frames, 1))], axis=1
+    )
     np.testing.assert_allclose(twists.moved(slopes, seen), jacobian @ step)
     np.testing.assert_allclose(_gathered(twists.pulled(slopes, rows), n), rows @ jacobian)
     blocks, band = np.zeros((frames, n + 2, n + 2)), np.zeros((2 * n, frames * n))

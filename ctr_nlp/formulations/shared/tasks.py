@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -24,7 +25,7 @@ def shared_tubes(motions: Sequence[SharedMotion], common: Common) -> SharedMotio
         for motion, begin, frame in zip(motions, begins, frames, strict=False)
         for link in motion.links
     ]
-    of_frames = {
+    of_frames: dict[str, Any] = {
         name: np.concatenate([getattr(motion, name) for motion in motions])
         for name in ("parameters", "lower", "upper", "twist_steps")
     }

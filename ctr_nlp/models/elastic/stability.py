@@ -98,7 +98,7 @@ def margins(tubes: Tubes, x: Array) -> Array:
     code = compiled(Structure(tuple(tube.kind for tube in tubes), tuple(tube.shown for tube in tubes)))
     if code is not None:
         return code.margins(numbers_of(tubes), x)
-    found, known = np.full(len(x), np.nan), np.isfinite(x).all(axis=1)
+    found, known = np.full(len(x), np.nan), np.asarray(np.isfinite(x).all(axis=1))
     pairs = zip(energies(tubes, x), differences(tubes, x), strict=True)
     for row, (energy, angles) in enumerate(pairs):
         if known[row]:

@@ -76,9 +76,7 @@ class Expansion:
         """The step (T, S, m) of the scenarios' unknowns that belongs to one of q and p, (T, n + P)."""
         return np.asarray((self.turns @ dq[:, None, :, None])[..., 0] + self.repair)
 
-    def multipliers(
-        self, rows: Array, turned: Array, step: Array | None = None, damping: float = 0.0
-    ) -> Array:
+    def multipliers(self, rows: Array, turned: Array, step: Array | None = None, damping: float = 0.0) -> Array:
         """Of the equations, (T, S, d): those at which tips are stationary, after a step where there is one.
 
         rows: multipliers (T, m) of the frames' rows; turned (T, d): what those of twists pull the first tips with.

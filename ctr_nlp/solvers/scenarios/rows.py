@@ -133,7 +133,8 @@ class SharedRows:
             rows[:, -len(motion.common_rows) :] = of_q[:, d:] @ depends.T
         links = abs(motion.linking) @ of_q.ravel() > 0
         own = np.full(len(self.condensed.common.row_lower), of_p.any())
-        return ~Parts(of_q, rows, links, self.condensed.twists.free(of_q), of_p, own).joined
+        parts = of_q, rows, links, self.condensed.twists.free(of_q), of_p, own
+        return ~np.concatenate([part.ravel() for part in parts])
 
     def start(self, q: Array, phi: Array, p: Array, barrier: float) -> Point:
         """A point at q, phi and p, with slacks within their bounds."""
@@ -157,9 +158,7 @@ class SharedRows:
         of_q, of_frames, *others = np.split(rows, self._ends)
         return Parts(of_q.reshape(self._shape), of_frames.reshape(self._shape[0], -1), *others)
 
-    def equations(
-        self, about: Expansion, rows: Array, step: Array | None = None, damping: float = 0.0
-    ) -> Array:
+    def equations(self, about: Expansion, rows: Array, step: Array | None = None, damping: float = 0.0) -> Array:
         """Multipliers (T, S, d) of the equations that go with those of all rows (Expansion.multipliers)."""
         parts = self.split(rows)
         return about.multipliers(parts.frames, self.twists.of_tips(parts.twists), step, damping)

@@ -32,7 +32,7 @@ class TwistSteps:
 
     def free(self, of_q: Flags) -> Flags:
         """Which rows a free unknown changes; of_q (T, n): those that are."""
-        moving = of_q.any(axis=1)
+        moving = np.asarray(of_q.any(axis=1))
         return np.repeat(moving[self._after] | moving[self._after - 1], self._d - 1)
 
     def values(self, q: Array, phi: Array) -> Array:
