@@ -60,8 +60,8 @@ class Tracker:
     """Leads one robot through a plan. notes: what the operator was told, in order.
 
     Where sensors cannot be believed, the estimate goes back to what it was before, and is kept, and the motors go
-    back to the plan, which decides whether robots survive. It tracks again after silence alone: a registration that
-    has jumped may seem right again where little can be told apart. It stops where its margin is not safe by then,
+    back to the plan, which decides whether robots survive. It tracks again after silence alone: a registration
+    that has jumped may seem right again where little can be told apart. It stops where its margin is not safe by then,
     and after a snap.
     """
 
