@@ -61,8 +61,8 @@ class Tracker:
 
     Where sensors cannot be believed, the estimate goes back to what it was before, and is kept, and the motors go
     back to the plan, which decides whether robots survive. It tracks again after silence alone: a registration
-    that has jumped may seem right again where little can be told apart. It stops where its margin is not safe by then,
-    and after a snap.
+    that has jumped may seem right again where little can be told apart. It stops where its margin is not safe by
+    then, and after a snap.
     """
 
     def __init__(
