@@ -44,7 +44,7 @@ class State(Enum):
     """Of a tracker; the value is what a person reads."""
 
     TRACKING = "tracking"
-    HELD = "on what was known before"
+    HELD = "on its plan, not corrected"
     STOPPED = "stopped"
 
 
@@ -59,10 +59,10 @@ class Note(NamedTuple):
 class Tracker:
     """Leads one robot through a plan. notes: what the operator was told, in order.
 
-    Where sensors cannot be believed, the estimate goes back to what it was before, and is kept: the robot goes on
-    along the plan as corrected until then. It tracks again after silence alone: a registration that has jumped may
-    seem right again where little can be told apart. It stops where its margin is not safe by then, and after a
-    snap.
+    Where sensors cannot be believed, the estimate goes back to what it was before, and is kept, and the motors go
+    back to the plan, which decides whether robots survive. It tracks again after silence alone: a registration
+    that has jumped may seem right again where little can be told apart. It stops where its margin is not safe by
+    then, and after a snap.
     """
 
     def __init__(
@@ -169,21 +169,24 @@ class Tracker:
             return there.q
         off = there.tubes - there.q
         low, high = least + off, most + off
-        start = np.clip(there.tubes + step, low, high)
+        held, planned = self.state is State.HELD, self._q[frame]
+        start = np.clip(planned + off if held else there.tubes + step, low, high)
         walker = there.walker.copy()
         walker.go(start)
         predicted, margin = there.at(walker)
         deviation = there.deviation(predicted.of_margin)
-        if self.state is State.HELD and margin - STOPS * deviation < 0:
+        if held and margin - STOPS * deviation < 0:
             self._tell(State.STOPPED, "what is uncertain of the robot exceeds its stability margin")
             return there.q
+        if held:
+            return start - off
         k = self._size
         at = Place(
             start, predicted.points[self._at], predicted.of_points[:k, self._at], margin, predicted.of_margin[:k]
         )
-        planned = np.fmin(self.plan.stability[frame], MARGIN + UNCERTAIN * deviation)
-        least_margin = max(MARGIN, float(np.nan_to_num(planned)))
-        tubes = self._correction(at, self._shape[frame], self._q[frame], low, high, least_margin)
+        raised = np.fmin(self.plan.stability[frame], MARGIN + UNCERTAIN * deviation)
+        least_margin = max(MARGIN, float(np.nan_to_num(raised)))
+        tubes = self._correction(at, self._shape[frame], planned, low, high, least_margin)
         motors = np.clip(there.motors(start if tubes is None else tubes), least, most)
         d = self._robot.d
         motors[d : 2 * d] = np.maximum.accumulate(motors[d : 2 * d])

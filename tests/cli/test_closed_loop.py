@@ -129,7 +129,7 @@ def test_where_a_tracker_falls_silent_the_operator_is_told_and_the_plan_goes_on(
         assert main([str(plan), "--closed-loop", *arguments]) == 0
     told = capsys.readouterr()
     assert told.err.startswith("note: no measurement for 0.")
-    assert "on what was known before" in told.out
+    assert "on its plan, not corrected" in told.out
     assert "30 of 30" in told.out
 
 
