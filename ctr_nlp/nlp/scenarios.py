@@ -89,7 +89,8 @@ class SharedMotion:
     common unknowns give it, where there are any: these are then solved for, too. parameters (T S, p): a row for
     every scenario of every frame. lower, upper (T, n): of q, equal where it is fixed. apart (S,): by how much a
     scenario's tips, relative to the innermost one, may differ from the first scenario's, rad. twist_steps
-    (T,): rad by which the first's may turn beyond its motors on the way to each frame; infinite where none is before it.
+    (T,): rad by which the first's may turn beyond its motors on the way to each frame; infinite where none is
+    before it.
     surroundings: where some parameters hold near a motion only, these (T, S, ..), by name, of all robots' unknowns
     (T, S, n).
     """
