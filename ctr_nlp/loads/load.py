@@ -98,9 +98,18 @@ class Load:
         vector. Raises LoadError where a robot cannot be told to bear the load.
         """
         check_moduli(robot)
-        none = np.zeros(3)
+        return np.concatenate([self._of_tip(), self._weights(robot).ravel()])
+
+    def numbers_apart(self, d: int) -> Array:
+        """The same of any robot of d tubes; raises LoadError where their weights count, which are not known."""
+        if self.densities is not None:
+            raise LoadError("a load with densities weighs on described tubes alone; leave them out for other ones")
+        return np.concatenate([self._of_tip(), np.zeros(3 * d)])
+
+    def _of_tip(self) -> Array:
+        none = (0.0, 0.0, 0.0)
         in_base, in_tool = (none, self.force) if self.follows else (self.force, none)
-        return np.concatenate([in_base, in_tool, [self.axial_moment], self._weights(robot).ravel()])
+        return np.array([*in_base, *in_tool, self.axial_moment])
 
     def _weights(self, robot: Robot) -> Array:
         """Weight of every tube, (d, 3) N/mm."""
