@@ -6,7 +6,8 @@ import numpy as np
 from near_fold import LONG, plan_through
 
 from ctr_nlp import Limits, Tolerances
-from ctr_nlp.loops.sensors import Sensors, ShapePoints, TipPosition
+from ctr_nlp.loops.sensors import Sensors
+from ctr_nlp.loops.sensors.points import ShapePoints, TipPosition
 from ctr_nlp.robot.draws import drawn
 
 FRAMES = 40

@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from ctr_nlp.cli import closed_loop
 from ctr_nlp.cli.console import console, print_table
 from ctr_nlp.cli.output.file import check_file
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.exceptions import OutputError
 from ctr_nlp.hardware.description import Hardware
+from ctr_nlp.hardware.guiding.loop import ClosedLoop
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.checks import Checked
 from ctr_nlp.hardware.playing.record import Tracking
@@ -23,6 +25,9 @@ from ctr_nlp.typing import Array
 
 JOURNAL = "journal.jsonl"
 """In the output folder: the record of all sessions, to which each adds its own."""
+
+ESTIMATE = "estimate.csv"
+"""There too: what measurements told of the robot in a closed loop."""
 
 
 def claim(out: Path) -> None:
@@ -47,8 +52,10 @@ def print_trajectory(title: str, trajectory: Trajectory, found: Checked) -> None
     print_table(title, ("", "value", "unit"), rows)
 
 
-def report(plan: Plan, hardware: Hardware, result: Result, seen: Tracking | None, out: Path) -> None:
-    """How it went, on the terminal and, where enough was seen, as a table and a picture."""
+def report(
+    plan: Plan, hardware: Hardware, result: Result, seen: Tracking | None, out: Path, loop: ClosedLoop | None
+) -> None:
+    """How it went, on the terminal and, where enough was seen, in files; loop: what corrected it."""
     name, device = plan.meta["problem"]["name"], hardware.connection.device
     where = "trusted" if result.trusted else "not to be trusted"
     rows: list[tuple[str, Any, str]] = [
@@ -59,31 +66,35 @@ def report(plan: Plan, hardware: Hardware, result: Result, seen: Tracking | None
     files = [JOURNAL]
     if seen is not None and len(seen.frame):
         letters = [f"{axis.letter} ({axis.unit})" for axis in hardware.axes]
-        files += _written(f"Tracking: {name}, {device} device", seen, letters, out)
+        files += _written(f"Tracking: {name}, {device} device", seen, letters, out, loop)
         for unit in dict.fromkeys(axis.unit for axis in hardware.axes):
             some = [k for k, axis in enumerate(hardware.axes) if axis.unit == unit]
             rows.append(("largest error when a frame was due", float(abs(seen.error[:, some]).max()), unit))
         rows.append(("last of these frames was due after", f"{seen.time[-1]:.2f}", "s"))
         rows.append(("and passed after, without pauses", f"{seen.time[-1] + seen.late[-1]:.2f}", "s"))
     print_table(f"{name} on the {device} device", ("", "value", "unit"), rows)
+    if loop is not None:
+        closed_loop.tell(loop)
     console().print(result.message, markup=False)
     if not result.trusted:
         console().print("Home the axes, or see that they are where the controller says, before they are used.")
     console().print(f"wrote {out}: {', '.join(files)}", markup=False)
 
 
-def _written(title: str, seen: Tracking, names: list[str], out: Path) -> list[str]:
-    """Write tracking.csv and tracking.png; without them the motion has been played all the same."""
+def _written(title: str, seen: Tracking, names: list[str], out: Path, loop: ClosedLoop | None) -> list[str]:
+    """Write tracking.csv and .png, and estimate.csv; without them the motion has been played all the same."""
     from ctr_nlp.figures import save, tracking  # matplotlib is not needed before anything has moved
 
     try:
         with published(out, "play") as staging:
             write_csv(staging / "tracking.csv", by_line(_columns(seen, names)))
             save(tracking(title, seen.frame, seen.error, seen.late, names), staging / "tracking.png")
+            if loop is not None and loop.estimates:
+                write_csv(staging / ESTIMATE, by_line(closed_loop.columns(loop)))
+            return sorted(path.name for path in staging.iterdir() if path.suffix in (".csv", ".png"))
     except OutputError as exception:
         sys.stderr.write(f"error: {exception}\n")
         return []
-    return ["tracking.csv", "tracking.png"]
 
 
 def _columns(seen: Tracking, names: list[str]) -> dict[str, Array]:

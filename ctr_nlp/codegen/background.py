@@ -11,12 +11,13 @@ import hashlib
 import inspect
 import math
 import os
+import pickle
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import casadi as ca
@@ -34,6 +35,10 @@ NICE = 10
 """By how much a compiling process steps back for those that somebody waits for."""
 POLL = 0.5
 """s between two looks at whether a library has been made meanwhile."""
+TASK = "task"
+"""The file that tells a process what to compile."""
+LOCKED = 12
+"""Digits of a key's hash that tell its place among the locks of one file."""
 CLAIMED = 900.0
 """s after which a build that has not ended is given up."""
 
@@ -42,17 +47,21 @@ class Library:
     """Functions as a shared library for so many frames at once, made when somebody first asks for it."""
 
     def __init__(self, described: str, functions: Callable[[], Sequence[ca.Function]], lanes: int) -> None:
-        """described: text that changes whenever the functions do; they are called for only where code is written.
+        """described: text that changes whenever the functions do.
 
-        key: under which the cache keeps the library.
+        functions: called only where code is written, perhaps in another process, and so pickled. key: under which
+        the cache keeps the library.
         """
-        self.key = "\n".join([f"{lanes} lanes", ca.CasadiMeta.version(), _writer(), described])
+        self.key = "\n".join(
+            [f"{lanes} lanes", vector.effort(lanes), ca.CasadiMeta.version(), _writer(), described]
+        )
         self._functions, self._lanes = functions, lanes
         self._missed = -math.inf
 
     def now(self) -> Path:
         """The library, made at once where it is not there; raises OptionError where nothing can be compiled."""
-        return cache.library(self.key, lambda: vector.vector_code(tuple(self._functions()), self._lanes))
+        with _alone(self.key):
+            return cache.library(self.key, lambda: vector.vector_code(tuple(self._functions()), self._lanes))
 
     def soon(self) -> Path | None:
         """The same, or None while it is made in the background, which the first call begins.
@@ -69,8 +78,24 @@ class Library:
             self._missed = time.monotonic()
             if _claimed(self.key):
                 cache.say(NOTE)
-                _begin(self.key, self._functions(), self._lanes)
+                _begin(self.key, self._functions, self._lanes)
         return found
+
+
+@contextlib.contextmanager
+def _alone(key: str) -> Iterator[None]:
+    """Where processes of a user wait for one library, one makes it for all, if the system has locks."""
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(ImportError, OSError):
+            import fcntl
+
+            lock = stack.enter_context(open(Path(tempfile.gettempdir(), f"ctr_nlp-{os.getuid()}.lock"), "a"))
+            fcntl.lockf(lock, fcntl.LOCK_EX, 1, int(_hash(key)[:LOCKED], 16))
+        yield
+
+
+def _hash(key: str) -> str:
+    return hashlib.sha256(key.encode()).hexdigest()[:32]
 
 
 @functools.cache
@@ -80,7 +105,7 @@ def _writer() -> str:
 
 def _claimed(key: str) -> bool:
     """Whether nobody makes the library yet, so that this process is the one to begin."""
-    claim = cache.folder() / f"claim-{hashlib.sha256(key.encode()).hexdigest()[:32]}"
+    claim = cache.folder() / f"claim-{_hash(key)}"
     with contextlib.suppress(OSError):
         if claim.exists() and time.time() - claim.stat().st_mtime > CLAIMED:
             claim.unlink()
@@ -90,12 +115,10 @@ def _claimed(key: str) -> bool:
     return False
 
 
-def _begin(key: str, functions: Sequence[ca.Function], lanes: int) -> None:
+def _begin(key: str, functions: Callable[[], Sequence[ca.Function]], lanes: int) -> None:
+    """Begin to make a library: whoever waits for a solution need not even derive what is compiled."""
     work = Path(tempfile.mkdtemp(prefix="ctr_nlp-build-"))
-    (work / "key").write_text(key, encoding="utf-8")
-    (work / "lanes").write_text(str(lanes), encoding="ascii")
-    for number, function in enumerate(functions):
-        (work / f"{number}.casadi").write_text(function.serialize(), encoding="ascii")
+    (work / TASK).write_bytes(pickle.dumps((key, functions, lanes)))
     path = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])])
     with contextlib.suppress(OSError):
         process = Lasting(
@@ -113,11 +136,9 @@ def main(work: Path) -> None:
     """Make the library that a folder describes, and remove the folder."""
     with contextlib.suppress(OSError, AttributeError):
         os.nice(NICE)
-    key, lanes = (work / "key").read_text(encoding="utf-8"), int((work / "lanes").read_text(encoding="ascii"))
-    texts = [path.read_text(encoding="ascii") for path in sorted(work.glob("*.casadi"))]
-    functions = tuple(ca.Function.deserialize(text) for text in texts)
     try:
-        cache.library(key, lambda: vector.vector_code(functions, lanes))
+        key, functions, lanes = pickle.loads((work / TASK).read_bytes())
+        cache.library(key, lambda: vector.vector_code(tuple(functions()), lanes))
     finally:
         shutil.rmtree(work, ignore_errors=True)
 

@@ -6,15 +6,21 @@ a vector, and the body comes in parts, so that compilers' time grows in proporti
 
 from __future__ import annotations
 
+import os
+
 import casadi as ca
 
 LANES = 8
 """Frames in a vector: what AVX-512 holds; compilers take two or four vectors where they are shorter."""
+SAME = "same_"
+"""How the names of inputs begin that all frames share."""
 PART = 300
 """Instructions in one part of the body."""
 
+QUICK = "CTR_NLP_QUICK"
+"""Environment variable: 1 compiles long straight code of numbers as that of vectors, in half of the time."""
 _QUICK = '#pragma GCC optimize("Og")\n'
-"""Long straight code of vectors gains a tenth at most from more, and compiles in 40 % of the time."""
+"""Long straight code of vectors gains a tenth at most from more, that of numbers a fifth."""
 _LEAN = "".join(f'#pragma GCC optimize("no-tree-{name}")\n' for name in ("slp-vectorize", "slsr", "pre", "dse"))
 """Long straight code of numbers gains nothing from these, and compiles in 65 % of the time without them."""
 _OPTIMIZED = '#pragma GCC push_options\n#pragma GCC optimize("O2")\n{}#pragma GCC pop_options\n'
@@ -42,9 +48,9 @@ __attribute__((simd("notinbranch"))) double cos(double);
 #define EACH for (int l = 0; l < LANES; ++l)
 typedef double V __attribute__((vector_size(8 * LANES)));
 typedef long long M __attribute__((vector_size(8 * LANES)));
-static inline V gathered(const double *a, long step) { V r; EACH r[l] = a[l * step]; return r; }
-static inline void scattered(V a, double *to, long step) { EACH to[l * step] = a[l]; }
-static inline V all(double a) { V r; EACH r[l] = a; return r; }
+static inline V gathered(const double *a, long step) { return (V){%(gathered)s}; }
+static inline void scattered(V a, double *to, long step) { %(scattered)s }
+static inline V all(double a) { return a - (V){0}; }
 static inline V masked(M m, V a) { return (V)(m & (M)a); }
 static inline V choose(M m, V a, V b) { return (V)((m & (M)a) | (~m & (M)b)); }
 static inline V one_where(M m) { return masked(m, all(1.0)); }
@@ -100,8 +106,8 @@ def vector_code(functions: tuple[ca.Function, ...], lanes: int = LANES) -> str:
     """A file of C for functions with dense inputs and outputs.
 
     Operations that are repeated are done once. casadi.external loads them under their names; inputs and outputs
-    have `lanes` times the columns, as those of `function.map(lanes)`. With one lane numbers are numbers. Raises
-    NotImplementedError for operations without C.
+    have `lanes` times the columns, as those of `function.map(lanes)`, but for inputs whose names begin with SAME.
+    With one lane numbers are numbers. Raises NotImplementedError for operations without C.
     """
     functions = tuple(_without_repetition(function) for function in functions)
     used = {function.instruction_id(k) for function in functions for k in range(function.n_instructions())}
@@ -109,12 +115,12 @@ def vector_code(functions: tuple[ca.Function, ...], lanes: int = LANES) -> str:
         names = ", ".join(function.name() for function in functions)
         raise NotImplementedError(f"{names}: operations (numbers {sorted(unknown)}) without C")
     helpers = {_by_lane(_BY_LANE[operation], lanes) for operation in used & _BY_LANE.keys()}
-    head = _SCALAR if lanes == 1 else f"#define LANES {lanes}\n{_VECTOR}"
+    head = _SCALAR if lanes == 1 else f"#define LANES {lanes}\n{_VECTOR % _each(lanes)}"
     if lanes > 1:
         helpers = {_OPTIMIZED.format(helper) for helper in helpers}
     return "".join(
         [
-            _LEAN if lanes == 1 else _QUICK,
+            effort(lanes),
             head,
             *sorted(helpers),
             *(_function(function, lanes) for function in functions),
@@ -122,10 +128,24 @@ def vector_code(functions: tuple[ca.Function, ...], lanes: int = LANES) -> str:
     )
 
 
+def _each(lanes: int) -> dict[str, str]:
+    """What is written lane by lane, since compilers leave short loops in code that they compile quickly."""
+    return {
+        "gathered": ", ".join(f"a[{lane} * step]" for lane in range(lanes)),
+        "scattered": " ".join(f"to[{lane} * step] = a[{lane}];" for lane in range(lanes)),
+    }
+
+
+def effort(lanes: int) -> str:
+    """How hard the compiler is to try, as C."""
+    return _LEAN if lanes == 1 and os.environ.get(QUICK) != "1" else _QUICK
+
+
 def _without_repetition(function: ca.Function) -> ca.Function:
     """The same function with each operation on the same numbers done once."""
     inputs = [ca.SX.sym(function.name_in(i), *function.size_in(i)) for i in range(function.n_in())]
-    return ca.Function(function.name(), inputs, function.call(inputs), {"cse": True})
+    names = function.name_in(), function.name_out()
+    return ca.Function(function.name(), inputs, function.call(inputs), *names, {"cse": True})
 
 
 def _by_lane(called: str, lanes: int) -> str:
@@ -197,6 +217,10 @@ def _needed_later(function: ca.Function) -> set[int]:
     return needed
 
 
+def _shared(function: ca.Function, number: int) -> bool:
+    return bool(function.name_in(number).startswith(SAME))
+
+
 def _name(slot: int, here: dict[int, str]) -> str:
     return here.get(slot, f"w[{slot}]")
 
@@ -206,6 +230,8 @@ def _value(function: ca.Function, k: int, here: dict[int, str]) -> str:
     if operation == ca.OP_CONST:
         number = repr(function.instruction_constant(k))
         return f"all({ {'inf': 'INFINITY', '-inf': '-INFINITY', 'nan': 'NAN'}.get(number, number) })"
+    if operation == ca.OP_INPUT and _shared(function, of[0]):
+        return f"all(arg[{of[0]}][{of[1]}])"
     if operation == ca.OP_INPUT:
         return f"gathered(arg[{of[0]}] + {of[1]}, {function.numel_in(of[0])})"
     names = [_name(slot, here) for slot in of]
@@ -216,9 +242,9 @@ def _value(function: ca.Function, k: int, here: dict[int, str]) -> str:
 
 def _interface(function: ca.Function, calls: str, lanes: int) -> str:
     """The functions that casadi.external looks for, around the calls."""
-    name = function.name()
-    sizes_in = [function.size_in(i) for i in range(function.n_in())]
-    sizes_out = [function.size_out(i) for i in range(function.n_out())]
+    name, of_lanes = function.name(), [1 if _shared(function, i) else lanes for i in range(function.n_in())]
+    sizes_in = [(*function.size_in(i), times) for i, times in enumerate(of_lanes)]
+    sizes_out = [(*function.size_out(i), lanes) for i in range(function.n_out())]
     return f"""\
 int {name}(const double **arg, double **res, long long *iw, double *w, int mem) {{
     V v[{function.sz_w()}];
@@ -226,11 +252,11 @@ int {name}(const double **arg, double **res, long long *iw, double *w, int mem) 
 }}
 long long {name}_n_in(void) {{ return {len(sizes_in)}; }}
 long long {name}_n_out(void) {{ return {len(sizes_out)}; }}
-{_sparsities(f"{name}_sparsity_in", sizes_in, lanes)}{_sparsities(f"{name}_sparsity_out", sizes_out, lanes)}"""
+{_sparsities(f"{name}_sparsity_in", sizes_in)}{_sparsities(f"{name}_sparsity_out", sizes_out)}"""
 
 
-def _sparsities(name: str, sizes: list[tuple[int, int]], lanes: int) -> str:
-    rows = ", ".join(f"{{{rows}, {lanes * columns}, 1}}" for rows, columns in sizes)
+def _sparsities(name: str, sizes: list[tuple[int, int, int]]) -> str:
+    rows = ", ".join(f"{{{rows}, {times * columns}, 1}}" for rows, columns, times in sizes)
     return (
         f"const long long *{name}(long long i) {{\n    static const long long dense[][3] = {{{rows}}};\n"
         f"    return dense[i];\n}}\n"

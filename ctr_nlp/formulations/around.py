@@ -79,7 +79,7 @@ class Around:
         self._own = self._numbers.copy()
         self._wall = _InC(None, *self._fixed)
         self._library = cache.loaded(__package__, "wall.c")
-        self._made = Library(self._points.serialize(), lambda: (self._points,), LANES)
+        self._made = Library(self._points.serialize(), functools.partial(tuple, (self._points,)), LANES)
         self._compiled: ctypes.CDLL | None = None
 
     def ready(self, wait: bool = False) -> bool:

@@ -14,7 +14,8 @@ from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.models import Model
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.nlp.links import Link, differences
-from ctr_nlp.nlp.nlp import FrameFunctions, Nlp
+from ctr_nlp.nlp.nlp import Nlp
+from ctr_nlp.nlp.written import FrameFunctions
 from ctr_nlp.robot import Robot
 from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array

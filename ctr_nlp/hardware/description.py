@@ -13,6 +13,7 @@ import numpy as np
 from ctr_nlp.exceptions import HardwareError, RobotError
 from ctr_nlp.hardware.arm.description import Arm
 from ctr_nlp.hardware.axis import Axis, check_fit, tightened
+from ctr_nlp.hardware.sensing.description import Sensing
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.values import described, number, read_toml
 from ctr_nlp.typing import Array
@@ -21,7 +22,7 @@ DEVICES = ("simulated", "grbl", "ros2")
 HOMING = ("manual", "cycle")
 FLOW = ("count", "wait")
 
-KEYS = "name, robot, axes, arm, connection, approach, late"
+KEYS = "name, robot, axes, arm, connection, sensing, approach, late"
 """Of a hardware file."""
 
 
@@ -85,7 +86,7 @@ class Hardware:
     approach: part of the largest speeds at which the first frame is gone to. robot: whose tubes are mounted; plans
     for others are refused, None takes any. late: s that a motion may be behind its schedule. commissioned: the
     controller's settings by name when the rig was commissioned, as it told them; None where that was not done.
-    Raises HardwareError.
+    sensing: what measures the robot, None for nothing; sensors may change between sessions. Raises HardwareError.
     """
 
     axes: tuple[Axis, ...]
@@ -95,6 +96,7 @@ class Hardware:
     robot: Robot | None = None
     late: float = 1.0
     commissioned: dict[str, str] | None = None
+    sensing: Sensing | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axes", tuple(self.axes))
@@ -149,6 +151,14 @@ class Hardware:
         q[..., [robot.axes.index(axis.joint) for axis in self.axes]] = lengths / self.each("scale")
         return q
 
+    def reach(self, robot: Robot) -> tuple[Array, Array]:
+        """The least and the largest q (2d + 2,) in the axes' ranges; infinite where no axis moves it."""
+        least, most = np.full((2, 2 * robot.d + 2), [[-np.inf], [np.inf]])
+        for axis in self.axes:
+            i = robot.axes.index(axis.joint)
+            least[i], most[i] = sorted((end - axis.zero) / axis.scale for end in axis.range)
+        return least, most
+
     @classmethod
     def from_toml(cls, path: str | Path) -> Hardware:
         """The hardware of a TOML file; raises HardwareError, also where it cannot move the robot that it names."""
@@ -169,6 +179,7 @@ class Hardware:
                 Robot.from_toml(Path(path).parent / data["robot"]) if "robot" in data else None,
                 data.get("late", cls.late),
                 read_commissioned(path),
+                described(Sensing, data["sensing"]) if "sensing" in data else None,
             )
             if hardware.robot is not None:
                 hardware.tightened(hardware.robot)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import casadi as ca
 
 from ctr_nlp.codegen import cache
@@ -12,4 +14,6 @@ def machine_code(function: ca.Function) -> ca.Function:
     """The same function of dense numbers, compiled once and kept."""
     if cache.missing():
         return function
-    return ca.external(function.name(), str(Library(function.serialize(), lambda: (function,), 1).now()))
+    return ca.external(
+        function.name(), str(Library(function.serialize(), functools.partial(tuple, (function,)), 1).now())
+    )

@@ -11,14 +11,13 @@ from scipy.linalg import lapack
 
 from ctr_nlp.loops.differences import Differences
 from ctr_nlp.loops.prediction import Predicted, Predictor
+from ctr_nlp.loops.recalled import Recalled, Record
 from ctr_nlp.loops.sensors import Reading, Seen, Sensors
+from ctr_nlp.loops.sensors.gate import accepted
 from ctr_nlp.models import Model
 from ctr_nlp.models.walker import Walker
 from ctr_nlp.typing import Array, Flags
 
-GATE = {1: 10.83, 2: 13.82, 3: 16.27}
-"""Squared distances, in standard deviations, that values which belong together exceed once in a thousand:
-chi-square."""
 MODEL = 0.1
 """Part of a sensor's noise that is added for what the model does not know."""
 STILL = 1e-4
@@ -29,17 +28,6 @@ CERTAIN, FAR = 10.0, 5.0
 """Logarithm of the odds at which one of two hypotheses is dropped; deviations more than which count no more."""
 TINY = 1e-300
 """What stands for 0 in a denominator."""
-KEPT = 1.0
-"""s for which what was predicted is remembered, for readings that come late."""
-
-
-class Record(NamedTuple):
-    """What was predicted at a time: values (m,), their slopes (m, k) over differences, and the mean (k,) then."""
-
-    time: float
-    values: Array
-    slopes: Array
-    mean: Array
 
 
 class Innovation(NamedTuple):
@@ -72,7 +60,7 @@ class Observer:
         self._structure = differences.draws(self.mean[None]).structure
         self._behind, self._engaged = np.zeros((2, self._d))
         self.q = np.zeros(len(differences.robot.axes))
-        self._records = list[Record]()
+        self._recalled = Recalled()
         self._walker: Walker | None = None
         self.jumps, self.refused, self._odds = list[Array](), 0, 0.0
         self.rival: Observer | None = None
@@ -115,24 +103,40 @@ class Observer:
 
     def moved(self, q: Array, time: float) -> None:
         """The motors have moved to q (2d + 2,) at a time, s."""
+        stood = None if self._walker is None else self._walker.copy()
+        fell = self._gone(q)
+        if fell and stood is not None and self.rival is None:
+            self._forked(stood, fell, time)
+        else:
+            self.jumps = self.jumps + fell
+        if self.rival is not None:
+            self.rival.moved(q, time)
+        self._look(time)
+
+    def _gone(self, q: Array) -> list[Array]:
+        """The motors have moved to q (2d + 2,); by what the tips of the estimated robot jumped."""
         d = self._d
         before = np.full(d, q[d - 1]) if self._walker is None else self.q[:d]
         free = self._behind - (q[:d] - before)
         self._behind = np.clip(free, -self._lags, self._lags)
         self._engaged = np.where(self._behind != free, np.sign(self._behind), self._engaged)
         self.q = np.array(q)
-        if self._walker is None:
-            self._walker = self._model.walker(self._structure, self._numbers, self.tubes)
-        else:
-            stood = self._walker.copy()
-            fell = self._walker.go(self.tubes)
-            if fell and self.rival is None:
-                self._forked(stood, fell, time)
-            else:
-                self.jumps = self.jumps + fell
-        if self.rival is not None:
-            self.rival.moved(q, time)
-        self._look(time)
+        if self._walker is not None:
+            return self._walker.go(self.tubes)
+        self._walker = self._model.walker(self._structure, self._numbers, self.tubes)
+        return []
+
+    def led(self, places: Array) -> None:
+        """The motors pass places (n, 2d + 2), of which nothing is predicted."""
+        self._walker = None if self._walker is None else self._walker.copy()
+        for q in places:
+            self._gone(q)
+
+    def ahead(self, places: Array) -> Observer:
+        """The same estimate where its motors will have passed places (n, 2d + 2)."""
+        found = copy.copy(self)
+        found.led(places)
+        return found
 
     def _forked(self, stood: Walker, fell: list[Array], time: float) -> None:
         """The estimated robot has fallen from where it stood: go on as the nearest likely one that has not, if
@@ -175,8 +179,7 @@ class Observer:
         of_seen, of_turned = (signs * of[rows, :n] for of in (of_points, of_tangents))
         seen = Seen(points[:n], tangents[:n], of_seen, of_turned, float(self.q[2 * self._d - 1]))
         values, over = self._sensors.values(seen).copy(), self._sensors.slopes(seen)
-        record = Record(time, values, over, self.mean)
-        self._records = [old for old in self._records if old.time > time - KEPT] + [record]
+        self._recalled = self._recalled.and_then(Record(time, values, over, self.mean))
 
     @property
     def _signs_over(self) -> Array:
@@ -186,28 +189,11 @@ class Observer:
 
     def expected(self, time: float) -> tuple[Array, Array]:
         """What is predicted of a reading at a time, (m,), and its slopes (m, k), by what is known now."""
-        records = self._records
-        after = next((k for k, each in enumerate(records) if each.time >= time - 1e-9), len(records) - 1)
-        ends, part = [records[after]], 1.0
-        if after and time < ends[0].time - 1e-9:
-            ends.insert(0, records[after - 1])
-            part = (time - ends[0].time) / (ends[1].time - ends[0].time)
-        values = [each.values + each.slopes @ (self.mean - each.mean) for each in ends]
-        if len(ends) == 1:
-            return values[0], ends[0].slopes
-        return values[0] + part * (values[1] - values[0]), ends[0].slopes + part * (
-            ends[1].slopes - ends[0].slopes
-        )
+        return self._recalled.expected(time, self.mean)
 
     def rates(self, time: float) -> Array:
         """At which values (m,) change at a time, per s; 0 where that is not known."""
-        after = next(
-            (k for k, each in enumerate(self._records) if each.time >= time - 1e-9), len(self._records) - 1
-        )
-        if after == 0:
-            return np.zeros(len(self._sensors))
-        before, now = self._records[after - 1 : after + 1]
-        return (now.values - before.values) / (now.time - before.time)
+        return self._recalled.rates(time)
 
     def judged(self, reading: Reading) -> Innovation:
         """A reading beside what is expected, of which nothing is taken."""
@@ -225,13 +211,13 @@ class Observer:
         excess, over = reading.values - values, slopes @ self.covariance
         spread = over @ slopes.T
         spread[np.diag_indices_from(spread)] += self._sensors.noise**2 * (1 + MODEL)
-        accepted, expected = self._accepted(excess, spread), np.sqrt(spread.diagonal())
+        taken, expected = accepted(self._sensors, excess, spread), np.sqrt(spread.diagonal())
         gain, size = np.zeros_like(slopes), float("nan")
-        if accepted.any():
-            right = excess[accepted]
-            _, solved, _ = lapack.dposv(spread[accepted][:, accepted], np.column_stack([over[accepted], right]))
-            gain[accepted], size = solved[:, :-1], float(right @ solved[:, -1] / len(right))
-        return Innovation(reading.time, excess, expected, accepted, size), gain, slopes
+        if taken.any():
+            right = excess[taken]
+            _, solved, _ = lapack.dposv(spread[taken][:, taken], np.column_stack([over[taken], right]))
+            gain[taken], size = solved[:, :-1], float(right @ solved[:, -1] / len(right))
+        return Innovation(reading.time, excess, expected, taken, size), gain, slopes
 
     def measured(self, reading: Reading) -> Innovation:
         """Take a reading of a moment that the motors have passed: what is right of it changes the estimate.
@@ -255,18 +241,6 @@ class Observer:
             self.__dict__.update(self.rival.__dict__)
         elif self._odds < -CERTAIN:
             self.rival = None
-
-    def _accepted(self, excess: Array, spread: Array) -> Flags:
-        """Which values are no further from what was expected than once in a thousand readings."""
-        found = np.zeros(len(excess), dtype=bool)
-        for rows in self._sensors.grouped:
-            away = excess[rows]
-            known: Flags = np.asarray(np.isfinite(away).all(axis=1))
-            there = np.where(known[:, None], away, 0.0)
-            solved = np.linalg.solve(spread[rows[:, :, None], rows[:, None, :]], there[..., None])[..., 0]
-            near: Flags = np.asarray((solved * there).sum(axis=1) <= GATE[rows.shape[1]])
-            found[rows] = (known & near).reshape(-1, 1)
-        return found
 
     def restored(self, mean: Array, covariance: Array) -> None:
         """Go back to what was known before."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from enum import Enum
 from typing import NamedTuple
 
@@ -43,7 +44,7 @@ class State(Enum):
     """Of a tracker; the value is what a person reads."""
 
     TRACKING = "tracking"
-    HELD = "on what was known before"
+    HELD = "on its plan, not corrected"
     STOPPED = "stopped"
 
 
@@ -58,23 +59,31 @@ class Note(NamedTuple):
 class Tracker:
     """Leads one robot through a plan. notes: what the operator was told, in order.
 
-    Where sensors cannot be believed, the estimate goes back to what it was before, and is kept: the robot goes on
-    along the plan as corrected until then. It tracks again after silence alone: a registration that has jumped may
-    seem right again where little can be told apart. It stops where its margin is not safe by then, and after a
-    snap.
+    Where sensors cannot be believed, the estimate goes back to what it was before, and is kept, and the motors go
+    back to the plan, which decides whether robots survive. It tracks again after silence alone: a registration
+    that has jumped may seem right again where little can be told apart. It stops where its margin is not safe by
+    then, and after a snap.
     """
 
     def __init__(
-        self, plan: Plan, sensors: Sensors, tolerances: Tolerances | None = None, pull: float = PULL
+        self,
+        plan: Plan,
+        sensors: Sensors,
+        tolerances: Tolerances | None = None,
+        pull: float = PULL,
+        known: tuple[Array, Array] | None = None,
     ) -> None:
         """Compile, and wait for it; tolerances: of the robot, None for the plan's.
 
-        Raises OptionError, RobotError.
+        known: mean (k,) and covariance (k, k) of the robot's differences, None for what the tolerances say. Raises
+        OptionError, RobotError.
         """
         if not plan.complete:
             raise OptionError("the plan has frames without a solution, and cannot be tracked")
         self.plan, self._robot, model = plan, plan.robot, model_named(plan.evaluated)
         differences = Differences.of(plan.robot, tolerances)
+        if known is not None:
+            differences = replace(differences, mean=known[0], covariance=known[1])
         places = np.linspace(0.0, 1.0, PLACES)
         count = len(sensors.sigma)
         spare = np.zeros(max(ROOM - count - PLACES, 0))
@@ -89,32 +98,45 @@ class Tracker:
         self._doubts, self.state, self.notes = Doubts(), State.TRACKING, list[Note]()
         self._known, self._warned = deque[tuple[Array, Array]](maxlen=BACK), ""
         self.innovations = list[Innovation]()
-        self._silent = False
+        self._silent, self._time = False, 0.0
+        self._begun: float | None = None
 
     def step(self, frame: int, q: Array, time: float, readings: Sequence[Reading]) -> Array:
-        """Where motors are to be (2d + 2,) in the next frame.
+        """Where motors are to be (2d + 2,) in the next frame, within the plan's limits of position and speed.
 
         frame, from 0, was just reached, with the motors at q (2d + 2,) at a time, s; readings: what arrived since.
         """
+        self.observe(q, time, readings)
+        if frame + 1 >= len(self._q):
+            return q
+        reach = self._robot.speed * (self.plan.time[frame + 1] - self.plan.time[frame])
+        least, most = np.maximum(self._robot.lower, q - reach), np.minimum(self._robot.upper, q + reach)
+        return self.wanted(frame + 1, self._q[frame + 1] - self._q[frame], q[:0].reshape(0, len(q)), least, most)
+
+    def led(self, places: Array) -> None:
+        """The motors have come through places (n, 2d + 2), where nothing was measured."""
+        self.observer.led(places)
+
+    def observe(self, q: Array, time: float, readings: Sequence[Reading]) -> None:
+        """The motors are at q (2d + 2,) at a time, s; readings: what arrived since it was last told."""
+        self._time, self._begun = time, time if self._begun is None else self._begun
         self.observer.moved(q, time)
         if self.observer.jumps and self.state is not State.STOPPED:
-            self._tell(time, State.STOPPED, "the robot has snapped, by what is known of it")
+            self._tell(State.STOPPED, "the robot has snapped, by what is known of it")
         for reading in readings:
-            self._read(time, reading)
-        silent = self._doubts.silent(time, float(self.plan.time[0]))
+            self._read(reading)
+        silent = self._doubts.silent(time, self._begun)
         if silent and self.state is State.TRACKING:
             self._silent = True
-            self._tell(time, State.HELD, silent)
-        if self.state is State.STOPPED or frame + 1 >= len(self._q):
-            return q
-        return self._next(frame, q, time)
+            self._tell(State.HELD, silent)
 
-    def _tell(self, time: float, state: State, why: str) -> None:
+    def _tell(self, state: State, why: str) -> None:
         self.state = state
-        self.notes.append(Note(time, state, why))
+        self.notes.append(Note(self._time, state, why))
 
-    def _read(self, time: float, reading: Reading) -> None:
+    def _read(self, reading: Reading) -> None:
         """Believe a reading, or tell why not."""
+        time = self._time
         seen, rates = self.observer.judged(reading), self.observer.rates(reading.time)
         why, outliers = self._doubts.looked(time, reading, seen, rates)
         self.innovations.append(seen)
@@ -123,42 +145,49 @@ class Tracker:
         self._warned = outliers
         if why and self._silent:
             self._silent = False
-            self._tell(time, State.HELD, why)
+            self._tell(State.HELD, why)
         elif why and self.state is State.TRACKING:
             if self._known:
                 self.observer.restored(*self._known[0])
             self._known.clear()
-            self._tell(time, State.HELD, why)
+            self._tell(State.HELD, why)
         elif self.state is State.HELD and self._silent and self._doubts.sound:
             self._silent = False
-            self._tell(time, State.TRACKING, "measurements agree again with what is known")
+            self._tell(State.TRACKING, "measurements agree again with what is known")
         if self.state is State.TRACKING:
             self._known.append((self.observer.mean, self.observer.covariance))
             self.observer.measured(reading)
 
-    def _next(self, frame: int, q: Array, time: float) -> Array:
-        """The corrected configuration of the frame after this one, within all limits."""
-        robot, observer = self._robot, self.observer
-        reach = robot.speed * (self.plan.time[frame + 1] - self.plan.time[frame])
-        least, most = np.maximum(robot.lower, q - reach), np.minimum(robot.upper, q + reach)
-        off = observer.tubes - q
+    def wanted(self, frame: int, step: Array, ahead: Array, least: Array, most: Array) -> Array:
+        """Where motors are best (2d + 2,), between least and most, in a frame, from 0, that has not begun.
+
+        ahead (n, 2d + 2): where they will have gone by then, and stay on the way; step (2d + 2,): by how much the
+        plan moves from the last of these, or from where they are, to that frame. A robot that is stopped stays.
+        """
+        there = self.observer.ahead(ahead)
+        if self.state is State.STOPPED:
+            return there.q
+        off = there.tubes - there.q
         low, high = least + off, most + off
-        start = np.clip(self._q[frame + 1] + (observer.tubes - self._q[frame]), low, high)
-        walker = observer.walker.copy()
+        held, planned = self.state is State.HELD, self._q[frame]
+        start = np.clip(planned + off if held else there.tubes + step, low, high)
+        walker = there.walker.copy()
         walker.go(start)
-        predicted, margin = observer.at(walker)
-        deviation = observer.deviation(predicted.of_margin)
-        if self.state is State.HELD and margin - STOPS * deviation < 0:
-            self._tell(time, State.STOPPED, "what is uncertain of the robot exceeds its stability margin")
-            return q
+        predicted, margin = there.at(walker)
+        deviation = there.deviation(predicted.of_margin)
+        if held and margin - STOPS * deviation < 0:
+            self._tell(State.STOPPED, "what is uncertain of the robot exceeds its stability margin")
+            return there.q
+        if held:
+            return start - off
         k = self._size
         at = Place(
             start, predicted.points[self._at], predicted.of_points[:k, self._at], margin, predicted.of_margin[:k]
         )
-        planned = np.fmin(self.plan.stability[frame + 1], MARGIN + UNCERTAIN * deviation)
-        least_margin = max(MARGIN, float(np.nan_to_num(planned)))
-        tubes = self._correction(at, self._shape[frame + 1], self._q[frame + 1], low, high, least_margin)
-        motors = np.clip(observer.motors(start if tubes is None else tubes), least, most)
-        d = robot.d
+        raised = np.fmin(self.plan.stability[frame], MARGIN + UNCERTAIN * deviation)
+        least_margin = max(MARGIN, float(np.nan_to_num(raised)))
+        tubes = self._correction(at, self._shape[frame], planned, low, high, least_margin)
+        motors = np.clip(there.motors(start if tubes is None else tubes), least, most)
+        d = self._robot.d
         motors[d : 2 * d] = np.maximum.accumulate(motors[d : 2 * d])
         return motors

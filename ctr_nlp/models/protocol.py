@@ -81,6 +81,19 @@ class Followed(NamedTuple):
     snaps: tuple[Snap, ...] = ()
 
 
+class Rest(NamedTuple):
+    """Robots at rest without a history, NaN where no equilibrium is found.
+
+    x (T, n): unknowns. points (T, m, 3) mm; tips (T, 3): directions of tips; margins (T,): of stability, NaN where
+    nothing can be unstable.
+    """
+
+    x: Array
+    points: Array
+    tips: Array
+    margins: Array
+
+
 class Passage(NamedTuple):
     """Places q (M, 2d + 2) on the way through a total of frames, of which those that are NaN have none.
 
@@ -167,6 +180,12 @@ class Model(ABC):
     def rest(self, robot: Robot, q: Array) -> Array:
         """The unknowns (n_x,) of a robot that stands at q (2d + 2,) and has no history."""
         return np.copy(q)
+
+    def at_rest(self, robot: Robot, q: Array, sigma: Array) -> Rest:
+        """A robot that stands at every q (T, 2d + 2) without a history; points at sigma (m,)."""
+        x = np.array([self.rest(robot, each) for each in q])
+        tips = self.tangents(robot, x, np.ones(1))[:, 0]
+        return Rest(x, self.points(robot, x, sigma), tips, self.margins(robot, x))
 
     def guess(self, robot: Robot, q: Array) -> Array:
         """Roughly the unknowns (.., n_x) at q (.., 2d + 2), found fast: to start a solver from."""

@@ -13,7 +13,8 @@ import scipy.sparse as sp
 
 from ctr_nlp.codegen.mapped import Mapped
 from ctr_nlp.nlp.links import Link
-from ctr_nlp.nlp.nlp import FrameFunctions, Nlp, Residual
+from ctr_nlp.nlp.nlp import Nlp, Residual
+from ctr_nlp.nlp.written import FrameFunctions
 from ctr_nlp.typing import Array, Flags, Index
 
 

@@ -6,11 +6,12 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from ctr_nlp.nlp.written import FrameFunctions, Written
 from ctr_nlp.typing import Array, Flags, Index
 
 
@@ -66,20 +67,6 @@ class Inner:
         return ca.vertcat(ca.SX(0, 1), *symbols), ca.vertcat(ca.SX(0, 1), *values)
 
 
-class FrameFunctions(NamedTuple):
-    """What a solver of many frames evaluates, as symbols or compiled.
-
-    value: (x, p) -> (objective, g). slopes: (x, p) -> (objective, its gradient, g, the dense Jacobian of g).
-    expansion: (x, p, lam_f, lam_g) -> slopes and the dense exact Hessian of lam_f objective + lam_g g.
-    lanes: for how many frames at once, side by side as `map` lays them out.
-    """
-
-    value: ca.Function
-    slopes: ca.Function
-    expansion: ca.Function
-    lanes: int = 1
-
-
 @dataclass(frozen=True, eq=False)
 class Nlp:
     """Minimise sum |residual|^2 + sum cost over x, subject to constraints and bounds.
@@ -108,28 +95,29 @@ class Nlp:
         return ca.vertcat(*(ca.vec(symbol) for symbol in self.parameters.values()))
 
     @cached_property
-    def residual(self) -> ca.SX:
-        """All residuals in one column."""
-        return self.in_x([self._written[0]])[0]
-
-    @property
-    def _written(self) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Residuals, the sum of costs, and constraint values as they are written, in inner symbols."""
-        residuals, constraints = (
+    def written(self) -> Written:
+        """The expressions of its terms, as they are written."""
+        residual, g = (
             ca.vertcat(ca.SX(0, 1), *(term.value for term in terms))
             for terms in (self.residuals, self.constraints)
         )
-        return residuals, sum((term.value for term in self.costs), ca.SX(0)), constraints
+        cost = sum((term.value for term in self.costs), ca.SX(0))
+        return Written(self.x, self.p, residual, cost, g, tuple(inner.columns for inner in self.inner))
+
+    @property
+    def residual(self) -> ca.SX:
+        """All residuals in one column."""
+        return self.written.outright[0]
 
     @cached_property
     def objective(self) -> ca.SX:
         """The objective, mm^2."""
-        return ca.sumsqr(self.residual) + self.in_x([self._written[1]])[0]
+        return ca.sumsqr(self.residual) + self.written.outright[1]
 
-    @cached_property
+    @property
     def g(self) -> ca.SX:
         """All constraint values in one column."""
-        return self.in_x([self._written[2]])[0]
+        return self.written.outright[2]
 
     @cached_property
     def g_bounds(self) -> tuple[Array, Array]:
@@ -146,7 +134,7 @@ class Nlp:
     @property
     def q(self) -> ca.SX:
         """The configuration, as it is written."""
-        return ca.vertcat(self.x, self._written[2])[self.configuration.tolist()]
+        return ca.vertcat(self.x, self.written.g)[self.configuration.tolist()]
 
     def row_bounds(self, lower: Array | None = None, upper: Array | None = None) -> tuple[Array, Array]:
         """Lower and upper bounds of x and then g, (n + m,); those of the configuration as given."""
@@ -189,59 +177,10 @@ class Nlp:
             columns.append(value.ravel(order="F"))
         return np.concatenate(columns)
 
-    @cached_property
+    @property
     def functions(self) -> FrameFunctions:
-        """Value and second-order expansion, for solvers that take many of these at once.
-
-        Operations that are repeated stay: whoever makes machine code of them finds these, which takes seconds.
-        """
-        lam_f, lam_g = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", self.g.numel())
-        gradient, jacobian, hessian = (ca.densify(part) for part in self._derivatives(lam_f, lam_g))
-        inputs, multipliers = [self.x, self.p], [lam_f, lam_g]
-        value = [self.objective, ca.densify(self.g)]
-        slopes = [value[0], gradient, value[1], jacobian]
-        return FrameFunctions(
-            ca.Function("value", inputs, value),
-            ca.Function("slopes", inputs, slopes),
-            ca.Function("expansion", inputs + multipliers, [*slopes, hessian]),
-        )
-
-    def _derivatives(self, lam_f: ca.SX, lam_g: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """The objective's gradient, the Jacobian of g, and the Hessian of lam_f objective + lam_g g.
-
-        With L(u) = lam_f (|r(u)|^2 + cost(u)) + lam_g g(u) of u(x), the Hessian is u_x' L_uu u_x + sum L_u u_xx,
-        where of L_uu the part 2 r_u' r_u becomes 2 J'J with J = r_u u_x; and so on for u(v(x)), layer by layer.
-        """
-        u, u_x, layers = self.x, ca.SX.eye(self.x.numel()), list[tuple[ca.SX, ca.SX, ca.SX, ca.SX]]()
-        for inner in self.inner:
-            symbols, values = inner.columns
-            at = ca.vertcat(values, u)
-            step = ca.jacobian(at, u)
-            layers.append((u, u_x, at, step))
-            u, u_x = ca.vertcat(symbols, u), step @ u_x
-        r, cost, g = self._written
-        r_u, g_u = ca.jacobian(r, u), ca.jacobian(g, u)
-        slope, pull = r_u @ u_x, ca.densify(2 * r_u.T @ r + ca.gradient(cost, u))
-        pushes = ca.SX.sym("pushes", r.numel())
-        straight = ca.dot(pushes, r) + lam_f * cost + ca.dot(lam_g, g)
-        half = ca.triu(2 * lam_f * slope.T @ slope + u_x.T @ ca.hessian(straight, u)[0] @ u_x)
-        stand_ins, given = [pushes], [ca.densify(2 * lam_f * r)]
-        force = ca.densify(lam_f * pull + g_u.T @ lam_g)
-        for below, below_x, at, step in reversed(layers):
-            pulls = ca.SX.sym("pulls", at.numel())
-            half += ca.triu(below_x.T @ ca.hessian(ca.dot(pulls, at), below)[0] @ below_x)
-            stand_ins, given = [*stand_ins, pulls], [*given, force]
-            force = ca.densify(step.T @ force)
-        (half,) = ca.substitute([half], stand_ins, given)
-        gradient, jacobian, half = self.in_x([u_x.T @ pull, g_u @ u_x, half])
-        return gradient, jacobian, ca.triu2symm(half)
-
-    def in_x(self, expressions: list[ca.SX]) -> list[ca.SX]:
-        """Expressions that are written in inner symbols, without these."""
-        for inner in reversed(self.inner):
-            symbols, values = inner.columns
-            expressions = ca.substitute(expressions, [symbols], [values])
-        return expressions
+        """Value and second-order expansion, interpreted."""
+        return self.written.functions
 
     @cached_property
     def kkt_function(self) -> ca.Function:

@@ -11,9 +11,10 @@ import scipy.sparse as sp
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.nlp.links import Link
-from ctr_nlp.nlp.nlp import FrameFunctions, Nlp
+from ctr_nlp.nlp.nlp import Nlp
+from ctr_nlp.nlp.written import FrameFunctions
 from ctr_nlp.support.values import frozen
-from ctr_nlp.typing import Array, Index
+from ctr_nlp.typing import Array, Flags, Index
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,8 @@ class Scenarios:
     """S robots that are moved alike; the first is the one as described, and others are compared with it.
 
     numbers (S, d, 6): of the tubes, in the order of structure.NUMBERS. offsets (S, d): of the motors' zeros, added
-    to alpha, rad. weights (S,): how much each one's shape error counts, >= 0 and not all 0. Raises OptionError.
+    to alpha, rad. weights (S,): how much each one's shape error counts, >= 0 and not all 0; others than the first
+    that count nothing need only not be lost. Raises OptionError.
     """
 
     numbers: Array
@@ -42,16 +44,24 @@ class Scenarios:
     def __len__(self) -> int:
         return len(self.weights)
 
+    @property
+    def guards(self) -> Flags:
+        """Which (S,) need only not be lost."""
+        return np.asarray((self.weights == 0) & (np.arange(len(self)) > 0))
+
     def joined(self, numbers: Array, offsets: Array) -> Scenarios:
         """These and then others, whose shape errors do not count."""
         pairs = (self.numbers, numbers), (self.offsets, offsets), (self.weights, np.zeros(len(offsets)))
         return Scenarios(*(np.concatenate(pair) for pair in pairs))
 
-    def shrunk(self, part: float, since: int = 0) -> Scenarios:
-        """The same robots, from number `since` on differing from the first by only a part of what they do."""
-        parts = np.where(np.arange(len(self)) < since, 1.0, part)
-        numbers = self.numbers[0] + parts[:, None, None] * (self.numbers - self.numbers[0])
-        offsets = self.offsets[0] + parts[:, None] * (self.offsets - self.offsets[0])
+    def only(self, chosen: Flags) -> Scenarios:
+        """Those chosen (S,), the first among them."""
+        return Scenarios(self.numbers[chosen], self.offsets[chosen], self.weights[chosen])
+
+    def shrunk(self, part: float) -> Scenarios:
+        """The same robots, differing from the first by only a part of what they do."""
+        numbers = self.numbers[0] + part * (self.numbers - self.numbers[0])
+        offsets = self.offsets[0] + part * (self.offsets - self.offsets[0])
         return replace(self, numbers=numbers, offsets=offsets)
 
 
@@ -77,7 +87,10 @@ class SharedMotion:
 
     frame: the program of one robot in one frame over (phi, beta, theta), the last two of them q's own, and what
     common unknowns give it, where there are any: these are then solved for, too. parameters (T S, p): a row for
-    every scenario of every frame. lower, upper (T, n): of q, equal where it is fixed.
+    every scenario of every frame. lower, upper (T, n): of q, equal where it is fixed. apart (S,): by how much a
+    scenario's tips, relative to the innermost one, may differ from the first scenario's, rad. twist_steps
+    (T,): rad by which the first's may turn beyond its motors on the way to each frame; infinite where none is
+    before it.
     surroundings: where some parameters hold near a motion only, these (T, S, ..), by name, of all robots' unknowns
     (T, S, n).
     """
@@ -89,7 +102,8 @@ class SharedMotion:
     lower: Array
     upper: Array
     links: tuple[Link, ...]
-    apart: float
+    apart: Array
+    twist_steps: Array
     functions: Callable[[], FrameFunctions]
     surroundings: Callable[[Array], Mapping[str, Array]] | None = None
     common: Common | None = None
@@ -123,10 +137,18 @@ class SharedMotion:
         bounds = list[Array]()
         for bound, side in zip(self.frame.g_bounds, (-self.apart, self.apart), strict=True):
             _, count, _, d = self.sizes
-            tips = np.full((count - 1) * (d - 1), side)
+            tips = np.repeat(side[1:], d - 1)
             parts = [np.tile(bound[self.own_rows], count), tips, bound[self.common_rows]]
             bounds.append(np.tile(np.concatenate(parts), (len(self.lower), 1)))
         return bounds[0], bounds[1]
+
+    def by_scenario(self, rows: Array) -> Array:
+        """The sums (S,) of values (m,) of a frame's rows that each scenario has of its own, or with the first."""
+        _, count, _, d = self.sizes
+        size = count * len(self.own_rows)
+        own = rows[:size].reshape(count, -1).sum(axis=1)
+        tips = rows[size : size + (count - 1) * (d - 1)].reshape(count - 1, -1).sum(axis=1)
+        return np.asarray(own + np.append(0.0, tips))
 
     def unknowns(self, q: Array, phi: Array, given: Array) -> Array:
         """Those (T, S, n + k) of every robot in every frame, at q (T, n) and tips phi (T, S, d).

@@ -7,11 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ctr_nlp.formulations.around import Beside
 from ctr_nlp.models import Snap
 from ctr_nlp.plan.measures import rms_over_sigma, root_mean_square
 from ctr_nlp.robot import Robot
 from ctr_nlp.simulation.forward import Simulation, simulated
-from ctr_nlp.target.lumen import Lumen
+from ctr_nlp.target.lumen import Lumen, outer_radii
 from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array, Flags
 
@@ -34,13 +35,15 @@ def moved(
 
     lumen: (N, 4) mm, where it is known; free: the motion (T, 2d + 2) that was found without the wall.
     """
-    found, beta = simulated(robot, q, model), robot.split(q)[1]
+    found, clearance = simulated(robot, q, model), None
+    if lumen is not None:
+        clearance = Beside(Lumen(lumen))(found.shape) - outer_radii(robot, robot.split(q)[1], SIGMA)
     arrays = {
         "shape": found.shape,
         "tip_direction": found.tip_direction,
         "stability": found.stability,
         "stability_between": found.stability_between,
-        "clearance": None if lumen is None else Lumen(lumen).clearance(robot, beta, SIGMA, found.shape),
+        "clearance": clearance,
     }
     reached = np.asarray(np.isfinite(found.shape).all(axis=(1, 2)))
     told = {

@@ -57,9 +57,12 @@ class Simulation(NamedTuple):
 
 def simulated(robot: Robot, q: Array, model: str | Model) -> Simulation:
     """The robot moved through q, frame by frame, on a model."""
-    described = model_named(model)
+    described, q = model_named(model), _checked(robot, q)
     described.check(robot)
-    found = described.follow(robot, _checked(robot, q))
+    if len(q) == 1:
+        rest = described.at_rest(robot, q, SIGMA)
+        return Simulation(rest.points, rest.tips, rest.margins, rest.margins, rest.x, ())
+    found = described.follow(robot, q)
     return Simulation(
         described.points(robot, found.x, SIGMA),
         described.tangents(robot, found.x, np.ones(1))[:, 0],

@@ -11,8 +11,9 @@ import casadi as ca
 
 from ctr_nlp.codegen import cache, vector
 from ctr_nlp.codegen.background import Library
-from ctr_nlp.nlp import nlp as programs
-from ctr_nlp.nlp.nlp import FrameFunctions, Nlp
+from ctr_nlp.nlp import written
+from ctr_nlp.nlp.nlp import Nlp
+from ctr_nlp.nlp.written import FrameFunctions
 
 KEPT = 64
 """Programs whose libraries a process remembers."""
@@ -26,13 +27,12 @@ def compiled(nlp: Nlp, lanes: int = vector.LANES) -> FrameFunctions:
 @functools.lru_cache(maxsize=KEPT)
 def library(nlp: Nlp, lanes: int) -> Library:
     """The shared library of a program's functions, which depend on the program and on what derives it."""
-    problem = ca.Function("problem", [nlp.x, nlp.p], [nlp.objective, nlp.g]).serialize()
-    return Library(f"{_deriver()}\n{problem}", lambda: nlp.functions[:3], lanes)
+    return Library(f"{_deriver()}\n{nlp.written.function.serialize()}", nlp.written.derived, lanes)
 
 
 @functools.cache
 def _deriver() -> str:
-    return inspect.getsource(programs)
+    return inspect.getsource(written)
 
 
 def fastest(nlp: Nlp) -> Callable[[], FrameFunctions]:

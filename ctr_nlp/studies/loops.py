@@ -10,7 +10,8 @@ import numpy as np
 from ctr_nlp.loops.closed import closed_loop, open_loop
 from ctr_nlp.loops.feed import Feed
 from ctr_nlp.loops.plant import Plant
-from ctr_nlp.loops.sensors import Sensors, ShapePoints, TipPosition
+from ctr_nlp.loops.sensors import Sensors
+from ctr_nlp.loops.sensors.points import ShapePoints, TipPosition
 from ctr_nlp.loops.tracker import Tracker
 from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.plan import Plan

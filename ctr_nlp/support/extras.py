@@ -11,6 +11,7 @@ EXTRAS = {
     "hardware": ("toppra", "serial", "filelock", "ur_analytic_ik", "rosbags"),
     "ur": ("rtde_control", "rtde_receive"),
     "ros2": ("cyclonedds",),
+    "igtl": ("pyigtl",),
     "anatomy": ("nibabel", "nrrd", "networkx", "pyvista", "vtkmodules"),
     "report": ("k3d", "bokeh", "jinja2"),
     "completion": ("shtab",),

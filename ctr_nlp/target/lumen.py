@@ -98,7 +98,7 @@ class Lumen:
         outermost tube there. beta (T, d); sigma (n,) or (T, n); shape (T, n, 3) mm.
         """
         near = self.near(shape)
-        return np.asarray(near.radius - near.distance - outer_radius(robot)[outermost(beta, sigma)])
+        return np.asarray(near.radius - near.distance - outer_radii(robot, beta, sigma))
 
 
 def rings(table: Array, angle: Array) -> Array:
@@ -118,6 +118,11 @@ def rings(table: Array, angle: Array) -> Array:
 def outer_radius(robot: Robot) -> Array:
     """Of every tube, (d,) mm."""
     return np.array([tube.outer_diameter / 2 for tube in robot.tubes])
+
+
+def outer_radii(robot: Robot, beta: Array, sigma: Array) -> Array:
+    """Of the outermost tube at sigma (n,) or (T, n) of robots beta (T, d): (T, n) mm."""
+    return np.asarray(outer_radius(robot)[outermost(beta, sigma)])
 
 
 def outermost(beta: Array, sigma: Array) -> Index:

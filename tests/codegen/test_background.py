@@ -1,7 +1,12 @@
 """Programs are interpreted until a process of its own has compiled them, and solved alike."""
 
 import logging
+import shutil
+import subprocess
+import sys
 import time
+from functools import partial
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -14,6 +19,7 @@ from ctr_nlp.solvers import compiled
 from ctr_nlp.solvers.frame.program import Program
 
 pytestmark = pytest.mark.skipif(bool(cache.missing()), reason="no C compiler")
+TESTS = Path(__file__).parents[1]
 LONG = 120.0
 """s that a compiler may take on a busy machine."""
 
@@ -62,6 +68,22 @@ def test_a_program_is_interpreted_until_it_is_compiled_and_finds_the_same(cold):
 
 def test_whoever_waits_has_compiled_functions_at_once(cold):
     assert Program(toy(1.5), wait=True).compiled
+
+
+def test_processes_that_wait_for_one_library_have_it_made_once(cold, tmp_path, monkeypatch):
+    """A compiler that leaves a mark where it makes a program, and takes its time."""
+    marks = tmp_path / "marks"
+    marks.mkdir()
+    real, script = shutil.which("cc") or shutil.which("gcc"), tmp_path / "compiler"
+    mark = f"case $(cat code.c) in *expansion_0*) : > {marks}/$$; sleep 2;; esac"
+    script.write_text(f'#!/bin/sh\ncase " $* " in *" -E "*) ;; *) {mark};; esac\nexec {real} "$@"\n')
+    script.chmod(0o755)
+    monkeypatch.setenv("CC", str(script))
+    call = "from codegen.test_background import toy; from ctr_nlp.solvers import compiled; "
+    call += "print(compiled.library(toy(1.125), 1).now().is_file())"
+    run = partial(subprocess.Popen, [sys.executable, "-c", call], cwd=TESTS, stdout=subprocess.PIPE, text=True)
+    assert [process.communicate()[0] for process in [run(), run()]] == ["True\n"] * 2
+    assert len(list(marks.iterdir())) == 1
 
 
 def test_now_means_at_once(cold, monkeypatch):

@@ -98,7 +98,7 @@ def test_derivatives_match_finite_differences(stage, robot):
     rng = np.random.default_rng(0)
     nlp, h = stage.nlp, 1e-5
     for term in (*nlp.residuals, *nlp.costs, *nlp.constraints):
-        (in_x,) = nlp.in_x([term.value])
+        (in_x,) = nlp.written.in_x([term.value])
         value = ca.Function("value", [nlp.x, nlp.p], [in_x])
         jacobian = ca.Function("jacobian", [nlp.x, nlp.p], [ca.jacobian(in_x, nlp.x)])
         for _ in range(3):

@@ -19,10 +19,12 @@ def prepared_once() -> Iterator[None]:
     """The trajectory of a plan on some hardware is made and checked once; what plays it is made anew each time."""
     known: dict[object, Trajectory] = {}
 
-    def made(plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: Array | None = None) -> Trajectory:
-        key = digests(plan, hardware), repr(tempo), None if standing is None else standing.tobytes()
+    def made(
+        plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: Array | None = None, share: float = 1.0
+    ) -> Trajectory:
+        key = digests(plan, hardware), repr(tempo), None if standing is None else standing.tobytes(), share
         if key not in known:
-            known[key] = trajectory_of(plan, hardware, tempo, standing)
+            known[key] = trajectory_of(plan, hardware, tempo, standing, share)
         return known[key]
 
     looked_at: dict[tuple[int, str | None], Checked] = {}

@@ -17,6 +17,7 @@ from ctr_nlp import Limits, Robot, table_i_robot
 from ctr_nlp.exceptions import HardwareError
 from ctr_nlp.hardware.axis import Axis
 from ctr_nlp.hardware.description import Connection, Hardware, bench
+from ctr_nlp.hardware.sensing.description import Sensing
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "hardware.toml"
 LETTERS = "XYZABCUVW"
@@ -279,7 +280,7 @@ def test_the_example_is_the_bench_of_the_seed_within_its_limits(robot):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
-@pytest.mark.parametrize("described", [Axis, Connection], ids=lambda c: c.__name__)
+@pytest.mark.parametrize("described", [Axis, Connection, Sensing], ids=lambda c: c.__name__)
 def test_every_key_stands_in_the_example_with_a_comment_and_its_default(described):
     text = EXAMPLE.read_text(encoding="utf-8")
     for field in fields(described):

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ctr_nlp import Plan, Problem, curve_from_formula, growing, table_i_robot
+from ctr_nlp import Plan, Problem, Tolerances, curve_from_formula, growing, table_i_robot
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.clock import RealClock
 from ctr_nlp.hardware.description import Connection, bench
@@ -31,11 +31,17 @@ from ctr_nlp.hardware.devices.ros2.messages import (
     types,
 )
 from ctr_nlp.hardware.devices.ros2.track import Track
+from ctr_nlp.hardware.guiding.loop import ClosedLoop
+from ctr_nlp.hardware.guiding.replay import replayed
 from ctr_nlp.hardware.journal import Journal, read_journal
 from ctr_nlp.hardware.motion.trajectory import trajectory_of
 from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.results import Outcome, State
 from ctr_nlp.hardware.playing.session import begin, resume
+from ctr_nlp.hardware.sensing.simulated import SimulatedRobot
+from ctr_nlp.loops.sensors import Sensors
+from ctr_nlp.loops.sensors.points import TipPosition
+from ctr_nlp.loops.tracker import Tracker
 from ctr_nlp.plan.plan import plan_from_configurations
 
 pytestmark = pytest.mark.real_time
@@ -237,6 +243,41 @@ def test_a_plan_is_played_to_its_last_frame(stage, plan):
     received = [r for r in records if r["kind"] == "received"]
     assert len(received) == pytest.approx(len(controller.track), abs=0.2 * len(controller.track) + 30)
     assert received[-1]["position"][1:] == pytest.approx(controller.position, abs=1e-8)
+
+
+def test_a_plan_is_corrected_while_it_is_played(stage, plan):
+    """Every correction replaces what the controller plays, from where it is then and without a jump."""
+    controller, player, hardware = stage
+    sensors, moments, path = Sensors(TipPosition(0.5)), [], []
+    off = replace(plan.robot, tolerances=Tolerances(0.1, 0.1, motor_zero=0.1))
+    led = replace(plan, meta={**plan.meta, "robot": off.to_dict()})
+    loop = ClosedLoop(Tracker(led, sensors), SimulatedRobot(led, sensors, 5), lambda note: None)
+
+    def wish(name):
+        return lambda: (moments.append(time.monotonic()), getattr(player, name)())
+
+    def due(progress, k):
+        if k:
+            return player.state is State.HOLD and time.monotonic() > moments[0] + 0.6
+        return progress.time > 0.5
+
+    def seen(trajectory, progress):
+        path.append(trajectory)
+        paused(trajectory, progress)
+
+    paused = once(due, wish("pause"), wish("resume"))
+    result = begin(player, led, hardware, seen=seen, loop=loop)
+    assert result.outcome is Outcome.SUCCESS, result.message
+    assert not controller.refused
+    assert len(controller.arrivals) > 4
+    goal = path[-1].positions(path[-1].duration)
+    assert (abs(result.position - goal) <= player.device.resolution).all()
+    assert abs(goal - hardware.positions(plan.robot, plan.q[-1])).max() > 0.01
+    speed, limits = controller.steps[1], hardware.tightened(plan.robot).speed
+    columns = [plan.robot.axes.index(name) for name in controller.names]
+    assert (abs(speed).max(axis=0) < 1.05 * limits[columns] * np.where(np.array(columns) < 3, 1.0, 1e-3)).all()
+    again = replayed(led, hardware, read_journal(player.journal.path), Tracker(led, sensors))
+    assert (again.differs, again.corrections > 3) == ("", True)
 
 
 def test_it_goes_to_the_first_frame_from_elsewhere(stage, plan):

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from bench import plan_of, sweep
 
+from ctr_nlp import Tolerances
 from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.axis import Axis
 from ctr_nlp.hardware.clock import RealClock
@@ -22,6 +24,8 @@ from ctr_nlp.hardware.devices import Progress
 from ctr_nlp.hardware.devices.grbl.device import Grbl
 from ctr_nlp.hardware.devices.grbl.talk import Talk
 from ctr_nlp.hardware.emulator import Firmware, serving
+from ctr_nlp.hardware.guiding.loop import ClosedLoop, begun_with, known_of
+from ctr_nlp.hardware.guiding.replay import replayed
 from ctr_nlp.hardware.journal import Journal, read_journal
 from ctr_nlp.hardware.link import RecordedLink, SerialLink
 from ctr_nlp.hardware.motion.trajectory import Trajectory
@@ -29,9 +33,16 @@ from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.record import Recorder
 from ctr_nlp.hardware.playing.results import Outcome, State
 from ctr_nlp.hardware.playing.session import begin, resume
+from ctr_nlp.hardware.sensing.simulated import SimulatedRobot
+from ctr_nlp.loops.sensors import Sensors
+from ctr_nlp.loops.sensors.points import TipPosition
+from ctr_nlp.loops.tracker import Note, Tracker
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.typing import Array
 
 pytestmark = pytest.mark.real_time
+
+Known = tuple[Array, Array] | None
 
 REAL = os.environ.get("CTR_NLP_GRBL_URL", "")
 
@@ -178,6 +189,44 @@ def test_what_was_aborted_is_resumed_where_it_stood(rig: Rig, plan: Plan) -> Non
     first = next(r for r in read_journal(rig.path) if r["kind"] == "frame")["frame"]
     passed = rig.hardware.positions(plan.robot, plan.q)[:, 0] <= result.position[0] + 1.0 / rig.steps[0]
     assert first == 1 + passed.sum() > result.frame
+
+
+@pytest.fixture(scope="module")
+def led() -> Plan:
+    """Thirty frames in 3 s, of a robot whose tubes may be quite different."""
+    plan = sweep(30, 0.1)
+    robot = replace(plan.robot, tolerances=Tolerances(0.1, 0.1, motor_zero=0.1))
+    return replace(plan, meta={**plan.meta, "robot": robot.to_dict()})
+
+
+def test_a_closed_loop_is_stopped_and_gone_on_with_and_gives_the_same_commands_again(rig: Rig, led: Plan) -> None:
+    sensors, notes = Sensors(TipPosition(0.5)), list[Note]()
+
+    def loop(known: Known) -> ClosedLoop:
+        return ClosedLoop(Tracker(led, sensors, known=known), SimulatedRobot(led, sensors, 5), notes.append)
+
+    def check() -> None:
+        records = read_journal(rig.path)
+        again = replayed(led, rig.hardware, records, Tracker(led, sensors, known=begun_with(records)))
+        assert again.differs == ""
+        assert again.corrections > 1
+        assert again.commands > 20
+
+    first = loop(None)
+    player = rig.player()
+    result = begin(player, led, rig.hardware, seen=at_frame(12, player.abort), loop=first)
+    rig.let_go(player)
+    assert (result.outcome, result.trusted) == (Outcome.CANCELLED, True), result.message
+    check()
+    records = read_journal(rig.path)
+    second = loop(known_of(records))
+    player = rig.player()
+    again = resume(player, led, rig.hardware, records, loop=second)
+    rig.let_go(player)
+    assert (again.outcome, again.frame) == (Outcome.SUCCESS, 30), again.message
+    check()
+    assert notes == []
+    assert abs(again.position - rig.hardware.positions(led.robot, led.q[-1])).max() > 0.05
 
 
 def test_a_controller_that_moves_is_left_alone_but_stopped_to_resume(rig: Rig, plan: Plan) -> None:

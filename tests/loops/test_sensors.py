@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.loops.sensors import Fibre, Seen, Sensors, ShapePoints, TipPose, TipPosition, Views, view
+from ctr_nlp.loops.sensors import Seen, Sensors
+from ctr_nlp.loops.sensors.fibre import Fibre
+from ctr_nlp.loops.sensors.points import ShapePoints, TipPose, TipPosition
+from ctr_nlp.loops.sensors.views import Views, view
 
 PAIR = np.array(
     [

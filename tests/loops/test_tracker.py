@@ -74,6 +74,13 @@ def test_faults_of_sensors_are_told_in_half_a_second_and_do_no_harm(plan, name):
         assert opened.snapped or not run.snapped
 
 
+@pytest.mark.parametrize("name", ["silence", "registration", "axes"])
+def test_where_sensing_fails_motors_go_back_to_the_plan(plan, name):
+    run = led(plan, robots(3)[2:], 2, (FAULTS[name],))
+    assert run.q[6] != pytest.approx(plan.q[6], abs=1e-6)
+    assert run.q[-5:] == pytest.approx(plan.q[-5:], abs=1e-9)
+
+
 def test_tracking_goes_on_once_sensors_can_be_believed_again(plan):
     run = led(plan, robots(1), faults=(Silence(1.0, 2.5),))
     assert [note.state for note in run.notes] == [State.HELD, State.TRACKING]

@@ -8,9 +8,11 @@ import truth
 from frames import configuration
 
 from ctr_nlp import Limits, Robot, Tube, table_i_robot
+from ctr_nlp.models import MODELS
 from ctr_nlp.models.elastic import stability
 from ctr_nlp.models.elastic.equilibria import Equilibria, State
 from ctr_nlp.models.elastic.following import settled, settled_apart
+from ctr_nlp.target.target import SIGMA
 
 COMPARED = 8
 
@@ -90,3 +92,16 @@ def test_the_base_to_tip_shooting_of_the_tests_finds_the_same():
     x, margins = settled_apart(shot.robot.structure, shot.robot.numbers[None], shot.q[None])
     assert margins[0] == pytest.approx(shot.margin(), abs=0.001)
     np.testing.assert_allclose(configuration(shot.robot, x)[0], shot.q, atol=1e-9)
+
+
+def test_a_robot_at_rest_in_many_poses_is_the_same_without_a_compiler(monkeypatch):
+    robot, (_, q) = table_i_robot(), draws(3, 12)
+    q[:, 3:6] *= np.minimum(1, robot.upper[3:6] / q[:, 3:6])
+    q[:, -2:] = np.linspace(-0.4, 0.4, 24).reshape(12, 2)
+    q[-1] = np.nan
+    fast = MODELS["elastic"].at_rest(robot, q, SIGMA)
+    monkeypatch.setenv("CTR_NLP_COMPILE", "0")
+    slow = MODELS["elastic"].at_rest(robot, q[:-1], SIGMA)
+    for one, other in zip(fast, slow, strict=True):
+        np.testing.assert_allclose(one[:-1], other, atol=1e-8)
+        assert np.isnan(one[-1]).all()

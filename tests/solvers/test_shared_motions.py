@@ -18,7 +18,9 @@ from ctr_nlp.models import MODELS
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.solvers.scenarios import SharedSolver
+from ctr_nlp.solvers.scenarios.bordered import solved as solved_by
 from ctr_nlp.solvers.scenarios.condensed import Condensed
+from ctr_nlp.solvers.scenarios.twists import TwistSteps
 from ctr_nlp.target.curve import curve_from_formula
 from ctr_nlp.target.target import SIGMA
 
@@ -109,7 +111,7 @@ def test_derivatives_with_tips_eliminated_are_those_of_robots_in_equilibrium(mot
         here = q + part * way
         tips = _repaired(condensed, motion, here, phi)
         about = condensed.expand(here, tips, np.zeros(phi.shape), rows)
-        about = condensed.expand(here, tips, about.multipliers(rows), rows)
+        about = condensed.expand(here, tips, about.multipliers(rows, np.zeros((FRAMES, 2))), rows)
         pulled = (about.jacobian.swapaxes(1, 2) @ rows[..., None])[..., 0]
         values = about.at.rows[q.size : q.size + rows.size].reshape(rows.shape)
         value = condensed.by_frame(here, tips).sum() - _links(motion, here)
@@ -196,3 +198,59 @@ def test_scenarios_on_a_model_without_twist_are_refused(problem):
 def test_scenarios_that_cannot_be_are_refused(change, message):
     with pytest.raises(OptionError, match=message):
         replace(_scenarios(), **change)
+
+
+STEP = 0.01
+"""A limit of twists' changes, rad, that the motion without it does not keep."""
+
+
+@pytest.fixture(scope="module")
+def limited(motion):
+    """The same with a limit on the way to every frame but the second."""
+    return replace(motion, twist_steps=np.array([np.inf, np.inf, STEP, STEP]))
+
+
+def _twists(q, tips):
+    """Of the first robot, (T,): by what its tips are turned against each other beyond its motors."""
+    return (tips[:, 0] - q[:, 0]) - (tips[:, 1] - q[:, 1])
+
+
+def test_twists_change_by_no_more_than_is_asked_for(limited, q, solved):
+    assert abs(np.diff(_twists(solved.q, solved.phi[:, 0])))[1:].max() > 2 * STEP
+    found = SharedSolver(limited)(q, np.repeat(_settled(q)[:, :1], 3, axis=1))
+    assert found.success, found
+    changes = abs(np.diff(_twists(found.q, follow(TWO, found.q).x)))
+    assert changes[1:].max() == pytest.approx(STEP, rel=0.05)  # programs integrate in half as many steps
+    assert found.objective > solved.objective
+
+
+def test_derivatives_of_twists_are_those_of_robots_in_equilibrium(limited, q):
+    condensed, way = Condensed(limited), np.random.default_rng(2).normal(size=q.shape) * 1e-4
+    phi, none = _repaired(condensed, limited, q, _settled(q)), np.zeros(limited.row_bounds[0].shape)
+    twists, about = condensed.twists, condensed.expand(q, phi, np.zeros(phi.shape), none)
+    after, before = (twists.values(at, _repaired(condensed, limited, at, phi)) for at in (q + way, q - way))
+    np.testing.assert_allclose((after - before) / 2, twists.moved(about.twists, way), atol=1e-7)
+
+
+def test_squares_of_twists_are_those_of_the_whole_jacobian(limited):
+    """Over q of all frames, and two unknowns in common."""
+    rng, (frames, _, n, d) = np.random.default_rng(3), limited.sizes
+    twists, slopes = TwistSteps(limited), rng.normal(size=(frames, d - 1, n + 2))
+    rows, sigma = rng.normal(size=2), rng.uniform(1.0, 2.0, 2)
+    jacobian = np.array([_gathered(twists.pulled(slopes, row), n) for row in np.eye(2)])
+    step = rng.normal(size=frames * n + 2)
+    seen = np.concatenate(
+        [step[: frames * n].reshape(frames, n), np.tile(step[frames * n :], (frames, 1))], axis=1
+    )
+    np.testing.assert_allclose(twists.moved(slopes, seen), jacobian @ step)
+    np.testing.assert_allclose(_gathered(twists.pulled(slopes, rows), n), rows @ jacobian)
+    blocks, band = np.zeros((frames, n + 2, n + 2)), np.zeros((2 * n, frames * n))
+    twists.square(slopes, sigma, blocks, band)
+    found = solved_by(band, blocks, np.eye(2), np.ones(step.size), step, np.ones(step.size, dtype=bool))
+    whole = jacobian.T @ (sigma[:, None] * jacobian) + np.diag(np.r_[np.ones(frames * n), 2.0, 2.0])
+    np.testing.assert_allclose(found, np.linalg.solve(whole, step), rtol=1e-9)
+
+
+def _gathered(of_frames, n):
+    """Slopes (T, n + P) of what frames add to a sum, as one."""
+    return np.append(of_frames[:, :n].ravel(), of_frames[:, n:].sum(axis=0))

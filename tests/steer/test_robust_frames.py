@@ -18,7 +18,7 @@ from ctr_nlp.models import MODELS
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.steer.robust import per_frame, solve_robust_per_frame
 from ctr_nlp.steer.robust.frames import ScenarioFrames
-from ctr_nlp.steer.robust.trials import Lost
+from ctr_nlp.steer.robust.trials import Lost, Trial
 from ctr_nlp.target.curve import curve_from_formula
 from ctr_nlp.target.target import SIGMA
 
@@ -49,10 +49,11 @@ class _Losing:
         self.asked += 1
         count = int(self.asked <= self.rounds)
         numbers, offsets = np.repeat(TWO.numbers[None], count, 0), np.full((count, 2), 0.15)
-        return Lost(numbers, offsets, np.full(count, 3), 50, not count)
+        none = Lost(numbers[:0], offsets[:0], np.zeros(0, dtype=int), 512, 10)
+        return Trial(none, Lost(numbers, offsets, np.full(count, 3), 50, 0))
 
-    def certificate(self, lost, q, number):
-        return {"held": lost.few}
+    def certificate(self, trial, q, number):
+        return {"held": trial.draws.few}
 
 
 def _planned(problem, scenarios, losing=0, **options):

@@ -113,14 +113,15 @@ def test_as_many_robots_are_drawn_as_it_takes_to_be_certain(most_lost, motions, 
 
 def test_a_motion_on_which_many_are_lost_bears_a_part_of_the_tolerances(problem, plain):
     trials = Trials(problem.robot, MODELS["elastic"], 1)
-    lost = trials(plain.q, 0)
+    trial = trials(plain.q, 0)
+    lost = trial.draws
     assert not lost.few
-    assert 6 <= len(lost.frames) <= lost.drawn < trials.draws
+    assert 6 <= len(lost.frames) <= lost.tried < trials.draws
     draws = drawn(problem.robot, trials.draws, SEED)
-    gone = lost_draws(problem.robot, draws[: lost.drawn], plain.q, "elastic")
+    gone = lost_draws(problem.robot, draws[: lost.tried], plain.q, "elastic")
     np.testing.assert_array_equal(gone[gone > 0], lost.frames)
-    np.testing.assert_array_equal(draws.numbers[: lost.drawn][gone > 0], lost.numbers)
-    told = trials.certificate(lost, plain.q, 1)
+    np.testing.assert_array_equal(draws.numbers[: lost.tried][gone > 0], lost.numbers)
+    told = trials.certificate(trial, plain.q, 1)
     assert not told["held"]
     assert sum(told["lost_in"].values()) == told["lost"] == len(lost.frames)
     assert 0 <= told["borne"] < 1

@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 import argparse
-import os
-import signal
 import sys
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ctr_nlp.cli import live
+from ctr_nlp.cli import closed_loop, live
 from ctr_nlp.cli.arguments import add_live_option
 from ctr_nlp.cli.commands.commission import commission
 from ctr_nlp.cli.console import BAD_INPUT, INTERRUPTED, SOLVED, SOME_FAILED, Command, progress_bar
+from ctr_nlp.cli.obeying import obeying
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.play_report import JOURNAL, claim, print_trajectory, report
 from ctr_nlp.exceptions import DeviceFault, OptionError
 from ctr_nlp.hardware.clock import RealClock
 from ctr_nlp.hardware.description import Hardware, bench
 from ctr_nlp.hardware.devices import Progress
+from ctr_nlp.hardware.guiding.guide import SHARE
+from ctr_nlp.hardware.guiding.loop import ClosedLoop
 from ctr_nlp.hardware.journal import Journal, read_journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.opening import arm_follower, device_of, memory_of
@@ -85,17 +85,19 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         help="play an elastic plan that was never tried on draws of its robot (ctr-nlp robust), or of whose draws "
         "too many are lost",
     )
+    closed_loop.add_options(parser)
     add_live_option(parser, "the robot where its axes are, over where they should be (the tilt as commanded),")
     return parser
 
 
 EXCLUDED = {
     "resume": ("home", "tempo", "dry_run"),
-    "retract": ("home", "tempo", "dry_run", "resume", "live"),
+    "retract": ("home", "tempo", "dry_run", "resume", "live", "closed_loop", "replay"),
     "commission": (
         *("home", "tempo", "dry_run", "resume", "retract", "live", "position_verified", "plan"),
-        "uncertified",
+        *("uncertified", "closed_loop", "sensor", "replay"),
     ),
+    "replay": ("home", "tempo", "dry_run", "resume", "live", "position_verified"),
     "dry_run": ("live", "position_verified"),
 }
 """Option -> what does not go with it."""
@@ -112,6 +114,8 @@ def _check_together(arguments: argparse.Namespace) -> None:
         raise OptionError("--commission needs --hardware FILE.toml, beside which the settings are kept")
     if arguments.plan is None and not arguments.commission:
         raise OptionError("a plan is needed: PLAN.npz")
+    if arguments.sensor is not None and not (arguments.closed_loop or arguments.replay):
+        raise OptionError("--sensor goes with --closed-loop")
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -120,20 +124,26 @@ def _run(arguments: argparse.Namespace) -> int:
         return commission(Path(arguments.hardware), arguments.out)
     plan = Plan.load(arguments.plan)
     hardware = bench(plan.robot) if arguments.hardware is None else Hardware.from_toml(arguments.hardware)
+    if arguments.closed_loop or arguments.replay:
+        hardware = closed_loop.with_sensor(hardware, arguments.sensor)
     for verdict in plan.verdicts:
         if verdict.word == "no" and plan.complete:  # a plan with unsolved frames is refused anyhow
             sys.stderr.write(f"note: {verdict.matter}: no. {verdict.why}\n")
     if arguments.dry_run:
         title = f"{plan.meta['problem']['name']}: checked; nothing was sent"
-        print_trajectory(title, *prepared(plan, hardware, _tempo(arguments)))
+        share = SHARE if arguments.closed_loop else 1.0
+        print_trajectory(title, *prepared(plan, hardware, _tempo(arguments), share=share))
         return SOLVED
+    out = Path(arguments.out or f"runs/{path_component(str(plan.meta['problem']['name']))}-play")
+    if arguments.replay:
+        return closed_loop.replay(plan, hardware, read_journal(out / JOURNAL))
     if not (arguments.uncertified or arguments.retract):
         _check_certified(plan, arguments.plan)
-    out = Path(arguments.out or f"runs/{path_component(str(plan.meta['problem']['name']))}-play")
     known = arguments.resume or (arguments.retract and (out / JOURNAL).exists())
     records = read_journal(out / JOURNAL) if known else None
-    with live.playing(plan) if arguments.live else nullcontext() as told:
-        return _played(arguments, plan, hardware, out, records, told)
+    looped = closed_loop.opened(plan, hardware, records) if arguments.closed_loop else nullcontext()
+    with looped as loop, live.playing(plan) if arguments.live else nullcontext() as told:
+        return _played(arguments, plan, hardware, out, records, told, loop)
 
 
 def _check_certified(plan: Plan, name: str) -> None:
@@ -157,8 +167,12 @@ def _played(
     out: Path,
     records: list[dict[str, Any]] | None,
     told: live.Played | None,
+    loop: ClosedLoop | None,
 ) -> int:
-    """Play, from the beginning or where records end, or retract; told, unless None, of all that is seen."""
+    """Play, from the beginning or where records end, or retract; told, unless None, of all that is seen.
+
+    loop: what corrects the plan, if anything.
+    """
     claim(out)
     clock = RealClock()
     journal = Journal(out / JOURNAL, clock)
@@ -174,9 +188,10 @@ def _played(
             if arguments.retract:
                 result = retract(player, plan, hardware, records, **how)
             elif records is not None:
-                result = resume(player, plan, hardware, records, **how)
+                result = resume(player, plan, hardware, records, loop=loop, **how)
             else:
-                result = begin(player, plan, hardware, _tempo(arguments), home=arguments.home, **how)
+                tempo = _tempo(arguments)
+                result = begin(player, plan, hardware, tempo, home=arguments.home, loop=loop, **how)
         except DeviceFault as exception:
             sys.stderr.write(f"error: {exception}\nnothing was played; what was said is in {out / JOURNAL}\n")
             return SOME_FAILED
@@ -185,7 +200,7 @@ def _played(
             journal.close()
     if told is not None:
         told.ended(result.outcome.value)
-    report(plan, hardware, result, recorder.tracking(), out)
+    report(plan, hardware, result, recorder.tracking(), out, loop)
     if result.outcome is Outcome.SUCCESS:
         return SOLVED
     if result.outcome is Outcome.INVALID_PLAN:
@@ -220,44 +235,3 @@ def _seen(
 
 
 main = Command("ctr-nlp play", _parser, _run)
-
-
-WISHES = {"p": "pause", "r": "resume", "a": "abort"}
-
-
-@contextmanager
-def obeying(player: Player, interrupted: Callable[[], bool]) -> Iterator[None]:
-    """Within the block what is typed, and signals that end programs, are wishes of the player's.
-
-    Ctrl-C is one as often as it is pressed: a stop is never itself interrupted, and always ends.
-    """
-    threading.Thread(target=_listen, args=(player,), daemon=True).start()
-    signals = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    before = {number: signal.signal(number, lambda *_: player.abort()) for number in signals}
-    remember = signal.getsignal(signal.SIGINT)
-
-    def interrupt(number: int, frame: Any) -> None:
-        player.abort()
-        if callable(remember) and not interrupted():
-            remember(number, frame)
-
-    before[signal.SIGINT] = signal.signal(signal.SIGINT, interrupt)
-    if hasattr(signal, "SIGTTIN"):  # in the background, reading a terminal must fail and not stop the program
-        before[signal.SIGTTIN] = signal.signal(signal.SIGTTIN, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _listen(player: Player) -> None:
-    """Obey lines of standard input, past its buffer, whose lock would be in the way when the program ends."""
-    try:
-        while typed := os.read(sys.stdin.fileno(), 1024).decode(errors="replace"):
-            for line in typed.splitlines():
-                wish = WISHES.get(line.strip().lower()[:1])
-                if wish is not None:
-                    getattr(player, wish)()
-    except (OSError, ValueError, AttributeError):
-        return

@@ -3,7 +3,10 @@
 alpha, beta and theta of every frame belong to all of S robots, and each has tips phi of its own, which its motors'
 angles and their offsets determine: alpha(phi_s, beta; tubes_s) = alpha + offset_s. What is minimised is the
 weighted mean of their shape errors and the motion (9); each keeps a stability margin, and tips near the first's,
-so that all are on one branch of a fork, which the margin does not see.
+so that all are on one branch of a fork, which the margin does not see. Nor does it see a fork between two frames:
+the first's tips turn by little more than its motors from frame to frame.
+Scenarios that count nothing keep others like them from being lost: less margin does for them, and tips that are
+further away.
 """
 
 from __future__ import annotations
@@ -20,14 +23,20 @@ from ctr_nlp.formulations.joint import terms_of
 from ctr_nlp.formulations.terms import Term, Touch
 from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.models import Model
-from ctr_nlp.nlp.nlp import FrameFunctions, Nlp
+from ctr_nlp.nlp.nlp import Nlp
 from ctr_nlp.nlp.scenarios import Scenarios, SharedMotion
+from ctr_nlp.nlp.written import FrameFunctions
 from ctr_nlp.robot import Robot
 from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
-APART = 0.7
-"""rad by which a scenario's tips, relative to the innermost one, may differ from the first scenario's."""
+APART, FURTHEST = 0.7, 0.9
+"""rad by which a scenario's tips, relative to the innermost one, may differ from the first scenario's; and those
+of one that need only not be lost, which it is from simulation.drawn.APART on."""
+EASED = 0.3
+"""The part of the margin that one that need only not be lost keeps."""
+TWIST_STEP = 0.7
+"""rad by which the first scenario's tips, relative to the innermost one, may turn beyond its motors in a frame."""
 
 
 def check_shared(robot: Robot, model: Model, scenarios: Scenarios) -> None:
@@ -51,15 +60,13 @@ def shared_motion(
     functions: Callable[[Nlp], Callable[[], FrameFunctions]] = interpreted,
     margins: Array | None = None,
     extra: Sequence[Term] = (),
-    apart: float = APART,
     wall: Wall | None = None,
     freed: tuple[str, ...] = (),
 ) -> SharedMotion:
     """The motion through frames, dt s apart, of scenarios of a robot on a model with several equilibria.
 
     As horizon, but for tips that may turn as they do, and for the wall, which is no matter of slacks but a smooth
-    cost (terms.touch). margins (T,): the least of every scenario in each frame, None for any; apart: rad. Raises
-    OptionError.
+    cost (terms.touch). margins (T,): the least of every scenario in each frame, None for any. Raises OptionError.
     """
     check_shared(robot, model, scenarios)
     margin = None if margins is None else 0.0
@@ -69,7 +76,8 @@ def shared_motion(
     parameters = np.repeat(each[:, None], len(scenarios), axis=1)
     parameters[..., frame.place("tubes")] = scenarios.numbers.transpose(0, 2, 1).reshape(len(scenarios), -1)
     if margins is not None:
-        parameters[..., frame.place("margin")] = margins[:, None, None]
+        parts = np.where(scenarios.guards, EASED, 1.0)
+        parameters[..., frame.place("margin")] = (margins[:, None] * parts)[..., None]
     lower, upper = (np.tile(bound, (len(frames), 1)) for bound in (robot.lower, robot.upper))
     if ends.end is not None:
         lower[-1] = upper[-1] = ends.end
@@ -77,4 +85,7 @@ def shared_motion(
     links = motion_links(robot, len(frames), dt, motion_weight, before, after, np.zeros(0))
     flat = parameters.reshape(len(frames) * len(scenarios), -1)
     near = None if wall is None else partial(wall.of_scenarios, numbers=scenarios.numbers)
-    return SharedMotion(frame, robot.d, scenarios, flat, lower, upper, links, apart, functions(frame), near)
+    apart = np.where(scenarios.guards, FURTHEST, APART)
+    twists = np.append(np.inf, np.full(len(frames) - 1, TWIST_STEP))
+    own = flat, lower, upper, links, apart, twists
+    return SharedMotion(frame, robot.d, scenarios, *own, functions(frame), near)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -24,10 +25,11 @@ def shared_tubes(motions: Sequence[SharedMotion], common: Common) -> SharedMotio
         for motion, begin, frame in zip(motions, begins, frames, strict=False)
         for link in motion.links
     ]
-    parameters, lower, upper = (
-        np.concatenate([getattr(motion, name) for motion in motions]) for name in ("parameters", "lower", "upper")
-    )
-    return replace(motions[0], parameters=parameters, lower=lower, upper=upper, links=tuple(links), common=common)
+    of_frames: dict[str, Any] = {
+        name: np.concatenate([getattr(motion, name) for motion in motions])
+        for name in ("parameters", "lower", "upper", "twist_steps")
+    }
+    return replace(motions[0], **of_frames, links=tuple(links), common=common)
 
 
 @dataclass(frozen=True)

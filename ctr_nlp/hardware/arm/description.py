@@ -85,12 +85,12 @@ class Arm:
     @cached_property
     def base(self) -> Array:
         """The robot's base frame at zero tilt in the arm's base frame, (4, 4), mm."""
-        return _placed(self.insertion_point, self.insertion_rotation_deg)
+        return frame_of(self.insertion_point, self.insertion_rotation_deg)
 
     @cached_property
     def mount(self) -> Array:
         """The robot's base frame in the flange's, (4, 4), mm."""
-        return _placed(self.mount_translation, self.mount_rotation_deg)
+        return frame_of(self.mount_translation, self.mount_rotation_deg)
 
     @cached_property
     def joint_speed(self) -> Array:
@@ -103,7 +103,7 @@ class Arm:
         return frozen(np.radians(some_numbers("joint_acceleration_deg", self.joint_acceleration_deg, 6)))
 
 
-def _placed(translation: Any, rotation_deg: Any) -> Array:
+def frame_of(translation: Any, rotation_deg: Any) -> Array:
     """A read-only frame (4, 4): mm, and (roll, pitch, yaw) in degrees about the fixed axes."""
     frame = np.eye(4)
     frame[:3, :3] = Rotation.from_euler("xyz", rotation_deg, degrees=True).as_matrix()

@@ -61,6 +61,13 @@ class Played(Protocol):
     def feed(self) -> None:
         """Give the device what it may have now: called after every update in which nothing was wrong."""
 
+    @property
+    def given(self) -> float:
+        """How far it has been given its commands for good, s of the motion."""
+
+    def amend(self, commands: Commands) -> None:
+        """Play other commands, which end when those before did and are the same as far as they were given."""
+
     def hold(self) -> None:
         """Begin to stop on the path, so that it can go on."""
 

@@ -7,7 +7,7 @@ import numpy as np
 from ctr_nlp.exceptions import DeviceFault
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.devices import Asked, Progress, Standing
-from ctr_nlp.hardware.motion.lookahead import Commands
+from ctr_nlp.hardware.motion.lookahead import AHEAD, Commands
 from ctr_nlp.typing import Array
 
 STOPPING = 0.1
@@ -74,6 +74,15 @@ class Simulated:
 
     def feed(self) -> None:
         """It has been given everything."""
+
+    @property
+    def given(self) -> float:
+        """As far ahead as a controller has motion in hand."""
+        return self._time + AHEAD
+
+    def amend(self, commands: Commands) -> None:
+        """Follow other commands from there."""
+        self._path = np.vstack([self._path[:1], commands.positions])
 
     def hold(self) -> None:
         """Slow down."""

@@ -38,19 +38,32 @@ def line(number: int, letters: Sequence[str], position: Array, seconds: float, m
     return f"N{number} {meaning}{' ' * bool(meaning)}G1 {words} F{60.0 / seconds:.{DECIMALS}f}"
 
 
-def lines(letters: Sequence[str], start: Array, positions: Array, time: Array, meaning: str = "") -> list[str]:
-    """The lines, numbered from 1, from start (m,) to positions (N, m) that are reached at time (N,) s.
+class Lines:
+    """Numbered lines, from 1, from start (m,) along straight pieces; each is made in turn, and once.
 
-    Where less would move than Grbl's least feed it waits (G4), and the next line makes up for it.
+    Where less would move than Grbl's least feed a line waits (G4), and the next line makes up for it. meaning: as
+    of line.
     """
-    durations, there, found = np.diff(time, prepend=0.0), start, []
-    for n, (position, seconds) in enumerate(zip(positions, durations, strict=True), start=1):
-        if n < len(positions) and np.linalg.norm(position - there) < LEAST_FEED * seconds:
-            found.append(f"N{n} G4 P{seconds:.{DECIMALS}f}")
-        else:
-            found.append(line(n, letters, position, seconds, meaning))
-            there = position
-    return found
+
+    def __init__(self, letters: Sequence[str], start: Array, meaning: str = "") -> None:
+        self._letters, self._there, self._meaning, self._made = letters, start, meaning, 0
+
+    def next(self, position: Array, seconds: float, last: bool) -> str:
+        """The line that goes on to a position (m,) within so many s; last: nothing comes after it."""
+        self._made += 1
+        if not last and np.linalg.norm(position - self._there) < LEAST_FEED * seconds:
+            return f"N{self._made} G4 P{seconds:.{DECIMALS}f}"
+        self._there = position
+        return line(self._made, self._letters, position, seconds, self._meaning)
+
+
+def lines(letters: Sequence[str], start: Array, positions: Array, time: Array, meaning: str = "") -> list[str]:
+    """The lines from start (m,) to positions (N, m) that are reached at time (N,) s; meaning: as of line."""
+    made, count = Lines(letters, start, meaning), len(positions)
+    return [
+        made.next(position, float(seconds), n == count)
+        for n, (position, seconds) in enumerate(zip(positions, np.diff(time, prepend=0.0), strict=True), start=1)
+    ]
 
 
 def gcode_text(trajectory: Trajectory, title: str) -> str:

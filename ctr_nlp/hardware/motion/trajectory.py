@@ -32,6 +32,23 @@ class Digests(NamedTuple):
     hardware: str
 
 
+class Patch(NamedTuple):
+    """Places q (K, 2d + 2) and slopes (K, 2d + 2) of a path at its breakpoints from one, `first`, on."""
+
+    first: int
+    q: Array
+    slopes: Array
+
+    def told(self) -> dict[str, Any]:
+        """For a journal."""
+        return {"first": self.first, "q": self.q.tolist(), "slopes": self.slopes.tolist()}
+
+    @classmethod
+    def of(cls, told: dict[str, Any]) -> Patch:
+        """The patch that told tells."""
+        return cls(int(told["first"]), np.array(told["q"]), np.array(told["slopes"]))
+
+
 @dataclass(frozen=True)
 class Trajectory:
     """A motion of a robot through numbered frames, at rest at both ends, on some hardware.
@@ -39,6 +56,7 @@ class Trajectory:
     robot: with the limits of the hardware. knots (T,): parameters of the path (the plan's time) where frames are
     passed, the first of which may be a place between frames; frames (T,): their numbers. lash: what is added to
     the axes' positions (.., m) for play in the drives, a function of that parameter. digests: of what is played.
+    share: of the largest speeds and accelerations that it was timed with; the rest is left for corrections.
     """
 
     robot: Robot
@@ -48,6 +66,7 @@ class Trajectory:
     knots: Array
     frames: npt.NDArray[np.int64]
     digests: Digests
+    share: float = 1.0
 
     @property
     def duration(self) -> float:
@@ -84,6 +103,19 @@ class Trajectory:
         """The last frame that is passed by a time in s, 0 before the first."""
         return int(self.frames[self.frame_time <= time].max(initial=0))
 
+    def patched(self, patch: Patch) -> Trajectory:
+        """The same motion at the same pace, with other places from some of its path's breakpoints on."""
+        if not len(patch.q):
+            return self
+        path, rows = self.motion.path, slice(patch.first, patch.first + len(patch.q))
+        q, slopes = path(path.x), path(path.x, 1)
+        q[rows], slopes[rows] = patch.q, patch.slopes
+        return replace(self, motion=replace(self.motion, path=CubicHermiteSpline(path.x, q, slopes)))
+
+    def continues(self, other: Trajectory | None) -> bool:
+        """Whether it is the same motion as another, but for patches."""
+        return other is not None and self.knots is other.knots
+
     def commands(self, longest: float = LONGEST) -> Commands:
         """The motion in straight pieces of at most so many s, with frames among their ends."""
         counts = np.maximum(1, np.ceil(np.diff(self.frame_time) / longest - 1e-6)).astype(int)
@@ -95,10 +127,13 @@ class Trajectory:
         return Commands(time, np.repeat(self.frames[1:], counts), self.positions(time))
 
 
-def trajectory_of(plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: Array | None = None) -> Trajectory:
+def trajectory_of(
+    plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: Array | None = None, share: float = 1.0
+) -> Trajectory:
     """A plan's motion from its first frame on, at its own pace times tempo, slower where the hardware has to.
 
-    standing (m,): positions from which axes come to the first frame. Raises HardwareError, OptionError,
+    standing (m,): positions from which axes come to the first frame. share: of the largest speeds and
+    accelerations. Raises HardwareError, OptionError,
     TrajectoryError; what is played must be checked before (checks.checked).
     """
     if isinstance(tempo, bool) or not 0 < tempo <= 1:
@@ -111,7 +146,7 @@ def trajectory_of(plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: 
     lash = made_up(plan.time, positions, hardware.backlash, before)
     path = path_through(robot, plan.time, plan.q)
     frames = np.arange(1, len(plan.time) + 1)
-    return along(robot, hardware, path, lash, plan.time, frames, digests(plan, hardware), tempo)
+    return along(robot, hardware, path, lash, plan.time, frames, digests(plan, hardware), tempo, share)
 
 
 def rest_of(trajectory: Trajectory, s: float, tempo: float = 1.0) -> Trajectory:
@@ -121,10 +156,13 @@ def rest_of(trajectory: Trajectory, s: float, tempo: float = 1.0) -> Trajectory:
         raise TrajectoryError("nothing is left of this trajectory: it has reached its last frame")
     knots = np.append(s, trajectory.knots[ahead])
     frames = np.append(trajectory.frames[ahead][0] - 1, trajectory.frames[ahead])
-    path = trajectory.motion.path
-    return along(
-        trajectory.robot, trajectory.hardware, path, trajectory.lash, knots, frames, trajectory.digests, tempo
+    robot, hardware, path, lash = (
+        trajectory.robot,
+        trajectory.hardware,
+        trajectory.motion.path,
+        trajectory.lash,
     )
+    return along(robot, hardware, path, lash, knots, frames, trajectory.digests, tempo, trajectory.share)
 
 
 def approach_to(trajectory: Trajectory, standing: Array, theta: Array) -> Trajectory:
@@ -173,14 +211,15 @@ def along(
     frames: npt.NDArray[np.int64],
     names: Digests,
     tempo: float,
+    share: float = 1.0,
 ) -> Trajectory:
-    """The trajectory along a path, whose limits are those of what the drives do."""
+    """The trajectory along a path; limits, a share of the largest, are those of what the drives do."""
 
     def driven(s: Array, order: int = 0) -> Array:
         return np.asarray(path(s, order) + hardware.in_joints(robot, lash(s, order)))
 
-    motion = timed(path, driven, knots, robot.speed, robot.acceleration, tempo)
-    return Trajectory(robot, hardware, motion, lash, knots, frames, names)
+    motion = timed(path, driven, knots, share * robot.speed, share * robot.acceleration, tempo)
+    return Trajectory(robot, hardware, motion, lash, knots, frames, names, share)
 
 
 def digests(plan: Plan, hardware: Hardware) -> Digests:
@@ -193,5 +232,6 @@ def digests(plan: Plan, hardware: Hardware) -> Digests:
                 f"{field.name} {array.dtype} {array.shape}".encode() + np.ascontiguousarray(array).tobytes()
             )
     return Digests(
-        known.hexdigest(), hashlib.sha256(repr(replace(hardware, commissioned=None)).encode()).hexdigest()
+        known.hexdigest(),
+        hashlib.sha256(repr(replace(hardware, commissioned=None)).encode()).hexdigest(),
     )

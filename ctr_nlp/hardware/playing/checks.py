@@ -23,6 +23,9 @@ from ctr_nlp.typing import Array
 SAMPLES = 10
 """Places at which a trajectory is checked from frame to frame."""
 
+WHOLE = slice(None)
+"""All of a trajectory."""
+
 SLACK = 1e-6
 """By how much limits may be exceeded, in rad, mm and parts of a speed."""
 
@@ -121,14 +124,15 @@ def _check_shapes(plan: Plan) -> None:
         )
 
 
-def checked(trajectory: Trajectory, model: str | None = None) -> Checked:
+def checked(trajectory: Trajectory, model: str | None = None, stretch: slice = WHOLE) -> Checked:
     """What a trajectory uses of its hardware; raises TrajectoryError where that is more than all of it.
 
     model: on which it must be stable all along its path, where a robot can snap on it; None for no model.
+    stretch: the frames, counted from 0, between which it is looked at.
     """
-    ends = trajectory.frame_time
+    ends, frames = trajectory.frame_time[stretch], trajectory.frames[stretch]
     time = np.append(np.linspace(ends[:-1], ends[1:], SAMPLES, endpoint=False).T.ravel(), ends[-1])
-    frame = np.append(np.repeat(trajectory.frames[1:], SAMPLES), trajectory.frames[-1])
+    frame = np.append(np.repeat(frames[1:], SAMPLES), frames[-1])
     q, velocity, acceleration = trajectory.at(time)
     for j, place in zip(frame, q, strict=True):
         _check_limits(trajectory.robot, place, f"the path to frame {j}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 
@@ -33,10 +34,21 @@ TICK = 0.005
 Seen = Callable[[Trajectory, Progress], None]
 
 
+class Corrects(Protocol):
+    """Who changes a motion while it is played. wrong: why it must stop instead, "" where nothing is wrong."""
+
+    @property
+    def wrong(self) -> str:
+        """As of the last look."""
+
+    def look(self, progress: Progress, given: float) -> Trajectory:
+        """The motion as it is from now on; the same as before as far as the device was given it, s."""
+
+
 class Playback:
     """A trajectory in progress, and an arm or None that is led by the device's progress and must keep in step.
 
-    to: told of the states running and hold; frame: the last that was passed.
+    to: told of the states running and hold; frame: the last that was passed. corrects: None where nobody does.
     """
 
     def __init__(
@@ -47,8 +59,9 @@ class Playback:
         clock: Clock,
         wishes: Wishes,
         to: Callable[[State], None],
+        corrects: Corrects | None = None,
     ) -> None:
-        self._trajectory, self._arm = trajectory, arm
+        self._trajectory, self._arm, self._corrects = trajectory, arm, corrects
         self._journal, self._clock, self._wishes, self._to = journal, clock, wishes, to
         self._held = False
         self.frame = int(trajectory.frames[0])
@@ -73,6 +86,8 @@ class Playback:
             progress = played.update()
             self._tell(progress)
             wrong = supervisor.violation(progress, self._clock.now())
+            if wrong is None and self._corrects is not None:
+                wrong = self._corrected(self._corrects, played, progress)
             if wrong is not None:
                 where = f"{progress.time:.2f} s after the start, frame {self.frame} being the last passed"
                 return Ending(wrong.outcome, f"{wrong.message} ({where})")
@@ -96,6 +111,14 @@ class Playback:
         for frame in passed[passed > self.frame].tolist():
             self.frame = frame
             self._journal.record("frame", frame=frame, position=progress.position.tolist())
+
+    def _corrected(self, corrects: Corrects, played: Played, progress: Progress) -> Ending | None:
+        """Let what is still ahead be changed; how it ends where that cannot be gone on with."""
+        trajectory = corrects.look(progress, played.given)
+        if trajectory is not self._trajectory:
+            self._trajectory = trajectory
+            played.amend(trajectory.commands())
+        return Ending(Outcome.PATH_TOLERANCE_VIOLATED, corrects.wrong) if corrects.wrong else None
 
     def _obey(self, played: Played, progress: Progress, supervisor: Supervisor) -> None:
         """Pause or go on as wished, once the device can."""

@@ -12,7 +12,7 @@ from ctr_nlp.hardware.devices import Device, Played, Standing
 from ctr_nlp.hardware.devices.arms import ArmFollower
 from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
-from ctr_nlp.hardware.playing.playback import Playback, Seen
+from ctr_nlp.hardware.playing.playback import Corrects, Playback, Seen
 from ctr_nlp.hardware.playing.results import Ending, Outcome, Result, State, Wishes
 from ctr_nlp.hardware.playing.trust import Memory, Trust
 from ctr_nlp.typing import Array
@@ -123,13 +123,14 @@ class Player:
         with self.journal.forgiving():
             self._to(State.DISCONNECTED)
 
-    def play(self, trajectory: Trajectory, seen: Seen | None = None) -> Result:
+    def play(self, trajectory: Trajectory, seen: Seen | None = None, corrects: Corrects | None = None) -> Result:
         """Play a trajectory that was checked, from where it starts; returns when everything stands still.
 
-        seen is told of it and of the progress every few ms. Nothing is sent where axes are not at the start.
+        seen is told of it and of the progress every few ms; corrects: who changes what is still ahead, if anybody.
+        Nothing is sent where axes are not at the start.
         """
         self._expect("plays", State.HOMED)
-        playback = Playback(trajectory, self._arm, self.journal, self._clock, self._wishes, self._to)
+        playback = Playback(trajectory, self._arm, self.journal, self._clock, self._wishes, self._to, corrects)
         try:
             played = self._begun(playback, trajectory)
             ending = played if isinstance(played, Ending) else playback.run(played, self.device.resolution, seen)
@@ -154,6 +155,7 @@ class Player:
         if self._wishes.aborted():
             return Ending(Outcome.CANCELLED, "stopped on request, before anything moved", standing)
         self._trust.begun(self.device, self.journal.session)
+        self.journal.record("start", frame=playback.frame, position=standing.position.tolist())
         self._to(State.RUNNING)
         return played
 

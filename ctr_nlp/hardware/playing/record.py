@@ -38,8 +38,9 @@ class Recorder:
 
     def __call__(self, trajectory: Trajectory, progress: Progress) -> None:
         """Add what is new, but for pauses."""
-        if trajectory is not self._trajectory:
-            self._trajectory, self._paused = trajectory, 0.0
+        before, self._trajectory = self._trajectory, trajectory
+        if not trajectory.continues(before):
+            self._paused = 0.0
             self._rows: list[tuple[float, float, Array]] = []
             self._held: Progress | None = None
         if progress.state in ("holding", "held"):

@@ -68,7 +68,7 @@ def return_path(
 ) -> list[Trajectory]:
     """The path of a session, backwards: to its first frame, then to where the axes stood before it."""
     told = announced(records)
-    trajectory = as_told(plan, hardware, told)
+    trajectory = as_told(plan, hardware, records)
     home, first = np.array(told["standing"]), trajectory.positions(0.0)
     theta = trajectory.motion.path(trajectory.knots[0])[-2:]
     if _between(home, first, standing.position, hardware.tolerance):

@@ -11,8 +11,10 @@ import numpy as np
 from ctr_nlp.exceptions import DeviceFault, Stopped, TrajectoryError
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.devices import Standing
+from ctr_nlp.hardware.guiding.guide import SHARE
+from ctr_nlp.hardware.guiding.loop import ClosedLoop
 from ctr_nlp.hardware.motion.lookahead import FollowedPath
-from ctr_nlp.hardware.motion.trajectory import Trajectory, approach_to, rest_of, trajectory_of
+from ctr_nlp.hardware.motion.trajectory import Patch, Trajectory, approach_to, rest_of, trajectory_of
 from ctr_nlp.hardware.playing.checks import Checked, check_plan, checked
 from ctr_nlp.hardware.playing.playback import Seen
 from ctr_nlp.hardware.playing.player import Player
@@ -31,15 +33,15 @@ LEVEL = 1e-4
 
 
 def prepared(
-    plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: Array | None = None
+    plan: Plan, hardware: Hardware, tempo: float = 1.0, standing: Array | None = None, share: float = 1.0
 ) -> tuple[Trajectory, Checked]:
     """The trajectory of a plan, and what was found when all of it was checked.
 
-    standing (m,): positions from which the axes come to the first frame. Raises HardwareError, OptionError,
-    TrajectoryError.
+    standing (m,): positions from which the axes come to the first frame. share: of the largest speeds and
+    accelerations; the rest is left for corrections. Raises HardwareError, OptionError, TrajectoryError.
     """
     check_plan(plan, hardware.tightened(plan.robot))
-    trajectory = trajectory_of(plan, hardware, tempo, standing)
+    trajectory = trajectory_of(plan, hardware, tempo, standing, share)
     return trajectory, checked(trajectory, plan.evaluated)
 
 
@@ -66,19 +68,24 @@ def begin(
     home: bool = False,
     verified: bool = False,
     seen: Seen | None = None,
+    loop: ClosedLoop | None = None,
 ) -> Result:
     """Play a plan from its first frame, to which the robot goes slowly and straight from where it stands.
 
     home: let the device find its position before. verified: a person has made sure that the axes are where the
-    device says. Raises what prepared raises before anything is sent, and DeviceFault where nothing could be begun.
+    device says. loop: what corrects the plan, None for nothing. Raises what prepared raises before anything is
+    sent, and DeviceFault where nothing could be begun.
     """
-    trajectory, _ = prepared(plan, hardware, tempo)
+    share = 1.0 if loop is None else SHARE
+    trajectory, _ = prepared(plan, hardware, tempo, share=share)
+    if loop is not None:
+        loop.open()
     standing = ready(player, home=home, verified=verified)
     if hardware.backlash.any():
-        trajectory = trajectory_of(plan, hardware, tempo, standing.position)
+        trajectory = trajectory_of(plan, hardware, tempo, standing.position, share)
         checked(trajectory, plan.evaluated)
-    _announce(player, trajectory, tempo, standing.position, None)
-    return _go(player, trajectory, standing, plan.evaluated, seen)
+    _announce(player, trajectory, tempo, standing.position, None, [])
+    return _go(player, trajectory, standing, plan.evaluated, seen, loop, plan.q[:0])
 
 
 def ready(
@@ -102,26 +109,51 @@ def resume(
     *,
     verified: bool = False,
     seen: Seen | None = None,
+    loop: ClosedLoop | None = None,
 ) -> Result:
     """Go on where a session (the records of its journal) ended, if the robot still stands on its path.
 
     A device that still moves is stopped first. verified: a person has made sure that the axes are where the device
-    says. Raises TrajectoryError where the plan or the position is another, or nothing is left.
+    says. loop: what corrects the rest, if that session was one of a closed loop, and None if not. Raises
+    TrajectoryError where the plan or the position is another, or nothing is left.
     """
     if any(record["kind"] == RETRACTED for record in records):
         raise TrajectoryError("the tubes have been retracted since that session: begin anew")
     told = announced(records)
-    trajectory = as_told(plan, hardware, told)
+    if (loop is not None) != closed(told):
+        raise TrajectoryError(
+            f"the journal's session was {'of' if closed(told) else 'not of'} a closed loop: go on as it was begun"
+        )
+    trajectory = as_told(plan, hardware, records)
     frame = last_passed(records)
     if frame < 1:
         raise TrajectoryError("the journal's session did not reach its first frame: begin anew")
     if frame == trajectory.frames[-1]:
         raise TrajectoryError(f"the journal's session reached frame {frame}, the last one: nothing is left")
     check_trusted(records, verified)
+    if loop is not None:
+        loop.open()
     standing = ready(player, verified=verified, stop_first=True, session=session_of(records))
     s = place(trajectory, standing, player.device.resolution, frame)
-    _announce(player, trajectory, told["tempo"], told["standing"], s)
-    return _go(player, rest_of(trajectory, s, told["tempo"]), standing, plan.evaluated, seen)
+    _announce(player, trajectory, told["tempo"], told["standing"], s, patches_of(records))
+    rest, before = from_there(trajectory, s, told["tempo"])
+    return _go(player, rest, standing, plan.evaluated, seen, loop, before)
+
+
+def from_there(trajectory: Trajectory, s: float, tempo: float) -> tuple[Trajectory, Array]:
+    """The rest of a trajectory for a robot that stands at its parameter s; q (n, 2d + 2) from its start to s."""
+    path, passed = trajectory.motion.path, trajectory.knots < s
+    return rest_of(trajectory, s, tempo), path(np.append(trajectory.knots[passed], s))
+
+
+def closed(told: dict[str, Any]) -> bool:
+    """Whether what a journal announced was corrected while it was played."""
+    return float(told.get("share", 1.0)) < 1.0
+
+
+def patches_of(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """By how much trajectories were corrected in a session and in those that it went on with, in order."""
+    return [*announced(records).get("patches", []), *(r["patch"] for r in records if r["kind"] == "corrected")]
 
 
 def announced(records: list[dict[str, Any]]) -> dict[str, Any]:
@@ -149,8 +181,19 @@ def check_trusted(records: list[dict[str, Any]], verified: bool) -> None:
         raise TrajectoryError(f"the position was not to be trusted when the session ended: {REMEDY}")
 
 
-def _go(player: Player, trajectory: Trajectory, standing: Standing, model: str, seen: Seen | None) -> Result:
-    """Play a trajectory, after a slow approach to its start where the robot is not there."""
+def _go(
+    player: Player,
+    trajectory: Trajectory,
+    standing: Standing,
+    model: str,
+    seen: Seen | None,
+    loop: ClosedLoop | None,
+    before: Array,
+) -> Result:
+    """Play a trajectory, after a slow approach to its start where the robot is not there.
+
+    before (n, 2d + 2): where the robot has come through, as far as that matters.
+    """
     start = trajectory.positions(0.0)
     tilted = abs(player.tilt() - trajectory.tilt(0.0)).max() > LEVEL
     if tilted or (abs(start - standing.position) > player.device.resolution).any():
@@ -159,16 +202,26 @@ def _go(player: Player, trajectory: Trajectory, standing: Standing, model: str, 
         result = player.play(approach, seen)
         if result.outcome is not Outcome.SUCCESS:
             return result
-    return player.play(trajectory, seen)
+    guide = None if loop is None else loop.guide(trajectory, before, player.journal)
+    return player.play(trajectory, seen, guide)
 
 
-def _announce(player: Player, trajectory: Trajectory, tempo: float, standing: Any, s: float | None) -> None:
+def _announce(
+    player: Player,
+    trajectory: Trajectory,
+    tempo: float,
+    standing: Any,
+    s: float | None,
+    patches: list[dict[str, Any]],
+) -> None:
     """What resume and retract need to know."""
     player.journal.record(
         "program",
         plan=trajectory.digests.plan,
         hardware=trajectory.digests.hardware,
         tempo=tempo,
+        share=trajectory.share,
+        patches=patches,
         standing=np.asarray(standing).tolist(),
         parameter=s,
         first=0 if s is None else int(trajectory.frames[trajectory.knots <= s][-1]),
@@ -177,9 +230,21 @@ def _announce(player: Player, trajectory: Trajectory, tempo: float, standing: An
     )
 
 
-def as_told(plan: Plan, hardware: Hardware, told: dict[str, Any]) -> Trajectory:
-    """The trajectory of a record, made again; raises TrajectoryError where plan or hardware is another."""
-    trajectory, _ = prepared(plan, hardware, told["tempo"], np.array(told["standing"]))
+def as_told(plan: Plan, hardware: Hardware, records: list[dict[str, Any]]) -> Trajectory:
+    """The trajectory of a session, made again as it was corrected at last.
+
+    Raises TrajectoryError where plan or hardware is another.
+    """
+    trajectory = as_planned(plan, hardware, announced(records))
+    for patch in patches_of(records):
+        trajectory = trajectory.patched(Patch.of(patch))
+    return trajectory
+
+
+def as_planned(plan: Plan, hardware: Hardware, told: dict[str, Any]) -> Trajectory:
+    """The trajectory that was announced, before it was corrected; raises TrajectoryError as as_told."""
+    share = float(told.get("share", 1.0))
+    trajectory, _ = prepared(plan, hardware, told["tempo"], np.array(told["standing"]), share)
     for what, digest in zip(("plan", "hardware"), trajectory.digests, strict=True):
         if told.get(what) != digest:
             name = f"this {what} ({plan.meta['problem']['name']})" if what == "plan" else "this hardware file"

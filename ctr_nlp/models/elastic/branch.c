@@ -9,16 +9,20 @@ typedef int (*Function)(const double **, double **, long long *, double *, int);
 
 /* d tubes; motors: (x, numbers) -> alpha, slopes (d, d - 1) over phi, column by column. energy: (x, numbers) -> of
    rows the strengths and angles, and scales of twists. The row r of the pattern, the angle between the tubes `first`
-   and `second`, has entries starts[r] .. starts[r + 1] in columns. ends: the tube whose tip a twist turns, or -1.
+   and `other`, has entries starts[r] .. starts[r + 1] in columns. ends: the tube whose tip a twist turns, or -1.
+   second: (x, numbers) -> the energy's second variation (against, against) for twists of tubes against each other.
+   shape: -> vectors (3, vectors) and the tip's direction; points: (arc lengths, vectors, extensions, numbers) -> the
+   points there, for LANES arc lengths at once.
 
    converged: the last step of Newton's method, near: on the way, rad; stray: how far an equilibrium may be from its
-   prediction; leap: rad that tips may be predicted to turn against each other in a step, beyond their motors; smallest: part of a step; stride: rad that tubes are turned by at once; push, fall: rad that tubes turn
-   by against each other where a branch ends, and at most in a step of a fall; iterations: at most. */
+   prediction; leap: rad that tips may be predicted to turn against each other in a step, beyond their motors;
+   smallest: part of a step; stride: rad that tubes are turned by at once; push, fall: rad that tubes turn by against
+   each other where a branch ends, and at most in a step of a fall; iterations: at most. */
 typedef struct {
-    long d, twists, rows;
-    const long *starts, *columns, *first, *second, *ends;
+    long d, twists, rows, against, vectors;
+    const long *starts, *columns, *first, *other, *ends;
     const double *entries;
-    Function motors, energy;
+    Function motors, energy, second, shape, points;
     double converged, near, stray, leap, smallest, stride, push, fall;
     long iterations;
 } Elastic;
@@ -111,12 +115,23 @@ static void predicted(const Elastic *e, const double *numbers, const State *from
         for (long i = 0; i < d; ++i) x[i] += turn[i];
 }
 
-static int holds(const Elastic *e, const double *numbers, const double *x);
+/* The same, better, with a state before `from` on a line on which tubes turn and do not slide: the cubic through both
+   with their tangents, a ratio of their distance ahead. */
+static void extrapolated(const Elastic *e, const State *before, const State *from, double ratio, double *x) {
+    double slow[MOST_TUBES], fast[MOST_TUBES], s = 1 + ratio;
+    for (long i = 0; i < e->d; ++i) slow[i] = fast[i] = from->q[i] - before->q[i];
+    if (solved_for(e->d, before->slopes, slow) == 0 || solved_for(e->d, from->slopes, fast) == 0) return;
+    for (long i = 0; i < e->d; ++i)
+        x[i] = from->x[i] + (from->x[i] - before->x[i]) * (3 - 2 * s) * s * s - (from->x[i] - before->x[i]) +
+               s * (s - 1) * ((s - 1) * slow[i] + s * fast[i]);
+}
 
-/* One step along a branch; whether it is clear that `to` is on it. An unstable one may pass a fold. */
-static int stepped(const Elastic *e, const double *numbers, const State *from, const double *goal, State *to, int end) {
-    double ahead[SIDE];
-    predicted(e, numbers, from, goal, ahead);
+static double margin_at(const Elastic *e, const double *numbers, const double *x);
+
+/* One step along a branch to where it is predicted, ahead; whether it is clear that `to` is on it. An unstable one may
+   pass a fold. */
+static int stepped(const Elastic *e, const double *numbers, const State *from, const double *goal, double *ahead,
+                   State *to, int end) {
     double turn[MOST_TUBES], by_motors[MOST_TUBES];
     for (long i = 0; i + 1 < e->d; ++i) {
         turn[i] = ahead[i] - from->x[i];
@@ -129,26 +144,29 @@ static int stepped(const Elastic *e, const double *numbers, const State *from, c
     for (long i = 0; i < e->d; ++i) ahead[i] -= to->x[i];
     if (!(largest(ahead, e->d) < e->stray)) return 0;
     if (to->determinant * from->determinant > 0) return 1;
-    if (!from->stable) to->stable = holds(e, numbers, to->x);
+    if (!from->stable) to->stable = margin_at(e, numbers, to->x) > 0;
     return !from->stable;
 }
 
 /* Follow a branch towards goal, in steps of at most `most` of the way; whether it goes so far. */
 static int along(const Elastic *e, const double *numbers, State *state, const double *goal, double most) {
-    double start[SIDE], place[SIDE], done = 0, part = most < 1 ? most : 1;
+    double start[SIDE], place[SIDE], ahead[SIDE], done = 0, last = 0, part = most < 1 ? most : 1;
     long n = 2 * e->d + 2;
+    int turns = !memcmp(goal + e->d, state->q + e->d, e->d * sizeof *goal);
+    State before, to;
     memcpy(start, state->q, n * sizeof *start);
     while (part >= e->smallest) {
         int end = done + part >= 1;
-        State to;
         for (long i = 0; i < n; ++i) place[i] = end ? goal[i] : start[i] + (done + part) * (goal[i] - start[i]);
-        if (!stepped(e, numbers, state, place, &to, end)) {
+        predicted(e, numbers, state, place, ahead);
+        if (turns && last > 0) extrapolated(e, &before, state, part / last, ahead);
+        if (!stepped(e, numbers, state, place, ahead, &to, end)) {
             part /= 2;
             continue;
         }
-        *state = to;
+        before = *state, *state = to;
         if (end) return 1;
-        done += part;
+        done += part, last = part;
         part = fmin(fmin(2 * part, most), 1 - done);
     }
     return 0;

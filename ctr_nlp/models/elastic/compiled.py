@@ -1,4 +1,4 @@
-"""The elastic model's equilibria and margins in C: branch.c, margin.c and fall.c around generated functions."""
+"""The elastic model in C: branch.c, margin.c, energy.c, fall.c and shape.c around generated functions."""
 
 from __future__ import annotations
 
@@ -7,25 +7,28 @@ import functools
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from ctr_nlp.codegen import cache
 from ctr_nlp.codegen.background import Library
-from ctr_nlp.models.elastic import energy, torsion
-from ctr_nlp.models.protocol import symbolic_tubes
+from ctr_nlp.codegen.vector import LANES, SAME
+from ctr_nlp.models.elastic import energy, shape, torsion
+from ctr_nlp.models.protocol import Rest, combination, matrix_of, symbolic_tubes
 from ctr_nlp.robot.structure import NUMBERS, Structure, Tubes
 from ctr_nlp.typing import Array, Flags
 
 MOST_TUBES = 8
 """That branch.c has room for."""
+CODE = "branch.c", "margin.c", "energy.c", "fall.c", "shape.c"
+FUNCTIONS = "motors", "energy", "second", "shape", "points"
+"""That the struct Elastic of branch.c holds; the last for LANES arc lengths at once."""
 
-
-STRIDE = 0.5
+STRIDE = 1.0
 """rad that tubes are turned by at once on the way from the aligned robot."""
-CONVERGED, NEAR, ITERATIONS = 1e-7, 1e-4, 8
+CONVERGED, NEAR, ITERATIONS = 1e-7, 1e-2, 8
 """rad of the last Newton step, whose error is about its square, and of that on the way; steps at most."""
 STRAY = 0.1
 """rad: an equilibrium further than this from its prediction may belong to another branch."""
@@ -61,9 +64,9 @@ class _Elastic(ctypes.Structure):
     """The struct Elastic of branch.c."""
 
     _fields_ = [
-        *((name, ctypes.c_long) for name in ("d", "twists", "rows")),
-        *((name, ctypes.c_void_p) for name in ("starts", "columns", "first", "second", "ends", "entries")),
-        *((name, ctypes.c_void_p) for name in ("motors", "energy")),
+        *((name, ctypes.c_long) for name in ("d", "twists", "rows", "against", "vectors")),
+        *((name, ctypes.c_void_p) for name in ("starts", "columns", "first", "other", "ends", "entries")),
+        *((name, ctypes.c_void_p) for name in FUNCTIONS),
         *(
             (name, ctypes.c_double)
             for name in ("converged", "near", "stray", "leap", "smallest", "stride", "push", "fall")
@@ -75,22 +78,26 @@ class _Elastic(ctypes.Structure):
 class Compiled:
     """A structure's equilibria in C; any thread may call. numbers (T or 1, 6d): of the tubes, a row a robot."""
 
-    def __init__(self, structure: Structure, path: Path) -> None:
-        """Take the functions from their library; raises OptionError where nothing can be compiled."""
-        functions, of = symbolic(structure)
-        library = ctypes.CDLL(str(path))
-        self._run = cache.loaded(__package__, "branch.c", "margin.c", "fall.c")
-        rows, columns = np.nonzero(of.pattern)
-        starts = np.searchsorted(rows, np.arange(len(of.pattern) + 1))
-        longs = [np.array(each, dtype=np.int64) for each in (starts, columns, *of.couples, of.ends)]
-        entries = of.pattern[rows, columns]
-        addresses = (ctypes.cast(library[function.name()], ctypes.c_void_p).value for function in functions)
-        self._keep = library, longs, entries
+    def __init__(self, structure: Structure, alone: Path, beside: Path) -> None:
+        """Take the functions from their libraries; raises OptionError where nothing can be compiled."""
+        made = symbolic(structure)
+        libraries = [*([ctypes.CDLL(str(alone))] * len(made.alone)), ctypes.CDLL(str(beside))]
+        self._run = cache.loaded(__package__, *CODE)
+        rows, columns = np.nonzero(made.of.pattern)
+        starts = np.searchsorted(rows, np.arange(len(made.of.pattern) + 1))
+        longs = [np.array(each, dtype=np.int64) for each in (starts, columns, *made.of.couples, made.of.ends)]
+        entries = made.of.pattern[rows, columns]
+        addresses = (
+            ctypes.cast(library[name], ctypes.c_void_p).value
+            for library, name in zip(libraries, FUNCTIONS, strict=True)
+        )
+        self._keep = libraries, longs, entries
         places = *(array.ctypes.data for array in (*longs, entries)), *addresses
         steps = CONVERGED, NEAR, STRAY, LEAP, SMALLEST, STRIDE, PUSH, FALL, ITERATIONS
-        self._elastic = _Elastic(structure.d, len(of.ends), len(of.pattern), *places, *steps)
+        sizes = len(made.of.ends), len(made.of.pattern), made.of.second.shape[0], made.vectors
+        self._elastic = _Elastic(structure.d, *sizes, *places, *steps)
         self._reference = ctypes.byref(self._elastic)
-        self.motors = ca.external(functions[0].name(), str(path))
+        self.motors = ca.external("motors", str(alone))
 
     def walk(self, numbers: Array, state: State, goals: Array) -> Array:
         """The equilibria (count, 2d + 2) at as many goals (T, 2d + 2) as a branch reaches; the state goes on."""
@@ -112,10 +119,30 @@ class Compiled:
         return states, found.astype(bool)
 
     def margins(self, numbers: Array, x: Array) -> Array:
-        """The margins (T,) of x (T, 2d + 2)."""
+        """The margins (T,) of x (T, 2d + 2); NaN where x is."""
         x, found = np.ascontiguousarray(x, dtype=float), np.empty(len(x))
         self._run.margins(self._reference, *_stepped(numbers), _address(x), ctypes.c_long(len(x)), _address(found))
         return found
+
+    def shapes(self, numbers: Array, x: Array, sigma: Array) -> tuple[Array, Array]:
+        """Points (T, n, 3) in mm at x (T, 2d + 2) and sigma (n,) or (T, n), and directions of tips (T, 3)."""
+        x, sigma = np.ascontiguousarray(x, dtype=float), np.ascontiguousarray(sigma, dtype=float)
+        rows, samples = len(x), sigma.shape[-1]
+        points, tips = np.empty((rows, samples, 3)), np.empty((rows, 3))
+        at = _address(x), ctypes.c_long(rows), _address(sigma), ctypes.c_long(samples)
+        step = ctypes.c_long(samples if sigma.ndim > 1 else 0)
+        self._run.shapes(self._reference, *_stepped(numbers), *at, step, _address(points), _address(tips))
+        return points, tips
+
+    def rests(self, numbers: Array, q: Array, sigma: Array) -> Rest:
+        """One robot, of numbers (1, 6d), at rest at every q (T, 2d + 2) without history; points at sigma (m,)."""
+        q, sigma = np.ascontiguousarray(q, dtype=float), np.ascontiguousarray(sigma, dtype=float)
+        rows, n, m = *q.shape, len(sigma)
+        found = np.empty((rows, n + 4 + 3 * m))
+        at = _address(numbers), _address(q), ctypes.c_long(rows), _address(sigma), ctypes.c_long(m)
+        self._run.rests(self._reference, *at, _address(found))
+        points = found[:, n + 4 :].reshape(rows, m, 3)
+        return Rest(found[:, :n], points, found[:, n : n + 3], found[:, n + 3])
 
 
 def _address(array: np.ndarray[Any, Any]) -> ctypes.c_void_p:
@@ -127,36 +154,72 @@ def _stepped(numbers: Array) -> tuple[ctypes.c_void_p, ctypes.c_long]:
     return _address(numbers), ctypes.c_long(numbers.shape[1] if len(numbers) > 1 else 0)
 
 
+class Symbolic(NamedTuple):
+    """Functions of a structure, in the order of FUNCTIONS, but for the last; that, for LANES at once; the energy.
+
+    motors: (x, numbers (d, 6)) -> alpha and slopes over phi but the last. energy: -> strength, angles, scales.
+    second: -> the same in Symbols. shape: -> vectors (3, n) and the tip's direction. points: (arc length, vectors,
+    extensions (d,), numbers) -> the point there (3,), mm.
+    """
+
+    alone: tuple[ca.Function, ...]
+    beside: ca.Function
+    of: energy.Symbols
+
+    @property
+    def vectors(self) -> int:
+        """How many a shape is made of."""
+        return int(self.beside.size_in(1)[1])
+
+
 @functools.lru_cache(maxsize=64)
-def symbolic(structure: Structure) -> tuple[tuple[ca.Function, ca.Function], energy.Symbols]:
-    """(x, numbers (d, 6)) -> alpha and slopes over phi but the last; -> strength, angles, scales; the energy."""
+def symbolic(structure: Structure) -> Symbolic:
+    """What is compiled for a structure."""
     d = structure.d
-    x, numbers = ca.SX.sym("x", 2 * d + 2), ca.SX.sym("numbers", d, len(NUMBERS))
+    x, numbers, s = ca.SX.sym("x", 2 * d + 2), ca.SX.sym("numbers", d, len(NUMBERS)), ca.SX.sym("s")
     tubes, entries = symbolic_tubes(structure, numbers), ca.vertsplit(x)
-    twisted = torsion.twist(tubes, entries, torsion.sections(tubes, entries[d : 2 * d], ca), ca)
-    alpha = ca.densify(ca.vertcat(*torsion.motors(tubes, entries, twisted)))
-    slopes, of = ca.densify(ca.jacobian(alpha, x[: d - 1])), energy.in_symbols(tubes, entries)
-    motors = ca.Function("motors", [x, numbers], [alpha, slopes])
-    return (motors, ca.Function("energy", [x, numbers], [ca.densify(part) for part in of[:3]])), of
+    beta = entries[d : 2 * d]
+    parts = torsion.sections(tubes, beta, ca)
+    twisted = torsion.twist(tubes, entries, parts, ca)
+    alpha = ca.vertcat(*torsion.motors(tubes, entries, twisted))
+    of, vectors = energy.in_symbols(tubes, entries), shape.curves(tubes, entries, parts, twisted, ca)
+    base = shape.turned_base(tubes, entries, ca)
+    placed = [combination(vector, base) for vector in vectors]
+    travels, _ = shape.travels(tubes, beta, parts, s, ca)
+    _, turns = shape.travels(tubes, beta, parts, beta[-1], ca)
+    tip = combination(combination([1.0, *turns], [(0.0, 0.0, 1.0), *vectors]), base)
+    made = [alpha, ca.jacobian(alpha, x[: d - 1])], of[:3], [of.second], [matrix_of(placed), ca.vertcat(*tip)]
+    alone = [
+        ca.Function(name, [x, numbers], [ca.densify(part) for part in parts])
+        for name, parts in zip(FUNCTIONS, made, strict=False)
+    ]
+    given = s, ca.SX.sym("vectors", 3, len(placed)), ca.SX.sym("beta", d), numbers
+    (point,) = ca.substitute([given[1] @ ca.vertcat(*travels)], [ca.vertcat(*beta)], [given[2]])
+    names = "s", f"{SAME}vectors", f"{SAME}beta", f"{SAME}numbers"
+    return Symbolic(tuple(alone), ca.Function("points", given, [ca.densify(point)], names, ["point"]), of)
 
 
 def compiled(structure: Structure) -> Compiled | None:
     """What all robots of a structure share; None until it has been made, and where nothing can be compiled."""
     if os.environ.get(cache.SWITCH) == "0" or structure.d > MOST_TUBES:
         return None
-    return _soon(replace(structure, gap=False))()
+    return _soon(structure)()
 
 
 class _Soon:
     def __init__(self, structure: Structure) -> None:
-        functions, _ = symbolic(structure)
-        described = "\n".join(function.serialize() for function in functions)
-        self._structure, self._library = structure, Library(described, lambda: functions, 1)
+        self._structure = replace(structure, gap=False)
+        made = symbolic(self._structure)
+        described = "\n".join(function.serialize() for function in made.alone)
+        self._alone = Library(described, functools.partial(tuple, made.alone), 1)
+        self._beside = Library(made.beside.serialize(), functools.partial(tuple, (made.beside,)), LANES)
         self._found: Compiled | None = None
 
     def __call__(self) -> Compiled | None:
-        if self._found is None and not cache.missing() and (path := self._library.soon()) is not None:
-            self._found = Compiled(self._structure, path)
+        if self._found is None and not cache.missing():
+            alone, beside = self._alone.soon(), self._beside.soon()
+            if alone is not None and beside is not None:
+                self._found = Compiled(self._structure, alone, beside)
         return self._found
 
 

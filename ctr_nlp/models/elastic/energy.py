@@ -83,7 +83,8 @@ class Symbols(NamedTuple):
     """The Energy in symbols for any beta: K + V = I + S P' W P S, W = diag(strength cos angles), S = diag scales.
 
     strength, angles (rows, 1), scales (n, 1): 0 of twists that are not there. pattern (rows, n): P. couples
-    (2, rows): the tubes between which an angle is. ends (n,): the tube whose tip a twist turns, or -1.
+    (2, rows): the tubes between which an angle is. ends (n,): the tube whose tip a twist turns, or -1. second
+    (m, m): K + V for twists that turn tubes against each other, whose eigenvalues below 1 are those of all.
     """
 
     strength: ca.SX
@@ -92,6 +93,7 @@ class Symbols(NamedTuple):
     pattern: Array
     couples: Index
     ends: Index
+    second: ca.SX
 
 
 def in_symbols(tubes: Tubes, x: Sequence[Any]) -> Symbols:
@@ -105,7 +107,46 @@ def in_symbols(tubes: Tubes, x: Sequence[Any]) -> Symbols:
     scales = ca.vertcat(ca.SX(0, 1), *(one.scale for one in twists))
     couples = np.array([(i, j) for _, i, j in _couples(parts) for _ in NODES], dtype=int).reshape(-1, 2).T
     ends = np.array([one.tube if one.end else -1 for one in twists], dtype=int)
-    return Symbols(ca.horzcat(*strength).T, ca.horzcat(*angles).T, scales, _pattern(parts, twists), couples, ends)
+    weights = [pulls * ca.cos(turned) for pulls, turned in zip(strength[1:], angles[1:], strict=True)]
+    second = _second(tubes, parts, twists, weights)
+    rows = ca.horzcat(*strength).T, ca.horzcat(*angles).T
+    return Symbols(*rows, scales, _pattern(parts, twists), couples, ends, second)
+
+
+def _second(tubes: Tubes, parts: Sequence[Section], twists: Sequence[_Twist], weights: Sequence[ca.SX]) -> ca.SX:
+    """K + V (m, m) of the twists that turn tubes against each other; weights (1, nodes) of every couple's angles.
+
+    What turns two tubes against each other is a sum of one and ANGLES, so that V is made of moments of weights.
+    """
+    basis = np.array([np.ones(len(NODES)), *ANGLES])
+    against = _against(tubes, parts, twists)
+    found = ca.SX.eye(against.shape[1])
+    for (k, i, j), weight in zip(_couples(parts), weights, strict=True):
+        turns = ca.SX(len(basis), len(twists))
+        for column, one in enumerate(twists):
+            sign = (one.tube == i) - (one.tube == j)
+            if sign and (one.section == k or (one.section < k and one.end)):
+                turns[1 + one.degree if one.section == k else 0, column] = sign * one.scale
+        turns = turns @ against
+        found += turns.T @ (basis @ ca.diag(weight) @ basis.T) @ turns
+    return found
+
+
+def _against(tubes: Tubes, parts: Sequence[Section], twists: Sequence[_Twist]) -> ca.SX:
+    """An orthonormal basis (n, m) of the twists without those of a section by which all tubes turn alike."""
+    columns = list[ca.SX]()
+    for k, degree in sorted({(one.section, one.degree) for one in twists}):
+        rows = [row for row, one in enumerate(twists) if (one.section, one.degree) == (k, degree)]
+        own = ca.SX.eye(len(rows))
+        if k >= 0:  # Householder's reflection of the common twist onto the last column, which is left out
+            acting = [tubes[twists[row].tube] for row in rows]
+            alike = ca.vertcat(*(ca.sqrt(tube.bending_stiffness / tube.torsional_ratio) for tube in acting))
+            normal = alike / ca.norm_2(alike) + own[:, -1]
+            own = (own - 2 * normal @ normal.T / ca.sumsqr(normal))[:, :-1]
+        whole = ca.SX(len(twists), own.shape[1])
+        whole[rows, :] = own
+        columns.append(whole)
+    return ca.horzcat(ca.SX(len(twists), 0), *columns)
 
 
 class _Twist(NamedTuple):

@@ -71,7 +71,7 @@ class Equilibria:
     @cached_property
     def _motors(self) -> Mapped:
         code = self._compiled
-        found = Mapped(code.motors if code else symbolic(replace(self._structure, gap=False))[0][0], 1, 1)
+        found = Mapped(code.motors if code else symbolic(replace(self._structure, gap=False)).alone[0], 1, 1)
         found.inputs[1][0] = self._numbers
         return found
 
@@ -221,13 +221,14 @@ def _fall(energy: Energy, motors: Array, angles: Array, towards: Array) -> Array
     """
     a: Array = -(energy.strength * np.sin(angles)) @ energy.turns
     _, modes = np.linalg.eigh(energy.hessian(angles))
-    push, time = energy.turns @ modes[:, 0], 1.0
+    push, time = energy.turns @ modes[:, 0], 8.0
     a = a + modes[:, 0] * np.copysign(PUSH / abs(push).max(), push @ towards)
     for _ in range(STEPS):
-        change, time = _step_down(energy, motors, a, 8 * time)
-        a = a + change
-        if abs(energy.turns @ change).max() < CONVERGED and time > 40:
+        change, time = _step_down(energy, motors, a, time)
+        a, size = a + change, abs(energy.turns @ change).max()
+        if size < CONVERGED and time > 40:
             return a
+        time *= FALL / size if size > FALL / 8 else 8
     return None
 
 

@@ -1,5 +1,5 @@
 /* Falls of the elastic model: where its branch ends, a robot goes down the gradient of its energy into another
-   equilibrium; branch.c and margin.c come before this file. */
+   equilibrium; branch.c, margin.c and energy.c come before this file. */
 
 enum { MOST_STEPS = 2000, MOST_FALLS = 20, PLACES = 11 };
 
@@ -50,10 +50,45 @@ static void solved_by(const double *l, long n, double *b) {
     for (long k = n - 1; k >= 0; --k) b[k] = (b[k] - product(l + k + 1 + n * k, b + k + 1, n - k - 1)) / l[k + n * k];
 }
 
+/* Whether a symmetric matrix less `shift` on its diagonal has positive pivots only; a: its rows from the diagonal on,
+   eliminated. */
+static int definite(const double *matrix, long n, double shift, double *restrict a) {
+    for (long i = 0; i < n; ++i) {
+        for (long j = i; j < n; ++j) a[n * i + j] = matrix[n * i + j];
+        a[n * i + i] -= shift;
+    }
+    for (long k = 0; k < n; ++k) {
+        const double *pivot = a + n * k;
+        if (!(pivot[k] > 0)) return 0;
+        double inverse = 1 / pivot[k];
+        for (long i = k + 1; i < n; ++i) {
+            double part = pivot[i] * inverse, *restrict row = a + n * i;
+#pragma omp simd
+            for (long j = i; j < n; ++j) row[j] -= part * pivot[j];
+        }
+    }
+    return 1;
+}
+
+/* Solve for v in place, with what `definite` leaves of a matrix, and make its length one. */
+static void inverted(const double *a, long n, double *v) {
+    double size = 0;
+    for (long k = 0; k < n; ++k) {
+        double part = v[k] / a[n * k + k];
+        for (long i = k + 1; i < n; ++i) v[i] -= part * a[n * k + i];
+    }
+    for (long k = n - 1; k >= 0; --k) {
+        for (long i = k + 1; i < n; ++i) v[k] -= a[n * k + i] * v[i];
+        v[k] /= a[n * k + k], size += v[k] * v[k];
+    }
+    for (long i = 0; i < n; ++i) v[i] /= sqrt(size);
+}
+
 /* The unit vector of the smallest eigenvalue, by inverse iterations. */
 static void softest(const Energy *of, double *l, double *v) {
     long n = of->n;
-    double least = smallest_eigenvalue(of->matrix, n, of->work), shift = 1e-3 * (1 + fabs(least));
+    memcpy(l, of->matrix, n * n * sizeof *l);
+    double least = smallest_eigenvalue(l, n), shift = 1e-3 * (1 + fabs(least));
     while (!definite(of->matrix, n, least - shift, l)) shift *= 2;
     for (long i = 0; i < n; ++i) v[i] = 0.2 + fmod(0.618033988749895 * (i + 1), 1.0);
     for (long k = 0; k < 30; ++k) inverted(l, n, v);
@@ -69,7 +104,7 @@ static double step_down(const Elastic *e, const Energy *of, const double *motors
     double *angles = ahead + n, *there = angles + e->rows, size = 0;
     double height = energy_at(e, of, motors, a, angles, slope);
     bent(e, of, angles);
-    for (*time *= 8; *time > 1e-12; *time *= size > e->fall ? fmax(0.1, 0.8 * e->fall / size) : 0.5) {
+    for (; *time > 1e-12; *time *= size > e->fall ? fmax(0.1, 0.8 * e->fall / size) : 0.5) {
         size = 0;
         if (!factored(of->matrix, n, gamma * *time, l)) continue;
         for (long i = 0; i < n; ++i) first[i] = -slope[i];
@@ -92,7 +127,7 @@ static double step_down(const Elastic *e, const Energy *of, const double *motors
 static int fall(const Elastic *e, const Energy *of, const double *motors, const double *angles, const double *towards,
                 double *a) {
     long n = of->n;
-    double *l = of->work + n * n + n * (n + 1) + 2 * n, *v = of->work, *there = v + n, along = 0, time = 1;
+    double *v = of->work, *there = v + n, *l = there + e->rows, along = 0, time = 8;
     memset(a, 0, n * sizeof *a);
     for (long r = 0; r < e->rows; ++r) {
         double pull = of->strengths[r] * sin(angles[r]);
@@ -103,8 +138,11 @@ static int fall(const Elastic *e, const Energy *of, const double *motors, const 
     turned(e, of, v, there);
     for (long r = 0; r < e->rows; ++r) along += there[r] * towards[r];
     for (long i = 0; i < n; ++i) a[i] += v[i] * copysign(e->push / largest(there, e->rows), along);
-    for (long k = 0; k < MOST_STEPS; ++k)
-        if (step_down(e, of, motors, a, &time) < e->converged && time > 40) return 1;
+    for (long k = 0; k < MOST_STEPS; ++k) {
+        double size = step_down(e, of, motors, a, &time);
+        if (size < e->converged && time > 40) return 1;
+        time *= size > 0.125 * e->fall ? e->fall / size : 8;
+    }
     return 0;
 }
 
@@ -128,7 +166,7 @@ static int settling(const Elastic *e, const double *numbers, const State *from, 
     described(e, numbers, past, of);
     for (long r = 0; r < e->rows; ++r) {
         towards[r] -= angles[r];
-        motors[r] = past[e->first[r]] - past[e->second[r]];
+        motors[r] = past[e->first[r]] - past[e->other[r]];
     }
     if (of->n == 0 || !fall(e, of, motors, angles, towards, a)) return 0;
     memcpy(tips, past, d * sizeof *tips);
@@ -154,7 +192,7 @@ static int fallen(const Elastic *e, const double *numbers, State *state, const d
         to.stable = 1;
         if (!newton(e, numbers, past, &to, e->converged)) continue;
         for (long i = 0; i < side; ++i) x[i] -= to.x[i];
-        found = largest(x, side) < e->stray && margin_at(e, numbers, to.x, &of) > 0;
+        found = largest(x, side) < e->stray && margin_at(e, numbers, to.x) > 0;
         if (found) *state = to;
     }
     free(of.room);

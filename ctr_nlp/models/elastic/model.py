@@ -7,6 +7,7 @@ import numpy as np
 
 from ctr_nlp.models.dominant.shape import columns_of
 from ctr_nlp.models.elastic import shape, stability, torsion
+from ctr_nlp.models.elastic.compiled import compiled
 from ctr_nlp.models.elastic.following import follow, followed, settled
 from ctr_nlp.models.elastic.walking import ElasticWalker
 from ctr_nlp.models.protocol import (
@@ -15,6 +16,7 @@ from ctr_nlp.models.protocol import (
     Model,
     Passage,
     Places,
+    Rest,
     Shape,
     combination,
     matrix_of,
@@ -88,6 +90,13 @@ class Elastic(Model):
         """As Model.points_apart."""
         return _points(structure, numbers, x, sigma)
 
+    def at_rest(self, robot: Robot, q: Array, sigma: Array) -> Rest:
+        """As Model.at_rest."""
+        code = compiled(robot.structure)
+        if code is None:
+            return super().at_rest(robot, q, sigma)
+        return code.rests(robot.numbers.ravel(order="F")[None], q, sigma)
+
     def tangents(self, robot: Robot, x: Array, sigma: Array) -> Array:
         """As Model.tangents."""
         found = shape.backbone(robot.tube_numbers, columns_of(x), sigma, np).tangents
@@ -135,6 +144,8 @@ class Elastic(Model):
 
 def _points(structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
     """Points (T, n, 3) in mm of robots of numbers (T or 1, d, 6) at unknowns x (T, 2d + 2)."""
+    if (code := compiled(structure)) is not None:
+        return code.shapes(numbers.swapaxes(1, 2).reshape(len(numbers), -1), x, sigma)[0]
     tubes, columns, d = tubes_in_columns(structure, numbers), columns_of(x), structure.d
     parts = torsion.sections(tubes, columns[d : 2 * d], np)
     vectors = shape.curves(tubes, columns, parts, torsion.twist(tubes, columns, parts, np), np)

@@ -95,13 +95,10 @@ def determinant(matrix: Sequence[Sequence[Any]]) -> Any:
 
 def margins(tubes: Tubes, x: Array) -> Array:
     """The margin (T,) of every x (T, 2d + 2), by Galerkin's method; NaN where x is."""
-    found = np.full(len(x), np.nan)
-    known = np.asarray(np.isfinite(x).all(axis=1))
     code = compiled(Structure(tuple(tube.kind for tube in tubes), tuple(tube.shown for tube in tubes)))
     if code is not None:
-        numbers = numbers_of(tubes)
-        found[known] = code.margins(numbers[known] if len(numbers) > 1 else numbers, x[known])
-        return found
+        return code.margins(numbers_of(tubes), x)
+    found, known = np.full(len(x), np.nan), np.asarray(np.isfinite(x).all(axis=1))
     pairs = zip(energies(tubes, x), differences(tubes, x), strict=True)
     for row, (energy, angles) in enumerate(pairs):
         if known[row]:

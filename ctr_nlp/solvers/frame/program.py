@@ -9,7 +9,8 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.codegen import cache
-from ctr_nlp.nlp.nlp import FrameFunctions, Nlp
+from ctr_nlp.nlp.nlp import Nlp
+from ctr_nlp.nlp.written import FrameFunctions
 from ctr_nlp.solvers.compiled import library
 from ctr_nlp.typing import Array
 

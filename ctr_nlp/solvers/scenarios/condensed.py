@@ -17,12 +17,13 @@ import numpy as np
 from ctr_nlp.codegen.mapped import Mapped
 from ctr_nlp.nlp.scenarios import SharedMotion
 from ctr_nlp.solvers.scenarios.common import NONE, CommonValues, Given, GivenSlopes
+from ctr_nlp.solvers.scenarios.twists import TwistSteps
 from ctr_nlp.typing import Array
 
 
 class Values(NamedTuple):
-    """At a point. objective: mm^2; rows: q, the frames' rows, the links, p, p's own rows; missing (T, S, d): of
-    the equations, rad.
+    """At a point. objective: mm^2; rows: q, the frames' rows, the links, steps of twists, p, p's own rows;
+    missing (T, S, d): of the equations, rad.
     """
 
     objective: float
@@ -36,7 +37,8 @@ class Expansion:
     theta, what p gives): gradient (T, S, m) and hessian (T, S, m, m) of the objective and, of the latter, of the
     Lagrangian; own (T, S, k, m): the Jacobian of its own rows; inverse (T, S, d, d): of the equations' over phi;
     turns (T, S, m, n + P): dx over (dq, dp); repair (T, S, m): the c of dx. Of the frames: jacobian (T, r, n + P)
-    of the rows over q and p, and ahead (T, r): what the repair changes them by. given: of p alone.
+    of the rows over q and p, and ahead (T, r): what the repair changes them by; twists (T, d - 1, n + P): that of
+    the first scenario's twists. given: of p alone.
     """
 
     at: Values
@@ -48,6 +50,7 @@ class Expansion:
     repair: Array
     jacobian: Array
     ahead: Array
+    twists: Array
     given: GivenSlopes
 
     def over_q(self, of_x: Array) -> Array:
@@ -73,10 +76,10 @@ class Expansion:
         """The step (T, S, m) of the scenarios' unknowns that belongs to one of q and p, (T, n + P)."""
         return np.asarray((self.turns @ dq[:, None, :, None])[..., 0] + self.repair)
 
-    def multipliers(self, rows: Array, step: Array | None = None, damping: float = 0.0) -> Array:
+    def multipliers(self, rows: Array, turned: Array, step: Array | None = None, damping: float = 0.0) -> Array:
         """Of the equations, (T, S, d): those at which tips are stationary, after a step where there is one.
 
-        rows: multipliers (T, m) of the frames' rows.
+        rows: multipliers (T, m) of the frames' rows; turned (T, d): what those of twists pull the first tips with.
         """
         count, d = self.inverse.shape[1], self.inverse.shape[-1]
         k = self.own.shape[2]
@@ -85,6 +88,7 @@ class Expansion:
         apart = rows[:, count * k : count * k + (count - 1) * (d - 1)].reshape(len(rows), count - 1, d - 1)
         slope[:, 1:, : d - 1] += apart
         slope[:, 0, : d - 1] -= apart.sum(axis=1)
+        slope[:, 0] += turned
         if step is not None:
             slope += (self.hessian[..., :d, :] @ step[..., None])[..., 0] + damping * step[..., :d]
         return np.asarray(-(self.inverse.swapaxes(-1, -2) @ slope[..., None])[..., 0])
@@ -101,17 +105,18 @@ class Condensed:
         for each in self._maps:
             each.inputs[1][:] = motion.parameters
         self._offsets, self._shares = scenarios.offsets, np.tile(motion.weights, len(motion.lower))
-        self.common = CommonValues(motion)
+        self.common, self.twists = CommonValues(motion), TwistSteps(motion)
         self.link_weight, self._link_offset = motion.of_links("weight"), motion.of_links("offset")
-        bounds = zip((motion.lower, motion.upper), motion.row_bounds, ("lower", "upper"), strict=True)
+        of_q, names = (motion.lower, motion.upper), ("lower", "upper")
+        bounds = zip(of_q, motion.row_bounds, self.twists.bounds, names, strict=True)
         self.lower, self.upper = (
             np.concatenate(
                 [
-                    *(of_q.ravel(), rows.ravel(), motion.of_links(name)),
+                    *(of_q.ravel(), rows.ravel(), motion.of_links(name), twists),
                     *(getattr(self.common, each) for each in (name, f"row_{name}")),
                 ]
             )
-            for of_q, rows, name in bounds
+            for of_q, rows, twists, name in bounds
         )
 
     def value(self, q: Array, phi: Array, p: Array = NONE) -> Values:
@@ -194,6 +199,7 @@ class Condensed:
             repair,
             np.concatenate([part.reshape(frames, -1, n + len(p)) for part in parts], axis=1),
             np.concatenate([part.reshape(frames, -1) for part in ahead], axis=1),
+            self.twists.slopes(turns[:, 0]),
             of_given,
         )
 
@@ -205,5 +211,6 @@ class Condensed:
         linked = self.linking @ q.ravel() + self._link_offset
         counted = self._shares > 0  # others may be anywhere on the way
         objective = float(self._shares[counted] @ f.ravel()[counted] + self.link_weight @ linked**2) + given.cost
-        value = np.concatenate([q.ravel(), np.concatenate(rows, axis=1).ravel(), linked, p, given.rows])
+        of_frames, twists = np.concatenate(rows, axis=1).ravel(), self.twists.values(q, phi)
+        value = np.concatenate([q.ravel(), of_frames, linked, twists, p, given.rows])
         return Values(objective, value, each[..., :d] - q[:, None, :d] - self._offsets)

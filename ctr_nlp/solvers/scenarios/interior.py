@@ -96,7 +96,7 @@ class _Run:
         self._looks = 0
         rows.condensed.look(q, phi, p)
         start = rows.start(q, phi, p, barrier)
-        equations = rows.expand(start).multipliers(rows.split(start.multipliers)[1])
+        equations = rows.equations(rows.expand(start), start.multipliers)
         self.point = replace(start, equations=equations)
         self._about = rows.expand(self.point)
         self._filter = Filter(rows.merit(self._about.at, start.slack, barrier).missing)
@@ -152,14 +152,15 @@ class _Run:
         sigma = point.at_lower * per_lower + point.at_upper * per_upper
         missed = about.at.rows + rows.repaired(about) - point.slack
         right = rows.slope(about) + rows.pulled(about, self._barrier * (per_upper - per_lower) + sigma * missed)
-        of_q, of_rows, of_links, of_p, of_own = rows.split(sigma)
-        squares = about.jacobian.swapaxes(1, 2) @ (about.jacobian * of_rows[..., None])
-        corner = about.given.hessian + about.given.rows.T @ (about.given.rows * of_own[:, None])
-        links, damping = rows.links.band(of_links), least
+        parts = rows.split(sigma)
+        squares = about.jacobian.swapaxes(1, 2) @ (about.jacobian * parts.frames[..., None])
+        corner = about.given.hessian + about.given.rows.T @ (about.given.rows * parts.own[:, None])
+        links, damping = rows.links.band(parts.links), least
+        rows.twists.square(about.twists, parts.twists, squares, links)
         while damping < MOST_DAMPING:
             hessian, bent = about.quadratic(damping)
             on_p = corner + damping * np.eye(len(corner))
-            diagonal = np.append(of_q, of_p)
+            diagonal = np.append(parts.q, parts.p)
             du = solved(links, hessian + squares, on_p, diagonal, -(right + rows.gathered(bent)), rows.free)
             if du is not None:
                 self._damping = damping or self._damping
@@ -178,8 +179,8 @@ class _Run:
         slack = about.at.rows - point.slack + rows.moved(about, du)
         at_lower = (barrier - point.at_lower * slack) / low - point.at_lower
         at_upper = (barrier + point.at_upper * slack) / high - point.at_upper
-        after = rows.split(point.multipliers + at_upper - at_lower)[1]
-        equations = about.multipliers(after, dx, damping) - point.equations
+        after = point.multipliers + at_upper - at_lower
+        equations = rows.equations(about, after, dx, damping) - point.equations
         slope = (about.gradient * dx).sum() + rows.own_slope(about) @ du
         slope += (barrier * (1 / high - 1 / low)) @ slack
         return _Step(du, dx, slack, at_lower, at_upper, equations, float(slope))

@@ -24,7 +24,8 @@ its distance from a bound a step leaves."""
 class SharedSolution:
     """A point of a shared motion: q (T, n), tips phi (T, S, d), the objective in mm^2, common unknowns p (P,).
 
-    prices (c,): multipliers of p's own rows, mm^2 a unit, positive at upper bounds.
+    prices (c,): multipliers of p's own rows, mm^2 a unit, positive at upper bounds. burdens (S,): what it costs
+    that a scenario keeps its margin and its distance, the sum over frames of the multipliers' sizes, mm^2 a unit.
 
     violation: of bounds; missing: of the scenarios' equations; kkt: residual of all conditions of optimality, from
     the program itself. success: whether it is a solution.
@@ -40,6 +41,7 @@ class SharedSolution:
     iterations: int
     p: Array = field(default_factory=lambda: NONE)
     prices: Array = field(default_factory=lambda: NONE)
+    burdens: Array = field(default_factory=lambda: NONE)
 
     @property
     def success(self) -> bool:
@@ -82,8 +84,26 @@ class Errors(NamedTuple):
         return max(self.stationarity, self.missed, abs(self.least - barrier), abs(self.most - barrier))
 
 
+class Parts(NamedTuple):
+    """Values of all rows, those of: q (T, n), frames (T, m), links (l,), steps of twists (k,), p (P,) and p's own
+    (c,).
+    """
+
+    q: Array
+    frames: Array
+    links: Array
+    twists: Array
+    p: Array
+    own: Array
+
+    @property
+    def joined(self) -> Array:
+        """All as one."""
+        return np.concatenate([part.ravel() for part in self])
+
+
 class SharedRows:
-    """The rows of a shared motion: q itself, the frames' rows, the links, p itself, p's own rows.
+    """The rows of a shared motion: q itself, the frames' rows, the links, steps of twists, p itself, p's own rows.
 
     A step of q and p is one column, q's entries first, (T n + P,); free: which of them may change.
     """
@@ -97,7 +117,8 @@ class SharedRows:
         frames, _, n, _ = motion.sizes
         lower, upper = self.condensed.lower, self.condensed.upper
         self._shape, self._size = (frames, n), of_p.size
-        sizes = of_q.size, motion.row_bounds[0].size, len(self.links.weight), of_p.size
+        self.twists = self.condensed.twists
+        sizes = of_q.size, motion.row_bounds[0].size, len(self.links.weight), self.twists.bounds[0].size, of_p.size
         self._ends = np.cumsum(sizes)
         still = self._still(motion, of_q, of_p)
         self.low = np.where(still | np.isinf(lower), -INFINITE, lower - RELAX)
@@ -114,7 +135,8 @@ class SharedRows:
             rows[:, -len(motion.common_rows) :] = of_q[:, d:] @ depends.T
         links = abs(motion.linking) @ of_q.ravel() > 0
         own = np.full(len(self.condensed.common.row_lower), of_p.any())
-        return np.asarray(~np.concatenate([of_q.ravel(), rows.ravel(), links, of_p, own]))
+        parts = of_q, rows, links, self.condensed.twists.free(of_q), of_p, own
+        return ~np.concatenate([part.ravel() for part in parts])
 
     def start(self, q: Array, phi: Array, p: Array, barrier: float) -> Point:
         """A point at q, phi and p, with slacks within their bounds."""
@@ -130,17 +152,18 @@ class SharedRows:
         return self._expanded(point, point.q, point.p)
 
     def _expanded(self, point: Point, q: Array, p: Array) -> Expansion:
-        _, of_frames, _, _, of_p = self.split(point.multipliers)
-        return self.condensed.expand(q, point.phi, point.equations, of_frames, p, of_p)
+        rows = self.split(point.multipliers)
+        return self.condensed.expand(q, point.phi, point.equations, rows.frames, p, rows.own)
 
-    def split(self, rows: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """Values of all rows as those of q (T, n), of frames (T, m), of links (l,), of p (P,) and p's own (c,)."""
-        of_q, of_frames, links, of_p, own = np.split(rows, self._ends)
-        return of_q.reshape(self._shape), of_frames.reshape(self._shape[0], -1), links, of_p, own
+    def split(self, rows: Array) -> Parts:
+        """Values of all rows, part by part."""
+        of_q, of_frames, *others = np.split(rows, self._ends)
+        return Parts(of_q.reshape(self._shape), of_frames.reshape(self._shape[0], -1), *others)
 
-    def joined(self, of_q: Array, of_frames: Array, links: Array, of_p: Array, own: Array) -> Array:
-        """The opposite of split."""
-        return np.concatenate([of_q.ravel(), of_frames.ravel(), links, of_p, own])
+    def equations(self, about: Expansion, rows: Array, step: Array | None = None, damping: float = 0.0) -> Array:
+        """Multipliers (T, S, d) of the equations that go with those of all rows (Expansion.multipliers)."""
+        parts = self.split(rows)
+        return about.multipliers(parts.frames, self.twists.of_tips(parts.twists), step, damping)
 
     def by_frame(self, step: Array) -> Array:
         """A step (T n + P,) as what every frame sees of it, (T, n + P)."""
@@ -155,26 +178,29 @@ class SharedRows:
 
     def pulled(self, about: Expansion, rows: Array) -> Array:
         """The transposed Jacobian of all rows, over q and p, times rows: (T n + P,)."""
-        of_q, of_frames, links, of_p, own = self.split(rows)
-        through = (about.jacobian.swapaxes(1, 2) @ of_frames[..., None])[..., 0]
-        direct = of_q + self.links.pulled(links), of_p + about.given.rows.T @ own
+        parts = self.split(rows)
+        through = (about.jacobian.swapaxes(1, 2) @ parts.frames[..., None])[..., 0]
+        through += self.twists.pulled(about.twists, parts.twists)
+        direct = parts.q + self.links.pulled(parts.links), parts.p + about.given.rows.T @ parts.own
         return self.gathered(through) + np.append(*direct)
 
     def moved(self, about: Expansion, step: Array) -> Array:
         """By what a step (T n + P,) changes all rows, with what the equations' repair does."""
-        through = (about.jacobian @ self.by_frame(step)[..., None])[..., 0] + about.ahead
+        of_frames = self.by_frame(step)
+        through = (about.jacobian @ of_frames[..., None])[..., 0]
         dq, dp = np.split(step, [step.size - self._size])
-        return self.joined(dq, through, self.links.moved(dq), dp, about.given.rows @ dp)
+        twists = self.twists.moved(about.twists, of_frames)
+        direct = Parts(dq, through, self.links.moved(dq), twists, dp, about.given.rows @ dp)
+        return direct.joined + self.repaired(about)
 
     def repaired(self, about: Expansion) -> Array:
         """By what the equations' repair alone changes all rows."""
-        found = np.zeros(len(self.low))
-        found[self._ends[0] : self._ends[1]] = about.ahead.ravel()
-        return found
+        none, twists = self.split(np.zeros(len(self.low))), self.twists.repaired(about.repair[:, 0])
+        return none._replace(frames=about.ahead, twists=twists).joined
 
     def own_slope(self, about: Expansion) -> Array:
         """The gradient (T n + P,) of the links' costs and of p's own."""
-        return np.append(self.links.slope(self.split(about.at.rows)[2]), about.given.cost)
+        return np.append(self.links.slope(self.split(about.at.rows).links), about.given.cost)
 
     def slope(self, about: Expansion) -> Array:
         """The objective's gradient (T n + P,), with tips as their equations say."""
@@ -216,5 +242,6 @@ class SharedRows:
         missing = float(abs(about.at.missing).max())
         kkt = max(self._stationarity(point, about), float(products.max()), violation, missing)
         found = float(about.at.objective), violation, missing, float(kkt)
-        prices = self.split(point.multipliers)[4]
-        return SharedSolution(q, point.phi, *found, status, iterations, p, prices)
+        split = self.split(point.multipliers)
+        burdens = self.condensed.motion.by_scenario(abs(split.frames).sum(axis=0))
+        return SharedSolution(q, point.phi, *found, status, iterations, p, split.own, burdens)

@@ -65,13 +65,13 @@ def solve_robust_per_frame(
         best = ranked[0]
         trial = trials(best.motion(problem), 0)
         made = [(solver, best, trial)]
-        while not trial.few and len(made) <= rounds and not interrupted():
-            solver = solver.harder(trial, len(made) == 1)
+        while not trial.draws.few and len(made) <= rounds and not interrupted():
+            solver = solver.harder(trial.worst, len(made) == 1)
             best = _best_again(ranked, solver, interrupted)
             trial = trials(best.motion(problem), len(made))
             made.append((solver, best, trial))
         stopped = interrupted()
-    solver, best, trial = min(made, key=lambda one: (one[1].cost(problem)[0], one[2].share))
+    solver, best, trial = min(made, key=lambda one: (one[1].cost(problem)[0], one[2].draws.share))
     options = {
         "direction": best.direction,
         "passes": len(passes),
@@ -84,8 +84,8 @@ def solve_robust_per_frame(
         "interrupted": stopped,
         "contact_weight": None,
         "rounds": [
-            {"scenarios": len(frames.scenarios), "lost": len(lost.frames), "drawn": lost.drawn}
-            for frames, _, lost in made
+            {"scenarios": len(frames.scenarios), "lost": len(tried.draws.frames), "drawn": tried.draws.tried}
+            for frames, _, tried in made
         ],
     }
     if not stopped:

@@ -26,7 +26,7 @@ from ctr_nlp.steer.motions import per_frame_motions
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.requests import check_described, check_search, checked_motions
-from ctr_nlp.steer.robust.rounds import RELAXATIONS, Judge, Round, best_of, planned_again, relaxed
+from ctr_nlp.steer.robust.rounds import SPARINGS, Judge, Round, best_of, planned_again, spared
 from ctr_nlp.steer.robust.search import RobustSearch, Start, Tried
 from ctr_nlp.steer.robust.tolerated import described
 from ctr_nlp.steer.robust.trials import Trials
@@ -80,7 +80,7 @@ def solve_robust(
     whole_number(OptionError, "rounds", rounds, 0)
     model, scenarios = described(problem.robot, model, scenarios)
     given = checked_motions(problem, initial)
-    motions = (1 + bool(given)) * (2 * (rounds + 1) + RELAXATIONS)
+    motions = (1 + bool(given)) * (2 * (rounds + 1) + SPARINGS)
     trials = Trials(problem.robot, model, motions, most_lost)
     begin, searched = time.perf_counter(), 0.0
     with deferred_interrupt() as interrupted:
@@ -96,7 +96,7 @@ def solve_robust(
             tried += drafts
             made += _rounds(search, drafts, scenarios, trials, rounds, len(made))
             free = best_of(made, problem.frames)
-            if interrupted() or (free is not None and free.lost.few):
+            if interrupted() or (free is not None and free.trial.few):
                 break
         wall = wall_of(problem.robot, problem.lumen, model, settings, finer=1)
         if wall is not None and free is not None:
@@ -123,7 +123,7 @@ def solve_robust(
         return _unsolved(problem, model.configuration(problem.robot, starts[0].x), meta)
     best = best_of([one for one in made if one.search.wall is not None], problem.frames) or free
     if not stopped:
-        meta["certificate"] = trials.certificate(best.lost, best.tried.solution.q, len(made))
+        meta["certificate"] = trials.certificate(best.trial, best.tried.solution.q, len(made))
     return _plan(problem, best, None if wall is None else free, meta)
 
 
@@ -171,12 +171,12 @@ def _rounds(
         coarse = list[Round]()
         if draft.made and search.picked is not None:
             coarse = planned_again(search, draft, scenarios, lost, most, first)
-        tried = [(one.tried, one.scenarios) for one in reversed(coarse)] or [(draft, scenarios)]
+        tried = [one.lean() for one in reversed(coarse)] or [(draft, scenarios)]
         for one, joined in tried:
             whole = search.refined(one, joined)
             if whole.shared:
                 made = coarse + planned_again(search, whole, joined, lost, most, first + len(coarse))
-                return made + relaxed(made[-1], len(scenarios), lost, first + len(made))
+                return made + spared(made[-1], lost, first + len(made))
     return []
 
 

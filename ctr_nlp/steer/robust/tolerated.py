@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+import math
+
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
@@ -9,10 +12,13 @@ from ctr_nlp.formulations.shared.scenarios import check_shared
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.draws import drawn_from
+from ctr_nlp.robot.draws import Draws, drawn_from
 from ctr_nlp.robot.tolerances import NAMES
 from ctr_nlp.support.values import instance
 from ctr_nlp.typing import Array
+
+EXTREMES = 512
+"""Corners that are given, at most."""
 
 
 def scenarios_of(robot: Robot) -> Scenarios:
@@ -34,6 +40,23 @@ def scenarios_of(robot: Robot) -> Scenarios:
             "a robust plan needs limits of beta below the curved lengths"
         )
     return Scenarios(made.numbers, made.offsets, np.r_[0.0, np.ones(len(signs))])
+
+
+def extremes_of(robot: Robot) -> Draws:
+    """The corners of what a robot may be within its tolerances, without lags: all of them, or EXTREMES at random.
+
+    Their order is a random one, so that the first are as good as any; it is the same for every robot. Every
+    independent quantity is as far off as at the end of a uniform band: sqrt(3) standard deviations.
+    """
+    root, random = robot.tolerances.root(robot.tubes), np.random.default_rng(0)
+    deviations = root[:, abs(root).max(axis=0) > 0]
+    count = deviations.shape[1]
+    if 2**count <= EXTREMES:
+        signs = random.permutation(np.array(list(itertools.product((-1.0, 1.0), repeat=count))))
+    else:
+        signs = random.choice((-1.0, 1.0), (EXTREMES, count))
+    parts = math.sqrt(3) * signs @ deviations.T
+    return drawn_from(robot, parts.reshape(-1, robot.d, len(NAMES)), np.zeros((len(signs), robot.d)))
 
 
 def described(robot: Robot, model: str | Model, scenarios: Scenarios | None) -> tuple[Model, Scenarios]:

@@ -73,7 +73,7 @@ class Walled:
 
     def _survives(self, one: Round) -> bool:
         """Whether few robots are lost, unless more are without the wall, too."""
-        return one.lost.few or not self.free.lost.few
+        return one.trial.draws.few or not self.free.trial.draws.few
 
     def _search(self, weight: float) -> RobustSearch:
         return replace(self.search, wall=replace(self.wall, weight=weight))

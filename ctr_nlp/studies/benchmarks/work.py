@@ -54,23 +54,33 @@ def march(name: str, model: str = "dominant") -> WORK:
     ]
 
 
+def _poses(robot: Any) -> Any:
+    """Random configurations (BATCH, 2d + 2) of a robot that is not tilted."""
+    d, unit = robot.d, np.random.default_rng(0).random((BATCH, len(robot.lower)))
+    beta = np.sort(unit[:, d : 2 * d], axis=1) * robot.upper[d : 2 * d]
+    return np.hstack([unit[:, :d] * 2 * np.pi, beta, 0 * unit[:, 2 * d :]])
+
+
 def shape(count: int) -> WORK:
-    """Elastic shapes with margins at random configurations, count of them in a call; the time of one."""
+    """Elastic shapes with margins on the way through random configurations, count in a call; the time of one."""
     from ctr_nlp.robot import table_i_robot
     from ctr_nlp.simulation.forward import simulated
 
-    robot, rng = table_i_robot(), np.random.default_rng(0)
-    unit = rng.random((BATCH, len(robot.lower)))
-    d = robot.d
-    q = np.hstack(
-        [
-            unit[:, :d] * 2 * np.pi,
-            np.sort(unit[:, d : 2 * d], axis=1) * robot.upper[d : 2 * d],
-            0 * unit[:, 2 * d :],
-        ]
-    )
+    robot = table_i_robot()
+    q = _poses(robot)
     given = [q] if count == BATCH else [q[k : k + count] for k in range(0, 10 * count, count)]
     return lambda timed: [timed(lambda one=one: simulated(robot, one, "elastic")) / count for one in given]  # type: ignore[misc]
+
+
+def rest() -> WORK:
+    """Elastic shapes with margins at rest at random configurations, BATCH in a call; the time of one."""
+    from ctr_nlp.models import model_named
+    from ctr_nlp.robot import table_i_robot
+    from ctr_nlp.target.target import SIGMA
+
+    robot, elastic = table_i_robot(), model_named("elastic")
+    q = _poses(robot)
+    return lambda timed: [timed(lambda: elastic.at_rest(robot, q, SIGMA)) / BATCH]
 
 
 def horizon(*names: str, model: str = "dominant", frames: int = 100) -> WORK:
@@ -109,6 +119,7 @@ ROWS: dict[str, Callable[[], WORK]] = {
     "frame-lumen": lambda: march("bronchus"),
     "shape": lambda: shape(1),
     "shapes": lambda: shape(BATCH),
+    "shapes-rest": rest,
     "horizon": lambda: horizon("cos"),
     "plans": lambda: horizon("cos", "arc", "line", "line_arc", "synthesis"),
     "horizon-lumen": lambda: horizon("bronchus"),

@@ -14,9 +14,9 @@ from ctr_nlp.hardware.devices.grbl.identity import Identity
 from ctr_nlp.hardware.devices.grbl.stop import OVERHEARD
 from ctr_nlp.hardware.devices.grbl.talk import HOLD, RESUME, STATUS, Reply, Report, Talk, report_of
 from ctr_nlp.hardware.motion import lookahead
-from ctr_nlp.hardware.motion.gcode import MEANING, MODES, lines
+from ctr_nlp.hardware.motion.gcode import MEANING, MODES, Lines, lines
 from ctr_nlp.hardware.motion.lookahead import Commands, FollowedPath, Place
-from ctr_nlp.typing import Array, Flags
+from ctr_nlp.typing import Array
 
 AGAIN = 0.1
 """s after which a status question counts as lost and is asked again."""
@@ -47,23 +47,37 @@ class Stream:
     ) -> None:
         self._talk, self._identity, self._connection, self._clock = talk, identity, hardware.connection, clock
         self._columns, self._resolution = identity.columns(hardware), identity.resolution(hardware)
-        slides = np.array([axis.unit == "mm" for axis in hardware.axes])
+        self._slides, self._tolerance = np.array([axis.unit == "mm" for axis in hardware.axes]), hardware.tolerance
         self._seen = Report("Idle", False, talk.report().position, 0, None, None)
-        self._path = FollowedPath(self._seen.position[self._columns], commands, hardware.tolerance)
-        self._window = lookahead.Window(self._path.ends, self._path.points, slides)
-        self._place = Place(0.0, 0.0, 0, 0.0)
-        texts = lines(hardware.letters, self._path.points[0], commands.positions, commands.time, MEANING)
-        self._lines = [text.encode("ascii") + b"\n" for text in texts]
+        start = self._seen.position[self._columns]
+        self._follow_path(start, commands)
+        self._place, self._count = Place(0.0, 0.0, 0, 0.0), len(commands.time)
+        self._lines, self._next = Lines(hardware.letters, start, MEANING), b""
         self._waiting: deque[int] = deque()
         self._sent = self._planned = 0
         self.underruns = 0
         """How often the planner was found empty in a motion that had begun, and had not ended."""
         self._resumed = self._filled = False
         self._said = ""
-        self._check_link(slides, identity.acceleration(hardware))
+        texts = lines(hardware.letters, start, commands.positions, commands.time, MEANING)
+        self._check_link(identity.acceleration(hardware), sum(len(text) + 1 for text in texts))
         talk.ask(MODES)
         self._hold_sent, self._overrides = 0.0, 100.0
         self._go_on()
+
+    def _follow_path(self, start: Array, commands: Commands) -> None:
+        """Commands from a position (m,) on are what is played."""
+        self._path = FollowedPath(start, commands, self._tolerance)
+        self._window = lookahead.Window(self._path.ends, self._path.points, self._slides)
+
+    @property
+    def given(self) -> float:
+        """To the end of the last line that is sent, or is about to be."""
+        return float(self._path.ends[min(self._sent + bool(self._next), self._count)])
+
+    def amend(self, commands: Commands) -> None:
+        """Play other commands from there on."""
+        self._follow_path(self._path.points[0], commands)
 
     def _go_on(self) -> None:
         """From now on the axes may move, and no faster than the clock."""
@@ -78,13 +92,13 @@ class Stream:
         """Bytes of lines that have not been acknowledged."""
         return sum(self._waiting)
 
-    def _check_link(self, slides: Flags, acceleration: Array) -> None:
-        """Raise TrajectoryError where the link, as measured, cannot keep the motion supplied."""
+    def _check_link(self, acceleration: Array, size: int) -> None:
+        """Raise TrajectoryError where the link, as measured, cannot keep so many bytes of motion supplied."""
         seconds = np.diff(self._path.ends)
         link = lookahead.LinkTiming(self._talk.round_trip(), self._connection.baud / 10.0)
         speed = abs(np.diff(self._path.points, axis=0) / seconds[:, None]).max(axis=0)
-        rate = float(sum(map(len, self._lines)) / self._path.ends[-1])
-        part = lookahead.sustainable(speed, acceleration, slides, link, rate)
+        rate = size / float(self._path.ends[-1])
+        part = lookahead.sustainable(speed, acceleration, self._slides, link, rate)
         if part < 1.0:
             advice = f"play it at {int(100 * part) / 100:g} of this tempo" if part >= 0.01 else "use another link"
             raise TrajectoryError(
@@ -96,15 +110,15 @@ class Stream:
         """Take what has come and find out how far it is."""
         for reply in self._talk.replies():
             self._take(reply)
-        done = self._planned == len(self._lines) and self._seen.state == "Idle" and self._settled()
+        done = self._planned == self._count and self._seen.state == "Idle" and self._settled()
         state = "done" if done else "held" if self._held else "holding" if self._holding else "running"
         time = float(self._path.ends[-1]) if done else self._place.time
         position = self._seen.position[self._columns]
         return Progress(state, time, position, self._stamp, self._place.away, self._signs())
 
     def _signs(self) -> Signs:
-        idle = self._seen.state == "Idle" and not self._holding and self._planned < len(self._lines)
-        waiting = self._planned < self._sent or self._sent < len(self._lines)
+        idle = self._seen.state == "Idle" and not self._holding and self._planned < self._count
+        waiting = self._planned < self._sent or self._sent < self._count
         stalled = self._stamp - max(self._moved, self._fed) if idle and waiting else 0.0
         return Signs(self._said, self._overrides, max(stalled, 0.0))
 
@@ -131,7 +145,7 @@ class Stream:
             else:
                 self._follow(report)
         elif reply.kind != "message":
-            line = f" (line {self._planned + 1} of {len(self._lines)})" if reply.kind == "error" else ""
+            line = f" (line {self._planned + 1} of {self._count})" if reply.kind == "error" else ""
             self._said = self._said or f"the controller says {reply.text!r}{line}"
 
     def _follow(self, report: Report) -> None:
@@ -146,7 +160,7 @@ class Stream:
             self._moved = self._stamp
         empty = report.free is not None and report.free >= self._identity.blocks
         begun = self._place.time > lookahead.AHEAD  # before, the controller is still being given its first lines
-        if empty and begun and self._sent < len(self._lines) and not self._holding:
+        if empty and begun and self._sent < self._count and not self._holding:
             self.underruns += 1
         self._resumed = self._resumed and report.state == "Hold"  # told before the controller went on
         self._seen, self._held = report, report.stopped and not self._resumed
@@ -186,13 +200,19 @@ class Stream:
         while self._sent < open_to:
             if self._clock.now() - self._stamp > FRESH:
                 return
-            line = self._lines[self._sent]
+            line = self._next = self._next or self._line()
             if self._waiting and self.in_flight + len(line) > room:
                 return
             self._talk.link.write(line)
             self._waiting.append(len(line))
-            self._sent, self._fed = self._sent + 1, now
+            self._sent, self._fed, self._next = self._sent + 1, now, b""
         self._filled = True
+
+    def _line(self) -> bytes:
+        """The line after those sent."""
+        n, ends = self._sent, self._path.ends
+        text = self._lines.next(self._path.points[n + 1], float(ends[n + 1] - ends[n]), n + 1 == self._count)
+        return text.encode("ascii") + b"\n"
 
     def hold(self) -> None:
         """Ask for a feed hold; no line is sent until it is resumed."""

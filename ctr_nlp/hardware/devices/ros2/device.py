@@ -38,6 +38,9 @@ STILL = 2.0
 BEHIND = 0.5
 """s that the joints may be behind their commands."""
 
+LAPSE = 0.05
+"""s that may pass from when it is asked how far commands are given until others are sent."""
+
 SETTLE = 1.0
 """s after the end of a motion in which the joints may still creep to their goal."""
 
@@ -153,6 +156,18 @@ class Ros2:
 
     def feed(self) -> None:
         """The controller has the whole trajectory."""
+
+    @property
+    def given(self) -> float:
+        """As far as the first point of a trajectory that replaces the one it plays."""
+        return self._playing().now(self._clock.now())[0] + FIRST + LAPSE
+
+    def amend(self, commands: Commands) -> None:
+        """Replace the trajectory, unless it is being held: then that is done when it goes on."""
+        self._track = track = Track(self._path.points[0], commands, self._playing().ramp)
+        self._path = FollowedPath(self._path.points[0], commands, self._hardware.tolerance)
+        if not self._holding:
+            self._play_at(1.0, track, self._clock.now())
 
     def _follow(self, track: Track, position: Array) -> None:
         """Find where on its path the newest state shows it, and see that it is not left behind."""

@@ -67,9 +67,10 @@ class Track:
     """The path that a controller is to follow, from a position (m,) along commands, and its pace.
 
     It is at rest at both ends, overshoots no command, and is a cubic between commands, as the controller's is.
+    ramp: of the track whose place it takes, None for one that is at rest.
     """
 
-    def __init__(self, start: Array, commands: Commands) -> None:
+    def __init__(self, start: Array, commands: Commands, ramp: Ramp | None = None) -> None:
         self.ends = np.append(0.0, commands.time)
         points = np.vstack([start, commands.positions])
         chord = np.diff(points, axis=0) / np.diff(self.ends)[:, None]
@@ -78,7 +79,7 @@ class Track:
         slope = np.clip(CubicSpline(self.ends, points, bc_type="clamped")(self.ends, 1), -most, most)
         self._path = CubicHermiteSpline(self.ends, points, slope)
         self.end = float(self.ends[-1])
-        self.ramp = Ramp(-np.inf, 0.0, 0.0, 0.0, 1.0)
+        self.ramp = Ramp(-np.inf, 0.0, 0.0, 0.0, 1.0) if ramp is None else ramp
 
     def now(self, clock: float) -> tuple[float, float]:
         """The time of the trajectory and the pace at which the controller should be now (s of the clock)."""
@@ -120,7 +121,7 @@ class Track:
         """What is ahead from where the ramp begins, at rest at its end; time in s since then."""
         ramp = self.ramp
         passed = ramp.when(self.ends)
-        if ramp.before < 1.0 or ramp.after < 1.0:
+        if ramp.before < 1.0 or ramp.after < 1.0 or ramp.start > 0.0:
             passed = passed[passed > (FIRST if ramp.before > 0 else SECOND)]
         passed = passed[np.isfinite(passed) & (passed > 0)]
         if np.isinf(ramp.when(self.ends[-1:])[0]):

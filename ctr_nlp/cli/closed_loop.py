@@ -1,0 +1,120 @@
+"""Closed loops in the words of options: sensors, what the operator is told, the journal worked out again."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ctr_nlp.cli.console import SOLVED, SOME_FAILED, console, print_table
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.hardware.description import Hardware
+from ctr_nlp.hardware.guiding.loop import ClosedLoop, begun_with, known_of
+from ctr_nlp.hardware.guiding.replay import replayed
+from ctr_nlp.hardware.sensing.description import URLS, Sensing
+from ctr_nlp.hardware.sensing.opening import source_of
+from ctr_nlp.loops.tracker import Note, Tracker
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.typing import Array
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """What belongs to closed loops."""
+    parser.add_argument(
+        "--closed-loop",
+        action="store_true",
+        help="correct the plan while it is played, by what the sensor in the hardware file ([sensing]) tells of "
+        "the robot, whose tubes may differ from the plan's by its tolerances",
+    )
+    parser.add_argument(
+        "--sensor",
+        metavar="URL",
+        help=f"who tells, instead of the hardware file's url: {URLS}; where the file has no [sensing], the tip is "
+        "measured, with 0.5 mm of noise, in the robot's base frame",
+    )
+    parser.add_argument(
+        "--replay",
+        action="store_true",
+        help="work out again, from the journal, what the last session in a closed loop commanded, and tell "
+        "whether it is the same bit for bit; opens no device",
+    )
+
+
+def with_sensor(hardware: Hardware, url: str | None) -> Hardware:
+    """The hardware with the sensor that options name; raises HardwareError, and OptionError where nothing does."""
+    if url is not None:
+        return replace(hardware, sensing=replace(hardware.sensing or Sensing(), url=url))
+    if hardware.sensing is None:
+        raise OptionError("a closed loop needs a sensor: --sensor URL, or a table [sensing] in the hardware file")
+    return hardware
+
+
+def sensing_of(hardware: Hardware) -> Sensing:
+    """Of hardware in a closed loop."""
+    assert hardware.sensing is not None
+    return hardware.sensing
+
+
+@contextmanager
+def opened(plan: Plan, hardware: Hardware, records: list[dict[str, Any]] | None) -> Iterator[ClosedLoop]:
+    """A loop that goes on with what the records of a journal know, None for none; raises OptionError."""
+    sensing = sensing_of(hardware)
+    known = None if records is None else known_of(records)
+    loop = ClosedLoop(Tracker(plan, sensing.sensors, known=known), source_of(sensing, plan), _told)
+    try:
+        yield loop
+    finally:
+        loop.close()
+
+
+def _told(note: Note) -> None:
+    sys.stderr.write(f"note: {note.why}: the robot is {note.state.value}\n")
+
+
+def tell(loop: ClosedLoop) -> None:
+    """What was learnt of the robot, and how measurements fitted."""
+    if not loop.estimates:
+        return
+    last, of = loop.estimates[-1], loop.tracker.observer.differences
+    columns = last.mean, last.deviation, np.sqrt(of.covariance.diagonal())
+    named = zip(of.told(last.mean.tolist()), *(column.tolist() for column in columns), strict=True)
+    print_table(
+        "what measurements tell of the robot, in parts of what is described, mm and rad",
+        ("", "estimate", "deviation", "before"),
+        [(name, *(f"{value:.4f}" for value in values)) for name, *values in named],
+    )
+    sizes = np.array([each.size for each in loop.estimates])
+    known = np.isfinite(sizes)
+    taken = np.array([each.accepted for each in loop.estimates])[known]
+    if known.any():
+        told = f"{known.sum()} times measured, {taken.mean():.0%} of values taken, innovations"
+        console().print(f"{told} {np.sqrt(sizes[known].mean()):.2f} times as large as expected", markup=False)
+    for note in loop.tracker.notes:
+        after = note.time - loop.estimates[0].time
+        console().print(f"{after:.2f} s after the start: {note.why} ({note.state.value})", markup=False)
+
+
+def columns(loop: ClosedLoop) -> dict[str, Array]:
+    """What was known in time, a row a look at the sensors."""
+    time, mean, deviation, size, accepted = (np.array(column) for column in zip(*loop.estimates, strict=True))
+    found: dict[str, Any] = {"time_s": time - time[0], "innovation": size, "accepted": accepted}
+    for k, name in enumerate(loop.tracker.observer.differences.told(mean[0].tolist())):
+        found |= {name: mean[:, k], f"deviation of {name}": deviation[:, k]}
+    return found
+
+
+def replay(plan: Plan, hardware: Hardware, records: list[dict[str, Any]]) -> int:
+    """Tell whether the last session's commands follow from its measurements; exit status."""
+    tracker = Tracker(plan, sensing_of(hardware).sensors, known=begun_with(records))
+    corrections, commands, differs = replayed(plan, hardware, records, tracker)
+    if differs:
+        console().print(f"not the same as in the journal: {differs}", markup=False)
+        return SOME_FAILED
+    lines = f" and {commands} lines of motion" if commands else ""
+    console().print(f"{corrections} corrections{lines} worked out again: the same, bit for bit", markup=False)
+    return SOLVED

@@ -1,0 +1,70 @@
+"""A closed loop worked out again from its journal: the same measurements give the same commands, bit for bit."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ctr_nlp.exceptions import TrajectoryError
+from ctr_nlp.hardware.description import Hardware
+from ctr_nlp.hardware.guiding.course import Course
+from ctr_nlp.hardware.guiding.guide import readings_of
+from ctr_nlp.hardware.motion.gcode import MEANING, lines
+from ctr_nlp.hardware.motion.trajectory import Patch, Trajectory
+from ctr_nlp.hardware.playing.session import announced, as_planned, closed, from_there
+from ctr_nlp.loops.tracker import Tracker
+from ctr_nlp.plan.plan import Plan
+
+
+class Replay(NamedTuple):
+    """What was worked out again. corrections, commands: how many of each were compared; commands are Grbl's lines.
+
+    differs: the first that is not the same, "" where all are.
+    """
+
+    corrections: int
+    commands: int
+    differs: str
+
+
+def replayed(plan: Plan, hardware: Hardware, records: list[dict[str, Any]], tracker: Tracker) -> Replay:
+    """The closed loop of a session (the records of its journal) again; tracker: as it was when that began.
+
+    Raises TrajectoryError where plan or hardware is another, or where it was none of a closed loop.
+    """
+    told = announced(records)
+    if not closed(told):
+        raise TrajectoryError("the journal's session was not of a closed loop: nothing was measured")
+    trajectory = as_planned(plan, hardware, told)
+    for patch in told["patches"]:
+        trajectory = trajectory.patched(Patch.of(patch))
+    before = plan.q[:0]
+    if told["parameter"] is not None:
+        trajectory, before = from_there(trajectory, told["parameter"], told["tempo"])
+    course, count = Course(trajectory, tracker, before), 0
+    for record in records:
+        if record["kind"] == "sensed":
+            q, readings = np.array(record["q"]), readings_of(record["readings"])
+            course.observe(record["time"], q, record["now"], readings)
+        elif record["kind"] == "corrected":
+            count += 1
+            if course.correct(record["knot"]).told() != record["patch"]:
+                return Replay(count, 0, f"correction {count}, at {record['t']:g} s")
+    return _compared(count, course.trajectory, hardware, records)
+
+
+def _compared(count: int, trajectory: Trajectory, hardware: Hardware, records: list[dict[str, Any]]) -> Replay:
+    """The lines of a corrected trajectory beside those that a Grbl controller was sent last."""
+    begun = max((k for k, record in enumerate(records) if record["kind"] == "start"), default=len(records))
+    sent = "".join(record.get("data", "") for record in records[begun:] if record["kind"] == "sent")
+    found = re.findall(r"N\d+ [^\n]*(?=\n)", sent)
+    if not found:
+        return Replay(count, 0, "")
+    commands, start = trajectory.commands(), np.array(records[begun]["position"])
+    again = lines(hardware.letters, start, commands.positions, commands.time, MEANING)
+    differs = next(
+        (f"line {k}: {a!r}" for k, (a, b) in enumerate(zip(found, again, strict=False), 1) if a != b), ""
+    )
+    return Replay(count, len(found), differs)

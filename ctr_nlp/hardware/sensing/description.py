@@ -1,0 +1,106 @@
+"""What sensors measure of the robot, how well, in which frame, and where that is told; TOML."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from ctr_nlp.exceptions import HardwareError, OptionError
+from ctr_nlp.hardware.arm.description import all_numbers, frame_of, some_numbers
+from ctr_nlp.loops.sensors import Sensors
+from ctr_nlp.loops.sensors.points import ShapePoints, TipPose, TipPosition
+from ctr_nlp.typing import Array
+
+KINDS = ("simulated", "udp", "tcp", "igtl", "ros2")
+MEASURES = ("tip", "pose", "points")
+
+URLS = "simulated, simulated:SEED, udp://HOST:PORT, tcp://HOST:PORT, igtl://HOST:PORT/DEVICE or ros2://TOPIC"
+
+
+class Address(NamedTuple):
+    """Where measurements are told. kind: of KINDS; rest: TOPIC and more for ros2, DEVICE for igtl, SEED; or ""."""
+
+    kind: str
+    host: str = ""
+    port: int = 0
+    rest: str = ""
+
+
+def address_of(url: str) -> Address:
+    """What a url of a sensor means; raises HardwareError."""
+    told = str(url)
+    plain = re.fullmatch(r"simulated(?::(\d{1,18}))?", told)
+    if plain:
+        return Address("simulated", rest=plain[1] or "0")
+    topic = re.fullmatch(r"ros2://([A-Za-z_/][\w/]*(?:@[A-Za-z0-9.-]+)?(?:\?domain=\d+)?)", told)
+    if topic:
+        return Address("ros2", rest=topic[1])
+    network = re.fullmatch(r"(udp|tcp|igtl)://([A-Za-z0-9.-]+):(\d{1,5})(?:/([\w .-]+))?", told)
+    if network and 0 < int(network[3]) < 65536 and (network[1] == "igtl") == bool(network[4]):
+        return Address(network[1], network[2], int(network[3]), network[4] or "")
+    raise HardwareError(f"url of the sensor is {url!r}; it must be {URLS}")
+
+
+@dataclass(frozen=True)
+class Sensing:
+    """Sensors of the robot's shape, and who tells of them.
+
+    url: as URLS. measures: "tip" for its position, "pose" for position and direction, "points" for points of the
+    shape at places, numbers from 0 at the insertion point to 1 at the tip. deviation: of each coordinate, mm;
+    turn: of the direction, rad. delay: s by which a measurement without a time is old when it is sent.
+    translation, rotation_deg: of the sensor's frame in the robot's base frame, mm and (roll, pitch, yaw). Raises
+    HardwareError.
+    """
+
+    url: str = "simulated"
+    measures: str = "tip"
+    places: tuple[float, ...] = ()
+    deviation: float = 0.5
+    turn: float = 0.02
+    delay: float = 0.0
+    translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rotation_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        address_of(self.url)
+        if self.measures not in MEASURES:
+            raise HardwareError(f"measures of the sensor is {self.measures!r}; it must be {', '.join(MEASURES)}")
+        if (self.measures == "points") != bool(len(self.places)):
+            raise HardwareError(
+                f'places of the sensor are {list(self.places)}; they go with measures = "points", and only with it'
+            )
+        for name in ("translation", "rotation_deg"):
+            object.__setattr__(self, name, all_numbers(f"{name} of the sensor", getattr(self, name), 3))
+        if not 0 <= some_numbers("delay of the sensor", self.delay, 1)[0] < 1:
+            raise HardwareError(f"delay of the sensor is {self.delay!r} s; it must lie in [0, 1)")
+        object.__setattr__(self, "places", tuple(self.places))
+        try:
+            self.sensors  # noqa: B018
+        except OptionError as exception:
+            raise HardwareError(str(exception)) from exception
+
+    @cached_property
+    def address(self) -> Address:
+        """Where measurements are told."""
+        return address_of(self.url)
+
+    @cached_property
+    def sensors(self) -> Sensors:
+        """What observers need to know of them."""
+        if self.measures == "points":
+            return Sensors(ShapePoints(self.places, self.deviation))
+        if self.measures == "pose":
+            return Sensors(TipPose(self.deviation, self.turn))
+        return Sensors(TipPosition(self.deviation))
+
+    def placed(self, values: Array) -> Array:
+        """Values (m,) in the sensor's frame, points and of a pose a direction, in the robot's base frame."""
+        frame, triads = frame_of(self.translation, self.rotation_deg), values.reshape(-1, 3)
+        turned = triads @ frame[:3, :3].T
+        points = len(turned) - (self.measures == "pose")
+        turned[:points] += frame[:3, 3]
+        return np.asarray(turned.ravel())

@@ -1,0 +1,62 @@
+"""Measurements of an OpenIGTLink server, as 3D Slicer and PLUS are: TRANSFORM for a tip, POINT for points."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ctr_nlp.exceptions import DeviceFault
+from ctr_nlp.hardware.clock import RealClock
+from ctr_nlp.hardware.sensing.description import Sensing
+from ctr_nlp.hardware.sensing.source import Message, Remote
+from ctr_nlp.support.extras import needed
+
+PATIENCE = 3.0
+"""s for a server to answer."""
+
+
+class Igtl(Remote):
+    """The device that a url names, of the server there; a transform's third axis is the tip's direction."""
+
+    def __init__(self, sensing: Sensing) -> None:
+        super().__init__(sensing)
+        self._client: Any = None
+
+    def open(self) -> None:
+        """As Source; raises OptionError too, where pyigtl is missing."""
+        client, clock = needed("pyigtl").OpenIGTLinkClient, RealClock()
+        self._client = client(self._sensing.address.host, self._sensing.address.port)
+        end = clock.now() + PATIENCE
+        while not self._client.is_connected():
+            if clock.now() > end:
+                self.close()
+                raise DeviceFault(f"no OpenIGTLink server answers at {self._sensing.url} within {PATIENCE:g} s")
+            clock.sleep(0.01)
+
+    def _come(self) -> list[Message]:
+        found = []
+        for message in self._client.get_latest_messages():
+            if message.device_name == self._sensing.address.rest:
+                found += self._read(message)
+            else:
+                self.strange = f"a message of {message.device_name!r}"
+        return found
+
+    def _read(self, message: Any) -> list[Message]:
+        """One or, where it is of another kind, none."""
+        points, matrix = getattr(message, "positions", None), getattr(message, "matrix", None)
+        if self._sensing.measures == "points" and points is not None:
+            return [Message(np.array(points, dtype=float).ravel(), float(message.timestamp))]
+        if self._sensing.measures != "points" and matrix is not None:
+            frame = np.asarray(matrix, dtype=float)
+            values = frame[:3, [3]] if self._sensing.measures == "tip" else frame[:3, [3, 2]]
+            return [Message(values.T.ravel(), float(message.timestamp))]
+        self.strange = f"a {type(message).__name__} of {message.device_name!r}, which does not measure this"
+        return []
+
+    def close(self) -> None:
+        """As Source."""
+        if self._client is not None:
+            self._client.stop()
+        self._client = None

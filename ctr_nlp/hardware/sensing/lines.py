@@ -1,0 +1,106 @@
+"""Measurements as lines of JSON, {"values": [x, y, z], "time": s}, over UDP or TCP; null for what is missing."""
+
+from __future__ import annotations
+
+import json
+import math
+import socket
+from contextlib import suppress
+
+import numpy as np
+
+from ctr_nlp.exceptions import DeviceFault
+from ctr_nlp.hardware.sensing.description import Sensing
+from ctr_nlp.hardware.sensing.source import Message, Remote
+
+PATIENCE = 3.0
+"""s for a server to answer."""
+
+LONGEST = 65536
+"""Bytes of a line: more of them without an end are dropped."""
+
+AT_ONCE = 64
+"""Packets that are looked at between two readings of the clock."""
+
+
+def message_of(line: bytes) -> Message | str:
+    """The message of a line, or why it is none."""
+    try:
+        told = json.loads(line)
+        values = np.array([math.nan if value is None else value for value in told["values"]], dtype=float)
+        stamp = told.get("time")
+        known = None if stamp is None else float(stamp)
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
+        return f'{line[:60]!r}, which is no line as {{"values": [1.0, 2.0, 3.0], "time": 0.1}}'
+    if values.ndim != 1 or np.isinf(values).any() or not (known is None or math.isfinite(known)):
+        return f"{line[:60]!r}, with numbers that are not finite"
+    return Message(values, known)
+
+
+class Lines(Remote):
+    """Lines from a socket: of any sender's packets to a UDP address, or of the server at a TCP address."""
+
+    def __init__(self, sensing: Sensing) -> None:
+        super().__init__(sensing)
+        self._socket: socket.socket | None = None
+        self._rest = b""
+
+    def open(self) -> None:
+        """As Source."""
+        kind, host, port, _ = self._sensing.address
+        try:
+            if kind == "udp":
+                self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+                self._socket.bind((host, port))
+            else:
+                self._socket = socket.create_connection((host, port), PATIENCE)
+            self._socket.setblocking(False)
+        except OSError as exception:
+            self.close()
+            raise DeviceFault(
+                f"the sensor at {self._sensing.url} cannot be listened to: {exception}"
+            ) from exception
+
+    def _come(self) -> list[Message]:
+        found = []
+        for line in self._lines():
+            message = message_of(line)
+            if isinstance(message, str):
+                self.strange = message
+            else:
+                found.append(message)
+        return found
+
+    def _lines(self) -> list[bytes]:
+        """Whole lines that have come."""
+        for _ in range(AT_ONCE):
+            data = self._packet()
+            if not data:
+                break
+            whole = self._sensing.address.kind == "udp" and not data.endswith(b"\n")
+            self._rest += data + b"\n" * whole
+        *lines, self._rest = self._rest.split(b"\n")
+        self._rest = self._rest if len(self._rest) <= LONGEST else b""
+        return [line for line in lines if line.strip()]
+
+    def _packet(self) -> bytes:
+        if self._socket is None:
+            return b""
+        try:
+            data = self._socket.recv(LONGEST)
+        except (BlockingIOError, InterruptedError):
+            return b""
+        except OSError as exception:
+            self.strange = f"no more: {exception}"
+            return b""
+        if not data and self._sensing.address.kind == "tcp":
+            self.strange = "no more: the server has closed the link"
+            self.close()
+        return data
+
+    def close(self) -> None:
+        """As Source."""
+        if self._socket is not None:
+            with suppress(OSError):
+                self._socket.close()
+        self._socket = None

@@ -1,0 +1,20 @@
+"""The senders that a hardware file, or an option, names."""
+
+from __future__ import annotations
+
+from ctr_nlp.hardware.sensing.description import Sensing
+from ctr_nlp.hardware.sensing.igtl import Igtl
+from ctr_nlp.hardware.sensing.lines import Lines
+from ctr_nlp.hardware.sensing.ros2 import Topic
+from ctr_nlp.hardware.sensing.simulated import SimulatedRobot
+from ctr_nlp.hardware.sensing.source import Remote, Source
+from ctr_nlp.plan.plan import Plan
+
+REMOTE: dict[str, type[Remote]] = {"udp": Lines, "tcp": Lines, "igtl": Igtl, "ros2": Topic}
+
+
+def source_of(sensing: Sensing, plan: Plan) -> Source:
+    """The sender of measurements, not open yet; plan: whose robot a simulated one is drawn from."""
+    if sensing.address.kind == "simulated":
+        return SimulatedRobot(plan, sensing.sensors, int(sensing.address.rest))
+    return REMOTE[sensing.address.kind](sensing)

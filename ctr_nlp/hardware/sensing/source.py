@@ -1,0 +1,86 @@
+"""What sends measurements, and how its messages become readings of our clock in the robot's frame."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from typing import NamedTuple
+
+import numpy as np
+
+from ctr_nlp.hardware.sensing.description import Sensing
+from ctr_nlp.loops.sensors import Reading
+from ctr_nlp.typing import Array
+
+DRIFT = 1e-3
+"""By which part the sender's clock may run faster or slower than ours."""
+
+OLDEST = 0.9
+"""s: what was measured earlier is left out, as if it had never come."""
+
+MOST = 4
+"""Readings that are taken between two looks: the newest."""
+
+
+class Message(NamedTuple):
+    """Values (m,) as sent, NaN for missing ones; stamp: when that was, s of the sender's clock, or None."""
+
+    values: Array
+    stamp: float | None = None
+
+
+class Source(ABC):
+    """One sender of measurements. strange: the last that came and is no measurement, "" for nothing."""
+
+    strange = ""
+
+    @abstractmethod
+    def open(self) -> None:
+        """Begin to listen; raises DeviceFault."""
+
+    @abstractmethod
+    def led(self, places: Array) -> None:
+        """The robot has come through q (n, 2d + 2), where nothing was measured."""
+
+    @abstractmethod
+    def take(self, q: Array, now: float) -> list[Reading]:
+        """What has come by now, s of the clock, with the motors at q (2d + 2,), oldest first; never waits."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Stop to listen."""
+
+
+class Remote(Source):
+    """A sender beyond a link, described by sensing; a kind of link says what has come."""
+
+    def __init__(self, sensing: Sensing) -> None:
+        self._sensing, self._lag, self._last = sensing, math.inf, -math.inf
+
+    @abstractmethod
+    def _come(self) -> list[Message]:
+        """The messages that have come, oldest first."""
+
+    def led(self, places: Array) -> None:
+        """A robot that is there knows."""
+
+    def take(self, q: Array, now: float) -> list[Reading]:
+        """As Source; of these the newest."""
+        size, found = len(self._sensing.sensors), list[Reading]()
+        for message in self._come():
+            if message.values.shape != (size,):
+                self.strange = f"{message.values.size} numbers, where {size} are measured"
+                continue
+            time = self._time(message.stamp, now)
+            if np.isfinite(message.values).any() and time >= now - OLDEST:
+                found.append(Reading(time, self._sensing.placed(message.values)))
+        return found[-MOST:]
+
+    def _time(self, stamp: float | None, now: float) -> float:
+        """When a message that comes now was measured, s of our clock; the quickest one took no time."""
+        if stamp is None:
+            return now - self._sensing.delay
+        if math.isfinite(self._last):
+            self._lag += DRIFT * (now - self._last)
+        self._lag, self._last = min(self._lag, now - stamp), now
+        return stamp + self._lag - self._sensing.delay

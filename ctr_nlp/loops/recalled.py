@@ -1,0 +1,58 @@
+"""What was predicted of measurements a short while ago, for readings that come late."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ctr_nlp.typing import Array
+
+KEPT = 1.0
+"""s for which what was predicted is remembered, for readings that come late."""
+
+
+class Record(NamedTuple):
+    """What was predicted at a time: values (m,), their slopes (m, k) over differences, and the mean (k,) then."""
+
+    time: float
+    values: Array
+    slopes: Array
+    mean: Array
+
+
+class Recalled:
+    """Records of the last KEPT s, as a value: adding one makes another."""
+
+    def __init__(self, records: tuple[Record, ...] = ()) -> None:
+        self._records = records
+
+    def and_then(self, record: Record) -> Recalled:
+        """With a later record."""
+        return Recalled((*(old for old in self._records if old.time > record.time - KEPT), record))
+
+    def _after(self, time: float) -> int:
+        """The first record that is not before a time, or the last."""
+        later = (k for k, each in enumerate(self._records) if each.time >= time - 1e-9)
+        return next(later, len(self._records) - 1)
+
+    def expected(self, time: float, mean: Array) -> tuple[Array, Array]:
+        """What is predicted of a reading at a time, (m,), and its slopes (m, k), by a mean (k,) known now."""
+        after = self._after(time)
+        ends, part = [self._records[after]], 1.0
+        if after and time < ends[0].time - 1e-9:
+            ends.insert(0, self._records[after - 1])
+            part = (time - ends[0].time) / (ends[1].time - ends[0].time)
+        values = [each.values + each.slopes @ (mean - each.mean) for each in ends]
+        if len(ends) == 1:
+            return values[0], ends[0].slopes
+        slopes = ends[0].slopes + part * (ends[1].slopes - ends[0].slopes)
+        return values[0] + part * (values[1] - values[0]), slopes
+
+    def rates(self, time: float) -> Array:
+        """At which values (m,) change at a time, per s; 0 where that is not known."""
+        after = self._after(time)
+        if after == 0:
+            return np.zeros_like(self._records[0].values)
+        before, now = self._records[after - 1 : after + 1]
+        return (now.values - before.values) / (now.time - before.time)

@@ -1,0 +1,53 @@
+"""A fibre in the robot that measures its bending."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.loops.sensors import Seen, Sensor
+from ctr_nlp.loops.sensors.checks import places, positive
+from ctr_nlp.typing import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Fibre(Sensor):
+    """The bending of a fibre in the robot, 1/mm: by how much the tangent turns from place to place, unsigned.
+
+    places: between neighbouring ones of these, the curvature is measured as their tangents' distance over the
+    length between them. deviation: 1/mm.
+    """
+
+    places: Sequence[float] = field(default_factory=lambda: tuple(np.linspace(0.0, 1.0, 11).tolist()))
+    deviation: float = 5e-4
+    group = 1
+
+    def __post_init__(self) -> None:
+        positive("deviation of a fibre", self.deviation, " 1/mm")
+        if len(places(self.places)) < 2:
+            raise OptionError("a fibre needs two places at least")
+
+    @property
+    def sigma(self) -> Array:
+        """As Sensor."""
+        return places(self.places)
+
+    @property
+    def noise(self) -> Array:
+        """As Sensor."""
+        return np.full(len(self.places) - 1, self.deviation)
+
+    def values(self, seen: Seen) -> Array:
+        """Between one place and the next."""
+        turned = np.diff(seen.tangents, axis=0)
+        return np.linalg.norm(turned, axis=1) / (np.diff(self.sigma) * seen.length)
+
+    def slopes(self, seen: Seen) -> Array:
+        """As Sensor."""
+        turned, of_turned = np.diff(seen.tangents, axis=0), np.diff(seen.of_tangents, axis=1)
+        size = np.maximum(np.linalg.norm(turned, axis=1), 1e-9)
+        slopes = np.einsum("kni,ni->kn", of_turned, turned / size[:, None]) / (np.diff(self.sigma) * seen.length)
+        return slopes.T

@@ -1,0 +1,79 @@
+"""Points of the shape, and the tip's position and direction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ctr_nlp.loops.sensors import Seen, Sensor
+from ctr_nlp.loops.sensors.checks import places, positive
+from ctr_nlp.typing import Array
+
+
+@dataclass(frozen=True, eq=False)
+class ShapePoints(Sensor):
+    """Points of the robot at known sigma, mm; deviation: of each coordinate, mm. Raises OptionError."""
+
+    places: Sequence[float]
+    deviation: float = 0.5
+
+    def __post_init__(self) -> None:
+        positive("deviation of shape points", self.deviation, " mm")
+        places(self.places)
+
+    @property
+    def sigma(self) -> Array:
+        """As Sensor."""
+        return places(self.places)
+
+    @property
+    def noise(self) -> Array:
+        """As Sensor."""
+        return np.full(3 * len(self.places), self.deviation)
+
+    def values(self, seen: Seen) -> Array:
+        """x, y and z of one point after the other."""
+        return seen.points.ravel()
+
+    def slopes(self, seen: Seen) -> Array:
+        """As Sensor."""
+        return seen.of_points.reshape(len(seen.of_points), -1).T
+
+
+class TipPosition(ShapePoints):
+    """The tip's position, as an electromagnetic tracker tells it; deviation: of each coordinate, mm."""
+
+    def __init__(self, deviation: float = 0.5) -> None:
+        super().__init__((1.0,), deviation)
+
+
+@dataclass(frozen=True, eq=False)
+class TipPose(Sensor):
+    """The tip's position, mm, and its direction as a unit vector; turn: deviation of the direction, rad."""
+
+    deviation: float = 0.5
+    turn: float = 0.02
+
+    def __post_init__(self) -> None:
+        positive("deviation of the tip's position", self.deviation, " mm")
+        positive("deviation of the tip's direction", self.turn, " rad")
+
+    @property
+    def sigma(self) -> Array:
+        """As Sensor."""
+        return np.ones(1)
+
+    @property
+    def noise(self) -> Array:
+        """As Sensor."""
+        return np.repeat([self.deviation, self.turn], 3)
+
+    def values(self, seen: Seen) -> Array:
+        """Position, then direction."""
+        return np.concatenate([seen.points[0], seen.tangents[0]])
+
+    def slopes(self, seen: Seen) -> Array:
+        """As Sensor."""
+        return np.concatenate([seen.of_points[:, 0], seen.of_tangents[:, 0]], axis=1).T

@@ -1,0 +1,120 @@
+"""The expressions of a program as they are written, and their derivatives; nothing here knows names or bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import casadi as ca
+
+
+class FrameFunctions(NamedTuple):
+    """What a solver of many frames evaluates, as symbols or compiled.
+
+    value: (x, p) -> (objective, g). slopes: (x, p) -> (objective, its gradient, g, the dense Jacobian of g).
+    expansion: (x, p, lam_f, lam_g) -> slopes and the dense exact Hessian of lam_f objective + lam_g g.
+    lanes: for how many frames at once, side by side as `map` lays them out.
+    """
+
+    value: ca.Function
+    slopes: ca.Function
+    expansion: ca.Function
+    lanes: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Written:
+    """Residuals, costs and constraint values in x, parameters p and the symbols of inner quantities; all columns.
+
+    inner: symbols and values of each layer, of which later ones may be written in the symbols of those before.
+    Pickled, it is one function; what it becomes has symbols of its own.
+    """
+
+    x: ca.SX
+    p: ca.SX
+    residual: ca.SX
+    cost: ca.SX
+    g: ca.SX
+    inner: tuple[tuple[ca.SX, ca.SX], ...]
+
+    @classmethod
+    def of(cls, function: ca.Function) -> Written:
+        """What the function of another was made of, in new symbols."""
+        symbols = [ca.SX.sym(function.name_in(i), *function.size_in(i)) for i in range(function.n_in())]
+        residual, cost, g, *values = function.call(symbols)
+        x, p, *inner = symbols
+        return cls(x, p, residual, cost, g, tuple(zip(inner, values, strict=True)))
+
+    def __reduce__(self) -> tuple[Callable[[ca.Function], Written], tuple[ca.Function]]:
+        return Written.of, (self.function,)
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """(x, p, symbols of each layer) -> (residual, cost, g, values of each layer), all as they are written."""
+        symbols, values = ([layer[k] for layer in self.inner] for k in range(2))
+        return ca.Function("written", [self.x, self.p, *symbols], [self.residual, self.cost, self.g, *values])
+
+    def in_x(self, expressions: list[ca.SX]) -> list[ca.SX]:
+        """Expressions that are written in inner symbols, without these."""
+        for symbols, values in reversed(self.inner):
+            expressions = ca.substitute(expressions, [symbols], [values])
+        return expressions
+
+    @cached_property
+    def outright(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Residuals, cost and constraint values in x and p alone."""
+        residual, cost, g = self.in_x([self.residual, self.cost, self.g])
+        return residual, cost, g
+
+    @cached_property
+    def functions(self) -> FrameFunctions:
+        """Value and second-order expansion, for solvers that take many of these at once.
+
+        Operations that are repeated stay: whoever makes machine code of them finds these, which takes seconds.
+        """
+        residual, cost, g = self.outright
+        lam_f, lam_g = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", g.numel())
+        gradient, jacobian, hessian = (ca.densify(part) for part in self._derivatives(lam_f, lam_g))
+        inputs, multipliers = [self.x, self.p], [lam_f, lam_g]
+        value = [ca.sumsqr(residual) + cost, ca.densify(g)]
+        slopes = [value[0], gradient, value[1], jacobian]
+        return FrameFunctions(
+            ca.Function("value", inputs, value),
+            ca.Function("slopes", inputs, slopes),
+            ca.Function("expansion", inputs + multipliers, [*slopes, hessian]),
+        )
+
+    def derived(self) -> tuple[ca.Function, ...]:
+        """The same three, to be compiled."""
+        return self.functions[:3]
+
+    def _derivatives(self, lam_f: ca.SX, lam_g: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """The objective's gradient, the Jacobian of g, and the Hessian of lam_f objective + lam_g g.
+
+        With L(u) = lam_f (|r(u)|^2 + cost(u)) + lam_g g(u) of u(x), the Hessian is u_x' L_uu u_x + sum L_u u_xx,
+        where of L_uu the part 2 r_u' r_u becomes 2 J'J with J = r_u u_x; and so on for u(v(x)), layer by layer.
+        """
+        u, u_x, layers = self.x, ca.SX.eye(self.x.numel()), list[tuple[ca.SX, ca.SX, ca.SX, ca.SX]]()
+        for symbols, values in self.inner:
+            at = ca.vertcat(values, u)
+            step = ca.jacobian(at, u)
+            layers.append((u, u_x, at, step))
+            u, u_x = ca.vertcat(symbols, u), step @ u_x
+        r, cost, g = self.residual, self.cost, self.g
+        r_u, g_u = ca.jacobian(r, u), ca.jacobian(g, u)
+        slope, pull = r_u @ u_x, ca.densify(2 * r_u.T @ r + ca.gradient(cost, u))
+        pushes = ca.SX.sym("pushes", r.numel())
+        straight = ca.dot(pushes, r) + lam_f * cost + ca.dot(lam_g, g)
+        half = ca.triu(2 * lam_f * slope.T @ slope + u_x.T @ ca.hessian(straight, u)[0] @ u_x)
+        stand_ins, given = [pushes], [ca.densify(2 * lam_f * r)]
+        force = ca.densify(lam_f * pull + g_u.T @ lam_g)
+        for below, below_x, at, step in reversed(layers):
+            pulls = ca.SX.sym("pulls", at.numel())
+            half += ca.triu(below_x.T @ ca.hessian(ca.dot(pulls, at), below)[0] @ below_x)
+            stand_ins, given = [*stand_ins, pulls], [*given, force]
+            force = ca.densify(step.T @ force)
+        (half,) = ca.substitute([half], stand_ins, given)
+        gradient, jacobian, half = self.in_x([u_x.T @ pull, g_u @ u_x, half])
+        return gradient, jacobian, ca.triu2symm(half)

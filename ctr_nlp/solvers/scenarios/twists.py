@@ -1,0 +1,91 @@
+"""How far the described robot's tips turn beyond its motors from frame to frame: rows over two frames each.
+
+Twist i is (phi_i - alpha_i) - (phi_d - alpha_d) of the first scenario. Margins at frames do not see a fork between
+them; where twists must not change by much, a motion cannot cross one there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ctr_nlp.nlp.scenarios import SharedMotion
+from ctr_nlp.typing import Array, Flags
+
+
+class TwistSteps:
+    """Changes of twists on the way to every frame before which there is one, (k (d - 1),) as rows of a motion.
+
+    slopes (T, d - 1, n + P): of the twists of every frame over its q and over p.
+    """
+
+    def __init__(self, motion: SharedMotion) -> None:
+        """Prepare."""
+        self._d, most = motion.d, motion.twist_steps
+        self._frames = len(most)
+        self._after = np.flatnonzero(np.isfinite(most))
+        self._most = np.repeat(most[self._after], self._d - 1)
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Of the rows, rad."""
+        return -self._most, self._most
+
+    def free(self, of_q: Flags) -> Flags:
+        """Which rows a free unknown changes; of_q (T, n): those that are."""
+        moving = np.asarray(of_q.any(axis=1))
+        return np.repeat(moving[self._after] | moving[self._after - 1], self._d - 1)
+
+    def values(self, q: Array, phi: Array) -> Array:
+        """At q (T, n) and tips phi (T, S, d), rad."""
+        turned = phi[:, 0] - q[:, : self._d]
+        return self._changed(turned[:, :-1] - turned[:, -1:]).ravel()
+
+    def slopes(self, turns: Array) -> Array:
+        """Of twists, from the derivatives turns (T, m, n + P) of the first robot's unknowns."""
+        d = self._d
+        turned = turns[:, :d].copy()
+        turned[:, range(d), range(d)] -= 1.0
+        return turned[:, :-1] - turned[:, -1:]
+
+    def repaired(self, repair: Array) -> Array:
+        """By what a change (T, m) of the first robot's unknowns at fixed q changes the rows."""
+        return self._changed(repair[:, : self._d - 1] - repair[:, self._d - 1 : self._d]).ravel()
+
+    def moved(self, slopes: Array, step: Array) -> Array:
+        """By what a step of q and p, as every frame sees it, (T, n + P), changes the rows."""
+        return self._changed((slopes @ step[..., None])[..., 0]).ravel()
+
+    def pulled(self, slopes: Array, rows: Array) -> Array:
+        """The transposed Jacobian times rows, frame by frame (T, n + P)."""
+        return np.asarray((slopes.swapaxes(1, 2) @ self._spread(rows)[..., None])[..., 0])
+
+    def of_tips(self, rows: Array) -> Array:
+        """The transposed Jacobian over the first robot's tips alone times rows, (T, d)."""
+        each = self._spread(rows)
+        return np.column_stack([each, -each.sum(axis=1)])
+
+    def square(self, slopes: Array, sigma: Array, blocks: Array, band: Array) -> None:
+        """Add the transposed Jacobian times sigma times itself to a system's blocks and band (bordered.py)."""
+        n, after = band.shape[1] // len(slopes), self._after
+        here, there, weights = slopes[after], slopes[after - 1], sigma.reshape(-1, self._d - 1, 1)
+        for frames, own in ((after, here), (after - 1, -there)):
+            over = np.concatenate([own[..., :n], (here - there)[..., n:]], axis=2)
+            square = over.swapaxes(1, 2) @ (weights * over)
+            if frames is not after:
+                square[:, n:, n:] = 0.0  # p's own part belongs to a row, not to each of its frames
+            blocks[frames] += square
+        coupled = -here[..., :n].swapaxes(1, 2) @ (weights * there[..., :n])
+        rows, columns = np.indices((n, n))
+        band[n + rows - columns, (after[:, None, None] - 1) * n + columns] += coupled
+
+    def _changed(self, twists: Array) -> Array:
+        """Twists (T, ..) as their changes on the way to frames."""
+        return np.asarray(twists[self._after] - twists[self._after - 1])
+
+    def _spread(self, rows: Array) -> Array:
+        """Rows as what they pull every frame's twists with, (T, d - 1)."""
+        each = rows.reshape(-1, self._d - 1)
+        found = np.zeros((self._frames, self._d - 1))
+        found[self._after] += each
+        found[self._after - 1] -= each
+        return found
