@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from ctr_nlp.exceptions import CtrError
     from ctr_nlp.formulations.settings import Settings
     from ctr_nlp.formulations.shared.manufacture import Manufacture
+    from ctr_nlp.loads import Load
     from ctr_nlp.plan.metrics import by_frame, summary
     from ctr_nlp.plan.plan import Plan
     from ctr_nlp.robot import Limits, Robot, Tolerances, Tube, seed_robot, table_i_robot
@@ -37,6 +38,7 @@ __all__ = [
     "Curve",
     "Design",
     "Limits",
+    "Load",
     "Manufacture",
     "Measurements",
     "Plan",
@@ -83,6 +85,7 @@ _HOMES = {
     "codesign.together": ("Design", "design"),
     "exceptions": ("CtrError",),
     "formulations.settings": ("Settings",),
+    "loads": ("Load",),
     "plan.metrics": ("by_frame", "summary"),
     "plan.plan": ("Plan",),
     "robot": ("Limits", "Robot", "Tolerances", "Tube", "seed_robot", "table_i_robot"),

@@ -15,6 +15,10 @@ class RobotError(CtrError):
     """Tubes or limits that no robot can have, or a robot file that cannot be read."""
 
 
+class LoadError(CtrError):
+    """A load that no robot bears, or a robot that does not tell how stiff it is in MPa."""
+
+
 class CurveError(CtrError):
     """Points, formulas or files that do not describe a centreline."""
 

@@ -29,7 +29,8 @@ ROOMS = (
         "simulation",
         "formulations",
     ),
-    *("solvers", "models", "nlp", "codegen", "anatomy", "target", "robot", "support", "exceptions", "typing"),
+    *("solvers", "models", "nlp", "codegen", "anatomy", "target", "loads", "robot"),
+    *("support", "exceptions", "typing"),
 )
 """From top to bottom: each may import those after it."""
 

@@ -58,11 +58,14 @@ class Shape:
 
 
 class Snap(NamedTuple):
-    """frame: on the way to which, from 1. tubes: whose tips jump, from 1. jump: of the one furthest, rad."""
+    """frame: on the way to which, from 1. tubes: whose tips jump, from 1. jump: of the one furthest, rad.
+
+    jump is None where it is not known where the robot comes to rest.
+    """
 
     frame: int
     tubes: tuple[int, ...]
-    jump: float
+    jump: float | None
 
 
 class Followed(NamedTuple):

@@ -27,8 +27,8 @@ class Tube:
 
     length, curved_length: mm. curvature: 1/mm, constant, or (root, tip) of the curved part and linear in
     the distance from the tip between them; not negative, but at the root of a tube that is shaped like an S, bent
-    there to the other side than at its tip. Diameters: mm. youngs_modulus: any unit, since only ratios between
-    tubes matter for an unloaded robot. Raises RobotError.
+    there to the other side than at its tip. Diameters: mm. youngs_modulus: MPa; for a robot that bears no load any
+    unit will do, since only ratios between tubes matter then. Raises RobotError.
 
     Bent into its pre-curvature, a straight tube is strained by curvature * outer_diameter / 2 at its outer fibre;
     so it is again wherever the tubes around it or its own carriage hold it straight. More than 8 % is refused, the
@@ -121,7 +121,7 @@ class Tube:
 
     @property
     def bending_stiffness(self) -> float:
-        """EI, in units of youngs_modulus x mm^4."""
+        """EI, in units of youngs_modulus x mm^4: N mm^2 where that is in MPa."""
         return self.youngs_modulus * math.pi / 64 * (self.outer_diameter**4 - self.inner_diameter**4)
 
     @property

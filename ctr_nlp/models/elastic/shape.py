@@ -55,10 +55,15 @@ def curves(tubes: Tubes, x: Sequence[Any], parts: Sequence[Section], twisted: Tw
             axes = _turned(axes, (-angle * sin, angle * cos, 0.0))
         else:
             triads = _triads(axes, part, nodes, xp)
-            to_powers = np.linalg.inv(np.vander(np.linspace(0.0, 1.0, len(nodes)), increasing=True))
-            found += [combination(row, [tangent for _, _, tangent in triads]) for row in to_powers]
+            found += powers([tangent for _, _, tangent in triads])
             axes = triads[-1]
     return found
+
+
+def powers(tangents: Sequence[Vector]) -> list[Vector]:
+    """Coefficients of powers of the fraction of a section's length in the polynomial through its tangents."""
+    to_powers = np.linalg.inv(np.vander(np.linspace(0.0, 1.0, len(tangents)), increasing=True))
+    return [combination(row, tangents) for row in to_powers]
 
 
 def travels(

@@ -33,14 +33,16 @@ OF_RATES = 14 / 336, 125 / 336, 162 / 336, 35 / 336
 class Section(NamedTuple):
     """Part of the robot along which the same tubes are present and curved; start and length in mm.
 
-    shares: of every tube in the bending stiffness of those present. curved: 0 or 1 for every tube. active: the
-    tubes that may be curved. plane: whether these are at most one, with a known share: it bends in a plane.
+    shares: of every tube in the bending stiffness of those present. curved: 0 or 1 for every tube. present: the
+    tubes that are there; active: those of them that may be curved. plane: whether these are at most one, with a
+    known share: it bends in a plane.
     """
 
     start: Any
     length: Any
     shares: tuple[Any, ...]
     curved: tuple[Any, ...]
+    present: tuple[int, ...]
     active: tuple[int, ...]
     plane: bool
 
@@ -63,35 +65,39 @@ class Twist(NamedTuple):
     rates: list[Any]
 
 
-def sections(tubes: Tubes, beta: Sequence[Any], xp: Any) -> list[Section]:
+def sections(tubes: Tubes, beta: Sequence[Any], xp: Any, planes: bool = True) -> list[Section]:
     """Between neighbouring ends of tubes, and within these of straight parts that can be pushed out.
 
-    The last tube, where it is alone, bends in a plane, its straight part included: it needs no division.
+    planes: whether tubes that are alone bend in a plane, as without a load; then the last one, its straight part
+    included, needs no division.
     """
     d, found = len(tubes), list[Section]()
+    divided = d - 1 if planes else d
     starts = [
         xp.fmax(beta[i] - tube.curved_length, 0.0) if tubes[i].shown else None for i, tube in enumerate(tubes)
     ]
     for i, (low, high) in enumerate(itertools.pairwise([0 * beta[0], *beta])):
         present, edges = (0.0,) * i + (1.0,) * (d - i), [low, high]
-        for start in starts[i:] if i < d - 1 else ():
+        for start in starts[i:] if i < divided else ():
             if start is not None:
                 inside = (xp.fmax(a, xp.fmin(b, start)) for a, b in itertools.pairwise(edges))
                 edges = [low, *inside, high]
         for a, b in itertools.pairwise(edges):
             curved = [
-                here if start is None or i == d - 1 else here * ((a + b) / 2 >= start)
+                here if start is None or i == divided else here * ((a + b) / 2 >= start)
                 for here, start in zip(present, starts, strict=True)
             ]
-            found.append(_section(tubes, a, b, present, curved))
+            section = _section(tubes, a, b, present, curved)
+            found.append(section if planes else section._replace(plane=False))
     return found
 
 
 def _section(tubes: Tubes, a: Any, b: Any, present: Sequence[float], curved: Sequence[Any]) -> Section:
     stiffness = [here * tube.bending_stiffness for here, tube in zip(present, tubes, strict=True)]
     shares = tuple(EI / sum(stiffness) for EI in stiffness)
-    active = tuple(i for i, tube in enumerate(tubes) if tube.kind != "straight" and present[i])
-    return Section(a, b - a, shares, tuple(curved), active, len(active) <= 1)
+    there = tuple(i for i, here in enumerate(present) if here)
+    active = tuple(i for i in there if tubes[i].kind != "straight")
+    return Section(a, b - a, shares, tuple(curved), there, active, len(active) <= 1)
 
 
 def twist(tubes: Tubes, x: Sequence[Any], parts: Sequence[Section], xp: Any, steps: int = STEPS) -> Twist:

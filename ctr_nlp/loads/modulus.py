@@ -1,0 +1,61 @@
+"""Young's moduli in MPa. Without a load only their ratios matter, and robot files may leave them out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from ctr_nlp.exceptions import LoadError
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.units import between, did_you_mean
+from ctr_nlp.support.values import number
+
+MODULI = (100.0, 500_000.0)
+"""Least and largest modulus of a tube, MPa, from soft polymers to beyond steel."""
+RATIO = 10.0
+"""A modulus of less is a ratio to those of other tubes, or written in GPa."""
+PA, GPA = 1e-6, 1e3
+"""In MPa."""
+
+
+def check_moduli(robot: Robot) -> None:
+    """Raise LoadError unless every tube has a Young's modulus in MPa, which a load needs."""
+    for i, tube in enumerate(robot.tubes, start=1):
+        value, (low, high) = tube.youngs_modulus, MODULI
+        if low <= value <= high:
+            continue
+        found = did_you_mean(_meant(value))
+        left_out = "; without loads only ratios between tubes matter, and this one looks like a ratio" * (
+            value <= RATIO
+        )
+        raise LoadError(
+            f"youngs_modulus of tube {i} is {value:g}; under a load it must be in MPa and lie in "
+            f"[{low:g}, {high:g}], as about 60000 of nitinol{left_out}{found}"
+        )
+
+
+def with_modulus(robot: Robot, modulus: float) -> Robot:
+    """The robot with youngs_modulus in MPa, where its tubes have only ratios; shapes without load stay the same.
+
+    modulus: in MPa, of a tube whose ratio is 1; the others keep their ratio to it. Raises LoadError.
+    """
+    low, high = MODULI
+    value = number(
+        LoadError,
+        "youngs_modulus of a robot",
+        modulus,
+        lambda given: low <= given <= high,
+        f"be in MPa and lie in [{low:g}, {high:g}]{did_you_mean(_meant(modulus))}",
+    )
+    scaled = [replace(tube, youngs_modulus=tube.youngs_modulus * value) for tube in robot.tubes]
+    found = replace(robot, tubes=tuple(scaled))
+    check_moduli(found)
+    return found
+
+
+def _meant(value: object) -> list[str]:
+    """The moduli in MPa that one in GPa or Pa was perhaps meant to be."""
+    if not isinstance(value, int | float):
+        return []
+    plausible = between(*MODULI)
+    offers = ((value * GPA, f"{value:g} GPa"), (value * PA, f"{value:g} Pa"))
+    return [f"{mpa:g} MPa ({written})" for mpa, written in offers if plausible(mpa) and value > RATIO]

@@ -1,0 +1,1 @@
+"""The elastic model of a robot that bears a load: its equilibria, its shape, and whether it is stable."""

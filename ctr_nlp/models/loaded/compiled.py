@@ -1,0 +1,121 @@
+"""Rods from tip to base as one function of symbols, for many rows at once: compiled where that can be."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from ctr_nlp.codegen import cache, vector
+from ctr_nlp.codegen.background import Library
+from ctr_nlp.codegen.mapped import Mapped
+from ctr_nlp.models.elastic.torsion import sections
+from ctr_nlp.models.loaded.rod import Loading, Softness, Tip, integrated
+from ctr_nlp.models.loaded.vectors import vectors
+from ctr_nlp.models.protocol import symbolic_tubes
+from ctr_nlp.robot.structure import NUMBERS, Structure
+from ctr_nlp.typing import Array
+
+STEPS = 12
+"""Steps of integration a section where numbers are wanted."""
+OF_TIP = 7
+"""Numbers of a load that act at the tip (loads.Load.numbers); three a tube follow."""
+
+
+class Ends(NamedTuple):
+    """T rods at the base. angles (T, d): of the tubes, less what their transmissions twist, relative to the frame.
+
+    axes (T, 3, 3): that frame, row by row d_1, d_2 and t. responses (T, k, d + 2, d + 2): of rod.Rod.
+    """
+
+    angles: Array
+    axes: Array
+    responses: Array
+
+    @property
+    def slopes(self) -> Array:
+        """How turns and angles at the base follow those at the tip, (T, d + 2, d + 2)."""
+        return functools.reduce(lambda found, response: response @ found, self.responses.swapaxes(0, 1))
+
+
+def loading(values: Sequence[Any]) -> Loading:
+    """The numbers of a load as models take them."""
+    return Loading(tuple(values[:3]), tuple(values[3:6]), values[6], vectors(values[OF_TIP:]))
+
+
+@functools.lru_cache(maxsize=64)
+def symbolic(structure: Structure, follows: bool) -> ca.Function:
+    """(row, numbers (6 d,)) -> what Ends holds; row: psi and axes of the tip, beta, the load, softnesses."""
+    d = structure.d
+    numbers = ca.SX.sym("numbers", d, len(NUMBERS))
+    tip, beta = ca.SX.sym("tip", d + 9), ca.SX.sym("beta", d)
+    load, soft = ca.SX.sym("load", OF_TIP + 3 * d), ca.SX.sym("soft", 2)
+    tubes, entries, extensions = symbolic_tubes(structure, numbers), ca.vertsplit(tip), ca.vertsplit(beta)
+    d1, d2, t = vectors(entries[d:])
+    rod = integrated(
+        tubes,
+        Tip(entries[:d], (d1, d2, t)),
+        extensions,
+        sections(tubes, extensions, ca, planes=False),
+        loading(ca.vertsplit(load)),
+        ca,
+        STEPS,
+        soft=Softness(*ca.vertsplit(soft)),
+        follows=follows,
+    )
+    reach = zip(rod.angles, rod.rates, tubes, extensions, strict=True)
+    angles = [angle - rate * (tube.length - out) for angle, rate, tube, out in reach]
+    ends = ca.vertcat(*angles, *(entry for axis in rod.axes for entry in axis))
+    responses = ca.horzcat(*(row for response in rod.responses for row in response)).T
+    given = [ca.vertcat(tip, beta, load, soft), numbers]
+    return ca.Function("rod", given, [ca.densify(ends), ca.densify(responses)], {"cse": True})
+
+
+@functools.lru_cache(maxsize=64)
+def _library(structure: Structure, follows: bool) -> Library:
+    function = symbolic(structure, follows)
+    return Library(function.serialize(), lambda: (function,), vector.LANES)
+
+
+def _fastest(structure: Structure, follows: bool) -> tuple[ca.Function, int]:
+    """The function, and for how many rows at once: compiled as soon as that has been done."""
+    if not cache.missing() and (path := _library(structure, follows).soon()) is not None:
+        return ca.external("rod", str(path)), vector.LANES
+    return symbolic(structure, follows), 1
+
+
+class Rods:
+    """A robot's rods from tip to base; one object a thread."""
+
+    def __init__(self, structure: Structure, numbers: Array, follows: bool = False) -> None:
+        """Numbers (d, 6) as of structure.NUMBERS; follows: whether a force turns with the tip."""
+        self.d = structure.d
+        self._numbers = numbers.ravel(order="F")
+        self._function, self._lanes = _fastest(replace(structure, gap=False), follows)
+        self._mapped: dict[int, Mapped] = {}
+
+    def __call__(self, angles: Array, axes: Array, beta: Array, load: Array, soft: Array) -> Ends:
+        """The Ends of T tips: angles (T, d), axes (T, 3, 3), beta (T, d) mm, loads (T, 7 + 3 d), soft (T, 2)."""
+        rows, side = len(angles), self.d + 2
+        mapped = self._for(rows)
+        given = np.hstack([angles, axes.reshape(rows, 9), beta, load, soft])
+        padded = np.empty_like(mapped.inputs[0])
+        padded[:rows], padded[rows:] = given, given[-1]
+        ends, responses = mapped(padded.ravel())
+        return Ends(
+            ends[:rows, : self.d].copy(),
+            ends[:rows, self.d :].reshape(rows, 3, 3).copy(),
+            responses[:rows].reshape(rows, -1, side, side).copy(),
+        )
+
+    def _for(self, rows: int) -> Mapped:
+        """The function mapped over at least so many rows, in few sizes."""
+        size = max(self._lanes, 1 << (rows - 1).bit_length())
+        if size not in self._mapped:
+            self._mapped[size] = Mapped(self._function, size, self._lanes)
+            self._mapped[size].inputs[1][:] = self._numbers
+        return self._mapped[size]

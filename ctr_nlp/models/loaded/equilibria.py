@@ -1,0 +1,180 @@
+"""Equilibria of loaded robots, many rows side by side, each followed in a line of configurations and loads.
+
+The tip that a configuration has is found by Newton's method in d + 2 unknowns from a prediction along the tangent,
+as elastic/equilibria.py does without a load; a step that strays from its prediction, or passes a singular slope,
+is halved until it is clear that the branch ends there.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ctr_nlp.models.dominant.shape import base_frame
+from ctr_nlp.models.elastic.compiled import LEAP, SMALLEST, STRAY
+from ctr_nlp.models.loaded.compiled import Ends, Rods
+from ctr_nlp.models.loaded.tips import axes_of, turned, unknowns
+from ctr_nlp.robot.structure import Structure
+from ctr_nlp.typing import Array, Flags
+
+CONVERGED, ITERATIONS = 1e-9, 12
+"""rad of the last Newton step, whose error is about its square; steps at most."""
+WIDEST = 1.0
+"""rad that a Newton step may turn tips or tubes by."""
+
+
+class States(NamedTuple):
+    """T equilibria: q (T, 2d + 2); load (T, 7 + 3d); the tip, angles (T, d) relative to its axes (T, 3, 3).
+
+    slopes (T, d + 2, d + 2): how tilt and motors follow the tip (rod.Rod); determinant (T,): of these.
+    """
+
+    q: Array
+    load: Array
+    angles: Array
+    axes: Array
+    slopes: Array
+    determinant: Array
+
+    def rows(self, which: Any) -> States:
+        """Some of them."""
+        return States(*(each[which] for each in self))
+
+    def moved(self, step: Array) -> tuple[Array, Array]:
+        """Angles and axes after changes (T, d + 2) of the tips."""
+        return turned(self.angles, self.axes, step)
+
+    @property
+    def unknowns(self) -> Array:
+        """The x (T, 2d + 2) of tips.py."""
+        d = self.angles.shape[1]
+        return unknowns(self.angles, self.axes, self.q[:, d : 2 * d])
+
+    def replaced(self, which: Any, others: States) -> States:
+        """The same with others in place of some."""
+        found = States(*(each.copy() for each in self))
+        for array, values in zip(found, others, strict=True):
+            array[which] = values
+        return found
+
+
+class LoadedEquilibria:
+    """Follows equilibria of loaded robots; one object a thread."""
+
+    def __init__(self, structure: Structure, numbers: Array, follows: bool = False) -> None:
+        """Numbers (d, 6) of the tubes; follows: whether a force turns with the tip."""
+        self.d, self.rods = structure.d, Rods(structure, numbers, follows)
+
+    def unloaded(self, q: Array, tips: Array) -> States:
+        """The states at q (T, 2d + 2) without a load, whose tips' angles (T, d) against each other are known."""
+        rows, d = len(q), self.d
+        axes, angles, load = np.tile(np.eye(3), (rows, 1, 1)), tips - tips[:, -1:], self._no_load(rows)
+        ends = self.ends(angles, axes, q, load)
+        spin = q[:, d - 1] - ends.angles[:, -1]
+        base = base_axes(q[:, 2 * d :])
+        cos, sin = np.cos(spin)[:, None], np.sin(spin)[:, None]
+        spun = np.stack(
+            [cos * base[:, 0] + sin * base[:, 1], cos * base[:, 1] - sin * base[:, 0], base[:, 2]], axis=1
+        )
+        placed = (
+            np.swapaxes(ends.axes, 1, 2) @ spun
+        )  # R_tip = R_base A^T, where A is the base of a tip that stands still
+        return self._solved(q, load, angles, placed, np.ones(rows, dtype=bool))[0]
+
+    def along(
+        self, states: States, q: Array, load: Array, most: float = 1.0, smallest: float = SMALLEST
+    ) -> tuple[States, Array]:
+        """The equilibria as far towards q and load as their branches go, and which part of the way that is, (T,).
+
+        most, smallest: parts of the way that are gone in a step.
+        """
+        start, done = states, np.zeros(len(q))
+        part = np.full(len(q), min(1.0, most))
+        while True:
+            active = np.flatnonzero((done < 1) & (part >= smallest))
+            if not len(active):
+                return states, done
+            ahead = done[active] + part[active]
+            goal = start.q[active] + ahead[:, None] * (q - start.q)[active]
+            pull = start.load[active] + ahead[:, None] * (load - start.load)[active]
+            new, there = self._step(states.rows(active), goal, pull)
+            gone, stopped = active[there], active[~there]
+            states = states.replaced(gone, new.rows(there))
+            done[gone] += part[gone]
+            done[gone[done[gone] > 1 - 1e-12]] = 1.0
+            part[gone] = np.minimum(np.minimum(2 * part[gone], most), 1 - done[gone])
+            part[stopped] /= 2
+
+    def _step(self, states: States, q: Array, load: Array) -> tuple[States, Flags]:
+        """The equilibria at q and load on the branches of some nearby, and for which they were found."""
+        d = self.d
+        step = solved(states.slopes, self.misfit(q, self.ends(states.angles, states.axes, q, load)))
+        motors = q[:, :d] - states.q[:, :d]
+        apart = abs(motors[:, :-1] - motors[:, -1:]).max(axis=1, initial=0.0)
+        near = abs(step[:, 2:-1] - step[:, -1:]).max(axis=1, initial=0.0) < LEAP + apart
+        near &= abs(step).max(axis=1) < WIDEST
+        angles, axes = states.moved(step)
+        new, found = self._solved(q, load, angles, axes, near)
+        away = np.maximum(abs(new.angles - angles).max(axis=1), abs(new.axes - axes).max(axis=(1, 2)))
+        return new, found & (away < STRAY) & (new.determinant * states.determinant > 0)
+
+    def _solved(self, q: Array, load: Array, angles: Array, axes: Array, wanted: Flags) -> tuple[States, Flags]:
+        """What Newton's method finds from tips, of the rows that are wanted; for which it ends."""
+        angles, axes, rows, side = angles.copy(), axes.copy(), len(q), self.d + 2
+        slopes, found, going = np.tile(np.eye(side), (rows, 1, 1)), np.zeros(rows, dtype=bool), wanted.copy()
+        for _ in range(ITERATIONS):
+            at = np.flatnonzero(going)
+            if not len(at):
+                break
+            ends = self.ends(angles[at], axes[at], q[at], load[at])
+            slopes[at] = ends.slopes
+            step = solved(slopes[at], self.misfit(q[at], ends))
+            size = abs(step).max(axis=1)
+            going[at], moved = size >= CONVERGED, size < WIDEST
+            found[at] |= size < CONVERGED
+            going[at[~moved]] = False
+            angles[at[moved]], axes[at[moved]] = turned(angles[at[moved]], axes[at[moved]], step[moved])
+        return States(q, load, angles, axes, slopes, np.linalg.det(slopes)), found
+
+    def ends(self, angles: Array, axes: Array, q: Array, load: Array, soft: Array | None = None) -> Ends:
+        """The rods of tips, at the extensions of q (T, 2d + 2) and under loads (T, 7 + 3d)."""
+        soft = np.ones((len(q), 2)) if soft is None else soft
+        return self.rods(angles, axes, q[:, self.d : 2 * self.d], load, soft)
+
+    def misfit(self, q: Array, ends: Ends) -> Array:
+        """By what bases must turn, and motors be turned, to stand at q: (T, d + 2), in the order of responses."""
+        d = self.d
+        between = base_axes(q[:, 2 * d :]) @ np.swapaxes(ends.axes, 1, 2)
+        x, y, z = (between[:, 2, k] for k in range(3))
+        sine = np.hypot(x, y)
+        factor = np.where(sine > 1e-12, np.arctan2(sine, z) / np.maximum(sine, 1e-300), 1.0)
+        spin = np.arctan2(between[:, 1, 0] - between[:, 0, 1], between[:, 0, 0] + between[:, 1, 1])
+        motors = q[:, :d] - ends.angles - spin[:, None]
+        motors -= 2 * np.pi * np.round(motors[:, -1:] / (2 * np.pi))
+        return np.hstack([(-factor * y)[:, None], (factor * x)[:, None], motors])
+
+    def configurations(self, angles: Array, axes: Array, beta: Array, load: Array) -> Array:
+        """The q (T, 2d + 2) of tips; alpha up to whole turns of all tubes, theta_x within a quarter turn."""
+        q = np.hstack([np.zeros(beta.shape), beta, np.zeros((len(beta), 2))])
+        ends = self.ends(angles, axes, q, load)
+        x, y, z = ends.axes[:, 2].T
+        q[:, 2 * self.d :] = np.stack([-np.arcsin(np.clip(y, -1, 1)), np.arctan2(x, z)], axis=1)
+        q[:, : self.d] = self.misfit(q, ends)[:, 2:]
+        return np.hstack([-q[:, : self.d], q[:, self.d :]])
+
+    def _no_load(self, rows: int) -> Array:
+        return np.zeros((rows, 7 + 3 * self.d))
+
+
+def base_axes(theta: Array) -> Array:
+    """The columns of R of eq. (4), (T, 3, 3), row by row d_1, d_2 and t."""
+    return axes_of(base_frame(theta[:, 0], theta[:, 1], np))
+
+
+def solved(slopes: Array, misfit: Array) -> Array:
+    """The steps (T, n) that make up for misfits (T, n); NaN where there is none."""
+    fine = np.asarray(np.isfinite(slopes).all(axis=(1, 2)) & (abs(np.linalg.det(slopes)) > 0))
+    found = np.full(misfit.shape, np.nan)
+    found[fine] = np.linalg.solve(slopes[fine], misfit[fine][..., None])[..., 0]
+    return found

@@ -1,0 +1,129 @@
+"""The elastic model of a robot that bears a load, as a Model; its unknowns are x = (phi, beta, w) of tips.py."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.loads import Load
+from ctr_nlp.models.dominant.shape import columns_of
+from ctr_nlp.models.elastic import shape
+from ctr_nlp.models.elastic.torsion import sections
+from ctr_nlp.models.loaded.compiled import STEPS, loading
+from ctr_nlp.models.loaded.following import Follower
+from ctr_nlp.models.loaded.rod import Tip, integrated
+from ctr_nlp.models.loaded.tips import tips
+from ctr_nlp.models.protocol import SUBSTEPS, Followed, Model, Passage, Places, Shape, combination, passage
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.structure import Structure, Tubes, tubes_in_columns
+from ctr_nlp.typing import Array, Vector
+
+
+@dataclass(frozen=True)
+class Loaded(Model):
+    """Torsionally compliant tubes under a load; without one the elastic model, to 0.001 mm.
+
+    What robots are planned on cannot be loaded yet: the model evaluates motions.
+    """
+
+    load: Load
+
+    name = "elastic"
+    several_equilibria = True
+    can_snap = True
+
+    def check(self, robot: Robot) -> None:
+        """Raise LoadError unless the robot tells its moduli, and the load fits it."""
+        self.load.numbers(robot)
+
+    def frame(
+        self,
+        structure: Structure,
+        tubes: Tubes,
+        places: Places,
+        margin: ca.SX | None = None,
+        tangents: bool = False,
+    ) -> Shape:
+        """Refused: programs do not know loads."""
+        raise OptionError("model is 'elastic' under a load, which evaluates motions; plan without the load")
+
+    def points(self, robot: Robot, x: Array, sigma: Array) -> Array:
+        """As Model.points."""
+        return self._curves(robot.structure, robot.numbers[None], self.load.numbers(robot), x, sigma)[0]
+
+    def tangents(self, robot: Robot, x: Array, sigma: Array) -> Array:
+        """As Model.tangents."""
+        return self._curves(robot.structure, robot.numbers[None], self.load.numbers(robot), x, sigma)[1]
+
+    def points_apart(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
+        """As Model.points_apart; raises LoadError where tubes' weights count."""
+        return self._curves(structure, numbers, self.load.numbers_apart(structure.d), x, sigma)[0]
+
+    def _curves(
+        self, structure: Structure, numbers: Array, acting: Array, x: Array, sigma: Array
+    ) -> tuple[Array, Array]:
+        """Points and tangents (T, n, 3) of robots of numbers (T or 1, d, 6)."""
+        d, tubes = structure.d, tubes_in_columns(structure, numbers)
+        beta, (angles, axes) = columns_of(x[:, d : 2 * d]), tips(x, d)
+        d1, d2, t = (_vector(axes[:, k]) for k in range(3))
+        parts, tip = sections(tubes, beta, np, planes=False), Tip(columns_of(angles), (d1, d2, t))
+        rod = integrated(tubes, tip, beta, parts, loading(acting.tolist()), np, STEPS, follows=self.load.follows)
+        vectors = [vector for tangents in rod.tangents for vector in shape.powers(tangents)]
+        lengths, turns = shape.travels(tubes, beta, parts, sigma * beta[-1], np, STEPS // 2)
+        like = np.zeros((len(x), np.shape(sigma)[-1]))
+        points, tangents = combination(lengths, vectors), combination([1.0, *turns], [rod.axes[2], *vectors])
+        return _stacked(points, like), _stacked(tangents, like)
+
+    def margins(self, robot: Robot, x: Array) -> Array:
+        """As Model.margins; NaN under a load that has no energy."""
+        return self.follower(robot).margins(x)
+
+    def rest(self, robot: Robot, q: Array) -> Array:
+        """Where all tubes are turned to together from alpha_d, and then loaded; NaN where it snaps on the way."""
+        return self.follower(robot).rest(q)
+
+    def guess(self, robot: Robot, q: Array) -> Array:
+        """What `rest` finds: nothing else is found faster."""
+        found = [self.rest(robot, each) for each in np.reshape(q, (-1, np.shape(q)[-1]))]
+        return np.reshape(found, np.shape(q))
+
+    def configuration(self, robot: Robot, x: Array) -> Array:
+        """As Model.configuration; alpha up to whole turns of all tubes together, theta_x within a quarter turn."""
+        return self.follower(robot).states(x).q
+
+    def extensions(self, robot: Robot, x: Array) -> Array:
+        """As Model.extensions; x holds them where q does."""
+        return x[:, robot.d : 2 * robot.d]
+
+    def follow(self, robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBSTEPS) -> Followed:
+        """As Model.follow: the load comes in the first frame, and is taken away in the last one.
+
+        x0 is not looked at: a robot is where the load has brought it.
+        """
+        return self.follower(robot).followed(passage(np.asarray(q, dtype=float), substeps))
+
+    def follow_apart(
+        self, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True
+    ) -> list[Followed]:
+        """As Model.follow_apart; raises LoadError where tubes' weights count."""
+        acting = self.load.numbers_apart(structure.d)
+        return [
+            Follower(structure, own, self.load, acting).followed(way._replace(q=places), margins)
+            for own, places in zip(numbers, q, strict=True)
+        ]
+
+    def follower(self, robot: Robot) -> Follower:
+        """What follows a robot that bears the load; one object a thread."""
+        return Follower(robot.structure, robot.numbers, self.load, self.load.numbers(robot))
+
+
+def _vector(rows: Array) -> Vector:
+    x, y, z = columns_of(rows)
+    return x, y, z
+
+
+def _stacked(vector: Vector, like: Array) -> Array:
+    return np.stack([part + like for part in vector], axis=-1)

@@ -1,0 +1,235 @@
+"""Tubes that twist each other and share one curve (elastic/torsion.py), under a load, from the tip to the base.
+
+At the tip force and moment are known. With the tubes' angles there, relative to a frame (d_1, d_2, t) of the tip
+that does not spin along the robot, everything is integrated to the base, and every such start is an equilibrium
+(Rucker, Jones, Webster, A Geometrically Exact Model for Externally Loaded Concentric-Tube Continuum Robots, IEEE
+Transactions on Robotics 26(5), 2010; Antman, Nonlinear Problems of Elasticity). n is the internal force, m the
+moment:
+
+    n' = -weight,   m' = -t x n,   d_1' = -u_1 t,   d_2' = -u_2 t,   t' = u_1 d_1 + u_2 d_2
+    u_1 = (m . d_2 + sum EI_i k_i cos psi_i) / sum EI_i,   u_2 = (-m . d_1 + sum EI_i k_i sin psi_i) / sum EI_i
+    GJ_i psi_i'' = EI_i k_i u x e(psi_i),   psi_i'(beta_i) = 0, but GJ_d psi_d'(beta_d) is the axial moment.
+
+Beside it go responses to d + 2 changes: turns about d_1 and d_2, and of every psi_i. They are told from place to
+place: at each they begin anew with changes of that place, which keeps them of the same size however far the base
+is. One source for symbols and numbers, as in torsion.py: `xp` is casadi or numpy; what responds is a
+row of d + 2 entries.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from ctr_nlp.models.elastic.torsion import Section, curvatures_at, moved
+from ctr_nlp.models.loaded.vectors import cross, dot, plus, scaled, total, vectors
+from ctr_nlp.robot.structure import Tubes
+from ctr_nlp.typing import Vector
+
+Values = list[Any]
+
+
+class Loading(NamedTuple):
+    """A load's numbers (loads.Load.numbers) as models take them: numbers, columns (T, 1), or symbols.
+
+    force: N, in the base's directions. tool_force: N, in those of the tip. moment: N mm. weights: of every tube,
+    N/mm.
+    """
+
+    force: Vector
+    tool_force: Vector
+    moment: Any
+    weights: Sequence[Vector]
+
+
+class Tip(NamedTuple):
+    """The tubes' angles psi at their tips, rad, relative to a frame there, whose directions are axes."""
+
+    angles: Sequence[Any]
+    axes: tuple[Vector, Vector, Vector]
+
+
+class Softness(NamedTuple):
+    """By what factors torsion and bending give in to responses: 1 / (1 - margin), stability.py."""
+
+    torsion: Any = 1.0
+    bending: Any = 1.0
+
+
+class Rod(NamedTuple):
+    """tangents: at the nodes of every section from base to tip, evenly spaced. angles, rates, axes: at the base.
+
+    responses: from tip to base the matrices, row by row a list, of the turns about d_1 and d_2 of the frame and
+    its spin with every tube's angle, over the same at the place before; the last d of one transmission after the
+    other.
+    """
+
+    tangents: list[list[Vector]]
+    angles: Values
+    rates: Values
+    axes: tuple[Vector, Vector, Vector]
+    responses: list[list[Any]]
+
+
+@dataclass(frozen=True)
+class _Section:
+    """What holds along a section: the numbers of its tubes, and the force at its end towards the tip."""
+
+    tubes: Tubes
+    beta: Sequence[Any]
+    part: Section
+    force: Vector
+    weight: Vector
+    soft: Softness
+    xp: Any
+
+    @property
+    def end(self) -> Any:
+        return self.part.start + self.part.length
+
+    def slopes(self, s: Any, y: Values, by: Values | None) -> tuple[Values, Values | None]:
+        """Of the state along s, and of its responses where they are wanted."""
+        d, xp, active = len(self.tubes), self.xp, self.part.active
+        psi, rates, (d1, d2, t, m) = y[:d], y[d : 2 * d], vectors(y[2 * d :])
+        k = curvatures_at(self.tubes, [0.0] * d + list(self.beta), self.part, s)
+        cos, sin = {i: xp.cos(psi[i]) for i in active}, {i: xp.sin(psi[i]) for i in active}
+        pull = {i: self.part.shares[i] * k[i] for i in active}
+        flexible = self.part.shares[-1] / self.tubes[-1].bending_stiffness
+        about = [flexible * dot(m, axis) for axis in (d1, d2, t)]
+        u1 = about[1] + sum(pull[i] * cos[i] for i in active)
+        u2 = -about[0] + sum(pull[i] * sin[i] for i in active)
+        twist = {i: self.tubes[i].torsional_ratio * k[i] for i in active}
+        turns = [twist[i] * (u1 * sin[i] - u2 * cos[i]) if i in twist else 0.0 for i in range(d)]
+        n = plus(self.force, self.end - s, self.weight)
+        bends = plus(scaled(u1, d1), u2, d2)
+        found = [*rates, *turns, *scaled(-u1, t), *scaled(-u2, t), *bends, *cross(n, t)]
+        if by is None:
+            return found, None
+        dpsi, drates, (theta, dm, dn) = by[:d], by[d : 2 * d], vectors(by[2 * d :])
+        a, b, c = theta
+        du1 = (
+            flexible * dot(dm, d2) - c * about[0] + a * about[2] - sum(pull[i] * sin[i] * dpsi[i] for i in active)
+        )
+        du2 = (
+            -flexible * dot(dm, d1) - c * about[1] + b * about[2] + sum(pull[i] * cos[i] * dpsi[i] for i in active)
+        )
+        du1, du2 = self.soft.bending * du1, self.soft.bending * du2
+        sway = [
+            self.soft.torsion * twist[i] * (du1 * sin[i] - du2 * cos[i] + (u1 * cos[i] + u2 * sin[i]) * dpsi[i])
+            if i in twist
+            else 0.0 * a
+            for i in range(d)
+        ]
+        turning = -du2 - u1 * c, du1 - u2 * c, u2 * b + u1 * a
+        leaning = plus(scaled(b, d1), -1.0 * a, d2)
+        moments = plus(cross(n, leaning), 1.0, cross(dn, t))
+        return found, [*drates, *sway, *turning, *moments, *[0.0 * a] * 3]
+
+
+def integrated(
+    tubes: Tubes,
+    tip: Tip,
+    beta: Sequence[Any],
+    parts: Sequence[Section],
+    load: Loading,
+    xp: Any,
+    steps: int,
+    *,
+    soft: Softness | None = None,
+    follows: bool = False,
+) -> Rod:
+    """The rod of a tip, in so many steps a section of Runge and Kutta's method of order 4.
+
+    soft: of the responses; None for none. follows: whether tool_force counts.
+    """
+    d, force = len(tubes), load.force
+    if follows:
+        force = plus(force, 1.0, _held(tip, load.tool_force, xp))
+    rates = [0.0 * tip.angles[0]] * (d - 1)
+    rates.append(load.moment * tubes[-1].torsional_ratio / tubes[-1].bending_stiffness)
+    y: Values = [
+        *tip.angles,
+        *rates,
+        *(entry for axis in tip.axes for entry in axis),
+        *scaled(load.moment, tip.axes[2]),
+    ]
+    by = None if soft is None else _changes(tip, load, follows, xp)
+    tangents, responses = [], list[list[Any]]()
+    for part in reversed(parts):
+        weight = total([load.weights[i] for i in part.present])
+        section = _Section(tubes, beta, part, force, weight, soft or Softness(), xp)
+        nodes = [vectors(y[2 * d :])[2]]
+        for k in range(steps):
+            y, by = _stepped(section, k, steps, y, by)
+            nodes.append(vectors(y[2 * d :])[2])
+            if by is not None and (k + 1) % (steps // 2) == 0:
+                by = _anew(by, responses, d, xp)
+        tangents.append(nodes[::-1])
+        force = plus(force, part.length, weight)
+    if by is not None:
+        for i, tube in enumerate(tubes):
+            by[i] = by[i] - by[d + i] * (tube.length - beta[i])
+            by = _anew(by, responses, d, xp)
+    d1, d2, t, _ = vectors(y[2 * d :])
+    return Rod(tangents[::-1], y[:d], y[d : 2 * d], (d1, d2, t), responses)
+
+
+def _stepped(section: _Section, k: int, steps: int, y: Values, by: Values | None) -> tuple[Values, Values | None]:
+    """The state, and its responses, after step k from the end of a section."""
+    h = -section.part.length / steps
+    weights, slopes = (1 / 6, 1 / 3, 1 / 3, 1 / 6), list[tuple[Values, Values | None]]()
+    for place in (0.0, 0.5, 0.5, 1.0):
+        s = section.end - section.part.length * ((k + place) / steps)
+        at, by_at = y, by
+        if slopes:
+            slope, by_slope = slopes[-1]
+            at = moved(y, (h * place, slope))
+            by_at = None if by is None or by_slope is None else moved(by, (h * place, by_slope))
+        slopes.append(section.slopes(s, at, by_at))
+    y = moved(y, *((h * weight, slope) for weight, (slope, _) in zip(weights, slopes, strict=True)))
+    if by is not None:
+        by = moved(by, *((h * weight, each) for weight, (_, each) in zip(weights, slopes, strict=True) if each))
+    return y, by
+
+
+def _changes(tip: Tip, load: Loading, follows: bool, xp: Any) -> Values:
+    """Those of the tip: what they make of angles, rates, turns of the frame, the moment and the force."""
+    d, (d1, d2, t) = len(tip.angles), tip.axes
+    a, b, *angles = _units(d + 2, xp)
+    none = 0.0 * a
+    moment = scaled(load.moment, plus(scaled(b, d1), -1.0 * a, d2))
+    force = (none, none, none)
+    if follows:
+        about = plus(plus(scaled(a, d1), b, d2), angles[-1], t)
+        force = cross(about, _held(tip, load.tool_force, xp))
+    return [*angles, *[none] * d, a, b, none, *moment, *force]
+
+
+def _anew(by: Values, responses: list[list[Any]], d: int, xp: Any) -> Values:
+    """What changes of this place make of all that responds; the responses here to those of the place before.
+
+    By elimination without a choice of pivots, which are positive where a robot is stable (stability.py).
+    """
+    a, b, c = by[2 * d : 2 * d + 3]
+    rows = [a, b, *(c + psi for psi in by[:d])]
+    responses.append(rows)
+    for k, unit in enumerate(_units(d + 2, xp)):
+        change = (unit - rows[k]) / rows[k][:, k : k + 1]
+        rows, by = ([row + row[:, k : k + 1] * change for row in some] for some in (rows, by))
+    return by
+
+
+def _units(size: int, xp: Any) -> list[Any]:
+    """Rows of the identity."""
+    return [xp.SX(ca.DM(row).T) if xp is ca else row[None] for row in np.eye(size)]
+
+
+def _held(tip: Tip, force: Vector, xp: Any) -> Vector:
+    """A force of the tool's directions in the base's."""
+    cos, sin, (d1, d2, t) = xp.cos(tip.angles[-1]), xp.sin(tip.angles[-1]), tip.axes
+    x, y = cos * force[0] - sin * force[1], sin * force[0] + cos * force[1]
+    return plus(plus(scaled(x, d1), y, d2), force[2], t)

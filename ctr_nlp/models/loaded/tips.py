@@ -1,0 +1,56 @@
+"""Tips of loaded robots: angles of tubes relative to a frame, and the unknowns that a model tells of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ctr_nlp.typing import Array, Vector
+
+
+def axes_of(vectors: tuple[Vector, Vector, Vector]) -> Array:
+    """Frames (T, 3, 3), row by row d_1, d_2 and t, of their columns (T,)."""
+    return np.stack(
+        [np.stack(np.broadcast_arrays(*vector, vectors[2][2])[:3], axis=-1) for vector in vectors], axis=1
+    )
+
+
+def turned(angles: Array, axes: Array, step: Array) -> tuple[Array, Array]:
+    """Tips (T, d), (T, 3, 3) after changes (T, d + 2): turns about d_1 and d_2, and of the angles."""
+    turns = np.concatenate([step[:, :2], np.zeros((len(step), 1))], axis=1)
+    return angles + step[:, 2:], np.swapaxes(rotations(turns), 1, 2) @ axes
+
+
+def rotations(vectors: Array) -> Array:
+    """The matrices (T, 3, 3) of rotation vectors (T, 3), by Rodrigues' formula."""
+    square = (vectors**2).sum(axis=1)[:, None, None]
+    angle = np.sqrt(square)
+    x, y, z = vectors.T
+    none = np.zeros_like(x)
+    cross = np.array([[none, -z, y], [z, none, -x], [-y, x, none]]).transpose(2, 0, 1)
+    return np.eye(3) + np.sinc(angle / np.pi) * cross + np.sinc(angle / (2 * np.pi)) ** 2 / 2 * cross @ cross
+
+
+def unknowns(angles: Array, axes: Array, beta: Array) -> Array:
+    """The x (T, 2d + 2) of tips: psi_i less psi_d, psi_d, beta, and w; (w_1, w_2, 0) is the tip's rotation vector.
+
+    psi is relative to the frame that this rotation makes of the base's directions. The half turn has no such w.
+    """
+    t = axes[:, 2]
+    sine = np.hypot(t[:, 0], t[:, 1])
+    factor = np.arctan2(sine, t[:, 2]) / np.maximum(sine, 1e-300)
+    w = np.where(sine[:, None] > 0, factor[:, None] * np.stack([-t[:, 1], t[:, 0]], axis=1), 0.0)
+    made = _frames(w)
+    cos, sin = (axes[:, 0] * made[:, 0]).sum(axis=1), (axes[:, 0] * made[:, 1]).sum(axis=1)
+    spun = angles[:, -1] + np.arctan2(sin, cos)
+    return np.hstack([angles[:, :-1] - angles[:, -1:], spun[:, None], beta, w])
+
+
+def tips(x: Array, d: int) -> tuple[Array, Array]:
+    """Angles (T, d) and axes (T, 3, 3) of unknowns x (T, 2d + 2)."""
+    angles = x[:, :d].copy()
+    angles[:, : d - 1] += angles[:, d - 1 :]
+    return angles, _frames(x[:, 2 * d :])
+
+
+def _frames(w: Array) -> Array:
+    return np.swapaxes(rotations(np.hstack([w, np.zeros((len(w), 1))])), 1, 2)
