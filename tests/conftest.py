@@ -33,6 +33,7 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ["CTR_NLP_CACHE"] = str(Path(folder.name, "cache"))
     os.environ["CTR_NLP_STATE"] = str(Path(folder.name, "state"))
     os.environ.setdefault("CTR_NLP_COMPILE", "now")
+    os.environ.setdefault("CTR_NLP_QUICK", "1")
     os.environ.setdefault(QUICK, "1")
     for name in THREADS:
         os.environ.setdefault(name, "1")
