@@ -119,8 +119,12 @@ def test_steps_give_the_frames_of_a_plan(name, frames):
         q = steerer.step(frame.points)
         iterations += steerer.iterations
         shape = shapes(problem.robot, q[None])[0]
-        np.testing.assert_allclose(shape, plan.shape[number], atol=1e-4, err_msg="both are solved to a residual only")
-        np.testing.assert_allclose(q, plan.q[number], atol=1e-2, err_msg="two joints together hardly show in a shape")
+        np.testing.assert_allclose(
+            shape, plan.shape[number], atol=1e-4, err_msg="both are solved to a residual only"
+        )
+        np.testing.assert_allclose(
+            q, plan.q[number], atol=1e-2, err_msg="two joints together hardly show in a shape"
+        )
         assert steerer.solved
         assert steerer.objective == pytest.approx(plan.objective[number], abs=1e-6)
         assert steerer.kkt == pytest.approx(plan.kkt[number], abs=1e-6)
