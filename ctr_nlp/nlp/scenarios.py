@@ -147,7 +147,7 @@ class SharedMotion:
         _, count, _, d = self.sizes
         size = count * len(self.own_rows)
         own = rows[:size].reshape(count, -1).sum(axis=1)
-        tips = rows[size : size + (count - 1) * (d - 1)].reshape(count - 1, -1).sum(axis=1)
+        tips = rows[size : size + (count - 1) * (d - 1)].reshape(count - 1, d - 1).sum(axis=1)
         return np.asarray(own + np.append(0.0, tips))
 
     def unknowns(self, q: Array, phi: Array, given: Array) -> Array:

@@ -84,6 +84,20 @@ def test_values_are_those_of_robots_followed_one_by_one(problem, motion, q):
     assert values.objective == pytest.approx(expected, rel=1e-3)
 
 
+@pytest.mark.parametrize("count", [1, 3])
+def test_rows_are_counted_for_the_scenario_that_they_belong_to(problem, count):
+    """Where the robot as described is the only one, too."""
+    scenarios = Scenarios(
+        np.array([robot.numbers for robot in _robots()[:count]]), OFFSETS[:count], SHARES[:count]
+    )
+    at = problem.samples, problem.dt, WEIGHT, Ends(), MODELS["elastic"], scenarios
+    motion = shared_motion(TWO, *at, fastest, np.full(FRAMES, MARGIN))
+    own, (rows,) = len(motion.own_rows), motion.row_bounds[0].shape[1:]
+    found = motion.by_scenario(np.ones(rows))
+    assert own > 0
+    np.testing.assert_array_equal(found, [own, *[own + 1] * (count - 1)])
+
+
 def _squares(problem, robot, q, offset):
     """Mean square errors (T,) over every fifth sample of a robot that is moved with its motors' offsets."""
     x = follow(robot, q + np.pad(offset, (0, 4))).x
