@@ -188,10 +188,11 @@ def symbolic(structure: Structure) -> Symbolic:
     travels, _ = shape.travels(tubes, beta, parts, s, ca)
     _, turns = shape.travels(tubes, beta, parts, beta[-1], ca)
     tip = combination(combination([1.0, *turns], [(0.0, 0.0, 1.0), *vectors]), base)
-    made = [alpha, ca.jacobian(alpha, x[: d - 1])], of[:3], [of.second], [matrix_of(placed), ca.vertcat(*tip)]
+    motors, placing = [alpha, ca.jacobian(alpha, x[: d - 1])], [matrix_of(placed), ca.vertcat(*tip)]
+    made: list[list[Any]] = [motors, list(of[:3]), [of.second], placing]
     alone = [
-        ca.Function(name, [x, numbers], [ca.densify(part) for part in parts])
-        for name, parts in zip(FUNCTIONS, made, strict=False)
+        ca.Function(name, [x, numbers], [ca.densify(value) for value in values])
+        for name, values in zip(FUNCTIONS, made, strict=False)
     ]
     given = s, ca.SX.sym("vectors", 3, len(placed)), ca.SX.sym("beta", d), numbers
     (point,) = ca.substitute([given[1] @ ca.vertcat(*travels)], [ca.vertcat(*beta)], [given[2]])
