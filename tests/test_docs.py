@@ -26,6 +26,7 @@ import numpy as np
 import pytest
 from pages import Block, Page
 
+from ctr_nlp import Robot, table_i_robot
 from ctr_nlp.anatomy.files import read_branches
 from ctr_nlp.cli import main
 from ctr_nlp.cli.main import COMMANDS
@@ -46,10 +47,13 @@ THIN = {
     ("scripts/compare_solvers.py", "compare"): "--frames 2 --variants joint:sqp horizon:banded",
     ("scripts/benchmark.py", "benchmark"): "--parts rows --rows frame",
     ("scripts/study_clearance.py", "clearance"): "--seeds 1 --frames 5",
-    ("scripts/design_tubes.py", "design"): "--nominal --frames 4 --starts 1",
+    ("scripts/design_tubes.py", "design"): "--nominal --frames 4 --starts 1 --robot two.toml",
     ("scripts/reproduce_seed.py", "reproduce"): "--only fig10 --frames 3 --jobs 1",
 }
-"""Names of one program, as a script or a subcommand -> further arguments."""
+"""Names of one program, as a script or a subcommand -> further arguments.
+
+Programs of a design are the largest of all, those of two tubes a third as large as those of three.
+"""
 
 PIP = '''#!{python}
 """Instead of pip, which needs a network: whether what is to be installed could be."""
@@ -74,6 +78,7 @@ def clone_of(folder: Path, thin: bool) -> Path:
     for part in ("scripts", "examples", "docs"):
         shutil.copytree(ROOT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", folder)
+    (folder / "two.toml").write_text(Robot(table_i_robot().tubes[1:]).to_toml(), encoding="utf-8")
     (folder / ".venv" / "bin").mkdir(parents=True)
     cases = [f'{"|".join(names)}) set -- "$@" {more} ;;' for names, more in THIN.items() if thin]
     head = "\n".join(["#!/bin/sh", 'case "$1" in', *cases, "esac", f'exec "{sys.executable}"'])
