@@ -118,12 +118,10 @@ def test_steps_give_the_frames_of_a_plan(name, frames):
     for number, frame in enumerate(problem.samples):
         q = steerer.step(frame.points)
         iterations += steerer.iterations
-        shape = shapes(problem.robot, q[None])[0]
+        shape, others = shapes(problem.robot, q[None])[0], [0, 1, 2, 5, 6, 7]
+        np.testing.assert_allclose(q[others], plan.q[number, others], atol=1e-3)
         np.testing.assert_allclose(
-            shape, plan.shape[number], atol=1e-4, err_msg="both are solved to a residual only"
-        )
-        np.testing.assert_allclose(
-            q, plan.q[number], atol=1e-2, err_msg="two joints together hardly show in a shape"
+            shape, plan.shape[number], atol=1e-4, err_msg="where outer tubes end is known to a residual only"
         )
         assert steerer.solved
         assert steerer.objective == pytest.approx(plan.objective[number], abs=1e-6)
