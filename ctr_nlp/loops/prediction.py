@@ -25,6 +25,10 @@ from ctr_nlp.typing import Array
 TUBE_PARTS = NAMES[:-1]
 """Of NAMES, what changes numbers of tubes; the last is the motor's zero, which changes alpha."""
 
+LARGEST = 1 - 1e-6
+"""The margin at which slopes are taken where it is larger: at 1, where tubes do not act on each other, the
+determinant has none."""
+
 CHANGED = {
     "curvature": ("root_curvature", "tip_curvature"),
     "bending_stiffness": ("bending_stiffness",),
@@ -66,7 +70,7 @@ class Predictor:
 
     def __call__(self, x: Array, numbers: Array, described: Array, margin: float) -> Predicted:
         """At unknowns x (n_x,) of tubes of numbers (d, 6), with a margin; described (d, 6): of which parts are."""
-        self._given[self._n :] = np.concatenate([numbers.ravel("F"), described.ravel("F"), [margin]])
+        self._given[self._n :] = np.concatenate([numbers.ravel("F"), described.ravel("F"), [min(margin, LARGEST)]])
         points, tangents, of_points, of_tangents, of_phi, of_margin = self._call(x)
         slopes = self._k, self._n, 3
         return Predicted(
