@@ -13,6 +13,10 @@ MODULI = (100.0, 500_000.0)
 """Least and largest modulus of a tube, MPa, from soft polymers to beyond steel."""
 RATIO = 10.0
 """A modulus of less is a ratio to those of other tubes, or written in GPa."""
+REMEDY = (
+    "; this one looks like a ratio, which is enough without loads: write moduli into the robot file, or give one "
+    "by with_modulus (--youngs-modulus)"
+)
 PA, GPA = 1e-6, 1e3
 """In MPa."""
 
@@ -24,9 +28,7 @@ def check_moduli(robot: Robot) -> None:
         if low <= value <= high:
             continue
         found = did_you_mean(_meant(value))
-        left_out = "; without loads only ratios between tubes matter, and this one looks like a ratio" * (
-            value <= RATIO
-        )
+        left_out = REMEDY * (value <= RATIO)
         raise LoadError(
             f"youngs_modulus of tube {i} is {value:g}; under a load it must be in MPa and lie in "
             f"[{low:g}, {high:g}], as about 60000 of nitinol{left_out}{found}"

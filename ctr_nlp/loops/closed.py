@@ -11,7 +11,6 @@ from ctr_nlp.loops.feed import Feed
 from ctr_nlp.loops.observer import Innovation
 from ctr_nlp.loops.plant import Plant
 from ctr_nlp.loops.tracker import Note, State, Tracker
-from ctr_nlp.models import model_named
 from ctr_nlp.plan.measures import rms_over_sigma
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.simulation.drawn import APART
@@ -88,7 +87,7 @@ def _run(
 
 def _elsewhere(plan: Plan, x: Array) -> Array:
     """In which frames tips are turned by more than APART against each other than the described robot's, (T,)."""
-    model = model_named(plan.evaluated)
+    model = plan.evaluated_on
     if not model.several_equilibria:
         return np.zeros(len(x), dtype=bool)
     own = model.follow(plan.robot, plan.q).x

@@ -17,7 +17,6 @@ from ctr_nlp.loops.doubts import Doubts
 from ctr_nlp.loops.observer import Innovation, Observer
 from ctr_nlp.loops.prediction import Predictor
 from ctr_nlp.loops.sensors import Reading, Sensors
-from ctr_nlp.models import model_named
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Tolerances
 from ctr_nlp.target.target import SIGMA
@@ -80,7 +79,7 @@ class Tracker:
         """
         if not plan.complete:
             raise OptionError("the plan has frames without a solution, and cannot be tracked")
-        self.plan, self._robot, model = plan, plan.robot, model_named(plan.evaluated)
+        self.plan, self._robot, model = plan, plan.robot, plan.evaluated_on
         differences = Differences.of(plan.robot, tolerances)
         if known is not None:
             differences = replace(differences, mean=known[0], covariance=known[1])

@@ -29,6 +29,7 @@ def title(found: dict[str, Any]) -> str:
         found["direction"] is not None
     )
     seen = "" if found["evaluated"] == found["model"] else f", on the {found['evaluated']} model"
+    seen += "" if found["load"] is None else f", under {found['load']}"
     return f"{found['problem']}, {' '.join(how)}{seen}"
 
 
@@ -67,12 +68,16 @@ def rows(found: dict[str, Any]) -> list[Row]:
 
 def remarks(plan: Plan, found: dict[str, Any]) -> list[str]:
     """Sentences on limits that bind or are exceeded, snaps, contacts and failures; none where all is well."""
-    snaps = [
-        f"snap on the way to frame {snap['frame']}: tips of tubes {', '.join(map(str, snap['tubes']))} turn by "
-        f"{snap['jump']:.2f} rad"
-        for snap in found["snaps"]
-    ]
+    snaps = [_snap(snap) for snap in found["snaps"]]
     return [*_limits(plan, found), *snaps, *_contacts(plan, found), *_certificate(plan), *_failures(plan)]
+
+
+def _snap(snap: Mapping[str, Any]) -> str:
+    tubes = ", ".join(map(str, snap["tubes"]))
+    if snap["jump"] is None:
+        come = "where the robot comes to rest under the load is not known"
+        return f"snap on the way to frame {snap['frame']}: tips of tubes {tubes} jump; {come}"
+    return f"snap on the way to frame {snap['frame']}: tips of tubes {tubes} turn by {snap['jump']:.2f} rad"
 
 
 def _limits(plan: Plan, found: dict[str, Any]) -> list[str]:

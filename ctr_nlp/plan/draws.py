@@ -45,7 +45,7 @@ def robustness(plan: Record, count: int = DRAWS, seed: int = SEED) -> Robustness
 
 def _measured(plan: Record, draws: Draws, frames: Index) -> tuple[Any, ...]:
     """Of every draw what Robustness holds, from e2 to cloud, in its order."""
-    found = drawn_motion(plan.robot, draws, plan.q, plan.evaluated)
+    found = drawn_motion(plan.robot, draws, plan.q, plan.evaluated_on)
     distance = _distance(plan, found)
     margins = np.fmin(found.stability, found.stability_between)
     clearance = contact = np.full(len(draws), np.nan)
@@ -79,7 +79,7 @@ def _costs(plan: Record) -> tuple[Array, Index]:
     """
     cases = list(_alone(plan))
     parts, lags = (np.array(arrays) for arrays in zip(*((part, lag) for _, part, lag in cases), strict=True))
-    found = drawn_motion(plan.robot, drawn_from(plan.robot, parts, lags), plan.q, plan.evaluated)
+    found = drawn_motion(plan.robot, drawn_from(plan.robot, parts, lags), plan.q, plan.evaluated_on)
     squares = np.nanmean(rms_over_sigma(_distance(plan, found)) ** 2, axis=1)
     growth = np.full((plan.robot.d, len(COSTLY)), np.nan)
     lost = np.zeros(growth.shape, dtype=int)

@@ -117,6 +117,7 @@ def summary(plan: Record) -> dict[str, Any]:
         "formulation": plan.meta["formulation"],
         "model": plan.meta["model"],
         "evaluated": plan.evaluated,
+        "load": None if plan.bears is None else str(plan.bears),
         "solver": plan.meta["solver"],
         "direction": plan.options.get("direction"),
         "smoothing_deviation": plan.meta["problem"]["deviation"],

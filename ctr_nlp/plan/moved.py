@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ctr_nlp.formulations.around import Beside
-from ctr_nlp.models import Snap
+from ctr_nlp.models import Model, Snap
 from ctr_nlp.plan.measures import rms_over_sigma, root_mean_square
 from ctr_nlp.robot import Robot
 from ctr_nlp.simulation.forward import Simulation, simulated
@@ -29,7 +29,13 @@ class Moved(NamedTuple):
 
 
 def moved(
-    robot: Robot, q: Array, model: str, *, target: Array, lumen: Array | None = None, free: Array | None = None
+    robot: Robot,
+    q: Array,
+    model: str | Model,
+    *,
+    target: Array,
+    lumen: Array | None = None,
+    free: Array | None = None,
 ) -> Moved:
     """The robot moved on a model through q (T, 2d + 2), towards target (T, 101, 3) mm.
 
@@ -53,7 +59,7 @@ def moved(
     return Moved(arrays, told, found)
 
 
-def free_errors(robot: Robot, free: Array | None, target: Array, model: str) -> Array | None:
+def free_errors(robot: Robot, free: Array | None, target: Array, model: str | Model) -> Array | None:
     """e2 (T,) in mm of a motion (T, 2d + 2) that was found without the wall; None without one."""
     if free is None:
         return None

@@ -13,7 +13,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.exceptions import CtrError, OutputError
+from ctr_nlp.exceptions import CtrError, LoadError, OutputError
+from ctr_nlp.loads import Load, with_modulus
+from ctr_nlp.models import Model, model_named
+from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.plan.draws import DRAWS, SEED, robustness
 from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.moved import elsewhere, lost, moved
@@ -23,7 +26,7 @@ from ctr_nlp.plan.stretches import joined, resampled, rows, stretch, turned
 from ctr_nlp.plan.verdicts import Verdicts, verdicts
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.cards import Line, card
-from ctr_nlp.support.values import checked_path, whole_number
+from ctr_nlp.support.values import checked_path, instance, whole_number
 from ctr_nlp.support.whole_file import whole_file
 from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.target.problem import Problem
@@ -48,8 +51,31 @@ class Plan(Record):
 
     def on(self, model: str) -> Plan:
         """The same motion on another model: shapes, tip directions and stability of the robot moved through it."""
+        return self._evaluated(model_named(model), {"evaluated": model, "load": None})
+
+    def under(self, load: Load) -> Plan:
+        """The same motion of the robot that bears a load all the time, on the elastic model (models/loaded).
+
+        The load comes while the robot stands in the first frame, and is taken away in the last one. Raises
+        LoadError where the load does not fit the robot, or this has no modulus in MPa (with_modulus).
+        """
+        instance(LoadError, "load", load, Load)
+        model = Loaded(load)
+        return self._evaluated(model, {"evaluated": model.name, "load": load.to_dict()})
+
+    def with_modulus(self, modulus: float) -> Plan:
+        """The same plan of a robot whose tubes have Young's moduli in MPa, where they had only ratios.
+
+        modulus: in MPa, of a tube whose ratio is 1. Shapes and margins without a load stay the same. Raises
+        LoadError.
+        """
+        if self.bears is not None:
+            raise LoadError(f"the plan is evaluated under {self.bears}; give its robot a modulus before the load")
+        return replace(self, meta=self.meta | {"robot": with_modulus(self.robot, modulus).to_dict()})
+
+    def _evaluated(self, model: Model, told: dict[str, Any]) -> Plan:
         found = moved(self.robot, self.q, model, target=self.target, lumen=self.lumen, free=self.free)
-        return replace(self, **found.arrays, meta=self.meta | found.told | {"evaluated": model}, drawn=None)
+        return replace(self, **found.arrays, meta=self.meta | found.told | told, drawn=None)
 
     def robustness(self, draws: int = DRAWS, seed: int = SEED) -> Robustness:
         """What becomes of the plan on draws of its robot, within its tolerances, on the model it is evaluated on.
@@ -70,6 +96,7 @@ class Plan(Record):
     def __repr__(self) -> str:
         failed, error = int((~self.success).sum()), e3(self)
         on = "" if self.evaluated == self.meta["model"] else f" on the {self.evaluated} one"
+        on += "" if self.bears is None else f" under {self.bears}"
         return (
             f"Plan({self.meta['problem']['name']}: {len(self.time)} frames in {self.time[-1]:g} s, "
             f"{'all' if not failed else len(self.time) - failed} solved, {self.robot.d} tubes, "

@@ -13,7 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.exceptions import OutputError
-from ctr_nlp.models import MODELS
+from ctr_nlp.loads import Load
+from ctr_nlp.models import MODELS, Model
+from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.plan.robustness import PREFIX, Robustness
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.equal import Value, read_only
@@ -84,10 +86,25 @@ class Record(Value):
         """The model that its shapes and margins are those of."""
         return str(self.meta.get("evaluated", self.meta["model"]))
 
+    @cached_property
+    def bears(self) -> Load | None:
+        """What the robot bears all the time there; None for nothing."""
+        return None if self.meta.get("load") is None else Load.from_dict(self.meta["load"])
+
+    @cached_property
+    def evaluated_on(self) -> Model:
+        """That model, under the load."""
+        return MODELS[self.evaluated] if self.bears is None else Loaded(self.bears)
+
+    @property
+    def as_planned(self) -> bool:
+        """Whether it is the model that the motion was planned on, without a load."""
+        return self.evaluated == self.meta["model"] and self.bears is None
+
     @property
     def can_snap(self) -> bool:
         """Whether a robot can snap on that model."""
-        return MODELS[self.evaluated].can_snap
+        return self.evaluated_on.can_snap
 
     @cached_property
     def reached(self) -> Flags:
@@ -167,6 +184,8 @@ def check_meta(meta: Any) -> None:
     for key in ("model", "evaluated"):
         if str(meta.get(key, "dominant")) not in MODELS:
             raise OutputError(f"{key} of meta is {meta[key]!r:.60}; it must be one of {', '.join(MODELS)}")
+    if meta.get("load") is not None:
+        Load.from_dict(meta["load"])
 
 
 def check_arrays(arrays: Mapping[str, npt.NDArray[Any]], tubes: int) -> None:

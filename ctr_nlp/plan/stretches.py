@@ -61,7 +61,7 @@ def stretch(plan: AnyPlan, frames: slice) -> AnyPlan:
         for snap in plan.meta.get("snaps", [])
         if first < snap["frame"] <= stop
     ]
-    free = free_errors(plan.robot, plan.free, plan.target, plan.evaluated)
+    free = free_errors(plan.robot, plan.free, plan.target, plan.evaluated_on)
     meta["e3_free"] = e3_of(None if free is None else free[first:stop], plan.reached[first:stop])
     meta["stretch"] = {"first": first + 1, "last": stop, "of": count}
     meta["interpolated"] = [j - first for j in plan.meta.get("interpolated", []) if first < j <= stop]
@@ -99,7 +99,7 @@ def joined(plan: AnyPlan, other: Record) -> AnyPlan:
     both["time"] = plan.dt * np.arange(1.0, len(both["time"]) + 1)
     absent = {name: None for name in (*first, *second) if name not in both}
     q = np.concatenate([plan.q, other.q])
-    found = moved(plan.robot, q, plan.evaluated, target=both["target"], lumen=plan.lumen, free=both.get("free"))
+    found = moved(plan.robot, q, plan.evaluated_on, target=both["target"], lumen=plan.lumen, free=both.get("free"))
     apart = np.linalg.norm(found.arrays["shape"] - both["shape"], axis=-1).max(axis=1)
     away = np.isfinite(both["shape"]).all(axis=(1, 2)) & ~(apart < SAME_PLACE)
     alpha, beta, theta = plan.robot.split(np.abs(other.q[0] - plan.q[-1]))
@@ -144,7 +144,7 @@ def resampled(plan: AnyPlan, frames: int | None = None, dt: float | None = None)
     between["time"] = step * np.arange(1.0, len(at) + 1)
     q = np.hstack([between["alpha"], between["beta"], between["theta"]])
     target, free = between["target"], between.get("free")
-    found = moved(plan.robot, q, plan.evaluated, target=target, lumen=plan.lumen, free=free)
+    found = moved(plan.robot, q, plan.evaluated_on, target=target, lumen=plan.lumen, free=free)
     fine = _solved_around(plan, at)
     success = own & fine & plan.success[at.astype(int)]
     failures = {
@@ -203,6 +203,7 @@ def _check_alike(plan: Record, other: Record) -> None:
         ("robot", plan.robot, other.robot),
         ("model", plan.meta["model"], other.meta["model"]),
         ("model that they are evaluated on", plan.evaluated, other.evaluated),
+        ("load", plan.bears, other.bears),
         ("lumen", plan.lumen, other.lumen),
     ):
         if not equal(one, two):

@@ -79,14 +79,15 @@ def _followed(plan: Record) -> Judgement:
         return NO, number, "mm", f"The robot's shape is not known in {lost} of {frames} frames."
     if interpolated:
         return NOT_KNOWN, number, "mm", f"{interpolated} of {frames} frames were interpolated, not solved."
-    on = "" if plan.evaluated == plan.meta["model"] else f" on the {plan.meta['model']} model"
+    on = "" if plan.as_planned else f" on the {plan.meta['model']} model" + " without a load" * bool(plan.bears)
     told = f"All {frames} frames were solved{on}"
     if plan.free is None or number is None:
         return YES, number, "mm", f"{told}."
     free, cost = plan.meta["e3_free"], float(_option(plan, "clearance_cost"))
     if free is None:
         return NOT_KNOWN, number, "mm", f"{told}; how large e3 would be without the wall is not known."
-    here = f"on the {plan.evaluated} one " if on else ""
+    here = f"on the {plan.evaluated} one " if plan.evaluated != plan.meta["model"] else ""
+    here = here if plan.bears is None else f"under {plan.bears} "
     growth = number / free - 1 if number > free > 0 else 0.0
     allowed = "" if math.isinf(cost) else f", {100 * cost:g}% is allowed"
     told += f"; {here}the wall makes e3 {growth:.1%} larger than {free:.3g} mm{allowed}."
@@ -100,17 +101,22 @@ def _stable(plan: Record) -> Judgement:
     margins, snaps = np.minimum(plan.stability, plan.stability_between), plan.meta.get("snaps", [])
     known = np.isfinite(margins)
     least = float(margins[known].min()) if known.any() else None
+    bears = "" if plan.bears is None else f" under {plan.bears}"
     if snaps:
         more = f", and {len(snaps) - 1} times more" if len(snaps) > 1 else ""
-        return NO, least, "", f"The robot snaps on the way to frame {snaps[0]['frame']}{more}."
+        return NO, least, "", f"The robot snaps{bears} on the way to frame {snaps[0]['frame']}{more}."
     if least is not None and least <= 0:
         return NO, least, "", f"The robot is unstable in frame {np.nanargmin(margins) + 1} or on the way to it."
     if least is not None and least <= FORK:
         where = np.nanargmin(margins) + 1
         return NO, least, "", f"The robot passes a fork around frame {where}, and chance decides the way it takes."
+    if plan.bears is not None and not plan.bears.conservative:
+        told = "The robot does not snap, but a load that turns with its tip has no energy, and so no margin"
+        return NOT_KNOWN, least, "", f"{told}."
     if not known.all():
         return NOT_KNOWN, least, "", f"The stability margin is not known in {(~known).sum()} frames."
-    return YES, least, "", f"The robot does not snap; its margin is least around frame {margins.argmin() + 1}."
+    where = margins.argmin() + 1
+    return YES, least, "", f"The robot does not snap{bears}; its margin is least around frame {where}."
 
 
 def _within_limits(plan: Record) -> Judgement:

@@ -54,5 +54,5 @@ def _shapes(plan: Plan) -> Array:
     """Of the first draws in every frame, (n, T, samples, 3) mm."""
     assert plan.drawn is not None
     draws = drawn_from(plan.robot, plan.drawn.parts[:SHOWN], plan.drawn.lags[:SHOWN])
-    found = drawn_motion(plan.robot, draws, plan.q, plan.evaluated)
+    found = drawn_motion(plan.robot, draws, plan.q, plan.evaluated_on)
     return np.nan_to_num(found.shape[:, :, ::STRIDE]).astype(np.float32)

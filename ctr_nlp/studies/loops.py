@@ -84,8 +84,8 @@ def looped(name: str, plan: Plan, case: str, draws: int = DRAWS, seed: int = SEE
     robots = replace(robots, lags=np.full_like(robots.lags, at.play))
     runs, seconds = [], list[float]()
     for k, bent in zip(range(draws), _bent(at.bending, draws, seed), strict=True):
-        opened = open_loop(plan, Plant(plan.robot, robots[k : k + 1], plan.evaluated, bending=bent))
-        plant = Plant(plan.robot, robots[k : k + 1], plan.evaluated, bending=bent)
+        opened = open_loop(plan, Plant(plan.robot, robots[k : k + 1], plan.evaluated_on, bending=bent))
+        plant = Plant(plan.robot, robots[k : k + 1], plan.evaluated_on, bending=bent)
         feed, tracker = Feed(plant, at.sensors, seed + k), Tracker(plan, at.sensors, tolerances)
         runs.append((opened, closed_loop(plan, plant, feed, tracker)))
         seconds += runs[-1][1].seconds.tolist()

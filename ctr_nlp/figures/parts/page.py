@@ -46,7 +46,8 @@ def head(figure: Figure, plan: Plan, title: str) -> None:
         if numbers["evaluated"] == numbers["model"]
         else f"{numbers['evaluated']} instead of {numbers['model']}"
     )
-    how = f"{numbers['formulation']}, {on} model, {numbers['solver']}"
+    on += " model" + ("" if numbers["load"] is None else f" under {numbers['load']}")
+    how = f"{numbers['formulation']}, {on}, {numbers['solver']}"
     text = printable(f"{title}: {numbers['problem']}") + f"\n{how}; {outcome(numbers)}"
     figure.suptitle(text, fontsize=10, parse_math=False)
 

@@ -13,7 +13,7 @@ from ctr_nlp.exceptions import HardwareError, RobotError, TrajectoryError
 from ctr_nlp.hardware.arm.description import check_joints
 from ctr_nlp.hardware.arm.kinematics import joints
 from ctr_nlp.hardware.motion.trajectory import Trajectory
-from ctr_nlp.models import MODELS, Snap
+from ctr_nlp.models import Model, Snap, model_named
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
 from ctr_nlp.simulation.forward import simulated
@@ -113,7 +113,7 @@ def _check_steps(plan: Plan) -> None:
 
 def _check_shapes(plan: Plan) -> None:
     """Shapes are those that the motion leads to on the model that the plan is evaluated on."""
-    moved = simulated(plan.robot, plan.q, plan.evaluated)
+    moved = simulated(plan.robot, plan.q, plan.evaluated_on)
     _check_snaps(moved.snaps, np.arange(1, len(plan.time) + 1))
     away = np.nan_to_num(np.linalg.norm(moved.shape - plan.shape, axis=-1).max(axis=1), nan=np.inf)
     if away.max() > SAME_SHAPE:
@@ -124,7 +124,7 @@ def _check_shapes(plan: Plan) -> None:
         )
 
 
-def checked(trajectory: Trajectory, model: str | None = None, stretch: slice = WHOLE) -> Checked:
+def checked(trajectory: Trajectory, model: str | Model | None = None, stretch: slice = WHOLE) -> Checked:
     """What a trajectory uses of its hardware; raises TrajectoryError where that is more than all of it.
 
     model: on which it must be stable all along its path, where a robot can snap on it; None for no model.
@@ -151,8 +151,8 @@ def checked(trajectory: Trajectory, model: str | None = None, stretch: slice = W
             raise TrajectoryError(f"the tilt, at {SAMPLES} places a frame: {exception}") from exception
     late = trajectory.duration - float(trajectory.knots[-1] - trajectory.knots[0])
     margin = math.nan
-    if model is not None and MODELS[model].can_snap:
-        margin = _least_margin(trajectory, model, frame, q)
+    if model is not None and (moving := model_named(model)).can_snap:
+        margin = _least_margin(trajectory, moving, frame, q)
     return Checked(used[0], used[1], late, margin)
 
 
@@ -177,9 +177,9 @@ def _most(name: str, used: Array, trajectory: Trajectory, frame: Array) -> float
     return float(used[j, i])
 
 
-def _least_margin(trajectory: Trajectory, model: str, frame: Array, q: Array) -> float:
+def _least_margin(trajectory: Trajectory, model: Model, frame: Array, q: Array) -> float:
     """The least margin of the robot moved through q, which must be stable everywhere."""
-    found = MODELS[model].follow(trajectory.robot, q, substeps=1)
+    found = model.follow(trajectory.robot, q, substeps=1)
     _check_snaps(found.snaps, frame)
     least = np.nan_to_num(found.stability_between, nan=-np.inf)
     if not least.min() > 0:

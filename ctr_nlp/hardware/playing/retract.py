@@ -54,7 +54,7 @@ def retract(
     else:
         returns = return_path(plan, hardware, records, standing, player.device.resolution)
     for part in returns:
-        checked(part, plan.evaluated)
+        checked(part, plan.evaluated_on)
     player.journal.record(RETRACTED, ways=len(returns))
     for part in returns:
         result = player.play(part, seen)

@@ -20,6 +20,7 @@ from ctr_nlp.hardware.playing.playback import Seen
 from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.results import Outcome, Result, State
 from ctr_nlp.hardware.playing.trust import REMEDY
+from ctr_nlp.models import Model
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.typing import Array
 
@@ -42,7 +43,7 @@ def prepared(
     """
     check_plan(plan, hardware.tightened(plan.robot))
     trajectory = trajectory_of(plan, hardware, tempo, standing, share)
-    return trajectory, checked(trajectory, plan.evaluated)
+    return trajectory, checked(trajectory, plan.evaluated_on)
 
 
 def or_stopped(play: Callable[Playing, Result]) -> Callable[Playing, Result]:
@@ -83,9 +84,9 @@ def begin(
     standing = ready(player, home=home, verified=verified)
     if hardware.backlash.any():
         trajectory = trajectory_of(plan, hardware, tempo, standing.position, share)
-        checked(trajectory, plan.evaluated)
+        checked(trajectory, plan.evaluated_on)
     _announce(player, trajectory, tempo, standing.position, None, [])
-    return _go(player, trajectory, standing, plan.evaluated, seen, loop, plan.q[:0])
+    return _go(player, trajectory, standing, plan.evaluated_on, seen, loop, plan.q[:0])
 
 
 def ready(
@@ -137,7 +138,7 @@ def resume(
     s = place(trajectory, standing, player.device.resolution, frame)
     _announce(player, trajectory, told["tempo"], told["standing"], s, patches_of(records))
     rest, before = from_there(trajectory, s, told["tempo"])
-    return _go(player, rest, standing, plan.evaluated, seen, loop, before)
+    return _go(player, rest, standing, plan.evaluated_on, seen, loop, before)
 
 
 def from_there(trajectory: Trajectory, s: float, tempo: float) -> tuple[Trajectory, Array]:
@@ -185,7 +186,7 @@ def _go(
     player: Player,
     trajectory: Trajectory,
     standing: Standing,
-    model: str,
+    model: Model,
     seen: Seen | None,
     loop: ClosedLoop | None,
     before: Array,

@@ -17,7 +17,7 @@ class SimulatedRobot(Source):
     """The draw of a seed, on the model that a plan is evaluated on; faults: as of Feed."""
 
     def __init__(self, plan: Plan, sensors: Sensors, seed: int, faults: Sequence[Fault] = ()) -> None:
-        self.plant = Plant(plan.robot, drawn(plan.robot, 1, seed), plan.evaluated)
+        self.plant = Plant(plan.robot, drawn(plan.robot, 1, seed), plan.evaluated_on)
         self._feed = Feed(self.plant, sensors, seed, faults=faults)
 
     def open(self) -> None:

@@ -77,8 +77,12 @@ def symbolic(structure: Structure, follows: bool) -> ca.Function:
 
 @functools.lru_cache(maxsize=64)
 def _library(structure: Structure, follows: bool) -> Library:
-    function = symbolic(structure, follows)
-    return Library(function.serialize(), lambda: (function,), vector.LANES)
+    functions = functools.partial(_functions, structure, follows)  # it is sent to the process that compiles
+    return Library(symbolic(structure, follows).serialize(), functions, vector.LANES)
+
+
+def _functions(structure: Structure, follows: bool) -> tuple[ca.Function]:
+    return (symbolic(structure, follows),)
 
 
 def _fastest(structure: Structure, follows: bool) -> tuple[ca.Function, int]:

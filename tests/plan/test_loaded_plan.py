@@ -1,0 +1,143 @@
+"""Plans of robots that bear a load: what is told of them, kept in their files, and made of them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import truth
+from malformed import plan as three_tubes
+
+from ctr_nlp import Load, Plan, Problem, Robot, Tube, curve_from_formula, growing, summary
+from ctr_nlp.exceptions import LoadError, OptionError, OutputError
+from ctr_nlp.models import MODELS
+from ctr_nlp.models.loaded.model import Loaded
+from ctr_nlp.plan import account
+from ctr_nlp.plan.plan import plan_from_configurations
+from ctr_nlp.plan.verdicts import NO, NOT_KNOWN, YES
+
+TUBES = (Tube(90, 70, 0.01, 4.0, 3.2), Tube(150, 90, 0.01, 2.6, 1.6))
+PATH = curve_from_formula(lambda u: (0.0 * u, 0.0, u), 0.0, 80.0)
+WEAK = Load(force=(0.0, 0.05, 0.0))
+FRAMES = 4
+
+
+@pytest.fixture(scope="module")
+def plain() -> Plan:
+    """Two tubes that turn against each other a little, on the elastic model; moduli are ratios."""
+    q = np.zeros((FRAMES, 6))
+    q[:, 0], q[:, 2:4] = np.linspace(0, 0.6, FRAMES), (60.0, 80.0)
+    return made(Robot(TUBES), q)
+
+
+def made(robot: Robot, q: np.ndarray) -> Plan:
+    """On the elastic model; that its shapes are not those of its target does not matter."""
+    each = dict.fromkeys(("solve_time", "objective", "kkt"), np.arange(len(q), dtype=float))
+    told = dict(three_tubes().meta) | {"model": "elastic"}
+    problem = Problem("turned", robot, growing(PATH, len(q)))
+    return plan_from_configurations(problem, q, told, success=np.full(len(q), True), **each)
+
+
+@pytest.fixture(scope="module")
+def nitinol(plain: Plan) -> Plan:
+    return plain.with_modulus(60_000)
+
+
+def test_a_plan_bears_a_load(nitinol):
+    """Shapes and margins are those of the loaded model, and everything told of the plan says so."""
+    found = nitinol.under(WEAK)
+    model = Loaded(WEAK)
+    x = np.array([model.rest(nitinol.robot, q) for q in nitinol.q])
+    np.testing.assert_allclose(found.shape, model.points(nitinol.robot, x, np.linspace(0, 1, 101)), atol=1e-6)
+    np.testing.assert_allclose(found.stability, model.margins(nitinol.robot, x), atol=1e-6)
+    assert found.bears == WEAK
+    assert found.evaluated_on == model
+    assert found.verdicts.stable.word == YES
+    told = "under a tip force of (0, 0.05, 0) N"
+    assert told in repr(found)
+    assert told in found.verdicts.stable.why
+    assert account.title(summary(found)).endswith(f", {told}")
+    assert found.verdicts.followed.why == "All 4 frames were solved on the elastic model without a load."
+
+
+def test_without_its_load_it_is_the_plan_of_before(nitinol):
+    again = nitinol.under(WEAK).on("elastic")
+    assert again.bears is None
+    assert again.evaluated_on is MODELS["elastic"]
+    np.testing.assert_allclose(again.shape, nitinol.shape)
+    none = nitinol.under(Load())
+    np.testing.assert_allclose(none.shape, nitinol.shape, atol=1e-3)
+    np.testing.assert_allclose(none.stability, nitinol.stability, atol=1e-4)
+
+
+def test_a_modulus_changes_no_shape_without_a_load(plain, nitinol):
+    again = nitinol.on("elastic")
+    np.testing.assert_allclose(again.shape, plain.shape, atol=1e-9)
+    np.testing.assert_allclose(again.stability, plain.stability, atol=1e-9)
+    assert [tube.youngs_modulus for tube in nitinol.robot.tubes] == [60_000, 60_000]
+
+
+def test_a_file_keeps_the_load(nitinol, tmp_path):
+    found = nitinol.under(replace(WEAK, densities=6.45, down=(0, 0, 1)))
+    found.save(tmp_path / "plan.npz")
+    again = Plan.load(tmp_path / "plan.npz")
+    assert again == found
+    assert again.bears == found.bears
+
+
+def test_a_file_with_a_wrong_load_is_no_plan(nitinol, tmp_path):
+    wrong = replace(nitinol, meta=nitinol.meta | {"load": {"force": [0, 0, 1e9]}})
+    wrong.save(tmp_path / "plan.npz")
+    with pytest.raises(OutputError, match=r"is not a plan: force of a load is 1e\+09 N; it must be at most 100 N"):
+        Plan.load(tmp_path / "plan.npz")
+
+
+def test_a_snap_under_a_load_is_told(shared_data):
+    """The margin is 0.2 without it. Where the robot comes to rest is not known, and no number stands for it."""
+    case = truth.case(shared_data, 21)
+    found = made(case.robot, np.stack([case.q, case.q])).with_modulus(60_000).under(Load(force=(-0.5, 0, 0)))
+    numbers = summary(found)
+    assert [snap["jump"] for snap in numbers["snaps"]] == [None]
+    (remark,) = [each for each in account.remarks(found, numbers) if each.startswith("snap")]
+    assert remark.startswith("snap on the way to frame 1: ")
+    assert remark.endswith("where the robot comes to rest under the load is not known")
+    assert found.verdicts.stable.word == NO
+    assert found.verdicts.followed.word == NO
+    assert not found.reached.any()
+    json.dumps(numbers, allow_nan=False)
+
+
+def test_a_load_without_an_energy_has_no_margin(nitinol):
+    found = nitinol.under(Load(force=(0.05, 0, 0), axes="tool"))
+    assert found.reached.all()
+    assert found.verdicts.stable.word == NOT_KNOWN
+    assert found.verdicts.stable.why.endswith("has no energy, and so no margin.")
+
+
+def test_what_is_made_of_a_plan_bears_its_load(nitinol):
+    found = nitinol.under(WEAK)
+    assert found[1:3].bears == found.resampled(7).bears == WEAK
+    (middle,) = found.resampled(2 * FRAMES - 1).shape[2:3]
+    np.testing.assert_allclose(middle, found.shape[1], atol=1e-6)
+    assert (found + found).bears == WEAK
+    with pytest.raises(OptionError, match="the load of two plans to be joined differs"):
+        _ = found + nitinol
+
+
+def test_draws_of_a_plan_bear_its_load(nitinol):
+    loaded, free = (each.robustness(2).e2 for each in (nitinol.under(Load(force=(0, 3, 0))), nitinol))
+    assert loaded.shape == free.shape
+    assert abs(loaded - free).max() > 0.1
+
+
+def test_what_cannot_be_loaded_is_refused(plain, nitinol):
+    with pytest.raises(LoadError, match=r"youngs_modulus of tube 1 is 1; .*, or give one by with_modulus"):
+        plain.under(WEAK)
+    with pytest.raises(LoadError, match="load is None; it must be a Load"):
+        plain.under(None)
+    with pytest.raises(LoadError, match=r"densities of a load has 3 numbers"):
+        nitinol.under(Load(densities=(6, 6, 6), down=(0, 0, 1)))
+    with pytest.raises(LoadError, match="a modulus before the load"):
+        nitinol.under(WEAK).with_modulus(2.0)
