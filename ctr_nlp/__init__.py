@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from ctr_nlp.simulation.forward import shape_curve, shapes
     from ctr_nlp.steer import Steerer, solve_horizon, solve_per_frame
     from ctr_nlp.steer.robust import solve_robust, solve_robust_per_frame
+    from ctr_nlp.studies.forces import Forces, forces
     from ctr_nlp.target.curve import Curve, curve_from_formula, curve_from_points
     from ctr_nlp.target.problem import Problem
     from ctr_nlp.target.target import Target, growing, sequence
@@ -37,6 +38,7 @@ __all__ = [
     "CtrError",
     "Curve",
     "Design",
+    "Forces",
     "Limits",
     "Load",
     "Manufacture",
@@ -57,6 +59,7 @@ __all__ = [
     "curve_from_points",
     "design",
     "divided",
+    "forces",
     "growing",
     "problem_from_file",
     "read_csv",
@@ -93,6 +96,7 @@ _HOMES = {
     "simulation.forward": ("shape_curve", "shapes"),
     "steer": ("Steerer", "solve_horizon", "solve_per_frame"),
     "steer.robust": ("solve_robust", "solve_robust_per_frame"),
+    "studies.forces": ("Forces", "forces"),
     "target.curve": ("Curve", "curve_from_formula", "curve_from_points"),
     "target.problem": ("Problem",),
     "target.target": ("Target", "growing", "sequence"),

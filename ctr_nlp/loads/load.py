@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ctr_nlp.exceptions import LoadError
+from ctr_nlp.exceptions import CtrError, LoadError
 from ctr_nlp.loads.modulus import check_moduli
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.units import between, did_you_mean
 from ctr_nlp.support.packing import packable
-from ctr_nlp.support.values import floats, number, strict_json, unchanging
+from ctr_nlp.support.values import floats, number, read_toml, strict_json, unchanging
 from ctr_nlp.typing import Array
 
 AXES = "base", "tool"
@@ -140,6 +141,14 @@ class Load:
         if unknown:
             raise LoadError(f"unknown key {unknown[0]!r} in a load; allowed are {', '.join(allowed)}")
         return cls(**data)
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Load:
+        """The load of a TOML file; raises LoadError where it cannot be read or is not a load."""
+        try:
+            return cls.from_dict(read_toml(path))
+        except CtrError as error:
+            raise LoadError(f"load file {path}: {error}") from error
 
     def __str__(self) -> str:
         """In words, as tables and verdicts tell it."""

@@ -8,36 +8,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import truth
-from malformed import plan as three_tubes
+from loaded_plans import FRAMES, made, turned
 
-from ctr_nlp import Load, Plan, Problem, Robot, Tube, curve_from_formula, growing, summary
+from ctr_nlp import Load, Plan, summary
 from ctr_nlp.exceptions import LoadError, OptionError, OutputError
 from ctr_nlp.models import MODELS
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.plan import account
-from ctr_nlp.plan.plan import plan_from_configurations
 from ctr_nlp.plan.verdicts import NO, NOT_KNOWN, YES
 
-TUBES = (Tube(90, 70, 0.01, 4.0, 3.2), Tube(150, 90, 0.01, 2.6, 1.6))
-PATH = curve_from_formula(lambda u: (0.0 * u, 0.0, u), 0.0, 80.0)
 WEAK = Load(force=(0.0, 0.05, 0.0))
-FRAMES = 4
 
 
 @pytest.fixture(scope="module")
 def plain() -> Plan:
-    """Two tubes that turn against each other a little, on the elastic model; moduli are ratios."""
-    q = np.zeros((FRAMES, 6))
-    q[:, 0], q[:, 2:4] = np.linspace(0, 0.6, FRAMES), (60.0, 80.0)
-    return made(Robot(TUBES), q)
-
-
-def made(robot: Robot, q: np.ndarray) -> Plan:
-    """On the elastic model; that its shapes are not those of its target does not matter."""
-    each = dict.fromkeys(("solve_time", "objective", "kkt"), np.arange(len(q), dtype=float))
-    told = dict(three_tubes().meta) | {"model": "elastic"}
-    problem = Problem("turned", robot, growing(PATH, len(q)))
-    return plan_from_configurations(problem, q, told, success=np.full(len(q), True), **each)
+    """Its robot's moduli are ratios."""
+    return turned()
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""`ctr-nlp new`: a commented problem, robot or hardware file to start from."""
+"""`ctr-nlp new`: a commented problem, robot, hardware or load file to start from."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ NEXT = {
     "problem.py": "ctr-nlp plan {file}",
     "robot.toml": "ctr-nlp plan bronchus --robot {file}",
     "hardware.toml": "ctr-nlp play PLAN.npz --hardware {file} --dry-run",
+    "load.toml": "ctr-nlp under PLAN.npz --load {file}",
 }
 """Template -> what can be done with a copy of it."""
 KINDS = {Path(name).stem: name for name in NEXT}
@@ -22,7 +23,8 @@ KINDS = {Path(name).stem: name for name in NEXT}
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
-        description="Write a file with comments to start from: a problem (.py), a robot or its hardware (.toml).",
+        description="Write a file with comments to start from: a problem (.py), a robot, its hardware or a load "
+        "(.toml).",
         epilog="Exit status: 0 written, 2 bad input, nothing written; a file that is there is never replaced.",
     )
     parser.add_argument("kind", choices=KINDS)

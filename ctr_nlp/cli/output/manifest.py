@@ -28,6 +28,11 @@ STANDARD: Mapping[str, tuple[str, ...]] = {
         "robustness.png",
     ),
     "robust": ("plan.npz", "errors.csv", "summary.json", "robustness.png"),
+    "under": (
+        *("plan.npz", "errors.csv", "summary.json", "shapes.png", "errors.png", "by_frame.png"),
+        *("configuration.png", "stability.png", "clearance.png"),
+    ),
+    "force": ("forces.json", "forces.csv", "forces.png"),
     "play": ("tracking.csv", "tracking.png"),
     "report": ("report.html",),
     "bag": ("metadata.yaml", "{folder}.mcap", "{folder}.db3"),

@@ -52,30 +52,20 @@ class Loaded(Model):
 
     def points(self, robot: Robot, x: Array, sigma: Array) -> Array:
         """As Model.points."""
-        return self._curves(robot.structure, robot.numbers[None], self.load.numbers(robot), x, sigma)[0]
+        return self._curves(robot, x, sigma)[0]
 
     def tangents(self, robot: Robot, x: Array, sigma: Array) -> Array:
         """As Model.tangents."""
-        return self._curves(robot.structure, robot.numbers[None], self.load.numbers(robot), x, sigma)[1]
+        return self._curves(robot, x, sigma)[1]
+
+    def _curves(self, robot: Robot, x: Array, sigma: Array) -> tuple[Array, Array]:
+        acting = self.load.numbers(robot)[None]
+        return curves(robot.structure, robot.numbers[None], acting, x, sigma, self.load.follows)
 
     def points_apart(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
         """As Model.points_apart; raises LoadError where tubes' weights count."""
-        return self._curves(structure, numbers, self.load.numbers_apart(structure.d), x, sigma)[0]
-
-    def _curves(
-        self, structure: Structure, numbers: Array, acting: Array, x: Array, sigma: Array
-    ) -> tuple[Array, Array]:
-        """Points and tangents (T, n, 3) of robots of numbers (T or 1, d, 6)."""
-        d, tubes = structure.d, tubes_in_columns(structure, numbers)
-        beta, (angles, axes) = columns_of(x[:, d : 2 * d]), tips(x, d)
-        d1, d2, t = (_vector(axes[:, k]) for k in range(3))
-        parts, tip = sections(tubes, beta, np, planes=False), Tip(columns_of(angles), (d1, d2, t))
-        rod = integrated(tubes, tip, beta, parts, loading(acting.tolist()), np, STEPS, follows=self.load.follows)
-        vectors = [vector for tangents in rod.tangents for vector in shape.powers(tangents)]
-        lengths, turns = shape.travels(tubes, beta, parts, sigma * beta[-1], np, STEPS // 2)
-        like = np.zeros((len(x), np.shape(sigma)[-1]))
-        points, tangents = combination(lengths, vectors), combination([1.0, *turns], [rod.axes[2], *vectors])
-        return _stacked(points, like), _stacked(tangents, like)
+        acting = self.load.numbers_apart(structure.d)[None]
+        return curves(structure, numbers, acting, x, sigma, self.load.follows)[0]
 
     def margins(self, robot: Robot, x: Array) -> Array:
         """As Model.margins; NaN under a load that has no energy."""
@@ -118,6 +108,22 @@ class Loaded(Model):
     def follower(self, robot: Robot) -> Follower:
         """What follows a robot that bears the load; one object a thread."""
         return Follower(robot.structure, robot.numbers, self.load, self.load.numbers(robot))
+
+
+def curves(
+    structure: Structure, numbers: Array, acting: Array, x: Array, sigma: Array, follows: bool
+) -> tuple[Array, Array]:
+    """Points and tangents (T, n, 3) of robots of numbers (T or 1, d, 6) under loads (T or 1, 7 + 3d)."""
+    d, tubes = structure.d, tubes_in_columns(structure, numbers)
+    beta, (angles, axes) = columns_of(x[:, d : 2 * d]), tips(x, d)
+    d1, d2, t = (_vector(axes[:, k]) for k in range(3))
+    parts, tip = sections(tubes, beta, np, planes=False), Tip(columns_of(angles), (d1, d2, t))
+    rod = integrated(tubes, tip, beta, parts, loading(columns_of(acting)), np, STEPS, follows=follows)
+    vectors = [vector for tangents in rod.tangents for vector in shape.powers(tangents)]
+    lengths, turns = shape.travels(tubes, beta, parts, sigma * beta[-1], np, STEPS // 2)
+    like = np.zeros((len(x), np.shape(sigma)[-1]))
+    points, tangents = combination(lengths, vectors), combination([1.0, *turns], [rod.axes[2], *vectors])
+    return _stacked(points, like), _stacked(tangents, like)
 
 
 def _vector(rows: Array) -> Vector:

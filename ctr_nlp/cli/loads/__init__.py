@@ -1,0 +1,1 @@
+"""Commands on robots that bear a load."""

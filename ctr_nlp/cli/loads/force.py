@@ -1,0 +1,95 @@
+"""`ctr-nlp force`: the tip forces that a plan bears."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from pathlib import Path
+
+from ctr_nlp.cli.arguments import add_figures_option, add_out_option, whole
+from ctr_nlp.cli.console import SOLVED, Command, console, print_table
+from ctr_nlp.cli.loads.options import add_modulus_option, read_plan
+from ctr_nlp.cli.output.file import path_component, write_text
+from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.studies.forces import COUNTS, MOST, Forces, Worst, forces
+from ctr_nlp.support.tables import write_csv
+
+WEAKEST = 5
+"""Frames that the table shows."""
+
+
+def _parser(prog: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=prog,
+        description="The largest force at its tip that every frame of a plan bears before the robot snaps, or "
+        "leaves its lumen, in many directions of the base frame, on the elastic model; and by how much the tip "
+        "gives in to a small force. Write forces.json, forces.csv and a picture.",
+        epilog="Exit status: 0 done, 2 bad input, nothing written. Forces act beside the load that the plan is "
+        "evaluated under (`ctr-nlp under`).",
+    )
+    parser.add_argument("plan", metavar="PLAN.npz")
+    parser.add_argument("--every", metavar="N", type=whole, default=1, help="look at every Nth frame (default 1)")
+    told = "6: along the axes; 14: also to the corners of a cube; 26: also to its edges (default 26)"
+    parser.add_argument("--directions", type=int, choices=COUNTS, default=26, help=told)
+    told = f"force up to which is looked, N (default {MOST:g})"
+    parser.add_argument("--most", metavar="N", type=float, default=MOST, help=told)
+    told = "also find the force that presses the robot by more than so many mm beyond its lumen's wall"
+    parser.add_argument("--off", metavar="MM", type=float, help=told)
+    add_modulus_option(parser)
+    add_out_option(parser, "runs/PROBLEM-force")
+    add_figures_option(parser)
+    return parser
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    plan = read_plan(arguments)
+    name = str(plan.meta["problem"]["name"])
+    out = Path(arguments.out or f"runs/{path_component(name)}-force")
+    check_folder(out, "force")
+    asked = {key: getattr(arguments, key) for key in ("every", "directions", "most", "off")}
+    found = forces(plan, **asked)
+    _print(found, plan)
+    with published(out, "force") as staging:
+        write_text(staging / "forces.json", json.dumps(found.summary(), indent=2, allow_nan=False) + "\n")
+        write_csv(staging / "forces.csv", found.rows())
+        if not arguments.no_figures:
+            from ctr_nlp.figures import save  # brings matplotlib, which takes long to load
+            from ctr_nlp.studies.force_picture import picture
+
+            save(picture(found, name), staging / "forces.png")
+        files = sorted(path.name for path in staging.iterdir())
+    console().print(f"wrote {out}: {', '.join(files)}")
+    return SOLVED
+
+
+def _print(found: Forces, plan: Plan) -> None:
+    """The weakest frames, and what the worst of all is."""
+    order = found.bears.min(axis=1).argsort(kind="stable")[:WEAKEST]
+    every = found.rows()
+    columns = ("frame", "snaps N", *(["leaves N"] if found.off is not None else []), "towards", "gives in mm/N")
+    rows = []
+    for row in (every[k] for k in order):
+        leaves = [row["leaves_N"]] if found.off is not None else []
+        towards = " ".join(f"{row[axis]:.2f}" for axis in "xyz")
+        rows.append([str(row["frame"]), row["snaps_N"], *leaves, towards, row["softest_mm_per_N"]])
+    beside = "" if plan.bears is None else f", beside {plan.bears}"
+    title = f"{plan.meta['problem']['name']}, tip forces borne, the weakest of {len(every)} frames{beside}"
+    print_table(title, columns, rows)
+    console().print(_told(found.snap, "snaps the robot", found))
+    if found.leave is not None:
+        console().print(_told(found.leave, f"presses it more than {found.off:g} mm beyond the wall", found))
+    console().print(f"The tip gives in to a small force by up to {found.softest.max():.3g} mm per N.")
+
+
+def _told(worst: Worst, does: str, found: Forces) -> str:
+    if math.isinf(worst.force):
+        return f"No tip force of up to {found.most:g} N, in {len(found.directions)} directions, {does}."
+    towards = ", ".join(f"{part:.2f}" for part in worst.direction)
+    looked = f"none of the {len(found.directions)} directions and {len(found.frames)} frames"
+    told = f"A tip force of {worst.force:.3g} N towards ({towards}) {does} in frame {worst.frame}"
+    return f"{told}; a smaller one does so in {looked}."
+
+
+main = Command("ctr-nlp force", _parser, _run)

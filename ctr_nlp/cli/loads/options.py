@@ -1,0 +1,39 @@
+"""Options of commands on robots that bear a load, and how their values are read."""
+
+from __future__ import annotations
+
+import argparse
+
+from ctr_nlp.cli.arguments import add_triple
+from ctr_nlp.loads import Load
+from ctr_nlp.plan.plan import Plan
+
+
+def add_modulus_option(parser: argparse.ArgumentParser) -> None:
+    """Young's modulus of a plan's robot."""
+    parser.add_argument(
+        "--youngs-modulus",
+        metavar="MPA",
+        type=float,
+        help="of the tubes, in MPa (nitinol has about 60000), where the plan's robot tells only their ratio, as "
+        "that of Table I does (default: the robot's own)",
+    )
+
+
+def add_load_options(parser: argparse.ArgumentParser) -> None:
+    """What the robot bears: a file, or a tip force alone."""
+    group = parser.add_mutually_exclusive_group(required=True)
+    told = "what the robot bears all the time (`ctr-nlp new load FILE.toml` writes one to start from)"
+    group.add_argument("--load", metavar="FILE.toml", help=told)
+    add_triple(group, "force", "a force at the tip alone, in N, in the directions of the base")
+
+
+def read_plan(arguments: argparse.Namespace) -> Plan:
+    """The plan of a command, with the modulus that was given; raises LoadError, OutputError."""
+    plan = Plan.load(arguments.plan)
+    return plan if arguments.youngs_modulus is None else plan.with_modulus(arguments.youngs_modulus)
+
+
+def read_load(arguments: argparse.Namespace) -> Load:
+    """The load that add_load_options asks for; raises LoadError."""
+    return Load(force=arguments.force) if arguments.load is None else Load.from_toml(arguments.load)
