@@ -26,8 +26,8 @@ STIFFNESS = 60_000 * math.pi / 64 * (1.5**4 - 1.0)
 GIVES_IN = OUT**3 / (3 * STIFFNESS)
 """mm/N, a cantilever's."""
 EULER = math.pi**2 * STIFFNESS / (4 * OUT**2)
-RATIO = 1.01
-"""From one force to the next where they are raised by hand."""
+LEAST, RATIO = 5e-3, 1.01
+"""The first force, N, and from one to the next, where they are raised by hand."""
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,7 @@ def raised_by_hand(plan: Plan, frame: int, directions: np.ndarray, most: float) 
     assert alone is not None
     going, found = np.arange(len(directions)), np.full(len(directions), np.inf)
     states = alone.rows(np.zeros(len(directions), dtype=int))
-    for force in np.geomspace(1e-3, most, math.ceil(math.log(most / 1e-3, RATIO))):
+    for force in np.geomspace(LEAST, most, math.ceil(math.log(most / LEAST, RATIO))):
         load = np.zeros((len(going), 7 + 3 * robot.d))
         load[:, :3] = force * directions[going]
         states, done = follower.loaded.along(states, states.q, load)
@@ -85,7 +85,7 @@ def test_directions_are_spread_evenly():
 
 
 def test_forces_are_those_of_loads_raised_in_small_steps(near_a_fork):
-    assert agree(near_a_fork) > 3
+    assert agree(near_a_fork, most=1.0) > 3
 
 
 @pytest.mark.slow
@@ -94,6 +94,7 @@ def test_forces_of_many_robots_are_those_of_loads_raised_in_small_steps(shared_d
     agree(at_case(shared_data, number))
 
 
+@pytest.mark.slow
 def test_margins_of_an_independent_energy_end_at_the_force(near_a_fork):
     """Near a fold their squares fall linearly with the force."""
     worst, parts = forces(near_a_fork, every=2).snap, (0.6, 0.9)
