@@ -126,12 +126,14 @@ class Model(ABC):
     The defaults suit a model whose unknowns are the configuration q (2d + 2,) itself and whose robot has one shape
     for each. several_equilibria: whether q alone does not determine the unknowns x: then x has d tips' angles
     first, and rest, guess, configuration and follow must be defined. can_snap: whether an equilibrium can become
-    unstable. bends_by_extension: whether curvatures depend on beta alone, which two-stage formulations need.
+    unstable. loaded: whether a load comes and goes while a robot stands. bends_by_extension: whether curvatures
+    depend on beta alone, which two-stage formulations need.
     """
 
     name: str
     several_equilibria = False
     can_snap = False
+    loaded = False
     bends_by_extension = False
 
     def check(self, robot: Robot) -> None:  # noqa: B027 - most models describe any robot

@@ -80,10 +80,11 @@ def test_a_file_with_a_wrong_load_is_no_plan(nitinol, tmp_path):
         Plan.load(tmp_path / "plan.npz")
 
 
-def test_a_snap_under_a_load_is_told(shared_data):
+@pytest.mark.parametrize("frames", [1, 2])
+def test_a_snap_under_a_load_is_told(shared_data, frames):
     """The margin is 0.2 without it. Where the robot comes to rest is not known, and no number stands for it."""
     case = truth.case(shared_data, 21)
-    found = made(case.robot, np.stack([case.q, case.q])).with_modulus(60_000).under(Load(force=(-0.5, 0, 0)))
+    found = made(case.robot, np.stack([case.q] * frames)).with_modulus(60_000).under(Load(force=(-0.5, 0, 0)))
     numbers = summary(found)
     assert [snap["jump"] for snap in numbers["snaps"]] == [None]
     (remark,) = [each for each in account.remarks(found, numbers) if each.startswith("snap")]

@@ -34,6 +34,7 @@ class Loaded(Model):
     name = "elastic"
     several_equilibria = True
     can_snap = True
+    loaded = True
 
     def check(self, robot: Robot) -> None:
         """Raise LoadError unless the robot tells its moduli, and the load fits it."""
