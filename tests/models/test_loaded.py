@@ -15,6 +15,7 @@ from ctr_nlp import Limits, Load, Robot, Tube, table_i_robot
 from ctr_nlp.exceptions import LoadError, OptionError
 from ctr_nlp.loads import with_modulus
 from ctr_nlp.models import MODELS
+from ctr_nlp.models.loaded import compiled
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.models.loaded.stability import margins
@@ -260,3 +261,16 @@ def test_a_tube_pushed_out_beyond_its_curved_part_may_be_the_last_one():
     model = Loaded(same(pull))
     points = model.points(robot, model.rest(robot, q)[None], SIGMA)[0]
     np.testing.assert_allclose(points, LoadedShot(robot, q, pull).points(SIGMA), atol=1e-3)
+
+
+def test_rods_go_over_to_compiled_code_once_it_is_there(monkeypatch):
+    """Until then they are interpreted, in the same object."""
+    offers = [(compiled.symbolic(ROD.structure, False), 1)] * 3
+    fastest = compiled._fastest
+    monkeypatch.setattr(compiled, "_fastest", lambda *which: offers.pop() if offers else fastest(*which))
+    equilibria, state = rod_state(0.1)
+    found = [equilibria.ends(state.angles, state.axes, state.q, state.load) for _ in range(4)]
+    assert not offers
+    assert len(equilibria.rods._mapped) == 1
+    for each in found:
+        np.testing.assert_allclose(each.responses, found[0].responses, atol=1e-9)

@@ -99,7 +99,8 @@ class Rods:
         """Numbers (d, 6) as of structure.NUMBERS; follows: whether a force turns with the tip."""
         self.d = structure.d
         self._numbers = numbers.ravel(order="F")
-        self._function, self._lanes = _fastest(replace(structure, gap=False), follows)
+        self._which = replace(structure, gap=False), follows
+        self._function, self._lanes = _fastest(*self._which)
         self._mapped: dict[int, Mapped] = {}
 
     def __call__(self, angles: Array, axes: Array, beta: Array, load: Array, soft: Array) -> Ends:
@@ -117,7 +118,10 @@ class Rods:
         )
 
     def _for(self, rows: int) -> Mapped:
-        """The function mapped over at least so many rows, in few sizes."""
+        """The function mapped over at least so many rows, in few sizes; compiled as soon as that has been done."""
+        if self._lanes < vector.LANES:
+            self._function, self._lanes = _fastest(*self._which)
+            self._mapped = {} if self._lanes == vector.LANES else self._mapped
         size = max(self._lanes, 1 << (rows - 1).bit_length())
         if size not in self._mapped:
             self._mapped[size] = Mapped(self._function, size, self._lanes)
