@@ -189,7 +189,7 @@ def _whole(kept: Path) -> bool:
 
 @functools.lru_cache(maxsize=64)
 def _matching(kept: Path, *as_they_are: tuple[int, ...]) -> bool:
-    """Whether a library matches its digest; as_they_are: what changes with either file, so that each is read once."""
+    """Whether a library matches its digest; as_they_are: what changes with either file."""
     return (kept / "sha256").read_text(encoding="ascii") == _digest(kept / "library.so", kept.name)
 
 
