@@ -11,7 +11,7 @@ import pytest
 from problems import NAMES, ROOT
 
 import ctr_nlp
-from ctr_nlp import Plan, Robot
+from ctr_nlp import Load, Plan, Robot
 from ctr_nlp.cli.commands import doctor
 from ctr_nlp.cli.commands.new import KINDS, template
 from ctr_nlp.cli.main import COMMANDS, load, main
@@ -236,7 +236,7 @@ def test_a_new_file_is_written_once_and_is_good(kind, tmp_path, monkeypatch, cap
     if kind == "problem":
         assert from_python(file, 4, 10.0, None).frames == 4
     else:
-        {"robot": Robot, "hardware": Hardware}[kind].from_toml(file)
+        {"robot": Robot, "hardware": Hardware, "load": Load}[kind].from_toml(file)
     Path(file).write_text("mine now")
     assert run("new", kind, file) == 2
     assert f"{file} exists and is left as it is" in capsys.readouterr().err
