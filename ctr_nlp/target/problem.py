@@ -39,8 +39,8 @@ class Problem(Value):
 
     to_robot: transform (4, 4) from the target's file, in its own coordinates, to the robot's frame; None where the
     target was given in the robot's frame. truth: q (T, 2d + 2) where it is known. lumen: the path with the lumen's
-    radius along it, in the robot's frame, longer than the target where more of it is known; None: no wall is known.
-    By default that of the target (OF_TARGET): its curve where all frames share one with a radius, else None.
+    radius along it, in the robot's frame, longer than the target where more of it is known, or None: no wall is
+    known. By default (OF_TARGET) the target where all frames share a curve with a radius, else None.
     problem[first:stop] are some of its frames, counted from 0, at the same pace. Raises ProblemError.
     """
 
