@@ -13,6 +13,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from ctr_nlp import Problem, Robot, curve_from_formula, growing, table_i_robot
+from ctr_nlp.codegen.vector import QUICK
 from ctr_nlp.support.pool import THREADS
 
 LONGEST = {"test_docs.py"}
@@ -32,6 +33,7 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ["CTR_NLP_CACHE"] = str(Path(folder.name, "cache"))
     os.environ["CTR_NLP_STATE"] = str(Path(folder.name, "state"))
     os.environ.setdefault("CTR_NLP_COMPILE", "now")
+    os.environ.setdefault(QUICK, "1")
     for name in THREADS:
         os.environ.setdefault(name, "1")
 

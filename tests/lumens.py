@@ -25,6 +25,14 @@ def straight(radius, length=120.0):
     return curve_from_points(np.outer(z, [0, 0, 1.0]), np.full(len(z), radius))
 
 
+def bent(radius, length=120.0):
+    """A lumen from the origin, as wide everywhere, which bends in space: unlike in a straight one, it matters how
+    a robot in it is turned about its own axis."""
+    z = np.linspace(0, length, 61)
+    points = np.stack([8 * (1 - np.cos(z / 60)), 2e-6 * z**3, z], axis=-1)
+    return curve_from_points(points, np.full(len(z), radius))
+
+
 def brute(curve: Curve, points):
     """Distances (n,) from points (n, 3) to a curve and where along it, from a polyline of 0.01 mm steps."""
     s = np.linspace(0, curve.length, int(curve.length / 0.01))

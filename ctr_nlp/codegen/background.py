@@ -52,7 +52,9 @@ class Library:
         functions: called only where code is written, perhaps in another process, and so pickled. key: under which
         the cache keeps the library.
         """
-        self.key = "\n".join([f"{lanes} lanes", ca.CasadiMeta.version(), _writer(), described])
+        self.key = "\n".join(
+            [f"{lanes} lanes", vector.effort(lanes), ca.CasadiMeta.version(), _writer(), described]
+        )
         self._functions, self._lanes = functions, lanes
         self._missed = -math.inf
 

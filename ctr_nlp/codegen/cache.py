@@ -179,12 +179,18 @@ def _sweep(place: Path) -> None:
 
 def _whole(kept: Path) -> bool:
     """Whether a library is ours and what was built under its name."""
-    found = kept / "library.so"
     try:
-        ours = not hasattr(os, "getuid") or found.stat().st_uid == os.getuid()
-        return ours and (kept / "sha256").read_text(encoding="ascii") == _digest(found, kept.name)
+        library, digest = ((kept / name).stat() for name in ("library.so", "sha256"))
+        ours = not hasattr(os, "getuid") or library.st_uid == os.getuid()
+        return ours and _matching(kept, *((of.st_ino, of.st_size, of.st_mtime_ns) for of in (library, digest)))
     except (OSError, UnicodeDecodeError):
         return False
+
+
+@functools.lru_cache(maxsize=64)
+def _matching(kept: Path, *as_they_are: tuple[int, ...]) -> bool:
+    """Whether a library matches its digest; as_they_are: what changes with either file."""
+    return (kept / "sha256").read_text(encoding="ascii") == _digest(kept / "library.so", kept.name)
 
 
 def _digest(path: Path, name: str) -> str:

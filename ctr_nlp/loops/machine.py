@@ -8,12 +8,16 @@ import casadi as ca
 
 from ctr_nlp.codegen import cache
 from ctr_nlp.codegen.background import Library
+from ctr_nlp.codegen.vector import SAME
 
 
-def machine_code(function: ca.Function) -> ca.Function:
-    """The same function of dense numbers, compiled once and kept."""
+def machine_code(function: ca.Function, lanes: int = 1) -> ca.Function:
+    """The same function of dense numbers, compiled once and kept.
+
+    lanes: for so many columns at once, but for inputs whose names begin with SAME (vector.vector_code).
+    """
     if cache.missing():
-        return function
-    return ca.external(
-        function.name(), str(Library(function.serialize(), functools.partial(tuple, (function,)), 1).now())
-    )
+        shared = [name for name in function.name_in() if name.startswith(SAME)]
+        return function.map(function.name(), "serial", lanes, shared, []) if lanes > 1 else function
+    made = Library(function.serialize(), functools.partial(tuple, (function,)), lanes)
+    return ca.external(function.name(), str(made.now()))

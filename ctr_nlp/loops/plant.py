@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.codegen.mapped import Mapped
+from ctr_nlp.codegen.vector import LANES, SAME
 from ctr_nlp.exceptions import RobotError
 from ctr_nlp.loops.machine import machine_code
 from ctr_nlp.loops.sensors import Seen
@@ -24,6 +25,9 @@ from ctr_nlp.simulation.drawn import SUBSTEPS
 from ctr_nlp.support.values import floats
 from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
+
+EACH = -(-len(SIGMA) // LANES)
+"""Places of the shape in each of the lanes in which it is evaluated."""
 
 
 class Moved(NamedTuple):
@@ -122,9 +126,11 @@ class Plant:
         """Points and tangents (n, 3) at sigma (n,)."""
         assert self._walker is not None
         x, d, count = self._walker.x, len(self._lags), len(sigma)
-        given = np.concatenate([np.resize(sigma, len(SIGMA)), self._numbers.ravel("F")])
-        self._view.inputs[1][0] = given
-        points, tangents = (found.reshape(3, -1).T[:count].copy() for found in self._view(x))
+        self._view.inputs[1][0] = np.resize(sigma, LANES * EACH)
+        points, tangents = (
+            found.reshape(LANES, 3, EACH).swapaxes(1, 2).reshape(-1, 3)[:count]
+            for found in self._view(x, self._numbers.ravel("F"))
+        )
         if self._bent.any():
             s, aside = sigma * x[2 * d - 1], np.append(self._bent, 0.0) / self._reach**2
             points += np.multiply.outer(s**2, aside)
@@ -134,13 +140,14 @@ class Plant:
 
 
 def _view(model: Model, structure: Structure) -> Mapped:
-    """(x, (sigma (101,), numbers (d, 6))) -> points and tangents (101, 3) in columns."""
+    """(x, sigma (EACH,), numbers (d, 6)) -> points and tangents (EACH, 3) in columns, in each of several lanes."""
     return Mapped(_compiled_view(model, structure), 1, 1)
 
 
 @functools.lru_cache(maxsize=16)
 def _compiled_view(model: Model, structure: Structure) -> ca.Function:
-    of = samples(model, structure, len(SIGMA))
-    x, sigma, numbers = (ca.SX.sym(of.name_in(i), *of.size_in(i)) for i in range(3))
-    found = [ca.densify(each) for each in of(x, sigma, numbers)]
-    return machine_code(ca.Function("view", [x, ca.vertcat(ca.vec(sigma), ca.vec(numbers))], found))
+    of = samples(model, structure, EACH)
+    given = [ca.SX.sym(of.name_in(i), *of.size_in(i)) for i in range(3)]
+    found = [ca.densify(each) for each in of(*given)]
+    names = [f"{SAME}x", "sigma", f"{SAME}numbers"], ["points", "tangents"]
+    return machine_code(ca.Function("view", given, found, *names), LANES)

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.codegen.mapped import Mapped
+from ctr_nlp.codegen.vector import LANES, SAME
 from ctr_nlp.loops.machine import machine_code
 from ctr_nlp.models import Model
 from ctr_nlp.models.protocol import symbolic_tubes
@@ -24,6 +25,10 @@ from ctr_nlp.typing import Array
 
 TUBE_PARTS = NAMES[:-1]
 """Of NAMES, what changes numbers of tubes; the last is the motor's zero, which changes alpha."""
+
+LARGEST = 1 - 1e-6
+"""The margin at which slopes are taken where it is larger: at 1, where tubes do not act on each other, the
+determinant has none."""
 
 CHANGED = {
     "curvature": ("root_curvature", "tip_curvature"),
@@ -59,34 +64,39 @@ class Predictor:
 
         freed: tubes, from 0, and their parts, of TUBE_PARTS, over which slopes are wanted.
         """
-        self._call = Mapped(_code(model, structure, len(sigma), freed), 1, 1)
+        each = -(-len(sigma) // LANES)
+        self._call = Mapped(_code(model, structure, each, freed), 1, 1)
+        self._call.inputs[1][0] = np.append(sigma, np.zeros(LANES * each - len(sigma)))
         self._d, self._n, self._k = structure.d, len(sigma), 2 * structure.d + 2 + len(freed)
-        self._given = self._call.inputs[1][0]
-        self._given[:] = np.concatenate([sigma, np.zeros(12 * self._d + 1)])
 
     def __call__(self, x: Array, numbers: Array, described: Array, margin: float) -> Predicted:
         """At unknowns x (n_x,) of tubes of numbers (d, 6), with a margin; described (d, 6): of which parts are."""
-        self._given[self._n :] = np.concatenate([numbers.ravel("F"), described.ravel("F"), [margin]])
-        points, tangents, of_points, of_tangents, of_phi, of_margin = self._call(x)
-        slopes = self._k, self._n, 3
+        given = np.concatenate([numbers.ravel("F"), described.ravel("F"), [min(margin, LARGEST)]])
+        points, tangents, of_points, of_tangents, of_phi, of_margin = (each[0] for each in self._call(x, given))
+        d, k = self._d, self._k
         return Predicted(
-            points.reshape(self._n, 3),
-            tangents.reshape(self._n, 3),
-            of_points.reshape(slopes),
-            of_tangents.reshape(slopes),
-            of_phi.reshape(self._k, self._d),
-            of_margin[0],
+            points.reshape(-1, 3)[: self._n],
+            tangents.reshape(-1, 3)[: self._n],
+            self._slopes(of_points),
+            self._slopes(of_tangents),
+            of_phi[: k * d].reshape(k, d),
+            of_margin[:k],
         )
+
+    def _slopes(self, by_lane: Array) -> Array:
+        """Those (k, n, 3) of all places."""
+        found = by_lane.reshape(LANES, self._k, -1, 3).transpose(1, 0, 2, 3)
+        return found.reshape(self._k, -1, 3)[:, : self._n]
 
 
 @functools.lru_cache(maxsize=16)
 def _code(model: Model, structure: Structure, count: int, freed: tuple[tuple[int, str], ...]) -> ca.Function:
-    """The function of a Predictor, compiled where that can be done."""
-    return machine_code(_symbolic(model, structure, count, freed))
+    """The function of a Predictor, for so many places in each of several lanes."""
+    return machine_code(_symbolic(model, structure, count, freed), LANES)
 
 
 def _symbolic(model: Model, structure: Structure, count: int, freed: tuple[tuple[int, str], ...]) -> ca.Function:
-    """(x, (sigma (count,), numbers (d, 6), described (d, 6), margin)) -> Predicted, in columns."""
+    """(x, sigma (count,), (numbers (d, 6), described (d, 6), margin)) -> Predicted, in columns."""
     d, sigma, margin = structure.d, ca.SX.sym("sigma", count), ca.SX.sym("margin")
     numbers, described = (ca.SX.sym(name, d, len(NUMBERS)) for name in ("numbers", "described"))
     parts = ca.SX.sym("parts", len(freed))
@@ -116,8 +126,9 @@ def _symbolic(model: Model, structure: Structure, count: int, freed: tuple[tuple
     of_points, of_tangents = ca.vertsplit(moved(slopes[:-d, :]), 3 * count)
     found = [*ca.vertsplit(seen, 3 * count), of_points, of_tangents, of_phi, of_margin]
     found = ca.substitute(found, [parts], [ca.SX.zeros(len(freed))])
-    given = ca.vertcat(sigma, ca.vec(numbers), ca.vec(described), margin)
-    return ca.Function("predicted", [shape.x, given], [ca.densify(each) for each in found])
+    given = ca.vertcat(ca.vec(numbers), ca.vec(described), margin)
+    names = [f"{SAME}x", "sigma", f"{SAME}given"], [f"found_{k}" for k in range(len(found))]
+    return ca.Function("predicted", [shape.x, sigma, given], [ca.densify(each) for each in found], *names)
 
 
 def _changed(numbers: ca.SX, described: ca.SX, parts: ca.SX, freed: tuple[tuple[int, str], ...]) -> ca.SX:

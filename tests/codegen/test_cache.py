@@ -409,6 +409,17 @@ def test_a_key_is_compiled_once_for_all_processes(place):
     assert_whole(path)
 
 
+def test_a_library_is_held_against_its_digest_once_until_it_changes(monkeypatch):
+    """Every new robot asks for its programs again, and reading them took longer than solving."""
+    path, read, digest = kept("one", 1), list[Path](), cache._digest
+    monkeypatch.setattr(cache, "_digest", lambda path, name: read.append(path) or digest(path, name))
+    assert [cache.library("one", never) for _ in range(3)] == [path] * 3
+    assert read == []
+    os.utime(path)
+    assert cache.library("one", never) == path
+    assert read == [path]
+
+
 def test_what_a_process_made_it_loads_from_a_place_of_its_own(place):
     path = made("one", 1)
     assert not path.is_relative_to(place)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from lumens import straight, wandering
+from lumens import bent, straight, wandering
 
 from ctr_nlp import Problem, Robot, Settings, growing, table_i_robot
 from ctr_nlp.codegen import cache
@@ -125,8 +125,8 @@ def test_a_wall_that_has_been_used_can_be_sent_to_another_process():
 
 @pytest.mark.parametrize(("model", "robot"), [("dominant", ROBOT), ("elastic", TWO)])
 def test_frames_within_a_lumen_in_one_call_are_those_of_steps(model, robot):
-    lumen = straight(4.0)
-    problem = Problem("straight", robot, growing(lumen.part(0, 100.0), 8), lumen=lumen)
+    lumen = bent(4.0)
+    problem = Problem("bent", robot, growing(lumen.part(0, 100.0), 8), lumen=lumen)
     frames = NlpFrames.of(problem, model=model)
     assert frames.wall.around.ready(wait=True)
     once, steps = (replace(frames, near=frames.wall) for _ in range(2))

@@ -81,6 +81,15 @@ def test_where_sensing_fails_motors_go_back_to_the_plan(plan, name):
     assert run.q[-5:] == pytest.approx(plan.q[-5:], abs=1e-9)
 
 
+def test_robots_are_corrected_where_tubes_do_not_act_on_each_other_yet(plan):
+    """There the margin is 1, and the determinant that its slopes come from has none at 1 itself."""
+    tracker = Tracker(plan, SENSORS, OFF)
+    for frame in range(8):
+        tracker.observe(plan.q[frame], plan.time[frame], [])
+        assert tracker.observer.margin == pytest.approx(1.0, abs=1e-6)
+        assert np.isfinite(tracker.observer.predicted.of_margin).all()
+
+
 def test_tracking_goes_on_once_sensors_can_be_believed_again(plan):
     run = led(plan, robots(1), faults=(Silence(1.0, 2.5),))
     assert [note.state for note in run.notes] == [State.HELD, State.TRACKING]

@@ -41,7 +41,7 @@ def tips(robot, x):
 @pytest.mark.parametrize("number", range(truth.CASES))
 def test_reference_shapes(shared_data, number):
     case = truth.case(shared_data, number)
-    assert np.abs(shapes(case.robot, case.x[None], SIGMA)[0] - case.points).max() < 0.02
+    assert np.abs(shapes(case.robot, case.x[None], SIGMA)[0] - case.points).max() < 0.002
     np.testing.assert_allclose(configuration(case.robot, case.x[None])[0], case.q, atol=1e-9)
 
 

@@ -1,6 +1,7 @@
 """Solvers of chains against closed forms, scipy and each other, and what every motion they find must keep."""
 
 import functools
+from dataclasses import replace
 from typing import NamedTuple
 
 import casadi as ca
@@ -19,6 +20,7 @@ from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.nlp.links import Link, differences
 from ctr_nlp.nlp.nlp import Constraint, Nlp, Residual
+from ctr_nlp.nlp.written import FrameFunctions
 from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, Iterate, Solution, Watch
 from ctr_nlp.solvers.frame.adapter import OPTIMAL
 from ctr_nlp.solvers.motion import banded
@@ -521,6 +523,25 @@ def test_a_solver_can_be_used_again(solver):
 
 def iterate(number, objective, violation=0.0):
     return Iterate(number, objective, violation, 1.0, np.array([number]))
+
+
+def test_functions_may_be_compiled_while_a_chain_is_solved():
+    """Every time that they are asked for they are others, at other places in memory."""
+    to = np.cumsum(np.random.default_rng(3).normal(size=(200, 2)), axis=0)
+    nlp = drawn(bound=20.0)
+    links = [link(200, 2, low=-0.3, high=0.3)]
+    expected = solved(linked(nlp, to, links))
+
+    def others():
+        return FrameFunctions(*(each.wrap() for each in nlp.functions[:3]))
+
+    chain = replace(linked(nlp, to, links), functions=others)
+    solver, x0 = BandedSolver(chain), np.zeros(chain.lower.size)
+    for again in range(3):
+        chain.evaluate(x0 + again)
+        found = solver(x0, Watch())
+        np.testing.assert_array_equal(found.x, expected.x)
+        assert found.iterations == expected.iterations
 
 
 def test_a_watch_keeps_the_first_best_feasible_iterate():

@@ -9,7 +9,7 @@ import pytest
 from frames import joint
 from hypothesis import given
 from hypothesis import strategies as st
-from lumens import straight
+from lumens import bent
 from problems import named
 from strategies import numbers, seeds
 
@@ -152,9 +152,9 @@ def test_the_motion_weight_of_the_settings_is_used(arc_problem):
 
 
 def within(radius):
-    """A problem of following a lumen's straight path, and a first configuration of its frames."""
-    lumen = straight(radius)
-    problem = Problem("straight", table_i_robot(), growing(lumen.part(0.0, 110.0), 12), lumen=lumen)
+    """A problem of following a lumen's bent path, and a first configuration of its frames."""
+    lumen = bent(radius)
+    problem = Problem("bent", table_i_robot(), growing(lumen.part(0.0, 110.0), 12), lumen=lumen)
     settings = Settings(clearance_cost=np.inf)
     return problem, settings, solve_per_frame(problem, direction="forward", settings=settings).q[0]
 

@@ -22,7 +22,7 @@ from ctr_nlp.typing import Array, Flags
 
 MOST_TUBES = 8
 """That branch.c has room for."""
-CODE = "branch.c", "margin.c", "energy.c", "fall.c", "shape.c"
+CODE = tuple(f"c/{name}.c" for name in ("branch", "margin", "energy", "fall", "shape"))
 FUNCTIONS = "motors", "energy", "second", "shape", "points"
 """That the struct Elastic of branch.c holds; the last for LANES arc lengths at once."""
 

@@ -55,7 +55,11 @@ class Loop:
     """A barrier method on a chain, so many iterations at a time; not from two threads at once."""
 
     def __init__(self, chain: Chain, numbers: dict[str, float], counts: dict[str, int]) -> None:
-        """Prepare; numbers and counts by name, as NUMBERS and COUNTS. Raises OptionError as Rows."""
+        """Prepare; numbers and counts by name, as NUMBERS and COUNTS. Raises OptionError as Rows.
+
+        Functions of the chain that are compiled later are left to the next loop: C keeps addresses of arrays.
+        """
+        self._chain = chain = chain.as_given_now()
         self.rows, self._told = Rows(chain), np.zeros(chain.lower.size)
         values, _, expansion = chain.evaluators()
         self._mapped = [each.in_c(address(each.function)) for each in (values, expansion)]
