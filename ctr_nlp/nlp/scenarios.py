@@ -22,12 +22,14 @@ class Scenarios:
     """S robots that are moved alike; the first is the one as described, and others are compared with it.
 
     numbers (S, d, 6): of the tubes, in the order of structure.NUMBERS. offsets (S, d): of the motors' zeros, added
-    to alpha, rad. weights (S,): how much each one's shape error counts, >= 0 and not all 0. Raises OptionError.
+    to alpha, rad. weights (S,): how much each one's shape error counts, >= 0 and not all 0. guards: so many of
+    them, the last ones, need only not be lost. Raises OptionError.
     """
 
     numbers: Array
     offsets: Array
     weights: Array
+    guards: int = 0
 
     def __post_init__(self) -> None:
         for name in ("numbers", "offsets", "weights"):
@@ -46,7 +48,16 @@ class Scenarios:
     def joined(self, numbers: Array, offsets: Array) -> Scenarios:
         """These and then others, whose shape errors do not count."""
         pairs = (self.numbers, numbers), (self.offsets, offsets), (self.weights, np.zeros(len(offsets)))
-        return Scenarios(*(np.concatenate(pair) for pair in pairs))
+        numbers, offsets, weights = (np.concatenate(pair) for pair in pairs)
+        return Scenarios(numbers, offsets, weights)
+
+    def guarded(self, numbers: Array, offsets: Array) -> Scenarios:
+        """These and then others, which need only not be lost."""
+        return replace(self.joined(numbers, offsets), guards=self.guards + len(offsets))
+
+    def first(self, count: int) -> Scenarios:
+        """So many of them."""
+        return Scenarios(self.numbers[:count], self.offsets[:count], self.weights[:count])
 
     def shrunk(self, part: float, since: int = 0) -> Scenarios:
         """The same robots, from number `since` on differing from the first by only a part of what they do."""
@@ -78,9 +89,9 @@ class SharedMotion:
 
     frame: the program of one robot in one frame over (phi, beta, theta), the last two of them q's own, and what
     common unknowns give it, where there are any: these are then solved for, too. parameters (T S, p): a row for
-    every scenario of every frame. lower, upper (T, n): of q, equal where it is fixed. apart: rad by which the
-    scenarios' tips, relative to the innermost, may differ from the first's. twist_steps (T,): rad by which the
-    first's may turn beyond its motors on the way to each frame; infinite where none is before it.
+    every scenario of every frame. lower, upper (T, n): of q, equal where it is fixed. apart (S,): by how much a
+    scenario's tips, relative to the innermost one, may differ from the first scenario's, rad. twist_steps (T,):
+    rad by which the first's may turn beyond its motors on the way to each frame; infinite where none is before it.
     surroundings: where some parameters hold near a motion only, these (T, S, ..), by name, of all robots' unknowns
     (T, S, n).
     """
@@ -92,7 +103,7 @@ class SharedMotion:
     lower: Array
     upper: Array
     links: tuple[Link, ...]
-    apart: float
+    apart: Array
     twist_steps: Array
     functions: Callable[[], FrameFunctions]
     surroundings: Callable[[Array], Mapping[str, Array]] | None = None
@@ -127,10 +138,18 @@ class SharedMotion:
         bounds = list[Array]()
         for bound, side in zip(self.frame.g_bounds, (-self.apart, self.apart), strict=True):
             _, count, _, d = self.sizes
-            tips = np.full((count - 1) * (d - 1), side)
+            tips = np.repeat(side[1:], d - 1)
             parts = [np.tile(bound[self.own_rows], count), tips, bound[self.common_rows]]
             bounds.append(np.tile(np.concatenate(parts), (len(self.lower), 1)))
         return bounds[0], bounds[1]
+
+    def by_scenario(self, rows: Array) -> Array:
+        """The sums (S,) of values (m,) of a frame's rows that each scenario has of its own, or with the first."""
+        _, count, _, d = self.sizes
+        size = count * len(self.own_rows)
+        own = rows[:size].reshape(count, -1).sum(axis=1)
+        tips = rows[size : size + (count - 1) * (d - 1)].reshape(count - 1, d - 1).sum(axis=1)
+        return np.asarray(own + np.append(0.0, tips))
 
     def unknowns(self, q: Array, phi: Array, given: Array) -> Array:
         """Those (T, S, n + k) of every robot in every frame, at q (T, n) and tips phi (T, S, d).

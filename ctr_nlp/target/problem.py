@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +26,8 @@ OVERLONG = 1.005
 """A target up to this many times longer than the robot reaches is accepted; beta_d then stays at its bound."""
 FORMAT = 1
 """Of problem files."""
+OF_TARGET: Any = "of target"
+"""A lumen that is the target's own, where that has one."""
 SHOWN = 5
 """Frames in a notebook's picture."""
 
@@ -36,9 +39,9 @@ class Problem(Value):
 
     to_robot: transform (4, 4) from the target's file, in its own coordinates, to the robot's frame; None where the
     target was given in the robot's frame. truth: q (T, 2d + 2) where it is known. lumen: the path with the lumen's
-    radius along it, in the robot's frame, longer than the target where more of it is known; by default the target
-    where all frames share a curve with a radius, else None: no wall is known. problem[first:stop] are some of its
-    frames, counted from 0, at the same pace. Raises ProblemError.
+    radius along it, in the robot's frame, longer than the target where more of it is known, or None: no wall is
+    known. By default (OF_TARGET) the target where all frames share a curve with a radius, else None.
+    problem[first:stop] are some of its frames, counted from 0, at the same pace. Raises ProblemError.
     """
 
     name: str
@@ -47,7 +50,7 @@ class Problem(Value):
     duration: float = 10.0
     to_robot: Array | None = None
     truth: Array | None = None
-    lumen: Curve | None = None
+    lumen: Curve | None = OF_TARGET
 
     def __post_init__(self) -> None:
         for name, kind in (("name", str), ("robot", Robot), ("target", Target)):
@@ -63,10 +66,10 @@ class Problem(Value):
                 f"(0.5 % more is accepted); say which end to drop, --trim start or --trim end"
             )
         first = self.target.curves[0]
-        if self.lumen is None:
+        if self.lumen is OF_TARGET:
             alone = all(curve is first for curve in self.target.curves)
             object.__setattr__(self, "lumen", first if alone and first.radius is not None else None)
-        elif not isinstance(self.lumen, Curve) or self.lumen.radius is None:
+        elif self.lumen is not None and (not isinstance(self.lumen, Curve) or self.lumen.radius is None):
             raise ProblemError("lumen is a curve without a radius; give one, or None where no wall is known")
 
     @property

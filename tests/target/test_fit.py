@@ -156,6 +156,13 @@ def test_a_path_with_a_radius_is_its_own_lumen():
     assert Problem("made", table_i_robot(), growing(path, 3)).retraction().lumen is path
 
 
+def test_a_lumen_taken_away_stays_away():
+    walled = Problem("made", table_i_robot(), growing(straight(3.0), 3))
+    free = replace(walled, lumen=None)
+    assert free.lumen is free.retraction().lumen is free[:2].lumen is None
+    assert Problem("made", table_i_robot(), growing(straight(3.0), 3), lumen=None).lumen is None
+
+
 def test_shapes_that_change_have_no_lumen_of_their_own():
     shapes = [straight(3.0).part(0, 70), straight(3.0)]
     assert Problem("made", table_i_robot(), sequence(shapes)).lumen is None

@@ -5,6 +5,7 @@ angles and their offsets determine: alpha(phi_s, beta; tubes_s) = alpha + offset
 weighted mean of their shape errors and the motion (9); each keeps a stability margin, and tips near the first's,
 so that all are on one branch of a fork, which the margin does not see. Nor does it see a fork between two frames:
 the first's tips turn by little more than its motors from frame to frame.
+Guards are scenarios that need only not be lost: less margin does for them, and tips that are further away.
 """
 
 from __future__ import annotations
@@ -28,8 +29,11 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
-APART = 0.7
-"""rad by which a scenario's tips, relative to the innermost one, may differ from the first scenario's."""
+APART, FURTHEST = 0.7, 0.9
+"""rad by which a scenario's tips, relative to the innermost one, may differ from the first scenario's; and those
+of one that need only not be lost, which it is from simulation.drawn.APART on."""
+EASED = 0.3
+"""The part of the margin that one that need only not be lost keeps."""
 TWIST_STEP = 0.7
 """rad by which the first scenario's tips, relative to the innermost one, may turn beyond its motors in a frame."""
 
@@ -55,17 +59,16 @@ def shared_motion(
     functions: Callable[[Nlp], Callable[[], FrameFunctions]] = interpreted,
     margins: Array | None = None,
     extra: Sequence[Term] = (),
-    apart: float = APART,
     wall: Wall | None = None,
     freed: tuple[str, ...] = (),
 ) -> SharedMotion:
     """The motion through frames, dt s apart, of scenarios of a robot on a model with several equilibria.
 
     As horizon, but for tips that may turn as they do, and for the wall, which is no matter of slacks but a smooth
-    cost (terms.touch). margins (T,): the least of every scenario in each frame, None for any; apart: rad. Raises
-    OptionError.
+    cost (terms.touch). margins (T,): the least of every scenario in each frame, None for any. Raises OptionError.
     """
     check_shared(robot, model, scenarios)
+    guards = np.arange(len(scenarios)) >= len(scenarios) - scenarios.guards
     margin = None if margins is None else 0.0
     terms = (*terms_of(robot, model, margin, extra), *([] if wall is None else [Touch(robot.d)]))
     frame = program("frame", robot.structure, model, terms, freed)
@@ -73,7 +76,7 @@ def shared_motion(
     parameters = np.repeat(each[:, None], len(scenarios), axis=1)
     parameters[..., frame.place("tubes")] = scenarios.numbers.transpose(0, 2, 1).reshape(len(scenarios), -1)
     if margins is not None:
-        parameters[..., frame.place("margin")] = margins[:, None, None]
+        parameters[..., frame.place("margin")] = (margins[:, None] * np.where(guards, EASED, 1.0))[..., None]
     lower, upper = (np.tile(bound, (len(frames), 1)) for bound in (robot.lower, robot.upper))
     if ends.end is not None:
         lower[-1] = upper[-1] = ends.end
@@ -81,6 +84,7 @@ def shared_motion(
     links = motion_links(robot, len(frames), dt, motion_weight, before, after, np.zeros(0))
     flat = parameters.reshape(len(frames) * len(scenarios), -1)
     near = None if wall is None else partial(wall.of_scenarios, numbers=scenarios.numbers)
+    apart = np.where(guards, FURTHEST, APART)
     twists = np.append(np.inf, np.full(len(frames) - 1, TWIST_STEP))
     own = flat, lower, upper, links, apart, twists
     return SharedMotion(frame, robot.d, scenarios, *own, functions(frame), near)

@@ -24,7 +24,8 @@ its distance from a bound a step leaves."""
 class SharedSolution:
     """A point of a shared motion: q (T, n), tips phi (T, S, d), the objective in mm^2, common unknowns p (P,).
 
-    prices (c,): multipliers of p's own rows, mm^2 a unit, positive at upper bounds.
+    prices (c,): multipliers of p's own rows, mm^2 a unit, positive at upper bounds. burdens (S,): what it costs
+    that a scenario keeps its margin and its distance, the sum over frames of the multipliers' sizes, mm^2 a unit.
 
     violation: of bounds; missing: of the scenarios' equations; kkt: residual of all conditions of optimality, from
     the program itself. success: whether it is a solution.
@@ -40,6 +41,7 @@ class SharedSolution:
     iterations: int
     p: Array = field(default_factory=lambda: NONE)
     prices: Array = field(default_factory=lambda: NONE)
+    burdens: Array = field(default_factory=lambda: NONE)
 
     @property
     def success(self) -> bool:
@@ -240,5 +242,6 @@ class SharedRows:
         missing = float(abs(about.at.missing).max())
         kkt = max(self._stationarity(point, about), float(products.max()), violation, missing)
         found = float(about.at.objective), violation, missing, float(kkt)
-        prices = self.split(point.multipliers).own
-        return SharedSolution(q, point.phi, *found, status, iterations, p, prices)
+        split = self.split(point.multipliers)
+        burdens = self.condensed.motion.by_scenario(abs(split.frames).sum(axis=0))
+        return SharedSolution(q, point.phi, *found, status, iterations, p, split.own, burdens)

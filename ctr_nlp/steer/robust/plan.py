@@ -26,6 +26,8 @@ from ctr_nlp.steer.motions import per_frame_motions
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.requests import check_described, check_search, checked_motions
+from ctr_nlp.steer.robust.corners import Corners
+from ctr_nlp.steer.robust.guards import guarded
 from ctr_nlp.steer.robust.rounds import RELAXATIONS, Judge, Round, best_of, planned_again, relaxed
 from ctr_nlp.steer.robust.search import RobustSearch, Start, Tried
 from ctr_nlp.steer.robust.tolerated import described
@@ -80,7 +82,7 @@ def solve_robust(
     whole_number(OptionError, "rounds", rounds, 0)
     model, scenarios = described(problem.robot, model, scenarios)
     given = checked_motions(problem, initial)
-    motions = (1 + bool(given)) * (2 * (rounds + 1) + RELAXATIONS)
+    motions = (1 + bool(given)) * (2 * (rounds + 1) + RELAXATIONS) + 1
     trials = Trials(problem.robot, model, motions, most_lost)
     begin, searched = time.perf_counter(), 0.0
     with deferred_interrupt() as interrupted:
@@ -98,6 +100,9 @@ def solve_robust(
             free = best_of(made, problem.frames)
             if interrupted() or (free is not None and free.lost.few):
                 break
+        if free is not None and not interrupted():
+            made += guarded(free, len(scenarios), Corners.of(problem.robot, model), trials, len(made))
+            free = best_of(made, problem.frames)
         wall = wall_of(problem.robot, problem.lumen, model, settings, finer=1)
         if wall is not None and free is not None:
             cost = settings.affordable(ROBUST_CLEARANCE_COST)

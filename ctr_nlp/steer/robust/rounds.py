@@ -37,8 +37,10 @@ class Round(NamedTuple):
     tried: Tried
     scenarios: Scenarios
     lost: Lost
+    corners: int | None = None
+    """How many corners of the tolerances are lost; None where that was not looked at."""
 
-    def described(self) -> dict[str, float]:
+    def described(self) -> dict[str, float | None]:
         """For a plan's meta; the objective as mean over frames, mm^2."""
         found = self.tried.solution
         return {
@@ -48,13 +50,15 @@ class Round(NamedTuple):
             "iterations": found.iterations,
             "lost": len(self.lost.frames),
             "drawn": self.lost.drawn,
+            "corners_lost": self.corners,
             "contact_weight": 0.0 if self.search.wall is None else self.search.wall.weight,
         }
 
     @property
-    def rank(self) -> tuple[bool, float]:
-        """The least is the best: of those in which few robots were lost the one of least objective."""
-        return not self.lost.few, self.tried.solution.objective if self.lost.few else self.lost.share
+    def rank(self) -> tuple[bool, bool, float]:
+        """The least is the best: of those in which few robots were lost one with guards, or of least objective."""
+        least = self.tried.solution.objective if self.lost.few else self.lost.share
+        return not self.lost.few, self.corners is None, least
 
 
 def best_of(rounds: Sequence[Round], frames: int) -> Round | None:
@@ -115,14 +119,20 @@ def relaxed(held: Round, first: int, lost: Judge, number: int) -> list[Round]:
 
 def _again(search: RobustSearch, before: Tried, scenarios: Scenarios, picked: Index | None) -> Tried:
     """A motion solved again with scenarios that have joined; these grow where nothing comes of that."""
+    tried = solved_again(search, before, scenarios, picked)
+    if tried.shared or search.stop():
+        return tried
+    known = before.solution
+    return search.grown(before.start, known.q, known.phi[:, :1], scenarios, picked)
+
+
+def solved_again(search: RobustSearch, before: Tried, scenarios: Scenarios, picked: Index | None = None) -> Tried:
+    """A motion solved again with scenarios of which the last have joined, from tips as the first one's."""
     known = before.solution
     joining = np.repeat(known.phi[:, :1], len(scenarios) - known.phi.shape[1], axis=1)
     tips = np.concatenate([known.phi, joining], axis=1)
     found = SharedSolver(search.motion(scenarios, picked))(known.q, tips, BARRIER, search.stop)
-    tried = search.looked_at(Tried(before.start, before.frames, found))
-    if tried.shared or search.stop():
-        return tried
-    return search.grown(before.start, known.q, known.phi[:, :1], scenarios, picked)
+    return search.looked_at(Tried(before.start, before.frames, found))
 
 
 def joined(scenarios: Scenarios, lost: Lost, push: float = PUSHES[0]) -> Scenarios:
