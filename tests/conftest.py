@@ -46,7 +46,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """Tests of what happens in real time, which wait more than they work, run beside their own kind alone."""
+    """Tests of what happens in real time, which wait more than they work, run beside their own kind alone.
+
+    Tests marked as interpreted compile nothing.
+    """
     kinds = ["work", "real_time"]
     own = item.get_closest_marker("real_time") is not None
     folder = Path(os.environ["CTR_NLP_CACHE"]).parent
@@ -56,7 +59,10 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
             fcntl.flock(other, fcntl.LOCK_EX)
         fcntl.flock(room, fcntl.LOCK_SH)
         fcntl.flock(door, fcntl.LOCK_UN)
-        return (yield)
+        with pytest.MonkeyPatch.context() as patch:
+            if item.get_closest_marker("interpreted"):
+                patch.setenv("CTR_NLP_COMPILE", "0")
+            return (yield)
 
 
 @pytest.fixture(scope="session")

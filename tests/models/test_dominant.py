@@ -62,9 +62,8 @@ def integrated(robot, q, sigma):
                      -k * math.sin(angle) * t]
                 )  # fmt: skip
 
-            run = solve_ivp(
-                rates, (start, stop), state, method="DOP853", rtol=1e-11, atol=1e-11, dense_output=True
-            )
+            accuracy = {"rtol": 1e-11, "atol": 1e-11, "max_step": 5.0}  # between its steps it is less accurate
+            run = solve_ivp(rates, (start, stop), state, method="DOP853", dense_output=True, **accuracy)
             here = (wanted > start) & (wanted <= stop)
             if here.any():
                 points[here], directions[here] = run.sol(wanted[here])[:3].T, run.sol(wanted[here])[3:6].T

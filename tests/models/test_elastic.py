@@ -22,6 +22,7 @@ from ctr_nlp.models.elastic import stability, torsion
 from ctr_nlp.simulation import forward as dominant_shapes
 
 SIGMA = np.linspace(0, 1, 31)
+pytestmark = pytest.mark.interpreted
 
 
 def motors(robot, x, steps):
@@ -39,7 +40,8 @@ def tips(robot, x):
 
 
 @pytest.mark.parametrize("number", range(truth.CASES))
-def test_reference_shapes(shared_data, number):
+def test_reference_shapes(shared_data, number, monkeypatch):
+    monkeypatch.setenv("CTR_NLP_COMPILE", "now")
     case = truth.case(shared_data, number)
     assert np.abs(shapes(case.robot, case.x[None], SIGMA)[0] - case.points).max() < 0.002
     np.testing.assert_allclose(configuration(case.robot, case.x[None])[0], case.q, atol=1e-9)

@@ -18,16 +18,13 @@ LONG = Robot((Tube(90, 70, 0.02, 4.0, 3.2), Tube(150, 90, 0.02, 2.6, 1.6)))
 BETA = 60.0, 80.0
 
 
-@pytest.fixture(autouse=True)
-def _interpreted(monkeypatch, request):
-    """Robots of one test each are not worth compiling."""
-    if "compiled" not in request.fixturenames:
-        monkeypatch.setenv("CTR_NLP_COMPILE", "0")
+pytestmark = pytest.mark.interpreted
 
 
 @pytest.fixture
-def compiled():
+def compiled(monkeypatch):
     """Asks for compiled code."""
+    monkeypatch.setenv("CTR_NLP_COMPILE", "now")
 
 
 def branch(count=20001):

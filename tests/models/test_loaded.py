@@ -22,6 +22,7 @@ from ctr_nlp.models.loaded.stability import margins
 from ctr_nlp.models.loaded.tips import tips
 from ctr_nlp.models.protocol import passage
 
+pytestmark = pytest.mark.interpreted
 ELASTIC, SIGMA = MODELS["elastic"], np.linspace(0, 1, 31)
 FREE = Loaded(Load())
 NITINOL = with_modulus(table_i_robot(), 60_000)

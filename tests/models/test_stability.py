@@ -14,13 +14,7 @@ from strategies import numbers, robots_with_q
 from ctr_nlp import Limits, Robot, Tube, table_i_robot
 from ctr_nlp.models.elastic import stability, torsion
 
-
-@pytest.fixture(autouse=True, scope="module")
-def _interpreted():
-    """Robots of one test each are not worth compiling."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("CTR_NLP_COMPILE", "0")
-        yield
+pytestmark = pytest.mark.interpreted
 
 
 def determinants(robot, x, margin):

@@ -16,6 +16,7 @@ from ctr_nlp.robot.draws import drawn, drawn_from
 from ctr_nlp.robot.structure import NUMBERS
 from ctr_nlp.simulation.drawn import drawn_motion
 
+pytestmark = pytest.mark.interpreted
 LONG = Robot((Tube(90, 70, 0.02, 4.0, 3.2), Tube(150, 90, 0.02, 2.6, 1.6)))
 SOME = Tolerances(0.05, 0.04, 0.03, 0.5, 0.05, 0.1)
 

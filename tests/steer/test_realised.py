@@ -24,12 +24,7 @@ AT = 1e-3
 """By how much margins of frames may be missed."""
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _interpreted():
-    """One small robot is not worth compiling."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("CTR_NLP_COMPILE", "0")
-        yield
+pytestmark = pytest.mark.interpreted
 
 
 def straight(frames=FRAMES):
