@@ -46,6 +46,11 @@ class Section(NamedTuple):
     active: tuple[int, ...]
     plane: bool
 
+    def divided(self, count: int) -> list[Section]:
+        """So many pieces of the same length, from base to tip."""
+        length = self.length / count
+        return [self._replace(start=self.start + k * length, length=length) for k in range(count)]
+
 
 class Node(NamedTuple):
     """A place along the robot: the tubes' angles, rad, and their curvatures, 1/mm (0.0 where not active)."""

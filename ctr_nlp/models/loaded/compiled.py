@@ -20,7 +20,7 @@ from ctr_nlp.models.protocol import symbolic_tubes
 from ctr_nlp.robot.structure import NUMBERS, Structure
 from ctr_nlp.typing import Array
 
-STEPS = 12
+STEPS = 18
 """Steps of integration a section where numbers are wanted."""
 OF_TIP = 7
 """Numbers of a load that act at the tip (loads.Load.numbers); three a tube follow."""

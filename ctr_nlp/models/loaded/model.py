@@ -21,6 +21,10 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import Structure, Tubes, tubes_in_columns
 from ctr_nlp.typing import Array, Vector
 
+PIECE = 6
+"""Steps of integration through whose tangents one polynomial goes: through more, evenly spaced, it swings between
+them."""
+
 
 @dataclass(frozen=True)
 class Loaded(Model):
@@ -120,8 +124,14 @@ def curves(
     d1, d2, t = (_vector(axes[:, k]) for k in range(3))
     parts, tip = sections(tubes, beta, np, planes=False), Tip(columns_of(angles), (d1, d2, t))
     rod = integrated(tubes, tip, beta, parts, loading(columns_of(acting)), np, STEPS, follows=follows)
-    vectors = [vector for tangents in rod.tangents for vector in shape.powers(tangents)]
-    lengths, turns = shape.travels(tubes, beta, parts, sigma * beta[-1], np, STEPS // 2)
+    vectors = [
+        vector
+        for tangents in rod.tangents
+        for first in range(0, STEPS, PIECE)
+        for vector in shape.powers(tangents[first : first + PIECE + 1])
+    ]
+    pieces = [piece for part in parts for piece in part.divided(STEPS // PIECE)]
+    lengths, turns = shape.travels(tubes, beta, pieces, sigma * beta[-1], np, PIECE // 2)
     like = np.zeros((len(x), np.shape(sigma)[-1]))
     points, tangents = combination(lengths, vectors), combination([1.0, *turns], [rod.axes[2], *vectors])
     return _stacked(points, like), _stacked(tangents, like)
