@@ -93,8 +93,11 @@ class Around:
     def __call__(self, x: Array, numbers: Array | None = None) -> tuple[Array, Array]:
         """What describes the wall, (T, d PLACES, COLUMNS), near unknowns x (T, n), and slacks (T,) needed, mm.
 
-        numbers (d, 6): of the tubes, where they are not the robot's.
+        numbers (d, 6): of the tubes, where they are not the robot's. Raises ValueError for other unknowns than the
+        model's.
         """
+        if x.shape[1:] != (self._fixed[0],):
+            raise ValueError(f"x has shape {x.shape}; the model has {self._fixed[0]} unknowns")
         x, found = np.ascontiguousarray(x, dtype=float), np.empty((len(x), self._rows * COLUMNS + 1))
         of_tubes = self._own if numbers is None else np.tile(numbers.ravel(order="F"), LANES)
         if not np.array_equal(of_tubes, self._numbers):
