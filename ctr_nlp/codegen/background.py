@@ -130,12 +130,23 @@ def _begin(key: str, functions: Callable[[], Sequence[ca.Function]], lanes: int)
             start_new_session=True,
         )
         _begun.append(process)
+        _step_back(process.pid)
+
+
+def _step_back(pid: int) -> None:
+    """Let a process, and all that it starts, wait for others, on systems where that can be asked for.
+
+    Linux weighs the processes of one session against those of others; with its groups for sessions (sched(7)), the
+    nice value of a process that leads its own session means nothing to others unless the group has it, too.
+    """
+    with contextlib.suppress(OSError, AttributeError):
+        os.setpriority(os.PRIO_PROCESS, pid, NICE)
+    with contextlib.suppress(OSError):
+        Path(f"/proc/{pid}/autogroup").write_text(str(NICE), encoding="ascii")
 
 
 def main(work: Path) -> None:
     """Make the library that a folder describes, and remove the folder."""
-    with contextlib.suppress(OSError, AttributeError):
-        os.nice(NICE)
     try:
         key, functions, lanes = pickle.loads((work / TASK).read_bytes())
         cache.library(key, lambda: vector.vector_code(tuple(functions()), lanes))

@@ -1,6 +1,7 @@
 """Programs are interpreted until a process of its own has compiled them, and solved alike."""
 
 import logging
+import os
 import shutil
 import subprocess
 import sys
@@ -84,6 +85,15 @@ def test_processes_that_wait_for_one_library_have_it_made_once(cold, tmp_path, m
     run = partial(subprocess.Popen, [sys.executable, "-c", call], cwd=TESTS, stdout=subprocess.PIPE, text=True)
     assert [process.communicate()[0] for process in [run(), run()]] == ["True\n"] * 2
     assert len(list(marks.iterdir())) == 1
+
+
+def test_what_is_compiled_steps_back_for_what_is_waited_for(cold):
+    compiled.library(toy(31.0), 1).soon()
+    process = background._begun[-1]
+    group = Path(f"/proc/{process.pid}/autogroup")
+    assert os.getpriority(os.PRIO_PROCESS, process.pid) == background.NICE
+    assert not group.exists() or group.read_text().split()[-1] == str(background.NICE)
+    assert process.wait(LONG) == 0
 
 
 def test_now_means_at_once(cold, monkeypatch):
