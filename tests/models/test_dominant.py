@@ -117,6 +117,12 @@ def test_shape_matches_an_integration_of_the_bishop_frame(case):
     np.testing.assert_allclose(tangents(robot, q[None], SIGMA)[0], directions, atol=1e-8)
 
 
+def test_a_long_tube_that_bends_to_both_sides_is_within_a_hundredth_of_a_micrometre():
+    robot = Robot((Tube(180.0, 180.0, (-0.04, 0.04), 1.0, 0.8),))
+    q = np.array([0.3, 180.0, 0.0, 0.0])
+    assert abs(shapes(robot, q[None], SIGMA)[0] - integrated(robot, q, SIGMA)[0]).max() < 1e-5
+
+
 @pytest.mark.parametrize("beta", [(80, 150, 300), (80, 80, 250), (20, 140, 140), (0, 0, 200)])
 def test_deployed_transmissions_are_straight(beta):
     robot = Robot(table_i_robot().tubes, DEPLOYS_ALL)
