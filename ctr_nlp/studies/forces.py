@@ -17,6 +17,7 @@ from ctr_nlp.loads.load import FORCE
 from ctr_nlp.models import MODELS
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.model import Loaded
+from ctr_nlp.models.loaded.tips import tip_angles
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.simulation.bearing import Question, borne, compliance, shapes, unstable
 from ctr_nlp.support.equal import Kept
@@ -138,7 +139,6 @@ def forces(
     which, states = _standing(plan, numbers, equilibria, whole_number(OptionError, "every", every))
     if not len(which):
         raise LoadError("the plan has no frame in which its robot stands under its load; no more can be borne")
-    asked = [] if off is None else [_left(plan, off, load.follows)]
     snaps, found = borne(equilibria, states, way, most, asked + [unstable(equilibria)] * load.conservative)
     if load.conservative:
         snaps = np.minimum(snaps, found.pop())
@@ -161,9 +161,7 @@ def _standing(plan: Plan, numbers: Array, equilibria: LoadedEquilibria, every: i
     x, d = MODELS[Loaded.name].follow(plan.robot, plan.q).x, plan.robot.d
     which = np.flatnonzero(np.isfinite(x).all(axis=1))
     which = which[which % every == 0]
-    tips = x[which, :d].copy()
-    tips[:, : d - 1] += tips[:, d - 1 :]
-    states = equilibria.unloaded(plan.q[which], tips)
+    states = equilibria.unloaded(plan.q[which], tip_angles(x[which], d))
     loaded, done = equilibria.along(states, states.q, np.repeat(numbers[None], len(which), axis=0))
     return which[done == 1], loaded.rows(done == 1)
 

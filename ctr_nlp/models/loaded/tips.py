@@ -47,9 +47,14 @@ def unknowns(angles: Array, axes: Array, beta: Array) -> Array:
 
 def tips(x: Array, d: int) -> tuple[Array, Array]:
     """Angles (T, d) and axes (T, 3, 3) of unknowns x (T, 2d + 2)."""
+    return tip_angles(x, d), _frames(x[:, 2 * d :])
+
+
+def tip_angles(x: Array, d: int) -> Array:
+    """The angles (T, d) of tips in one frame, of unknowns x (T, 2d + 2), with a load or without."""
     angles = x[:, :d].copy()
     angles[:, : d - 1] += angles[:, d - 1 :]
-    return angles, _frames(x[:, 2 * d :])
+    return angles
 
 
 def _frames(w: Array) -> Array:
