@@ -13,6 +13,9 @@ from strategies import numbers, robots_with_q
 
 from ctr_nlp import Robot, Tube, table_i_robot
 from ctr_nlp.models.elastic import stability
+from ctr_nlp.models.elastic.following import followed, followed_apart
+from ctr_nlp.models.protocol import passage
+from ctr_nlp.robot.draws import drawn_from
 
 LONG = Robot((Tube(90, 70, 0.02, 4.0, 3.2), Tube(150, 90, 0.02, 2.6, 1.6)))
 BETA = 60.0, 80.0
@@ -168,6 +171,22 @@ def test_compiled_code_finds_the_same(compiled, monkeypatch):
     np.testing.assert_allclose(fast.x, slow.x, atol=1e-9)
     assert [snap.frame for snap in fast.snaps] == [snap.frame for snap in slow.snaps]
     assert len(fast.snaps) == 1
+
+
+def test_robots_abreast_go_where_each_goes_alone(compiled):
+    """Eleven robots, of which those that snap need shorter steps; after unknown frames all settle anew."""
+    q = turning(0.0, 6.0)
+    q[60:63] = np.nan
+    parts = np.zeros((11, 2, 5))
+    parts[:, :, 0] = np.linspace(-0.5, 0.3, 11)[:, None]
+    draws, way = drawn_from(LONG, parts, np.zeros((11, 2))), passage(q, 4)
+    places = draws.turned(way.q, way.fresh)
+    abreast = followed_apart(LONG.structure, draws.numbers, way, places)
+    alone = [followed(LONG.structure, own, way, at) for own, at in zip(draws.numbers, places, strict=True)]
+    assert 0 < sum(bool(each.snaps) for each in alone) < 11
+    for one, other in zip(abreast, alone, strict=True):
+        np.testing.assert_allclose(one.x, other.x, atol=1e-9)
+        assert [snap.frame for snap in one.snaps] == [snap.frame for snap in other.snaps]
 
 
 def test_tangents_are_differences_of_points():

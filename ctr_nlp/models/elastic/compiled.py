@@ -18,13 +18,13 @@ from ctr_nlp.codegen.vector import LANES, SAME
 from ctr_nlp.models.elastic import energy, shape, torsion
 from ctr_nlp.models.protocol import Rest, combination, matrix_of, symbolic_tubes
 from ctr_nlp.robot.structure import NUMBERS, Structure, Tubes
-from ctr_nlp.typing import Array, Flags
+from ctr_nlp.typing import Array, Flags, Index
 
 MOST_TUBES = 8
 """That branch.c has room for."""
 CODE = tuple(f"c/{name}.c" for name in ("branch", "margin", "energy", "fall", "shape"))
-FUNCTIONS = "motors", "energy", "second", "shape", "points"
-"""That the struct Elastic of branch.c holds; the last for LANES arc lengths at once."""
+FUNCTIONS = "motors", "energy", "second", "shape", "points", "abreast"
+"""That the struct Elastic of branch.c holds; the last two for LANES arc lengths and robots at once."""
 
 STRIDE = 1.0
 """rad that tubes are turned by at once on the way from the aligned robot."""
@@ -81,7 +81,10 @@ class Compiled:
     def __init__(self, structure: Structure, alone: Path, beside: Path) -> None:
         """Take the functions from their libraries; raises OptionError where nothing can be compiled."""
         made = symbolic(structure)
-        libraries = [*([ctypes.CDLL(str(alone))] * len(made.alone)), ctypes.CDLL(str(beside))]
+        libraries = [
+            *([ctypes.CDLL(str(alone))] * len(made.alone)),
+            *([ctypes.CDLL(str(beside))] * len(made.beside)),
+        ]
         self._run = cache.loaded(__package__, *CODE)
         rows, columns = np.nonzero(made.of.pattern)
         starts = np.searchsorted(rows, np.arange(len(made.of.pattern) + 1))
@@ -104,6 +107,18 @@ class Compiled:
         goals, x = np.ascontiguousarray(goals, dtype=float), np.empty(goals.shape)
         given = _address(numbers), ctypes.byref(state), _address(goals)
         return x[: self._run.walk(self._reference, *given, ctypes.c_long(len(goals)), _address(x))]
+
+    def walk_abreast(self, numbers: Array, states: ctypes.Array[State], goals: Array) -> tuple[Array, Index]:
+        """The equilibria (n, T, 2d + 2) of up to LANES robots at goals (n, T, 2d + 2), and how many of each were
+        reached in whole steps (n,); the states (n,) go on so far.
+        """
+        count, places, size = goals.shape
+        every = np.ascontiguousarray(numbers[np.arange(LANES) % count])
+        goals, x, reached = np.ascontiguousarray(goals), np.empty(goals.shape), np.zeros(LANES, dtype=np.int64)
+        sizes = (ctypes.c_long(each) for each in (places * size, places))
+        given = _address(every), states, ctypes.c_long(count), _address(goals), *sizes
+        self._run.walk_abreast(self._reference, *given, _address(x), _address(reached))
+        return x, reached[:count]
 
     def follow(self, numbers: Array, state: State, goal: Array) -> tuple[bool, Array]:
         """Whether the state could go on to goal (2d + 2,), and its tips' jumps on the way (falls, d), rad."""
@@ -155,21 +170,21 @@ def _stepped(numbers: Array) -> tuple[ctypes.c_void_p, ctypes.c_long]:
 
 
 class Symbolic(NamedTuple):
-    """Functions of a structure, in the order of FUNCTIONS, but for the last; that, for LANES at once; the energy.
+    """Functions of a structure, in the order of FUNCTIONS: all but two, then these for LANES at once; the energy.
 
     motors: (x, numbers (d, 6)) -> alpha and slopes over phi but the last. energy: -> strength, angles, scales.
     second: -> the same in Symbols. shape: -> vectors (3, n) and the tip's direction. points: (arc length, vectors,
-    extensions (d,), numbers) -> the point there (3,), mm.
+    extensions (d,), numbers) -> the point there (3,), mm. abreast: motors.
     """
 
     alone: tuple[ca.Function, ...]
-    beside: ca.Function
+    beside: tuple[ca.Function, ...]
     of: energy.Symbols
 
     @property
     def vectors(self) -> int:
         """How many a shape is made of."""
-        return int(self.beside.size_in(1)[1])
+        return int(self.beside[0].size_in(1)[1])
 
 
 @functools.lru_cache(maxsize=64)
@@ -197,7 +212,9 @@ def symbolic(structure: Structure) -> Symbolic:
     given = s, ca.SX.sym("vectors", 3, len(placed)), ca.SX.sym("beta", d), numbers
     (point,) = ca.substitute([given[1] @ ca.vertcat(*travels)], [ca.vertcat(*beta)], [given[2]])
     names = "s", f"{SAME}vectors", f"{SAME}beta", f"{SAME}numbers"
-    return Symbolic(tuple(alone), ca.Function("points", given, [ca.densify(point)], names, ["point"]), of)
+    beside = ca.Function("points", given, [ca.densify(point)], names, ["point"])
+    abreast = ca.Function(FUNCTIONS[-1], [x, numbers], [ca.densify(value) for value in motors])
+    return Symbolic(tuple(alone), (beside, abreast), of)
 
 
 def compiled(structure: Structure) -> Compiled | None:
@@ -213,7 +230,8 @@ class _Soon:
         made = symbolic(self._structure)
         described = "\n".join(function.serialize() for function in made.alone)
         self._alone = Library(described, functools.partial(tuple, made.alone), 1)
-        self._beside = Library(made.beside.serialize(), functools.partial(tuple, (made.beside,)), LANES)
+        beside = "\n".join(function.serialize() for function in made.beside)
+        self._beside = Library(beside, functools.partial(tuple, made.beside), LANES)
         self._found: Compiled | None = None
 
     def __call__(self) -> Compiled | None:

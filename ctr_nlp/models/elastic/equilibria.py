@@ -256,6 +256,26 @@ def _step_down(energy: Energy, motors: Array, a: Array, time: float) -> tuple[Ar
         time *= max(0.1, 0.8 * FALL / size) if size > FALL else 0.5
 
 
+def walked_abreast(structure: Structure, numbers: Array, goals: Array) -> list[tuple[Array, State] | None]:
+    """The equilibria (k, 2d + 2) of up to LANES robots of numbers (n, d, 6) that settle at the first of goals
+    (n, T, 2d + 2) and reach the next ones in whole steps, and the last of them.
+
+    None for all where one does not settle, and where nothing is gained: without compiled code, of one robot.
+    """
+    code, count = compiled(structure), len(numbers)
+    if code is None or count < 2:
+        return [None] * count
+    flat = np.ascontiguousarray(numbers.swapaxes(1, 2)).reshape(count, -1)
+    states, settled = code.settle(flat, goals[:, 0])
+    if not settled.all():
+        return [None] * count
+    begin = np.ctypeslib.as_array(states)["x"][:, : goals.shape[2]].copy()
+    x, reached = code.walk_abreast(flat, states, goals[:, 1:])
+    known = [np.concatenate([begin[k : k + 1], x[k, :far]]) for k, far in enumerate(reached.tolist())]
+    ends = [_read(state, structure.d, goals[k, reached[k]]) for k, state in enumerate(states)]
+    return list(zip(known, ends, strict=True))
+
+
 def _written(state: State) -> compiled_code.State:
     """A state for C."""
     found = compiled_code.State(determinant=state.determinant, stable=state.stable)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from ctr_nlp.codegen.vector import LANES
 from ctr_nlp.models.elastic import stability
 from ctr_nlp.models.elastic.compiled import compiled
-from ctr_nlp.models.elastic.equilibria import Equilibria, State
+from ctr_nlp.models.elastic.equilibria import Equilibria, State, walked_abreast
 from ctr_nlp.models.protocol import SUBSTEPS, Followed, Passage, Snap, passage
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import NUMBERS, Structure, tubes_in_columns, tubes_of
@@ -54,6 +55,22 @@ def follow(robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBS
     return followed(robot.structure, robot.numbers, way, way.q, x0)
 
 
+def followed_apart(
+    structure: Structure, numbers: Array, way: Passage, places: Array, margins: bool = True
+) -> list[Followed]:
+    """The same of robots of numbers (n, d, 6), each at its own places (n, M, 2d + 2) on a way.
+
+    Those that walk abreast do so as far as whole steps lead, and go on one by one from there.
+    """
+    found, (stop, *_) = list[Followed](), [*np.flatnonzero(way.fresh[1:]) + 1, len(way.fresh)]
+    for first in range(0, len(numbers), LANES):
+        group = slice(first, first + LANES)
+        begun = walked_abreast(structure, numbers[group], places[group, :stop])
+        each = zip(numbers[group], places[group], begun, strict=True)
+        found += [followed(structure, own, way, at, None, margins, known) for own, at, known in each]
+    return found
+
+
 def followed(
     structure: Structure,
     numbers: Array,
@@ -61,20 +78,27 @@ def followed(
     places: Array,
     x0: Array | None = None,
     margins: bool = True,
+    begun: tuple[Array, State] | None = None,
 ) -> Followed:
-    """The same of a robot of numbers (d, 6) at its own places (M, 2d + 2) on a way, with margins or without."""
+    """The same of a robot of numbers (d, 6) at its own places (M, 2d + 2) on a way, with margins or without.
+
+    begun: equilibria (k, 2d + 2) at the first places, k > 0, and the last of them; None where none is known.
+    """
     equilibria, last = Equilibria(structure, numbers), np.searchsorted(way.frames, way.frames, side="right") - 1
-    x, snaps, at = np.full(places.shape, np.nan), list[Snap](), 0
+    x, snaps, at, state = np.full(places.shape, np.nan), list[Snap](), 0, None
+    if begun is not None:
+        known, state = begun
+        x[: len(known)], at = known, len(known) - 1
     while at < len(places):
-        if way.frames[at] or x0 is None:
-            state = equilibria.settled(places[at])
-        else:
-            state = equilibria.nearest(places[at], x0)
+        if state is None:
+            first = x0 if way.frames[at] == 0 else None
+            state = equilibria.settled(places[at]) if first is None else equilibria.nearest(places[at], first)
         if state is not None:
             at, state = _branches(equilibria, way, places, at, state, x, snaps)
         if state is None:  # it settles anew in the next frame
             after = last[min(at, len(last) - 1)] + 1
             at = len(last) if after == len(last) else last[after]
+        state = None
     stable = np.full(len(x), np.nan)
     if margins:
         stable = stability.margins(tubes_of(structure, numbers.tolist()), x)

@@ -8,7 +8,7 @@ import numpy as np
 from ctr_nlp.models.dominant.shape import columns_of
 from ctr_nlp.models.elastic import shape, stability, torsion
 from ctr_nlp.models.elastic.compiled import compiled
-from ctr_nlp.models.elastic.following import follow, followed, settled
+from ctr_nlp.models.elastic.following import follow, followed_apart, settled
 from ctr_nlp.models.elastic.walking import ElasticWalker
 from ctr_nlp.models.protocol import (
     SUBSTEPS,
@@ -138,8 +138,7 @@ class Elastic(Model):
         self, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True
     ) -> list[Followed]:
         """As Model.follow_apart."""
-        pairs = zip(numbers, q, strict=True)
-        return [followed(structure, own, way, places, margins=margins) for own, places in pairs]
+        return followed_apart(structure, numbers, way, q, margins)
 
 
 def _points(structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:

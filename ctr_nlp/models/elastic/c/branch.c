@@ -12,7 +12,7 @@ typedef int (*Function)(const double **, double **, long long *, double *, int);
    and `other`, has entries starts[r] .. starts[r + 1] in columns. ends: the tube whose tip a twist turns, or -1.
    second: (x, numbers) -> the energy's second variation (against, against) for twists of tubes against each other.
    shape: -> vectors (3, vectors) and the tip's direction; points: (arc lengths, vectors, extensions, numbers) -> the
-   points there, for LANES arc lengths at once.
+   points there, for LANES arc lengths at once. abreast: motors of LANES robots at once.
 
    converged: the last step of Newton's method, near: on the way, rad; stray: how far an equilibrium may be from its
    prediction; leap: rad that tips may be predicted to turn against each other in a step, beyond their motors;
@@ -22,12 +22,12 @@ typedef struct {
     long d, twists, rows, against, vectors;
     const long *starts, *columns, *first, *other, *ends;
     const double *entries;
-    Function motors, energy, second, shape, points;
+    Function motors, energy, second, shape, points, abreast;
     double converged, near, stray, leap, smallest, stride, push, fall;
     long iterations;
 } Elastic;
 
-enum { MOST_TUBES = 8, SIDE = 2 * MOST_TUBES + 2 };
+enum { MOST_TUBES = 8, SIDE = 2 * MOST_TUBES + 2, LANES = 8 };
 
 /* An equilibrium x at q, with d alpha / d phi, column by column, and its determinant; stable: whether it is. */
 typedef struct {
@@ -128,16 +128,21 @@ static void extrapolated(const Elastic *e, const State *before, const State *fro
 
 static double margin_at(const Elastic *e, const double *numbers, const double *x);
 
-/* One step along a branch to where it is predicted, ahead; whether it is clear that `to` is on it. An unstable one may
-   pass a fold. */
-static int stepped(const Elastic *e, const double *numbers, const State *from, const double *goal, double *ahead,
-                   State *to, int end) {
+/* Whether tips are predicted, ahead, to turn further against each other than a step may. */
+static int leaps(const Elastic *e, const State *from, const double *goal, const double *ahead) {
     double turn[MOST_TUBES], by_motors[MOST_TUBES];
     for (long i = 0; i + 1 < e->d; ++i) {
         turn[i] = ahead[i] - from->x[i];
         by_motors[i] = (goal[i] - goal[e->d - 1]) - (from->q[i] - from->q[e->d - 1]);
     }
-    if (!(largest(turn, e->d - 1) < e->leap + largest(by_motors, e->d - 1))) return 0;
+    return !(largest(turn, e->d - 1) < e->leap + largest(by_motors, e->d - 1));
+}
+
+/* One step along a branch to where it is predicted, ahead; whether it is clear that `to` is on it. An unstable one may
+   pass a fold. */
+static int stepped(const Elastic *e, const double *numbers, const State *from, const double *goal, double *ahead,
+                   State *to, int end) {
+    if (leaps(e, from, goal, ahead)) return 0;
     memcpy(to->x, ahead, e->d * sizeof *ahead);
     to->stable = from->stable;
     if (!newton(e, numbers, goal, to, end ? e->converged : e->near)) return 0;
@@ -177,4 +182,75 @@ long walk(const Elastic *e, const double *numbers, State *state, const double *g
     long n = 2 * e->d + 2, k = 0;
     while (k < count && along(e, numbers, state, goals + k * n, 1)) memcpy(x + n * k++, state->x, n * sizeof *x);
     return k;
+}
+
+/* Newton's method for the robots that go on, side by side, at goals from x (LANES, 2d + 2); goes: which of them end. */
+static void newton_abreast(const Elastic *e, const double *numbers, const double *const *goals, double *x,
+                           double *slopes, double *determinants, int *goes) {
+    long d = e->d, n = 2 * d + 2;
+    int open[LANES], left = 0;
+    double alpha[LANES * MOST_TUBES], found[LANES * MOST_TUBES * MOST_TUBES];
+    const double *arg[] = {x, numbers};
+    double *res[] = {alpha, found};
+    for (long l = 0; l < LANES; ++l) left += open[l] = goes[l];
+    for (long k = 0; k < e->iterations && left; ++k) {
+        e->abreast(arg, res, 0, 0, 0);
+        for (long l = 0; l < LANES; ++l) {
+            if (!open[l]) continue;
+            double turn[MOST_TUBES], *own = slopes + d * d * l;
+            for (long i = 0; i < d; ++i) turn[i] = goals[l][i] - alpha[i + d * l], own[i + d * (d - 1)] = 1;
+            memcpy(own, found + d * (d - 1) * l, d * (d - 1) * sizeof *own);
+            determinants[l] = solved_for(d, own, turn);
+            double size = largest(turn, d);
+            int lost = determinants[l] == 0 || !(size < 1);
+            if (!lost)
+                for (long i = 0; i < d; ++i) x[i + n * l] += turn[i];
+            if (lost || size < e->converged) left -= open[l], open[l] = 0, goes[l] = !lost;
+        }
+    }
+    for (long l = 0; l < LANES; ++l) goes[l] &= !open[l];
+}
+
+/* Follow the branches of up to LANES robots, numbers (LANES, ..), side by side through as many goals each, `apart`
+   doubles from robot to robot, in one step from goal to goal; x: the equilibria, as far apart; reached: how many of
+   each. A robot that needs shorter steps stays behind, and those that are unstable. */
+void walk_abreast(const Elastic *e, const double *numbers, State *states, long robots, const double *goals,
+                  long apart, long count, double *x, long *reached) {
+    long d = e->d, n = 2 * d + 2, left = robots;
+    int goes[LANES];
+    double at[LANES * SIDE], ahead[LANES * SIDE], alpha[LANES * MOST_TUBES], determinants[LANES];
+    double slopes[LANES * MOST_TUBES * MOST_TUBES];
+    const double *arg[] = {at, numbers}, *goal[LANES];
+    double *res[] = {alpha, slopes};
+    for (long l = 0; l < LANES; ++l) goes[l] = l < robots && states[l].stable, reached[l] = 0;
+    for (long k = 0; k < count && left; ++k) {
+        left = 0;
+        for (long l = 0; l < LANES; ++l) {
+            goal[l] = goals + (l < robots ? l : 0) * apart + k * n;
+            memcpy(at + n * l, states[l < robots ? l : 0].x, d * sizeof *at);
+            memcpy(at + n * l + d, goal[l] + d, (d + 2) * sizeof *at);
+        }
+        e->abreast(arg, res, 0, 0, 0);
+        for (long l = 0; l < robots; ++l) {
+            double turn[MOST_TUBES];
+            if (!goes[l]) continue;
+            for (long i = 0; i < d; ++i) turn[i] = goal[l][i] - alpha[i + d * l];
+            if (solved_for(d, states[l].slopes, turn) != 0)
+                for (long i = 0; i < d; ++i) at[i + n * l] += turn[i];
+            goes[l] = !leaps(e, states + l, goal[l], at + n * l);
+        }
+        memcpy(ahead, at, sizeof at);
+        newton_abreast(e, numbers, goal, at, slopes, determinants, goes);
+        for (long l = 0; l < robots; ++l) {
+            State *own = states + l;
+            if (!goes[l]) continue;
+            for (long i = 0; i < d; ++i) ahead[i + n * l] -= at[i + n * l];
+            goes[l] = largest(ahead + n * l, d) < e->stray && determinants[l] * own->determinant > 0;
+            if (!goes[l]) continue;
+            memcpy(own->q, goal[l], n * sizeof *at), memcpy(own->x, at + n * l, n * sizeof *at);
+            memcpy(own->slopes, slopes + d * d * l, d * d * sizeof *at), own->determinant = determinants[l];
+            memcpy(x + l * apart + k * n, own->x, n * sizeof *at);
+            reached[l] = k + 1, ++left;
+        }
+    }
 }

@@ -1,7 +1,5 @@
 /* Shapes of the elastic model; branch.c, margin.c and fall.c come before this file. */
 
-enum { LANES = 8 };
-
 /* Points (samples, 3) at sigma (samples,), mm, and the tip's direction (3,). */
 static void shape_at(const Elastic *e, const double *numbers, const double *x, const double *sigma, long samples,
                      double *points, double *tip) {
