@@ -22,14 +22,12 @@ class Scenarios:
     """S robots that are moved alike; the first is the one as described, and others are compared with it.
 
     numbers (S, d, 6): of the tubes, in the order of structure.NUMBERS. offsets (S, d): of the motors' zeros, added
-    to alpha, rad. weights (S,): how much each one's shape error counts, >= 0 and not all 0. guards: so many of
-    them, the last ones, need only not be lost. Raises OptionError.
+    to alpha, rad. weights (S,): how much each one's shape error counts, >= 0 and not all 0. Raises OptionError.
     """
 
     numbers: Array
     offsets: Array
     weights: Array
-    guards: int = 0
 
     def __post_init__(self) -> None:
         for name in ("numbers", "offsets", "weights"):
@@ -51,20 +49,27 @@ class Scenarios:
         numbers, offsets, weights = (np.concatenate(pair) for pair in pairs)
         return Scenarios(numbers, offsets, weights)
 
-    def guarded(self, numbers: Array, offsets: Array) -> Scenarios:
-        """These and then others, which need only not be lost."""
-        return replace(self.joined(numbers, offsets), guards=self.guards + len(offsets))
-
-    def first(self, count: int) -> Scenarios:
-        """So many of them."""
-        return Scenarios(self.numbers[:count], self.offsets[:count], self.weights[:count])
-
     def shrunk(self, part: float, since: int = 0) -> Scenarios:
         """The same robots, from number `since` on differing from the first by only a part of what they do."""
         parts = np.where(np.arange(len(self)) < since, 1.0, part)
         numbers = self.numbers[0] + parts[:, None, None] * (self.numbers - self.numbers[0])
         offsets = self.offsets[0] + parts[:, None] * (self.offsets - self.offsets[0])
         return replace(self, numbers=numbers, offsets=offsets)
+
+
+@dataclass(frozen=True)
+class Guards:
+    """Robots that need only not be lost: K of them in every one of T frames, others in each.
+
+    numbers (T, K, d, 6), offsets (T, K, d): as of Scenarios.
+    """
+
+    numbers: Array
+    offsets: Array
+
+    def at(self, picked: Index | list[int]) -> Guards:
+        """Those of some frames."""
+        return Guards(self.numbers[picked], self.offsets[picked])
 
 
 @dataclass(frozen=True)
@@ -83,13 +88,20 @@ class Common:
     upper: Array
 
 
+def with_guards(of_scenarios: Array, of_guards: Array | None, frames: int) -> Array:
+    """What scenarios have in every frame (S, ..), with what guards have (T, K, ..), (T, S + K, ..)."""
+    found = np.repeat(of_scenarios[None], frames, axis=0)
+    return found if of_guards is None else np.concatenate([found, of_guards], axis=1)
+
+
 @dataclass(frozen=True)
 class SharedMotion:
     """Minimise the scenarios' mean shape error and the links' costs over q (T, n) and the tips (T, S, d).
 
+    The S robots of a frame are the scenarios and, where there are any, its guards, whose errors do not count.
     frame: the program of one robot in one frame over (phi, beta, theta), the last two of them q's own, and what
     common unknowns give it, where there are any: these are then solved for, too. parameters (T S, p): a row for
-    every scenario of every frame. lower, upper (T, n): of q, equal where it is fixed. apart (S,): by how much a
+    every robot of every frame. lower, upper (T, n): of q, equal where it is fixed. apart (S,): by how much a
     scenario's tips, relative to the innermost one, may differ from the first scenario's, rad. twist_steps (T,):
     rad by which the first's may turn beyond its motors on the way to each frame; infinite where none is before it.
     surroundings: where some parameters hold near a motion only, these (T, S, ..), by name, of all robots' unknowns
@@ -108,17 +120,24 @@ class SharedMotion:
     functions: Callable[[], FrameFunctions]
     surroundings: Callable[[Array], Mapping[str, Array]] | None = None
     common: Common | None = None
+    guards: Guards | None = None
 
     @property
     def sizes(self) -> tuple[int, int, int, int]:
-        """Frames T, scenarios S, entries n of q, and d."""
-        return len(self.lower), len(self.scenarios), self.lower.shape[1], self.d
+        """Frames T, robots S of each, entries n of q, and d."""
+        return len(self.lower), len(self.apart), self.lower.shape[1], self.d
 
     @cached_property
     def weights(self) -> Array:
-        """The share (S,) of every scenario in the mean."""
-        found: Array = self.scenarios.weights / self.scenarios.weights.sum()
-        return found
+        """The share (S,) of every robot in the mean."""
+        shares = self.scenarios.weights / self.scenarios.weights.sum()
+        return np.append(shares, np.zeros(len(self.apart) - len(shares)))
+
+    @cached_property
+    def offsets(self) -> Array:
+        """Of the robots' motors, (T, S, d) rad."""
+        of_guards = None if self.guards is None else self.guards.offsets
+        return with_guards(self.scenarios.offsets, of_guards, len(self.lower))
 
     @cached_property
     def own_rows(self) -> Index:
@@ -143,13 +162,13 @@ class SharedMotion:
             bounds.append(np.tile(np.concatenate(parts), (len(self.lower), 1)))
         return bounds[0], bounds[1]
 
-    def by_scenario(self, rows: Array) -> Array:
-        """The sums (S,) of values (m,) of a frame's rows that each scenario has of its own, or with the first."""
-        _, count, _, d = self.sizes
+    def by_robot(self, rows: Array) -> Array:
+        """Sums (T, S) of values (T, m) of the frames' rows that each robot has of its own, or with the first."""
+        frames, count, _, d = self.sizes
         size = count * len(self.own_rows)
-        own = rows[:size].reshape(count, -1).sum(axis=1)
-        tips = rows[size : size + (count - 1) * (d - 1)].reshape(count - 1, d - 1).sum(axis=1)
-        return np.asarray(own + np.append(0.0, tips))
+        found = rows[:, :size].reshape(frames, count, -1).sum(axis=2)
+        found[:, 1:] += rows[:, size : size + (count - 1) * (d - 1)].reshape(frames, count - 1, d - 1).sum(axis=2)
+        return np.asarray(found)
 
     def unknowns(self, q: Array, phi: Array, given: Array) -> Array:
         """Those (T, S, n + k) of every robot in every frame, at q (T, n) and tips phi (T, S, d).

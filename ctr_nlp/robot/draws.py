@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +18,7 @@ from ctr_nlp.support.values import whole_number
 from ctr_nlp.typing import Array, Flags
 
 MOST_CORNERS = 2**16
-"""Corners of a band that are given; each takes some milliseconds to be moved through a plan."""
+"""Corners that are given, at most; each takes some milliseconds to be moved through a plan."""
 LEAST = 0.05
 """The least part of a curvature, a stiffness or a length that a normal draw leaves of it."""
 
@@ -89,23 +90,22 @@ def drawn(robot: Robot, count: int, seed: int) -> Draws:
     return drawn_from(robot, parts, shares.uniform(0.0, 1.0, (count, d)) * tolerances.lags(d))
 
 
-def corners(robot: Robot) -> Draws:
-    """The robots at all corners of the band; those with a lag have all of it. Raises RobotError.
+def corners(robot: Robot, most: int = MOST_CORNERS) -> Draws:
+    """The robots at the corners of what a robot may be within its tolerances: all, or so many at random.
 
-    A band of width 0 has one end. The corners of a normal distribution are those of the uniform one with its
-    variance.
+    Every independent quantity is as far off as at the end of a uniform band: sqrt(3) standard deviations. Tubes
+    with a lag have all of it.
     """
-    bands = robot.tolerances.bands(robot.tubes)
-    wide = np.flatnonzero(bands.ravel())
-    if 2 ** len(wide) > MOST_CORNERS:
-        raise RobotError(
-            f"tolerances have {len(wide)} bands, and so 2^{len(wide)} corners; at most {MOST_CORNERS} are given"
-        )
-    signs = np.array(list(itertools.product((-1.0, 1.0), repeat=len(wide)))).reshape(-1, len(wide))
-    parts = np.zeros((len(signs), bands.size))
-    parts[:, wide] = signs * bands.ravel()[wide]
+    root = robot.tolerances.root(robot.tubes)
+    deviations = root[:, abs(root).max(axis=0) > 0]
+    count = deviations.shape[1]
+    if 2**count <= most:
+        signs = np.array(list(itertools.product((-1.0, 1.0), repeat=count))).reshape(-1, count)
+    else:
+        signs = np.random.default_rng(0).choice((-1.0, 1.0), (most, count))
+    parts = math.sqrt(3) * signs @ deviations.T
     lags = np.tile(robot.tolerances.lags(robot.d), (len(signs), 1))
-    return drawn_from(robot, parts.reshape(len(signs), *bands.shape), lags)
+    return drawn_from(robot, parts.reshape(-1, robot.d, len(NAMES)), lags)
 
 
 def _stiffened(robot: Robot, off: Array) -> Array:

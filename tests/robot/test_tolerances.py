@@ -106,12 +106,18 @@ def test_corners_are_all_ends_of_all_bands():
     found = corners(robot)
     assert len(found) == 2**5
     assert len(np.unique(found.parts.reshape(32, 15), axis=0)) == 32
-    np.testing.assert_array_equal(abs(found.parts), np.tile(robot.tolerances.bands(robot.tubes), (32, 1, 1)))
+    bands = robot.tolerances.bands(robot.tubes)
+    np.testing.assert_allclose(abs(found.parts), np.tile(bands, (32, 1, 1)), rtol=1e-12)
     assert (found.lags == 0.1).all()
-    outer = table_i_robot().tubes[0]
-    six = Robot(tuple(replace(outer, outer_diameter=9 - k, inner_diameter=8.2 - k) for k in range(6)))
-    with pytest.raises(RobotError, match=r"18 bands, and so 2\^18 corners; at most 65536"):
-        corners(six)
+    some = corners(robot, 20)
+    assert len(some) == 20
+    np.testing.assert_allclose(abs(some.parts), np.tile(bands, (20, 1, 1)), rtol=1e-12)
+
+
+def test_corners_of_a_covariance_are_as_far_off_along_its_axes():
+    robot = known_so(correlated())
+    parts = corners(robot).parts.reshape(-1, 15)
+    np.testing.assert_allclose(parts.T @ parts / len(parts), 3 * np.array(correlated().covariance), atol=1e-12)
 
 
 def test_tolerances_change_nothing_that_is_compiled_or_planned_with():

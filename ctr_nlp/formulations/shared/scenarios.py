@@ -23,7 +23,7 @@ from ctr_nlp.formulations.terms import Term, Touch
 from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.models import Model
 from ctr_nlp.nlp.nlp import Nlp
-from ctr_nlp.nlp.scenarios import Scenarios, SharedMotion
+from ctr_nlp.nlp.scenarios import Guards, Scenarios, SharedMotion, with_guards
 from ctr_nlp.nlp.written import FrameFunctions
 from ctr_nlp.robot import Robot
 from ctr_nlp.target.target import Frame
@@ -61,30 +61,40 @@ def shared_motion(
     extra: Sequence[Term] = (),
     wall: Wall | None = None,
     freed: tuple[str, ...] = (),
+    guards: Guards | None = None,
 ) -> SharedMotion:
     """The motion through frames, dt s apart, of scenarios of a robot on a model with several equilibria.
 
     As horizon, but for tips that may turn as they do, and for the wall, which is no matter of slacks but a smooth
-    cost (terms.touch). margins (T,): the least of every scenario in each frame, None for any. Raises OptionError.
+    cost (terms.touch). margins (T,): the least of every scenario in each frame, None for any. guards: of these
+    frames. Raises OptionError.
     """
     check_shared(robot, model, scenarios)
-    guards = np.arange(len(scenarios)) >= len(scenarios) - scenarios.guards
     margin = None if margins is None else 0.0
     terms = (*terms_of(robot, model, margin, extra), *([] if wall is None else [Touch(robot.d)]))
     frame = program("frame", robot.structure, model, terms, freed)
     each = packed(frame, [filled(robot, terms, at) for at in frames])
-    parameters = np.repeat(each[:, None], len(scenarios), axis=1)
-    parameters[..., frame.place("tubes")] = scenarios.numbers.transpose(0, 2, 1).reshape(len(scenarios), -1)
+    numbers = with_guards(scenarios.numbers, None if guards is None else guards.numbers, len(frames))
+    eased = np.arange(numbers.shape[1]) >= len(scenarios)
+    parameters = np.repeat(each[:, None], len(eased), axis=1)
+    parameters[..., frame.place("tubes")] = numbers.swapaxes(2, 3).reshape(*numbers.shape[:2], -1)
     if margins is not None:
-        parameters[..., frame.place("margin")] = (margins[:, None] * np.where(guards, EASED, 1.0))[..., None]
+        parameters[..., frame.place("margin")] = (margins[:, None] * np.where(eased, EASED, 1.0))[..., None]
     lower, upper = (np.tile(bound, (len(frames), 1)) for bound in (robot.lower, robot.upper))
     if ends.end is not None:
         lower[-1] = upper[-1] = ends.end
     before, after = ([] if q is None else [q] for q in (ends.start, ends.end))
     links = motion_links(robot, len(frames), dt, motion_weight, before, after, np.zeros(0))
-    flat = parameters.reshape(len(frames) * len(scenarios), -1)
-    near = None if wall is None else partial(wall.of_scenarios, numbers=scenarios.numbers)
-    apart = np.where(guards, FURTHEST, APART)
+    flat = parameters.reshape(len(frames) * len(eased), -1)
+    near = None if wall is None else partial(_surroundings, wall, scenarios.numbers)
+    apart = np.where(eased, FURTHEST, APART)
     twists = np.append(np.inf, np.full(len(frames) - 1, TWIST_STEP))
     own = flat, lower, upper, links, apart, twists
-    return SharedMotion(frame, robot.d, scenarios, *own, functions(frame), near)
+    return SharedMotion(frame, robot.d, scenarios, *own, functions(frame), near, guards=guards)
+
+
+def _surroundings(wall: Wall, numbers: Array, x: Array) -> dict[str, Array]:
+    """What surrounds robots (T, S, n), scenarios and then others, whose cost is 0; these have the first's."""
+    found = wall.of_scenarios(x[:, : len(numbers)], numbers)
+    others = np.zeros(x.shape[1] - len(numbers), dtype=int)
+    return {name: np.concatenate([each, each[:, others]], axis=1) for name, each in found.items()}

@@ -37,7 +37,7 @@ class CommonValues:
 
     def __init__(self, motion: SharedMotion) -> None:
         """Prepare."""
-        count, common = len(motion.scenarios), motion.common
+        (_, count, *_), common = motion.sizes, motion.common
         self.factors = np.zeros((count, 0)) if common is None else common.factors
         self.lower, self.upper = (NONE, NONE) if common is None else (common.lower, common.upper)
         k = self.factors.shape[1]

@@ -99,12 +99,12 @@ class Condensed:
 
     def __init__(self, motion: SharedMotion) -> None:
         """Prepare."""
-        functions, scenarios = motion.functions(), motion.scenarios
+        functions = motion.functions()
         self.motion, self.linking = motion, motion.linking
         self._maps = [Mapped(each, len(motion.parameters), functions.lanes) for each in functions[:3]]
         for each in self._maps:
             each.inputs[1][:] = motion.parameters
-        self._offsets, self._shares = scenarios.offsets, np.tile(motion.weights, len(motion.lower))
+        self._offsets, self._shares = motion.offsets, np.tile(motion.weights, len(motion.lower))
         self.common, self.twists = CommonValues(motion), TwistSteps(motion)
         self.link_weight, self._link_offset = motion.of_links("weight"), motion.of_links("offset")
         of_q, names = (motion.lower, motion.upper), ("lower", "upper")

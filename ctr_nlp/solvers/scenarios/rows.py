@@ -24,8 +24,8 @@ its distance from a bound a step leaves."""
 class SharedSolution:
     """A point of a shared motion: q (T, n), tips phi (T, S, d), the objective in mm^2, common unknowns p (P,).
 
-    prices (c,): multipliers of p's own rows, mm^2 a unit, positive at upper bounds. burdens (S,): what it costs
-    that a scenario keeps its margin and its distance, the sum over frames of the multipliers' sizes, mm^2 a unit.
+    prices (c,): multipliers of p's own rows, mm^2 a unit, positive at upper bounds. burdens (T, S): what it
+    costs that a robot keeps its margin and its distance in a frame: the multipliers' sizes, mm^2 a unit.
 
     violation: of bounds; missing: of the scenarios' equations; kkt: residual of all conditions of optimality, from
     the program itself. success: whether it is a solution.
@@ -243,5 +243,5 @@ class SharedRows:
         kkt = max(self._stationarity(point, about), float(products.max()), violation, missing)
         found = float(about.at.objective), violation, missing, float(kkt)
         split = self.split(point.multipliers)
-        burdens = self.condensed.motion.by_scenario(abs(split.frames).sum(axis=0))
+        burdens = self.condensed.motion.by_robot(abs(split.frames))
         return SharedSolution(q, point.phi, *found, status, iterations, p, split.own, burdens)

@@ -2,40 +2,21 @@
 
 from __future__ import annotations
 
-import itertools
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from ctr_nlp.models import Model
 from ctr_nlp.robot import Robot
-from ctr_nlp.robot.draws import Draws, drawn_from
-from ctr_nlp.robot.tolerances import NAMES
+from ctr_nlp.robot.draws import Draws, corners, drawn_from
 from ctr_nlp.simulation.drawn import lost_draws
 from ctr_nlp.typing import Array, Flags, Index
 
 MOST, SPARED = 512, 0.02
 """Corners that are looked at, at most, and the part of them that may be lost."""
-NEAR, BEYOND, HALVINGS = 1.05, 1.02, 5
-"""How many times a corner's difference is looked at, and planned for, since between frames some are lost that hold
-at frames; how often the range is halved in which a corner comes to be lost."""
-
-
-def corners_within(robot: Robot) -> Draws:
-    """The corners of what a robot may be within its tolerances, without lags: all of them, or MOST at random.
-
-    Every independent quantity is as far off as at the end of a uniform band: sqrt(3) standard deviations.
-    """
-    root = robot.tolerances.root(robot.tubes)
-    deviations = root[:, abs(root).max(axis=0) > 0]
-    count = deviations.shape[1]
-    if 2**count <= MOST:
-        signs = np.array(list(itertools.product((-1.0, 1.0), repeat=count))).reshape(-1, count)
-    else:
-        signs = np.random.default_rng(0).choice((-1.0, 1.0), (MOST, count))
-    parts = math.sqrt(3) * signs @ deviations.T
-    return drawn_from(robot, parts.reshape(-1, robot.d, len(NAMES)), np.zeros((len(signs), robot.d)))
+NEAR, HALVINGS = 1.05, 5
+"""How many times a corner's difference is looked at, since robots near to one that is lost are, too; how often the
+range is halved in which a corner comes to be lost."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +30,7 @@ class Corners:
     @classmethod
     def of(cls, robot: Robot, model: Model) -> Corners:
         """Those within its tolerances."""
-        return cls(robot, model, corners_within(robot))
+        return cls(robot, model, corners(robot, MOST))
 
     @property
     def allowed(self) -> int:
@@ -67,20 +48,17 @@ class Corners:
         low, high = np.zeros(len(gone)), np.full(len(gone), NEAR)
         for _ in range(HALVINGS if len(gone) else 0):
             middle = (low + high) / 2
-            lost = self._lost(gone, q, middle[:, None, None]) > 0
+            lost = self._lost(gone, q, middle) > 0
             low, high = np.where(lost, low, middle), np.where(lost, middle, high)
         found[gone] = high
         return found
 
     def _lost(self, chosen: Index, q: Array, part: Array | float) -> Index:
         """In which frame each of those chosen is, with so much of its difference; 0 where it is not."""
-        return lost_draws(self.robot, self._with(chosen, part), q, self.model)
+        return lost_draws(self.robot, self.with_part(chosen, part), q, self.model)
 
-    def guards(self, chosen: Index) -> tuple[Array, Array]:
-        """Numbers and offsets of those chosen, with BEYOND times their difference."""
-        robots = self._with(chosen, BEYOND)
-        return robots.numbers, robots.offsets
-
-    def _with(self, chosen: Index, part: Array | float) -> Draws:
-        robots = self.robots[chosen]
-        return drawn_from(self.robot, part * robots.parts, robots.lags)
+    def with_part(self, chosen: Index, part: Array | float) -> Draws:
+        """Those chosen (..), with so much of their difference, (..) or the same for all."""
+        robots = self.robots[chosen.ravel()]
+        parts = np.broadcast_to(part, chosen.shape).reshape(-1, 1, 1) * robots.parts
+        return drawn_from(self.robot, parts, robots.lags)

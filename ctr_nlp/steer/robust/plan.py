@@ -101,7 +101,7 @@ def solve_robust(
             if interrupted() or (free is not None and free.lost.few):
                 break
         if free is not None and not interrupted():
-            made += guarded(free, len(scenarios), Corners.of(problem.robot, model), trials, len(made))
+            made += guarded(free, scenarios, Corners.of(problem.robot, model), trials, len(made))
             free = best_of(made, problem.frames)
         wall = wall_of(problem.robot, problem.lumen, model, settings, finer=1)
         if wall is not None and free is not None:

@@ -45,6 +45,7 @@ class Round(NamedTuple):
         found = self.tried.solution
         return {
             "scenarios": len(self.scenarios),
+            "guards": self.tried.solution.phi.shape[1] - len(self.scenarios),
             "frames": self.tried.frames,
             "objective": found.objective / self.tried.frames,
             "iterations": found.iterations,
@@ -126,12 +127,19 @@ def _again(search: RobustSearch, before: Tried, scenarios: Scenarios, picked: In
     return search.grown(before.start, known.q, known.phi[:, :1], scenarios, picked)
 
 
-def solved_again(search: RobustSearch, before: Tried, scenarios: Scenarios, picked: Index | None = None) -> Tried:
+def solved_again(
+    search: RobustSearch,
+    before: Tried,
+    scenarios: Scenarios,
+    picked: Index | None = None,
+    barrier: float = BARRIER,
+) -> Tried:
     """A motion solved again with scenarios of which the last have joined, from tips as the first one's."""
-    known = before.solution
-    joining = np.repeat(known.phi[:, :1], len(scenarios) - known.phi.shape[1], axis=1)
-    tips = np.concatenate([known.phi, joining], axis=1)
-    found = SharedSolver(search.motion(scenarios, picked))(known.q, tips, BARRIER, search.stop)
+    known, motion = before.solution, search.motion(scenarios, picked)
+    old = known.phi.shape[1] - (motion.sizes[1] - len(scenarios))
+    joining = np.repeat(known.phi[:, :1], len(scenarios) - old, axis=1)
+    tips = np.concatenate([known.phi[:, :old], joining, known.phi[:, old:]], axis=1)
+    found = SharedSolver(motion)(known.q, tips, barrier, search.stop)
     return search.looked_at(Tried(before.start, before.frames, found))
 
 

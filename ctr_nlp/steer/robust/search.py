@@ -13,7 +13,7 @@ from ctr_nlp.formulations.shared.scenarios import shared_motion
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.models import Model
-from ctr_nlp.nlp.scenarios import Scenarios, SharedMotion
+from ctr_nlp.nlp.scenarios import Guards, Scenarios, SharedMotion
 from ctr_nlp.plan.plan import elsewhere
 from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.solvers.motion.judged import CLOSE, WIDE
@@ -69,7 +69,8 @@ class Tried:
 @dataclass(frozen=True)
 class RobustSearch:
     """Solves for scenarios of one problem. weight: lambda in s^2; margins (T,): the least of all scenarios in each
-    frame, None for any; wall: of the lumen that all are kept in, None where it does not count.
+    frame, None for any; wall: of the lumen that all are kept in, None where it does not count; guards: of all
+    frames, None where there are none.
     """
 
     problem: Problem
@@ -81,6 +82,7 @@ class RobustSearch:
     progress: Progress | None = None
     stop: Callable[[], bool] = lambda: False
     wall: Wall | None = None
+    guards: Guards | None = None
 
     def motion(self, scenarios: Scenarios, picked: Index | None = None) -> SharedMotion:
         """The program over all frames, or over picked ones, evenly apart."""
@@ -89,7 +91,8 @@ class RobustSearch:
         dt = problem.dt * (1 if picked is None or len(picked) < 2 else int(picked[-1] - picked[-2]))
         at = problem.robot, [problem.samples[k] for k in frames], dt, self.weight, self.ends, self.model
         margins = None if self.margins is None else self.margins[frames]
-        return shared_motion(*at, scenarios, fastest, margins, self.terms, wall=self.wall)
+        guards = None if self.guards is None else self.guards.at(list(frames))
+        return shared_motion(*at, scenarios, fastest, margins, self.terms, wall=self.wall, guards=guards)
 
     @cached_property
     def picked(self) -> Index | None:
@@ -133,7 +136,7 @@ class RobustSearch:
 
     def grown(self, name: str, q: Array, tips: Array, scenarios: Scenarios, picked: Index | None = None) -> Tried:
         """With scenarios that grow from the nominal robot, of tips (T, 1, d), to what they are."""
-        tips = np.repeat(tips, len(scenarios), axis=1)
+        tips = np.repeat(tips, self.motion(scenarios, picked).sizes[1], axis=1)
         done, part, best = 0.0, 0.5, None
         for _ in range(GROWTHS):
             found = SharedSolver(self.motion(scenarios.shrunk(part), picked))(q, tips, WIDE, self.stop)

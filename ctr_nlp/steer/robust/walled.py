@@ -118,14 +118,13 @@ class Walled:
         """By what part errors have grown: of all scenarios together, or of the nominal robot if that is more."""
         known = self.free.tried.solution
         before = self._errors(known.q[picked], known.phi[picked])
-        count = len(self.free.scenarios)
-        return float((self._errors(solution.q, solution.phi[:, :count]) / before).max() - 1)
+        return float((self._errors(solution.q, solution.phi) / before).max() - 1)
 
     def _errors(self, q: Array, phi: Array) -> Array:
         """Root mean squares over frames, mm: of the scenarios that were planned for, and of the nominal robot."""
         picked = None if len(q) == self.search.problem.frames else self.search.picked
-        motion = self.search.motion(self.free.scenarios, picked)
-        squares = Condensed(motion).by_robot(q, phi).mean(axis=0)
+        motion = replace(self.search, guards=None).motion(self.free.scenarios, picked)
+        squares = Condensed(motion).by_robot(q, phi[:, : len(self.free.scenarios)]).mean(axis=0)
         return np.sqrt([squares @ motion.weights, squares[0]])
 
     def _affords(self, tried: Tried) -> bool:
