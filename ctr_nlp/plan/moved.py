@@ -12,8 +12,7 @@ from ctr_nlp.models import Model, Snap
 from ctr_nlp.plan.measures import rms_over_sigma, root_mean_square
 from ctr_nlp.robot import Robot
 from ctr_nlp.simulation.forward import Simulation, simulated
-from ctr_nlp.target.lumen import Lumen, outer_radii
-from ctr_nlp.target.target import SIGMA
+from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.typing import Array, Flags
 
 ELSEWHERE = 0.05
@@ -43,7 +42,7 @@ def moved(
     """
     found, clearance = simulated(robot, q, model), None
     if lumen is not None:
-        clearance = Beside(Lumen(lumen))(found.shape) - outer_radii(robot, robot.split(q)[1], SIGMA)
+        clearance = Beside(Lumen(lumen)).clearances(robot, robot.split(q)[1], found.shape)
     arrays = {
         "shape": found.shape,
         "tip_direction": found.tip_direction,

@@ -22,7 +22,7 @@ from ctr_nlp.plan.plan import Plan
 from ctr_nlp.simulation.bearing import Question, borne, compliance, shapes, unstable
 from ctr_nlp.support.equal import Kept
 from ctr_nlp.support.values import instance, number, whole_number
-from ctr_nlp.target.lumen import Lumen, outer_radii
+from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.typing import Array, Flags, Index
 
 COUNTS = 6, 14, 26
@@ -173,10 +173,8 @@ def _left(plan: Plan, off: float, follows: bool) -> Question:
     beside, robot = Beside(Lumen(plan.lumen)), plan.robot
 
     def left(states: States) -> Flags:
-        clearance = beside(shapes(robot, states, SIGMA, follows)) - outer_radii(
-            robot, robot.split(states.q)[1], SIGMA
-        )
-        return np.asarray(clearance.min(axis=1) < -off)
+        shape = shapes(robot, states, SIGMA, follows)
+        return np.asarray(beside.clearances(robot, robot.split(states.q)[1], shape).min(axis=1) < -off)
 
     return left
 

@@ -15,7 +15,7 @@ from ctr_nlp.steer.robust.rounds import Judge, Round, solved_again
 from ctr_nlp.steer.robust.search import RobustSearch, Tried
 from ctr_nlp.typing import Array, Index
 
-GUARDINGS = 3
+GUARDINGS = 4
 """Times that corners which are lost join, at most."""
 DEARER = 0.08
 """By which part of itself the objective may grow for them."""
