@@ -21,9 +21,9 @@ DEARER = 0.08
 """By which part of itself the objective may grow for them."""
 IDLE = 1e-4
 """A guard is left out in frames where it costs less than this part of what the dearest costs."""
-BEYOND, MORE = 1.02, 0.03
-"""How many times its difference a guard has at first, since between frames some are lost that hold at frames; by
-how much more where it is lost all the same."""
+BEYOND, MORE = 1.0, 0.02
+"""How many times its difference a guard has at first; and by how much more where it is lost all the same, between
+frames that hold it."""
 
 
 class Placed(NamedTuple):
