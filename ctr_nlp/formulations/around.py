@@ -17,7 +17,6 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import NUMBERS, Structure
 from ctr_nlp.solvers.frame.adapter import Surroundings
 from ctr_nlp.target.lumen import SPACING, Lumen, outer_radii, outer_radius
-from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
 
 LANES = vector.LANES
@@ -135,12 +134,12 @@ class Beside:
         call(ctypes.byref(self._wall), ctypes.c_long(found.size), points.ctypes, found.ctypes)
         return found
 
-    def clearances(self, robot: Robot, beta: Array, shape: Array) -> Array:
-        """What is left between the wall and a robot's outermost tube, (.., T, 101) mm; negative beyond the wall.
+    def clearances(self, robot: Robot, beta: Array, shape: Array, sigma: Array) -> Array:
+        """What is left between the wall and a robot's outermost tube, (.., T, n) mm; negative beyond the wall.
 
-        beta (T, d): extensions; shape (.., T, 101, 3) mm: points at uniform sigma, NaN where there are none.
+        beta (T, d): extensions; shape (.., T, n, 3) mm: points at sigma (n,), NaN where there are none.
         """
-        return np.asarray(self(shape) - outer_radii(robot, beta, SIGMA))
+        return np.asarray(self(shape) - outer_radii(robot, beta, sigma))
 
 
 def _shares(d: int, count: int, samples: int) -> Array:

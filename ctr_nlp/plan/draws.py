@@ -17,6 +17,7 @@ from ctr_nlp.robot.draws import Draws, drawn, drawn_from
 from ctr_nlp.robot.tolerances import NAMES
 from ctr_nlp.simulation.drawn import DrawnMotion, drawn_motion
 from ctr_nlp.target.lumen import Lumen
+from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array, Index
 
 DRAWS, SEED = 200, 0
@@ -49,7 +50,7 @@ def _measured(plan: Record, draws: Draws, frames: Index) -> tuple[Any, ...]:
     margins = np.fmin(found.stability, found.stability_between)
     clearance = contact = np.full(len(draws), np.nan)
     if plan.lumen is not None:
-        least = Beside(Lumen(plan.lumen)).clearances(plan.robot, plan.beta, found.shape).min(axis=2)
+        least = Beside(Lumen(plan.lumen)).clearances(plan.robot, plan.beta, found.shape, SIGMA).min(axis=2)
         clearance, contact = np.fmin.reduce(least, axis=1), np.nansum(np.maximum(-least, 0.0), axis=1)
     return (
         *(

@@ -13,6 +13,7 @@ from ctr_nlp.plan.measures import rms_over_sigma, root_mean_square
 from ctr_nlp.robot import Robot
 from ctr_nlp.simulation.forward import Simulation, simulated
 from ctr_nlp.target.lumen import Lumen
+from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array, Flags
 
 ELSEWHERE = 0.05
@@ -42,7 +43,7 @@ def moved(
     """
     found, clearance = simulated(robot, q, model), None
     if lumen is not None:
-        clearance = Beside(Lumen(lumen)).clearances(robot, robot.split(q)[1], found.shape)
+        clearance = Beside(Lumen(lumen)).clearances(robot, robot.split(q)[1], found.shape, SIGMA)
     arrays = {
         "shape": found.shape,
         "tip_direction": found.tip_direction,

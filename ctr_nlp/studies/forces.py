@@ -174,7 +174,7 @@ def _left(plan: Plan, off: float, follows: bool) -> Question:
 
     def left(states: States) -> Flags:
         shape = shapes(robot, states, SIGMA, follows)
-        return np.asarray(beside.clearances(robot, robot.split(states.q)[1], shape).min(axis=1) < -off)
+        return np.asarray(beside.clearances(robot, robot.split(states.q)[1], shape, SIGMA).min(axis=1) < -off)
 
     return left
 
