@@ -64,8 +64,8 @@ class Rod(NamedTuple):
     """tangents: at the nodes of every section from base to tip, evenly spaced. angles, rates, axes: at the base.
 
     responses: from tip to base the matrices, row by row a list, of the turns about d_1 and d_2 of the frame and
-    its spin with every tube's angle, over the same at the place before; the last d of one transmission after the
-    other.
+    its spin with every tube's angle, over the same at the place before (or at the tip, see integrated); the last d
+    of one transmission after the other.
     """
 
     tangents: list[list[Vector]]
@@ -141,10 +141,12 @@ def integrated(
     *,
     soft: Softness | None = None,
     follows: bool = False,
+    anew: bool = True,
 ) -> Rod:
     """The rod of a tip, in so many steps a section of Runge and Kutta's method of order 4.
 
-    soft: of the responses; None for none. follows: whether tool_force counts.
+    soft: of the responses; None for none. follows: whether tool_force counts. anew: whether responses are told from
+    place to place; else from the tip to every place, and to the ends of sections alone.
     """
     d, force = len(tubes), load.force
     if follows:
@@ -166,14 +168,14 @@ def integrated(
         for k in range(steps):
             y, by = _stepped(section, k, steps, y, by)
             nodes.append(vectors(y[2 * d :])[2])
-            if by is not None and (k + 1) % (steps // 2) == 0:
-                by = _anew(by, responses, d, xp)
+            if by is not None and (k + 1) % (steps // 2 if anew else steps) == 0:
+                by = _told(by, responses, d, xp, anew)
         tangents.append(nodes[::-1])
         force = plus(force, part.length, weight)
     if by is not None:
         for i, tube in enumerate(tubes):
             by[i] = by[i] - by[d + i] * (tube.length - beta[i])
-            by = _anew(by, responses, d, xp)
+            by = _told(by, responses, d, xp, anew)
     d1, d2, t, _ = vectors(y[2 * d :])
     return Rod(tangents[::-1], y[:d], y[d : 2 * d], (d1, d2, t), responses)
 
@@ -209,14 +211,16 @@ def _changes(tip: Tip, load: Loading, follows: bool, xp: Any) -> Values:
     return [*angles, *[none] * d, a, b, none, *moment, *force]
 
 
-def _anew(by: Values, responses: list[list[Any]], d: int, xp: Any) -> Values:
-    """What changes of this place make of all that responds; the responses here to those of the place before.
+def _told(by: Values, responses: list[list[Any]], d: int, xp: Any, anew: bool) -> Values:
+    """The responses here are told; what goes on from here, anew with changes of this place or as it is.
 
-    By elimination without a choice of pivots, which are positive where a robot is stable (stability.py).
+    Anew by elimination without a choice of pivots, which are positive where a robot is stable (stability.py).
     """
     a, b, c = by[2 * d : 2 * d + 3]
     rows = [a, b, *(c + psi for psi in by[:d])]
     responses.append(rows)
+    if not anew:
+        return by
     for k, unit in enumerate(_units(d + 2, xp)):
         change = (unit - rows[k]) / rows[k][:, k : k + 1]
         rows, by = ([row + row[:, k : k + 1] * change for row in some] for some in (rows, by))
