@@ -70,7 +70,7 @@ class LoadedEquilibria:
         return self._solved(q, self._no_load(len(q)), *self.placed(q, tips), np.ones(len(q), dtype=bool))[0]
 
     def placed(self, q: Array, tips: Array) -> tuple[Array, Array]:
-        """Angles and axes of tips with given angles (T, d) against each other, unloaded, whose base stands at q."""
+        """Angles and axes of unloaded tips with angles (T, d) against each other, whose base stands at q."""
         rows, d = len(q), self.d
         axes, angles = np.tile(np.eye(3), (rows, 1, 1)), tips - tips[:, -1:]
         ends = self.ends(angles, axes, q, self._no_load(rows))

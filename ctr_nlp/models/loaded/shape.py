@@ -8,9 +8,9 @@ import casadi as ca
 
 from ctr_nlp.models.dominant.shape import base_frame
 from ctr_nlp.models.elastic.shape import powers, travels, turned
-from ctr_nlp.models.elastic.stability import determinant
+from ctr_nlp.models.elastic.stability import determinant, responses
 from ctr_nlp.models.elastic.torsion import sections
-from ctr_nlp.models.loaded.rod import Loading, Rod, Softness, Tip, integrated
+from ctr_nlp.models.loaded.rod import Loading, Rod, Tip, integrated
 from ctr_nlp.models.loaded.vectors import dot
 from ctr_nlp.models.protocol import Places, Shape, combination, matrix_of, vectors_of
 from ctr_nlp.nlp.nlp import Inner
@@ -39,8 +39,7 @@ def shape_under(
         turned(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (w[0], w[1], 0.0)),
     )
     parts = sections(tubes, beta, ca, planes=False)
-    soft = None if margin is None else Softness(1 / (1 - margin))
-    rod = integrated(tubes, tip, beta, parts, load, ca, STEPS, soft=soft, follows=follows, anew=False)
+    rod = integrated(tubes, tip, beta, parts, load, ca, STEPS, follows=follows)
     lengths, turns = travels(tubes, beta, parts, places(beta), ca, STEPS // 2)
     curves = [vector for at in rod.tangents for vector in powers(at)]
     theta = tilt(rod.axes[2])
@@ -48,9 +47,9 @@ def shape_under(
     spin = _spin(rod, theta)
     alpha = [angle + spin - rate * (tube.length - out) for angle, rate, tube, out in reach]
     values = [ca.horzcat(*lengths), matrix_of(curves), ca.vertcat(*alpha), ca.vertcat(*theta)]
-    if soft is not None:
-        matrices = [[ca.horzsplit(row) for row in response] for response in rod.responses]
-        values.append(ca.vertcat(*(determinant(matrix) for matrix in matrices)))
+    if margin is not None:
+        found_at = responses(tubes, beta, parts, rod.nodes(tubes, beta, parts), margin, ca, held=True)
+        values.append(ca.vertcat(*(determinant(response) for response in found_at)))
     if tangents:
         values += [ca.horzcat(*(0 * lengths[0] + turn for turn in turns)), ca.vertcat(*rod.axes[2])]
     inner = Inner.of(values)
@@ -59,11 +58,10 @@ def shape_under(
     points = combination(ca.horzsplit(travelled), vectors)
     found = None
     if tangents:
-        first: Vector = tuple(ca.vertsplit(others[-1]))
-        found = combination([1.0, *ca.horzsplit(others[-2])], [first, *vectors])
+        found = combination([1.0, *ca.horzsplit(others[-2])], [*vectors_of(others[-1]), *vectors])
     rows = 2 * d + 2
     picks = (*range(rows, rows + d), *range(d, 2 * d), rows + d, rows + d + 1, *range(d))
-    stable = None if soft is None else others[0]
+    stable = None if margin is None else others[0]
     return Shape(x, motors, tuple(beta), points, inner, found, None, stable, picks, tilts)
 
 
