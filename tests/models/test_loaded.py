@@ -252,7 +252,9 @@ def test_what_cannot_be_loaded_is_refused():
     with pytest.raises(OptionError, match="does not go with the dominant model; it goes with elastic"):
         under("dominant", Load())
     with pytest.raises(OptionError, match="'dominant', which bears no load"):
-        MODELS["dominant"].frame_under(ca.SX(16, 1), NITINOL.structure, NITINOL.tube_numbers, lambda beta: beta[-1])
+        MODELS["dominant"].frame_under(
+            ca.SX(16, 1), NITINOL.structure, NITINOL.tube_numbers, lambda beta: beta[-1]
+        )
 
 
 def test_a_tube_pushed_out_beyond_its_curved_part_may_be_the_last_one():

@@ -7,11 +7,12 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from loaded_plans import TWO, made
 from problems import named
 from rows import central
 from test_elastic_planning import TIES
 
-from ctr_nlp import Load, Plan, Problem, Settings, sequence, solve_horizon, solve_per_frame, table_i_robot
+from ctr_nlp import Load, Plan, Problem, sequence, solve_horizon, solve_per_frame, table_i_robot
 from ctr_nlp.cli.main import main
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.frame import filled, program
@@ -22,6 +23,7 @@ from ctr_nlp.models.protocol import samples
 from ctr_nlp.steer.robust import solve_robust
 from ctr_nlp.target.curve import curve_from_points
 
+pytestmark = pytest.mark.interpreted
 NITINOL, SIGMA = with_modulus(table_i_robot(), 60_000), np.linspace(0, 1, 31)
 PULL = Load(force=(0.1, -0.2, 0.15))
 LOADS = {
@@ -122,17 +124,19 @@ def test_determinants_lose_their_sign_near_the_margin():
         for asked, held in ((margin - 0.03, True), (margin + 0.03, False)):
             nlp, p = frame_of(PULL, asked)
             g = nlp.functions.value(x, p)[1].full().ravel()
-            rows = np.concatenate([np.full(each.value.numel(), each.name == "stability") for each in nlp.constraints])
+            rows = np.concatenate(
+                [np.full(each.value.numel(), each.name == "stability") for each in nlp.constraints]
+            )
             assert bool((g[rows] > 0).all()) == held
 
 
 @pytest.fixture(scope="module")
 def reachable():
-    """A problem whose targets are shapes of an unloaded plan, that plan, and the robot's load."""
-    problem = named("line", 12)
-    free = solve_per_frame(replace(problem, robot=NITINOL), model="elastic", settings=Settings(stability_margin=0.5))
-    targets = sequence([curve_from_points(shape) for shape in free.shape])
-    return Problem("reachable", NITINOL, targets), free
+    """A problem whose targets are shapes of an unloaded plan of two tubes, and that plan."""
+    robot = with_modulus(TWO, 60_000)
+    q = np.column_stack([np.linspace(0, 0.6, 4), np.zeros(4), np.linspace(40, 60, 4), np.linspace(60, 80, 4)])
+    free = made(robot, np.hstack([q, np.zeros((4, 2))]))
+    return Problem("reachable", robot, sequence([curve_from_points(shape) for shape in free.shape])), free
 
 
 @pytest.mark.parametrize("solve", [solve_per_frame, solve_horizon])
@@ -140,7 +144,7 @@ def test_a_plan_that_knows_the_load_makes_up_for_it(reachable, solve):
     """At most a tenth of the error that is left without; and its file tells the load."""
     problem, free = reachable
     load = Load(force=(0.0, 0.1, 0.0))
-    found = solve(problem, model=Loaded(load), settings=Settings(stability_margin=0.3))
+    found = solve(problem, model=Loaded(load))
     blind = np.sqrt((np.linalg.norm(free.under(load).shape - found.target, axis=-1) ** 2).mean())
     left = np.sqrt((np.linalg.norm(found.shape - found.target, axis=-1) ** 2).mean())
     assert found.success.all()
@@ -153,9 +157,9 @@ def test_a_plan_that_knows_the_load_makes_up_for_it(reachable, solve):
     assert found.under(Load()).bears == Load()
 
 
-def test_a_locked_tilt_stays():
-    problem = named("cos", 6)
-    robot = NITINOL.with_locked_tilt()
+def test_a_locked_tilt_stays(reachable):
+    problem, _ = reachable
+    robot = problem.robot.with_locked_tilt()
     found = solve_per_frame(replace(problem, robot=robot), model=Loaded(Load(force=(0.0, 0.02, 0.0))))
     assert found.success.all()
     np.testing.assert_allclose(found.theta, 0, atol=1e-6)
