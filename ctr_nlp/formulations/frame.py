@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.terms import Body, Margin, Parts, Term
+from ctr_nlp.formulations.terms import Bears, Body, Margin, Parts, Term
 from ctr_nlp.models import Model, Shape
 from ctr_nlp.models.protocol import symbolic_tubes
 from ctr_nlp.nlp.nlp import Constraint, Nlp
@@ -32,7 +32,7 @@ def program(
     freed: numbers of the tubes that are unknowns, too, after the model's (structure.freed_places); the motors'
     angles are then rows on any model. Raises OptionError where two terms have parameters of one name.
     """
-    return _program(name, structure, model, _Keyed(terms), freed)
+    return _program(name, structure, model.form, _Keyed(terms), freed)
 
 
 def robot_values(robot: Robot) -> dict[str, Any]:
@@ -91,7 +91,9 @@ def _program(name: str, structure: Structure, model: Model, terms: _Keyed, freed
 
     margin = parameters["margin"] if any(isinstance(term, Margin) for term in terms) else None
     tangents = any(term.tangents for term in terms)
-    shape = model.frame(structure, tubes, places, margin, tangents)
+    load = parameters[Bears.name] if any(isinstance(term, Bears) for term in terms) else None
+    frame = model.frame if load is None else functools.partial(model.frame_under, load)
+    shape = frame(structure, tubes, places, margin, tangents)
     q = _configuration(shape, structure.d)
     stops = list(itertools.accumulate(counts))
     bodies = (Body(q, tubes, shape, slice(stop - count, stop)) for count, stop in zip(counts, stops, strict=True))
@@ -113,19 +115,20 @@ def _configuration(shape: Shape, d: int) -> ca.SX:
     """Q (2d + 2, 1)."""
     if shape.picks is None:
         return shape.x
-    return ca.vertcat(shape.x, shape.alpha)[list(shape.picks[: 2 * d + 2])]
+    return ca.vertcat(shape.x, *shape.rows.values())[list(shape.picks[: 2 * d + 2])]
 
 
 def _joined(name: str, shape: Shape, parameters: Mapping[str, ca.SX], parts: Sequence[Parts], freed: ca.SX) -> Nlp:
-    """Freed numbers and then slacks come after the model's unknowns, and the motors' angles first among the rows,
-    where they are rows.
+    """Freed numbers and then slacks come after the model's unknowns, and what these do not hold of the
+    configuration first among the rows.
     """
     slacks = [part.slack for part in parts if part.slack is not None]
     motors = list[Constraint]()
     n, more, picks = shape.x.numel(), freed.numel(), shape.picks
     if picks is not None or more:
-        free = np.full(shape.alpha.numel(), np.inf)
-        motors = [Constraint("alpha", shape.alpha, -free, free)]
+        for row, value in shape.rows.items():
+            free = np.full(value.numel(), np.inf)
+            motors.append(Constraint(row, value, -free, free))
     if picks is not None:
         picks = tuple(pick + (pick >= n) * (len(slacks) + more) for pick in picks)
     own = np.full(n + more, np.inf)

@@ -9,7 +9,7 @@ import numpy as np
 from ctr_nlp.formulations.frame import filled, program
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.stage import Stage
-from ctr_nlp.formulations.terms import Lumen, Margin, Motion, Order, ShapeDistance, Term
+from ctr_nlp.formulations.terms import Bears, Lumen, Margin, Motion, Order, ShapeDistance, Term
 from ctr_nlp.models import Model
 from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array
@@ -29,7 +29,8 @@ def terms_of(
     own: list[Term] = [] if any(isinstance(term, ShapeDistance) for term in extra) else [ShapeDistance()]
     held: list[Term] = [Margin(margin)] if margin is not None and model.can_snap else []
     wall: list[Term] = [Lumen(robot.d)] if walled else []
-    return (*own, *extra, *held, Order(robot.carriage_gap), *wall)
+    load: list[Term] = [] if model.bears is None else [Bears(model.bears.numbers(robot))]
+    return (*own, *extra, *load, *held, Order(robot.carriage_gap), *wall)
 
 
 def tip_steps(robot: Robot, dt: float) -> Array:

@@ -65,8 +65,8 @@ class Wall:
 
     @cached_property
     def around(self) -> Around | None:
-        """The same in C; None where nothing can be compiled."""
-        if cache.missing():
+        """The same in C; None where nothing can be compiled, and under loads."""
+        if cache.missing() or self.model.bears is not None:
             return None
         return Around(self.robot, self.lumen, self.model, self.clearance, self.finer, TINY)
 

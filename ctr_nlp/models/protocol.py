@@ -6,12 +6,13 @@ import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.loads import Load
 from ctr_nlp.models.walker import Rigid, Walker
 from ctr_nlp.nlp.nlp import Inner
 from ctr_nlp.robot import Robot
@@ -31,8 +32,8 @@ class Shape:
     x (n, 1): the unknowns. alpha (d, 1): the motors' angles; beta: d extensions. points: x, y, z of the samples,
     mm, and tangents there, where asked for, in axes whose directions are base (None: the base frame itself).
     stability: determinants (k, 1) that are positive where the margin asked for is held, or None. picks: where the
-    configuration stands among x's entries and then alpha's, and after it further entries that say in which of
-    several equilibria the robot is; None where x is q.
+    configuration stands among x's entries, then alpha's and then theta's, and after it further entries that say in
+    which of several equilibria the robot is; None where x is q. theta (2, 1): the tilt, where x does not hold it.
     """
 
     x: ca.SX
@@ -44,6 +45,12 @@ class Shape:
     base: tuple[Vector, Vector, Vector] | None = None
     stability: ca.SX | None = None
     picks: tuple[int, ...] | None = None
+    theta: ca.SX | None = None
+
+    @property
+    def rows(self) -> dict[str, ca.SX]:
+        """By name, what of the configuration x does not hold, in the order of picks."""
+        return {"alpha": self.alpha} | ({} if self.theta is None else {"theta": self.theta})
 
     def seen(self, vectors: ca.SX) -> Vector:
         """Vectors (n, 3) of the base frame in the axes of `points`."""
@@ -126,14 +133,14 @@ class Model(ABC):
     The defaults suit a model whose unknowns are the configuration q (2d + 2,) itself and whose robot has one shape
     for each. several_equilibria: whether q alone does not determine the unknowns x: then x has d tips' angles
     first, and rest, guess, configuration and follow must be defined. can_snap: whether an equilibrium can become
-    unstable. loaded: whether a load comes and goes while a robot stands. bends_by_extension: whether curvatures
-    depend on beta alone, which two-stage formulations need.
+    unstable. bears: the load that comes and goes while a robot stands; then frame_under must be defined.
+    bends_by_extension: whether curvatures depend on beta alone, which two-stage formulations need.
     """
 
     name: str
     several_equilibria = False
     can_snap = False
-    loaded = False
+    bears: Load | None = None
     bends_by_extension = False
 
     def check(self, robot: Robot) -> None:  # noqa: B027 - most models describe any robot
@@ -152,6 +159,29 @@ class Model(ABC):
 
         margin: the least stability margin that Shape.stability is for. tangents: whether these are wanted too.
         """
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """What plans tell of the model that they were made on (Plan.meta)."""
+        found: dict[str, Any] = {"model": self.name}
+        return found if self.bears is None else found | {"planned_load": self.bears.to_dict()}
+
+    @property
+    def form(self) -> Model:
+        """The model that programs are made of: one for all that differ in numbers alone."""
+        return self
+
+    def frame_under(
+        self,
+        load: ca.SX,
+        structure: Structure,
+        tubes: Tubes,
+        places: Places,
+        margin: ca.SX | None = None,
+        tangents: bool = False,
+    ) -> Shape:
+        """As frame, under a load whose numbers (7 + 3d, 1) are symbols; raises OptionError where none is borne."""
+        raise OptionError(f"model is {self.name!r}, which bears no load")
 
     def points(self, robot: Robot, x: Array, sigma: Array) -> Array:
         """Points (T, n, 3) in mm at unknowns x (T, n_x) and sigma (n,) or (T, n)."""

@@ -6,8 +6,10 @@ import importlib.metadata
 from collections.abc import Iterator, Mapping
 
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.loads import Load
 from ctr_nlp.models.dominant import Dominant
 from ctr_nlp.models.elastic import Elastic
+from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.models.protocol import Model
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.values import check_choice
@@ -65,6 +67,14 @@ def model_named(model: str | Model, name: str = "model") -> Model:
         return model
     check_choice(name, model, MODELS)
     return MODELS[model]
+
+
+def under(model: str | Model, load: Load) -> Model:
+    """A model of robots that bear a load; raises OptionError where it knows none."""
+    described = model_named(model)
+    if described.name != Loaded.name:
+        raise OptionError(f"a load does not go with the {described.name} model; it goes with {Loaded.name}")
+    return Loaded(load)
 
 
 def suits(robot: Robot, model: str | Model) -> bool:

@@ -20,7 +20,7 @@ from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.plan.draws import DRAWS, SEED, robustness
 from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.moved import elsewhere, lost, moved
-from ctr_nlp.plan.record import FORMAT, OF_DRAWS, Record, check_arrays, check_meta, stored
+from ctr_nlp.plan.record import FORMAT, OF_DRAWS, Record, check_arrays, check_meta, planned_on, stored
 from ctr_nlp.plan.robustness import Robustness, stored_robustness
 from ctr_nlp.plan.stretches import joined, resampled, rows, stretch, turned
 from ctr_nlp.plan.verdicts import Verdicts, verdicts
@@ -168,7 +168,7 @@ def plan_from_configurations(
     robot, frames = problem.robot, problem.samples
     target, radii = np.array([frame.points for frame in frames]), [frame.radius for frame in frames]
     lumen = None if problem.lumen is None else Lumen.around(problem.lumen).table
-    found = moved(robot, q, meta["model"], target=target, lumen=lumen, free=free)
+    found = moved(robot, q, planned_on(meta), target=target, lumen=lumen, free=free)
     if planned is not None:
         snaps = found.simulation.snaps
         away = success & elsewhere(found.simulation.x, planned, snaps)

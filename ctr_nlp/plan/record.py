@@ -89,7 +89,7 @@ class Record(Value):
     @cached_property
     def bears(self) -> Load | None:
         """What the robot bears all the time there; None for nothing."""
-        return None if self.meta.get("load") is None else Load.from_dict(self.meta["load"])
+        return load_of(self.meta, "load" if "load" in self.meta else "planned_load")
 
     @cached_property
     def evaluated_on(self) -> Model:
@@ -98,8 +98,8 @@ class Record(Value):
 
     @property
     def as_planned(self) -> bool:
-        """Whether it is the model that the motion was planned on, without a load."""
-        return self.evaluated == self.meta["model"] and self.bears is None
+        """Whether it is the model that the motion was planned on, and the load."""
+        return self.evaluated == self.meta["model"] and self.bears == load_of(self.meta, "planned_load")
 
     @property
     def can_snap(self) -> bool:
@@ -120,6 +120,17 @@ class Record(Value):
     def options(self) -> dict[str, Any]:
         """What the plan was made with, by name; empty where whoever made it does not tell."""
         return dict(self.meta.get("options", {}))
+
+
+def load_of(meta: Mapping[str, Any], name: str) -> Load | None:
+    """The load that a plan's meta tells under a name; None for none."""
+    return None if meta.get(name) is None else Load.from_dict(meta[name])
+
+
+def planned_on(meta: Mapping[str, Any]) -> Model:
+    """The model that a plan was made on, under the load that it was made for."""
+    load = load_of(meta, "planned_load")
+    return MODELS[meta["model"]] if load is None else Loaded(load)
 
 
 FORMAT = 1
@@ -184,8 +195,8 @@ def check_meta(meta: Any) -> None:
     for key in ("model", "evaluated"):
         if str(meta.get(key, "dominant")) not in MODELS:
             raise OutputError(f"{key} of meta is {meta[key]!r:.60}; it must be one of {', '.join(MODELS)}")
-    if meta.get("load") is not None:
-        Load.from_dict(meta["load"])
+    for key in ("load", "planned_load"):
+        load_of(meta, key)
 
 
 def check_arrays(arrays: Mapping[str, npt.NDArray[Any]], tubes: int) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.plan.measures import depth, e3, most_used
-from ctr_nlp.plan.record import Record
+from ctr_nlp.plan.record import Record, load_of
 
 YES, NO, NOT_ASKED, NOT_KNOWN = "yes", "no", "not asked", "not known"
 """The words of a verdict."""
@@ -79,7 +79,10 @@ def _followed(plan: Record) -> Judgement:
         return NO, number, "mm", f"The robot's shape is not known in {lost} of {frames} frames."
     if interpolated:
         return NOT_KNOWN, number, "mm", f"{interpolated} of {frames} frames were interpolated, not solved."
-    on = "" if plan.as_planned else f" on the {plan.meta['model']} model" + " without a load" * bool(plan.bears)
+    planned = load_of(plan.meta, "planned_load")
+    without = " without a load" if plan.bears else ""
+    on = f" on the {plan.meta['model']} model" + (without if planned is None else f" under {planned}")
+    on = "" if plan.as_planned and planned is None else on
     told = f"All {frames} frames were solved{on}"
     if plan.free is None or number is None:
         return YES, number, "mm", f"{told}."

@@ -59,7 +59,7 @@ def simulated(robot: Robot, q: Array, model: str | Model) -> Simulation:
     """The robot moved through q, frame by frame, on a model."""
     described, q = model_named(model), _checked(robot, q)
     described.check(robot)
-    if len(q) == 1 and not described.loaded:
+    if len(q) == 1 and described.bears is None:
         rest = described.at_rest(robot, q, SIGMA)
         return Simulation(rest.points, rest.tips, rest.margins, rest.margins, rest.x, ())
     found = described.follow(robot, q)

@@ -105,7 +105,7 @@ class Horizon:
         begin = time.perf_counter()
         self.problem = problem
         self.ends = Ends(*checked_ends(problem, "best", start, end))
-        self._names = {"formulation": "horizon", "model": self._model.name, "solver": solver}
+        self._names = {"formulation": "horizon", **self._model.told, "solver": solver}
         self._settings, self._terms = settings, checked_terms(terms)
         self._wall = wall_of(problem.robot, problem.lumen, self._model, settings)
         self._free = self._built(None)

@@ -92,7 +92,7 @@ class NlpFrames:
         margin = math.nan if settings.stability_margin is None else settings.stability_margin
         description = {
             "formulation": formulation,
-            "model": described.name,
+            **described.told,
             "solver": solver,
             "options": settings.options() | {"terms": [str(term) for term in terms]},
         }

@@ -14,6 +14,7 @@ from ctr_nlp.formulations.terms import Term
 from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.models import Model
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
+from ctr_nlp.plan.record import planned_on
 from ctr_nlp.solvers.frame.sqp import FALLBACK
 from ctr_nlp.steer.inside import kept_inside
 from ctr_nlp.steer.nlp_frames import DEFAULTS, NlpFrames
@@ -67,7 +68,7 @@ def march(
     """The plan that any FrameSolver makes; arguments as for solve_per_frame."""
     with deferred_interrupt() as interrupted:
         passes, search_seconds = run_passes(problem, solver, direction, start, progress=progress)
-        best = min(passes, key=lambda one: one.badness(problem, solver.description["model"]))
+        best = min(passes, key=lambda one: one.badness(problem, planned_on(solver.description)))
         free: Array | None = None
         wall: Wall | None = None
         if isinstance(solver, NlpFrames) and not interrupted():

@@ -6,6 +6,7 @@ from typing import Any
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.record import planned_on
 from ctr_nlp.steer import solve_per_frame
 from ctr_nlp.support.values import whole_number
 from ctr_nlp.target.problem import Problem
@@ -25,5 +26,5 @@ def replanned(plan: Plan, problem: Problem, from_frame: int, **options: Any) -> 
             f"in [2, {frames}], and both must have as many frames"
         )
     start = plan.q[number - 2]
-    model = {"model": plan.meta["model"]} | options
+    model = {"model": planned_on(plan.meta)} | options
     return plan[: number - 1] + solve_per_frame(problem[number - 1 :], start=start, direction="forward", **model)

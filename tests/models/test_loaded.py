@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 import truth
@@ -14,7 +15,7 @@ from strategies import drawn
 from ctr_nlp import Limits, Load, Robot, Tube, table_i_robot
 from ctr_nlp.exceptions import LoadError, OptionError
 from ctr_nlp.loads import with_modulus
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import MODELS, under
 from ctr_nlp.models.loaded import compiled
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.model import Loaded
@@ -248,8 +249,12 @@ def test_robots_that_differ_bear_a_tip_force_and_have_no_known_weight():
 def test_what_cannot_be_loaded_is_refused():
     with pytest.raises(LoadError, match="looks like a ratio"):
         FREE.check(table_i_robot())
-    with pytest.raises(OptionError, match="evaluates motions; plan without the load"):
-        FREE.frame(NITINOL.structure, NITINOL.tube_numbers, lambda beta: beta[-1])
+    with pytest.raises(OptionError, match="does not go with the dominant model; it goes with elastic"):
+        under("dominant", Load())
+    with pytest.raises(OptionError, match="'dominant', which bears no load"):
+        MODELS["dominant"].frame_under(
+            ca.SX(16, 1), NITINOL.structure, NITINOL.tube_numbers, lambda beta: beta[-1]
+        )
 
 
 def test_a_tube_pushed_out_beyond_its_curved_part_may_be_the_last_one():

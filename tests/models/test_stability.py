@@ -22,7 +22,7 @@ def determinants(robot, x, margin):
     x = list(map(float, x))
     parts = torsion.sections(robot.tube_numbers, x[robot.d : 2 * robot.d], np)
     twisted = torsion.twist(robot.tube_numbers, x, parts, np)
-    found = stability.responses(robot.tube_numbers, x, parts, twisted, margin, np)
+    found = stability.responses(robot.tube_numbers, x[robot.d :], parts, twisted.nodes, margin, np)
     return [float(stability.determinant(response)) for response in found]
 
 
@@ -133,7 +133,8 @@ def test_the_response_without_margin_is_the_derivative_of_the_motors_angles(case
         entries, _, twist = twisted(at)
         return np.array(torsion.motors(robot.tube_numbers, entries, twist), dtype=float)
 
-    response = stability.responses(robot.tube_numbers, *twisted(x), 0.0, np)[-1]
+    entries, parts, twist = twisted(x)
+    response = stability.responses(robot.tube_numbers, entries[d:], parts, twist.nodes, 0.0, np)[-1]
     slopes = np.array([(motors(x + step) - motors(x - step)) / (2 * h) for step in h * np.eye(len(x))[: d - 1]])
     expected = slopes[:, :-1] - slopes[:, -1:]
     np.testing.assert_allclose(np.array(response, dtype=float), expected.T, atol=1e-3 * abs(expected).max())

@@ -17,6 +17,7 @@ from ctr_nlp.cli import arguments as options
 from ctr_nlp.cli import plan_options, problems
 from ctr_nlp.cli.arguments import DEFAULTS, FRAME_SETTINGS, film_file, read_start, settings_from
 from ctr_nlp.cli.console import INTERRUPTED, Command, console, progress_bar
+from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, asked_model, with_asked_modulus
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.cli.plan_options import HORIZON
@@ -44,7 +45,10 @@ UNASKED = 40
 """Draws of the robot that a plan on which it can snap is tried on by itself."""
 ASKED = 500
 """Those that a robust plan is tried on."""
-UNFIT = "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live", "evaluate", "solver"
+UNFIT = (
+    *("initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live", "evaluate", "solver"),
+    *("load", "force"),
+)
 """Options that do not go with --robust."""
 
 
@@ -58,7 +62,7 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
         "summary.json and pictures.",
         epilog="Exit status: 0 no verdict is no, 1 one is, 2 bad input, 130 interrupted (the best motion so far "
         "goes into DIR/interrupted, and DIR's own files stay). Draws of the robot, on which an elastic plan "
-        "is tried, count with --robust only.",
+        "without a load is tried, count with --robust only.",
     )
     parser.add_argument("problem", metavar="PROBLEM", help=problems.KINDS)
     options.add_problem_options(parser)
@@ -94,6 +98,8 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
     plan_options.add_file_options(parser)
     plan_options.add_term_options(parser)
     plan_options.add_wall_options(parser)
+    add_load_options(parser, required=False)
+    add_modulus_option(parser)
     return parser
 
 
@@ -104,6 +110,8 @@ def _run(arguments: argparse.Namespace) -> int:
     for weight in swept or ():
         check_motion_weight(weight)
     problem = plan_options.moved(problems.load(arguments.problem, arguments), arguments)
+    problem = with_asked_modulus(problem, arguments)
+    asked_model(arguments.model, arguments).check(problem.robot)
     name = f"{path_component(problem.name)}-{arguments.formulation}-{arguments.model}"
     out, film = Path(arguments.out or f"runs/{name}"), film_file(arguments)
     check_folder(out, "plan", film)
@@ -113,7 +121,8 @@ def _run(arguments: argparse.Namespace) -> int:
         plan, points = _at_once(arguments, problem) if whole else (_by_frame(arguments, problem), [])
     if arguments.evaluate is not None:
         plan = plan.on(arguments.evaluate)
-    if plan.can_snap and not plan.meta["interrupted"] and plan.reached.any():
+    tried = plan.can_snap and plan.bears is None
+    if tried and not plan.meta["interrupted"] and plan.reached.any():
         plan = plan.with_draws(ASKED if robust else UNASKED)
     with deferred_interrupt() as pressed:
         interrupted = plan.meta["interrupted"] or (swept is not None and pressed())
@@ -175,7 +184,8 @@ def _by_frame(arguments: argparse.Namespace, problem: Problem) -> Plan:
     direction: Direction = arguments.direction or "best"
     start = None if arguments.start is None else read_start(arguments.start)
     checked_ends(problem, direction, start)
-    chosen = arguments.formulation, arguments.solver, arguments.model, settings
+    model = asked_model(arguments.model, arguments)
+    chosen = arguments.formulation, arguments.solver, model, settings
     solver = NlpFrames.of(problem, *chosen, plan_options.terms_from(arguments))
     problems.tell(problem)
     end_if_interrupted()
@@ -195,7 +205,8 @@ def _at_once(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan, lis
     points: list[Point] = []
     with _shown(problem, arguments) as seen:
         terms = plan_options.terms_from(arguments)
-        horizon = Horizon(problem, arguments.model, arguments.solver, start, end, settings, terms)
+        model = asked_model(arguments.model, arguments)
+        horizon = Horizon(problem, model, arguments.solver, start, end, settings, terms)
         problems.tell(problem)
         end_if_interrupted()
         with progress_bar() as labelled:

@@ -10,6 +10,7 @@ import time
 from ctr_nlp.cli import problems
 from ctr_nlp.cli.arguments import add_problem_options
 from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command, console, print_table, progress_bar
+from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, asked_model, with_asked_modulus
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import MODELS, suits
@@ -30,13 +31,16 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
         description="Compile what problems are solved with, frame by frame and over a horizon, so that their "
-        "first plans need not wait. What is in the cache already stays.",
+        "first plans need not wait. What is in the cache already stays. Under a load the same "
+        "programs serve all loads that keep their direction.",
         epilog="Exit status: 0 all compiled, 2 bad input or no C compiler, 130 interrupted (what was compiled "
         "stays).",
     )
     parser.add_argument("problems", metavar="PROBLEM", nargs="*", help=f"{problems.KINDS} (default all names)")
     parser.add_argument("--models", nargs="+", choices=MODELS, default=list(MODELS), help="(default all)")
     add_problem_options(parser)
+    add_load_options(parser, required=False)
+    add_modulus_option(parser)
     parser.set_defaults(frames=FRAMES)
     return parser
 
@@ -45,7 +49,9 @@ def _run(arguments: argparse.Namespace) -> int:
     if why := cache.missing():
         raise OptionError(f"nothing can be compiled: {why}")
     os.environ[cache.SWITCH] = "now"
-    chosen = [problems.load(name, arguments) for name in arguments.problems or NAMES]
+    chosen = [
+        with_asked_modulus(problems.load(name, arguments), arguments) for name in arguments.problems or NAMES
+    ]
     tasks = [
         (problem, model, how)
         for problem in chosen
@@ -61,7 +67,7 @@ def _run(arguments: argparse.Namespace) -> int:
                 break
             report(number, len(tasks), f"{problem.name}, {model}, {how}")
             begin = time.perf_counter()
-            BUILDS[how](problem, model)
+            BUILDS[how](problem, asked_model(model, arguments))
             rows.append((problem.name, model, how, time.perf_counter() - begin))
         stopped = len(rows) < len(tasks)
     print_table("ready", ("problem", "model", "how", "s"), rows, text=("model", "how"))

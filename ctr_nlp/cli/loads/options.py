@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 
 from ctr_nlp.cli.arguments import add_triple
-from ctr_nlp.loads import Load
+from ctr_nlp.loads import Load, with_modulus
+from ctr_nlp.models import Model, model_named, under
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.target.problem import Problem
 
 
 def add_modulus_option(parser: argparse.ArgumentParser) -> None:
@@ -15,14 +18,14 @@ def add_modulus_option(parser: argparse.ArgumentParser) -> None:
         "--youngs-modulus",
         metavar="MPA",
         type=float,
-        help="of the tubes, in MPa (nitinol has about 60000), where the plan's robot tells only their ratio, as "
-        "that of Table I does (default: the robot's own)",
+        help="of the tubes, in MPa (nitinol has about 60000), where the robot tells only their ratio, as that of "
+        "Table I does (default: the robot's own)",
     )
 
 
-def add_load_options(parser: argparse.ArgumentParser) -> None:
+def add_load_options(parser: argparse.ArgumentParser, required: bool = True) -> None:
     """What the robot bears: a file, or a tip force alone."""
-    group = parser.add_mutually_exclusive_group(required=True)
+    group = parser.add_mutually_exclusive_group(required=required)
     told = "what the robot bears all the time (`ctr-nlp new load FILE.toml` writes one to start from)"
     group.add_argument("--load", metavar="FILE.toml", help=told)
     add_triple(group, "force", "a force at the tip alone, in N, in the directions of the base")
@@ -37,3 +40,17 @@ def read_plan(arguments: argparse.Namespace) -> Plan:
 def read_load(arguments: argparse.Namespace) -> Load:
     """The load that add_load_options asks for; raises LoadError."""
     return Load(force=arguments.force) if arguments.load is None else Load.from_toml(arguments.load)
+
+
+def with_asked_modulus(problem: Problem, arguments: argparse.Namespace) -> Problem:
+    """The problem with the modulus that was given; raises LoadError."""
+    if arguments.youngs_modulus is None:
+        return problem
+    return replace(problem, robot=with_modulus(problem.robot, arguments.youngs_modulus))
+
+
+def asked_model(model: str, arguments: argparse.Namespace) -> Model:
+    """The model of a name, under the load where one was given; raises LoadError, OptionError."""
+    if arguments.load is None and arguments.force is None:
+        return model_named(model)
+    return under(model, read_load(arguments))

@@ -44,6 +44,8 @@ def check_shared(robot: Robot, model: Model, scenarios: Scenarios) -> None:
         raise OptionError(
             f"model of scenarios is {model.name}; the tubes' numbers matter on the elastic one alone"
         )
+    if model.bears is not None:
+        raise OptionError(f"model of scenarios bears {model.bears}; robust motions are planned without a load")
     if scenarios.offsets.shape[1] != robot.d:
         raise OptionError(f"scenarios have {scenarios.offsets.shape[1]} tubes and the robot has {robot.d}")
 

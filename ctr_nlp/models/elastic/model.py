@@ -65,7 +65,7 @@ class Elastic(Model):
             ca.vertcat(*torsion.motors(tubes, entries, twisted)),
         ]
         if margin is not None and d > 1:
-            responses = stability.responses(tubes, entries, parts, twisted, margin, ca)
+            responses = stability.responses(tubes, beta, parts, twisted.nodes, margin, ca)
             values.append(ca.vertcat(*(stability.determinant(response) for response in responses)))
         stable = len(values) > 4
         if tangents:

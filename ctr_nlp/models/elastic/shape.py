@@ -52,7 +52,7 @@ def curves(tubes: Tubes, x: Sequence[Any], parts: Sequence[Section], twisted: Tw
             cos, sin = xp.cos(psi), xp.sin(psi)
             found += [combined(cos, axes[0], sin, axes[1]), axes[2]]
             angle = _arc(tubes, beta, part, part.length, xp).angle
-            axes = _turned(axes, (-angle * sin, angle * cos, 0.0))
+            axes = turned(axes, (-angle * sin, angle * cos, 0.0))
         else:
             triads = _triads(axes, part, nodes, xp)
             found += powers([tangent for _, _, tangent in triads])
@@ -115,8 +115,8 @@ def _triads(axes: Axes, part: Section, nodes: Sequence[Node], xp: Any) -> list[A
     u, h, found = [bending(part, node, xp) for node in nodes], part.length / (len(nodes) - 1), [axes]
     for k in range(0, len(nodes) - 1, 2):
         a, b, c = u[k : k + 3]
-        found.append(_turned(found[-1], _turn(h, a, b, c, a, b)))
-        found.append(_turned(found[-1], _turn(h, c, b, a, b, c)))
+        found.append(turned(found[-1], _turn(h, a, b, c, a, b)))
+        found.append(turned(found[-1], _turn(h, c, b, a, b, c)))
     return found
 
 
@@ -126,7 +126,7 @@ def _turn(h: Any, near: Any, middle: Any, far: Any, first: Any, last: Any) -> Ve
     return -y, x, h**2 / 12 * (first[0] * last[1] - first[1] * last[0])
 
 
-def _turned(axes: Axes, turn: Vector) -> Axes:
+def turned(axes: Axes, turn: Vector) -> Axes:
     """Axes after a turn about a vector in its own axes, rad, by Rodrigues' formula."""
     x, y, z = turn
     square, s, c = x * x + y * y + z * z, 1.0, 1.0

@@ -13,26 +13,34 @@ import numpy as np
 
 from ctr_nlp.models.elastic.compiled import compiled, numbers_of
 from ctr_nlp.models.elastic.energy import differences, energies
-from ctr_nlp.models.elastic.torsion import Node, Section, Twist, moved
+from ctr_nlp.models.elastic.torsion import Node, Section, moved
 from ctr_nlp.robot.structure import Structure, Tubes
 from ctr_nlp.typing import Array
 
 
 def responses(
-    tubes: Tubes, x: Sequence[Any], parts: Sequence[Section], twisted: Twist, margin: Any, xp: Any
+    tubes: Tubes,
+    beta: Sequence[Any],
+    parts: Sequence[Section],
+    places: Sequence[Sequence[Node]],
+    margin: Any,
+    xp: Any,
+    held: bool = False,
 ) -> list[list[list[Any]]]:
-    """How angles relative to the innermost tube's follow those at the tips, on tubes of (1 - margin) GJ.
+    """How angles follow those at the tips, on tubes of (1 - margin) GJ; places: Twist.nodes.
 
-    Matrices [tube][tip], d - 1 each way: of psi at the base of every section in which tubes twist each other, from
-    tip to base, and then with one transmission after the other; with margin 0 the last is d alpha / d phi. By
-    Jacobi's condition, in steps that let one eigenvalue pass at a time, the margin exceeds the one given as long
-    as no determinant on the way loses its sign.
+    Matrices [tube][tip]: of psi at the base of every section in which tubes twist each other, from tip to base,
+    and then with one transmission after the other; with margin 0 the last is d alpha / d phi. By Jacobi's
+    condition, in steps that let one eigenvalue pass at a time, the margin exceeds the one given as long as no determinant on
+    the way loses its sign. They are d - 1 each way, of angles relative to the innermost tube's, unless a moment
+    from outside holds the direction in which all are turned together: then d.
     """
     d = len(tubes)
-    columns = [[1.0 if i == j else 0.0 for i in range(d)] for j in range(d - 1)]
+    free = d if held else d - 1
+    columns = [[1.0 if i == j else 0.0 for i in range(d)] for j in range(free)]
     rates: list[list[Any]] = [[0.0] * d for _ in columns]
     found = []
-    for part, nodes in zip(reversed(parts), reversed(twisted.nodes), strict=True):
+    for part, nodes in zip(reversed(parts), reversed(places), strict=True):
         if len(nodes) == 1:
             columns = [moved(y, (-part.length, rate)) for y, rate in zip(columns, rates, strict=True)]
             continue
@@ -44,11 +52,11 @@ def responses(
                 b = _times(stiff[k - 1], moved(y, (h / 2, rate), (h**2 / 8, a)))
                 c = _times(stiff[k - 2], moved(y, (h, rate), (h**2 / 2, b)))
                 columns[j], rates[j] = _stepped(y, rate, h, a, b, c)
-        found.append(_relative(columns))
+        found.append(_seen(columns, held))
     for i, tube in enumerate(tubes):
         for y, rate in zip(columns, rates, strict=True):
-            y[i] = y[i] - rate[i] * (tube.length - x[d + i])
-        found.append(_relative(columns))
+            y[i] = y[i] - rate[i] * (tube.length - beta[i])
+        found.append(_seen(columns, held))
     return found
 
 
@@ -72,6 +80,9 @@ def _stiffness(tubes: Tubes, part: Section, node: Node, factor: float, xp: Any) 
             if j != i:
                 pull = own * part.shares[j] * node.curvatures[j] * xp.cos(node.angles[i] - node.angles[j])
                 found[i][i], found[i][j] = found[i][i] + pull, -pull
+        if node.outside is not None:
+            x, y = node.outside
+            found[i][i] = found[i][i] + own * (x * xp.cos(node.angles[i]) + y * xp.sin(node.angles[i]))
     return found
 
 
@@ -79,8 +90,10 @@ def _times(matrix: Sequence[Sequence[Any]], y: Sequence[Any]) -> list[Any]:
     return [sum(a * b for a, b in zip(row, y, strict=True)) for row in matrix]
 
 
-def _relative(columns: Sequence[Sequence[Any]]) -> list[list[Any]]:
-    """[tube][tip], less the innermost tube's row."""
+def _seen(columns: Sequence[Sequence[Any]], held: bool) -> list[list[Any]]:
+    """[tube][tip], less the innermost tube's row unless turns of all are held."""
+    if held:
+        return [list(row) for row in zip(*columns, strict=True)]
     return [[column[i] - column[-1] for column in columns] for i in range(len(columns))]
 
 

@@ -53,10 +53,14 @@ class Section(NamedTuple):
 
 
 class Node(NamedTuple):
-    """A place along the robot: the tubes' angles, rad, and their curvatures, 1/mm (0.0 where not active)."""
+    """A place along the robot: the tubes' angles, rad, and their curvatures, 1/mm (0.0 where not active).
+
+    outside: the bending vector, 1/mm, that a moment from outside adds to that of the tubes.
+    """
 
     angles: list[Any]
     curvatures: list[Any]
+    outside: tuple[Any, Any] | None = None
 
 
 class Twist(NamedTuple):

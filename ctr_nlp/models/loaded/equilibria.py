@@ -48,8 +48,7 @@ class States(NamedTuple):
     @property
     def unknowns(self) -> Array:
         """The x (T, 2d + 2) of tips.py."""
-        d = self.angles.shape[1]
-        return unknowns(self.angles, self.axes, self.q[:, d : 2 * d])
+        return unknowns(self.angles, self.axes, self.q)
 
     def replaced(self, which: Any, others: States) -> States:
         """The same with others in place of some."""
@@ -68,19 +67,21 @@ class LoadedEquilibria:
 
     def unloaded(self, q: Array, tips: Array) -> States:
         """The states at q (T, 2d + 2) without a load, whose tips' angles (T, d) against each other are known."""
+        return self._solved(q, self._no_load(len(q)), *self.placed(q, tips), np.ones(len(q), dtype=bool))[0]
+
+    def placed(self, q: Array, tips: Array) -> tuple[Array, Array]:
+        """Angles and axes of unloaded tips with angles (T, d) against each other, whose base stands at q."""
         rows, d = len(q), self.d
-        axes, angles, load = np.tile(np.eye(3), (rows, 1, 1)), tips - tips[:, -1:], self._no_load(rows)
-        ends = self.ends(angles, axes, q, load)
+        axes, angles = np.tile(np.eye(3), (rows, 1, 1)), tips - tips[:, -1:]
+        ends = self.ends(angles, axes, q, self._no_load(rows))
         spin = q[:, d - 1] - ends.angles[:, -1]
         base = base_axes(q[:, 2 * d :])
         cos, sin = np.cos(spin)[:, None], np.sin(spin)[:, None]
         spun = np.stack(
             [cos * base[:, 0] + sin * base[:, 1], cos * base[:, 1] - sin * base[:, 0], base[:, 2]], axis=1
         )
-        placed = (
-            np.swapaxes(ends.axes, 1, 2) @ spun
-        )  # R_tip = R_base A^T, where A is the base of a tip that stands still
-        return self._solved(q, load, angles, placed, np.ones(rows, dtype=bool))[0]
+        # R_tip = R_base A^T, where A is the base of a tip that stands still
+        return angles, np.swapaxes(ends.axes, 1, 2) @ spun
 
     def along(
         self, states: States, q: Array, load: Array, most: float = 1.0, smallest: float = SMALLEST

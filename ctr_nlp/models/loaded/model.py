@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.exceptions import OptionError
 from ctr_nlp.loads import Load
 from ctr_nlp.models.dominant.shape import columns_of
 from ctr_nlp.models.elastic import shape
@@ -15,7 +14,8 @@ from ctr_nlp.models.elastic.torsion import sections
 from ctr_nlp.models.loaded.compiled import STEPS, loading
 from ctr_nlp.models.loaded.following import Follower
 from ctr_nlp.models.loaded.rod import Tip, integrated
-from ctr_nlp.models.loaded.tips import tips
+from ctr_nlp.models.loaded.shape import shape_under
+from ctr_nlp.models.loaded.tips import tips, unknowns
 from ctr_nlp.models.protocol import SUBSTEPS, Followed, Model, Passage, Places, Shape, combination, passage
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import Structure, Tubes, tubes_in_columns
@@ -28,17 +28,23 @@ them."""
 
 @dataclass(frozen=True)
 class Loaded(Model):
-    """Torsionally compliant tubes under a load; without one the elastic model, to 0.001 mm.
-
-    What robots are planned on cannot be loaded yet: the model evaluates motions.
-    """
+    """Torsionally compliant tubes under a load; without one the elastic model, to 0.001 mm."""
 
     load: Load
 
     name = "elastic"
     several_equilibria = True
     can_snap = True
-    loaded = True
+
+    @property
+    def bears(self) -> Load:  # type: ignore[override]
+        """The load."""
+        return self.load
+
+    @property
+    def form(self) -> Loaded:
+        """As Model.form: one for loads that keep their direction, and one for those that turn with the tip."""
+        return TURNING if self.load.follows else STEADY
 
     def check(self, robot: Robot) -> None:
         """Raise LoadError unless the robot tells its moduli, and the load fits it."""
@@ -52,8 +58,22 @@ class Loaded(Model):
         margin: ca.SX | None = None,
         tangents: bool = False,
     ) -> Shape:
-        """Refused: programs do not know loads."""
-        raise OptionError("model is 'elastic' under a load, which evaluates motions; plan without the load")
+        """As Model.frame, with the load's numbers in it; raises LoadError where tubes' weights count."""
+        acting = ca.SX(ca.DM(self.load.numbers_apart(structure.d)))
+        return self.frame_under(acting, structure, tubes, places, margin, tangents)
+
+    def frame_under(
+        self,
+        load: ca.SX,
+        structure: Structure,
+        tubes: Tubes,
+        places: Places,
+        margin: ca.SX | None = None,
+        tangents: bool = False,
+    ) -> Shape:
+        """As Model.frame_under."""
+        acting = loading(ca.vertsplit(load))
+        return shape_under(acting, self.load.follows, structure, tubes, places, margin, tangents)
 
     def points(self, robot: Robot, x: Array, sigma: Array) -> Array:
         """As Model.points."""
@@ -81,9 +101,10 @@ class Loaded(Model):
         return self.follower(robot).rest(q)
 
     def guess(self, robot: Robot, q: Array) -> Array:
-        """What `rest` finds: nothing else is found faster."""
-        found = [self.rest(robot, each) for each in np.reshape(q, (-1, np.shape(q)[-1]))]
-        return np.reshape(found, np.shape(q))
+        """As if tubes had their motors' angles all along, and bore nothing."""
+        rows = np.reshape(q, (-1, np.shape(q)[-1]))
+        tip = self.follower(robot).loaded.placed(rows, rows[:, : robot.d])
+        return np.reshape(unknowns(*tip, rows), np.shape(q))
 
     def configuration(self, robot: Robot, x: Array) -> Array:
         """As Model.configuration; alpha up to whole turns of all tubes together, theta_x within a quarter turn."""
@@ -113,6 +134,10 @@ class Loaded(Model):
     def follower(self, robot: Robot) -> Follower:
         """What follows a robot that bears the load; one object a thread."""
         return Follower(robot.structure, robot.numbers, self.load, self.load.numbers(robot))
+
+
+STEADY, TURNING = Loaded(Load()), Loaded(Load(force=(0.0, 0.0, 1.0), axes="tool"))
+"""What programs are made of."""
 
 
 def curves(

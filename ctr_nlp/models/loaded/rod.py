@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.models.elastic.torsion import Section, curvatures_at, moved
+from ctr_nlp.models.elastic.torsion import Node, Section, curvatures_at, moved
 from ctr_nlp.models.loaded.vectors import cross, dot, plus, scaled, total, vectors
 from ctr_nlp.robot.structure import Tubes
 from ctr_nlp.typing import Vector
@@ -61,18 +61,37 @@ class Softness(NamedTuple):
 
 
 class Rod(NamedTuple):
-    """tangents: at the nodes of every section from base to tip, evenly spaced. angles, rates, axes: at the base.
+    """states: at the nodes of every section from base to tip, evenly spaced: angles, rates, axes and moment, as
+    _Section.slopes takes them. angles, rates, axes: at the base.
 
     responses: from tip to base the matrices, row by row a list, of the turns about d_1 and d_2 of the frame and
     its spin with every tube's angle, over the same at the place before; the last d of one transmission after the
     other.
     """
 
-    tangents: list[list[Vector]]
+    states: list[list[Values]]
     angles: Values
     rates: Values
     axes: tuple[Vector, Vector, Vector]
     responses: list[list[Any]]
+
+    @property
+    def tangents(self) -> list[list[Vector]]:
+        """At the same nodes."""
+        return [[vectors(state[2 * len(self.angles) :])[2] for state in nodes] for nodes in self.states]
+
+    def nodes(self, tubes: Tubes, beta: Sequence[Any], parts: Sequence[Section]) -> list[list[Node]]:
+        """What twists tubes at the same nodes, where the moment is one from outside (elastic/stability.py)."""
+        found, d = list[list[Node]](), len(tubes)
+        for part, states in zip(parts, self.states, strict=True):
+            flexible = part.shares[-1] / tubes[-1].bending_stiffness
+            found.append([])
+            for k, state in enumerate(states):
+                d1, d2, _, m = vectors(state[2 * d :])
+                s = part.start + part.length * (k / (len(states) - 1))
+                curvatures = curvatures_at(tubes, [0.0] * d + list(beta), part, s)
+                found[-1].append(Node(state[:d], curvatures, (flexible * dot(m, d2), -flexible * dot(m, d1))))
+        return found
 
 
 @dataclass(frozen=True)
@@ -158,24 +177,24 @@ def integrated(
         *scaled(load.moment, tip.axes[2]),
     ]
     by = None if soft is None else _changes(tip, load, follows, xp)
-    tangents, responses = [], list[list[Any]]()
+    states, responses = [], list[list[Any]]()
     for part in reversed(parts):
         weight = total([load.weights[i] for i in part.present])
         section = _Section(tubes, beta, part, force, weight, soft or Softness(), xp)
-        nodes = [vectors(y[2 * d :])[2]]
+        nodes = [y]
         for k in range(steps):
             y, by = _stepped(section, k, steps, y, by)
-            nodes.append(vectors(y[2 * d :])[2])
+            nodes.append(y)
             if by is not None and (k + 1) % (steps // 2) == 0:
                 by = _anew(by, responses, d, xp)
-        tangents.append(nodes[::-1])
+        states.append(nodes[::-1])
         force = plus(force, part.length, weight)
     if by is not None:
         for i, tube in enumerate(tubes):
             by[i] = by[i] - by[d + i] * (tube.length - beta[i])
             by = _anew(by, responses, d, xp)
     d1, d2, t, _ = vectors(y[2 * d :])
-    return Rod(tangents[::-1], y[:d], y[d : 2 * d], (d1, d2, t), responses)
+    return Rod(states[::-1], y[:d], y[d : 2 * d], (d1, d2, t), responses)
 
 
 def _stepped(section: _Section, k: int, steps: int, y: Values, by: Values | None) -> tuple[Values, Values | None]:

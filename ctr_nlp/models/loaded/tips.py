@@ -30,10 +30,11 @@ def rotations(vectors: Array) -> Array:
     return np.eye(3) + np.sinc(angle / np.pi) * cross + np.sinc(angle / (2 * np.pi)) ** 2 / 2 * cross @ cross
 
 
-def unknowns(angles: Array, axes: Array, beta: Array) -> Array:
+def unknowns(angles: Array, axes: Array, q: Array) -> Array:
     """The x (T, 2d + 2) of tips: psi_i less psi_d, psi_d, beta, and w; (w_1, w_2, 0) is the tip's rotation vector.
 
-    psi is relative to the frame that this rotation makes of the base's directions. The half turn has no such w.
+    psi is relative to the frame that this rotation makes of the base's directions, and psi_d within half a turn of
+    the alpha_d of q (T, 2d + 2). The half turn has no such w.
     """
     t = axes[:, 2]
     sine = np.hypot(t[:, 0], t[:, 1])
@@ -41,8 +42,10 @@ def unknowns(angles: Array, axes: Array, beta: Array) -> Array:
     w = np.where(sine[:, None] > 0, factor[:, None] * np.stack([-t[:, 1], t[:, 0]], axis=1), 0.0)
     made = _frames(w)
     cos, sin = (axes[:, 0] * made[:, 0]).sum(axis=1), (axes[:, 0] * made[:, 1]).sum(axis=1)
+    d = angles.shape[1]
     spun = angles[:, -1] + np.arctan2(sin, cos)
-    return np.hstack([angles[:, :-1] - angles[:, -1:], spun[:, None], beta, w])
+    spun -= 2 * np.pi * np.round((spun - q[:, d - 1]) / (2 * np.pi))
+    return np.hstack([angles[:, :-1] - angles[:, -1:], spun[:, None], q[:, d : 2 * d], w])
 
 
 def tips(x: Array, d: int) -> tuple[Array, Array]:

@@ -1,0 +1,76 @@
+"""The shape of a loaded robot as symbols of a program: every x = (phi, beta, w) of tips.py is an equilibrium."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+from ctr_nlp.models.dominant.shape import base_frame
+from ctr_nlp.models.elastic.shape import powers, travels, turned
+from ctr_nlp.models.elastic.stability import determinant, responses
+from ctr_nlp.models.elastic.torsion import sections
+from ctr_nlp.models.loaded.rod import Loading, Rod, Tip, integrated
+from ctr_nlp.models.loaded.vectors import dot
+from ctr_nlp.models.protocol import Places, Shape, combination, matrix_of, vectors_of
+from ctr_nlp.nlp.nlp import Inner
+from ctr_nlp.robot.structure import Structure, Tubes
+from ctr_nlp.typing import Vector
+
+STEPS = 4
+"""Steps of integration a section in a nonlinear program: 0.02 mm at 0.3 N, where a forward solution has 0.001."""
+
+
+def shape_under(
+    load: Loading,
+    follows: bool,
+    structure: Structure,
+    tubes: Tubes,
+    places: Places,
+    margin: ca.SX | None,
+    tangents: bool,
+) -> Shape:
+    """The shape of one frame, as Model.frame; follows: whether a force turns with the tip."""
+    d, x = structure.d, ca.SX.sym("x", 2 * structure.d + 2)
+    entries = ca.vertsplit(x)
+    beta, w = entries[d : 2 * d], entries[2 * d :]
+    tip = Tip(
+        [*(phi + entries[d - 1] for phi in entries[: d - 1]), entries[d - 1]],
+        turned(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (w[0], w[1], 0.0)),
+    )
+    parts = sections(tubes, beta, ca, planes=False)
+    rod = integrated(tubes, tip, beta, parts, load, ca, STEPS, follows=follows)
+    lengths, turns = travels(tubes, beta, parts, places(beta), ca, STEPS // 2)
+    curves = [vector for at in rod.tangents for vector in powers(at)]
+    theta = tilt(rod.axes[2])
+    reach = zip(rod.angles, rod.rates, tubes, beta, strict=True)
+    spin = _spin(rod, theta)
+    alpha = [angle + spin - rate * (tube.length - out) for angle, rate, tube, out in reach]
+    values = [ca.horzcat(*lengths), matrix_of(curves), ca.vertcat(*alpha), ca.vertcat(*theta)]
+    if margin is not None:
+        found_at = responses(tubes, beta, parts, rod.nodes(tubes, beta, parts), margin, ca, held=True)
+        values.append(ca.vertcat(*(determinant(response) for response in found_at)))
+    if tangents:
+        values += [ca.horzcat(*(0 * lengths[0] + turn for turn in turns)), ca.vertcat(*rod.axes[2])]
+    inner = Inner.of(values)
+    travelled, directions, motors, tilts, *others = inner.symbols
+    vectors = vectors_of(directions)
+    points = combination(ca.horzsplit(travelled), vectors)
+    found = None
+    if tangents:
+        found = combination([1.0, *ca.horzsplit(others[-2])], [*vectors_of(others[-1]), *vectors])
+    rows = 2 * d + 2
+    picks = (*range(rows, rows + d), *range(d, 2 * d), rows + d, rows + d + 1, *range(d))
+    stable = None if margin is None else others[0]
+    return Shape(x, motors, tuple(beta), points, inner, found, None, stable, picks, tilts)
+
+
+def tilt(t: Vector) -> tuple[Any, Any]:
+    """The theta_x, within a quarter turn, and theta_y that R of eq. (4) has where its third column is t."""
+    return -ca.asin(t[1]), ca.atan2(t[0], t[2])
+
+
+def _spin(rod: Rod, theta: tuple[Any, Any]) -> Any:
+    """By how much the rod's frame at the base is turned about t from the columns of R of eq. (4)."""
+    (d1, d2, _), (b1, b2, _) = rod.axes, base_frame(*theta, ca)
+    return ca.atan2(dot(b2, d1) - dot(b1, d2), dot(b1, d1) + dot(b2, d2))

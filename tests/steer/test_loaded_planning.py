@@ -1,0 +1,187 @@
+"""Planning under a load: a frame's functions, what its constraints say, and motions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from loaded_plans import TWO, made
+from problems import named
+from rows import central
+from test_elastic_planning import TIES
+
+from ctr_nlp import Load, Plan, Problem, sequence, solve_horizon, solve_per_frame, table_i_robot
+from ctr_nlp.cli.main import main
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.formulations.frame import filled, program
+from ctr_nlp.formulations.joint import terms_of
+from ctr_nlp.loads import with_modulus
+from ctr_nlp.models.loaded.model import Loaded
+from ctr_nlp.models.protocol import samples
+from ctr_nlp.steer.robust import solve_robust
+from ctr_nlp.target.curve import curve_from_points
+
+pytestmark = pytest.mark.interpreted
+NITINOL, SIGMA = with_modulus(table_i_robot(), 60_000), np.linspace(0, 1, 31)
+PULL = Load(force=(0.1, -0.2, 0.15))
+LOADS = {
+    "force": PULL,
+    "tool force and moment": Load(force=(0.1, 0.2, -0.1), axes="tool", axial_moment=2.0),
+    "weight": Load(force=(0.0, 0.1, 0.0), densities=6.45, down=(1, 0, 0)),
+}
+EVERY_LOAD = pytest.mark.parametrize("kind", LOADS)
+
+
+def drawn_q(rng):
+    out = np.maximum.accumulate(np.sort(rng.uniform(0.1, 1, 3)) * [50, 107, 150])
+    return np.concatenate([rng.uniform(-1.5, 1.5, 3), out, rng.uniform(-0.5, 0.5, 2)])
+
+
+def frame_of(load, margin=0.1):
+    """The program of a frame, and its parameters."""
+    model, sample = Loaded(load), named("line", 3).samples[2]
+    terms = terms_of(NITINOL, model, margin)
+    nlp = program("frame", NITINOL.structure, model, terms)
+    return nlp, nlp.pack(filled(NITINOL, terms, sample))
+
+
+@EVERY_LOAD
+def test_every_x_is_the_equilibrium_of_its_own_configuration(kind):
+    """q, as the program has it, leads back to x, and to the same shape, by the evaluation of motions."""
+    model, rng = Loaded(LOADS[kind]), np.random.default_rng(1)
+    nlp, p = frame_of(LOADS[kind])
+    picked = ca.Function("picked", [nlp.x, nlp.p], [ca.vertcat(nlp.x, nlp.g)])
+    for _ in range(3):
+        q = drawn_q(rng)
+        x = model.rest(NITINOL, q)
+        found = picked(x, p).full().ravel()[nlp.configuration]
+        np.testing.assert_allclose(found, np.append(q, x[:3]), atol=5e-4)
+
+
+@EVERY_LOAD
+def test_points_of_programs_are_those_of_motions(kind):
+    """At 0.3 N to 0.02 mm."""
+    model, rng = Loaded(LOADS[kind]), np.random.default_rng(2)
+    if model.load.densities is None:
+        shape = samples(model, NITINOL.structure, len(SIGMA))
+        for _ in range(8):
+            x = model.guess(NITINOL, drawn_q(rng))
+            points, tangents = shape(x, SIGMA, NITINOL.numbers)
+            np.testing.assert_allclose(points, model.points(NITINOL, x[None], SIGMA)[0], atol=0.02)
+            np.testing.assert_allclose(tangents, model.tangents(NITINOL, x[None], SIGMA)[0], atol=0.005)
+        return
+    nlp, p = frame_of(model.load)
+    residual = ca.Function("residual", [nlp.x, nlp.p], [nlp.residual])
+    roots, target = p[nlp.place("shape_roots")], p[nlp.place("target")].reshape(3, -1).T
+    for _ in range(8):
+        x = model.guess(NITINOL, drawn_q(rng))
+        points = target + residual(x, p).full().reshape(3, -1).T / roots[:, None]
+        np.testing.assert_allclose(points, model.points(NITINOL, x[None], np.linspace(0, 1, 21))[0], atol=0.02)
+
+
+@pytest.mark.parametrize("beta", TIES["seed"])
+def test_derivatives_are_right_and_finite_where_tubes_end_together(beta):
+    nlp, p = frame_of(PULL)
+    x = Loaded(PULL).guess(NITINOL, np.array([0.5, -0.4, 0.3, *beta, 0.1, -0.2], dtype=float))
+    _, gradient, _, jacobian = nlp.functions.slopes(x, p)
+    assert np.isfinite(gradient.full()).all()
+    assert np.isfinite(jacobian.full()).all()
+    x[3:6] += [-0.5, 0.0, 0.5]
+    _, gradient, _, jacobian = nlp.functions.slopes(x, p)
+    value = nlp.functions.value
+    expected = central(lambda at: value(at, p)[0].full().ravel(), x)
+    np.testing.assert_allclose(gradient.full().ravel(), expected[0], rtol=1e-5, atol=1e-5 * abs(expected).max())
+    expected = central(lambda at: value(at, p)[1].full().ravel(), x)
+    np.testing.assert_allclose(jacobian.full(), expected, rtol=1e-5, atol=1e-5 * abs(expected).max())
+
+
+def test_straight_tips_have_derivatives():
+    """w = 0 is no special case."""
+    nlp, p = frame_of(PULL)
+    for part in nlp.functions.slopes(np.array([0.1, 0.2, 0.3, 20, 60, 100, 0, 0]), p):
+        assert np.isfinite(part.full()).all()
+
+
+def test_one_program_serves_all_loads_that_keep_their_direction():
+    nlp, _ = frame_of(PULL)
+    assert frame_of(LOADS["weight"])[0] is nlp
+    assert frame_of(LOADS["tool force and moment"])[0] is not nlp
+
+
+def test_determinants_lose_their_sign_near_the_margin():
+    """They hold the moment along the robot as it is: 0.03 at 0.3 N, on margins below 0.95."""
+    model, rng, looked = Loaded(PULL), np.random.default_rng(3), 0
+    while looked < 6:
+        q = drawn_q(rng)
+        q[:3] *= 1.5
+        x = model.rest(NITINOL, q)
+        margin = model.margins(NITINOL, x[None])[0]
+        if not 0.05 < margin < 0.95:
+            continue
+        looked += 1
+        for asked, held in ((margin - 0.03, True), (margin + 0.03, False)):
+            nlp, p = frame_of(PULL, asked)
+            g = nlp.functions.value(x, p)[1].full().ravel()
+            rows = np.concatenate(
+                [np.full(each.value.numel(), each.name == "stability") for each in nlp.constraints]
+            )
+            assert bool((g[rows] > 0).all()) == held
+
+
+@pytest.fixture(scope="module")
+def reachable():
+    """A problem whose targets are shapes of an unloaded plan of two tubes, and that plan."""
+    robot = with_modulus(TWO, 60_000)
+    q = np.column_stack([np.linspace(0, 0.6, 4), np.zeros(4), np.linspace(40, 60, 4), np.linspace(60, 80, 4)])
+    free = made(robot, np.hstack([q, np.zeros((4, 2))]))
+    return Problem("reachable", robot, sequence([curve_from_points(shape) for shape in free.shape])), free
+
+
+@pytest.mark.parametrize("solve", [solve_per_frame, solve_horizon])
+def test_a_plan_that_knows_the_load_makes_up_for_it(reachable, solve):
+    """At most a tenth of the error that is left without; and its file tells the load."""
+    problem, free = reachable
+    load = Load(force=(0.0, 0.1, 0.0))
+    found = solve(problem, model=Loaded(load))
+    blind = np.sqrt((np.linalg.norm(free.under(load).shape - found.target, axis=-1) ** 2).mean())
+    left = np.sqrt((np.linalg.norm(found.shape - found.target, axis=-1) ** 2).mean())
+    assert found.success.all()
+    assert not found.meta["snaps"]
+    assert left < 0.1 * blind
+    assert found.bears == load
+    assert found.as_planned
+    assert not found.on("elastic").as_planned
+    assert found.on("elastic").bears is None
+    assert found.under(Load()).bears == Load()
+
+
+def test_a_locked_tilt_stays(reachable):
+    problem, _ = reachable
+    robot = problem.robot.with_locked_tilt()
+    found = solve_per_frame(replace(problem, robot=robot), model=Loaded(Load(force=(0.0, 0.02, 0.0))))
+    assert found.success.all()
+    np.testing.assert_allclose(found.theta, 0, atol=1e-6)
+
+
+def test_the_command_plans_under_a_load(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.toml").write_text("force = [0.0, 0.02, 0.0]\n")
+    argv = ["steer", "line", "--frames", "4", "--model", "elastic", "--no-figures", "--out", "here"]
+    assert main([*argv, "--load", "mine.toml"]) == 2
+    assert "looks like a ratio" in capsys.readouterr().err
+    assert main([*argv, "--load", "mine.toml", "--youngs-modulus", "60000"]) in (0, 1)
+    assert "under a tip force of (0, 0.02, 0) N" in capsys.readouterr().out
+    assert Plan.load("here/plan.npz").bears == Load(force=(0.0, 0.02, 0.0))
+
+
+def test_what_cannot_be_planned_under_a_load_is_refused(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    argv = ["plan", "line", "--frames", "4", "--force", "0", "0.02", "0", "--youngs-modulus", "60000"]
+    assert main(argv) == 2
+    assert "does not go with the dominant model" in capsys.readouterr().err
+    assert main([*argv, "--model", "elastic", "--robust"]) == 2
+    assert "--force does not go with --robust" in capsys.readouterr().err
+    with pytest.raises(OptionError, match="without a load"):
+        solve_robust(replace(named("line", 4), robot=NITINOL), model=Loaded(PULL))
