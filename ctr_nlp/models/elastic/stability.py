@@ -31,9 +31,9 @@ def responses(
 
     Matrices [tube][tip]: of psi at the base of every section in which tubes twist each other, from tip to base,
     and then with one transmission after the other; with margin 0 the last is d alpha / d phi. By Jacobi's
-    condition, in steps that let one eigenvalue pass at a time, the margin exceeds the one given as long as no determinant on
-    the way loses its sign. They are d - 1 each way, of angles relative to the innermost tube's, unless a moment
-    from outside holds the direction in which all are turned together: then d.
+    condition, in steps that let one eigenvalue pass at a time, the margin exceeds the one given as long as no
+    determinant on the way loses its sign. They are d - 1 each way, of angles relative to the innermost tube's,
+    unless a moment from outside holds the direction in which all are turned together: then d.
     """
     d = len(tubes)
     free = d if held else d - 1
