@@ -148,7 +148,15 @@ static int stepped(const Elastic *e, const double *numbers, const State *from, c
     return !from->stable;
 }
 
-/* Follow a branch towards goal, in steps of at most `most` of the way; whether it goes so far. */
+/* How far ahead a branch ends, in parts of the way: the square of the determinant falls to 0 there, in a line close by.
+   before: the state at `last` parts behind. */
+static double until_fold(const State *before, const State *from, double last) {
+    double behind = before->determinant * before->determinant, here = from->determinant * from->determinant;
+    return here < behind ? last * here / (behind - here) : HUGE_VAL;
+}
+
+/* Follow a branch towards goal, in steps of at most `most` of the way; whether it goes so far. Towards a fold a step
+   goes three quarters of the way: from there Newton's method still finds the branch from its tangent. */
 static int along(const Elastic *e, const double *numbers, State *state, const double *goal, double most) {
     double start[SIDE], place[SIDE], ahead[SIDE], done = 0, last = 0, part = most < 1 ? most : 1;
     long n = 2 * e->d + 2;
@@ -167,7 +175,7 @@ static int along(const Elastic *e, const double *numbers, State *state, const do
         before = *state, *state = to;
         if (end) return 1;
         done += part, last = part;
-        part = fmin(fmin(2 * part, most), 1 - done);
+        part = fmin(fmin(fmin(2 * part, most), 1 - done), 0.75 * until_fold(&before, state, last));
     }
     return 0;
 }
