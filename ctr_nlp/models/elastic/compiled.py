@@ -64,8 +64,8 @@ class _Elastic(ctypes.Structure):
     """The struct Elastic of branch.c."""
 
     _fields_ = [
-        *((name, ctypes.c_long) for name in ("d", "twists", "rows", "against", "vectors")),
-        *((name, ctypes.c_void_p) for name in ("starts", "columns", "first", "other", "ends", "entries")),
+        *((name, ctypes.c_long) for name in ("d", "rows", "against", "vectors")),
+        *((name, ctypes.c_void_p) for name in ("first", "other")),
         *((name, ctypes.c_void_p) for name in FUNCTIONS),
         *(
             (name, ctypes.c_double)
@@ -83,18 +83,15 @@ class Compiled:
         made = symbolic(structure)
         libraries = [*([ctypes.CDLL(str(alone))] * len(made.alone)), ctypes.CDLL(str(beside))]
         self._run = cache.loaded(__package__, *CODE)
-        rows, columns = np.nonzero(made.of.pattern)
-        starts = np.searchsorted(rows, np.arange(len(made.of.pattern) + 1))
-        longs = [np.array(each, dtype=np.int64) for each in (starts, columns, *made.of.couples, made.of.ends)]
-        entries = made.of.pattern[rows, columns]
+        couples = np.ascontiguousarray(made.of.couples, dtype=np.int64)
         addresses = (
             ctypes.cast(library[name], ctypes.c_void_p).value
             for library, name in zip(libraries, FUNCTIONS, strict=True)
         )
-        self._keep = libraries, longs, entries
-        places = *(array.ctypes.data for array in (*longs, entries)), *addresses
+        self._keep = libraries, couples
+        places = *(each.ctypes.data for each in couples), *addresses
         steps = CONVERGED, NEAR, STRAY, LEAP, SMALLEST, STRIDE, PUSH, FALL, ITERATIONS
-        sizes = len(made.of.ends), len(made.of.pattern), made.of.second.shape[0], made.vectors
+        sizes = couples.shape[1], made.of.second.shape[0], made.vectors
         self._elastic = _Elastic(structure.d, *sizes, *places, *steps)
         self._reference = ctypes.byref(self._elastic)
         self.motors = ca.external("motors", str(alone))
@@ -157,8 +154,8 @@ def _stepped(numbers: Array) -> tuple[ctypes.c_void_p, ctypes.c_long]:
 class Symbolic(NamedTuple):
     """Functions of a structure, in the order of FUNCTIONS, but for the last; that, for LANES at once; the energy.
 
-    motors: (x, numbers (d, 6)) -> alpha and slopes over phi but the last. energy: -> strength, angles, scales.
-    second: -> the same in Symbols. shape: -> vectors (3, n) and the tip's direction. points: (arc length, vectors,
+    motors: (x, numbers (d, 6)) -> alpha and slopes over phi but the last. energy: -> strength, angles, turns and ends
+    of Symbols, the last two transposed. second: -> the same in Symbols. shape: -> vectors (3, n) and the tip's direction. points: (arc length, vectors,
     extensions (d,), numbers) -> the point there (3,), mm.
     """
 
@@ -189,7 +186,8 @@ def symbolic(structure: Structure) -> Symbolic:
     _, turns = shape.travels(tubes, beta, parts, beta[-1], ca)
     tip = combination(combination([1.0, *turns], [(0.0, 0.0, 1.0), *vectors]), base)
     motors, placing = [alpha, ca.jacobian(alpha, x[: d - 1])], [matrix_of(placed), ca.vertcat(*tip)]
-    made: list[list[Any]] = [motors, list(of[:3]), [of.second], placing]
+    energies = [of.strength, of.angles, of.turns.T, of.ends.T]
+    made: list[list[Any]] = [motors, energies, [of.second], placing]
     alone = [
         ca.Function(name, [x, numbers], [ca.densify(value) for value in values])
         for name, values in zip(FUNCTIONS, made, strict=False)

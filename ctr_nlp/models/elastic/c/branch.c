@@ -7,10 +7,10 @@
 
 typedef int (*Function)(const double **, double **, long long *, double *, int);
 
-/* d tubes; motors: (x, numbers) -> alpha, slopes (d, d - 1) over phi, column by column. energy: (x, numbers) -> of
-   rows the strengths and angles, and scales of twists. The row r of the pattern, the angle between the tubes `first`
-   and `other`, has entries starts[r] .. starts[r + 1] in columns. ends: the tube whose tip a twist turns, or -1.
-   second: (x, numbers) -> the energy's second variation (against, against) for twists of tubes against each other.
+/* d tubes; motors: (x, numbers) -> alpha, slopes (d, d - 1) over phi, column by column. energy: (x, numbers) -> the
+   strengths and angles of rows, between the tubes `first` and `other`, and what unit twists of tubes against each other
+   turn these angles (rows, against) and tips (d, against) by, row by row. second: (x, numbers) -> the energy's second
+   variation (against, against) for these twists.
    shape: -> vectors (3, vectors) and the tip's direction; points: (arc lengths, vectors, extensions, numbers) -> the
    points there, for LANES arc lengths at once.
 
@@ -19,9 +19,8 @@ typedef int (*Function)(const double **, double **, long long *, double *, int);
    smallest: part of a step; stride: rad that tubes are turned by at once; push, fall: rad that tubes turn by against
    each other where a branch ends, and at most in a step of a fall; iterations: at most. */
 typedef struct {
-    long d, twists, rows, against, vectors;
-    const long *starts, *columns, *first, *other, *ends;
-    const double *entries;
+    long d, rows, against, vectors;
+    const long *first, *other;
     Function motors, energy, second, shape, points;
     double converged, near, stray, leap, smallest, stride, push, fall;
     long iterations;
