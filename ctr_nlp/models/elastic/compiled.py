@@ -1,4 +1,4 @@
-"""The elastic model in C: branch.c, margin.c, energy.c, fall.c and shape.c around generated functions."""
+"""The elastic model in C: branch.c, margin.c, energy.c, fall.c, rest.c and shape.c around generated functions."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from ctr_nlp.typing import Array, Flags
 
 MOST_TUBES = 8
 """That branch.c has room for."""
-CODE = tuple(f"c/{name}.c" for name in ("branch", "margin", "energy", "fall", "shape"))
-FUNCTIONS = "motors", "energy", "second", "shape", "points"
-"""That the struct Elastic of branch.c holds; the last for LANES arc lengths at once."""
+CODE = tuple(f"c/{name}.c" for name in ("branch", "margin", "energy", "fall", "rest", "shape"))
+FUNCTIONS = "motors", "energy", "second", "shape", "points", "motors_beside"
+"""That the struct Elastic of branch.c holds; the last two for LANES arc lengths or robots at once."""
 
 STRIDE = 1.0
 """rad that tubes are turned by at once on the way from the aligned robot."""
@@ -81,7 +81,10 @@ class Compiled:
     def __init__(self, structure: Structure, alone: Path, beside: Path) -> None:
         """Take the functions from their libraries; raises OptionError where nothing can be compiled."""
         made = symbolic(structure)
-        libraries = [*([ctypes.CDLL(str(alone))] * len(made.alone)), ctypes.CDLL(str(beside))]
+        libraries = [
+            *([ctypes.CDLL(str(alone))] * len(made.alone)),
+            *([ctypes.CDLL(str(beside))] * len(made.beside)),
+        ]
         self._run = cache.loaded(__package__, *CODE)
         couples = np.ascontiguousarray(made.of.couples, dtype=np.int64)
         addresses = (
@@ -152,7 +155,7 @@ def _stepped(numbers: Array) -> tuple[ctypes.c_void_p, ctypes.c_long]:
 
 
 class Symbolic(NamedTuple):
-    """Functions of a structure, in the order of FUNCTIONS, but for the last; that, for LANES at once; the energy.
+    """Functions of a structure, in the order of FUNCTIONS: alone; the last two, for LANES at once; the energy.
 
     motors: (x, numbers (d, 6)) -> alpha and slopes over phi but the last. energy: -> strength, angles, turns and ends
     of Symbols, the last two transposed. second: -> the same in Symbols. shape: -> vectors (3, n) and the tip's direction. points: (arc length, vectors,
@@ -160,13 +163,13 @@ class Symbolic(NamedTuple):
     """
 
     alone: tuple[ca.Function, ...]
-    beside: ca.Function
+    beside: tuple[ca.Function, ...]
     of: energy.Symbols
 
     @property
     def vectors(self) -> int:
         """How many a shape is made of."""
-        return int(self.beside.size_in(1)[1])
+        return int(self.beside[0].size_in(1)[1])
 
 
 @functools.lru_cache(maxsize=64)
@@ -185,7 +188,8 @@ def symbolic(structure: Structure) -> Symbolic:
     travels, _ = shape.travels(tubes, beta, parts, s, ca)
     _, turns = shape.travels(tubes, beta, parts, beta[-1], ca)
     tip = combination(combination([1.0, *turns], [(0.0, 0.0, 1.0), *vectors]), base)
-    motors, placing = [alpha, ca.jacobian(alpha, x[: d - 1])], [matrix_of(placed), ca.vertcat(*tip)]
+    motors = [alpha, ca.densify(ca.jacobian(alpha, x[: d - 1]))]
+    placing = [matrix_of(placed), ca.vertcat(*tip)]
     energies = [of.strength, of.angles, of.turns.T, of.ends.T]
     made: list[list[Any]] = [motors, energies, [of.second], placing]
     alone = [
@@ -195,7 +199,8 @@ def symbolic(structure: Structure) -> Symbolic:
     given = s, ca.SX.sym("vectors", 3, len(placed)), ca.SX.sym("beta", d), numbers
     (point,) = ca.substitute([given[1] @ ca.vertcat(*travels)], [ca.vertcat(*beta)], [given[2]])
     names = "s", f"{SAME}vectors", f"{SAME}beta", f"{SAME}numbers"
-    return Symbolic(tuple(alone), ca.Function("points", given, [ca.densify(point)], names, ["point"]), of)
+    points = ca.Function("points", given, [ca.densify(point)], names, ["point"])
+    return Symbolic(tuple(alone), (points, ca.Function(FUNCTIONS[-1], [x, numbers], motors)), of)
 
 
 def compiled(structure: Structure) -> Compiled | None:
@@ -209,9 +214,10 @@ class _Soon:
     def __init__(self, structure: Structure) -> None:
         self._structure = replace(structure, gap=False)
         made = symbolic(self._structure)
-        described = "\n".join(function.serialize() for function in made.alone)
-        self._alone = Library(described, functools.partial(tuple, made.alone), 1)
-        self._beside = Library(made.beside.serialize(), functools.partial(tuple, (made.beside,)), LANES)
+        self._alone, self._beside = (
+            Library("\n".join(each.serialize() for each in those), functools.partial(tuple, those), lanes)
+            for those, lanes in ((made.alone, 1), (made.beside, LANES))
+        )
         self._found: Compiled | None = None
 
     def __call__(self) -> Compiled | None:

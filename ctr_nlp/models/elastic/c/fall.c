@@ -145,12 +145,12 @@ static int fallen(const Elastic *e, const double *numbers, State *state, const d
     return found;
 }
 
-/* Follow a branch towards goal, and fall into another wherever it ends; whether goal is reached. jumps (MOST_FALLS, d):
-   what every fall turned the tips by, as many as there were. */
-static int onwards(const Elastic *e, const double *numbers, State *state, const double *goal, double most, double *jumps,
-                   long *falls) {
+/* Fall from where a branch ended on the way to goal, and go on, wherever one ends; whether goal is reached. jumps
+   (MOST_FALLS, d): what every fall turned the tips by, as many as there were. */
+static int beyond(const Elastic *e, const double *numbers, State *state, const double *goal, double *jumps,
+                  long *falls) {
     long d = e->d;
-    int there = along(e, numbers, state, goal, most);
+    int there = 0;
     for (*falls = 0; !there; there = along(e, numbers, state, goal, 1)) {
         const State from = *state;
         if (*falls == MOST_FALLS || !fallen(e, numbers, state, goal)) return 0;
@@ -160,23 +160,8 @@ static int onwards(const Elastic *e, const double *numbers, State *state, const 
     return 1;
 }
 
-/* The same for callers. */
+/* Follow a branch towards goal, and fall into another wherever it ends; whether goal is reached. */
 int follow(const Elastic *e, const double *numbers, State *state, const double *goal, double *jumps, long *falls) {
-    return onwards(e, numbers, state, goal, 1, jumps, falls);
-}
-
-/* Turn all tubes from alpha_d to where they are at every q, with steps in numbers from row to row; the
-   states there, and whether each was found. */
-void settle(const Elastic *e, const double *numbers, long step, const double *q, long rows, State *states, long *found) {
-    long d = e->d, n = 2 * d + 2, falls;
-    double jumps[MOST_FALLS * MOST_TUBES];
-    for (long row = 0; row < rows; ++row, q += n, numbers += step, ++states) {
-        double aligned[SIDE], most = 0;
-        memcpy(aligned, q, n * sizeof *q);
-        memset(states, 0, sizeof *states);
-        for (long i = 0; i < d; ++i) aligned[i] = q[d - 1], most = fmax(most, fabs(q[i] - q[d - 1]));
-        states->x[d - 1] = q[d - 1], states->stable = 1;
-        found[row] = newton(e, numbers, aligned, states, e->converged) &&
-                     onwards(e, numbers, states, q, e->stride / most, jumps, &falls);
-    }
+    *falls = 0;
+    return along(e, numbers, state, goal, 1) || beyond(e, numbers, state, goal, jumps, falls);
 }
