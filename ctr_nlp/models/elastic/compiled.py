@@ -40,7 +40,7 @@ SMALLEST = 2.0**-20
 """Part of a step at which a branch that cannot be followed is held to end."""
 PUSH = 0.1
 """rad that tubes are turned by against each other where a branch ends, over what lies between discretisations."""
-FALL, FALLS = 0.1, 20
+FALL, FALLS = 0.2, 20
 """rad that tubes turn by against each other in one step of a fall; falls at most on one step of a motion."""
 
 

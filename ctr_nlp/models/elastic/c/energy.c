@@ -7,19 +7,23 @@ __attribute__((simd("notinbranch"))) double sin(double);
 __attribute__((simd("notinbranch"))) double cos(double);
 #endif
 
-/* Of two vectors; in four sums, which processors take side by side. */
-static double product(const double *a, const double *b, long n) {
-    double sums[4] = {0};
+/* What processors take side by side. */
+typedef double Four __attribute__((vector_size(4 * sizeof(double)), aligned(sizeof(double)), may_alias));
+
+/* Of two vectors. */
+static inline double product(const double *a, const double *b, long n) {
+    Four sums = {0};
+    double rest = 0;
     long i = 0;
-    for (; i + 4 <= n; i += 4)
-        for (int l = 0; l < 4; ++l) sums[l] += a[i + l] * b[i + l];
-    for (; i < n; ++i) sums[0] += a[i] * b[i];
-    return sums[0] + sums[1] + sums[2] + sums[3];
+    for (; i + 4 <= n; i += 4) sums += *(const Four *)(a + i) * *(const Four *)(b + i);
+    for (; i < n; ++i) rest += a[i] * b[i];
+    return rest + sums[0] + sums[1] + sums[2] + sums[3];
 }
 
-static void added(double part, const double *restrict row, long n, double *restrict to) {
-#pragma omp simd
-    for (long i = 0; i < n; ++i) to[i] += part * row[i];
+static inline void added(double part, const double *restrict row, long n, double *restrict to) {
+    long i = 0;
+    for (; i + 4 <= n; i += 4) *(Four *)(to + i) += part * *(const Four *)(row + i);
+    for (; i < n; ++i) to[i] += part * row[i];
 }
 
 /* The energy at one beta, of a robot whose twists of tubes against each other are a (n,): |a|^2 / 2 less the strengths
@@ -67,7 +71,7 @@ static double energy_at(Energy *of, const double *a, const double *angles, doubl
     return found;
 }
 
-/* The second variation K + V, in which K is the identity, where the energy was evaluated last: from the diagonal on. */
+/* The second variation K + V, in which K is the identity, where the energy was evaluated last: from the diagonal on and some more. */
 static void bent(Energy *of) {
     long n = of->n;
     memset(of->matrix, 0, n * n * sizeof *of->matrix);
@@ -75,6 +79,7 @@ static void bent(Energy *of) {
     for (long r = 0; r < of->rows; ++r)
         for (long i = 0; i < n; ++i) {
             const double *row = of->turns + n * r;
-            added(of->cosines[r] * row[i], row, n, of->matrix + n * i);
+            long from = i - i % 4;
+            added(of->cosines[r] * row[i], row + from, n - from, of->matrix + n * i + from);
         }
 }

@@ -12,7 +12,7 @@ static int definite(const double *matrix, long n, double shift, double *a) {
         const double *pivot = a + n * k;
         if (!(pivot[k] > 0)) return 0;
         double inverse = 1 / pivot[k];
-        for (long i = k + 1; i < n; ++i) added(-pivot[i] * inverse, pivot + i, n - i, a + n * i + i);
+        for (long i = k + 1; i < n; ++i) added(-pivot[i] * inverse, pivot + i - i % 4, n - i + i % 4, a + n * i + i - i % 4);
     }
     return 1;
 }
