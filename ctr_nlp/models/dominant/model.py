@@ -83,12 +83,13 @@ class Dominant(Model):
 
 
 def _points(tubes: Tubes, q: Array, sigma: Array) -> Array:
-    """Points (T, n, 3) in mm at q (T, 2d + 2): what is travelled on every tube times where it bends and goes to."""
+    """Points (T, n, 3) in mm at q (T, 2d + 2): what is travelled on tubes times where that goes."""
     columns, d = shape.columns_of(q), len(tubes)
     travelled = shape.travels(tubes, columns[d : 2 * d], sigma * columns[2 * d - 1], np)
     planes = shape.directions(tubes, columns, np)
     lengths = np.stack([part for travel in travelled for part in travel[:2]], axis=1)
-    return lengths.swapaxes(1, 2) @ np.stack([_stacked(vector)[:, 0] for plane in planes for vector in plane], axis=1)
+    vectors = np.stack([_stacked(vector)[:, 0] for plane in planes for vector in plane], axis=1)
+    return np.asarray(lengths.swapaxes(1, 2) @ vectors)
 
 
 def _stacked(vector: Vector) -> Array:

@@ -157,9 +157,9 @@ def _stepped(numbers: Array) -> tuple[ctypes.c_void_p, ctypes.c_long]:
 class Symbolic(NamedTuple):
     """Functions of a structure, in the order of FUNCTIONS: alone; the last two, for LANES at once; the energy.
 
-    motors: (x, numbers (d, 6)) -> alpha and slopes over phi but the last. energy: -> strength, angles, turns and ends
-    of Symbols, the last two transposed. second: -> the same in Symbols. shape: -> vectors (3, n) and the tip's direction. points: (arc length, vectors,
-    extensions (d,), numbers) -> the point there (3,), mm.
+    motors: (x, numbers (d, 6)) -> alpha and slopes over phi but the last. energy: -> strength, angles, turns and
+    ends of Symbols, the last two transposed. second: -> the same in Symbols. shape: -> vectors (3, n) and the
+    direction of the tip. points: (arc length, vectors, extensions (d,), numbers) -> the point there (3,), mm.
     """
 
     alone: tuple[ca.Function, ...]

@@ -80,9 +80,9 @@ def energies(tubes: Tubes, x: Array) -> Iterator[Energy]:
 
 
 class Symbols(NamedTuple):
-    """The Energy in symbols for any beta, of the m twists that turn tubes against each other: the others stay zero.
+    """The Energy in symbols for any beta, of m twists that turn tubes against each other: others stay zero.
 
-    strength, angles (rows, 1), turns (rows, m), ends (d, m). couples (2, rows): the tubes between which an angle is.
+    strength, angles (rows, 1), turns (rows, m), ends (d, m). couples (2, rows): the tubes of an angle.
     second (m, m): K + V, whose eigenvalues below 1 are those of all twists.
     """
 
