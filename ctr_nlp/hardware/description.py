@@ -15,6 +15,7 @@ from ctr_nlp.hardware.arm.description import Arm
 from ctr_nlp.hardware.axis import Axis, check_fit, tightened
 from ctr_nlp.hardware.sensing.description import Sensing
 from ctr_nlp.robot import Robot
+from ctr_nlp.simulation.lag import Lag
 from ctr_nlp.support.values import described, number, read_toml
 from ctr_nlp.typing import Array
 
@@ -22,7 +23,7 @@ DEVICES = ("simulated", "grbl", "ros2")
 HOMING = ("manual", "cycle")
 FLOW = ("count", "wait")
 
-KEYS = "name, robot, axes, arm, connection, sensing, approach, late"
+KEYS = "name, robot, axes, arm, connection, sensing, lag, approach, late"
 """Of a hardware file."""
 
 
@@ -86,7 +87,8 @@ class Hardware:
     approach: part of the largest speeds at which the first frame is gone to. robot: whose tubes are mounted; plans
     for others are refused, None takes any. late: s that a motion may be behind its schedule. commissioned: the
     controller's settings by name when the rig was commissioned, as it told them; None where that was not done.
-    sensing: what measures the robot, None for nothing; sensors may change between sessions. Raises HardwareError.
+    sensing: what measures the robot, None for nothing; sensors may change between sessions. lag: by which the
+    tubes that are mounted stay behind their motors, made up for; None for none. Raises HardwareError.
     """
 
     axes: tuple[Axis, ...]
@@ -97,6 +99,7 @@ class Hardware:
     late: float = 1.0
     commissioned: dict[str, str] | None = None
     sensing: Sensing | None = field(default=None, repr=False)
+    lag: Lag | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axes", tuple(self.axes))
@@ -132,12 +135,23 @@ class Hardware:
     def tightened(self, robot: Robot) -> Robot:
         """The robot with limits that these axes and the arm keep too; raises HardwareError."""
         check_fit(robot, self.axes, self.robot)
+        if self.lag is not None:
+            self.lag.check(robot)
         return tightened(robot, self.axes, self.arm, self.connection.device == "grbl")
 
     def positions(self, robot: Robot, q: Array) -> Array:
         """Positions (.., m) of the axes, in their units, at q (.., 2d + 2)."""
         columns = [robot.axes.index(axis.joint) for axis in self.axes]
         return np.asarray(self.each("zero") + self.each("scale") * q[..., columns])
+
+    def ahead(self, robot: Robot, q: Array, time: Array) -> Array:
+        """What is added to the axes (T, m), in their units, so that tubes that lag come through q (T, 2d + 2).
+
+        time (T,): when they do, s.
+        """
+        if self.lag is None:
+            return np.zeros((len(q), len(self.axes)))
+        return self.positions(robot, self.lag.led(robot, q, time)) - self.positions(robot, q)
 
     def joints(self, robot: Robot, positions: Array, theta: Array) -> Array:
         """The q (.., 2d + 2) at positions (.., m) of the axes and a tilt (.., 2)."""
@@ -180,6 +194,7 @@ class Hardware:
                 data.get("late", cls.late),
                 read_commissioned(path),
                 described(Sensing, data["sensing"]) if "sensing" in data else None,
+                described(Lag, data["lag"]) if "lag" in data else None,
             )
             if hardware.robot is not None:
                 hardware.tightened(hardware.robot)

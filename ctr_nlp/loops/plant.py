@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -22,6 +23,7 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.robot.draws import Draws, dragged
 from ctr_nlp.robot.structure import Structure
 from ctr_nlp.simulation.drawn import SUBSTEPS
+from ctr_nlp.simulation.lag import Lag, against_outer
 from ctr_nlp.support.values import floats
 from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
@@ -46,7 +48,8 @@ class Moved(NamedTuple):
 class Plant:
     """One drawn robot that its motors move; it comes to rest at the first q from where all tubes are aligned.
 
-    A tube stays behind its motor within its lag, as in Draws.turned. The same calls give the same motion.
+    A tube stays behind its motor within the draw's lag, as in Draws.turned, or by a lag that is given. The same
+    calls give the same motion.
     """
 
     def __init__(
@@ -56,16 +59,21 @@ class Plant:
         model: str | Model = "elastic",
         steps: npt.ArrayLike = 0.0,
         bending: Sequence[float] = (0.0, 0.0),
+        lag: Lag | None = None,
     ) -> None:
         """draw: of the robot described, one. steps: of the motors, rad and mm, one or (2d + 2,), 0 for none.
 
         bending: how far along x and y the tip is bent away, mm, where the robot is all out, by what the model does
-        not know; elsewhere in proportion to the square of arc length. Raises RobotError, OptionError.
+        not know; elsewhere in proportion to the square of arc length. lag: of the tubes in place of the draw's,
+        with which tubes stand where motors do at the first q; None for the draw's. Raises RobotError, OptionError.
         """
         if len(draw) != 1:
             raise RobotError(f"a plant is one robot, and {len(draw)} draws are given")
         self._model = model_named(model)
         self._model.check(robot)
+        if lag is not None:
+            lag.check(robot)
+        self._robot, self._lag = robot, lag
         self._structure, self._numbers = draw.structure, draw.numbers[0]
         self._offsets, self._lags, self._reach = draw.offsets[0], draw.lags[0], robot.reach
         size = 2 * robot.d + 2
@@ -85,13 +93,16 @@ class Plant:
         """The robot after its motors have moved to q (2d + 2,), all at once and evenly, at a time, s."""
         q, jumps = self._stepped(np.asarray(q, dtype=float)), list[Array]()
         if self._walker is None:
-            self._alpha = self._dragged(np.full_like(self._lags, q[len(self._lags) - 1]), q)
+            aligned = np.full_like(self._lags, q[len(self._lags) - 1])
+            self._alpha = (
+                self._robot.split(q)[0] if self._lag else dragged(aligned, self._robot.split(q)[0], self._lags)
+            )
             self._walker = self._model.walker(self._structure, self._numbers, self._turned(q))
         else:
-            before = self.history[-1].q
-            for k in range(1, SUBSTEPS + 1):
-                place = before + (q - before) * (k / SUBSTEPS)
-                self._alpha = self._dragged(self._alpha, place)
+            before, passed = self.history[-1].q, (time - self.history[-1].time) / SUBSTEPS
+            places = before + (q - before) * (np.arange(SUBSTEPS + 1) / SUBSTEPS)[:, None]
+            for there, place in itertools.pairwise(places):
+                self._alpha = self._dragged(there, place, passed)
                 jumps += self._walker.go(self._turned(place))
         found = Moved(time, q, self._walker.x, self._at(SIGMA)[0], tuple(jumps))
         self.history.append(found)
@@ -102,8 +113,14 @@ class Plant:
         size = np.where(self._steps > 0, self._steps, 1.0)
         return np.where(self._steps > 0, np.round(q / size) * size, q)
 
-    def _dragged(self, alpha: Array, q: Array) -> Array:
-        return dragged(alpha, q[: len(self._lags)], self._lags)
+    def _dragged(self, before: Array, q: Array, time: float) -> Array:
+        """Where tubes are turned to (d,) rad, zeros apart, by motors that move from before to q in time s."""
+        motors = self._robot.split(q)[0]
+        if self._lag is None:
+            return dragged(self._alpha, motors, self._lags)
+        turn = against_outer(self._robot, q) - against_outer(self._robot, before)
+        ahead = self._alpha - self._robot.split(before)[0]
+        return motors + self._lag.after(ahead, turn, self._lag.play_at(self._robot, q[None])[..., 0, :], time)
 
     def _turned(self, q: Array) -> Array:
         """Of the tubes, where motors are at q."""

@@ -9,6 +9,7 @@ proportional to it, and a delay holds back insertions and tilt as well.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -21,28 +22,43 @@ from ctr_nlp.typing import Array, Flags
 
 TINY = 1e-12
 """What stands for 0 in a denominator."""
+STILL = 1e-4
+"""rad from frame to frame: tubes that are to turn by less have not turned back."""
+NAMES = "play", "play_per_mm", "drag"
+"""What a lag consists of."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lag(Kept):
-    """By how much tubes stay behind their motors; each (d,), or (n, d) for n robots at once, and at least 0.
+    """By how much tubes stay behind their motors: of each (d,), of n robots (n, d), or one number for all.
 
     play: rad to either side. play_per_mm: by how much that grows for each mm of overlap, rad/mm. drag: the time
     within which a tube makes up for 1 - 1/e of what it is behind by more than its play, s: at a steady speed it is
-    behind by drag times speed on top of the play. Raises RobotError.
+    behind by drag times speed on top of the play. None is negative. Raises RobotError.
     """
 
-    play: Array
-    play_per_mm: Array
-    drag: Array
+    play: Any
+    play_per_mm: Any = 0.0
+    drag: Any = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("play", "play_per_mm", "drag"):
-            value = np.asarray(getattr(self, name), dtype=float)
-            floats(RobotError, f"{name} of a lag", value, (None,) * value.ndim)
+        for name in NAMES:
+            given = np.ndim(getattr(self, name))
+            value = floats(RobotError, f"{name} of a lag", getattr(self, name), (None,) * given)
+            object.__setattr__(self, name, value)
             if value.min(initial=0.0) < 0:
                 raise RobotError(f"{name} of a lag is {value.min():g}; it must be at least 0")
         super().__post_init__()
+
+    def check(self, robot: Robot) -> None:
+        """Raise RobotError unless these are the lags of as many tubes as a robot has."""
+        for name in NAMES:
+            value = getattr(self, name)
+            if value.ndim and value.shape[-1] != robot.d:
+                raise RobotError(
+                    f"{name} of a lag has {value.shape[-1]} numbers, and the robot {robot.d} tubes: give as many, "
+                    "or one number for all"
+                )
 
     def turned(self, robot: Robot, q: Array, time: Array, fresh: Flags | None = None) -> Array:
         """The configurations (.., T, 2d + 2) of tubes whose motors move through q (T, 2d + 2) at time (T,) s.
@@ -53,21 +69,56 @@ class Lag(Kept):
         """
         q, time = np.asarray(q, dtype=float), np.asarray(time, dtype=float)
         starts = np.arange(len(q)) == 0 if fresh is None else fresh
-        play, slope, drag = np.broadcast_arrays(self.play, self.play_per_mm, self.drag)
-        found = np.broadcast_to(q, (*play.shape[:-1], *q.shape)).copy()
-        passed, hidden = np.diff(time, prepend=time[:1]), overlaps(robot, q)
-        turned = np.diff(q[:, : robot.d], prepend=0.0, axis=1)
-        ahead = np.zeros(play.shape)
+        shape = np.broadcast_shapes(self.play.shape, self.play_per_mm.shape, self.drag.shape, (robot.d,))
+        found = np.broadcast_to(q, (*shape[:-1], *q.shape)).copy()
+        play, passed = self.play_at(robot, q), np.diff(time, prepend=time[:1])
+        turn = np.diff(against_outer(robot, q), axis=0, prepend=0.0)
+        ahead = np.zeros(shape)
         for j in range(len(q)):
-            width = play + slope * hidden[j]
-            if starts[j]:
-                ahead = np.zeros(play.shape)
-            else:
-                turn = turned[j] - turned[j - 1]
-                at_once = dragged(dragged(ahead, np.zeros(robot.d), width), turn, width) - turn
-                ahead = np.where(drag > 0, _behind(ahead, turn, width, drag, passed[j]), at_once)
+            ahead = np.zeros(shape) if starts[j] else self.after(ahead, turn[j], play[..., j, :], passed[j])
             found[..., j, : robot.d] += ahead
         return found
+
+    def play_at(self, robot: Robot, q: Array) -> Array:
+        """The play (.., T, d) rad to either side at motors q (T, 2d + 2)."""
+        play, slope = (each[..., None, :] if each.ndim else each for each in (self.play, self.play_per_mm))
+        return np.asarray(play + slope * overlaps(robot, q))
+
+    def after(self, ahead: Array, turn: Array, play: Array, time: float) -> Array:
+        """What tubes (.., d) are ahead of their motors by, rad, after these have turned by turn (d,) in time s.
+
+        ahead (.., d): before that. turn: against the motors of the tubes around them, evenly. play (.., d): to
+        either side, rad, at the end.
+        """
+        at_once = dragged(dragged(ahead, np.zeros_like(turn), play), turn, play) - turn
+        return np.where(self.drag > 0, _behind(ahead, turn, play, self.drag, time), at_once)
+
+    def led(self, robot: Robot, q: Array, time: Array) -> Array:
+        """Where motors must go (T, 2d + 2) so that tubes come through q (T, 2d + 2) at time (T,) s, with this lag.
+
+        Motors go past where the tubes are to be by the play, which is the inverse of turned, and by what drag
+        holds back at the speed at which tubes turn against each other. At the first of q tubes stand where motors
+        do. One that is to stay where it is against the motor around it is left as it is.
+        """
+        found, d = np.array(q, dtype=float), robot.d
+        rate = np.diff(against_outer(robot, found), axis=0, prepend=0.0) / np.diff(time, prepend=-1.0)[:, None]
+        play, behind, side = self.play_at(robot, found), self.drag * rate, np.zeros(d)
+        for j in range(1, len(q)):
+            carried = 0.0
+            for i in range(d):
+                turn = q[j, i] - q[j - 1, i] - carried
+                side[i] = np.sign(turn) if abs(turn) > STILL else side[i]
+                found[j, i] += side[i] * play[j, i] + behind[j, i]
+                carried = found[j, i] - found[j - 1, i]
+        return found
+
+
+def against_outer(robot: Robot, q: Array) -> Array:
+    """By what motors are turned against those of the tubes around them, (.., d) rad, at q (.., 2d + 2).
+
+    The outermost tube turns against what stands still.
+    """
+    return np.diff(np.asarray(q, dtype=float)[..., : robot.d], prepend=0.0, axis=-1)
 
 
 def _behind(ahead: Array, turn: Array, play: Array, drag: Array, time: float) -> Array:

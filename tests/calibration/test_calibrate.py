@@ -10,10 +10,12 @@ from sensed import TWO, measured_shapes, observations, parts_within, shapes_of, 
 from ctr_nlp import Robot, Tolerances, calibrate, table_i_robot
 from ctr_nlp.calibration.calibration import errors, summary_of
 from ctr_nlp.calibration.parameters import parameters_of
+from ctr_nlp.cli.measured.files import head
 from ctr_nlp.exceptions import MeasurementError, OptionError
 from ctr_nlp.models import MODELS
 from ctr_nlp.robot.tolerances import NAMES
 from ctr_nlp.simulation.lag import Lag, delayed
+from ctr_nlp.support.values import read_toml
 
 
 def off(found, parts):
@@ -159,7 +161,7 @@ def test_priors_of_a_covariance_keep_their_correlations():
     np.testing.assert_allclose(white, np.eye(len(again)), atol=1e-6)
 
 
-def test_lag_and_delay_are_found_in_a_motion_of_changing_speed():
+def test_lag_and_delay_are_found_in_a_motion_of_changing_speed(tmp_path):
     random, time = np.random.default_rng(3), np.arange(0, 40, 0.1)
     q = np.zeros((len(time), 6))
     q[:, 0] = 1.2 * np.sin(0.3 * time + 0.5 * np.sin(0.8 * time))
@@ -175,6 +177,11 @@ def test_lag_and_delay_are_found_in_a_motion_of_changing_speed():
     assert values["sensor_delay"] == pytest.approx(0.15, abs=0.01)
     assert found.robot.tolerances.rotation_lag[1] == pytest.approx(values["rotation_lag_2"])
     assert found.fit.noise.position == pytest.approx(0.2, rel=0.15)
+    top, table = head(found).splitlines(), tmp_path / "lag.toml"
+    table.write_text("\n".join(top[top.index("[lag]") :]))
+    assert Lag(**read_toml(table)["lag"]).play == pytest.approx(
+        [values["rotation_lag_1"], values["rotation_lag_2"]], rel=1e-4
+    )
 
 
 def test_at_one_speed_lag_drag_and_delay_look_alike_and_that_is_said():

@@ -317,6 +317,8 @@ def test_the_commented_lines_of_the_example_are_a_controller(tmp_path):
         ("[connection]", "connection = 3\n[bad]", "unknown key 'bad'"),
         ('model = "ur3e"', 'model = "ur1"', "model of the arm is 'ur1'; it must be one of"),
         ("[arm]", "[arm]\ncolour = 1", "unknown key 'colour' in arm"),
+        ("[arm]", "[lag]\nplay = -0.1\n[arm]", "play of a lag is -0.1; it must be at least 0"),
+        ("[arm]", "[lag]\nplay = [0, 0]\ndarg = 1\n[arm]", "unknown key 'darg' in lag; allowed are play"),
         ("range = [0, 107]", "range = ", "line \\d+"),
     ],
 )  # fmt: skip

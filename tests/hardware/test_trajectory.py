@@ -18,6 +18,7 @@ from ctr_nlp.hardware.motion import gcode
 from ctr_nlp.hardware.motion.lookahead import LONGEST, FollowedPath
 from ctr_nlp.hardware.motion.trajectory import approach_to, digests, rest_of, trajectory_of
 from ctr_nlp.hardware.playing.record import Recorder
+from ctr_nlp.simulation.lag import Lag
 
 OVER = 1e-3
 
@@ -174,6 +175,23 @@ def test_joints_with_play_are_at_their_frames(tempo):
     assert (abs(rate) / [a.speed for a in trajectory.hardware.axes]).max() <= 1 + OVER
     assert (abs(change) / [a.acceleration for a in trajectory.hardware.axes]).max() <= 1 + OVER
     assert np.ptp(trajectory.lash(trajectory.knots), axis=0)[[0, 1, 3, 4]] == pytest.approx(0.4)
+
+
+def test_tubes_that_lag_are_at_their_frames():
+    """Motors of tubes with play that grows with their overlap, within what the drives can do."""
+    t = np.linspace(0, 2 * np.pi, 25)[:, None]
+    q = np.hstack([np.sin(t), np.cos(2 * t), 0 * t, 20 + 4 * np.sin(t), 40 + 4 * np.cos(t), 60 + t, 0 * t, 0 * t])
+    rig = replace(homing_hardware(), lag=Lag([0.02, 0.05, 0.1], [0.0, 0.001, 0.0005]))
+    trajectory, free = (trajectory_of(plan_of(q, 0.1), each) for each in (rig, replace(rig, lag=None)))
+    fine = np.unique(np.append(np.linspace(0, trajectory.duration, 4001), trajectory.frame_time))
+    motors = trajectory.hardware.joints(trajectory.robot, trajectory.positions(fine), trajectory.tilt(fine))
+    tubes = rig.lag.turned(trajectory.robot, motors, fine)[np.searchsorted(fine, trajectory.frame_time)]
+    assert abs(tubes - q).max() < 1e-3
+    assert abs(motors[np.searchsorted(fine, trajectory.frame_time)] - q).max() > 0.1
+    assert trajectory.joints(fine, trajectory.positions(fine)) == pytest.approx(trajectory.at(fine)[0])
+    rate = abs(np.diff(motors[:, :3], axis=0)) / np.diff(fine)[:, None]
+    assert (rate / trajectory.robot.speed[:3]).max() <= 1 + OVER
+    assert trajectory.duration > free.duration
 
 
 def test_the_first_frame_is_come_to_from_where_the_axes_stand():

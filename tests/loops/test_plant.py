@@ -10,6 +10,7 @@ from ctr_nlp.exceptions import RobotError
 from ctr_nlp.loops.plant import Plant
 from ctr_nlp.robot.draws import drawn_from
 from ctr_nlp.simulation.drawn import drawn_motion
+from ctr_nlp.simulation.lag import Lag
 
 
 @pytest.fixture(scope="module")
@@ -73,3 +74,28 @@ def test_sensors_see_what_the_shape_shows(plan):
 def test_a_plant_is_one_robot():
     with pytest.raises(RobotError, match="2 draws"):
         Plant(ROBOT, robots(2))
+
+
+def test_motors_that_make_up_for_a_growing_lag_lead_the_plant_along_the_plan(plan):
+    """A lag that grows with the overlap of the tubes, as a calibration finds it."""
+    lag = Lag([0.05, 0.1], [0.0, 0.001])
+    draw = drawn_from(ROBOT, np.zeros((1, 2, 5)), np.zeros((1, 2)))
+    wanted = led(Plant(ROBOT, draw), plan)
+    away = []
+    for motors in (plan.q, lag.led(ROBOT, plan.q, plan.time)):
+        plant = Plant(ROBOT, draw, lag=lag)
+        shapes = np.array([plant.moved(q, t).shape for q, t in zip(motors, plan.time, strict=True)])
+        away.append(np.linalg.norm(shapes - wanted, axis=2).max())
+    assert away[0] > 0.5
+    assert away[1] < 0.01
+
+
+def test_a_plant_lags_as_tubes_of_its_lag(plan):
+    lag = Lag([0.02, 0.1], [0.0005, 0.001], [0.1, 0.0])
+    plant = Plant(ROBOT, drawn_from(ROBOT, np.zeros((1, 2, 5)), np.zeros((1, 2))), lag=lag)
+    found = [plant.moved(q, t) for q, t in zip(plan.q, plan.time, strict=True)][-1]
+    there = lag.turned(ROBOT, plan.q, plan.time)[-1]
+    same = Plant(ROBOT, drawn_from(ROBOT, np.zeros((1, 2, 5)), np.zeros((1, 2)))).moved(there, 0.0)
+    assert found.shape == pytest.approx(same.shape, abs=0.05)
+    with pytest.raises(RobotError, match="play of a lag has 3 numbers"):
+        Plant(ROBOT, robots(1), lag=Lag(np.zeros(3)))

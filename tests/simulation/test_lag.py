@@ -129,3 +129,46 @@ def test_lags_that_cannot_be_are_refused():
         Lag(NONE, NONE, np.array([0, -0.1, 0]))
     with pytest.raises(RobotError, match="play of a lag has nan"):
         Lag(np.array([np.nan, 0, 0]), NONE, NONE)
+
+
+def tubes_of(seed, frames=12):
+    """A random motion of tubes that turn to and fro, while they come out."""
+    random = np.random.default_rng(seed)
+    q = np.zeros((frames, 8))
+    q[:, :3] = np.cumsum(random.uniform(-0.4, 0.4, (frames, 3)), axis=0)
+    q[:, 3:6] = np.cumsum(random.uniform(0.0, 3.0, (frames, 3)), axis=0) + np.array([5.0, 20.0, 50.0])
+    return q, np.cumsum(random.uniform(0.1, 0.3, frames))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_motors_that_are_led_bring_tubes_with_play_where_they_are_to_be(seed):
+    q, time = tubes_of(seed)
+    lag = Lag([0.0, 0.05, 0.03], [0.001, 0.0, 0.0005])
+    motors = lag.led(ROBOT, q, time)
+    assert abs(motors - q).max() > 0.03
+    np.testing.assert_allclose(lag.turned(ROBOT, motors, time), q, atol=1e-12)
+
+
+def test_drag_is_led_against_too():
+    time = np.linspace(0, 10, 401)
+    q = np.zeros((401, 8))
+    q[:, 2], q[:, 3:6] = 1.5 * np.sin(0.5 * time), (20.0, 50.0, 80.0)
+    lag = Lag(0.03, 0.0002, 0.3)
+    plain, led = (abs(lag.turned(ROBOT, m, time) - q).max() for m in (q, lag.led(ROBOT, q, time)))
+    assert plain > 0.25
+    assert led < 0.02
+    q[:, 1] = np.sin(0.8 * time)  # the play of the tube around it is taken up at once, which drag answers late
+    plain, led = (np.std(lag.turned(ROBOT, m, time) - q) for m in (q, lag.led(ROBOT, q, time)))
+    assert led < plain / 3
+
+
+def test_tubes_that_do_not_turn_are_not_led():
+    q = np.zeros((5, 8))
+    q[:, 3:6] = 10.0, 20.0, 30.0
+    np.testing.assert_array_equal(Lag(0.1, 0.001, 0.2).led(ROBOT, q, np.arange(5.0)), q)
+
+
+def test_a_lag_of_too_many_tubes_is_refused():
+    Lag(0.1, [0, 0, 0.001]).check(ROBOT)
+    with pytest.raises(RobotError, match="play of a lag has 2 numbers, and the robot 3 tubes"):
+        Lag([0.1, 0.1]).check(ROBOT)

@@ -9,7 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.calibration.calibration import Calibration, errors, summary_of
+from ctr_nlp.calibration.parameters import LAGS
 from ctr_nlp.calibration.prediction import flat_measured
+from ctr_nlp.simulation.lag import NAMES as LAG_PARTS
 from ctr_nlp.support.tables import by_line, write_csv
 from ctr_nlp.support.values import strict_json
 
@@ -92,7 +94,21 @@ def head(found: Calibration) -> str:
     for k in parameters.columns("motor_zero"):
         value, one = found.fit.values[k], parameters.each[k]
         lines.append(f"Where the motor of tube {one.number} reads 0, alpha_{one.number} is {value:.4f} rad.")
-    return "\n".join(lines)
+    return "\n".join([*lines, *_lag_table(found)])
+
+
+def _lag_table(found: Calibration) -> list[str]:
+    """The table of a hardware file that makes up for the lags found; nothing where none were estimated."""
+    parameters = found.parameters
+    if not parameters.columns(*LAGS):
+        return []
+    lag = parameters.lag(found.fit.values)
+    told = (f"{name} = [{', '.join(f'{v:.5g}' for v in getattr(lag, name))}]" for name in LAG_PARTS)
+    return [
+        "What makes up for the lags of the tubes, in the hardware file that plans are played on:",
+        "[lag]",
+        *told,
+    ]
 
 
 def _known(value: float) -> float | None:

@@ -55,8 +55,9 @@ class Trajectory:
 
     robot: with the limits of the hardware. knots (T,): parameters of the path (the plan's time) where frames are
     passed, the first of which may be a place between frames; frames (T,): their numbers. lash: what is added to
-    the axes' positions (.., m) for play in the drives, a function of that parameter. digests: of what is played.
-    share: of the largest speeds and accelerations that it was timed with; the rest is left for corrections.
+    the axes' positions (.., m) for play in the drives and tubes that lag, a function of that parameter. digests:
+    of what is played. share: of the largest speeds and accelerations that it was timed with; the rest is left for
+    corrections.
     """
 
     robot: Robot
@@ -90,7 +91,7 @@ class Trajectory:
     def joints(self, time: Array, positions: Array) -> Array:
         """Configurations (N, 2d + 2) of axes that are found at positions (N, m) at times (N,) s.
 
-        The tilt is the one commanded then; what is added for play in the drives is taken out.
+        The tilt is the one commanded then; what is added for play and lag is taken out.
         """
         lengths = positions - self.lash(self.motion.parameter(time))
         return self.hardware.joints(self.robot, lengths, self.tilt(time))
@@ -139,11 +140,13 @@ def trajectory_of(
     if isinstance(tempo, bool) or not 0 < tempo <= 1:
         raise OptionError(f"tempo is {tempo!r}; it must lie in (0, 1]")
     robot = hardware.tightened(plan.robot)
-    positions = hardware.positions(robot, plan.q)
+    ahead = hardware.ahead(robot, plan.q, plan.time / tempo)
+    positions = hardware.positions(robot, plan.q) + ahead
     before = np.zeros(len(hardware.axes))
     if standing is not None:
         before = np.where(standing > positions[0] + 0.01 * hardware.backlash, -hardware.backlash, 0.0)
-    lash = made_up(plan.time, positions, hardware.backlash, before)
+    added = ahead + made_up(plan.time, positions, hardware.backlash, before)(plan.time)
+    lash = CubicHermiteSpline(plan.time, added, np.zeros_like(added))
     path = path_through(robot, plan.time, plan.q)
     frames = np.arange(1, len(plan.time) + 1)
     return along(robot, hardware, path, lash, plan.time, frames, digests(plan, hardware), tempo, share)
