@@ -4,14 +4,14 @@
 enum { NONE = -1 };
 
 /* A robot on its way from where all tubes are aligned at alpha_d: the row that it is, the way, the equilibrium that is
-   looked for at a place, where it is predicted, and steps of Newton's method until now. on_way: whether the aligned
+   looked for at a place, where it is predicted, and steps of Newton's method and falls until now. on_way: whether the aligned
    one is found. */
 typedef struct {
     Way way;
     State to;
     double place[SIDE], ahead[SIDE];
     const double *goal;
-    long row, steps;
+    long row, steps, falls;
     int on_way;
 } Turned;
 
@@ -56,13 +56,16 @@ static int turned_on(const Elastic *e, Turned *robot, const double *alpha) {
     return looks_on(e, robot);
 }
 
-/* The state of a robot whose way has ended, after falls where it ended early; whether it is where it was to go. */
-static int arrived(const Elastic *e, const double *numbers, Turned *robot, State *state) {
-    long falls;
-    double jumps[MOST_FALLS * MOST_TUBES];
-    *state = robot->way.at;
-    if (!robot->on_way) return 0;
-    return robot->way.done >= 1 || beyond(e, numbers, state, robot->goal, jumps, &falls);
+/* The same, with falls where a way ends early; whether the robot is on its way still. */
+static int goes_on(const Elastic *e, const double *numbers, Turned *robot, const double *alpha) {
+    Way *way = &robot->way;
+    int on = turned_on(e, robot, alpha);
+    while (!on && robot->on_way && way->done < 1 && robot->falls++ < MOST_FALLS &&
+           fallen(e, numbers, &way->at, robot->goal)) {
+        set_off(e, way, &way->at, robot->goal, 1);
+        on = looks_on(e, robot);
+    }
+    return on;
 }
 
 /* Turn all tubes from alpha_d to where they are at every q, with steps in numbers from row to row; the states there,
@@ -90,8 +93,8 @@ void settle(const Elastic *e, const double *numbers, long step, const double *q,
             if (robot->row == NONE) continue;
             memcpy(robot->to.slopes, slopes + d * (d - 1) * l, d * (d - 1) * sizeof *slopes);
             for (long i = 0; i < d; ++i) robot->to.slopes[i + d * (d - 1)] = 1;
-            if (turned_on(e, robot, alpha + d * l)) continue;
-            found[robot->row] = arrived(e, own + d * NUMBERS * l, robot, states + robot->row);
+            if (goes_on(e, own + d * NUMBERS * l, robot, alpha + d * l)) continue;
+            states[robot->row] = robot->way.at, found[robot->row] = robot->way.done >= 1;
             robot->row = NONE, --left;
         }
     }
