@@ -4,7 +4,7 @@
 #include <string.h>
 
 #define NEWTON 4     /* steps from the nearest point of the table to the nearest of the path */
-#define CLOSE 1e-9   /* mm: a step to the nearest of the path that is as good as none */
+#define CLOSE 1e-6   /* mm: a step to the nearest of the path that is as good as none */
 #define COLUMNS 13   /* of what describes a place, as in terms/lumen.py */
 
 typedef int (*Function)(const double **, double **, long long *, double *, int);

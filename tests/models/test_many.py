@@ -105,3 +105,17 @@ def test_a_robot_at_rest_in_many_poses_is_the_same_without_a_compiler(monkeypatc
     for one, other in zip(fast, slow, strict=True):
         np.testing.assert_allclose(one[:-1], other, atol=1e-8)
         assert np.isnan(one[-1]).all()
+
+
+def test_poses_in_one_call_are_found_as_alone():
+    """More than fit side by side or into one piece of memory, some of which make the robot fall, some unknown."""
+    robot, rng = table_i_robot(), np.random.default_rng(3)
+    q = np.zeros((600, 8))
+    q[:, :3] = rng.uniform(-2 * np.pi, 2 * np.pi, (600, 3))
+    q[:, 3:6] = np.sort(rng.random((600, 3)), axis=1) * robot.upper[3:6]
+    q[::50, 0] = np.nan
+    together = MODELS["elastic"].at_rest(robot, q, SIGMA)
+    alone = [MODELS["elastic"].at_rest(robot, row[None], SIGMA) for row in q]
+    for one, others in zip(together, zip(*alone, strict=True), strict=True):
+        np.testing.assert_allclose(one, np.concatenate(others), atol=1e-9)
+        assert (np.isnan(one).reshape(600, -1).all(axis=1) == np.isnan(q[:, 0])).all()

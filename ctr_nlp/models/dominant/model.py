@@ -67,23 +67,29 @@ class Dominant(Model):
 
     def points(self, robot: Robot, x: Array, sigma: Array) -> Array:
         """As Model.points."""
-        return _stacked(self._backbone(robot, x, sigma).points)
+        return _points(robot.tube_numbers, x, sigma)
 
     def points_apart(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
         """As Model.points_apart."""
         points = np.empty((len(x), np.shape(sigma)[-1], 3))
         for at in (slice(first, first + CHUNK) for first in range(0, len(x), CHUNK)):
-            tubes = tubes_in_columns(structure, numbers[at])
             own = sigma[at] if np.ndim(sigma) > 1 else sigma
-            points[at] = _stacked(shape.backbone(tubes, shape.columns_of(x[at]), own, np).points)
+            points[at] = _points(tubes_in_columns(structure, numbers[at]), x[at], own)
         return points
 
     def tangents(self, robot: Robot, x: Array, sigma: Array) -> Array:
         """As Model.tangents."""
-        return _stacked(self._backbone(robot, x, sigma).tangents)
+        return _stacked(shape.backbone(robot.tube_numbers, shape.columns_of(x), sigma, np).tangents)
 
-    def _backbone(self, robot: Robot, q: Array, sigma: Array) -> shape.Backbone:
-        return shape.backbone(robot.tube_numbers, shape.columns_of(q), sigma, np)
+
+def _points(tubes: Tubes, q: Array, sigma: Array) -> Array:
+    """Points (T, n, 3) in mm at q (T, 2d + 2): what is travelled on tubes times where that goes."""
+    columns, d = shape.columns_of(q), len(tubes)
+    travelled = shape.travels(tubes, columns[d : 2 * d], sigma * columns[2 * d - 1], np)
+    planes = shape.directions(tubes, columns, np)
+    lengths = np.stack([part for travel in travelled for part in travel[:2]], axis=1)
+    vectors = np.stack([_stacked(vector)[:, 0] for plane in planes for vector in plane], axis=1)
+    return np.asarray(lengths.swapaxes(1, 2) @ vectors)
 
 
 def _stacked(vector: Vector) -> Array:

@@ -1,4 +1,4 @@
-"""The elastic model in C: branch.c, margin.c, energy.c, fall.c and shape.c around generated functions."""
+"""The elastic model in C: branch.c, margin.c, energy.c, fall.c, rest.c and shape.c around generated functions."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from ctr_nlp.typing import Array, Flags, Index
 
 MOST_TUBES = 8
 """That branch.c has room for."""
-CODE = tuple(f"c/{name}.c" for name in ("branch", "margin", "energy", "fall", "shape"))
-FUNCTIONS = "motors", "energy", "second", "shape", "points", "abreast"
-"""That the struct Elastic of branch.c holds; the last two for LANES arc lengths and robots at once."""
+CODE = tuple(f"c/{name}.c" for name in ("branch", "margin", "energy", "fall", "rest", "abreast", "shape"))
+FUNCTIONS = "motors", "energy", "second", "shape", "points", "motors_beside"
+"""That the struct Elastic of branch.c holds; the last two for LANES arc lengths or robots at once."""
 
 STRIDE = 1.0
 """rad that tubes are turned by at once on the way from the aligned robot."""
@@ -40,7 +40,7 @@ SMALLEST = 2.0**-20
 """Part of a step at which a branch that cannot be followed is held to end."""
 PUSH = 0.1
 """rad that tubes are turned by against each other where a branch ends, over what lies between discretisations."""
-FALL, FALLS = 0.1, 20
+FALL, FALLS = 0.2, 20
 """rad that tubes turn by against each other in one step of a fall; falls at most on one step of a motion."""
 
 
@@ -64,8 +64,8 @@ class _Elastic(ctypes.Structure):
     """The struct Elastic of branch.c."""
 
     _fields_ = [
-        *((name, ctypes.c_long) for name in ("d", "twists", "rows", "against", "vectors")),
-        *((name, ctypes.c_void_p) for name in ("starts", "columns", "first", "other", "ends", "entries")),
+        *((name, ctypes.c_long) for name in ("d", "rows", "against", "vectors")),
+        *((name, ctypes.c_void_p) for name in ("first", "other")),
         *((name, ctypes.c_void_p) for name in FUNCTIONS),
         *(
             (name, ctypes.c_double)
@@ -86,18 +86,15 @@ class Compiled:
             *([ctypes.CDLL(str(beside))] * len(made.beside)),
         ]
         self._run = cache.loaded(__package__, *CODE)
-        rows, columns = np.nonzero(made.of.pattern)
-        starts = np.searchsorted(rows, np.arange(len(made.of.pattern) + 1))
-        longs = [np.array(each, dtype=np.int64) for each in (starts, columns, *made.of.couples, made.of.ends)]
-        entries = made.of.pattern[rows, columns]
+        couples = np.ascontiguousarray(made.of.couples, dtype=np.int64)
         addresses = (
             ctypes.cast(library[name], ctypes.c_void_p).value
             for library, name in zip(libraries, FUNCTIONS, strict=True)
         )
-        self._keep = libraries, longs, entries
-        places = *(array.ctypes.data for array in (*longs, entries)), *addresses
+        self._keep = libraries, couples
+        places = *(each.ctypes.data for each in couples), *addresses
         steps = CONVERGED, NEAR, STRAY, LEAP, SMALLEST, STRIDE, PUSH, FALL, ITERATIONS
-        sizes = len(made.of.ends), len(made.of.pattern), made.of.second.shape[0], made.vectors
+        sizes = couples.shape[1], made.of.second.shape[0], made.vectors
         self._elastic = _Elastic(structure.d, *sizes, *places, *steps)
         self._reference = ctypes.byref(self._elastic)
         self.motors = ca.external("motors", str(alone))
@@ -170,11 +167,11 @@ def _stepped(numbers: Array) -> tuple[ctypes.c_void_p, ctypes.c_long]:
 
 
 class Symbolic(NamedTuple):
-    """Functions of a structure, in the order of FUNCTIONS: all but two, then these for LANES at once; the energy.
+    """Functions of a structure, in the order of FUNCTIONS: alone; the last two, for LANES at once; the energy.
 
-    motors: (x, numbers (d, 6)) -> alpha and slopes over phi but the last. energy: -> strength, angles, scales.
-    second: -> the same in Symbols. shape: -> vectors (3, n) and the tip's direction. points: (arc length, vectors,
-    extensions (d,), numbers) -> the point there (3,), mm. abreast: motors.
+    motors: (x, numbers (d, 6)) -> alpha and slopes over phi but the last. energy: -> strength, angles, turns and
+    ends of Symbols, the last two transposed. second: -> the same in Symbols. shape: -> vectors (3, n) and the
+    direction of the tip. points: (arc length, vectors, extensions (d,), numbers) -> the point there (3,), mm.
     """
 
     alone: tuple[ca.Function, ...]
@@ -203,8 +200,10 @@ def symbolic(structure: Structure) -> Symbolic:
     travels, _ = shape.travels(tubes, beta, parts, s, ca)
     _, turns = shape.travels(tubes, beta, parts, beta[-1], ca)
     tip = combination(combination([1.0, *turns], [(0.0, 0.0, 1.0), *vectors]), base)
-    motors, placing = [alpha, ca.jacobian(alpha, x[: d - 1])], [matrix_of(placed), ca.vertcat(*tip)]
-    made: list[list[Any]] = [motors, list(of[:3]), [of.second], placing]
+    motors = [alpha, ca.densify(ca.jacobian(alpha, x[: d - 1]))]
+    placing = [matrix_of(placed), ca.vertcat(*tip)]
+    energies = [of.strength, of.angles, of.turns.T, of.ends.T]
+    made: list[list[Any]] = [motors, energies, [of.second], placing]
     alone = [
         ca.Function(name, [x, numbers], [ca.densify(value) for value in values])
         for name, values in zip(FUNCTIONS, made, strict=False)
@@ -212,9 +211,8 @@ def symbolic(structure: Structure) -> Symbolic:
     given = s, ca.SX.sym("vectors", 3, len(placed)), ca.SX.sym("beta", d), numbers
     (point,) = ca.substitute([given[1] @ ca.vertcat(*travels)], [ca.vertcat(*beta)], [given[2]])
     names = "s", f"{SAME}vectors", f"{SAME}beta", f"{SAME}numbers"
-    beside = ca.Function("points", given, [ca.densify(point)], names, ["point"])
-    abreast = ca.Function(FUNCTIONS[-1], [x, numbers], [ca.densify(value) for value in motors])
-    return Symbolic(tuple(alone), (beside, abreast), of)
+    points = ca.Function("points", given, [ca.densify(point)], names, ["point"])
+    return Symbolic(tuple(alone), (points, ca.Function(FUNCTIONS[-1], [x, numbers], motors)), of)
 
 
 def compiled(structure: Structure) -> Compiled | None:
@@ -228,10 +226,10 @@ class _Soon:
     def __init__(self, structure: Structure) -> None:
         self._structure = replace(structure, gap=False)
         made = symbolic(self._structure)
-        described = "\n".join(function.serialize() for function in made.alone)
-        self._alone = Library(described, functools.partial(tuple, made.alone), 1)
-        beside = "\n".join(function.serialize() for function in made.beside)
-        self._beside = Library(beside, functools.partial(tuple, made.beside), LANES)
+        self._alone, self._beside = (
+            Library("\n".join(each.serialize() for each in those), functools.partial(tuple, those), lanes)
+            for those, lanes in ((made.alone, 1), (made.beside, LANES))
+        )
         self._found: Compiled | None = None
 
     def __call__(self) -> Compiled | None:

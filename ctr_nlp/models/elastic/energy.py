@@ -68,7 +68,7 @@ def energies(tubes: Tubes, x: Array) -> Iterator[Energy]:
     twists = _twists(tubes, columns, parts, np)
     couples, turns = _couples(parts), _pattern(parts, twists)
     signs = np.array([np.eye(len(tubes))[i] - np.eye(len(tubes))[j] for _, i, j in couples for _ in NODES])
-    ends = np.array([[one.end * (one.tube == i) for one in twists] for i in range(len(tubes))])
+    ends = _ends(tubes, twists)
     none = np.zeros((len(x), 0))
     scale = np.hstack(np.broadcast_arrays(*(one.scale for one in twists), columns[0])[:-1] or [none])
     strength = [
@@ -80,19 +80,17 @@ def energies(tubes: Tubes, x: Array) -> Iterator[Energy]:
 
 
 class Symbols(NamedTuple):
-    """The Energy in symbols for any beta: K + V = I + S P' W P S, W = diag(strength cos angles), S = diag scales.
+    """The Energy in symbols for any beta, of m twists that turn tubes against each other: others stay zero.
 
-    strength, angles (rows, 1), scales (n, 1): 0 of twists that are not there. pattern (rows, n): P. couples
-    (2, rows): the tubes between which an angle is. ends (n,): the tube whose tip a twist turns, or -1. second
-    (m, m): K + V for twists that turn tubes against each other, whose eigenvalues below 1 are those of all.
+    strength, angles (rows, 1), turns (rows, m), ends (d, m). couples (2, rows): the tubes of an angle.
+    second (m, m): K + V, whose eigenvalues below 1 are those of all twists.
     """
 
     strength: ca.SX
     angles: ca.SX
-    scales: ca.SX
-    pattern: Array
+    turns: ca.SX
+    ends: ca.SX
     couples: Index
-    ends: Index
     second: ca.SX
 
 
@@ -104,22 +102,23 @@ def in_symbols(tubes: Tubes, x: Sequence[Any]) -> Symbols:
         angles.append(ca.horzcat(*(node.angles[i] - node.angles[j] for node in nodes[k])))
         strength.append(_strength(tubes, x, parts[k], i, j, ca))
     twists = _twists(tubes, x, parts, ca)
-    scales = ca.vertcat(ca.SX(0, 1), *(one.scale for one in twists))
+    against = _against(tubes, parts, twists)
+    scaled = ca.diag(ca.vertcat(ca.SX(0, 1), *(one.scale for one in twists))) @ against
     couples = np.array([(i, j) for _, i, j in _couples(parts) for _ in NODES], dtype=int).reshape(-1, 2).T
-    ends = np.array([one.tube if one.end else -1 for one in twists], dtype=int)
     weights = [pulls * ca.cos(turned) for pulls, turned in zip(strength[1:], angles[1:], strict=True)]
-    second = _second(tubes, parts, twists, weights)
-    rows = ca.horzcat(*strength).T, ca.horzcat(*angles).T
-    return Symbols(*rows, scales, _pattern(parts, twists), couples, ends, second)
+    second = _second(tubes, parts, twists, against, weights)
+    turns, ends = (ca.sparsify(ca.DM(each)) @ scaled for each in (_pattern(parts, twists), _ends(tubes, twists)))
+    return Symbols(ca.horzcat(*strength).T, ca.horzcat(*angles).T, turns, ends, couples, second)
 
 
-def _second(tubes: Tubes, parts: Sequence[Section], twists: Sequence[_Twist], weights: Sequence[ca.SX]) -> ca.SX:
-    """K + V (m, m) of the twists that turn tubes against each other; weights (1, nodes) of every couple's angles.
+def _second(
+    tubes: Tubes, parts: Sequence[Section], twists: Sequence[_Twist], against: ca.SX, weights: Sequence[ca.SX]
+) -> ca.SX:
+    """K + V (m, m) of the twists against each other; weights (1, nodes) of every couple's angles.
 
     What turns two tubes against each other is a sum of one and ANGLES, so that V is made of moments of weights.
     """
     basis = np.array([np.ones(len(NODES)), *ANGLES])
-    against = _against(tubes, parts, twists)
     found = ca.SX.eye(against.shape[1])
     for (k, i, j), weight in zip(_couples(parts), weights, strict=True):
         turns = ca.SX(len(basis), len(twists))
@@ -199,6 +198,11 @@ def _pattern(parts: Sequence[Section], twists: Sequence[_Twist]) -> Array:
     couples = _couples(parts)
     found = [one.angles(k, i) - one.angles(k, j) for one in twists for k, i, j in couples]
     return np.reshape(found, (len(twists), len(couples) * len(NODES))).T
+
+
+def _ends(tubes: Tubes, twists: Sequence[_Twist]) -> Array:
+    """By what twists (columns) turn the tubes' tips (rows), but for the scales."""
+    return np.reshape([[one.end * (one.tube == i) for one in twists] for i in range(len(tubes))], (len(tubes), -1))
 
 
 def _strength(tubes: Tubes, columns: Sequence[Any], part: Section, i: int, j: int, xp: Any) -> Any:

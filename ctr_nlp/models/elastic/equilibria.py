@@ -228,7 +228,7 @@ def _fall(energy: Energy, motors: Array, angles: Array, towards: Array) -> Array
         a, size = a + change, abs(energy.turns @ change).max()
         if size < CONVERGED and time > 40:
             return a
-        time *= FALL / size if size > FALL / 8 else 8
+        time *= 0.8 * FALL / size if size > FALL / 10 else 8
     return None
 
 

@@ -50,9 +50,9 @@ static int factor(long n, double *a) {
 }
 
 static void solve(long n, const double *factor, double *b) {
-    for (long i = 0; i < n; ++i) {
-        for (long k = 0; k < i; ++k) b[i] -= factor[k * n + i] * b[k];
-        b[i] /= factor[i * n + i];
+    for (long k = 0; k < n; ++k) {
+        b[k] /= factor[k * n + k];
+        for (long i = k + 1; i < n; ++i) b[i] -= factor[k * n + i] * b[k];
     }
     for (long i = n - 1; i >= 0; --i) {
         for (long k = i + 1; k < n; ++k) b[i] -= factor[i * n + k] * b[k];
@@ -164,15 +164,12 @@ static void let_go(long n, Held *held, long k) {
 }
 
 /* Move d until a row is at its bound, which then is held; rows whose pressure vanishes on the way are let go. */
-static int hold(const Program *o, Held *held, const double *inverse, const double *jacobian, long row, double side,
+static int hold(const Program *o, Held *held, const double *factor, const double *jacobian, long row, double side,
                 double excess, double *d) {
     long n = o->n;
     double *normal = held->normals + n * n, pulled[n], direction[n], fall[n];
-    for (long j = 0; j < n; ++j) normal[j] = side * entry(o, jacobian, row, j);
-    for (long i = 0; i < n; ++i) {
-        pulled[i] = 0;
-        for (long j = 0; j < n; ++j) pulled[i] += inverse[j * n + i] * normal[j];
-    }
+    for (long j = 0; j < n; ++j) normal[j] = pulled[j] = side * entry(o, jacobian, row, j);
+    solve(n, factor, pulled);
     held->pressure[held->count] = 0;
     for (;;) {
         double length = 0, part = INFINITY;
@@ -207,17 +204,13 @@ static int hold(const Program *o, Held *held, const double *inverse, const doubl
 static int quadratic(const Program *o, double *h, const double *gradient, const double *jacobian,
                      const double *value, double *d, double *multipliers) {
     long n = o->n, rows = n + o->m, kept[n], row;
-    double sides[n], pressures[n + 1], normals[(n + 1) * n], pulled[n * n], inverse[n * n], side, excess;
+    double sides[n], pressures[n + 1], normals[(n + 1) * n], pulled[n * n], side, excess;
     Held held = {0, kept, sides, pressures, normals, pulled};
     if (!factor(n, h)) return 0;
-    for (long j = 0; j < n; ++j) {
-        for (long i = 0; i < n; ++i) inverse[j * n + i] = i == j;
-        solve(n, h, inverse + j * n);
-        d[j] = -gradient[j];
-    }
+    for (long j = 0; j < n; ++j) d[j] = -gradient[j];
     solve(n, h, d);
     for (long left = 20 * (rows + 1); (row = most_violated(o, &held, jacobian, value, d, &side, &excess)) >= 0;)
-        if (!left-- || !hold(o, &held, inverse, jacobian, row, side, excess, d)) return 0;
+        if (!left-- || !hold(o, &held, h, jacobian, row, side, excess, d)) return 0;
     for (row = 0; row < rows; ++row) multipliers[row] = 0;
     for (long k = 0; k < held.count; ++k) multipliers[kept[k]] = -sides[k] * pressures[k];
     return 1;

@@ -77,7 +77,8 @@ class Sqp(NlpSolver):
         run.keep_near(near)
         run.here[:], run.program.x[:] = here, x0
         run.program.multipliers[:] = 0.0 if warm is None else np.concatenate([warm.lam_x, warm.lam_g])
-        return [Timed(self._found(k), float(run.seconds[k])) for k in range(run(len(p)))]
+        count = run(len(p))
+        return [Timed(*each) for each in zip(self._found(count), run.seconds[:count].tolist(), strict=True)]
 
     def each(self, x0: Array, p: Array, reach: Reach) -> list[Solution]:
         """As NlpSolver, in one call; IPOPT is asked only where nothing else is found."""
@@ -86,7 +87,8 @@ class Sqp(NlpSolver):
         run.keep_near(None)
         run.starts[: len(x0)] = x0
         run(len(x0), from_starts=True)
-        return [self._found(k) for k in range(len(x0)) if run.solved[k]] or super().each(x0, p, reach)
+        found = [each for each, solved in zip(self._found(len(x0)), run.solved, strict=False) if solved]
+        return found or super().each(x0, p, reach)
 
     def _filled(self, p: Array, reach: Reach) -> Run:
         """Room for parameters p (frames, n_p), filled with these and limits."""
@@ -96,10 +98,16 @@ class Sqp(NlpSolver):
         run.p[: len(p)], run.low[:], run.high[:], run.most[:] = p, *reach
         return run
 
-    def _found(self, k: int) -> Solution:
-        """What the last run found of a frame."""
+    def _found(self, count: int) -> list[Solution]:
+        """What the last run found of its first frames."""
         run, n = self._room, self._room.x.shape[1]
-        multipliers, q = run.multipliers[k].copy(), run.rows[k][self._picks]
-        lam_x, lam_g = multipliers[:n], multipliers[n:]
-        numbers = float(run.objective[k]), float(run.kkt[k]), True, STATUS[run.status[k]], int(run.iterations[k])
-        return Solution(run.x[k].copy(), *numbers, lam_x, lam_g, q)
+        x, multipliers, q = run.x[:count].copy(), run.multipliers[:count].copy(), run.rows[:count, self._picks]
+        numbers = (each[:count].tolist() for each in (run.objective, run.kkt, run.status, run.iterations))
+        return [
+            Solution(
+                own, objective, kkt, True, STATUS[status], iterations, factors[:n], factors[n:], configuration
+            )
+            for own, factors, configuration, objective, kkt, status, iterations in zip(
+                x, multipliers, q, *numbers, strict=True
+            )
+        ]

@@ -12,7 +12,7 @@ from ctr_nlp.problems import named
 from ctr_nlp.steer import Steerer, solve_horizon, solve_per_frame
 from ctr_nlp.studies.benchmarks.growth import least
 
-CALLERS = (("codegen/mapped.py", "__call__"), ("frame/run.py", "__call__"), ("motion/rows.py", "newton"))
+CALLERS = (("codegen/mapped.py", "__call__"), ("frame/run.py", "__call__"), ("motion/loop.py", "iterate"))
 """Functions whose own time is that of the C or of the LAPACK that they call."""
 COMPILED = "casadi", "lapack", "scipy.linalg"
 """In the names of what is no Python."""

@@ -7,27 +7,26 @@
 
 typedef int (*Function)(const double **, double **, long long *, double *, int);
 
-/* d tubes; motors: (x, numbers) -> alpha, slopes (d, d - 1) over phi, column by column. energy: (x, numbers) -> of
-   rows the strengths and angles, and scales of twists. The row r of the pattern, the angle between the tubes `first`
-   and `other`, has entries starts[r] .. starts[r + 1] in columns. ends: the tube whose tip a twist turns, or -1.
-   second: (x, numbers) -> the energy's second variation (against, against) for twists of tubes against each other.
+/* d tubes of NUMBERS numbers each; motors: (x, numbers) -> alpha, slopes (d, d - 1) over phi, column by column. energy: (x, numbers) -> the
+   strengths and angles of rows, between the tubes `first` and `other`, and what unit twists of tubes against each other
+   turn these angles (rows, against) and tips (d, against) by, row by row. second: (x, numbers) -> the energy's second
+   variation (against, against) for these twists.
    shape: -> vectors (3, vectors) and the tip's direction; points: (arc lengths, vectors, extensions, numbers) -> the
-   points there, for LANES arc lengths at once. abreast: motors of LANES robots at once.
+   points there, for LANES arc lengths at once. motors_beside: motors, of LANES robots at once.
 
    converged: the last step of Newton's method, near: on the way, rad; stray: how far an equilibrium may be from its
    prediction; leap: rad that tips may be predicted to turn against each other in a step, beyond their motors;
    smallest: part of a step; stride: rad that tubes are turned by at once; push, fall: rad that tubes turn by against
    each other where a branch ends, and at most in a step of a fall; iterations: at most. */
 typedef struct {
-    long d, twists, rows, against, vectors;
-    const long *starts, *columns, *first, *other, *ends;
-    const double *entries;
-    Function motors, energy, second, shape, points, abreast;
+    long d, rows, against, vectors;
+    const long *first, *other;
+    Function motors, energy, second, shape, points, motors_beside;
     double converged, near, stray, leap, smallest, stride, push, fall;
     long iterations;
 } Elastic;
 
-enum { MOST_TUBES = 8, SIDE = 2 * MOST_TUBES + 2, LANES = 8 };
+enum { MOST_TUBES = 8, NUMBERS = 6, SIDE = 2 * MOST_TUBES + 2, LANES = 8 };
 
 /* An equilibrium x at q, with d alpha / d phi, column by column, and its determinant; stable: whether it is. */
 typedef struct {
@@ -80,24 +79,29 @@ static double largest(const double *a, long n) {
     return found;
 }
 
+/* One step of Newton's method at q from to->x with motors' angles alpha and to->slopes there: how far, rad; HUGE_VAL
+   where it leads nowhere. */
+static double improved(const Elastic *e, const double *q, const double *alpha, State *to) {
+    double turn[MOST_TUBES];
+    for (long i = 0; i < e->d; ++i) turn[i] = q[i] - alpha[i];
+    to->determinant = solved_for(e->d, to->slopes, turn);
+    double size = largest(turn, e->d);
+    if (to->determinant == 0 || !(size < 1)) return HUGE_VAL;
+    for (long i = 0; i < e->d; ++i) to->x[i] += turn[i];
+    return size;
+}
+
 /* Newton's method at q from to->x; whether it ends, with the last step below `converged`. */
 static int newton(const Elastic *e, const double *numbers, const double *q, State *to, double converged) {
     long d = e->d;
+    double size = 1, alpha[MOST_TUBES];
     memcpy(to->x + d, q + d, (d + 2) * sizeof *q);
-    for (long k = 0; k < e->iterations; ++k) {
-        double turn[MOST_TUBES], alpha[MOST_TUBES];
+    memcpy(to->q, q, (2 * d + 2) * sizeof *q);
+    for (long k = 0; k < e->iterations && size >= converged && size <= 1; ++k) {
         motors(e, to->x, numbers, alpha, to->slopes);
-        for (long i = 0; i < d; ++i) turn[i] = q[i] - alpha[i];
-        to->determinant = solved_for(d, to->slopes, turn);
-        double size = largest(turn, d);
-        if (to->determinant == 0 || !(size < 1)) return 0;
-        for (long i = 0; i < d; ++i) to->x[i] += turn[i];
-        if (size < converged) {
-            memcpy(to->q, q, (2 * d + 2) * sizeof *q);
-            return 1;
-        }
+        size = improved(e, q, alpha, to);
     }
-    return 0;
+    return size < converged;
 }
 
 /* Where the tangent of a branch leads to at goal: x. */
@@ -128,53 +132,100 @@ static void extrapolated(const Elastic *e, const State *before, const State *fro
 
 static double margin_at(const Elastic *e, const double *numbers, const double *x);
 
-/* Whether tips are predicted, ahead, to turn further against each other than a step may. */
-static int leaps(const Elastic *e, const State *from, const double *goal, const double *ahead) {
+/* Whether tips may turn to where they are predicted, ahead, in one step. */
+static int near_enough(const Elastic *e, const State *from, const double *goal, const double *ahead) {
     double turn[MOST_TUBES], by_motors[MOST_TUBES];
     for (long i = 0; i + 1 < e->d; ++i) {
         turn[i] = ahead[i] - from->x[i];
         by_motors[i] = (goal[i] - goal[e->d - 1]) - (from->q[i] - from->q[e->d - 1]);
     }
-    return !(largest(turn, e->d - 1) < e->leap + largest(by_motors, e->d - 1));
+    return largest(turn, e->d - 1) < e->leap + largest(by_motors, e->d - 1);
 }
 
-/* One step along a branch to where it is predicted, ahead; whether it is clear that `to` is on it. An unstable one may
-   pass a fold. */
-static int stepped(const Elastic *e, const double *numbers, const State *from, const double *goal, double *ahead,
-                   State *to, int end) {
-    if (leaps(e, from, goal, ahead)) return 0;
+/* Whether an equilibrium is where it was predicted, ahead. */
+static int as_predicted(const Elastic *e, const double *ahead, const State *to) {
+    double apart[MOST_TUBES];
+    for (long i = 0; i < e->d; ++i) apart[i] = ahead[i] - to->x[i];
+    return largest(apart, e->d) < e->stray;
+}
+
+/* Whether no fold lies between two neighbouring equilibria of a branch. */
+static int alike(const State *from, const State *to) { return to->determinant * from->determinant > 0; }
+
+/* A way along a branch: `start` of it at the state `at`, of which a part is done, the `last` of it since `before`; the
+   next part, and the most at once. turns: whether tubes turn and do not slide. */
+typedef struct {
+    State at, before;
+    double start[SIDE], goal[SIDE], done, last, part, most;
+    int turns;
+} Way;
+
+static void set_off(const Elastic *e, Way *way, const State *from, const double *goal, double most) {
+    long n = 2 * e->d + 2;
+    way->at = *from;
+    memcpy(way->start, from->q, n * sizeof *goal);
+    memcpy(way->goal, goal, n * sizeof *goal);
+    way->turns = !memcmp(goal + e->d, from->q + e->d, e->d * sizeof *goal);
+    way->done = way->last = 0, way->part = way->most = fmin(most, 1);
+}
+
+static int at_end(const Way *way) { return way->done + way->part >= 1; }
+
+/* The place after the next part, and what is predicted there; whether that is near enough. */
+static int foreseen(const Elastic *e, const double *numbers, const Way *way, double *place, double *ahead) {
+    double done = way->done + way->part;
+    for (long i = 0; i < 2 * e->d + 2; ++i)
+        place[i] = at_end(way) ? way->goal[i] : way->start[i] + done * (way->goal[i] - way->start[i]);
+    predicted(e, numbers, &way->at, place, ahead);
+    if (way->turns && way->last > 0) extrapolated(e, &way->before, &way->at, way->part / way->last, ahead);
+    return near_enough(e, &way->at, place, ahead);
+}
+
+/* How far ahead a branch ends, in parts of the way: the square of the determinant falls to 0 there, in a line close by.
+   before: the state at `last` parts behind. */
+static double until_fold(const State *before, const State *from, double last) {
+    double behind = before->determinant * before->determinant, here = from->determinant * from->determinant;
+    return here < behind ? last * here / (behind - here) : HUGE_VAL;
+}
+
+/* Go on to the equilibrium after the next part; whether that is the end. Towards a fold the part after it is three
+   quarters of the rest: from there Newton's method still finds the branch from its tangent. */
+static int gone_on(Way *way, const State *to) {
+    int end = at_end(way);
+    way->before = way->at, way->at = *to;
+    way->done += way->part, way->last = way->part;
+    way->part = fmin(fmin(2 * way->part, way->most), 1 - way->done);
+    way->part = fmin(way->part, 0.75 * until_fold(&way->before, &way->at, way->last));
+    return end;
+}
+
+/* The equilibrium after the next part of a way; whether it is clear that it is on the branch. An unstable one may pass
+   a fold. */
+static int stepped(const Elastic *e, const double *numbers, const Way *way, State *to) {
+    double place[SIDE], ahead[SIDE];
+    if (!foreseen(e, numbers, way, place, ahead)) return 0;
     memcpy(to->x, ahead, e->d * sizeof *ahead);
-    to->stable = from->stable;
-    if (!newton(e, numbers, goal, to, end ? e->converged : e->near)) return 0;
-    for (long i = 0; i < e->d; ++i) ahead[i] -= to->x[i];
-    if (!(largest(ahead, e->d) < e->stray)) return 0;
-    if (to->determinant * from->determinant > 0) return 1;
-    if (!from->stable) to->stable = margin_at(e, numbers, to->x) > 0;
-    return !from->stable;
+    to->stable = way->at.stable;
+    if (!newton(e, numbers, place, to, at_end(way) ? e->converged : e->near)) return 0;
+    if (!as_predicted(e, ahead, to)) return 0;
+    if (alike(&way->at, to)) return 1;
+    if (!way->at.stable) to->stable = margin_at(e, numbers, to->x) > 0;
+    return !way->at.stable;
 }
 
 /* Follow a branch towards goal, in steps of at most `most` of the way; whether it goes so far. */
 static int along(const Elastic *e, const double *numbers, State *state, const double *goal, double most) {
-    double start[SIDE], place[SIDE], ahead[SIDE], done = 0, last = 0, part = most < 1 ? most : 1;
-    long n = 2 * e->d + 2;
-    int turns = !memcmp(goal + e->d, state->q + e->d, e->d * sizeof *goal);
-    State before, to;
-    memcpy(start, state->q, n * sizeof *start);
-    while (part >= e->smallest) {
-        int end = done + part >= 1;
-        for (long i = 0; i < n; ++i) place[i] = end ? goal[i] : start[i] + (done + part) * (goal[i] - start[i]);
-        predicted(e, numbers, state, place, ahead);
-        if (turns && last > 0) extrapolated(e, &before, state, part / last, ahead);
-        if (!stepped(e, numbers, state, place, ahead, &to, end)) {
-            part /= 2;
-            continue;
-        }
-        before = *state, *state = to;
-        if (end) return 1;
-        done += part, last = part;
-        part = fmin(fmin(2 * part, most), 1 - done);
-    }
-    return 0;
+    Way way;
+    State to;
+    int there = 0;
+    set_off(e, &way, state, goal, most);
+    while (!there && way.part >= e->smallest)
+        if (stepped(e, numbers, &way, &to))
+            there = gone_on(&way, &to);
+        else
+            way.part /= 2;
+    *state = way.at;
+    return there;
 }
 
 /* Follow a branch through goals, one after the other, and write the equilibria; how many were reached. */
@@ -182,75 +233,4 @@ long walk(const Elastic *e, const double *numbers, State *state, const double *g
     long n = 2 * e->d + 2, k = 0;
     while (k < count && along(e, numbers, state, goals + k * n, 1)) memcpy(x + n * k++, state->x, n * sizeof *x);
     return k;
-}
-
-/* Newton's method for the robots that go on, side by side, at goals from x (LANES, 2d + 2); goes: which of them end. */
-static void newton_abreast(const Elastic *e, const double *numbers, const double *const *goals, double *x,
-                           double *slopes, double *determinants, int *goes) {
-    long d = e->d, n = 2 * d + 2;
-    int open[LANES], left = 0;
-    double alpha[LANES * MOST_TUBES], found[LANES * MOST_TUBES * MOST_TUBES];
-    const double *arg[] = {x, numbers};
-    double *res[] = {alpha, found};
-    for (long l = 0; l < LANES; ++l) left += open[l] = goes[l];
-    for (long k = 0; k < e->iterations && left; ++k) {
-        e->abreast(arg, res, 0, 0, 0);
-        for (long l = 0; l < LANES; ++l) {
-            if (!open[l]) continue;
-            double turn[MOST_TUBES], *own = slopes + d * d * l;
-            for (long i = 0; i < d; ++i) turn[i] = goals[l][i] - alpha[i + d * l], own[i + d * (d - 1)] = 1;
-            memcpy(own, found + d * (d - 1) * l, d * (d - 1) * sizeof *own);
-            determinants[l] = solved_for(d, own, turn);
-            double size = largest(turn, d);
-            int lost = determinants[l] == 0 || !(size < 1);
-            if (!lost)
-                for (long i = 0; i < d; ++i) x[i + n * l] += turn[i];
-            if (lost || size < e->converged) left -= open[l], open[l] = 0, goes[l] = !lost;
-        }
-    }
-    for (long l = 0; l < LANES; ++l) goes[l] &= !open[l];
-}
-
-/* Follow the branches of up to LANES robots, numbers (LANES, ..), side by side through as many goals each, `apart`
-   doubles from robot to robot, in one step from goal to goal; x: the equilibria, as far apart; reached: how many of
-   each. A robot that needs shorter steps stays behind, and those that are unstable. */
-void walk_abreast(const Elastic *e, const double *numbers, State *states, long robots, const double *goals,
-                  long apart, long count, double *x, long *reached) {
-    long d = e->d, n = 2 * d + 2, left = robots;
-    int goes[LANES];
-    double at[LANES * SIDE], ahead[LANES * SIDE], alpha[LANES * MOST_TUBES], determinants[LANES];
-    double slopes[LANES * MOST_TUBES * MOST_TUBES];
-    const double *arg[] = {at, numbers}, *goal[LANES];
-    double *res[] = {alpha, slopes};
-    for (long l = 0; l < LANES; ++l) goes[l] = l < robots && states[l].stable, reached[l] = 0;
-    for (long k = 0; k < count && left; ++k) {
-        left = 0;
-        for (long l = 0; l < LANES; ++l) {
-            goal[l] = goals + (l < robots ? l : 0) * apart + k * n;
-            memcpy(at + n * l, states[l < robots ? l : 0].x, d * sizeof *at);
-            memcpy(at + n * l + d, goal[l] + d, (d + 2) * sizeof *at);
-        }
-        e->abreast(arg, res, 0, 0, 0);
-        for (long l = 0; l < robots; ++l) {
-            double turn[MOST_TUBES];
-            if (!goes[l]) continue;
-            for (long i = 0; i < d; ++i) turn[i] = goal[l][i] - alpha[i + d * l];
-            if (solved_for(d, states[l].slopes, turn) != 0)
-                for (long i = 0; i < d; ++i) at[i + n * l] += turn[i];
-            goes[l] = !leaps(e, states + l, goal[l], at + n * l);
-        }
-        memcpy(ahead, at, sizeof at);
-        newton_abreast(e, numbers, goal, at, slopes, determinants, goes);
-        for (long l = 0; l < robots; ++l) {
-            State *own = states + l;
-            if (!goes[l]) continue;
-            for (long i = 0; i < d; ++i) ahead[i + n * l] -= at[i + n * l];
-            goes[l] = largest(ahead + n * l, d) < e->stray && determinants[l] * own->determinant > 0;
-            if (!goes[l]) continue;
-            memcpy(own->q, goal[l], n * sizeof *at), memcpy(own->x, at + n * l, n * sizeof *at);
-            memcpy(own->slopes, slopes + d * d * l, d * d * sizeof *at), own->determinant = determinants[l];
-            memcpy(x + l * apart + k * n, own->x, n * sizeof *at);
-            reached[l] = k + 1, ++left;
-        }
-    }
 }

@@ -2,69 +2,84 @@
 
 #include <stdlib.h>
 
-/* Of two vectors; in four sums, which processors take side by side. */
-static double product(const double *a, const double *b, long n) {
-    double sums[4] = {0};
+#ifdef LIBMVEC
+__attribute__((simd("notinbranch"))) double sin(double);
+__attribute__((simd("notinbranch"))) double cos(double);
+#endif
+
+/* What processors take side by side. */
+typedef double Four __attribute__((vector_size(4 * sizeof(double)), aligned(sizeof(double)), may_alias));
+
+/* Of two vectors. */
+static inline double product(const double *a, const double *b, long n) {
+    Four sums = {0};
+    double rest = 0;
     long i = 0;
-    for (; i + 4 <= n; i += 4)
-        for (int l = 0; l < 4; ++l) sums[l] += a[i + l] * b[i + l];
-    for (; i < n; ++i) sums[0] += a[i] * b[i];
-    return sums[0] + sums[1] + sums[2] + sums[3];
+    for (; i + 4 <= n; i += 4) sums += *(const Four *)(a + i) * *(const Four *)(b + i);
+    for (; i < n; ++i) rest += a[i] * b[i];
+    return rest + sums[0] + sums[1] + sums[2] + sums[3];
 }
 
-/* The energy at one beta, of a robot whose twists are a in terms of the n scaled ones that are there: |a|^2 / 2 less
-   the strengths times the cosines of angles, which the twists in columns turn by turns. row, rows, work: room. */
+static inline void added(double part, const double *restrict row, long n, double *restrict to) {
+    long i = 0;
+    for (; i + 4 <= n; i += 4) *(Four *)(to + i) += part * *(const Four *)(row + i);
+    for (; i < n; ++i) to[i] += part * row[i];
+}
+
+/* The energy at one beta, of a robot whose twists of tubes against each other are a (n,): |a|^2 / 2 less the strengths
+   times the cosines of angles, which a turns by turns (rows, n); tips are turned by ends (d, n). sines, cosines
+   (rows,), matrix (n, n) and work: room. */
 typedef struct {
-    long n, *begins, *columns, *places;
-    double *strengths, *angles, *turns, *scales, *matrix, *row, *rows, *work;
-    void *room;
+    long n, rows;
+    double *strengths, *angles, *turns, *ends, *sines, *cosines, *matrix, *work;
 } Energy;
 
 static Energy energy_for(const Elastic *e) {
-    long rows = e->rows, n = e->twists, entries = e->starts[rows], work = 2 * n * n + 6 * n + 2 * rows;
-    Energy of;
-    of.room = malloc((rows + 1 + entries + n) * sizeof(long) + (5 * rows + entries + 3 * n + n * n + work) * sizeof(double));
-    of.begins = of.room, of.columns = of.begins + rows + 1, of.places = of.columns + entries;
-    of.strengths = (double *)(of.places + n), of.angles = of.strengths + rows, of.turns = of.angles + rows;
-    of.scales = of.turns + entries, of.matrix = of.scales + n, of.row = of.matrix + n * n;
-    of.rows = of.row + n, of.work = of.rows + 3 * rows + n;
+    long rows = e->rows, n = e->against, work = n * n + 4 * n + 5 * rows;
+    Energy of = {n, rows};
+    of.strengths = malloc((4 * rows + (rows + e->d) * n + n * n + work) * sizeof(double));
+    of.angles = of.strengths + rows, of.sines = of.angles + rows, of.cosines = of.sines + rows;
+    of.turns = of.cosines + rows, of.ends = of.turns + rows * n, of.matrix = of.ends + e->d * n;
+    of.work = of.matrix + n * n;
     return of;
 }
 
 /* The strengths and turns at the beta of x, and the angles there. */
 static void described(const Elastic *e, const double *numbers, const double *x, Energy *of) {
     const double *arg[] = {x, numbers};
-    double *res[] = {of->strengths, of->angles, of->scales};
-    long count = 0;
+    double *res[] = {of->strengths, of->angles, of->turns, of->ends};
     e->energy(arg, res, 0, 0, 0);
-    of->n = 0;
-    for (long i = 0; i < e->twists; ++i) of->places[i] = of->scales[i] > 0 ? of->n++ : -1;
-    for (long r = 0; r < e->rows; ++r) {
-        of->begins[r] = count;
-        for (long k = e->starts[r]; of->strengths[r] != 0 && k < e->starts[r + 1]; ++k) {
-            long twist = e->columns[k];
-            if (of->places[twist] < 0) continue;
-            of->turns[count] = e->entries[k] * of->scales[twist], of->columns[count++] = of->places[twist];
-        }
-    }
-    of->begins[e->rows] = count;
 }
 
-/* The second variation K + V at angles, in which K is the identity. */
-static void bent(const Elastic *e, const Energy *of, const double *angles) {
-    long n = of->n;
-    double *restrict row = of->row;
-    memset(of->matrix, 0, n * n * sizeof *row);
-    for (long i = 0; i < n; ++i) of->matrix[i + n * i] = 1;
-    for (long r = 0; r < e->rows; ++r) {
-        long begin = of->begins[r], end = of->begins[r + 1];
-        double weight = begin < end ? of->strengths[r] * cos(angles[r]) : 0;
-        for (long i = 0; i < n; ++i) row[i] = 0;
-        for (long k = begin; k < end; ++k) row[of->columns[k]] = of->turns[k];
-        for (long k = begin; k < end; ++k) {
-            double *restrict into = of->matrix + n * of->columns[k], part = weight * of->turns[k];
+/* What rows are turned by, by the twists a. */
+static void turned(const Energy *of, const double *a, double *angles) {
+    for (long r = 0; r < of->rows; ++r) angles[r] = product(of->turns + of->n * r, a, of->n);
+}
+
+/* The energy at twists a and angles, and its gradient. */
+static double energy_at(Energy *of, const double *a, const double *angles, double *gradient) {
+    memcpy(gradient, a, of->n * sizeof *a);
 #pragma omp simd
-            for (long i = 0; i < n; ++i) into[i] += part * row[i];
-        }
+    for (long r = 0; r < of->rows; ++r) of->sines[r] = of->strengths[r] * sin(angles[r]);
+#pragma omp simd
+    for (long r = 0; r < of->rows; ++r) of->cosines[r] = of->strengths[r] * cos(angles[r]);
+    double found = product(a, a, of->n) / 2;
+    for (long r = 0; r < of->rows; ++r) {
+        added(of->sines[r], of->turns + of->n * r, of->n, gradient);
+        found -= of->cosines[r];
     }
+    return found;
+}
+
+/* The second variation K + V, in which K is the identity, where the energy was evaluated last: from the diagonal on and some more. */
+static void bent(Energy *of) {
+    long n = of->n;
+    memset(of->matrix, 0, n * n * sizeof *of->matrix);
+    for (long i = 0; i < n; ++i) of->matrix[i + n * i] = 1;
+    for (long r = 0; r < of->rows; ++r)
+        for (long i = 0; i < n; ++i) {
+            const double *row = of->turns + n * r;
+            long from = i - i % 4;
+            added(of->cosines[r] * row[i], row + from, n - from, of->matrix + n * i + from);
+        }
 }

@@ -1,4 +1,6 @@
-/* Shapes of the elastic model; branch.c, margin.c and fall.c come before this file. */
+/* Shapes of the elastic model; the other files come before this one. */
+
+enum { CHUNK = 256 };
 
 /* Points (samples, 3) at sigma (samples,), mm, and the tip's direction (3,). */
 static void shape_at(const Elastic *e, const double *numbers, const double *x, const double *sigma, long samples,
@@ -26,12 +28,16 @@ void shapes(const Elastic *e, const double *numbers, long step, const double *x,
    equilibrium is found. */
 void rests(const Elastic *e, const double *numbers, const double *q, long rows, const double *sigma, long samples,
            double *to) {
-    long n = 2 * e->d + 2, found;
-    State state;
-    for (long row = 0; row < rows; ++row, q += n, to += n + 4 + 3 * samples) {
-        settle(e, numbers, 0, q, 1, &state, &found);
-        for (long i = 0; i < n; ++i) to[i] = found ? state.x[i] : NAN;
-        shape_at(e, numbers, to, sigma, samples, to + n + 4, to + n);
-        to[n + 3] = margin_at(e, numbers, to);
+    long n = 2 * e->d + 2, found[CHUNK], most = rows < CHUNK ? rows : CHUNK;
+    State *states = malloc(most * sizeof *states);
+    for (long first = 0; first < rows; first += most) {
+        long here = rows - first < most ? rows - first : most;
+        settle(e, numbers, 0, q + n * first, here, states, found);
+        for (long row = 0; row < here; ++row, to += n + 4 + 3 * samples) {
+            for (long i = 0; i < n; ++i) to[i] = found[row] ? states[row].x[i] : NAN;
+            shape_at(e, numbers, to, sigma, samples, to + n + 4, to + n);
+            to[n + 3] = margin_at(e, numbers, to);
+        }
     }
+    free(states);
 }

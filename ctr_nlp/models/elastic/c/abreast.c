@@ -1,0 +1,67 @@
+/* Robots that walk side by side, each on its own way; branch.c comes before this file. */
+
+/* Newton's method for the robots that go on, at goals from to[l].x; goes: which of them end. */
+static void newton_abreast(const Elastic *e, const double *numbers, const double *const *goals, State *to, int *goes) {
+    long d = e->d, n = 2 * d + 2, left = 0;
+    int open[LANES];
+    double x[LANES * SIDE], alpha[LANES * MOST_TUBES], slopes[LANES * MOST_TUBES * MOST_TUBES];
+    const double *arg[] = {x, numbers};
+    double *res[] = {alpha, slopes};
+    for (long l = 0; l < LANES; ++l) left += open[l] = goes[l];
+    for (long k = 0; k < e->iterations && left; ++k) {
+        for (long l = 0; l < LANES; ++l) memcpy(x + n * l, to[l].x, n * sizeof *x);
+        e->motors_beside(arg, res, 0, 0, 0);
+        for (long l = 0; l < LANES; ++l) {
+            if (!open[l]) continue;
+            memcpy(to[l].slopes, slopes + d * (d - 1) * l, d * (d - 1) * sizeof *slopes);
+            for (long i = 0; i < d; ++i) to[l].slopes[i + d * (d - 1)] = 1;
+            double size = improved(e, goals[l], alpha + d * l, to + l);
+            if (size > 1 || size < e->converged) --left, open[l] = 0, goes[l] = size < e->converged;
+        }
+    }
+    for (long l = 0; l < LANES; ++l) goes[l] &= !open[l];
+}
+
+/* Follow the branches of up to LANES robots, numbers (LANES, ..), side by side through as many goals each, `apart`
+   doubles from robot to robot, in one step from goal to goal; x: the equilibria, as far apart; reached: how many of
+   each. A robot that needs shorter steps stays behind, and those that are unstable. */
+void walk_abreast(const Elastic *e, const double *numbers, State *states, long robots, const double *goals,
+                  long apart, long count, double *x, long *reached) {
+    long d = e->d, n = 2 * d + 2, left = robots;
+    int goes[LANES];
+    State to[LANES];
+    double at[LANES * SIDE], ahead[LANES * SIDE], alpha[LANES * MOST_TUBES];
+    double slopes[LANES * MOST_TUBES * MOST_TUBES];
+    const double *arg[] = {at, numbers}, *goal[LANES];
+    double *res[] = {alpha, slopes};
+    for (long l = 0; l < LANES; ++l) goes[l] = l < robots && states[l].stable, reached[l] = 0;
+    for (long k = 0; k < count && left; ++k) {
+        left = 0;
+        for (long l = 0; l < LANES; ++l) {
+            long own = l < robots ? l : 0;
+            goal[l] = goals + own * apart + k * n;
+            to[l] = states[own];
+            memcpy(to[l].q, goal[l], n * sizeof *at);
+            memcpy(to[l].x + d, goal[l] + d, (d + 2) * sizeof *at);
+            memcpy(at + n * l, to[l].x, n * sizeof *at);
+        }
+        e->motors_beside(arg, res, 0, 0, 0);
+        for (long l = 0; l < robots; ++l) {
+            double turn[MOST_TUBES];
+            if (!goes[l]) continue;
+            for (long i = 0; i < d; ++i) turn[i] = goal[l][i] - alpha[i + d * l];
+            if (solved_for(d, states[l].slopes, turn) != 0)
+                for (long i = 0; i < d; ++i) to[l].x[i] += turn[i];
+            memcpy(ahead + SIDE * l, to[l].x, d * sizeof *ahead);
+            goes[l] = near_enough(e, states + l, goal[l], ahead + SIDE * l);
+        }
+        newton_abreast(e, numbers, goal, to, goes);
+        for (long l = 0; l < robots; ++l) {
+            goes[l] = goes[l] && as_predicted(e, ahead + SIDE * l, to + l) && alike(states + l, to + l);
+            if (!goes[l]) continue;
+            states[l] = to[l];
+            memcpy(x + l * apart + k * n, to[l].x, n * sizeof *at);
+            reached[l] = k + 1, ++left;
+        }
+    }
+}
