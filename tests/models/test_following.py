@@ -12,10 +12,10 @@ from hypothesis import given
 from strategies import numbers, robots_with_q
 
 from ctr_nlp import Robot, Tube, table_i_robot
-from ctr_nlp.models.elastic import stability
+from ctr_nlp.models.elastic import Elastic, stability
 from ctr_nlp.models.elastic.following import followed, followed_apart
 from ctr_nlp.models.protocol import passage
-from ctr_nlp.robot.draws import drawn_from
+from ctr_nlp.robot.draws import drawn, drawn_from
 
 LONG = Robot((Tube(90, 70, 0.02, 4.0, 3.2), Tube(150, 90, 0.02, 2.6, 1.6)))
 BETA = 60.0, 80.0
@@ -194,3 +194,29 @@ def test_tangents_are_differences_of_points():
     sigma, h = np.linspace(0.1, 0.9, 9), 1e-6
     ahead, behind = shapes(LONG, x, sigma + h), shapes(LONG, x, sigma - h)
     np.testing.assert_allclose((ahead - behind) / (2 * h * BETA[1]), tangents(LONG, x, sigma), atol=1e-4)
+
+
+NEAR_FOLDS = np.array(
+    [
+        [2.96, -2.406, 3.429, 33.006, 36.161, 45.029, 0.002, -0.1],
+        [2.889, -1.796, 3.517, 41.9, 42.564, 50.144, -0, -0.105],
+        [2.761, -1.129, 3.61, 47.222, 50.035, 55.176, 0.002, -0.115],
+        [2.64, -0.51, 3.694, 49.296, 57.231, 60.068, 0.006, -0.144],
+        [2.657, -0.311, 3.787, 50, 63.716, 64.872, 0.008, -0.169],
+        [2.646, -0.324, 3.931, 49.732, 69.651, 69.651, 0.007, -0.173],
+        [2.736, -0.285, 3.726, 49.822, 74.416, 74.416, -0.02, -0.153],
+        [3.155, 0.372, 3.239, 43.591, 79.124, 79.124, 0.062, -0.201],
+    ]
+)
+"""On the way to the last of these, some robots snap by half a radian, back to where they would have been."""
+
+
+@pytest.mark.parametrize("substeps", [4, 8, 16, 32])
+def test_small_snaps_are_seen_whatever_the_steps(substeps, compiled):
+    """A step over a fold may end near its prediction by chance: where that is far away, it is taken in parts."""
+    draws = drawn(table_i_robot(), 200, seed=3)[[10, 51, 88, 148, 166]]
+    way = passage(NEAR_FOLDS, substeps)
+    for found in Elastic().follow_apart(draws.structure, draws.numbers, way, draws.turned(way.q, way.fresh)):
+        (snap,) = found.snaps
+        assert snap.frame == 8
+        assert 0.55 < snap.jump < 0.75

@@ -32,7 +32,7 @@ CONVERGED, NEAR, ITERATIONS = 1e-7, 1e-2, 8
 """rad of the last Newton step, whose error is about its square, and of that on the way; steps at most."""
 STRAY = 0.1
 """rad: an equilibrium further than this from its prediction may belong to another branch."""
-LEAP = 1.0
+LEAP = 0.2
 """rad that tips may be predicted to turn against each other in one step, beyond what their motors turn: further
 away, and as near to the prediction by chance, there is another branch.
 """
