@@ -99,7 +99,7 @@ class Hardware:
     late: float = 1.0
     commissioned: dict[str, str] | None = None
     sensing: Sensing | None = field(default=None, repr=False)
-    lag: Lag | None = None
+    lag: Lag | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axes", tuple(self.axes))

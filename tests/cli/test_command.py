@@ -318,7 +318,7 @@ def test_warm_builds_what_plans_need_and_tells_where_it_is(monkeypatch, capsys):
     built = []
     for how in warm.BUILDS:
         monkeypatch.setitem(
-            warm.BUILDS, how, lambda problem, model, how=how: built.append((problem.name, model, how))
+            warm.BUILDS, how, lambda problem, model, how=how: built.append((problem.name, model.name, how))
         )
     assert run("warm", "arc", "cos", "--models", "elastic") == 0
     assert built == [(name, "elastic", how) for name in ("arc", "cos") for how in ("frame by frame", "horizon")]

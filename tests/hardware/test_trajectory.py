@@ -192,6 +192,7 @@ def test_tubes_that_lag_are_at_their_frames():
     rate = abs(np.diff(motors[:, :3], axis=0)) / np.diff(fine)[:, None]
     assert (rate / trajectory.robot.speed[:3]).max() <= 1 + OVER
     assert trajectory.duration > free.duration
+    assert trajectory.digests.hardware != free.digests.hardware
 
 
 def test_the_first_frame_is_come_to_from_where_the_axes_stand():

@@ -234,7 +234,5 @@ def digests(plan: Plan, hardware: Hardware) -> Digests:
             known.update(
                 f"{field.name} {array.dtype} {array.shape}".encode() + np.ascontiguousarray(array).tobytes()
             )
-    return Digests(
-        known.hexdigest(),
-        hashlib.sha256(repr(replace(hardware, commissioned=None)).encode()).hexdigest(),
-    )
+    described = repr(replace(hardware, commissioned=None)) + ("" if hardware.lag is None else repr(hardware.lag))
+    return Digests(known.hexdigest(), hashlib.sha256(described.encode()).hexdigest())

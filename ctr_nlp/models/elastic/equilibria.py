@@ -15,6 +15,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from ctr_nlp.codegen.mapped import Mapped
+from ctr_nlp.codegen.vector import LANES
 from ctr_nlp.models.elastic import compiled as compiled_code
 from ctr_nlp.models.elastic import energy, stability
 from ctr_nlp.models.elastic.compiled import (
@@ -260,20 +261,22 @@ def walked_abreast(structure: Structure, numbers: Array, goals: Array) -> list[t
     """The equilibria (k, 2d + 2) of up to LANES robots of numbers (n, d, 6) that settle at the first of goals
     (n, T, 2d + 2) and reach the next ones in whole steps, and the last of them.
 
-    None for all where one does not settle, and where nothing is gained: without compiled code, of one robot.
+    What is found of a robot does not depend on those beside it. None for one that does not settle, and for all
+    without compiled code.
     """
     code, count = compiled(structure), len(numbers)
-    if code is None or count < 2:
+    if code is None:
         return [None] * count
-    flat = np.ascontiguousarray(numbers.swapaxes(1, 2)).reshape(count, -1)
-    states, settled = code.settle(flat, goals[:, 0])
-    if not settled.all():
-        return [None] * count
+    every = np.arange(LANES) % count
+    flat = np.ascontiguousarray(numbers.swapaxes(1, 2)).reshape(count, -1)[every]
+    states, settled = code.settle(flat, goals[every, 0])
+    for state, found in zip(states, settled, strict=True):
+        state.stable &= int(found)
     begin = np.ctypeslib.as_array(states)["x"][:, : goals.shape[2]].copy()
     x, reached = code.walk_abreast(flat, states, goals[:, 1:])
     known = [np.concatenate([begin[k : k + 1], x[k, :far]]) for k, far in enumerate(reached.tolist())]
-    ends = [_read(state, structure.d, goals[k, reached[k]]) for k, state in enumerate(states)]
-    return list(zip(known, ends, strict=True))
+    ends = [_read(states[k], structure.d, goals[k, reached[k]]) for k in range(count)]
+    return [each if settled[k] else None for k, each in enumerate(zip(known, ends, strict=True))]
 
 
 def _written(state: State) -> compiled_code.State:
