@@ -270,8 +270,6 @@ def walked_abreast(structure: Structure, numbers: Array, goals: Array) -> list[t
     every = np.arange(LANES) % count
     flat = np.ascontiguousarray(numbers.swapaxes(1, 2)).reshape(count, -1)[every]
     states, settled = code.settle(flat, goals[every, 0])
-    for state, found in zip(states, settled, strict=True):
-        state.stable &= int(found)
     begin = np.ctypeslib.as_array(states)["x"][:, : goals.shape[2]].copy()
     x, reached = code.walk_abreast(flat, states, goals[:, 1:])
     known = [np.concatenate([begin[k : k + 1], x[k, :far]]) for k, far in enumerate(reached.tolist())]

@@ -69,7 +69,7 @@ static int goes_on(const Elastic *e, const double *numbers, Turned *robot, const
 }
 
 /* Turn all tubes from alpha_d to where they are at every q, with steps in numbers from row to row; the states there,
-   and whether each was found. Where there are several rows, LANES of them are on their way at once. */
+   and whether each was found; one that was not is not stable. Where there are several rows, LANES of them are on their way at once. */
 void settle(const Elastic *e, const double *numbers, long step, const double *q, long rows, State *states,
             long *found) {
     long d = e->d, n = 2 * d + 2, lanes = rows > 2 ? LANES : 1, next = 0, left = rows;
@@ -95,6 +95,7 @@ void settle(const Elastic *e, const double *numbers, long step, const double *q,
             for (long i = 0; i < d; ++i) robot->to.slopes[i + d * (d - 1)] = 1;
             if (goes_on(e, own + d * NUMBERS * l, robot, alpha + d * l)) continue;
             states[robot->row] = robot->way.at, found[robot->row] = robot->way.done >= 1;
+            states[robot->row].stable &= found[robot->row];
             robot->row = NONE, --left;
         }
     }
