@@ -69,7 +69,8 @@ static int goes_on(const Elastic *e, const double *numbers, Turned *robot, const
 }
 
 /* Turn all tubes from alpha_d to where they are at every q, with steps in numbers from row to row; the states there,
-   and whether each was found; one that was not is not stable. Where there are several rows, LANES of them are on their way at once. */
+   and whether each was found; one that was not is not stable. Where there are several rows, LANES of them are on their
+   way at once. */
 void settle(const Elastic *e, const double *numbers, long step, const double *q, long rows, State *states,
             long *found) {
     long d = e->d, n = 2 * d + 2, lanes = rows > 2 ? LANES : 1, next = 0, left = rows;
