@@ -133,14 +133,12 @@ class Model(ABC):
     The defaults suit a model whose unknowns are the configuration q (2d + 2,) itself and whose robot has one shape
     for each. several_equilibria: whether q alone does not determine the unknowns x: then x has d tips' angles
     first, and rest, guess, configuration and follow must be defined. can_snap: whether an equilibrium can become
-    unstable. bears: the load that comes and goes while a robot stands; then frame_under must be defined.
-    bends_by_extension: whether curvatures depend on beta alone, which two-stage formulations need.
+    unstable. bends_by_extension: whether curvatures depend on beta alone, which two-stage formulations need.
     """
 
     name: str
     several_equilibria = False
     can_snap = False
-    bears: Load | None = None
     bends_by_extension = False
 
     def check(self, robot: Robot) -> None:  # noqa: B027 - most models describe any robot
@@ -159,6 +157,11 @@ class Model(ABC):
 
         margin: the least stability margin that Shape.stability is for. tangents: whether these are wanted too.
         """
+
+    @property
+    def bears(self) -> Load | None:
+        """The load that comes and goes while a robot stands; with one, frame_under must be defined."""
+        return None
 
     @property
     def told(self) -> dict[str, Any]:

@@ -108,7 +108,7 @@ def test_a_tracker_that_tells_by_udp_corrects_a_plan(
         told = capsys.readouterr()
         assert "success" in told.out
         assert "30 of 30" in told.out
-        assert "not corrected" not in told.err  # on a busy machine what comes late is told to be far off
+        assert "note" not in told.err
         assert "motor_zero of tube 1" in told.out
         assert "estimate.csv" in told.out
         assert main([str(plan), "--replay", *arguments]) == 0

@@ -19,6 +19,7 @@ from ctr_nlp.hardware.motion.path import made_up, path_through
 from ctr_nlp.hardware.motion.timing import Motion, timed
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
+from ctr_nlp.simulation.lag import NAMES as LAG_PARTS
 from ctr_nlp.typing import Array
 
 AT = 1e-4
@@ -234,5 +235,7 @@ def digests(plan: Plan, hardware: Hardware) -> Digests:
             known.update(
                 f"{field.name} {array.dtype} {array.shape}".encode() + np.ascontiguousarray(array).tobytes()
             )
-    described = repr(replace(hardware, commissioned=None)) + ("" if hardware.lag is None else repr(hardware.lag))
+    described = repr(replace(hardware, commissioned=None))
+    if hardware.lag is not None:
+        described += repr([getattr(hardware.lag, name).tolist() for name in LAG_PARTS])
     return Digests(known.hexdigest(), hashlib.sha256(described.encode()).hexdigest())

@@ -37,7 +37,7 @@ class Loaded(Model):
     can_snap = True
 
     @property
-    def bears(self) -> Load:  # type: ignore[override]
+    def bears(self) -> Load:
         """The load."""
         return self.load
 

@@ -13,8 +13,7 @@ static void newton_abreast(const Elastic *e, const double *numbers, const double
         e->motors_beside(arg, res, 0, 0, 0);
         for (long l = 0; l < LANES; ++l) {
             if (!open[l]) continue;
-            memcpy(to[l].slopes, slopes + d * (d - 1) * l, d * (d - 1) * sizeof *slopes);
-            for (long i = 0; i < d; ++i) to[l].slopes[i + d * (d - 1)] = 1;
+            take_slopes(e, slopes, l, to + l);
             double size = improved(e, goals[l], alpha + d * l, to + l);
             if (size > 1 || size < e->converged) --left, open[l] = 0, goes[l] = size < e->converged;
         }

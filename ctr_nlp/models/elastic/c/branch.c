@@ -72,6 +72,13 @@ static void motors(const Elastic *e, const double *x, const double *numbers, dou
     for (long i = 0; i < e->d; ++i) slopes[i + e->d * (e->d - 1)] = 1;
 }
 
+/* Take the slopes of one of LANES robots, which are without the last column. */
+static void take_slopes(const Elastic *e, const double *slopes, long lane, State *to) {
+    long d = e->d;
+    memcpy(to->slopes, slopes + d * (d - 1) * lane, d * (d - 1) * sizeof *slopes);
+    for (long i = 0; i < d; ++i) to->slopes[i + d * (d - 1)] = 1;
+}
+
 static double largest(const double *a, long n) {
     double found = 0;
     for (long i = 0; i < n; ++i)

@@ -92,8 +92,7 @@ void settle(const Elastic *e, const double *numbers, long step, const double *q,
         for (long l = 0; l < lanes; ++l) {
             Turned *robot = robots + l;
             if (robot->row == NONE) continue;
-            memcpy(robot->to.slopes, slopes + d * (d - 1) * l, d * (d - 1) * sizeof *slopes);
-            for (long i = 0; i < d; ++i) robot->to.slopes[i + d * (d - 1)] = 1;
+            take_slopes(e, slopes, l, &robot->to);
             if (goes_on(e, own + d * NUMBERS * l, robot, alpha + d * l)) continue;
             states[robot->row] = robot->way.at, found[robot->row] = robot->way.done >= 1;
             states[robot->row].stable &= found[robot->row];
