@@ -17,7 +17,9 @@ WINDOW = 0.45
 STUCK = 3
 """Readings that are equal to the last digit: with noise that does not happen."""
 FEW, MANY = 0.1, 0.5
-"""Share of values that are rejected at which that is told, and at which a reading counts as wrong."""
+"""Share of groups of values that are rejected at which that is told, and at which a reading counts as wrong."""
+SEVERAL = 2
+"""Groups that are rejected before that is told, if chance is not excluded: it rejects one in a thousand."""
 SURE = 6.0
 """Standard deviations beyond which chance is excluded."""
 LATE = 0.05
@@ -48,9 +50,7 @@ class Doubts:
         self._seen.append((innovation, rates, time))
         while self._seen[0][2] < time - WINDOW:
             self._seen.popleft()
-        known = np.isfinite(innovation.excess)
-        rejected = float(np.mean(~innovation.accepted[known])) if known.any() else 0.0
-        self._wrong = self._wrong + 1 if rejected > MANY else 0
+        self._wrong = self._wrong + 1 if innovation.rejected > MANY * innovation.groups else 0
         return self._why(), self._outliers()
 
     def _why(self) -> str:
@@ -67,10 +67,11 @@ class Doubts:
         return ""
 
     def _outliers(self) -> str:
-        known = sum(int(np.isfinite(each.excess).sum()) for each, *_ in self._seen)
-        bad = sum(int((np.isfinite(each.excess) & ~each.accepted).sum()) for each, *_ in self._seen)
-        if known and bad > FEW * known and bad >= STUCK:
-            return f"{bad / known:.0%} of what is measured is far from what is expected, and is not used"
+        groups = sum(each.groups for each, *_ in self._seen)
+        rejected = sum(each.rejected for each, *_ in self._seen)
+        farthest = max(float(np.nanmax(abs(e.excess / e.expected), initial=0.0)) for e, *_ in self._seen)
+        if rejected > FEW * groups and (rejected >= SEVERAL or farthest > SURE):
+            return f"{rejected / groups:.0%} of what is measured is far from what is expected, and is not used"
         return ""
 
     def _late(self) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from ctr_nlp.loops.differences import Differences
 from ctr_nlp.loops.prediction import Predicted, Predictor
 from ctr_nlp.loops.recalled import Recalled, Record
 from ctr_nlp.loops.sensors import Reading, Seen, Sensors
-from ctr_nlp.loops.sensors.gate import accepted
+from ctr_nlp.loops.sensors.gate import accepted, counted
 from ctr_nlp.models import Model
 from ctr_nlp.models.walker import Walker
 from ctr_nlp.typing import Array, Flags
@@ -35,7 +35,8 @@ class Innovation(NamedTuple):
     expected.
 
     accepted (m,): which values were taken; missing ones were not. size: the mean square of accepted innovations in
-    expected deviations, about 1; NaN without any.
+    expected deviations, about 1; NaN without any. groups: how many groups of values that are right or wrong
+    together were measured; rejected: how many of these were not taken.
     """
 
     time: float
@@ -43,6 +44,8 @@ class Innovation(NamedTuple):
     expected: Array
     accepted: Flags
     size: float
+    groups: int
+    rejected: int
 
 
 class Observer:
@@ -217,7 +220,8 @@ class Observer:
             right = excess[taken]
             _, solved, _ = lapack.dposv(spread[taken][:, taken], np.column_stack([over[taken], right]))
             gain[taken], size = solved[:, :-1], float(right @ solved[:, -1] / len(right))
-        return Innovation(reading.time, excess, expected, taken, size), gain, slopes
+        counts = counted(self._sensors, excess, taken)
+        return Innovation(reading.time, excess, expected, taken, size, *counts), gain, slopes
 
     def measured(self, reading: Reading) -> Innovation:
         """Take a reading of a moment that the motors have passed: what is right of it changes the estimate.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import socket
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -140,6 +141,38 @@ def test_times_of_another_clock_become_ours_by_the_quickest_message() -> None:
 
 def test_without_a_time_a_message_is_as_old_as_it_is_described() -> None:
     assert Sent(Sensing(delay=0.04)).send(2.0, None)[0].time == pytest.approx(1.96)
+
+
+LINUX = pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells when packets arrive")
+
+
+@LINUX
+def test_packets_without_a_time_are_of_when_they_came_and_not_of_when_they_are_looked_at() -> None:
+    port, sent = free_port(socket.SOCK_DGRAM), list[float]()
+    with (
+        listening(Lines(Sensing(f"udp://127.0.0.1:{port}"))) as source,
+        closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as sender,
+    ):
+        for pause in (0.2, 0.1):
+            sent.append(time.monotonic())
+            sender.sendto(b'{"values": [1, 2, 3]}', ("127.0.0.1", port))
+            time.sleep(pause)
+        found = source.take(NOWHERE, time.monotonic())
+    assert [reading.time for reading in found] == pytest.approx(sent, abs=0.09)
+
+
+@LINUX
+def test_so_is_a_line_of_a_stream() -> None:
+    with (
+        closing(socket.create_server(("127.0.0.1", 0))) as server,
+        listening(Lines(Sensing(f"tcp://127.0.0.1:{server.getsockname()[1]}"))) as source,
+        closing(server.accept()[0]) as sender,
+    ):
+        sent = time.monotonic()
+        sender.sendall(b'{"values": [1, 2, 3]}\n')
+        time.sleep(0.2)
+        (reading,) = source.take(NOWHERE, time.monotonic())
+    assert reading.time == pytest.approx(sent, abs=0.09)
 
 
 def test_what_comes_too_late_is_left_out_and_a_flood_is_cut() -> None:

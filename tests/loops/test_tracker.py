@@ -5,8 +5,12 @@ import pytest
 from loops_of import OFF, ROBOT, SENSORS, made_plan, robots
 
 from ctr_nlp.loops.closed import closed_loop, open_loop
+from ctr_nlp.loops.doubts import Doubts
 from ctr_nlp.loops.feed import Feed, Late, Outliers, Shifted, Silence, Stuck, Swapped
+from ctr_nlp.loops.observer import Innovation
 from ctr_nlp.loops.plant import Plant
+from ctr_nlp.loops.sensors import Reading, Sensors
+from ctr_nlp.loops.sensors.points import TipPosition
 from ctr_nlp.loops.tracker import State, Tracker
 
 BEGIN = 2.0
@@ -114,3 +118,35 @@ def test_sensors_that_have_contradicted_are_not_believed_again(plan, name):
     held = next(note.time for note in run.notes if note.state is State.HELD)
     after = run.means[plan.time >= held]
     assert (after == after[0]).all()
+
+
+def tip(rejected, time, excess=4.0):
+    """What doubts look at of one tip that was measured, and taken or not; excess: by so many deviations."""
+    off = np.array([excess, 0.0, 0.0]) * rejected
+    innovation = Innovation(time, off, np.ones(3), np.full(3, not rejected), 1.0, 1, int(rejected))
+    return time, Reading(time, np.array([time, 0.0, 0.0])), innovation, np.zeros(3)
+
+
+def test_one_tip_that_is_far_off_is_chance_and_two_of_nine_are_told():
+    """At 20 readings a second nine are in the window: of a thousand right ones, one is rejected."""
+    doubts = Doubts()
+    told = [doubts.looked(*tip(k == 4, 0.05 * k))[1] for k in range(40)]
+    assert told == [""] * 40
+    doubts = Doubts()
+    told = [doubts.looked(*tip(k in (4, 7), 0.05 * k))[1] for k in range(8)]
+    assert told[:7] == [""] * 7
+    assert told[7] == "25% of what is measured is far from what is expected, and is not used"
+
+
+def test_one_tip_that_no_chance_explains_is_told_at_once():
+    doubts = Doubts()
+    told = [doubts.looked(*tip(k == 4, 0.05 * k, excess=7.0))[1] for k in range(5)]
+    assert told == ["", "", "", "", "20% of what is measured is far from what is expected, and is not used"]
+
+
+def test_a_tip_of_which_a_value_is_missing_is_not_far_off():
+    tracker = Tracker(made_plan(), Sensors(TipPosition()), OFF)
+    tracker.observe(tracker.plan.q[0], 0.0, [])
+    seen = tracker.observer.judged(Reading(0.0, np.array([0.0, np.nan, 60.0])))
+    assert (seen.groups, seen.rejected) == (0, 0)
+    assert not seen.accepted.any()

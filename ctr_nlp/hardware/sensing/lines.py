@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import math
 import socket
+from collections.abc import Iterator
 from contextlib import suppress
 
 import numpy as np
 
 from ctr_nlp.exceptions import DeviceFault
+from ctr_nlp.hardware.sensing.arrival import received, stamp_arrivals
 from ctr_nlp.hardware.sensing.description import Sensing
 from ctr_nlp.hardware.sensing.source import Message, Remote
 
@@ -55,6 +57,7 @@ class Lines(Remote):
             else:
                 self._socket = socket.create_connection((host, port), PATIENCE)
             self._socket.setblocking(False)
+            stamp_arrivals(self._socket)
         except OSError as exception:
             self.close()
             raise DeviceFault(
@@ -63,40 +66,40 @@ class Lines(Remote):
 
     def _come(self) -> list[Message]:
         found = []
-        for line in self._lines():
+        for line, waited in self._lines():
             message = message_of(line)
             if isinstance(message, str):
                 self.strange = message
             else:
-                found.append(message)
+                found.append(message._replace(waited=waited))
         return found
 
-    def _lines(self) -> list[bytes]:
-        """Whole lines that have come."""
+    def _lines(self) -> Iterator[tuple[bytes, float]]:
+        """Whole lines that have come, and for how many s each has waited."""
         for _ in range(AT_ONCE):
-            data = self._packet()
+            data, waited = self._packet()
             if not data:
                 break
             whole = self._sensing.address.kind == "udp" and not data.endswith(b"\n")
-            self._rest += data + b"\n" * whole
-        *lines, self._rest = self._rest.split(b"\n")
-        self._rest = self._rest if len(self._rest) <= LONGEST else b""
-        return [line for line in lines if line.strip()]
+            *lines, rest = (self._rest + data + b"\n" * whole).split(b"\n")
+            self._rest = rest if len(rest) <= LONGEST else b""
+            yield from ((line, waited) for line in lines if line.strip())
 
-    def _packet(self) -> bytes:
+    def _packet(self) -> tuple[bytes, float]:
+        """What has come next, if anything, and for how many s it has waited."""
         if self._socket is None:
-            return b""
+            return b"", 0.0
         try:
-            data = self._socket.recv(LONGEST)
+            data, waited = received(self._socket, LONGEST)
         except (BlockingIOError, InterruptedError):
-            return b""
+            return b"", 0.0
         except OSError as exception:
             self.strange = f"no more: {exception}"
-            return b""
+            return b"", 0.0
         if not data and self._sensing.address.kind == "tcp":
             self.strange = "no more: the server has closed the link"
             self.close()
-        return data
+        return data, waited
 
     def close(self) -> None:
         """As Source."""

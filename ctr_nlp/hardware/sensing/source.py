@@ -23,10 +23,14 @@ MOST = 4
 
 
 class Message(NamedTuple):
-    """Values (m,) as sent, NaN for missing ones; stamp: when that was, s of the sender's clock, or None."""
+    """Values (m,) as sent, NaN for missing ones; stamp: when that was, s of the sender's clock, or None.
+
+    waited: for how many s it has been at this machine, 0 where nobody knows.
+    """
 
     values: Array
     stamp: float | None = None
+    waited: float = 0.0
 
 
 class Source(ABC):
@@ -71,16 +75,16 @@ class Remote(Source):
             if message.values.shape != (size,):
                 self.strange = f"{message.values.size} numbers, where {size} are measured"
                 continue
-            time = self._time(message.stamp, now)
+            time = self._time(message.stamp, now - message.waited)
             if np.isfinite(message.values).any() and time >= now - OLDEST:
                 found.append(Reading(time, self._sensing.placed(message.values)))
         return found[-MOST:]
 
-    def _time(self, stamp: float | None, now: float) -> float:
-        """When a message that comes now was measured, s of our clock; the quickest one took no time."""
+    def _time(self, stamp: float | None, came: float) -> float:
+        """When a message that came at a time was measured, s of our clock; the quickest one took no time."""
         if stamp is None:
-            return now - self._sensing.delay
+            return came - self._sensing.delay
         if math.isfinite(self._last):
-            self._lag += DRIFT * (now - self._last)
-        self._lag, self._last = min(self._lag, now - stamp), now
+            self._lag += DRIFT * (came - self._last)
+        self._lag, self._last = min(self._lag, came - stamp), came
         return stamp + self._lag - self._sensing.delay

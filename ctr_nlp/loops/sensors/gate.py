@@ -26,3 +26,10 @@ def accepted(sensors: Sensors, excess: Array, spread: Array) -> Flags:
         near: Flags = np.asarray((solved * there).sum(axis=1) <= GATE[rows.shape[1]])
         found[rows] = (known & near).reshape(-1, 1)
     return found
+
+
+def counted(sensors: Sensors, excess: Array, taken: Flags) -> tuple[int, int]:
+    """How many groups were measured whole, and how many of these were not taken; excess (m,), taken (m,)."""
+    whole = [np.isfinite(excess[rows]).all(axis=1) for rows in sensors.grouped]
+    left = [each & ~taken[rows[:, 0]] for each, rows in zip(whole, sensors.grouped, strict=True)]
+    return sum(int(each.sum()) for each in whole), sum(int(each.sum()) for each in left)
