@@ -22,7 +22,7 @@ from pathlib import Path
 
 import casadi as ca
 
-from ctr_nlp.codegen import cache, vector
+from ctr_nlp.codegen import cache, places, vector
 from ctr_nlp.support.pool import Lasting
 
 NOTE = (
@@ -46,7 +46,9 @@ CLAIMED = 900.0
 class Library:
     """Functions as a shared library for so many frames at once, made when somebody first asks for it."""
 
-    def __init__(self, described: str, functions: Callable[[], Sequence[ca.Function]], lanes: int) -> None:
+    def __init__(
+        self, described: str, functions: Callable[[], Sequence[ca.Function | places.Whole]], lanes: int
+    ) -> None:
         """described: text that changes whenever the functions do.
 
         functions: called only where code is written, perhaps in another process, and so pickled. key: under which
@@ -61,7 +63,7 @@ class Library:
     def now(self) -> Path:
         """The library, made at once where it is not there; raises OptionError where nothing can be compiled."""
         with _alone(self.key):
-            return cache.library(self.key, lambda: vector.vector_code(tuple(self._functions()), self._lanes))
+            return cache.library(self.key, lambda: places.code(tuple(self._functions()), self._lanes))
 
     def soon(self) -> Path | None:
         """The same, or None while it is made in the background, which the first call begins.
@@ -100,7 +102,7 @@ def _hash(key: str) -> str:
 
 @functools.cache
 def _writer() -> str:
-    return inspect.getsource(vector)
+    return inspect.getsource(vector) + inspect.getsource(places)
 
 
 def _claimed(key: str) -> bool:
@@ -115,7 +117,7 @@ def _claimed(key: str) -> bool:
     return False
 
 
-def _begin(key: str, functions: Callable[[], Sequence[ca.Function]], lanes: int) -> None:
+def _begin(key: str, functions: Callable[[], Sequence[ca.Function | places.Whole]], lanes: int) -> None:
     """Begin to make a library: whoever waits for a solution need not even derive what is compiled."""
     work = Path(tempfile.mkdtemp(prefix="ctr_nlp-build-"))
     (work / TASK).write_bytes(pickle.dumps((key, functions, lanes)))
@@ -149,7 +151,7 @@ def main(work: Path) -> None:
     """Make the library that a folder describes, and remove the folder."""
     try:
         key, functions, lanes = pickle.loads((work / TASK).read_bytes())
-        cache.library(key, lambda: vector.vector_code(tuple(functions()), lanes))
+        cache.library(key, lambda: places.code(tuple(functions()), lanes))
     finally:
         shutil.rmtree(work, ignore_errors=True)
 

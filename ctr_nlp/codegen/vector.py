@@ -6,6 +6,7 @@ a vector, and the body comes in parts, so that compilers' time grows in proporti
 
 from __future__ import annotations
 
+import bisect
 import os
 
 import casadi as ca
@@ -14,6 +15,15 @@ LANES = 8
 """Frames in a vector: what AVX-512 holds; compilers take two or four vectors where they are shorter."""
 SAME = "same_"
 """How the names of inputs begin that all frames share."""
+BESIDE = "beside_"
+"""How the names of inputs and outputs begin whose entries have their lanes side by side.
+
+An entry of an output is a vector. Those of an input overlap: what comes after an entry is its next lane.
+"""
+EARLY = "early_"
+"""How the names of outputs begin that are found first; then `NAME_pause(arg, res)` is called, which is to be in C
+before: it may read them and fill inputs that are read after.
+"""
 PART = 300
 """Instructions in one part of the body."""
 
@@ -50,6 +60,9 @@ typedef double V __attribute__((vector_size(8 * LANES)));
 typedef long long M __attribute__((vector_size(8 * LANES)));
 static inline V gathered(const double *a, long step) { return (V){%(gathered)s}; }
 static inline void scattered(V a, double *to, long step) { %(scattered)s }
+typedef double Beside __attribute__((vector_size(8 * LANES), aligned(8)));
+static inline V taken(const double *a) { return *(const Beside *)a; }
+static inline void put(V a, double *to) { *(Beside *)to = a; }
 static inline V all(double a) { return a - (V){0}; }
 static inline V masked(M m, V a) { return (V)(m & (M)a); }
 static inline V choose(M m, V a, V b) { return (V)((m & (M)a) | (~m & (M)b)); }
@@ -100,6 +113,11 @@ _BY_LANE = {
     ca.OP_COPYSIGN: "copysign",
 }
 """What the C library has for numbers."""
+DEFINED = (
+    *("V", "M", "gathered", "scattered", "all", "masked", "choose", "one_where"),
+    *(f"by_lane_{called}" for called in sorted(set(_BY_LANE.values()))),
+)
+"""Names that code for numbers and code for vectors both define."""
 
 
 def vector_code(functions: tuple[ca.Function, ...], lanes: int = LANES) -> str:
@@ -168,29 +186,44 @@ static inline V by_lane_{called}({parameters}) {{
 
 
 def _function(function: ca.Function, lanes: int) -> str:
-    name, parts = function.name(), _parts(function)
+    name, pause = function.name(), _pause(function)
+    parts = _parts(function, pause)
     bodies = "".join(
         f"static __attribute__((noinline)) void {name}_{k}"
         f"(const double *const *arg, double *const *res, V *w) {{\n{''.join(part)}}}\n"
         for k, part in enumerate(parts)
     )
-    calls = "".join(f"    {name}_{k}(arg, res, v);\n" for k in range(len(parts)))
-    return bodies + _interface(function, calls, lanes)
+    calls = [f"    {name}_{k}(arg, res, v);\n" for k in range(len(parts))]
+    if pause:
+        calls.insert(-(-pause // PART), f"    {name}_pause(arg, res);\n")
+    return bodies + _interface(function, "".join(calls), lanes)
 
 
-def _parts(function: ca.Function) -> list[list[str]]:
+def _pause(function: ca.Function) -> int:
+    """How many instructions come until all early outputs have been found; 0 where there are none."""
+    early = sum(function.name_out(i).startswith(EARLY) for i in range(function.n_out()))
+    outputs = (k for k in range(function.n_instructions()) if function.instruction_id(k) == ca.OP_OUTPUT)
+    return max((k + 1 for k in outputs if function.instruction_output(k)[0] < early), default=0)
+
+
+def _starts(function: ca.Function, pause: int) -> list[int]:
+    """The instructions with which parts begin; one of them is that after a pause."""
+    return [*range(0, pause, PART), *range(pause, function.n_instructions(), PART)]
+
+
+def _parts(function: ca.Function, pause: int) -> list[list[str]]:
     """The body, part by part: numbers have names of their own, and go on to later parts in the work vector w."""
-    needed = _needed_later(function)
+    starts = _starts(function, pause)
+    needed = _needed_later(function, starts)
     parts: list[list[str]] = []
     here: dict[int, str] = {}
     for k in range(function.n_instructions()):
-        if k % PART == 0:
+        if k in starts:
             parts.append([])
             here.clear()
         operation, to, of = _instruction(function, k)
         if operation == ca.OP_OUTPUT:
-            value, entries = _name(of[0], here), function.numel_out(to[0])
-            line = f"if (res[{to[0]}]) scattered({value}, res[{to[0]}] + {to[1]}, {entries});\n"
+            line = _found(function, to, _name(of[0], here))
         else:
             kept = f" w[{to[0]}] = t{k};" if k in needed else ""
             line = f"V t{k} = {_value(function, k, here)};{kept}\n"
@@ -199,19 +232,28 @@ def _parts(function: ca.Function) -> list[list[str]]:
     return parts
 
 
+def _found(function: ca.Function, to: list[int], value: str) -> str:
+    """An entry of an output takes a value."""
+    number, entry = to
+    if function.name_out(number).startswith(BESIDE):
+        return f"put({value}, res[{number}] + {entry} * LANES);\n"
+    return f"if (res[{number}]) scattered({value}, res[{number}] + {entry}, {function.numel_out(number)});\n"
+
+
 def _instruction(function: ca.Function, k: int) -> tuple[int, list[int], list[int]]:
     """Operation, where its result goes and what it takes: slots of the work vector, or which input or output."""
     return function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
 
 
-def _needed_later(function: ca.Function) -> set[int]:
-    """Instructions whose results are used in a later part than their own."""
+def _needed_later(function: ca.Function, starts: list[int]) -> set[int]:
+    """Instructions whose results are used in a later part than their own, of parts that begin so."""
     made: dict[int, int] = {}
     needed = set()
     for k in range(function.n_instructions()):
         operation, to, of = _instruction(function, k)
         if operation not in (ca.OP_INPUT, ca.OP_CONST):
-            needed |= {made[slot] for slot in of if made[slot] // PART < k // PART}
+            begun = starts[bisect.bisect(starts, k) - 1]
+            needed |= {made[slot] for slot in of if made[slot] < begun}
         if operation != ca.OP_OUTPUT:
             made[to[0]] = k
     return needed
@@ -232,6 +274,8 @@ def _value(function: ca.Function, k: int, here: dict[int, str]) -> str:
         return f"all({ {'inf': 'INFINITY', '-inf': '-INFINITY', 'nan': 'NAN'}.get(number, number) })"
     if operation == ca.OP_INPUT and _shared(function, of[0]):
         return f"all(arg[{of[0]}][{of[1]}])"
+    if operation == ca.OP_INPUT and function.name_in(of[0]).startswith(BESIDE):
+        return f"taken(arg[{of[0]}] + {of[1]})"
     if operation == ca.OP_INPUT:
         return f"gathered(arg[{of[0]}] + {of[1]}, {function.numel_in(of[0])})"
     names = [_name(slot, here) for slot in of]

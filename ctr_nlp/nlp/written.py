@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import casadi as ca
+
+
+class Beside(NamedTuple):
+    """A function of the symbols of the first layer, and then x: its gradient there, and its Hessian."""
+
+    pull: ca.SX
+    bend: ca.SX
 
 
 class FrameFunctions(NamedTuple):
@@ -56,11 +63,21 @@ class Written:
         symbols, values = ([layer[k] for layer in self.inner] for k in range(2))
         return ca.Function("written", [self.x, self.p, *symbols], [self.residual, self.cost, self.g, *values])
 
-    def in_x(self, expressions: list[ca.SX]) -> list[ca.SX]:
-        """Expressions that are written in inner symbols, without these."""
-        for symbols, values in reversed(self.inner):
+    @property
+    def rows(self) -> ca.SX:
+        """Residuals, then constraint values, as they are written."""
+        return ca.vertcat(self.residual, self.g)
+
+    @staticmethod
+    def without(layers: Sequence[tuple[ca.SX, ca.SX]], expressions: list[ca.SX]) -> list[ca.SX]:
+        """Expressions that are written in symbols of layers, without these."""
+        for symbols, values in reversed(layers):
             expressions = ca.substitute(expressions, [symbols], [values])
         return expressions
+
+    def in_x(self, expressions: list[ca.SX]) -> list[ca.SX]:
+        """Expressions that are written in inner symbols, without these."""
+        return self.without(self.inner, expressions)
 
     @cached_property
     def outright(self) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -76,7 +93,7 @@ class Written:
         """
         residual, cost, g = self.outright
         lam_f, lam_g = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", g.numel())
-        gradient, jacobian, hessian = (ca.densify(part) for part in self._derivatives(lam_f, lam_g))
+        gradient, jacobian, hessian = (ca.densify(part) for part in self.derivatives(lam_f, lam_g))
         inputs, multipliers = [self.x, self.p], [lam_f, lam_g]
         value = [ca.sumsqr(residual) + cost, ca.densify(g)]
         slopes = [value[0], gradient, value[1], jacobian]
@@ -90,8 +107,10 @@ class Written:
         """The same three, to be compiled."""
         return self.functions[:3]
 
-    def _derivatives(self, lam_f: ca.SX, lam_g: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    def derivatives(self, lam_f: ca.SX, lam_g: ca.SX, beside: Beside | None = None) -> tuple[ca.SX, ca.SX, ca.SX]:
         """The objective's gradient, the Jacobian of g, and the Hessian of lam_f objective + lam_g g.
+
+        beside: what is added to the last, without standing in the rows.
 
         With L(u) = lam_f (|r(u)|^2 + cost(u)) + lam_g g(u) of u(x), the Hessian is u_x' L_uu u_x + sum L_u u_xx,
         where of L_uu the part 2 r_u' r_u becomes 2 J'J with J = r_u u_x; and so on for u(v(x)), layer by layer.
@@ -111,6 +130,9 @@ class Written:
         stand_ins, given = [pushes], [ca.densify(2 * lam_f * r)]
         force = ca.densify(lam_f * pull + g_u.T @ lam_g)
         for below, below_x, at, step in reversed(layers):
+            if beside is not None and below is self.x:
+                force += beside.pull
+                half += ca.triu(step.T @ beside.bend @ step)
             pulls = ca.SX.sym("pulls", at.numel())
             half += ca.triu(below_x.T @ ca.hessian(ca.dot(pulls, at), below)[0] @ below_x)
             stand_ins, given = [*stand_ins, pulls], [*given, force]

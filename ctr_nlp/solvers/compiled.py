@@ -11,7 +11,7 @@ import casadi as ca
 
 from ctr_nlp.codegen import cache, vector
 from ctr_nlp.codegen.background import Library
-from ctr_nlp.nlp import written
+from ctr_nlp.nlp import alike, at_place, parted, written
 from ctr_nlp.nlp.nlp import Nlp
 from ctr_nlp.nlp.written import FrameFunctions
 
@@ -27,12 +27,13 @@ def compiled(nlp: Nlp, lanes: int = vector.LANES) -> FrameFunctions:
 @functools.lru_cache(maxsize=KEPT)
 def library(nlp: Nlp, lanes: int) -> Library:
     """The shared library of a program's functions, which depend on the program and on what derives it."""
-    return Library(f"{_deriver()}\n{nlp.written.function.serialize()}", nlp.written.derived, lanes)
+    derived = nlp.written.derived if lanes > 1 else functools.partial(parted.parted, nlp.written)
+    return Library(f"{_deriver()}\n{nlp.written.function.serialize()}", derived, lanes)
 
 
 @functools.cache
 def _deriver() -> str:
-    return inspect.getsource(written)
+    return "".join(map(inspect.getsource, (written, alike, at_place, parted)))
 
 
 def fastest(nlp: Nlp) -> Callable[[], FrameFunctions]:

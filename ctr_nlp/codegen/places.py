@@ -1,0 +1,131 @@
+"""Functions that look at many places alike, as C: places are taken LANES at once, and what they share once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import casadi as ca
+
+from ctr_nlp.codegen.vector import DEFINED, LANES, vector_code
+from ctr_nlp.typing import Array
+
+_AT_PLACES = """\
+typedef int (*Place)(const double **, double **, long long *, double *, int);
+
+/* Call a function for so many places, LANES at once, of which the last may be some that were had before. What is
+   summed over all, and then each thing that is found of every one, go to `to`. */
+static void at_places(Place one, const double **arg, long inputs, double **res, long early,
+                      const double *constants, long places, long sums, long rows, double *to) {
+    double part[sums * LANES + 1], found[rows * LANES + 1], total[sums * LANES + 1], fresh[LANES];
+    const double *given[2 * inputs + early + 2];
+    double *into[] = {part, found};
+    for (long k = 0; k < inputs; ++k) given[k] = arg[k];
+    for (long k = 0; k < early; ++k) given[inputs + k] = res[k];
+    given[2 * inputs + early + 1] = fresh;
+    memset(total, 0, sizeof total);
+    for (long next = 0; next < places; next += LANES) {
+        long at = next < places - LANES ? next : places - LANES;
+        for (long k = 0; k < inputs; ++k) given[inputs + early + k] = arg[k] + at;
+        given[2 * inputs + early] = constants + at;
+        for (long l = 0; l < LANES; ++l) fresh[l] = at + l >= next;
+        one(given, into, 0, 0, 0);
+        for (long k = 0; k < sums; ++k) *(Beside *)(total + k * LANES) += *(Beside *)(part + k * LANES);
+        for (long k = 0; k < rows; ++k) *(Beside *)(to + sums + k * places + at) = *(Beside *)(found + k * LANES);
+    }
+    for (long k = 0; k < sums; ++k) {
+        const double *a = total + k * LANES;
+        to[k] = ((a[0] + a[4]) + (a[2] + a[6])) + ((a[1] + a[5]) + (a[3] + a[7]));
+    }
+}
+"""
+
+
+class AtPlaces(NamedTuple):
+    """A function of one of many places, at least LANES.
+
+    Its inputs are those of the whole but the last, and its early outputs, shared by all places (with names that
+    begin with SAME); then, with names that begin with BESIDE, those inputs again, constants (k, places), and
+    whether a place counts, 1 or 0. Of these an entry is that of the first place, and what comes after it is that
+    of the next one. Its two outputs (BESIDE): what is summed over places that count, and what is found of each.
+    """
+
+    function: ca.Function
+    constants: Array
+
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        """Places, sums, and how much is found of each."""
+        return self.constants.shape[1], self.function.numel_out(0), self.function.numel_out(1)
+
+    @property
+    def numbers(self) -> int:
+        """That the whole gets: sums, and then, of each thing that is found, those of all places."""
+        places, sums, found = self.sizes
+        return sums + found * places
+
+
+class Whole(NamedTuple):
+    """A function that is called name, whose last input is what is found at places.
+
+    Outputs whose names begin with EARLY come first: these are found without that input, and places are given them.
+    """
+
+    name: str
+    function: ca.Function
+    early: int
+    at_places: tuple[AtPlaces, ...]
+
+
+def code(functions: Sequence[ca.Function | Whole], lanes: int) -> str:
+    """A file of C for functions, of so many frames at once; those with places are of one."""
+    wholes = [each for each in functions if isinstance(each, Whole)]
+    plain = tuple(each.function if isinstance(each, Whole) else each for each in functions)
+    if not wholes:
+        return vector_code(plain, lanes)
+    each = tuple(at.function for whole in wholes for at in whole.at_places)
+    return "".join(
+        [
+            "#include <math.h>\n#include <string.h>\n#pragma GCC push_options\n",
+            *(f"#define {name} {name}_beside\n" for name in DEFINED),
+            vector_code(each, LANES),
+            *(f"#undef {name}\n" for name in DEFINED),
+            "#pragma GCC pop_options\n",
+            _AT_PLACES,
+            *(_pause(whole) for whole in wholes),
+            vector_code(plain, lanes),
+            *(_called(whole) for whole in wholes),
+        ]
+    )
+
+
+def _pause(whole: Whole) -> str:
+    """What is called when all early outputs are found."""
+    inputs, lines, to = whole.function.n_in() - 1, list[str](), 0
+    for at in whole.at_places:
+        sizes = ", ".join(map(str, at.sizes))
+        numbers = ", ".join(map(repr, at.constants.ravel().tolist()))
+        lines += [
+            f"    {{\n        static const double constants[] = {{{numbers}}};\n",
+            f"        at_places({at.function.name()}, arg, {inputs}, res, {whole.early}, constants, {sizes}, "
+            f"(double *)arg[{inputs}] + {to});\n    }}\n",
+        ]
+        to += at.numbers
+    return f"static void {whole.function.name()}_pause(const double **arg, double **res) {{\n{''.join(lines)}}}\n"
+
+
+def _called(whole: Whole) -> str:
+    """The function as it is called from outside, without what is found on the way."""
+    function, early = whole.function, whole.early
+    inputs, outputs = function.n_in() - 1, function.n_out() - early
+    sizes = ", ".join(f"found_{k}[{max(function.numel_out(k), 1)}]" for k in range(early))
+    given = ", ".join([*(f"arg[{k}]" for k in range(inputs)), "places"])
+    found = ", ".join([*(f"found_{k}" for k in range(early)), *(f"res[{k}]" for k in range(outputs))])
+    return f"""\
+int {whole.name}(const double **arg, double **res, long long *iw, double *w, int mem) {{
+    double {sizes}, places[{function.numel_in(inputs)}];
+    const double *given[] = {{{given}}};
+    double *all_found[] = {{{found}}};
+    return {function.name()}(given, all_found, iw, w, mem);
+}}
+"""

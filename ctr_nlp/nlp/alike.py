@@ -1,0 +1,147 @@
+"""Rows of places along a robot that are one expression in different numbers, found among the rows of a program.
+
+A place's rows are those that depend on inner quantities of their own: what is travelled to a sample. Places are
+alike where their rows are made by the same operations on the same unknowns and shared quantities, and differ in
+constants and in parameters that follow each other from place to place.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from ctr_nlp.codegen.vector import LANES
+from ctr_nlp.nlp.written import Written
+from ctr_nlp.typing import Array, Flags, Index
+
+
+class Alike(NamedTuple):
+    """Places that are alike, at least LANES of them.
+
+    rows (places, k): which rows each place has, among residuals and then constraints. value (k, 1): these, in the
+    symbols z of inner quantities of the place, x, shared symbols, parameters and the symbols of numbers. z_value:
+    of these quantities, in all others. parameters: symbols, and where in p they stand for the first place;
+    constants: symbols, and their values at all places.
+    """
+
+    rows: Index
+    value: ca.SX
+    z: ca.SX
+    z_value: ca.SX
+    parameters: tuple[tuple[ca.SX, int], ...]
+    constants: tuple[tuple[ca.SX, Array], ...]
+
+
+class _Place(NamedTuple):
+    """Rows of a place, the operations that make them, and the numbers that these take: constants, places in p."""
+
+    rows: list[int]
+    operations: tuple[Any, ...]
+    numbers: list[float | int]
+
+
+def alike(written: Written) -> tuple[tuple[Alike, ...], Index]:
+    """Groups of places that are alike, and which symbols of the first layer they take as given."""
+    symbols, values = written.inner[0] if written.inner else (ca.SX(0, 1), ca.SX(0, 1))
+    later, rows = ca.vertcat(ca.SX(0, 1), *(layer[0] for layer in written.inner[1:])), written.rows
+    uses = depends(written.without(written.inner[1:], [rows])[0], symbols)
+    own = uses.any(axis=0) & (uses.sum(axis=0) < LANES)
+    shared, mine = np.flatnonzero(~own), np.flatnonzero(own).tolist()
+    own_layer = [(symbols[mine], values[mine])]
+    (quantities,) = written.without([*own_layer, *written.inner[1:]], [later])
+    (rows,) = written.without(own_layer, [rows])
+    given, direct = [written.x, written.p, symbols[shared.tolist()]], depends(rows, later)
+    groups: dict[Any, list[_Place]] = defaultdict(list)
+    for of_place in _places(uses & own, written.residual.numel()):
+        used = np.flatnonzero(direct[of_place].any(axis=0)).tolist()
+        made = ca.Function("place", [*given, later[used]], [rows[of_place], quantities[used]], {"cse": True})
+        place = _Place(of_place, *_operations(made))
+        groups[place.operations, len(used), of_place[0] < written.residual.numel()].append(place)
+    found = (_joined(given, count, places) for (_, count, _), places in groups.items() if len(places) >= LANES)
+    return tuple(each for each in found if each is not None), shared
+
+
+def depends(expression: ca.SX, symbols: ca.SX) -> Flags:
+    """Which entries depend on which symbols."""
+    if not symbols.numel():
+        return np.zeros((expression.numel(), 0), dtype=bool)
+    return np.asarray(ca.DM(ca.jacobian_sparsity(expression, symbols), 1).full() > 0)
+
+
+def _places(uses: Flags, residuals: int) -> list[list[int]]:
+    """Rows with quantities of their own, place by place; residuals and constraints apart."""
+    found: dict[Any, list[int]] = defaultdict(list)
+    for row in np.flatnonzero(uses.any(axis=1)).tolist():
+        found[row < residuals, uses[row].tobytes()].append(row)
+    return list(found.values())
+
+
+def _operations(function: ca.Function) -> tuple[tuple[Any, ...], list[float | int]]:
+    """What a function of (x, p, shared, z) does, with places for numbers, and these: constants, entries of p."""
+    made, numbers, operations = dict[int, int](), list[float | int](), list[Any]()
+    for k in range(function.n_instructions()):
+        operation, to = function.instruction_id(k), function.instruction_output(k)
+        of: Sequence[int] = function.instruction_input(k)
+        if operation == ca.OP_CONST:
+            numbers.append(function.instruction_constant(k))
+        elif operation == ca.OP_INPUT and of[0] == 1:
+            numbers.append(of[1])
+            of = of[:1]
+        elif operation != ca.OP_INPUT:
+            of = [made[slot] for slot in of]
+        if operation == ca.OP_OUTPUT:
+            operations.append((operation, *of, *to))
+        else:
+            operations.append((operation, *of))
+            made[to[0]] = k
+    return tuple(operations), numbers
+
+
+def _joined(given: list[ca.SX], count: int, places: list[_Place]) -> Alike | None:
+    """Places with the same operations as one; None where their parameters or rows do not follow each other."""
+    rows, follow = np.array([place.rows for place in places]), np.arange(len(places))
+    if (rows != rows[0] + follow[:, None]).any():
+        return None
+    columns = zip(*(place.numbers for place in places), strict=True)
+    taken: dict[Any, ca.SX] = {}
+    parameters, constants, leaves = list[tuple[ca.SX, int]](), list[tuple[ca.SX, Array]](), list[ca.SX]()
+    for column in columns:
+        key = tuple(map(type, column)), column
+        if len(set(column)) == 1:
+            leaves.append(given[1][column[0]] if isinstance(column[0], int) else ca.SX(column[0]))
+            continue
+        if key not in taken:
+            taken[key] = symbol = ca.SX.sym("number")
+            if isinstance(column[0], float):
+                constants.append((symbol, np.array(column)))
+            elif (np.array(column) == column[0] + follow).all():
+                parameters.append((symbol, column[0]))
+            else:
+                return None
+        leaves.append(taken[key])
+    z = ca.SX.sym("z", count)
+    value, z_value = _evaluated(places[0].operations, [*given, z], leaves)
+    if not count:
+        z, value, z_value = (own := ca.SX.sym("z", value.numel())), own, value
+    return Alike(rows, value, z, z_value, tuple(parameters), tuple(constants))
+
+
+def _evaluated(operations: Sequence[Any], inputs: list[ca.SX], numbers: list[ca.SX]) -> tuple[ca.SX, ca.SX]:
+    """The two results of operations, with numbers in their places."""
+    left, done, results = iter(numbers), list[ca.SX](), (list[ca.SX](), list[ca.SX]())
+    for operation, *of in operations:
+        if operation == ca.OP_OUTPUT:
+            results[of[1]].append(done[of[0]])
+            done.append(done[of[0]])
+        elif operation == ca.OP_CONST or (operation == ca.OP_INPUT and of[0] == 1):
+            done.append(next(left))
+        elif operation == ca.OP_INPUT:
+            done.append(inputs[of[0]][of[1]])
+        else:
+            done.append((ca.SX.unary if len(of) == 1 else ca.SX.binary)(operation, *(done[k] for k in of)))
+    value, z_value = (ca.vertcat(ca.SX(0, 1), *each) for each in results)
+    return value, z_value

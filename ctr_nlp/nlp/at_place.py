@@ -1,0 +1,153 @@
+"""What one of many places that are alike adds to a program: its rows, and their derivatives over x."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from ctr_nlp.codegen.places import AtPlaces
+from ctr_nlp.codegen.vector import BESIDE, SAME
+from ctr_nlp.nlp.alike import Alike
+
+SUMS = 1, 2, 5
+"""How many of the sums there are, by the order of derivatives."""
+
+
+class Common(NamedTuple):
+    """What places are given, as symbols.
+
+    Unknowns, parameters, shared quantities, those of their slopes over x that are not always 0 and where these
+    stand, and the multipliers of objective and constraints.
+    """
+
+    x: ca.SX
+    p: ca.SX
+    shared: ca.SX
+    slopes: ca.SX
+    pattern: ca.Sparsity
+    lam_f: ca.SX
+    lam_g: ca.SX
+
+    def inputs(self, order: int) -> list[ca.SX]:
+        """Of functions with derivatives up to an order."""
+        return [self.x, self.p, *([self.lam_f, self.lam_g] if order == 2 else [])]
+
+    def early(self, order: int) -> list[ca.SX]:
+        """What is found before places are looked at."""
+        return [self.shared, *([self.slopes] if order else [])]
+
+    @property
+    def base(self) -> ca.SX:
+        """Shared quantities, then x."""
+        return ca.vertcat(self.shared, self.x)
+
+    @property
+    def base_x(self) -> ca.SX:
+        """Their slopes over x."""
+        return ca.vertcat(ca.SX(self.pattern, self.slopes), ca.SX.eye(self.x.numel()))
+
+
+class Sums(NamedTuple):
+    """What places add up to: f, of squares, and over x its gradient (n, 1) and half of the Hessian (n, n).
+
+    That half is the upper triangle. pull: what multiplies second derivatives of shared quantities. bend: second
+    derivatives over these and x, upper triangle.
+    """
+
+    f: ca.SX
+    gradient: ca.SX
+    half: ca.SX
+    pull: ca.SX
+    bend: ca.SX
+
+
+class Rows(NamedTuple):
+    """Values of constraints, and their Jacobian over x."""
+
+    value: ca.SX
+    jacobian: ca.SX
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A place of a group. first: its first place's constraints; None where rows are residuals.
+
+    Derivatives of rows r(z(b), b) are taken in two steps, as those of a Written: over quantities z of the place's
+    own and over b, shared ones and x. What multiplies second derivatives of b is summed over places, so that these
+    are taken once.
+    """
+
+    common: Common
+    group: Alike
+    first: list[int] | None
+
+    @cached_property
+    def _value_u(self) -> ca.SX:
+        return ca.jacobian(self.group.value, ca.vertcat(self.group.z, self.common.base))
+
+    @cached_property
+    def _u_x(self) -> ca.SX:
+        z_base = ca.jacobian(self.group.z_value, self.common.base)
+        return ca.vertcat(z_base @ self.common.base_x, self.common.base_x)
+
+    def _sums(self, counts: ca.SX, lam_g: ca.SX) -> Sums:
+        """lam_g: multipliers, from the place's own on."""
+        value, z, base, n = self.group.value, self.group.z, self.common.base, self.common.x.numel()
+        value_x, u = self._value_u @ self._u_x, ca.vertcat(z, base)
+        push, f, gradient, half = counts * lam_g[self.first or []], ca.SX(0), ca.SX(n, 1), ca.SX(n, n)
+        if self.first is None:
+            push, f = 2 * counts * self.common.lam_f * value, counts * ca.sumsqr(value)
+            gradient, half = 2 * counts * value_x.T @ value, 2 * counts * self.common.lam_f * value_x.T @ value_x
+        pushes, pulls = ca.SX.sym("pushes", value.numel()), ca.SX.sym("pulls", z.numel())
+        half += self._u_x.T @ ca.hessian(ca.dot(pushes, value), u)[0] @ self._u_x
+        force = self._value_u.T @ push
+        pull = ca.jacobian(self.group.z_value, base).T @ force[: z.numel()] + force[z.numel() :]
+        bend = ca.triu(ca.hessian(ca.dot(pulls, self.group.z_value), base)[0])
+        half, bend = ca.substitute(
+            [half, bend], [pushes, pulls], [ca.densify(push), ca.densify(force[: z.numel()])]
+        )
+        return Sums(f, gradient, ca.triu(half), pull[: self.common.shared.numel()], bend)
+
+    @cached_property
+    def _patterns(self) -> tuple[ca.Sparsity, ...]:
+        """Of the sums: which of their entries may differ from 0."""
+        n, m = self.common.x.numel(), self.common.shared.numel()
+        bend = self._sums(ca.SX.sym("counts"), self.common.lam_g).bend.sparsity()
+        return ca.Sparsity.dense(1), ca.Sparsity.dense(n), ca.Sparsity.upper(n), ca.Sparsity.dense(m), bend
+
+    def function(self, order: int, name: str) -> AtPlaces:
+        """What a place adds to sums, and its rows, with derivatives up to an order."""
+        common, group, places = self.common, self.group, len(self.group.rows)
+        shared = common.inputs(order) + common.early(order)
+        apart = [ca.SX.sym("apart", each.numel()) for each in common.inputs(order)]
+        constants = np.array([values for _, values in group.constants]).reshape(-1, places)
+        fixed, counts = ca.SX.sym("fixed", constants.size), ca.SX.sym("counts")
+        sums = self._sums(counts, apart[3] if order == 2 else common.lam_g)
+        added = [ca.project(part, pattern).nz[:] for part, pattern in zip(sums, self._patterns, strict=True)]
+        rows = [] if self.first is None else [group.value, ca.vec(ca.densify(self._value_u @ self._u_x))]
+        results = [ca.vertcat(*added[: SUMS[order]]), ca.vertcat(ca.SX(0, 1), *rows[: 1 + order])]
+        results = ca.substitute(results, [group.z], [group.z_value])
+        numbers = [(symbol, apart[1][first]) for symbol, first in group.parameters]
+        numbers += [(symbol, fixed[k * places]) for k, (symbol, _) in enumerate(group.constants)]
+        symbols, values = (ca.vertcat(ca.SX(0, 1), *(pair[k] for pair in numbers)) for k in range(2))
+        inputs = [*shared, *apart, fixed, counts]
+        names = [f"{SAME if k < len(shared) else BESIDE}{k}" for k in range(len(inputs))]
+        results = ca.substitute(results, [symbols], [values])
+        function = ca.Function(name, inputs, results, names, [f"{BESIDE}sums", f"{BESIDE}rows"])
+        return AtPlaces(function, constants)
+
+    def taken(self, order: int, numbers: ca.SX) -> tuple[Sums, Rows]:
+        """What the function has found at all places: sums, and rows thing by thing and then place by place."""
+        patterns, constraints = self._patterns, 0 if self.first is None else self.group.rows.size
+        ends = np.cumsum([0, *(pattern.nnz() for pattern in patterns[: SUMS[order]])]).tolist()
+        parts = [ca.SX(*pattern.shape) for pattern in patterns]
+        for k in range(SUMS[order]):
+            parts[k] = ca.SX(patterns[k], numbers[ends[k] : ends[k + 1]])
+        found = numbers[ends[-1] :]
+        n = self.common.x.numel()
+        jacobian = ca.reshape(found[constraints:], constraints if order else 0, n)
+        return Sums(*parts), Rows(ca.reshape(found[:constraints], constraints, 1), jacobian)
