@@ -115,8 +115,13 @@ def _named(key: str) -> tuple[str, Compiler]:
     chosen = compiler()
     if chosen is None:
         raise OptionError("no C compiler was found; install gcc or clang")
-    parts = [key, *chosen.command, *map(" ".join, LIBRARIES), chosen.identity]
-    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32], chosen
+    return _hashed(key, chosen, LIBRARIES), chosen
+
+
+@functools.lru_cache(maxsize=64)
+def _hashed(key: str, chosen: Compiler, linked: tuple[tuple[str, ...], ...]) -> str:
+    parts = [key, *chosen.command, *map(" ".join, linked), chosen.identity]
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
 
 
 @functools.cache

@@ -57,7 +57,7 @@ class Around:
         """Prepare; raises OptionError where nothing can be compiled."""
         count, d = robot.d * PLACES * finer, robot.d
         samples = -(-count // LANES)
-        self._points = points_at(model, robot.structure, samples)
+        self._points, self._made = _points_in_c(model, robot.structure, samples)
         unknowns = self._points.numel_in(0)
         rows = d * PLACES
         given = (
@@ -79,7 +79,6 @@ class Around:
         self._own = self._numbers.copy()
         self._wall = _InC(None, *self._fixed)
         self._library = cache.loaded(__package__, "wall.c")
-        self._made = Library(self._points.serialize(), functools.partial(tuple, (self._points,)), LANES)
         self._compiled: ctypes.CDLL | None = None
 
     def ready(self, wait: bool = False) -> bool:
@@ -152,6 +151,13 @@ def _shares(d: int, count: int, samples: int) -> Array:
     np.put_along_axis(found, tube[:, None], 1 - fraction[:, None], axis=1)
     np.put_along_axis(found, tube[:, None] + 1, fraction[:, None], axis=1)
     return np.ascontiguousarray(found[:, 1:].reshape(LANES, samples, d).transpose(0, 2, 1))
+
+
+@functools.lru_cache(maxsize=64)
+def _points_in_c(model: Model, structure: Structure, samples: int) -> tuple[ca.Function, Library]:
+    """The function points_at, and its library."""
+    points = points_at(model, structure, samples)
+    return points, Library(points.serialize(), functools.partial(tuple, (points,)), LANES)
 
 
 @functools.lru_cache(maxsize=64)

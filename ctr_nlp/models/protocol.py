@@ -241,7 +241,7 @@ class Model(ABC):
         it comes to rest anew.
         """
         unknown = np.full(len(q), np.nan)
-        return Followed(np.array([self.rest(robot, each) for each in q]), unknown, unknown)
+        return Followed(np.array(q, dtype=float), unknown, unknown)
 
     def walker(self, structure: Structure, numbers: Array, q: Array) -> Walker:
         """A robot of numbers (d, 6) that stands at q (2d + 2,) without a history, to be moved step by step."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
 import json
 import platform
@@ -148,6 +149,12 @@ class Plan(Record):
             raise OutputError(f"{path} is not a plan: {error}") from error
 
 
+@functools.cache
+def _version() -> str:
+    """Of this package, as it is installed."""
+    return importlib.metadata.version("ctr_nlp")
+
+
 def plan_from_configurations(
     problem: Problem,
     q: Array,
@@ -192,7 +199,7 @@ def plan_from_configurations(
             "problem": {key: getattr(problem, key) for key in DESCRIBED},
             "robot": robot.to_dict(),
             "versions": {
-                "ctr_nlp": importlib.metadata.version("ctr_nlp"),
+                "ctr_nlp": _version(),
                 "casadi": ca.CasadiMeta.version(),
                 "numpy": np.__version__,
                 "python": platform.python_version(),

@@ -68,7 +68,7 @@ def march(
     """The plan that any FrameSolver makes; arguments as for solve_per_frame."""
     with deferred_interrupt() as interrupted:
         passes, search_seconds = run_passes(problem, solver, direction, start, progress=progress)
-        best = min(passes, key=lambda one: one.badness(problem, planned_on(solver.description)))
+        best = _least_bad(passes, problem, planned_on(solver.description))
         free: Array | None = None
         wall: Wall | None = None
         if isinstance(solver, NlpFrames) and not interrupted():
@@ -84,6 +84,11 @@ def march(
     weight = None if wall is None else wall.weight
     work = {"search_s": search_seconds, "interrupted": stopped, "contact_weight": weight}
     return plan_of(problem, solver, best, free, options, work)
+
+
+def _least_bad(passes: Sequence[Pass], problem: Problem, model: str | Model) -> Pass:
+    """The run on which the robot is nearest to its target; one that stands alone is not looked at."""
+    return passes[0] if len(passes) == 1 else min(passes, key=lambda one: one.badness(problem, model))
 
 
 def _unknowns(results: Sequence[FrameResult]) -> Array | None:
