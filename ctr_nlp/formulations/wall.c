@@ -5,6 +5,7 @@
 
 #define NEWTON 4     /* steps from the nearest point of the table to the nearest of the path */
 #define CLOSE 1e-6   /* mm: a step to the nearest of the path that is as good as none */
+#define SPARE 4      /* mm beyond the nearest of the table that is kept in mind for the next point */
 #define COLUMNS 13   /* of what describes a place, as in terms/lumen.py */
 
 typedef int (*Function)(const double **, double **, long long *, double *, int);
@@ -35,21 +36,35 @@ static double square(const Wall *w, long i, const double *p) {
     return x * x + y * y + z * z;
 }
 
-/* The table's point that is nearest to p: exactly, from a guess. Where a point is further away than the best by so
-   much, none within that of the path is nearer. */
-static long nearest(const Wall *w, const double *p, long guess) {
-    double least = square(w, guess, p), root = sqrt(least), next = (root + w->widest) * (root + w->widest);
-    long found = guess;
+/* What is known of the table around a point that was looked at: its nearest, and that those before `from` and after
+   `to` were at least so many mm beyond. */
+typedef struct {
+    long found, from, to;
+    double at[3], beyond;
+} Seen;
+
+/* The table's point that is nearest to p: exactly, and soon where p is near to what was looked at before. Where a point
+   is further away than asked for by so much, none within that of the path is nearer. */
+static long nearest(const Wall *w, const double *p, Seen *seen) {
+    double least = INFINITY, away[] = {p[0] - seen->at[0], p[1] - seen->at[1], p[2] - seen->at[2]};
+    for (long i = seen->from; i <= seen->to; ++i) {
+        double at = square(w, i, p);
+        if (at < least) least = at, seen->found = i;
+    }
+    double root = sqrt(least);
+    if (root + sqrt(dot(away, away)) <= seen->beyond) return seen->found;
+    long guess = seen->from = seen->to = seen->found;
     for (int side = -1; side <= 1; side += 2)
         for (long i = guess + side; i >= 0 && i < w->nodes;) {
-            double at = square(w, i, p);
-            if (at < least) {
-                least = at, root = sqrt(least), next = (root + w->widest) * (root + w->widest), found = i;
-                i += side;
+            double at = square(w, i, p), reach = root + SPARE;
+            if (at < least) least = at, root = sqrt(least), seen->found = i;
+            if (at < reach * reach) {
+                *(side < 0 ? &seen->from : &seen->to) = i, i += side;
             } else
-                i += at < next ? side : side * ((long)((sqrt(at) - root) / w->widest) + 1);
+                i += side * ((long)((sqrt(at) - reach) / w->widest) + 1);
         }
-    return found;
+    memcpy(seen->at, p, sizeof seen->at), seen->beyond = root + SPARE;
+    return seen->found;
 }
 
 static long piece(const Wall *w, double s, long guess) {
@@ -69,11 +84,11 @@ static void path(const Wall *w, long i, double t, double *at, double *tangent, d
     }
 }
 
-static void look(const Wall *w, const double *p, long *guess, Near *near) {
+static void look(const Wall *w, const double *p, Seen *seen, Near *near) {
     double *at = near->centre, *tangent = near->tangent, *bend = near->bend, away[3];
-    long i = nearest(w, p, *guess), power = w->nodes - 1;
+    long i = nearest(w, p, seen), power = w->nodes - 1;
     double s = w->along[i], end = w->along[w->nodes - 1];
-    *guess = i, i = piece(w, s, i < power ? i : power - 1);
+    i = piece(w, s, i < power ? i : power - 1);
     for (int step = 0;; ++step) {
         path(w, i, s - w->along[i], at, tangent, bend);
         for (int k = 0; k < 3; ++k) away[k] = p[k] - at[k];
@@ -112,9 +127,10 @@ static void write_row(const Wall *w, const Near *near, double room, long rows, d
 
 /* What describes the wall around unknowns x, (places, COLUMNS) by columns, and then the slack needed, mm. */
 void around(Wall *w, const double *x, double *found) {
-    long rows = w->tubes * w->places, guess = 0, size = w->unknowns * sizeof *x;
+    long rows = w->tubes * w->places, size = w->unknowns * sizeof *x;
     if (!w->known || memcmp(w->kept_x, x, size)) {
         double least = INFINITY;
+        Seen seen = {.beyond = -1};
         memcpy(w->kept_x, x, size);
         sample(w, x);
         for (long row = 0; row < rows; ++row) {
@@ -123,7 +139,7 @@ void around(Wall *w, const double *x, double *found) {
             for (long k = row * w->finer; k < (row + 1) * w->finer; ++k) {
                 const double *at = w->at + k / w->samples * 3 * w->samples + k % w->samples;
                 double p[] = {at[0], at[w->samples], at[2 * w->samples]};
-                look(w, p, &guess, &near);
+                look(w, p, &seen, &near);
                 room = near.radius - w->outer[row / w->places] - w->clearance;
                 left = room - sqrt(near.distance * near.distance + w->centred * w->centred);
                 narrow = left < narrow || left != left ? left : narrow;
@@ -144,12 +160,12 @@ void around_all(Wall *w, long frames, const double *x, double *found) {
 
 /* What is left of the lumen beside so many points, rows of three: its radius less the distance to its path, mm. */
 void left_beside(const Wall *w, long count, const double *points, double *found) {
-    long guess = 0;
+    Seen seen = {.beyond = -1};
     for (long i = 0; i < count; ++i) {
         const double *p = points + 3 * i;
         Near near;
         if (isfinite(p[0]) && isfinite(p[1]) && isfinite(p[2])) {
-            look(w, p, &guess, &near);
+            look(w, p, &seen, &near);
             found[i] = near.radius - near.distance;
         } else
             found[i] = NAN;
