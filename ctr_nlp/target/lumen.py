@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -50,8 +51,18 @@ class Lumen:
         self._along = walked(centre)
         if len(centre) < 2 or (np.diff(self._along) <= 0).any():
             raise CurveError(f"table of a lumen has {len(centre)} points; it must have two, and none repeated")
-        self._path, self._radius = CubicSpline(self._along, centre), PchipInterpolator(self._along, radius)
-        self._tree = cKDTree(centre)
+
+    @cached_property
+    def _path(self) -> CubicSpline:
+        return CubicSpline(self._along, self._table[:, :3])
+
+    @cached_property
+    def _radius(self) -> PchipInterpolator:
+        return PchipInterpolator(self._along, self._table[:, 3])
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self._table[:, :3])
 
     @classmethod
     def around(cls, curve: Curve) -> Lumen:
