@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from ctr_nlp import Problem, Robot, curve_from_formula, growing, table_i_robot
-from ctr_nlp.codegen.vector import QUICK
+from ctr_nlp.codegen.language import QUICK
 from ctr_nlp.support.pool import THREADS
 
 LONGEST = {"test_docs.py"}

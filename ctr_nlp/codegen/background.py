@@ -22,7 +22,7 @@ from pathlib import Path
 
 import casadi as ca
 
-from ctr_nlp.codegen import cache, places, vector
+from ctr_nlp.codegen import cache, language, places, vector
 from ctr_nlp.support.pool import Lasting
 
 NOTE = (
@@ -55,7 +55,7 @@ class Library:
         the cache keeps the library.
         """
         self.key = "\n".join(
-            [f"{lanes} lanes", vector.effort(lanes), ca.CasadiMeta.version(), _writer(), described]
+            [f"{lanes} lanes", language.effort(lanes), ca.CasadiMeta.version(), _writer(), described]
         )
         self._functions, self._lanes = functions, lanes
         self._missed = -math.inf
@@ -102,7 +102,7 @@ def _hash(key: str) -> str:
 
 @functools.cache
 def _writer() -> str:
-    return inspect.getsource(vector) + inspect.getsource(places)
+    return "".join(map(inspect.getsource, (language, vector, places)))
 
 
 def _claimed(key: str) -> bool:

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from ctr_nlp.codegen.vector import DEFINED, LANES, vector_code
+from ctr_nlp.codegen.language import DEFINED, LANES
+from ctr_nlp.codegen.vector import vector_code
 from ctr_nlp.typing import Array
 
 _AT_PLACES = """\

@@ -7,12 +7,11 @@ a vector, and the body comes in parts, so that compilers' time grows in proporti
 from __future__ import annotations
 
 import bisect
-import os
 
 import casadi as ca
 
-LANES = 8
-"""Frames in a vector: what AVX-512 holds; compilers take two or four vectors where they are shorter."""
+from ctr_nlp.codegen.language import BY_LANE, LANES, OPERATIONS, head
+
 SAME = "same_"
 """How the names of inputs begin that all frames share."""
 BESIDE = "beside_"
@@ -27,98 +26,6 @@ before: it may read them and fill inputs that are read after.
 PART = 300
 """Instructions in one part of the body."""
 
-QUICK = "CTR_NLP_QUICK"
-"""Environment variable: 1 compiles long straight code of numbers as that of vectors, in half of the time."""
-_QUICK = '#pragma GCC optimize("Og")\n'
-"""Long straight code of vectors gains a tenth at most from more, that of numbers a fifth."""
-_LEAN = "".join(f'#pragma GCC optimize("no-tree-{name}")\n' for name in ("slp-vectorize", "slsr", "pre", "dse"))
-"""Long straight code of numbers gains nothing from these, and compiles in 65 % of the time without them."""
-_OPTIMIZED = '#pragma GCC push_options\n#pragma GCC optimize("O2")\n{}#pragma GCC pop_options\n'
-"""Loops over lanes do."""
-_SCALAR = """\
-#include <math.h>
-typedef double V;
-typedef int M;
-static inline V gathered(const double *a, long step) { return a[0]; }
-static inline void scattered(V a, double *to, long step) { to[0] = a; }
-static inline V all(double a) { return a; }
-static inline V masked(M m, V a) { return m ? a : 0.0; }
-static inline V choose(M m, V a, V b) { return m ? a : b; }
-static inline V one_where(M m) { return m; }
-"""
-_VECTOR = """\
-#include <math.h>
-#ifdef LIBMVEC
-#define SIMD _Pragma("omp simd simdlen(LANES)")
-__attribute__((simd("notinbranch"))) double sin(double);
-__attribute__((simd("notinbranch"))) double cos(double);
-#else
-#define SIMD
-#endif
-#define EACH for (int l = 0; l < LANES; ++l)
-typedef double V __attribute__((vector_size(8 * LANES)));
-typedef long long M __attribute__((vector_size(8 * LANES)));
-static inline V gathered(const double *a, long step) { return (V){%(gathered)s}; }
-static inline void scattered(V a, double *to, long step) { %(scattered)s }
-typedef double Beside __attribute__((vector_size(8 * LANES), aligned(8)));
-static inline V taken(const double *a) { return *(const Beside *)a; }
-static inline void put(V a, double *to) { *(Beside *)to = a; }
-static inline V all(double a) { return a - (V){0}; }
-static inline V masked(M m, V a) { return (V)(m & (M)a); }
-static inline V choose(M m, V a, V b) { return (V)((m & (M)a) | (~m & (M)b)); }
-static inline V one_where(M m) { return masked(m, all(1.0)); }
-"""
-
-_OPERATIONS = {
-    ca.OP_ADD: "{0} + {1}",
-    ca.OP_SUB: "{0} - {1}",
-    ca.OP_MUL: "{0} * {1}",
-    ca.OP_DIV: "{0} / {1}",
-    ca.OP_NEG: "-{0}",
-    ca.OP_SQ: "{0} * {0}",
-    ca.OP_TWICE: "{0} + {0}",
-    ca.OP_INV: "1.0 / {0}",
-    ca.OP_LT: "one_where({0} < {1})",
-    ca.OP_LE: "one_where({0} <= {1})",
-    ca.OP_EQ: "one_where({0} == {1})",
-    ca.OP_NE: "one_where({0} != {1})",
-    ca.OP_NOT: "one_where({0} == 0.0)",
-    ca.OP_AND: "one_where(({0} != 0.0) & ({1} != 0.0))",
-    ca.OP_OR: "one_where(({0} != 0.0) | ({1} != 0.0))",
-    ca.OP_IF_ELSE_ZERO: "masked({0} != 0.0, {1})",
-    ca.OP_FMIN: "choose(({0} < {1}) | ({1} != {1}), {0}, {1})",
-    ca.OP_FMAX: "choose(({0} > {1}) | ({1} != {1}), {0}, {1})",
-    ca.OP_SIGN: "choose({0} != {0}, {0}, one_where({0} > 0.0) - one_where({0} < 0.0))",
-}
-"""What the language has for vectors."""
-_BY_LANE = {
-    ca.OP_FABS: "fabs",
-    ca.OP_SQRT: "sqrt",
-    ca.OP_SIN: "sin",
-    ca.OP_COS: "cos",
-    ca.OP_TAN: "tan",
-    ca.OP_ASIN: "asin",
-    ca.OP_ACOS: "acos",
-    ca.OP_ATAN: "atan",
-    ca.OP_SINH: "sinh",
-    ca.OP_COSH: "cosh",
-    ca.OP_TANH: "tanh",
-    ca.OP_EXP: "exp",
-    ca.OP_LOG: "log",
-    ca.OP_FLOOR: "floor",
-    ca.OP_CEIL: "ceil",
-    ca.OP_ATAN2: "atan2",
-    ca.OP_POW: "pow",
-    ca.OP_CONSTPOW: "pow",
-    ca.OP_COPYSIGN: "copysign",
-}
-"""What the C library has for numbers."""
-DEFINED = (
-    *("V", "M", "gathered", "scattered", "all", "masked", "choose", "one_where"),
-    *(f"by_lane_{called}" for called in sorted(set(_BY_LANE.values()))),
-)
-"""Names that code for numbers and code for vectors both define."""
-
 
 def vector_code(functions: tuple[ca.Function, ...], lanes: int = LANES) -> str:
     """A file of C for functions with dense inputs and outputs.
@@ -129,34 +36,10 @@ def vector_code(functions: tuple[ca.Function, ...], lanes: int = LANES) -> str:
     """
     functions = tuple(_without_repetition(function) for function in functions)
     used = {function.instruction_id(k) for function in functions for k in range(function.n_instructions())}
-    if unknown := used - _OPERATIONS.keys() - _BY_LANE.keys() - {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT}:
+    if unknown := used - OPERATIONS.keys() - BY_LANE.keys() - {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT}:
         names = ", ".join(function.name() for function in functions)
         raise NotImplementedError(f"{names}: operations (numbers {sorted(unknown)}) without C")
-    helpers = {_by_lane(_BY_LANE[operation], lanes) for operation in used & _BY_LANE.keys()}
-    head = _SCALAR if lanes == 1 else f"#define LANES {lanes}\n{_VECTOR % _each(lanes)}"
-    if lanes > 1:
-        helpers = {_OPTIMIZED.format(helper) for helper in helpers}
-    return "".join(
-        [
-            effort(lanes),
-            head,
-            *sorted(helpers),
-            *(_function(function, lanes) for function in functions),
-        ]
-    )
-
-
-def _each(lanes: int) -> dict[str, str]:
-    """What is written lane by lane, since compilers leave short loops in code that they compile quickly."""
-    return {
-        "gathered": ", ".join(f"a[{lane} * step]" for lane in range(lanes)),
-        "scattered": " ".join(f"to[{lane} * step] = a[{lane}];" for lane in range(lanes)),
-    }
-
-
-def effort(lanes: int) -> str:
-    """How hard the compiler is to try, as C."""
-    return _LEAN if lanes == 1 and os.environ.get(QUICK) != "1" else _QUICK
+    return head(used, lanes) + "".join(_function(function, lanes) for function in functions)
 
 
 def _without_repetition(function: ca.Function) -> ca.Function:
@@ -164,25 +47,6 @@ def _without_repetition(function: ca.Function) -> ca.Function:
     inputs = [ca.SX.sym(function.name_in(i), *function.size_in(i)) for i in range(function.n_in())]
     names = function.name_in(), function.name_out()
     return ca.Function(function.name(), inputs, function.call(inputs), *names, {"cse": True})
-
-
-def _by_lane(called: str, lanes: int) -> str:
-    """A function of the C library for vectors; all lanes in one call where a library offers that."""
-    names = "ab" if called in ("atan2", "pow", "copysign") else "a"
-    parameters = ", ".join(f"V {name}" for name in names)
-    if lanes == 1:
-        return f"static inline V by_lane_{called}({parameters}) {{ return {called}({', '.join(names)}); }}\n"
-    pointers = ", ".join(f"const double *restrict {name}" for name in names)
-    return f"""\
-static __attribute__((noinline)) void lanes_{called}({pointers}, double *restrict found) {{
-    SIMD EACH found[l] = {called}({", ".join(f"{name}[l]" for name in names)});
-}}
-static inline V by_lane_{called}({parameters}) {{
-    V found;
-    lanes_{called}({", ".join(f"(const double *)&{name}" for name in names)}, (double *)&found);
-    return found;
-}}
-"""
 
 
 def _function(function: ca.Function, lanes: int) -> str:
@@ -279,9 +143,9 @@ def _value(function: ca.Function, k: int, here: dict[int, str]) -> str:
     if operation == ca.OP_INPUT:
         return f"gathered(arg[{of[0]}] + {of[1]}, {function.numel_in(of[0])})"
     names = [_name(slot, here) for slot in of]
-    if operation in _OPERATIONS:
-        return _OPERATIONS[operation].format(*names)
-    return f"by_lane_{_BY_LANE[operation]}({', '.join(names)})"
+    if operation in OPERATIONS:
+        return OPERATIONS[operation].format(*names)
+    return f"by_lane_{BY_LANE[operation]}({', '.join(names)})"
 
 
 def _interface(function: ca.Function, calls: str, lanes: int) -> str:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.codegen.vector import LANES
+from ctr_nlp.codegen.language import LANES
 from ctr_nlp.nlp.written import Written
 from ctr_nlp.typing import Array, Flags, Index
 

@@ -9,7 +9,7 @@ import pytest
 from frames import alone, horizon
 
 from ctr_nlp import Limits, Robot, curve_from_formula, growing, table_i_robot
-from ctr_nlp.codegen import background, cache, vector
+from ctr_nlp.codegen import background, cache, language, vector
 from ctr_nlp.codegen.vector import LANES, vector_code
 from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.nlp.nlp import Nlp, Residual
@@ -118,7 +118,7 @@ def operations(lanes):
 
 
 def test_every_operation_that_is_written_is_tested():
-    written = vector._OPERATIONS.keys() | vector._BY_LANE.keys()
+    written = language.OPERATIONS.keys() | language.BY_LANE.keys()
     assert {operation for operation, _ in OPERATIONS.values()} == written
 
 

@@ -1,0 +1,143 @@
+"""The language that functions are written in: C for numbers, or for vectors of as many frames as lanes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+
+import casadi as ca
+
+LANES = 8
+"""Frames in a vector: what AVX-512 holds; compilers take two or four vectors where they are shorter."""
+QUICK = "CTR_NLP_QUICK"
+"""Environment variable: 1 compiles long straight code of numbers as that of vectors, in half of the time."""
+_QUICK = '#pragma GCC optimize("Og")\n'
+"""Long straight code of vectors gains a tenth at most from more, that of numbers a fifth."""
+_LEAN = "".join(f'#pragma GCC optimize("no-tree-{name}")\n' for name in ("slp-vectorize", "slsr", "pre", "dse"))
+"""Long straight code of numbers gains nothing from these, and compiles in 65 % of the time without them."""
+_OPTIMIZED = '#pragma GCC push_options\n#pragma GCC optimize("O2")\n{}#pragma GCC pop_options\n'
+"""Loops over lanes do."""
+_SCALAR = """\
+#include <math.h>
+typedef double V;
+typedef int M;
+static inline V gathered(const double *a, long step) { return a[0]; }
+static inline void scattered(V a, double *to, long step) { to[0] = a; }
+static inline V all(double a) { return a; }
+static inline V masked(M m, V a) { return m ? a : 0.0; }
+static inline V choose(M m, V a, V b) { return m ? a : b; }
+static inline V one_where(M m) { return m; }
+"""
+_VECTOR = """\
+#include <math.h>
+#ifdef LIBMVEC
+#define SIMD _Pragma("omp simd simdlen(LANES)")
+__attribute__((simd("notinbranch"))) double sin(double);
+__attribute__((simd("notinbranch"))) double cos(double);
+#else
+#define SIMD
+#endif
+#define EACH for (int l = 0; l < LANES; ++l)
+typedef double V __attribute__((vector_size(8 * LANES)));
+typedef long long M __attribute__((vector_size(8 * LANES)));
+static inline V gathered(const double *a, long step) { return (V){%(gathered)s}; }
+static inline void scattered(V a, double *to, long step) { %(scattered)s }
+typedef double Beside __attribute__((vector_size(8 * LANES), aligned(8)));
+static inline V taken(const double *a) { return *(const Beside *)a; }
+static inline void put(V a, double *to) { *(Beside *)to = a; }
+static inline V all(double a) { return a - (V){0}; }
+static inline V masked(M m, V a) { return (V)(m & (M)a); }
+static inline V choose(M m, V a, V b) { return (V)((m & (M)a) | (~m & (M)b)); }
+static inline V one_where(M m) { return masked(m, all(1.0)); }
+"""
+
+OPERATIONS = {
+    ca.OP_ADD: "{0} + {1}",
+    ca.OP_SUB: "{0} - {1}",
+    ca.OP_MUL: "{0} * {1}",
+    ca.OP_DIV: "{0} / {1}",
+    ca.OP_NEG: "-{0}",
+    ca.OP_SQ: "{0} * {0}",
+    ca.OP_TWICE: "{0} + {0}",
+    ca.OP_INV: "1.0 / {0}",
+    ca.OP_LT: "one_where({0} < {1})",
+    ca.OP_LE: "one_where({0} <= {1})",
+    ca.OP_EQ: "one_where({0} == {1})",
+    ca.OP_NE: "one_where({0} != {1})",
+    ca.OP_NOT: "one_where({0} == 0.0)",
+    ca.OP_AND: "one_where(({0} != 0.0) & ({1} != 0.0))",
+    ca.OP_OR: "one_where(({0} != 0.0) | ({1} != 0.0))",
+    ca.OP_IF_ELSE_ZERO: "masked({0} != 0.0, {1})",
+    ca.OP_FMIN: "choose(({0} < {1}) | ({1} != {1}), {0}, {1})",
+    ca.OP_FMAX: "choose(({0} > {1}) | ({1} != {1}), {0}, {1})",
+    ca.OP_SIGN: "choose({0} != {0}, {0}, one_where({0} > 0.0) - one_where({0} < 0.0))",
+}
+"""What the language has for vectors."""
+BY_LANE = {
+    ca.OP_FABS: "fabs",
+    ca.OP_SQRT: "sqrt",
+    ca.OP_SIN: "sin",
+    ca.OP_COS: "cos",
+    ca.OP_TAN: "tan",
+    ca.OP_ASIN: "asin",
+    ca.OP_ACOS: "acos",
+    ca.OP_ATAN: "atan",
+    ca.OP_SINH: "sinh",
+    ca.OP_COSH: "cosh",
+    ca.OP_TANH: "tanh",
+    ca.OP_EXP: "exp",
+    ca.OP_LOG: "log",
+    ca.OP_FLOOR: "floor",
+    ca.OP_CEIL: "ceil",
+    ca.OP_ATAN2: "atan2",
+    ca.OP_POW: "pow",
+    ca.OP_CONSTPOW: "pow",
+    ca.OP_COPYSIGN: "copysign",
+}
+"""What the C library has for numbers."""
+DEFINED = (
+    *("V", "M", "gathered", "scattered", "all", "masked", "choose", "one_where"),
+    *(f"by_lane_{called}" for called in sorted(set(BY_LANE.values()))),
+)
+"""Names that code for numbers and code for vectors both define."""
+
+
+def head(operations: Iterable[int], lanes: int) -> str:
+    """What a file begins with that has such operations."""
+    helpers = {_by_lane(BY_LANE[operation], lanes) for operation in set(operations) & BY_LANE.keys()}
+    if lanes > 1:
+        helpers = {_OPTIMIZED.format(helper) for helper in helpers}
+    begin = _SCALAR if lanes == 1 else f"#define LANES {lanes}\n{_VECTOR % _each(lanes)}"
+    return "".join([effort(lanes), begin, *sorted(helpers)])
+
+
+def _each(lanes: int) -> dict[str, str]:
+    """What is written lane by lane, since compilers leave short loops in code that they compile quickly."""
+    return {
+        "gathered": ", ".join(f"a[{lane} * step]" for lane in range(lanes)),
+        "scattered": " ".join(f"to[{lane} * step] = a[{lane}];" for lane in range(lanes)),
+    }
+
+
+def effort(lanes: int) -> str:
+    """How hard the compiler is to try, as C."""
+    return _LEAN if lanes == 1 and os.environ.get(QUICK) != "1" else _QUICK
+
+
+def _by_lane(called: str, lanes: int) -> str:
+    """A function of the C library for vectors; all lanes in one call where a library offers that."""
+    names = "ab" if called in ("atan2", "pow", "copysign") else "a"
+    parameters = ", ".join(f"V {name}" for name in names)
+    if lanes == 1:
+        return f"static inline V by_lane_{called}({parameters}) {{ return {called}({', '.join(names)}); }}\n"
+    pointers = ", ".join(f"const double *restrict {name}" for name in names)
+    return f"""\
+static __attribute__((noinline)) void lanes_{called}({pointers}, double *restrict found) {{
+    SIMD EACH found[l] = {called}({", ".join(f"{name}[l]" for name in names)});
+}}
+static inline V by_lane_{called}({parameters}) {{
+    V found;
+    lanes_{called}({", ".join(f"(const double *)&{name}" for name in names)}, (double *)&found);
+    return found;
+}}
+"""
