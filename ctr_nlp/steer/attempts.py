@@ -29,6 +29,11 @@ Report = Callable[[Iterate], None]
 
 TIE = 1e-9
 """Objectives that differ by this part are the same."""
+SAME = 1e-6
+"""Attempts whose objectives differ by less than this part are one."""
+SLOW = 0.9
+"""Where a chain holds near a motion only, slacks that two rounds bring no nearer than this to what is needed go to
+and fro between two places of the wall, and further rounds do not help."""
 LENGTHS = "order", "carriage gap", "clearance"
 """Constraints in mm."""
 
@@ -81,9 +86,15 @@ def best_of(attempts: Sequence[Attempt]) -> Attempt:
     return min(attempts, key=badness)
 
 
-def hopeless(attempts: Sequence[Attempt], bound: float) -> bool:
-    """Whether some attempt is a solution of an objective, mm^2, that is no more than a bound of another's."""
-    return any(one.solution.success and one.solution.objective <= bound for one in attempts)
+def distinct(attempts: Sequence[Attempt]) -> list[Attempt]:
+    """Attempts, best first, without those whose objective was met before."""
+    ranked = sorted(attempts, key=lambda one: (not one.solution.success, one.solution.objective))
+    objectives = [one.solution.objective for one in ranked]
+    return [
+        one
+        for k, one in enumerate(ranked)
+        if k == 0 or abs(objectives[k] - objectives[k - 1]) > SAME * (1 + abs(objectives[k]))
+    ]
 
 
 def failures(chain: Chain, one: Attempt) -> dict[str, str]:
@@ -139,14 +150,16 @@ def attempt(
     Where a chain holds near a motion only, it is solved again around its solution until that needs the same slack.
     The result is never worse than the start.
     """
-    begin, tried, missing = time.perf_counter(), list[Attempt](), np.inf
+    begin, tried, missing = time.perf_counter(), list[Attempt](), list[float]()
     near, x0 = chain.around(motion)
-    while len(tried) < ROUNDS and missing > SETTLED and not (tried and (stop() or not tried[-1].solution.success)):
+    while (
+        len(tried) < ROUNDS and not settled(missing) and not (tried and (stop() or not tried[-1].solution.success))
+    ):
         known = np.concatenate([tried[-1].solution.lam_x, tried[-1].solution.lam_g]) if tried else None
         one = _solved(near, solver(near), x0, NEAR if tried else barrier, report, stop, known)
         near, x0 = chain.around(one.motion)
-        missing = float(abs(x0 - one.solution.x).max())
-        objective = near.evaluate(x0)[0] if missing > 0 else one.solution.objective
+        missing.append(float(abs(x0 - one.solution.x).max()))
+        objective = near.evaluate(x0)[0] if missing[-1] > 0 else one.solution.objective
         tried.append(replace(one, solution=replace(one.solution, objective=objective)))
     best = best_of(tried)
     iterations = sum(one.solution.iterations for one in tried)
@@ -156,6 +169,11 @@ def attempt(
         start_objective=tried[0].start_objective,
         seconds=time.perf_counter() - begin,
     )
+
+
+def settled(missing: Sequence[float]) -> bool:
+    """Whether slacks of the last round were what they had to be, mm, or two rounds have brought them no nearer."""
+    return bool(missing) and (missing[-1] <= SETTLED or missing[-1] > SLOW * [math.inf, math.inf, *missing][-3])
 
 
 def _solved(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -24,12 +23,11 @@ from ctr_nlp.steer.attempts import (
     attempt,
     attempt_in_processes,
     best_of,
-    hopeless,
+    distinct,
     no_worse,
     together,
     within_limits,
 )
-from ctr_nlp.steer.inside import distinct
 from ctr_nlp.steer.motions import filled, thinned, wandered
 from ctr_nlp.steer.passes import Forecast, Progress
 from ctr_nlp.steer.realised import realised
@@ -99,42 +97,34 @@ class Search:
         changes = wandered(self.problem.robot, ranked[0], self.settings.seed)
         return list(itertools.islice(itertools.chain(ranked, changes), count))
 
-    def attempts(
-        self, motions: Sequence[Array], wall: Wall | None = None, bounds: Sequence[float] = ()
-    ) -> list[Attempt]:
-        """What comes of motions near a wall, or far from any; on the elastic model, that the robot makes.
-
-        bounds: objectives of the first motions, mm^2, that nothing that comes of these falls below; where motions
-        are solved one after the other, those are left out that something better is known for.
-        """
+    def attempts(self, motions: Sequence[Array], wall: Wall | None = None) -> list[Attempt]:
+        """What comes of motions near a wall, or far from any; on the elastic model, that the robot makes."""
         chain, count = self.near(wall), len(motions)
         found = list[Attempt]()
         if self.jobs > 1 and count > 1:
             own = self.solver, self.model, self.settings.stability_margin, wall, self.terms
             task = Task(self.problem.robot, self.problem.samples, self.problem.dt, self.weight, self.ends, *own)
             found = attempt_in_processes(task, motions, self.jobs, self.progress, self.seen)
-        least = [*bounds, *itertools.repeat(-math.inf, count - len(bounds))]
         for number, motion in enumerate(() if found else motions, start=1):
             if found and self.stop():
                 break
-            if not hopeless(found, least[number - 1]):
-                found.append(self._attempt(chain, motion, number, count))
+            found.append(self._attempt(chain, motion, number, count))
         return self._made(chain, found)
 
-    def likely(self, motions: Sequence[Array], most: int = MOST, part: float = LIKELY) -> list[Attempt]:
+    def likely(self, motions: Sequence[Array]) -> list[Attempt]:
         """What comes of those motions that promise most; motions are given best first.
 
-        All are solved for some of the frames, and the best of these drafts for all frames: at most so many
-        distinct ones whose objective is within a part of the best one's. Where none of them leads to a solution
-        that is made, and that is at least as good as the best motion was already, all motions are solved.
+        All are solved for some of the frames, and the best of these drafts for all frames: at most MOST distinct
+        ones whose objective is within a part LIKELY of the best one's. Where none of them leads to a solution that
+        is made, and that is at least as good as the best motion was already, all motions are solved.
         """
         picked = drafted(self.problem.frames)
         if len(picked) == self.problem.frames:
             return self.attempts(motions)
         drafts, chain = self._drafts(motions, picked), self.near(None)
         found = list[Attempt]()
-        for draft in drafts[:most]:
-            far = draft.solution.objective > (1 + part) * drafts[0].solution.objective
+        for draft in drafts[:MOST]:
+            far = draft.solution.objective > (1 + LIKELY) * drafts[0].solution.objective
             if self.stop() or (found and far):
                 break
             whole = self._refined(draft.motion, picked)
