@@ -46,6 +46,9 @@ LIKELY = 0.05
 """A draft whose objective is above the best one's by no more than this part may still lead to a better motion."""
 MOST = 3
 """Drafts that are solved for all frames."""
+FEW, PROMISING = 3, 0.3
+"""Motions of which a draft is always made, the best ones; of others where their objective is above the best one's by
+no more than this part."""
 
 
 @dataclass(frozen=True)
@@ -114,9 +117,9 @@ class Search:
     def likely(self, motions: Sequence[Array]) -> list[Attempt]:
         """What comes of those motions that promise most; motions are given best first.
 
-        All are solved for some of the frames, and the best of these drafts for all frames: at most MOST distinct
-        ones whose objective is within a part LIKELY of the best one's. Where none of them leads to a solution that
-        is made, and that is at least as good as the best motion was already, all motions are solved.
+        The best ones are solved for some of the frames, and the best of these drafts for all frames: at most MOST
+        distinct ones whose objective is within a part LIKELY of the best one's. Where none of them leads to a
+        solution that is made, and that is at least as good as the best motion was already, all motions are solved.
         """
         picked = drafted(self.problem.frames)
         if len(picked) == self.problem.frames:
@@ -157,12 +160,16 @@ class Search:
         return horizon(*at, fastest, self.settings.stability_margin, extra=self.terms)
 
     def _drafts(self, motions: Sequence[Array], picked: Index) -> list[Attempt]:
-        """Distinct solutions for picked frames, from as many motions, best first."""
+        """Distinct solutions for picked frames, from motions that promise one, best first."""
         chain, found = self._thin(picked), list[Attempt]()
-        for number, motion in enumerate(motions, start=1):
+        thinner = [motion[picked] for motion in motions]
+        objectives = [chain.evaluate(chain.around(motion)[1])[0] for motion in thinner]
+        far = (1 + PROMISING) * min(objectives)
+        kept = [motion for k, motion in enumerate(thinner) if k < FEW or objectives[k] <= far]
+        for number, motion in enumerate(kept, start=1):
             if self.stop():
                 break
-            found.append(self._attempt(chain, motion[picked], number, len(motions)))
+            found.append(self._attempt(chain, motion, number, len(kept)))
         return [one for one in distinct(found) if one.solution.success]
 
     def _attempt(self, chain: Chain, motion: Array, number: int, count: int, barrier: float = WIDE) -> Attempt:
