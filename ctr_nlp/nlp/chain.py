@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -16,6 +16,10 @@ from ctr_nlp.nlp.links import Link
 from ctr_nlp.nlp.nlp import Nlp, Residual
 from ctr_nlp.nlp.written import FrameFunctions
 from ctr_nlp.typing import Array, Flags, Index
+
+
+OF_ROWS = "linking", "_transposed", "_picked", "bent", "curved", "offset", "bounds", "free", "reached", "_row_frames"
+"""What is known of a chain's rows, and shared by all chains that have the same."""
 
 
 class Slopes(NamedTuple):
@@ -110,11 +114,17 @@ class Chain:
         for name, value in values.items():
             columns = [each.ravel(order="F") for each in np.asarray(value)]
             parameters[self.frame.place(name)] = np.transpose(columns)
-        return replace(self, parameters=parameters)
+        return self._with(parameters=parameters)
 
     def with_cost(self, factor: float) -> Chain:
         """The same chain with the links' costs times a factor."""
-        return replace(self, links=tuple(replace(link, weight=link.weight * factor) for link in self.links))
+        return self._with(links=tuple(replace(link, weight=link.weight * factor) for link in self.links))
+
+    def _with(self, **changes: Any) -> Chain:
+        """The same chain with other parameters, costs or functions, which have no part in its rows."""
+        found = replace(self, **changes)
+        vars(found).update({name: getattr(self, name) for name in OF_ROWS})
+        return found
 
     def nearest(self, x: Array) -> Chain:
         """The chain that finds the point nearest to x (T n,), in mm, among those within all bounds.
@@ -202,7 +212,7 @@ class Chain:
     def as_given_now(self) -> Chain:
         """The same, with the functions that are given now: for whoever holds on to arrays that these write."""
         now = self.functions()
-        return replace(self, functions=lambda: now)
+        return self._with(functions=lambda: now)
 
     def evaluators(self) -> list[Mapped]:
         """What evaluates value, slopes and expansion of all frames now."""

@@ -6,7 +6,7 @@ import importlib.metadata
 import json
 import platform
 from dataclasses import replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -191,12 +191,7 @@ def plan_from_configurations(
         | {
             "problem": {key: getattr(problem, key) for key in DESCRIBED},
             "robot": robot.to_dict(),
-            "versions": {
-                "ctr_nlp": importlib.metadata.version("ctr_nlp"),
-                "casadi": ca.CasadiMeta.version(),
-                "numpy": np.__version__,
-                "python": platform.python_version(),
-            },
+            "versions": versions(),
             "format": FORMAT,
         },
         lumen_radius=None if any(radius is None for radius in radii) else np.array(radii),
@@ -205,3 +200,14 @@ def plan_from_configurations(
         free=free,
         **found.arrays,
     )
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Of what a plan is made with."""
+    return {
+        "ctr_nlp": importlib.metadata.version("ctr_nlp"),
+        "casadi": ca.CasadiMeta.version(),
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }
