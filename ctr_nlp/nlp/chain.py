@@ -17,8 +17,18 @@ from ctr_nlp.nlp.nlp import Nlp, Residual
 from ctr_nlp.nlp.written import FrameFunctions
 from ctr_nlp.typing import Array, Flags, Index
 
-
-OF_ROWS = "linking", "_transposed", "_picked", "bent", "curved", "offset", "bounds", "free", "reached", "_row_frames"
+OF_ROWS = (
+    "linking",
+    "_transposed",
+    "_picked",
+    "bent",
+    "curved",
+    "offset",
+    "bounds",
+    "free",
+    "reached",
+    "_row_frames",
+)
 """What is known of a chain's rows, and shared by all chains that have the same."""
 
 
@@ -39,17 +49,18 @@ class _Evaluators:
     def __init__(self, functions: Callable[[], FrameFunctions], parameters: Array) -> None:
         self._functions, self._parameters = functions, parameters
         self._of: FrameFunctions | None = None
-        self._mapped = list[Mapped]()
+        self._mapped = dict[int, Mapped]()
 
-    def __call__(self) -> list[Mapped]:
-        """What the functions that are given now are for all frames."""
+    def __call__(self, which: int) -> Mapped:
+        """One of the three, counted from 0, as given now."""
         found = self._functions()
         if found is not self._of:
-            self._of = found
-            self._mapped = [Mapped(each, self._parameters.shape[1], found.lanes) for each in found[:3]]
-            for mapped in self._mapped:
-                mapped.inputs[1][:] = self._parameters.T
-        return self._mapped
+            self._of, self._mapped = found, {}
+        if which not in self._mapped:
+            mapped = Mapped(found[which], self._parameters.shape[1], found.lanes)
+            mapped.inputs[1][:] = self._parameters.T
+            self._mapped[which] = mapped
+        return self._mapped[which]
 
 
 class Excess(NamedTuple):
@@ -215,8 +226,8 @@ class Chain:
         return self._with(functions=lambda: now)
 
     def evaluators(self) -> list[Mapped]:
-        """What evaluates value, slopes and expansion of all frames now."""
-        return self._evaluators()
+        """What evaluates values, and expansions, of all frames now."""
+        return [self._evaluators(0), self._evaluators(2)]
 
     @cached_property
     def _evaluators(self) -> _Evaluators:
@@ -224,7 +235,7 @@ class Chain:
 
     def frame_values(self, x: Array) -> list[Array]:
         """Objectives (T, 1) and constraints (T, m) of the frames at x; the next call overwrites them."""
-        return self._evaluators()[0](x)
+        return self._evaluators(0)(x)
 
     def frame_expansion(self, x: Array, multipliers: Array) -> list[Array]:
         """Second-order expansions of the frames at x; the next call overwrites them.
@@ -238,7 +249,7 @@ class Chain:
         if self.bent:
             _, linked = self._rows(x, self.frame_values(x)[1])
             of_frames = of_frames + (self._transposed @ (multipliers[end:] + 2 * self.weight * linked))[x.size :]
-        return self._evaluators()[2](x, np.ones(self.frames), of_frames)
+        return self._evaluators(2)(x, np.ones(self.frames), of_frames)
 
     def evaluate(self, x: Array) -> tuple[float, Array]:
         """The objective in mm^2 and the rows' values at x."""
@@ -260,7 +271,7 @@ class Chain:
 
     def slopes(self, x: Array) -> Slopes:
         """First derivatives at x."""
-        f, gradient, g, columns = self._evaluators()[1](x)
+        f, gradient, g, columns = self._evaluators(1)(x)
         value, linked = self._rows(x, g)
         jacobian = columns.reshape(self.frames, self.unknowns, -1).transpose(0, 2, 1).copy()
         pulls = np.concatenate([np.zeros(x.size + g.size), 2 * self.weight * linked])

@@ -47,7 +47,7 @@ LIKELY = 0.05
 MOST = 3
 """Drafts that are solved for all frames."""
 FEW, PROMISING = 3, 0.3
-"""Motions of which a draft is always made, the best ones; of others where their objective is above the best one's by
+"""Of so many motions, the best ones, a draft is made; of others where their objective is above the best one's by
 no more than this part."""
 
 
