@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from ctr_nlp.formulations.settings import Settings
     from ctr_nlp.formulations.shared.manufacture import Manufacture
     from ctr_nlp.loads import Load
+    from ctr_nlp.models.loaded.model import Loaded
     from ctr_nlp.plan.metrics import by_frame, summary
     from ctr_nlp.plan.plan import Plan
     from ctr_nlp.robot import Limits, Robot, Tolerances, Tube, seed_robot, table_i_robot
@@ -41,6 +42,7 @@ __all__ = [
     "Forces",
     "Limits",
     "Load",
+    "Loaded",
     "Manufacture",
     "Measurements",
     "Plan",
@@ -89,6 +91,7 @@ _HOMES = {
     "exceptions": ("CtrError",),
     "formulations.settings": ("Settings",),
     "loads": ("Load",),
+    "models.loaded.model": ("Loaded",),
     "plan.metrics": ("by_frame", "summary"),
     "plan.plan": ("Plan",),
     "robot": ("Limits", "Robot", "Tolerances", "Tube", "seed_robot", "table_i_robot"),

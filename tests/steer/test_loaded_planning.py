@@ -12,13 +12,12 @@ from problems import named
 from rows import central
 from test_elastic_planning import TIES
 
-from ctr_nlp import Load, Plan, Problem, sequence, solve_horizon, solve_per_frame, table_i_robot
+from ctr_nlp import Load, Loaded, Plan, Problem, Steerer, sequence, solve_horizon, solve_per_frame, table_i_robot
 from ctr_nlp.cli.main import main
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.frame import filled, program
 from ctr_nlp.formulations.joint import terms_of
 from ctr_nlp.loads import with_modulus
-from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.models.protocol import samples
 from ctr_nlp.steer.robust import solve_robust
 from ctr_nlp.target.curve import curve_from_points
@@ -187,3 +186,11 @@ def test_what_cannot_be_planned_under_a_load_is_refused(tmp_path, monkeypatch, c
     assert "--force does not go with --robust" in capsys.readouterr().err
     with pytest.raises(OptionError, match="without a load"):
         solve_robust(replace(named("line", 4), robot=NITINOL), model=Loaded(PULL))
+
+
+def test_a_steerer_under_a_load_says_that_it_keeps_no_lumen():
+    problem = named("bronchus", 2)
+    with pytest.raises(
+        OptionError, match="a robot that bears a load, and a Steerer cannot keep such a robot within"
+    ):
+        Steerer(NITINOL, [0, 0, 0, 0, 20, 40, 0, 0], 0.05, model=Loaded(PULL), lumen=problem.lumen)
