@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -125,15 +125,28 @@ def together(*reports: Report | None) -> Report | None:
     return report if known else None
 
 
-def within_limits(chain: Chain, x: Array) -> Array:
+class Start(NamedTuple):
+    """A motion x (T n,), its objective in mm^2, and by how much it leaves limits at most."""
+
+    x: Array
+    objective: float
+    violation: float
+
+
+def within_limits(chain: Chain, x: Array) -> Start:
     """The motion x (T n,) itself, or the one nearest to it that keeps all limits, where there is one.
 
     Where limits are curved, the nearest motion is as hard to find as the best: it is left to the solver.
     """
-    x = np.clip(x, chain.lower.ravel(), chain.upper.ravel())
-    if chain.curved or chain.violation(chain.evaluate(x)[1]) <= FEASIBLE:
-        return x
-    return CHAIN_SOLVERS[default_chain_solver()](chain.nearest(x))(x, Watch()).x
+    start = _start(chain, np.clip(x, chain.lower.ravel(), chain.upper.ravel()))
+    if chain.curved or start.violation <= FEASIBLE:
+        return start
+    return _start(chain, CHAIN_SOLVERS[default_chain_solver()](chain.nearest(start.x))(start.x, Watch()).x)
+
+
+def _start(chain: Chain, x: Array) -> Start:
+    objective, value = chain.evaluate(x)
+    return Start(x, objective, chain.violation(value))
 
 
 def attempt(
@@ -189,10 +202,9 @@ def _solved(
 
     multipliers: of all rows, where a neighbouring chain's are known.
     """
-    x0 = within_limits(chain, x0)
-    objective, value = chain.evaluate(x0)
-    start = objective if chain.violation(value) <= FEASIBLE else np.inf
-    watch = Watch(report, stop, Iterate(0, objective, chain.violation(value), np.inf, x0))
+    x0, objective, violation = within_limits(chain, x0)
+    start = objective if violation <= FEASIBLE else np.inf
+    watch = Watch(report, stop, Iterate(0, objective, violation, np.inf, x0))
     solution = _kept(chain, solve(x0, watch, barrier, multipliers), watch, start)
     if not (solution.success or watch.best is None or stop()):
         again = _kept(chain, solve(watch.best.x, watch, NEAR), watch, start)

@@ -93,10 +93,8 @@ class Search:
     def ranked(self, motions: Sequence[Array], count: int) -> list[Array]:
         """The best of motions in the horizon's own objective, then random changes of the very best."""
         free = self.near(None)
-        kept = sorted(
-            (within_limits(*free.around(motion)) for motion in motions), key=lambda x: free.evaluate(x)[0]
-        )
-        ranked = [free.robot_of(x) for x in kept]
+        kept = sorted((within_limits(*free.around(motion)) for motion in motions), key=lambda one: one.objective)
+        ranked = [free.robot_of(one.x) for one in kept]
         changes = wandered(self.problem.robot, ranked[0], self.settings.seed)
         return list(itertools.islice(itertools.chain(ranked, changes), count))
 
