@@ -64,8 +64,8 @@ def affordable(
     for _ in range(TRIES):
         if stop():
             break
-        bent = sides[-2:] in ("++", "--") and kept is not None
-        weight = lightest if math.isnan(low[1]) else between(low, high, AIM * cost, bent)
+        one_sided = kept is not None and sides[-2:] in ("++", "--")
+        weight = lightest if math.isnan(low[1]) else between(low, high, AIM * cost, one_sided)
         tried = replace(wall, weight=weight)
         found = solve(tried)
         at = judged(tried, found)

@@ -66,6 +66,16 @@ def test_a_weight_without_which_contact_has_gone_is_not_tried():
     assert max(weights(power(0.7, 0.2, 2.0), 0.1)[1][1:]) < 2.0
 
 
+def test_errors_that_hardly_grow_any_more_are_followed_down_to_where_they_do():
+    """As on a synthetic airway, where powers alone tried seven weights above and kept one with a fifth of the cost."""
+    weight, grown = [0.03, 0.71, 1.55, 2.5, 5.4, 30.0], [0.0, 0.021, 0.072, 0.112, 0.124, 0.132]
+
+    def judge(wall, found):
+        return found, float(np.interp(found, weight, grown))
+
+    assert 0.075 <= judge(WALL, weights(judge, 0.1)[0])[1] <= 0.1
+
+
 def test_where_errors_jump_the_largest_of_few_weights_at_which_they_may_is_kept():
     found, tried = weights(lambda wall, weight: (weight, 0.01 if weight < 1.0 else 0.5), 0.1)
     assert len(tried) == TRIES + 1
