@@ -21,9 +21,7 @@ from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.solvers.motion.judged import judged
 from ctr_nlp.steer.attempts import (
     Attempt,
-    Task,
     attempt,
-    attempt_in_processes,
     best_of,
     distinct,
     failures,
@@ -31,6 +29,7 @@ from ctr_nlp.steer.attempts import (
     settled,
 )
 from ctr_nlp.steer.motions import wandered
+from ctr_nlp.steer.starts.processes import Task, attempt_in_processes
 from ctr_nlp.support.interrupt import deferred_interrupt
 
 START = np.array([3, 3, 3, 20, 20, 30, 0, 0.0])

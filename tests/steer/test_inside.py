@@ -67,7 +67,7 @@ def test_a_weight_without_which_contact_has_gone_is_not_tried():
 
 
 def test_errors_that_hardly_grow_any_more_are_followed_down_to_where_they_do():
-    """As on a synthetic airway, where powers alone tried seven weights above and kept one with a fifth of the cost."""
+    """As on a synthetic airway, where powers alone kept a weight that costs a fifth of what it may."""
     weight, grown = [0.03, 0.71, 1.55, 2.5, 5.4, 30.0], [0.0, 0.021, 0.072, 0.112, 0.124, 0.132]
 
     def judge(wall, found):

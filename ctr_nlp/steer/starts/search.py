@@ -19,9 +19,7 @@ from ctr_nlp.solvers.motion.judged import CLOSE, WIDE
 from ctr_nlp.steer.attempts import (
     Attempt,
     Report,
-    Task,
     attempt,
-    attempt_in_processes,
     best_of,
     distinct,
     no_worse,
@@ -31,6 +29,7 @@ from ctr_nlp.steer.attempts import (
 from ctr_nlp.steer.motions import filled, thinned, wandered
 from ctr_nlp.steer.passes import Forecast, Progress
 from ctr_nlp.steer.realised import realised
+from ctr_nlp.steer.starts.processes import Task, attempt_in_processes
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Index
 
