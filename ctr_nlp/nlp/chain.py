@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -16,6 +16,20 @@ from ctr_nlp.nlp.links import Link
 from ctr_nlp.nlp.nlp import Nlp, Residual
 from ctr_nlp.nlp.written import FrameFunctions
 from ctr_nlp.typing import Array, Flags, Index
+
+OF_ROWS = (
+    "linking",
+    "_transposed",
+    "_picked",
+    "bent",
+    "curved",
+    "offset",
+    "bounds",
+    "free",
+    "reached",
+    "_row_frames",
+)
+"""What is known of a chain's rows, and shared by all chains that have the same."""
 
 
 class Slopes(NamedTuple):
@@ -35,17 +49,18 @@ class _Evaluators:
     def __init__(self, functions: Callable[[], FrameFunctions], parameters: Array) -> None:
         self._functions, self._parameters = functions, parameters
         self._of: FrameFunctions | None = None
-        self._mapped = list[Mapped]()
+        self._mapped = dict[int, Mapped]()
 
-    def __call__(self) -> list[Mapped]:
-        """What the functions that are given now are for all frames."""
+    def __call__(self, which: int) -> Mapped:
+        """One of the three, counted from 0, as given now."""
         found = self._functions()
         if found is not self._of:
-            self._of = found
-            self._mapped = [Mapped(each, self._parameters.shape[1], found.lanes) for each in found[:3]]
-            for mapped in self._mapped:
-                mapped.inputs[1][:] = self._parameters.T
-        return self._mapped
+            self._of, self._mapped = found, {}
+        if which not in self._mapped:
+            mapped = Mapped(found[:3][which], self._parameters.shape[1], found.lanes)
+            mapped.inputs[1][:] = self._parameters.T
+            self._mapped[which] = mapped
+        return self._mapped[which]
 
 
 class Excess(NamedTuple):
@@ -110,11 +125,17 @@ class Chain:
         for name, value in values.items():
             columns = [each.ravel(order="F") for each in np.asarray(value)]
             parameters[self.frame.place(name)] = np.transpose(columns)
-        return replace(self, parameters=parameters)
+        return self._with(parameters=parameters)
 
     def with_cost(self, factor: float) -> Chain:
         """The same chain with the links' costs times a factor."""
-        return replace(self, links=tuple(replace(link, weight=link.weight * factor) for link in self.links))
+        return self._with(links=tuple(replace(link, weight=link.weight * factor) for link in self.links))
+
+    def _with(self, **changes: Any) -> Chain:
+        """The same chain with other parameters, costs or functions, which have no part in its rows."""
+        found = replace(self, **changes)
+        vars(found).update({name: getattr(self, name) for name in OF_ROWS})
+        return found
 
     def nearest(self, x: Array) -> Chain:
         """The chain that finds the point nearest to x (T n,), in mm, among those within all bounds.
@@ -202,11 +223,11 @@ class Chain:
     def as_given_now(self) -> Chain:
         """The same, with the functions that are given now: for whoever holds on to arrays that these write."""
         now = self.functions()
-        return replace(self, functions=lambda: now)
+        return self._with(functions=lambda: now)
 
     def evaluators(self) -> list[Mapped]:
-        """What evaluates value, slopes and expansion of all frames now."""
-        return self._evaluators()
+        """What evaluates values, and expansions, of all frames now."""
+        return [self._evaluators(0), self._evaluators(2)]
 
     @cached_property
     def _evaluators(self) -> _Evaluators:
@@ -214,7 +235,7 @@ class Chain:
 
     def frame_values(self, x: Array) -> list[Array]:
         """Objectives (T, 1) and constraints (T, m) of the frames at x; the next call overwrites them."""
-        return self._evaluators()[0](x)
+        return self._evaluators(0)(x)
 
     def frame_expansion(self, x: Array, multipliers: Array) -> list[Array]:
         """Second-order expansions of the frames at x; the next call overwrites them.
@@ -228,7 +249,7 @@ class Chain:
         if self.bent:
             _, linked = self._rows(x, self.frame_values(x)[1])
             of_frames = of_frames + (self._transposed @ (multipliers[end:] + 2 * self.weight * linked))[x.size :]
-        return self._evaluators()[2](x, np.ones(self.frames), of_frames)
+        return self._evaluators(2)(x, np.ones(self.frames), of_frames)
 
     def evaluate(self, x: Array) -> tuple[float, Array]:
         """The objective in mm^2 and the rows' values at x."""
@@ -250,7 +271,7 @@ class Chain:
 
     def slopes(self, x: Array) -> Slopes:
         """First derivatives at x."""
-        f, gradient, g, columns = self._evaluators()[1](x)
+        f, gradient, g, columns = self._evaluators(1)(x)
         value, linked = self._rows(x, g)
         jacobian = columns.reshape(self.frames, self.unknowns, -1).transpose(0, 2, 1).copy()
         pulls = np.concatenate([np.zeros(x.size + g.size), 2 * self.weight * linked])

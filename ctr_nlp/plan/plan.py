@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import functools
 import importlib.metadata
 import json
 import platform
 from dataclasses import replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -149,12 +148,6 @@ class Plan(Record):
             raise OutputError(f"{path} is not a plan: {error}") from error
 
 
-@functools.cache
-def _version() -> str:
-    """Of this package, as it is installed."""
-    return importlib.metadata.version("ctr_nlp")
-
-
 def plan_from_configurations(
     problem: Problem,
     q: Array,
@@ -198,12 +191,7 @@ def plan_from_configurations(
         | {
             "problem": {key: getattr(problem, key) for key in DESCRIBED},
             "robot": robot.to_dict(),
-            "versions": {
-                "ctr_nlp": _version(),
-                "casadi": ca.CasadiMeta.version(),
-                "numpy": np.__version__,
-                "python": platform.python_version(),
-            },
+            "versions": dict(versions()),
             "format": FORMAT,
         },
         lumen_radius=None if any(radius is None for radius in radii) else np.array(radii),
@@ -212,3 +200,14 @@ def plan_from_configurations(
         free=free,
         **found.arrays,
     )
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Of what a plan is made with."""
+    return {
+        "ctr_nlp": importlib.metadata.version("ctr_nlp"),
+        "casadi": ca.CasadiMeta.version(),
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }

@@ -1,4 +1,4 @@
-"""Solving one chain from several motions, one after the other or side by side in processes."""
+"""Solving one chain from a motion, and which of several attempts is the best."""
 
 from __future__ import annotations
 
@@ -6,29 +6,25 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ctr_nlp.formulations.horizon import Ends, horizon
-from ctr_nlp.formulations.terms import Term
-from ctr_nlp.formulations.wall import ROUNDS, SETTLED, Wall
-from ctr_nlp.models import Model
+from ctr_nlp.formulations.wall import ROUNDS, SETTLED
 from ctr_nlp.nlp.chain import Chain
-from ctr_nlp.robot import Robot
 from ctr_nlp.solvers import CHAIN_SOLVERS, FEASIBLE, ChainSolver, Iterate, Solution, Watch, default_chain_solver
-from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.solvers.motion.judged import NEAR, WIDE, judged
-from ctr_nlp.steer.passes import Progress
-from ctr_nlp.support.interrupt import deferred_interrupt
-from ctr_nlp.support.pool import side_by_side
-from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
 Report = Callable[[Iterate], None]
 
 TIE = 1e-9
 """Objectives that differ by this part are the same."""
+SAME = 1e-6
+"""Attempts whose objectives differ by less than this part are one."""
+SLOW = 0.9
+"""Where a chain holds near a motion only, slacks that two rounds bring no nearer than this to what is needed go to
+and fro between two places of the wall, and further rounds do not help."""
 LENGTHS = "order", "carriage gap", "clearance"
 """Constraints in mm."""
 
@@ -81,9 +77,15 @@ def best_of(attempts: Sequence[Attempt]) -> Attempt:
     return min(attempts, key=badness)
 
 
-def hopeless(attempts: Sequence[Attempt], bound: float) -> bool:
-    """Whether some attempt is a solution of an objective, mm^2, that is no more than a bound of another's."""
-    return any(one.solution.success and one.solution.objective <= bound for one in attempts)
+def distinct(attempts: Sequence[Attempt]) -> list[Attempt]:
+    """Attempts, best first, without those whose objective was met before."""
+    ranked = sorted(attempts, key=lambda one: (not one.solution.success, one.solution.objective))
+    objectives = [one.solution.objective for one in ranked]
+    return [
+        one
+        for k, one in enumerate(ranked)
+        if k == 0 or abs(objectives[k] - objectives[k - 1]) > SAME * (1 + abs(objectives[k]))
+    ]
 
 
 def failures(chain: Chain, one: Attempt) -> dict[str, str]:
@@ -114,15 +116,28 @@ def together(*reports: Report | None) -> Report | None:
     return report if known else None
 
 
-def within_limits(chain: Chain, x: Array) -> Array:
+class Start(NamedTuple):
+    """A motion x (T n,), its objective in mm^2, and by how much it leaves limits at most."""
+
+    x: Array
+    objective: float
+    violation: float
+
+
+def within_limits(chain: Chain, x: Array) -> Start:
     """The motion x (T n,) itself, or the one nearest to it that keeps all limits, where there is one.
 
     Where limits are curved, the nearest motion is as hard to find as the best: it is left to the solver.
     """
-    x = np.clip(x, chain.lower.ravel(), chain.upper.ravel())
-    if chain.curved or chain.violation(chain.evaluate(x)[1]) <= FEASIBLE:
-        return x
-    return CHAIN_SOLVERS[default_chain_solver()](chain.nearest(x))(x, Watch()).x
+    start = _start(chain, np.clip(x, chain.lower.ravel(), chain.upper.ravel()))
+    if chain.curved or start.violation <= FEASIBLE:
+        return start
+    return _start(chain, CHAIN_SOLVERS[default_chain_solver()](chain.nearest(start.x))(start.x, Watch()).x)
+
+
+def _start(chain: Chain, x: Array) -> Start:
+    objective, value = chain.evaluate(x)
+    return Start(x, objective, chain.violation(value))
 
 
 def attempt(
@@ -139,14 +154,16 @@ def attempt(
     Where a chain holds near a motion only, it is solved again around its solution until that needs the same slack.
     The result is never worse than the start.
     """
-    begin, tried, missing = time.perf_counter(), list[Attempt](), np.inf
+    begin, tried, missing = time.perf_counter(), list[Attempt](), list[float]()
     near, x0 = chain.around(motion)
-    while len(tried) < ROUNDS and missing > SETTLED and not (tried and (stop() or not tried[-1].solution.success)):
+    while (
+        len(tried) < ROUNDS and not settled(missing) and not (tried and (stop() or not tried[-1].solution.success))
+    ):
         known = np.concatenate([tried[-1].solution.lam_x, tried[-1].solution.lam_g]) if tried else None
         one = _solved(near, solver(near), x0, NEAR if tried else barrier, report, stop, known)
         near, x0 = chain.around(one.motion)
-        missing = float(abs(x0 - one.solution.x).max())
-        objective = near.evaluate(x0)[0] if missing > 0 else one.solution.objective
+        missing.append(float(abs(x0 - one.solution.x).max()))
+        objective = near.evaluate(x0)[0] if missing[-1] > 0 else one.solution.objective
         tried.append(replace(one, solution=replace(one.solution, objective=objective)))
     best = best_of(tried)
     iterations = sum(one.solution.iterations for one in tried)
@@ -156,6 +173,11 @@ def attempt(
         start_objective=tried[0].start_objective,
         seconds=time.perf_counter() - begin,
     )
+
+
+def settled(missing: Sequence[float]) -> bool:
+    """Whether slacks of the last round were what they had to be, mm, or two rounds have brought them no nearer."""
+    return bool(missing) and (missing[-1] <= SETTLED or missing[-1] > SLOW * [math.inf, math.inf, *missing][-3])
 
 
 def _solved(
@@ -171,10 +193,9 @@ def _solved(
 
     multipliers: of all rows, where a neighbouring chain's are known.
     """
-    x0 = within_limits(chain, x0)
-    objective, value = chain.evaluate(x0)
-    start = objective if chain.violation(value) <= FEASIBLE else np.inf
-    watch = Watch(report, stop, Iterate(0, objective, chain.violation(value), np.inf, x0))
+    x0, objective, violation = within_limits(chain, x0)
+    start = objective if violation <= FEASIBLE else np.inf
+    watch = Watch(report, stop, Iterate(0, objective, violation, np.inf, x0))
     solution = _kept(chain, solve(x0, watch, barrier, multipliers), watch, start)
     if not (solution.success or watch.best is None or stop()):
         again = _kept(chain, solve(watch.best.x, watch, NEAR), watch, start)
@@ -193,48 +214,3 @@ def _kept(chain: Chain, solution: Solution, watch: Watch, start: float) -> Solut
     x = np.clip(watch.best.x, chain.lower.ravel(), chain.upper.ravel())
     multipliers = np.concatenate([solution.lam_x, solution.lam_g])
     return judged(chain, x, multipliers, solution.status, solution.iterations)
-
-
-@dataclass(frozen=True)
-class Task:
-    """A chain and its solver, described so that another process can build them."""
-
-    robot: Robot
-    frames: tuple[Frame, ...]
-    dt: float
-    motion_weight: float
-    ends: Ends
-    solver: str
-    model: Model
-    stability_margin: float | None = None
-    wall: Wall | None = None
-    terms: tuple[Term, ...] = ()
-
-    def solve(self, motion: Array) -> Attempt:
-        """Solve from a motion, until Ctrl-C."""
-        at = self.robot, self.frames, self.dt, self.motion_weight, self.ends, self.model
-        chain = horizon(*at, fastest, self.stability_margin, self.wall, self.terms)
-        with deferred_interrupt() as interrupted:
-            return attempt(chain, CHAIN_SOLVERS[self.solver], motion, None, interrupted)
-
-
-def attempt_in_processes(
-    task: Task,
-    motions: Sequence[Array],
-    jobs: int,
-    progress: Progress | None,
-    seen: Report | None = None,
-) -> list[Attempt]:
-    """Solve from every motion, in up to so many processes at once; seen is told of each that is the best yet.
-
-    After Ctrl-C some may be missing.
-    """
-    found, best = dict[int, Attempt](), None
-    for number, one in side_by_side(task.solve, motions, min(jobs, len(motions))):
-        found[number] = one
-        if progress is not None:
-            progress(len(found), len(motions), f"starts, in {jobs} processes")
-        if seen is not None and (best is None or best_of([best, one]) is one):
-            best = one
-            seen(one.as_iterate())
-    return [found[number] for number in sorted(found)]

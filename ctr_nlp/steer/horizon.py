@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,9 +20,8 @@ from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
 from ctr_nlp.solvers import CHAIN_SOLVERS, default_chain_solver
 from ctr_nlp.solvers.compiled import fastest
-from ctr_nlp.steer.attempts import Attempt, Report, best_of, failures
-from ctr_nlp.steer.inside import MOST as WALLED
-from ctr_nlp.steer.inside import Outcome, affordable, distinct
+from ctr_nlp.steer.attempts import Attempt, Report, best_of, distinct, failures
+from ctr_nlp.steer.inside import Outcome, Tried, affordable, needed
 from ctr_nlp.steer.motions import per_frame_motions
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
@@ -145,13 +143,14 @@ class Horizon:
             )
             wall, free = None, None
             attempts: Sequence[Attempt] = []
+            every = bool(given or starts or exhaustive)
             if not interrupted():
                 ranked = search.ranked(found, starts or len(found))
-                every = bool(given or starts or exhaustive)
-                attempts = search.attempts(ranked) if every else self._likely(search, ranked)
+                attempts = search.attempts(ranked) if every else search.likely(ranked)
             if self._wall is not None and not interrupted():
                 free = self._q(best_of(attempts).motion)
-                wall, attempts = self._kept_inside(self._wall, search, attempts, given)
+                tried = [one.motion for one in distinct(attempts)] if every else [best_of(attempts).motion]
+                wall, attempts = self._kept_inside(self._wall, search, attempts, [*tried, *given])
             work = {"search_s": between - begin, "solve_s": time.perf_counter() - between}
             stopped = interrupted()
         options = settings.options() | {"motion_weight": weight, "starts": starts}
@@ -163,39 +162,24 @@ class Horizon:
         meta["contact_weight"] = None if wall is None else wall.weight
         return self._plan(search.near(wall), found[0], attempts, free, meta)
 
-    def _likely(self, search: Search, ranked: Sequence[Array]) -> list[Attempt]:
-        """What comes of the best of motions; where a wall is to be kept, of all that differ: any may fit."""
-        return search.likely(ranked) if self._wall is None else search.likely(ranked, WALLED, math.inf)
-
     def _kept_inside(
-        self, wall: Wall, search: Search, free: Sequence[Attempt], given: Sequence[Array]
+        self, wall: Wall, search: Search, free: Sequence[Attempt], motions: Sequence[Array]
     ) -> tuple[Wall | None, Sequence[Attempt]]:
-        """Attempts within a wall, from those free of it and from given motions, and the wall that they afford.
-
-        Those free of it where none within the wall keeps e3 and its frames, as far as was tried. A motion is left
-        out that costs more without the wall than another does within it.
+        """Attempts within a wall from motions, and the wall that they afford; those free of it where none within
+        the wall keeps e3 and its frames, as far as was tried.
         """
-        others, best = distinct(free), best_of(free)
-        motions = [*(one.motion for one in others), *given]
-        bounds = [one.solution.objective for one in others]
 
-        def solve(tried: Wall) -> list[Attempt]:
-            attempts = search.attempts(motions, tried, bounds)
-            found = best_of(attempts)
-            if bounds and not found.made:
-                attempts = search.attempts(motions, tried)
-                found = best_of(attempts)
-            bounds.clear()
-            motions[:] = [best.motion, found.motion] if found.made else [best.motion]
-            return attempts
-
-        def outcome(attempts: Sequence[Attempt]) -> Outcome:
-            one = best_of(attempts)
+        def outcome(one: Attempt) -> Outcome:
             success = np.full(self.problem.frames, one.solution.success)
             return Outcome.of(self.problem, wall.model, self._q(one.motion), one.motion, success)
 
-        least, cost = outcome(free), self._settings.affordable()
-        kept = affordable(wall, solve, lambda attempts: outcome(attempts).affords(least, cost), search.stop)
+        def judge(tried: Wall, attempts: Sequence[Attempt]) -> Tried:
+            best = best_of(attempts)
+            multipliers = best.solution.lam_x.reshape(self.problem.frames, -1)[:, -1]
+            return needed(tried, multipliers), outcome(best).growth(least)
+
+        least, cost = outcome(best_of(free)), self._settings.affordable()
+        kept = affordable(wall, lambda tried: search.attempts(motions, tried), judge, cost, search.stop)
         return (None, free) if kept is None else kept
 
     def _q(self, motion: Array) -> Array:

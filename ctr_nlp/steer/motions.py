@@ -55,15 +55,17 @@ def per_frame_motions(
 def _best_first(passes: Sequence[Pass], problem: Problem, model: Model, alike: float) -> list[Pass]:
     """Runs, least bad first, the others by their objectives; alike: part by which errors differ from these."""
     ranked = sorted(passes, key=lambda one: one.cost(problem))
-    (failed, objective), bounds = ranked[0].cost(problem), list[tuple[int, float]]()
-    most = failed, objective * (1 + alike) ** 2 + MOVED
-    for one in ranked:  # a robot that is elsewhere than planned is no nearer to its target
-        cost = one.cost(problem)
-        bounds.append(one.planned(problem, model) if cost <= most else (cost[0], cost[1] / (1 + alike) - MOVED))
+    costs = [one.cost(problem) for one in ranked]
+    most = costs[0][0], costs[0][1] * (1 + alike) ** 2 + MOVED
+    bounds = [  # a robot that is elsewhere than planned is no nearer to its target
+        one.planned(problem, model) if cost <= most else (cost[0], cost[1] / (1 + alike) - MOVED)
+        for one, cost in zip(ranked, costs, strict=True)
+    ]
     best, least = 0, (problem.frames + 1, math.inf)
     for k in sorted(range(len(bounds)), key=bounds.__getitem__):
         if bounds[k] < least:
-            badness = ranked[k].badness(problem, model)
+            known = costs[k] <= most and not model.several_equilibria
+            badness = bounds[k] if known else ranked[k].badness(problem, model)
             best, least = (k, badness) if badness < least else (best, least)
     return [ranked[best], *ranked[:best], *ranked[best + 1 :]]
 

@@ -32,7 +32,7 @@ RETRY_STARTS = 8
 """Further starts for a frame on which the solver failed."""
 TWIN_ROOM = 0.3
 """Least distance in rad from the limits of tilt at which the other way to write a shape is tried too."""
-STRETCH = 16
+STRETCH = 50
 """Frames that are solved in one call; between calls, progress is told and Ctrl-C is heeded."""
 DEFAULTS = Settings()
 

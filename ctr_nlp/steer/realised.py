@@ -15,15 +15,13 @@ from ctr_nlp.plan.plan import elsewhere
 from ctr_nlp.robot import Robot
 from ctr_nlp.solvers import FEASIBLE, ChainSolver
 from ctr_nlp.solvers.motion.judged import CLOSE
-from ctr_nlp.steer.attempts import Attempt, attempt
+from ctr_nlp.steer.attempts import SAME, Attempt, attempt
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.passes import Pass
 from ctr_nlp.typing import Array
 
 TRIED = 3
 """Best attempts that are looked at; more where none of them is made."""
-SAME = 1e-6
-"""Attempts whose objectives differ by less than this part are one."""
 ROUNDS = 6
 """Times that margins of frames are raised for what is missing between them."""
 SHORT = 0.005

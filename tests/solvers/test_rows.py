@@ -407,7 +407,7 @@ def test_a_constraint_that_is_not_a_number_is_no_small_violation(k):
     assert np.isfinite(before).all()
     shifts = np.zeros(chain.frames)
     shifts[k] = np.nan
-    for mapped in chain._evaluators():
+    for mapped in map(chain._evaluators, range(3)):
         mapped.inputs[1][:, -1] = shifts
     after, _ = rows.expand()
     assert np.isnan([after.violation, after.gap, after.error(0.0), after.error(0.3)]).all()
@@ -422,7 +422,7 @@ def test_an_objective_that_is_not_a_number_is_none(k, constrained):
     chain = chain_of(np.random.default_rng(4), constrained=constrained, fixed=0.0)
     rows, _ = placed(chain, np.random.default_rng(4))
     chain.parameters[0, k] = np.nan
-    for mapped in chain._evaluators():
+    for mapped in map(chain._evaluators, range(3)):
         mapped.inputs[1][:] = chain.parameters.T
     found, _ = rows.expand()
     assert np.isnan([found.objective, found.stationarity, found.error(0.0)]).all()

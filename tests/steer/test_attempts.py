@@ -21,15 +21,15 @@ from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.solvers.motion.judged import judged
 from ctr_nlp.steer.attempts import (
     Attempt,
-    Task,
     attempt,
-    attempt_in_processes,
     best_of,
+    distinct,
     failures,
-    hopeless,
     no_worse,
+    settled,
 )
 from ctr_nlp.steer.motions import wandered
+from ctr_nlp.steer.starts.processes import Task, attempt_in_processes
 from ctr_nlp.support.interrupt import deferred_interrupt
 
 START = np.array([3, 3, 3, 20, 20, 30, 0, 0.0])
@@ -322,12 +322,17 @@ def test_the_best_of_several_attempts(attempts, best):
     assert best_of(several) is several[best]
 
 
-def test_what_is_bounded_by_a_solution_that_is_known_is_hopeless():
-    known = [made(3.0, True, 5.0), made(1.0, False, 5.0)]
-    assert hopeless(known, 3.0)
-    assert hopeless(known, 4.0)
-    assert not hopeless(known, 2.9)
-    assert not hopeless([], 1e9)
+def test_attempts_are_distinct_by_their_objectives_and_come_best_first():
+    several = [made(3.0, True, 5.0), made(1.0, False, 5.0), made(2.0, True, 5.0), made(3.0 + 1e-7, True, 5.0)]
+    assert distinct(several) == [several[2], several[0], several[1]]
+
+
+def test_rounds_end_once_slacks_are_what_they_have_to_be_or_go_to_and_fro():
+    assert not settled([])
+    assert not settled([0.3, 0.4])
+    assert settled([0.3, 0.009])
+    assert not settled([0.3, 0.4, 0.2])
+    assert settled([0.3, 0.4, 0.28])
 
 
 def test_a_solution_has_no_failures(chain, solution):

@@ -10,7 +10,8 @@ from ctr_nlp import Problem, Settings, growing, solve_horizon, solve_per_frame, 
 from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.models import MODELS
 from ctr_nlp.plan.account import remarks
-from ctr_nlp.steer.inside import BISECTIONS, LIGHTEST, Outcome, affordable
+from ctr_nlp.plan.verdicts import ROUNDING
+from ctr_nlp.steer.inside import LIGHTEST, NEAR, TRIES, Outcome, affordable, needed
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.starts import search
 from ctr_nlp.target.lumen import Lumen
@@ -21,60 +22,113 @@ BOTH = pytest.mark.parametrize("solve", [solve_horizon, solve_per_frame])
 NO_WALL = Settings(contact_weight=0.0)
 
 
-def never():
-    return False
-
-
 # The weight of contact
 
 
-def test_the_whole_weight_is_taken_where_it_will_do():
-    assert affordable(WALL, lambda wall: wall.weight, lambda weight: True, never) == (WALL, 30.0)
+def power(exponent, whole, flat=np.inf):
+    """Errors that grow with a power of the weight until contact has gone, and by so much with the whole one."""
+
+    def judge(wall, weight):
+        held = min(weight, flat)
+        return held, whole * (held / min(WALL.weight, flat)) ** exponent
+
+    return judge
 
 
-@pytest.mark.parametrize("most", [0.05, 1.0, 29.0])
-def test_else_the_largest_weight_that_will_do_is_bisected_for(most):
-    wall, found = affordable(WALL, lambda wall: wall.weight, lambda weight: weight <= most, never)
-    assert wall.weight == found <= most
-    assert found * LIGHTEST ** (-1 / 2**BISECTIONS) > most
-
-
-def test_where_not_even_the_lightest_will_do_there_is_none():
-    tried = []
-    assert affordable(WALL, lambda wall: tried.append(wall.weight), lambda _: False, never) is None
-    assert tried == [30.0, pytest.approx(30.0 * LIGHTEST)]
-
-
-@pytest.mark.parametrize("solved", range(4))
-def test_an_interruption_leaves_only_what_will_do(solved):
-    """Weights of up to 1 will do; Ctrl-C comes after so many."""
+def weights(judge, cost, stop=lambda tried: False):
+    """The weight that is kept, None for none, and those that are tried."""
     tried = []
 
     def solve(wall):
         tried.append(wall.weight)
         return wall.weight
 
-    found = affordable(WALL, solve, lambda weight: weight <= 1.0, lambda: len(tried) >= solved)
-    assert found is None if solved < 2 else found[1] <= 1.0
+    kept = affordable(WALL, solve, judge, cost, lambda: stop(tried))
+    return None if kept is None else kept[1], tried
+
+
+def test_the_whole_weight_is_taken_where_errors_grow_by_little_enough():
+    assert weights(power(1.0, 0.1), 0.1) == (30.0, [30.0])
+
+
+@pytest.mark.parametrize("exponent", [0.5, 0.8, 1.0, 1.5])
+@pytest.mark.parametrize("whole", [0.11, 0.7, 1.5])
+@pytest.mark.parametrize("flat", [10.0, np.inf])
+def test_else_one_at_which_errors_grow_by_nearly_all_that_they_may(exponent, whole, flat):
+    judge = power(exponent, whole, flat)
+    found, tried = weights(judge, 0.1)
+    assert NEAR * 0.1 <= judge(WALL, found)[1] <= 0.1
+    assert len(tried) <= 5
+
+
+def test_a_weight_without_which_contact_has_gone_is_not_tried():
+    """From 2 mm^2 a mm on, errors are the same."""
+    assert max(weights(power(0.7, 0.2, 2.0), 0.1)[1][1:]) < 2.0
+
+
+def test_errors_that_hardly_grow_any_more_are_followed_down_to_where_they_do():
+    """As on a synthetic airway, where powers alone kept a weight that costs a fifth of what it may."""
+    weight, grown = [0.03, 0.71, 1.55, 2.5, 5.4, 30.0], [0.0, 0.021, 0.072, 0.112, 0.124, 0.132]
+
+    def judge(wall, found):
+        return found, float(np.interp(found, weight, grown))
+
+    assert 0.075 <= judge(WALL, weights(judge, 0.1)[0])[1] <= 0.1
+
+
+def test_where_errors_jump_the_largest_of_few_weights_at_which_they_may_is_kept():
+    found, tried = weights(lambda wall, weight: (weight, 0.01 if weight < 1.0 else 0.5), 0.1)
+    assert len(tried) == TRIES + 1
+    assert found == max(weight for weight in tried if weight < 1.0) > 0.5
+
+
+@pytest.mark.parametrize("grown", [np.nan, 9.0])
+def test_where_not_even_the_lightest_will_do_there_is_none(grown):
+    found, tried = weights(lambda wall, weight: (weight, grown), 0.1)
+    assert found is None
+    assert min(tried) >= 30.0 * LIGHTEST
+
+
+def test_where_nothing_is_solved_with_the_whole_weight_the_lightest_is_next():
+    found, tried = weights(lambda wall, weight: (weight, 0.002 * weight if weight < 20 else np.nan), 1e3)
+    assert tried[1] == pytest.approx(30.0 * LIGHTEST)
+    assert 10 < found < 20
+
+
+@pytest.mark.parametrize("solved", range(4))
+def test_an_interruption_leaves_only_what_will_do(solved):
+    """Ctrl-C comes after so many."""
+    judge = power(0.7, 5.0)
+    found, tried = weights(judge, 0.1, lambda tried: len(tried) >= solved)
+    assert found is None or judge(WALL, found)[1] <= 0.1
     assert len(tried) == max(solved, 1)
 
 
+def test_the_weight_that_is_needed_is_what_clearance_pulls_with_where_nothing_touches():
+    assert needed(WALL, np.array([-30.0, -28.0, -25.5])) == 4.5
+    assert needed(WALL, np.array([-30.0, 0.0])) == WALL.weight
+
+
 @pytest.mark.parametrize(
-    ("failed", "e2", "cost", "expected"),
+    ("failed", "e2", "expected"),
     [
-        (0, [1.1, 1.1], 0.1, True),
-        (0, [1.2, 1.1], 0.1, False),
-        (0, [9.0, 9.0], np.inf, True),
-        (1, [1.0, 1.0], np.inf, False),
-        (0, [0.5, np.nan], 0.1, True),
-        (0, [1.5, np.nan], 0.1, False),
-        (0, [np.nan, np.nan], 0.1, False),
+        (0, [1.1, 1.1], 0.1),
+        (0, [9.0, 9.0], 8.0),
+        (1, [1.0, 1.0], np.nan),
+        (0, [0.5, np.nan], -0.5),
+        (0, [np.nan, np.nan], np.nan),
     ],
 )
-def test_a_motion_will_do_where_no_more_frames_fail_and_e3_is_as_promised(failed, e2, cost, expected):
-    """e3 is compared over the frames whose shape is known."""
-    free = Outcome(0, np.array([1.0, 1.0]))
-    assert Outcome(failed, np.array(e2)).affords(free, cost) == expected
+def test_growth_is_that_of_e3_where_no_more_frames_fail(failed, e2, expected):
+    """e3 is compared over the frames whose shape is known; what rounding may be does not count."""
+    grown = Outcome(failed, np.array(e2)).growth(Outcome(0, np.array([1.0, 1.0])))
+    assert grown == pytest.approx(expected - ROUNDING, nan_ok=True)
+
+
+def test_a_motion_without_errors_may_grow_by_no_more_than_rounding():
+    free = Outcome(0, np.zeros(2))
+    assert Outcome(0, np.full(2, 0.9 * ROUNDING)).growth(free) <= 0.0
+    assert Outcome(0, np.full(2, 1.1 * ROUNDING)).growth(free) > 0.1
 
 
 # Plans

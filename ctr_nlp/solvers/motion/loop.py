@@ -61,7 +61,7 @@ class Loop:
         """
         self._chain = chain = chain.as_given_now()
         self.rows, self._told = Rows(chain), np.zeros(chain.lower.size)
-        values, _, expansion = chain.evaluators()
+        values, expansion = chain.evaluators()
         self._mapped = [each.in_c(address(each.function)) for each in (values, expansion)]
         inputs = values.inputs[0], expansion.inputs[0], expansion.inputs[3]
         hessian = expansion.outputs[4]

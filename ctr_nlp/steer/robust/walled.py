@@ -131,7 +131,7 @@ class Walled:
         """Whether a motion over all frames is one, and costs no more than it may."""
         if not tried.shared or self._growth(tried.solution, slice(None)) > self.cost:
             return False
-        return self._outcome(tried).affords(self._free, self.cost)
+        return self._outcome(tried).growth(self._free) <= self.cost
 
     @cached_property
     def _free(self) -> Outcome:

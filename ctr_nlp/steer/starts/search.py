@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,19 +19,17 @@ from ctr_nlp.solvers.motion.judged import CLOSE, WIDE
 from ctr_nlp.steer.attempts import (
     Attempt,
     Report,
-    Task,
     attempt,
-    attempt_in_processes,
     best_of,
-    hopeless,
+    distinct,
     no_worse,
     together,
     within_limits,
 )
-from ctr_nlp.steer.inside import distinct
 from ctr_nlp.steer.motions import filled, thinned, wandered
 from ctr_nlp.steer.passes import Forecast, Progress
 from ctr_nlp.steer.realised import realised
+from ctr_nlp.steer.starts.processes import Task, attempt_in_processes
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Index
 
@@ -48,6 +45,9 @@ LIKELY = 0.05
 """A draft whose objective is above the best one's by no more than this part may still lead to a better motion."""
 MOST = 3
 """Drafts that are solved for all frames."""
+FEW, PROMISING = 3, 0.3
+"""Of so many motions, the best ones, a draft is made; of others where their objective is above the best one's by
+no more than this part."""
 
 
 @dataclass(frozen=True)
@@ -92,49 +92,39 @@ class Search:
     def ranked(self, motions: Sequence[Array], count: int) -> list[Array]:
         """The best of motions in the horizon's own objective, then random changes of the very best."""
         free = self.near(None)
-        kept = sorted(
-            (within_limits(*free.around(motion)) for motion in motions), key=lambda x: free.evaluate(x)[0]
-        )
-        ranked = [free.robot_of(x) for x in kept]
+        kept = sorted((within_limits(*free.around(motion)) for motion in motions), key=lambda one: one.objective)
+        ranked = [free.robot_of(one.x) for one in kept]
         changes = wandered(self.problem.robot, ranked[0], self.settings.seed)
         return list(itertools.islice(itertools.chain(ranked, changes), count))
 
-    def attempts(
-        self, motions: Sequence[Array], wall: Wall | None = None, bounds: Sequence[float] = ()
-    ) -> list[Attempt]:
-        """What comes of motions near a wall, or far from any; on the elastic model, that the robot makes.
-
-        bounds: objectives of the first motions, mm^2, that nothing that comes of these falls below; where motions
-        are solved one after the other, those are left out that something better is known for.
-        """
+    def attempts(self, motions: Sequence[Array], wall: Wall | None = None) -> list[Attempt]:
+        """What comes of motions near a wall, or far from any; on the elastic model, that the robot makes."""
         chain, count = self.near(wall), len(motions)
         found = list[Attempt]()
         if self.jobs > 1 and count > 1:
             own = self.solver, self.model, self.settings.stability_margin, wall, self.terms
             task = Task(self.problem.robot, self.problem.samples, self.problem.dt, self.weight, self.ends, *own)
             found = attempt_in_processes(task, motions, self.jobs, self.progress, self.seen)
-        least = [*bounds, *itertools.repeat(-math.inf, count - len(bounds))]
         for number, motion in enumerate(() if found else motions, start=1):
             if found and self.stop():
                 break
-            if not hopeless(found, least[number - 1]):
-                found.append(self._attempt(chain, motion, number, count))
+            found.append(self._attempt(chain, motion, number, count))
         return self._made(chain, found)
 
-    def likely(self, motions: Sequence[Array], most: int = MOST, part: float = LIKELY) -> list[Attempt]:
+    def likely(self, motions: Sequence[Array]) -> list[Attempt]:
         """What comes of those motions that promise most; motions are given best first.
 
-        All are solved for some of the frames, and the best of these drafts for all frames: at most so many
-        distinct ones whose objective is within a part of the best one's. Where none of them leads to a solution
-        that is made, and that is at least as good as the best motion was already, all motions are solved.
+        The best ones are solved for some of the frames, and the best of these drafts for all frames: at most MOST
+        distinct ones whose objective is within a part LIKELY of the best one's. Where none of them leads to a
+        solution that is made, and that is at least as good as the best motion was already, all motions are solved.
         """
         picked = drafted(self.problem.frames)
         if len(picked) == self.problem.frames:
             return self.attempts(motions)
         drafts, chain = self._drafts(motions, picked), self.near(None)
         found = list[Attempt]()
-        for draft in drafts[:most]:
-            far = draft.solution.objective > (1 + part) * drafts[0].solution.objective
+        for draft in drafts[:MOST]:
+            far = draft.solution.objective > (1 + LIKELY) * drafts[0].solution.objective
             if self.stop() or (found and far):
                 break
             whole = self._refined(draft.motion, picked)
@@ -167,12 +157,16 @@ class Search:
         return horizon(*at, fastest, self.settings.stability_margin, extra=self.terms)
 
     def _drafts(self, motions: Sequence[Array], picked: Index) -> list[Attempt]:
-        """Distinct solutions for picked frames, from as many motions, best first."""
+        """Distinct solutions for picked frames, from motions that promise one, best first."""
         chain, found = self._thin(picked), list[Attempt]()
-        for number, motion in enumerate(motions, start=1):
+        thinner = [motion[picked] for motion in motions]
+        objectives = [chain.evaluate(chain.around(motion)[1])[0] for motion in thinner]
+        far = (1 + PROMISING) * min(objectives)
+        kept = [motion for k, motion in enumerate(thinner) if k < FEW or objectives[k] <= far]
+        for number, motion in enumerate(kept, start=1):
             if self.stop():
                 break
-            found.append(self._attempt(chain, motion[picked], number, len(motions)))
+            found.append(self._attempt(chain, motion, number, len(kept)))
         return [one for one in distinct(found) if one.solution.success]
 
     def _attempt(self, chain: Chain, motion: Array, number: int, count: int, barrier: float = WIDE) -> Attempt:

@@ -1,0 +1,65 @@
+"""Attempts side by side in processes: what of a chain and its solver is handed to them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ctr_nlp.formulations.horizon import Ends, horizon
+from ctr_nlp.formulations.terms import Term
+from ctr_nlp.formulations.wall import Wall
+from ctr_nlp.models import Model
+from ctr_nlp.robot import Robot
+from ctr_nlp.solvers import CHAIN_SOLVERS
+from ctr_nlp.solvers.compiled import fastest
+from ctr_nlp.steer.attempts import Attempt, Report, attempt, best_of
+from ctr_nlp.steer.passes import Progress
+from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.support.pool import side_by_side
+from ctr_nlp.target.target import Frame
+from ctr_nlp.typing import Array
+
+
+@dataclass(frozen=True)
+class Task:
+    """A chain and its solver, described so that another process can build them."""
+
+    robot: Robot
+    frames: tuple[Frame, ...]
+    dt: float
+    motion_weight: float
+    ends: Ends
+    solver: str
+    model: Model
+    stability_margin: float | None = None
+    wall: Wall | None = None
+    terms: tuple[Term, ...] = ()
+
+    def solve(self, motion: Array) -> Attempt:
+        """Solve from a motion, until Ctrl-C."""
+        at = self.robot, self.frames, self.dt, self.motion_weight, self.ends, self.model
+        chain = horizon(*at, fastest, self.stability_margin, self.wall, self.terms)
+        with deferred_interrupt() as interrupted:
+            return attempt(chain, CHAIN_SOLVERS[self.solver], motion, None, interrupted)
+
+
+def attempt_in_processes(
+    task: Task,
+    motions: Sequence[Array],
+    jobs: int,
+    progress: Progress | None,
+    seen: Report | None = None,
+) -> list[Attempt]:
+    """Solve from every motion, in up to so many processes at once; seen is told of each that is the best yet.
+
+    After Ctrl-C some may be missing.
+    """
+    found, best = dict[int, Attempt](), None
+    for number, one in side_by_side(task.solve, motions, min(jobs, len(motions))):
+        found[number] = one
+        if progress is not None:
+            progress(len(found), len(motions), f"starts, in {jobs} processes")
+        if seen is not None and (best is None or best_of([best, one]) is one):
+            best = one
+            seen(one.as_iterate())
+    return [found[number] for number in sorted(found)]
