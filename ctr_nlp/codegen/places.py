@@ -116,7 +116,7 @@ def _pause(whole: Whole) -> str:
 
 
 def _called(whole: Whole) -> str:
-    """The function as it is called from outside, without what is found on the way."""
+    """The function as it is called from outside, and by casadi.external, without what is found on the way."""
     function, early = whole.function, whole.early
     inputs, outputs = function.n_in() - 1, function.n_out() - early
     sizes = ", ".join(f"found_{k}[{max(function.numel_out(k), 1)}]" for k in range(early))
@@ -129,4 +129,8 @@ int {whole.name}(const double **arg, double **res, long long *iw, double *w, int
     double *all_found[] = {{{found}}};
     return {function.name()}(given, all_found, iw, w, mem);
 }}
+long long {whole.name}_n_in(void) {{ return {inputs}; }}
+long long {whole.name}_n_out(void) {{ return {outputs}; }}
+const long long *{whole.name}_sparsity_in(long long i) {{ return {function.name()}_sparsity_in(i); }}
+const long long *{whole.name}_sparsity_out(long long i) {{ return {function.name()}_sparsity_out(i + {early}); }}
 """
