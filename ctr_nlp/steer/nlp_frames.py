@@ -158,12 +158,14 @@ class NlpFrames:
         than half a turn from the innermost: a robot comes there from where all its tubes are aligned.
         """
         d, q, x = self.problem.robot.d, result.q.copy(), result.x
-        if abs(q[:d]).max() <= 2 * np.pi:
+        if x is None and abs(q[:d]).max() <= 2 * np.pi:
             return result
         turns = np.round(q[:d] / (2 * np.pi))
         if x is not None:
             own = np.append(np.round(x[: d - 1] / (2 * np.pi)), turns[-1])
             x, turns = x - 2 * np.pi * np.pad(own, (0, len(x) - d)), np.append(own[:-1] + own[-1], own[-1])
+        if not turns.any():
+            return result
         q[:d] -= 2 * np.pi * turns
         return replace(result, q=q, x=x, warm=None) if self._allowed(q) else result
 

@@ -25,11 +25,14 @@ from ctr_nlp.target.curve import Curve, curve_from_formula
 from ctr_nlp.target.target import SIGMA, growing
 from ctr_nlp.typing import Array
 
+MOST_ITERATIONS = 60
+"""Of a step: a target that needs more is not waited for, since the next one comes soon."""
+
 
 class Steerer:
     """The joint formulation in a loop at run time: everything is built once, and a step solves one frame.
 
-    A step is a few tens of microseconds of compiled code, and at most sqp.c's MOST_ITERATIONS of some ten
+    A step is a few tens of microseconds of compiled code, and at most MOST_ITERATIONS of some ten to forty
     microseconds each. It never leaves limits of position and speed: where no better configuration is found, the
     robot stays where it is. Not for two threads at once: one for each.
     """
@@ -67,7 +70,7 @@ class Steerer:
         x, reach = described.rest(robot, q), reach_of(robot, dt, described.several_equilibria)
         straight = growing(curve_from_formula(lambda u: (0.0, 0.0, u), 0.0, 1.0), 1).sample()[0]
         root = math.sqrt(settings.motion_weight) / dt
-        self._run = run = Run(Program(stage.nlp, wait=True), 1, math.inf, goes_on=True)
+        self._run = run = Run(Program(stage.nlp, wait=True, most=MOST_ITERATIONS), 1, math.inf, goes_on=True)
         values = {**stage.fill(straight, q), "motion_root": root}
         if self._wall is not None:
             run.keep_near(_described(self._wall))

@@ -26,7 +26,7 @@ from ctr_nlp.nlp.nlp import Constraint, Cost, Nlp, Residual, kkt_residual
 from ctr_nlp.solvers import FEASIBLE, SOLVERS, Solution
 from ctr_nlp.solvers.frame import sqp
 from ctr_nlp.solvers.frame.adapter import OPTIMAL
-from ctr_nlp.solvers.frame.program import TOLERANCE, Program
+from ctr_nlp.solvers.frame.program import MOST_ITERATIONS, TOLERANCE, Program
 from ctr_nlp.solvers.frame.sqp import STATUS, Sqp
 from ctr_nlp.steer.nlp_frames import NlpFrames
 
@@ -383,7 +383,7 @@ def test_what_is_not_a_number_ends_without_success(n, m, bad):
     getattr(program, bad)[0 if bad != "p" else n * n] = np.nan
     found = program.run()
     assert not found.kkt <= OPTIMAL
-    assert 0 <= found.iterations <= 60
+    assert 0 <= found.iterations <= MOST_ITERATIONS
 
 
 CURVED = pytest.mark.parametrize("curved", [False, True], ids=["linear", "curved"])
@@ -580,11 +580,11 @@ int main(void) {
         }
         if (k % 50 == 49) *(double *[]){p, x, lower, multipliers}[k / 50 % 4] = NAN;
         rows = k % 3 ? 2 : 0;
-        Program o = {3, rows, value, slopes, expansion, p, lower, upper, 1e-6, x, multipliers, found,
+        Program o = {3, rows, value, slopes, expansion, p, lower, upper, 1e-6, 60, x, multipliers, found,
                      0, 0, 0, 0, 0, 0, 0};
         sqp(&o);
         ++count[o.status];
-        if (o.iterations > MOST_ITERATIONS || (o.status == SOLVED && !(o.kkt <= 1e-6))) ++lost;
+        if (o.iterations > o.most || (o.status == SOLVED && !(o.kkt <= 1e-6))) ++lost;
         double sum = rows ? x[0] + x[1] + x[2] - found[4] : 0;
         if (o.status == SOLVED && (memcmp(found, x, sizeof x) || fabs(sum) > 1e-12)) ++lost;
     }

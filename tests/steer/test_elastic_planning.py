@@ -33,6 +33,7 @@ from ctr_nlp.cli.commands.plan import horizon as solve_horizon_program
 from ctr_nlp.cli.commands.plan import steer as solve_per_frame_program
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations import FORMULATIONS
+from ctr_nlp.formulations.frames import FrameResult, starts
 from ctr_nlp.formulations.terms import ShapeDistance
 from ctr_nlp.formulations.terms.feasible import CLEAR
 from ctr_nlp.models import MODELS
@@ -42,6 +43,7 @@ from ctr_nlp.plan.plan import Plan
 from ctr_nlp.reference import METHODS
 from ctr_nlp.reference.published import SEED_ELASTIC
 from ctr_nlp.solvers import compiled
+from ctr_nlp.solvers.frame.sqp import FALLBACK
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.studies.comparison import parse_variant, variants_here
 
@@ -475,6 +477,29 @@ def test_programs_refuse_a_margin_before_solving(tmp_path, capsys, program, marg
     assert run(program, "arc", "--model", "elastic", "--stability-margin", margin, "--out", out) == 2
     assert message in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_searches_from_far_away_end_without_another_solver():
+    """Rows that pressed hard at the start must not keep steps short along curved rows for good."""
+    problem = named("cos")
+    frames = NlpFrames.of(problem, model="elastic")
+    for frame in (24, 49, 74, 99):
+        for guess in starts(problem.robot, problem.samples[frame], 16):
+            found = frames.again(frame, FrameResult(guess, x=frames._unknowns(guess)))
+            assert found.success
+            assert FALLBACK not in found.status, (frame, guess, found.status)
+
+
+@pytest.mark.parametrize("turned", [0, 1])
+def test_a_tube_that_a_search_turned_once_with_its_tip_is_turned_back(turned):
+    """Rounding must not decide it: a whole turn is as far as the limits of what searches leave alone."""
+    problem = named("synthesis")
+    frames = NlpFrames.of(problem, model="elastic")
+    found = frames.search(problem.frames - 1)[0]
+    whole = 2 * np.pi * (1 - 1e-12) * np.eye(8)[turned]
+    back = frames._unwound(replace(found, q=found.q + whole, x=found.x + whole, warm=None))
+    assert abs(back.x[:2]).max() < np.pi
+    np.testing.assert_allclose(back.q, found.q, atol=1e-9)
 
 
 @pytest.mark.parametrize("turns", [(2, -3, 1), (0, 0, -3), (-2, -2, -2)])

@@ -16,6 +16,8 @@ from ctr_nlp.typing import Array
 
 TOLERANCE = 1e-6
 """Largest KKT residual at a solution, mm^2 per unit of x."""
+MOST_ITERATIONS = 200
+"""After which a program ends without a solution: one that IPOPT solves instead takes as long as a thousand."""
 NAMES = FrameFunctions._fields[:3]
 
 _Numbers = ctypes.POINTER(ctypes.c_double)
@@ -43,6 +45,7 @@ class Outcome(ctypes.Structure):
         *((name, ctypes.c_long) for name in ("n", "m")),
         *((name, ctypes.c_void_p) for name in (*NAMES, "p", "lower", "upper")),
         ("tolerance", ctypes.c_double),
+        ("most", ctypes.c_long),
         *((name, ctypes.c_void_p) for name in ("x", "multipliers", "rows")),
         *((name, ctypes.c_double) for name in ("objective", "kkt", "violation")),
         *((name, ctypes.c_long) for name in ("iterations", "expansions", "evaluations", "status")),
@@ -57,8 +60,11 @@ class Program:
     solution. functions: their addresses, by name.
     """
 
-    def __init__(self, nlp: Nlp, wait: bool = False) -> None:
-        """Build; wait: until the functions are compiled. Raises OptionError where nothing can be compiled."""
+    def __init__(self, nlp: Nlp, wait: bool = False, most: int = MOST_ITERATIONS) -> None:
+        """Build; wait: until the functions are compiled. most: iterations of a run.
+
+        Raises OptionError where nothing can be compiled.
+        """
         n, m = nlp.x.numel(), nlp.g.numel()
         low, high = nlp.g_bounds
         self.nlp = nlp
@@ -67,7 +73,7 @@ class Program:
         self.rows = np.zeros(n + m)
         given = (array.ctypes.data for array in (self.p, self.lower, self.upper))
         found = (array.ctypes.data for array in (self.x, self.multipliers, self.rows))
-        self._sizes, self._places = (n, m), (*given, TOLERANCE, *found)
+        self._sizes, self._places = (n, m), (*given, TOLERANCE, most, *found)
         self._run, self._keep = cache.loaded(__package__, "sqp.c", "run.c").sqp, list[Any]()
         self._point({})
         self._library = library(nlp, 1)

@@ -5,7 +5,6 @@
 #include <math.h>
 #include <string.h>
 
-#define MOST_ITERATIONS 60
 #define MOST_HALVINGS 25
 #define STALL 6          /* iterations that lower the merit by less than STALLED of it end the work */
 #define STALLED 1e-13
@@ -23,6 +22,7 @@ typedef struct {
     Function value, slopes, expansion;
     const double *p, *lower, *upper; /* bounds of all rows */
     double tolerance;
+    long most;                       /* iterations after which the work ends */
     double *x, *multipliers;         /* where to start, and what was found */
     double *rows;                    /* their values there */
     double objective, kkt, violation;
@@ -304,6 +304,14 @@ static double search(Program *o, Point *point, Function whole, const double *d, 
     return -1;
 }
 
+/* Penalties above all multipliers of their kind; larger ones of before fade, or steps along curved rows would stay
+   short for good (Powell, Numerical Analysis, Lecture Notes in Mathematics 630, 1978). */
+static void adapt(const Program *o, const double *multipliers, double *penalty) {
+    double least[] = {0, 0};
+    for (long i = 0; i < o->n + o->m; ++i) least[i >= o->n] = most(1.1 * fabs(multipliers[i]), least[i >= o->n]);
+    for (int kind = 0; kind < 2; ++kind) penalty[kind] = most(least[kind], (least[kind] + penalty[kind]) / 2);
+}
+
 void sqp(Program *o) {
     long n = o->n, rows = n + o->m, calm = 0;
     double gradient[n], jacobian[n * o->m + 1], hessian[n * n], d[n], next[rows], penalty[] = {0, 0}, step;
@@ -314,14 +322,14 @@ void sqp(Program *o) {
     for (o->iterations = 0;; ++o->iterations) {
         judge(o, &point);
         o->status = o->kkt <= o->tolerance ? SOLVED : calm >= STALL ? STUCK : STOPPED;
-        if (o->status != STOPPED || o->iterations == MOST_ITERATIONS) return;
+        if (o->status != STOPPED || o->iterations == o->most) return;
         if (known != o->expansion) at(o, o->expansion, &point);
         prepare(o, jacobian, point.value, hessian);
         o->status = NO_STEP;
         if (!quadratic(o, hessian, gradient, jacobian, point.value, d, next)) return;
         double slope = 0, size = largest(n, d);
         for (long j = 0; j < n; ++j) slope += gradient[j] * d[j];
-        for (long i = 0; i < rows; ++i) penalty[i >= n] = most(1.1 * fabs(next[i]), penalty[i >= n]);
+        adapt(o, next, penalty);
         double outside = violation(o, point.value, penalty), merit = point.f + outside;
         known = size < NEAR ? o->slopes : o->expansion;
         double fell = search(o, &point, known, d, next, merit, slope - outside, penalty, &step);

@@ -3,7 +3,7 @@
 Hessians are exact. A step is the solution of a quadratic problem by Goldfarb and Idnani's dual method (Math.
 Program. 27, 1983); where the Hessian is not positive definite, curvature is added across the rows that are active
 and, where that is not enough, the eigenvalues lose their signs. Steps are shortened until the l1 merit function
-falls (Nocedal and Wright, Numerical Optimization, 2006, chapter 18).
+falls (Nocedal and Wright, Numerical Optimization, 2006, chapter 18), whose penalties fade (Powell 1978).
 """
 
 from __future__ import annotations
