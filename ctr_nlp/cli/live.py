@@ -13,7 +13,6 @@ from ctr_nlp.hardware.devices import Progress
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.solvers import Iterate
-from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.target.problem import Problem
 
 
@@ -67,7 +66,7 @@ def _now(trajectory: Trajectory, progress: Progress, state: str) -> Now:
 @contextmanager
 def solving(problem: Problem, model: str) -> Iterator[Solved]:
     """A window for the motion of a problem; raises OptionError where none can be opened."""
-    lumen = None if problem.lumen is None else Lumen.around(problem.lumen).table
+    lumen = None if problem.sampled_lumen is None else problem.sampled_lumen.table
     target = np.array([frame.points for frame in problem.samples])
     with View(Solving(problem.name, problem.robot, model, target, lumen)) as view:
         yield Solved(view, problem)

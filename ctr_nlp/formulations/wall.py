@@ -21,7 +21,6 @@ from ctr_nlp.formulations.terms.lumen import CENTRED, PLACES, arc_lengths, conta
 from ctr_nlp.models import Model
 from ctr_nlp.models.dominant.shape import columns_of
 from ctr_nlp.robot import Robot
-from ctr_nlp.target.curve import Curve
 from ctr_nlp.target.lumen import Lumen, outer_radius
 from ctr_nlp.typing import Array
 
@@ -36,12 +35,12 @@ TINY = 1e-9
 
 
 def wall_of(
-    robot: Robot, lumen: Curve | None, model: Model, settings: Settings, finer: int = FINER
+    robot: Robot, lumen: Lumen | None, model: Model, settings: Settings, finer: int = FINER
 ) -> Wall | None:
-    """That of a path with radii, None where there is none or it does not count; finer: as of Wall."""
+    """That of a lumen, None where there is none or it does not count; finer: as of Wall."""
     if lumen is None or not settings.contact_weight:
         return None
-    return Wall(robot, Lumen.around(lumen), model, settings.contact_weight, settings.clearance, finer)
+    return Wall(robot, lumen, model, settings.contact_weight, settings.clearance, finer)
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ctr_nlp.formulations.around import Beside
-from ctr_nlp.models import Model, Snap
+from ctr_nlp.models import Snap
 from ctr_nlp.plan.measures import rms_over_sigma, root_mean_square
-from ctr_nlp.robot import Robot
-from ctr_nlp.simulation.forward import Simulation, simulated
+from ctr_nlp.plan.record import Record
+from ctr_nlp.simulation.forward import Simulation, Simulator
 from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array, Flags
@@ -29,21 +29,15 @@ class Moved(NamedTuple):
 
 
 def moved(
-    robot: Robot,
-    q: Array,
-    model: str | Model,
-    *,
-    target: Array,
-    lumen: Array | None = None,
-    free: Array | None = None,
+    simulator: Simulator, q: Array, *, target: Array, lumen: Lumen | None = None, free: Array | None = None
 ) -> Moved:
-    """The robot moved on a model through q (T, 2d + 2), towards target (T, 101, 3) mm.
+    """The robot moved through q (T, 2d + 2), towards target (T, 101, 3) mm.
 
-    lumen: (N, 4) mm, where it is known; free: the motion (T, 2d + 2) that was found without the wall.
+    lumen: where it is known; free: the motion (T, 2d + 2) that was found without the wall.
     """
-    found, clearance = simulated(robot, q, model), None
+    robot, found, clearance = simulator.robot, simulator(q), None
     if lumen is not None:
-        clearance = Beside(Lumen(lumen)).clearances(robot, robot.split(q)[1], found.shape, SIGMA)
+        clearance = Beside(lumen).clearances(robot, robot.split(q)[1], found.shape, SIGMA)
     arrays = {
         "shape": found.shape,
         "tip_direction": found.tip_direction,
@@ -54,16 +48,21 @@ def moved(
     reached = np.asarray(np.isfinite(found.shape).all(axis=(1, 2)))
     told = {
         "snaps": [snap._asdict() for snap in found.snaps],
-        "e3_free": e3_of(free_errors(robot, free, target, model), reached),
+        "e3_free": e3_of(free_errors(simulator, free, target), reached),
     }
     return Moved(arrays, told, found)
 
 
-def free_errors(robot: Robot, free: Array | None, target: Array, model: str | Model) -> Array | None:
+def lumen_of(plan: Record) -> Lumen | None:
+    """The lumen whose table (N, 4) a plan holds; None where none is known."""
+    return None if plan.lumen is None else Lumen(plan.lumen)
+
+
+def free_errors(simulator: Simulator, free: Array | None, target: Array) -> Array | None:
     """e2 (T,) in mm of a motion (T, 2d + 2) that was found without the wall; None without one."""
     if free is None:
         return None
-    return rms_over_sigma(np.linalg.norm(simulated(robot, free, model).shape - target, axis=-1))
+    return rms_over_sigma(np.linalg.norm(simulator(free).shape - target, axis=-1))
 
 
 def e3_of(e2: Array | None, reached: Flags) -> float | None:

@@ -19,16 +19,16 @@ from ctr_nlp.models import Model, model_named
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.plan.draws import DRAWS, SEED, robustness
 from ctr_nlp.plan.measures import e3
-from ctr_nlp.plan.moved import elsewhere, lost, moved
+from ctr_nlp.plan.moved import elsewhere, lost, lumen_of, moved
 from ctr_nlp.plan.record import FORMAT, OF_DRAWS, Record, check_arrays, check_meta, planned_on, stored
 from ctr_nlp.plan.robustness import Robustness, stored_robustness
 from ctr_nlp.plan.stretches import joined, resampled, rows, stretch, turned
 from ctr_nlp.plan.verdicts import Verdicts, verdicts
 from ctr_nlp.robot import Robot
+from ctr_nlp.simulation.forward import Simulator
 from ctr_nlp.support.cards import Line, card
 from ctr_nlp.support.values import checked_path, instance, whole_number
 from ctr_nlp.support.whole_file import whole_file
-from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Flags
 
@@ -74,7 +74,8 @@ class Plan(Record):
         return replace(self, meta=self.meta | {"robot": with_modulus(self.robot, modulus).to_dict()})
 
     def _evaluated(self, model: Model, told: dict[str, Any]) -> Plan:
-        found = moved(self.robot, self.q, model, target=self.target, lumen=self.lumen, free=self.free)
+        simulator, lumen = Simulator(self.robot, model), lumen_of(self)
+        found = moved(simulator, self.q, target=self.target, lumen=lumen, free=self.free)
         return replace(self, **found.arrays, meta=self.meta | found.told | told, drawn=None)
 
     def robustness(self, draws: int = DRAWS, seed: int = SEED) -> Robustness:
@@ -159,16 +160,18 @@ def plan_from_configurations(
     kkt: Array,
     planned: Array | None = None,
     free: Array | None = None,
+    simulator: Simulator | None = None,
 ) -> Plan:
     """The plan that moves a problem's robot through q (T, 2d + 2); meta tells how q was found.
 
     planned: the unknowns (T, n) meant, where q does not determine them: frames in which the robot, moved through
     q, is elsewhere are marked as not solved. free: the motion (T, 2d + 2) that was found without the wall.
+    simulator: one that may have moved the robot through q already.
     """
     robot, frames = problem.robot, problem.samples
     target, radii = np.array([frame.points for frame in frames]), [frame.radius for frame in frames]
-    lumen = None if problem.lumen is None else Lumen.around(problem.lumen).table
-    found = moved(robot, q, planned_on(meta), target=target, lumen=lumen, free=free)
+    simulator = simulator or Simulator(robot, planned_on(meta))
+    found = moved(simulator, q, target=target, lumen=problem.sampled_lumen, free=free)
     if planned is not None:
         snaps = found.simulation.snaps
         away = success & elsewhere(found.simulation.x, planned, snaps)
@@ -196,7 +199,7 @@ def plan_from_configurations(
         },
         lumen_radius=None if any(radius is None for radius in radii) else np.array(radii),
         truth=problem.truth,
-        lumen=lumen,
+        lumen=None if problem.sampled_lumen is None else problem.sampled_lumen.table,
         free=free,
         **found.arrays,
     )

@@ -13,8 +13,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.plan.moved import e3_of, free_errors, lost, moved
+from ctr_nlp.plan.moved import e3_of, free_errors, lost, lumen_of, moved
 from ctr_nlp.plan.record import Record
+from ctr_nlp.simulation.forward import Simulator
 from ctr_nlp.support.equal import equal
 from ctr_nlp.support.values import number, whole_number
 from ctr_nlp.typing import Array, Flags
@@ -61,7 +62,7 @@ def stretch(plan: AnyPlan, frames: slice) -> AnyPlan:
         for snap in plan.meta.get("snaps", [])
         if first < snap["frame"] <= stop
     ]
-    free = free_errors(plan.robot, plan.free, plan.target, plan.evaluated_on)
+    free = free_errors(Simulator(plan.robot, plan.evaluated_on), plan.free, plan.target)
     meta["e3_free"] = e3_of(None if free is None else free[first:stop], plan.reached[first:stop])
     meta["stretch"] = {"first": first + 1, "last": stop, "of": count}
     meta["interpolated"] = [j - first for j in plan.meta.get("interpolated", []) if first < j <= stop]
@@ -99,7 +100,8 @@ def joined(plan: AnyPlan, other: Record) -> AnyPlan:
     both["time"] = plan.dt * np.arange(1.0, len(both["time"]) + 1)
     absent = {name: None for name in (*first, *second) if name not in both}
     q = np.concatenate([plan.q, other.q])
-    found = moved(plan.robot, q, plan.evaluated_on, target=both["target"], lumen=plan.lumen, free=both.get("free"))
+    simulator = Simulator(plan.robot, plan.evaluated_on)
+    found = moved(simulator, q, target=both["target"], lumen=lumen_of(plan), free=both.get("free"))
     apart = np.linalg.norm(found.arrays["shape"] - both["shape"], axis=-1).max(axis=1)
     away = np.isfinite(both["shape"]).all(axis=(1, 2)) & ~(apart < SAME_PLACE)
     alpha, beta, theta = plan.robot.split(np.abs(other.q[0] - plan.q[-1]))
@@ -144,7 +146,7 @@ def resampled(plan: AnyPlan, frames: int | None = None, dt: float | None = None)
     between["time"] = step * np.arange(1.0, len(at) + 1)
     q = np.hstack([between["alpha"], between["beta"], between["theta"]])
     target, free = between["target"], between.get("free")
-    found = moved(plan.robot, q, plan.evaluated_on, target=target, lumen=plan.lumen, free=free)
+    found = moved(Simulator(plan.robot, plan.evaluated_on), q, target=target, lumen=lumen_of(plan), free=free)
     fine = _solved_around(plan, at)
     success = own & fine & plan.success[at.astype(int)]
     failures = {

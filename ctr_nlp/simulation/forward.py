@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -20,6 +21,8 @@ from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
 
 DOMINANT = Dominant()
+REMEMBERED = 4
+"""Motions whose simulations a Simulator keeps."""
 
 
 def shapes(robot: Robot, q: Array, sigma: Array = SIGMA) -> Array:
@@ -71,6 +74,21 @@ def simulated(robot: Robot, q: Array, model: str | Model) -> Simulation:
         found.x,
         found.snaps,
     )
+
+
+class Simulator:
+    """A robot on a model, moved through every motion once: what came of the last REMEMBERED ones is kept."""
+
+    def __init__(self, robot: Robot, model: str | Model) -> None:
+        self.robot, self.model = robot, model_named(model)
+        self._through = functools.lru_cache(REMEMBERED)(self._moved)
+
+    def __call__(self, q: Array) -> Simulation:
+        """The robot moved through q (T, 2d + 2); arrays are not to be changed."""
+        return self._through(np.asarray(q, dtype=float).tobytes())
+
+    def _moved(self, q: bytes) -> Simulation:
+        return simulated(self.robot, np.frombuffer(q).reshape(-1, len(self.robot.axes)), self.model)
 
 
 def _checked(robot: Robot, q: Array) -> Array:

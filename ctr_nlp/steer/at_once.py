@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,6 @@ from ctr_nlp.formulations.joint import tip_steps
 from ctr_nlp.robot import Robot
 from ctr_nlp.solvers import NlpSolver, Solution
 from ctr_nlp.solvers.frame.adapter import Reach, Surroundings
-from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
 
@@ -28,7 +27,7 @@ def reach_of(robot: Robot, dt: float, several_equilibria: bool) -> Reach:
 
 @dataclass(frozen=True)
 class AtOnce:
-    """One program for all frames: p (T, n_p) are its parameters, that of motion among them, within a reach.
+    """One program for all frames: p (T, n_p) are its parameters, within a reach.
 
     tips: how many of the unknowns are tips' angles, which only so change from frame to frame; 0 where q is all.
     near: what gives parameters that hold near a robot only, None where there are none.
@@ -42,22 +41,21 @@ class AtOnce:
     near: Surroundings | None = None
 
     @classmethod
-    def of(
-        cls,
-        stage: Stage,
-        solver: NlpSolver,
-        samples: Sequence[Frame],
-        margins: Array,
-        values: Mapping[str, float],
-        reach: Reach,
-        near: Surroundings | None = None,
-    ) -> AtOnce:
-        """For target samples with least margins (T,); values: of further parameters, the same in all frames."""
-        q, rows = np.zeros(len(stage.decides)), list[dict[str, Any]]()
-        for sample, margin in zip(samples, margins, strict=True):
-            filled = {**stage.fill(sample, q), **values}
-            rows.append(filled | ({"margin": margin} if "margin" in filled else {}))
-        return cls(stage, solver, packed(stage.nlp, rows), reach, len(reach.low) - len(q), near)
+    def of(cls, stage: Stage, solver: NlpSolver, values: Sequence[Mapping[str, Any]], reach: Reach) -> AtOnce:
+        """With values of all parameters, by name, for every frame; there may be others among them."""
+        own = [{name: each[name] for name in stage.nlp.parameters} for each in values]
+        return cls(stage, solver, packed(stage.nlp, own), reach, len(reach.low) - len(stage.decides))
+
+    def given(self, values: Mapping[str, Array | float], near: Surroundings | None = None) -> AtOnce:
+        """The same with other values of parameters that are numbers, of all frames or of each (T,).
+
+        Those that the program does not have are left out. near: as the attribute.
+        """
+        nlp, p = self.stage.nlp, self.p.copy()
+        for name, value in values.items():
+            if name in nlp.parameters:
+                p[:, nlp.place(name).start] = value
+        return replace(self, p=p, near=near)
 
     def search(self, frame: int, x0: Array) -> list[FrameResult]:
         """Answers for a frame without a past from starts x0 (n, n_x), as many as are found."""

@@ -18,6 +18,7 @@ from ctr_nlp.formulations.wall import Wall, wall_of
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
+from ctr_nlp.simulation.forward import Simulator
 from ctr_nlp.solvers import CHAIN_SOLVERS, default_chain_solver
 from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.steer.attempts import Attempt, Report, best_of, distinct, failures
@@ -105,11 +106,12 @@ class Horizon:
         self.ends = Ends(*checked_ends(problem, "best", start, end))
         self._names = {"formulation": "horizon", **self._model.told, "solver": solver}
         self._settings, self._terms = settings, checked_terms(terms)
-        self._wall = wall_of(problem.robot, problem.lumen, self._model, settings)
+        self._wall = wall_of(problem.robot, problem.sampled_lumen, self._model, settings)
         self._free = self._built(None)
         inside = self._free if self._wall is None else self._built(self._wall)
         own = self._model, solver, self.ends, settings, self._terms
-        self._search = Search(problem, *own, self._free, inside)
+        self._simulator = Simulator(problem.robot, self._model)
+        self._search = Search(problem, *own, self._simulator, self._free, inside)
         if self.ends.start is not None and self.ends.end is not None and not self._free.bent:
             check_ends(problem, self._free)
         self.build_seconds = time.perf_counter() - begin
@@ -171,7 +173,7 @@ class Horizon:
 
         def outcome(one: Attempt) -> Outcome:
             success = np.full(self.problem.frames, one.solution.success)
-            return Outcome.of(self.problem, wall.model, self._q(one.motion), one.motion, success)
+            return Outcome.of(self.problem, self._simulator(self._q(one.motion)), one.motion, success)
 
         def judge(tried: Wall, attempts: Sequence[Attempt]) -> Tried:
             best = best_of(attempts)
@@ -219,6 +221,7 @@ class Horizon:
             kkt=kkt,
             planned=motion if self._model.several_equilibria else None,
             free=free,
+            simulator=self._simulator,
         )
 
     def _unknowns(self, motion: Array) -> list[Array]:

@@ -10,11 +10,10 @@ from typing import TypeVar
 import numpy as np
 
 from ctr_nlp.formulations.wall import Wall
-from ctr_nlp.models import Model
 from ctr_nlp.plan.metrics import rms_over_sigma, root_mean_square
 from ctr_nlp.plan.plan import elsewhere
 from ctr_nlp.plan.verdicts import ROUNDING
-from ctr_nlp.simulation.forward import simulated
+from ctr_nlp.simulation.forward import Simulation, Simulator
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.passes import Pass, run_again
 from ctr_nlp.steer.realised import held
@@ -115,9 +114,8 @@ class Outcome:
     e2: Array
 
     @classmethod
-    def of(cls, problem: Problem, model: Model, q: Array, x: Array, success: Flags) -> Outcome:
-        """That of configurations q (T, 2d + 2) found with unknowns x (T, n) and success (T,)."""
-        moved = simulated(problem.robot, q, model)
+    def of(cls, problem: Problem, moved: Simulation, x: Array, success: Flags) -> Outcome:
+        """That of a motion found with unknowns x (T, n) and success (T,), through which the robot is moved."""
         away = moved.shape - np.array([frame.points for frame in problem.samples])
         failed = ~success | elsewhere(moved.x, x, moved.snaps)
         return cls(int(failed.sum()), rms_over_sigma(np.linalg.norm(away, axis=-1)))
@@ -133,7 +131,9 @@ class Outcome:
         return (found - ROUNDING) / max(least, TINY) - 1
 
 
-def kept_inside(frames: NlpFrames, free: Pass, stop: Callable[[], bool]) -> tuple[Pass, Wall | None]:
+def kept_inside(
+    frames: NlpFrames, free: Pass, simulator: Simulator, stop: Callable[[], bool]
+) -> tuple[Pass, Wall | None]:
     """A run through all frames again, within the wall, from the first answer of one that is free of it; the wall.
 
     That one, and None, where none within the wall keeps e3 and its frames, as far as was tried.
@@ -145,11 +145,11 @@ def kept_inside(frames: NlpFrames, free: Pass, stop: Callable[[], bool]) -> tupl
     def solve(tried: Wall) -> Pass:
         within = replace(frames, near=tried)
         one = run_again(free, within, stop)
-        return one if stop() else held(within, one, stop)[0]
+        return one if stop() else held(within, one, simulator, stop)[0]
 
     def outcome(one: Pass) -> Outcome:
         success = np.array([j in one.results and one.results[j].success for j in range(problem.frames)])
-        return Outcome.of(problem, wall.model, one.motion(problem), one.unknowns(problem), success)
+        return Outcome.of(problem, simulator(one.motion(problem)), one.unknowns(problem), success)
 
     def judge(tried: Wall, one: Pass) -> Tried:
         pulls = [each.warm[0].lam_x[-1] for each in one.results.values() if each.warm]

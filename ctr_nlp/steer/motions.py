@@ -13,6 +13,7 @@ from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.models import Model
 from ctr_nlp.robot import Robot
+from ctr_nlp.simulation.forward import Simulator
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.passes import Pass, Progress, run_passes
 from ctr_nlp.target.problem import Problem
@@ -61,11 +62,11 @@ def _best_first(passes: Sequence[Pass], problem: Problem, model: Model, alike: f
         one.planned(problem, model) if cost <= most else (cost[0], cost[1] / (1 + alike) - MOVED)
         for one, cost in zip(ranked, costs, strict=True)
     ]
-    best, least = 0, (problem.frames + 1, math.inf)
+    simulator, best, least = Simulator(problem.robot, model), 0, (problem.frames + 1, math.inf)
     for k in sorted(range(len(bounds)), key=bounds.__getitem__):
         if bounds[k] < least:
             known = costs[k] <= most and not model.several_equilibria
-            badness = bounds[k] if known else ranked[k].badness(problem, model)
+            badness = bounds[k] if known else ranked[k].badness(problem, simulator)
             best, least = (k, badness) if badness < least else (best, least)
     return [ranked[best], *ranked[:best], *ranked[best + 1 :]]
 

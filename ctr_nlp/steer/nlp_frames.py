@@ -44,9 +44,10 @@ Built = Sequence[tuple[Stage, NlpSolver]]
 class NlpFrames:
     """A FrameSolver: the stages of a formulation, built once and solved for any frame.
 
-    margins (T,): least stability margins, NaN where none is asked for. near: the wall that frames are kept within,
-    None for none. Others with other margins or another wall are made by dataclasses.replace, and share what has
-    been built. wall: that of the lumen, None where none is known or counts.
+    free, inside: stages far from any wall, and within one, where it counts. runs: the same, for all frames in one
+    call, of formulations of one stage. margins (T,): least stability margins, NaN where none is asked for. near:
+    the wall that frames are kept within, None for none. Others with other margins or another wall are made by
+    dataclasses.replace, and share what has been built. wall: that of the lumen, None where none counts.
     """
 
     problem: Problem
@@ -54,6 +55,7 @@ class NlpFrames:
     settings: Settings
     free: Built
     inside: Built
+    runs: tuple[AtOnce, ...]
     margins: Array
     wall: Wall | None
     near: Wall | None
@@ -80,15 +82,18 @@ class NlpFrames:
         solver = default_solver() if solver is None else solver
         check_choice("solver", solver, SOLVERS)
         samples, begin = problem.samples, time.perf_counter()
-        wall = wall_of(problem.robot, problem.lumen, described, settings) if formulation == "joint" else None
+        lumen = problem.sampled_lumen if formulation == "joint" else None
+        wall = wall_of(problem.robot, lumen, described, settings)
         at = problem.robot, settings, described, terms
         walled = () if wall is None else joint(*at, walled=True)
         free, inside = (
             [(stage, SOLVERS[solver](stage.nlp)) for stage in stages]
             for stages in (FORMULATIONS[formulation](*at), walled)
         )
-        for sample in samples:  # a target that is not known all along is told before anything is solved
-            free[0][0].fill(sample, np.zeros(len(problem.robot.axes)))
+        stage, zero = (inside or free)[0][0], np.zeros(len(problem.robot.axes))
+        values = [stage.fill(sample, zero) for sample in samples]  # raises where the target is not known
+        reach = reach_of(problem.robot, problem.dt, described.several_equilibria)
+        runs = () if len(free) > 1 else tuple(AtOnce.of(*each, values, reach) for each in (*free, *inside))
         margin = math.nan if settings.stability_margin is None else settings.stability_margin
         description = {
             "formulation": formulation,
@@ -97,7 +102,7 @@ class NlpFrames:
             "options": settings.options() | {"terms": [str(term) for term in terms]},
         }
         margins, seconds = np.full(problem.frames, margin), time.perf_counter() - begin
-        return cls(problem, described, settings, free, inside, margins, wall, None, seconds, description)
+        return cls(problem, described, settings, free, inside, runs, margins, wall, None, seconds, description)
 
     def search(self, frame: int) -> list[FrameResult]:
         """Distinct answers for a frame without a past, best first; at least one."""
@@ -132,18 +137,17 @@ class NlpFrames:
     @cached_property
     def _at_once(self) -> AtOnce | None:
         """What solves many frames in one call: for one program for all of q, and walls that C can describe."""
-        if len(self.free) > 1:
+        if not self.runs:
             return None
-        values = {"motion_root": math.sqrt(self.settings.motion_weight) / self.problem.dt}
-        reach = reach_of(self.problem.robot, self.problem.dt, self.model.several_equilibria)
-        at = self.problem.samples, self.margins
+        root = math.sqrt(self.settings.motion_weight) / self.problem.dt
+        values: dict[str, Array | float] = {"motion_root": root, "margin": self.margins}
         if self.near is None:
-            return AtOnce.of(*self.free[0], *at, values, reach)
+            return self.runs[0].given(values)
         around = self.near.around
         if around is None or not around.ready():
             return None
         values["contact_weight"] = self.near.weight
-        return AtOnce.of(*self.inside[0], *at, values, reach, around.surroundings(SETTLED, ROUNDS))
+        return self.runs[-1].given(values, around.surroundings(SETTLED, ROUNDS))
 
     def _placed(self, before: FrameResult) -> FrameResult:
         """A result with the model's unknowns: those of a robot at rest where they are not known."""

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ctr_nlp.formulations.frames import FrameResult, FrameSolver, Restartable
 from ctr_nlp.models import Model
 from ctr_nlp.plan.metrics import rms_over_sigma
-from ctr_nlp.simulation.forward import simulated
+from ctr_nlp.simulation.forward import Simulator
 from ctr_nlp.solvers import Iterate
 from ctr_nlp.solvers.motion.banded import MOST_ITERATIONS, TOLERANCE
 from ctr_nlp.steer.requests import Direction, checked_ends
@@ -78,11 +78,11 @@ class Pass:
         x = np.array([self.results[j].q if self.results[j].x is None else self.results[j].x for j in solved])
         return self._off(problem, solved, lambda: model.points(problem.robot, x, SIGMA))
 
-    def badness(self, problem: Problem, model: str | Model) -> tuple[int, float]:
+    def badness(self, problem: Problem, simulator: Simulator) -> tuple[int, float]:
         """The same where the robot is when it has been moved there."""
         solved = self._solved()
         q = np.array([self.results[j].q for j in solved])
-        return self._off(problem, solved, lambda: simulated(problem.robot, q, model).shape)
+        return self._off(problem, solved, lambda: simulator(q).shape)
 
     def _solved(self) -> list[int]:
         return sorted(j for j, result in self.results.items() if result.success)

@@ -15,6 +15,7 @@ from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.models import Model
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
 from ctr_nlp.plan.record import planned_on
+from ctr_nlp.simulation.forward import Simulator
 from ctr_nlp.solvers.frame.sqp import FALLBACK
 from ctr_nlp.steer.inside import kept_inside
 from ctr_nlp.steer.nlp_frames import DEFAULTS, NlpFrames
@@ -66,15 +67,16 @@ def march(
     progress: Progress | None = None,
 ) -> Plan:
     """The plan that any FrameSolver makes; arguments as for solve_per_frame."""
+    simulator = Simulator(problem.robot, planned_on(solver.description))
     with deferred_interrupt() as interrupted:
         passes, search_seconds = run_passes(problem, solver, direction, start, progress=progress)
-        best = _least_bad(passes, problem, planned_on(solver.description))
+        best = _least_bad(passes, problem, simulator)
         free: Array | None = None
         wall: Wall | None = None
         if isinstance(solver, NlpFrames) and not interrupted():
-            best, solver = held(solver, best, interrupted)
+            best, solver = held(solver, best, simulator, interrupted)
             free = None if solver.wall is None else best.motion(problem)
-            best, wall = kept_inside(solver, best, interrupted)
+            best, wall = kept_inside(solver, best, simulator, interrupted)
         stopped = interrupted()
     options = {
         "direction": best.direction,
@@ -83,12 +85,12 @@ def march(
     }
     weight = None if wall is None else wall.weight
     work = {"search_s": search_seconds, "interrupted": stopped, "contact_weight": weight}
-    return plan_of(problem, solver, best, free, options, work)
+    return plan_of(problem, solver, best, free, options, work, simulator)
 
 
-def _least_bad(passes: Sequence[Pass], problem: Problem, model: str | Model) -> Pass:
+def _least_bad(passes: Sequence[Pass], problem: Problem, simulator: Simulator) -> Pass:
     """The run on which the robot is nearest to its target; one that stands alone is not looked at."""
-    return passes[0] if len(passes) == 1 else min(passes, key=lambda one: one.badness(problem, model))
+    return passes[0] if len(passes) == 1 else min(passes, key=lambda one: one.badness(problem, simulator))
 
 
 def _unknowns(results: Sequence[FrameResult]) -> Array | None:
@@ -106,8 +108,12 @@ def plan_of(
     free: Array | None,
     options: dict[str, Any],
     work: dict[str, Any],
+    simulator: Simulator | None = None,
 ) -> Plan:
-    """The plan of a run through all frames; free: the motion without the wall; options, work: for its meta."""
+    """The plan of a run through all frames; free: the motion without the wall; options, work: for its meta.
+
+    simulator: one that may have moved the robot through the run already.
+    """
     missing = FrameResult(np.zeros(0), success=False, status="not reached")
     results = [best.results.get(j, missing) for j in range(problem.frames)]
     meta = {
@@ -129,4 +135,5 @@ def plan_of(
         kkt=np.array([result.kkt for result in results]),
         planned=_unknowns(results),
         free=free,
+        simulator=simulator,
     )

@@ -13,6 +13,7 @@ from ctr_nlp.models import Model
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.plan.plan import elsewhere
 from ctr_nlp.robot import Robot
+from ctr_nlp.simulation.forward import Simulation, Simulator
 from ctr_nlp.solvers import FEASIBLE, ChainSolver
 from ctr_nlp.solvers.motion.judged import CLOSE
 from ctr_nlp.steer.attempts import SAME, Attempt, attempt
@@ -40,8 +41,7 @@ class Made(NamedTuple):
 
 
 def realised(
-    robot: Robot,
-    model: Model,
+    simulator: Simulator,
     chain: Chain,
     solver: Callable[[Chain], ChainSolver],
     attempts: Sequence[Attempt],
@@ -62,7 +62,7 @@ def realised(
         if stop() or (made and len(tried) >= TRIED) or min(kept, default=np.inf) <= objective:
             break  # with higher margins its objective would only grow
         tried.append(objective)
-        found = _made(robot, model, chain, solver, one, margin, stop)
+        found = _made(simulator, chain, solver, one, margin, stop)
         made += [] if found is None else [found]
     if not made:
         return [replace(one, made=False) for one in attempts]
@@ -70,8 +70,7 @@ def realised(
 
 
 def _made(
-    robot: Robot,
-    model: Model,
+    simulator: Simulator,
     chain: Chain,
     solver: Callable[[Chain], ChainSolver],
     one: Attempt,
@@ -80,10 +79,11 @@ def _made(
 ) -> Made | None:
     """An attempt changed until its motion is made and the margin held between frames, or as nearly as it goes."""
     margins, best = np.full(chain.frames, np.nan if margin is None else margin), None
-    one = _found(robot, model, chain, one)
+    robot = simulator.robot
+    one = _found(robot, simulator.model, chain, one)
     for _ in range(ROUNDS + 1):
         q = one.solution.q.reshape(chain.frames, -1)[:, : len(robot.axes)]
-        missing, lost = _missing(robot, model, q, one.motion, margin)
+        missing, lost = _missing(simulator(q), one.motion, margin)
         if not lost and (best is None or missing.max() < best.missing):
             best = Made(one, float(missing.max()))
         if margin is None or stop() or not (lost or missing.max() > SHORT):
@@ -110,7 +110,7 @@ def _found(robot: Robot, model: Model, chain: Chain, one: Attempt) -> Attempt:
     return replace(one, solution=solution, motion=chain.robot_of(x.ravel()))
 
 
-def held(frames: NlpFrames, one: Pass, stop: Callable[[], bool]) -> tuple[Pass, NlpFrames]:
+def held(frames: NlpFrames, one: Pass, simulator: Simulator, stop: Callable[[], bool]) -> tuple[Pass, NlpFrames]:
     """A run through all frames, repeated until the margin is held between frames too; frames with their margins.
 
     As it is on models of which nothing can be unstable.
@@ -124,7 +124,7 @@ def held(frames: NlpFrames, one: Pass, stop: Callable[[], bool]) -> tuple[Pass, 
             break
         one = _found_pass(frames, one)
         q, x = one.motion(problem), one.unknowns(problem)
-        missing, lost = _missing(problem.robot, frames.model, q, x, margin)
+        missing, lost = _missing(simulator(q), x, margin)
         if not lost and missing.max() < least:
             best, least = one, float(missing.max())
         if margin is None or stop() or not (lost or missing.max() > SHORT):
@@ -157,9 +157,8 @@ def _raised(margins: Array, missing: Array) -> Array:
     return np.where(more > SHORT, np.maximum(margins, np.minimum(margins + more, MOST)), margins)
 
 
-def _missing(robot: Robot, model: Model, q: Array, x: Array, margin: float | None) -> tuple[Array, bool]:
-    """What the margin is missed by on the way to every frame (T,); whether the robot, moved by q, is elsewhere."""
-    moved = model.follow(robot, q)
+def _missing(moved: Simulation, x: Array, margin: float | None) -> tuple[Array, bool]:
+    """What the margin is missed by on the way to every frame (T,); whether the robot, when moved, is not at x."""
     away = elsewhere(moved.x, x, moved.snaps)
     missing = np.maximum((margin or 0.0) - moved.stability_between, 0.0)
     missing[away.argmax()] += GIVEN * away.any()

@@ -22,6 +22,7 @@ from ctr_nlp.steer.at_once import reach_of
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.support.values import instance, number
 from ctr_nlp.target.curve import Curve, curve_from_formula
+from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.target.target import SIGMA, growing
 from ctr_nlp.typing import Array
 
@@ -65,7 +66,7 @@ class Steerer:
                 "a lumen is given for a robot that bears a load, and a Steerer cannot keep such a robot within "
                 "one; leave either out, or plan with solve_per_frame or solve_horizon, which can"
             )
-        self._wall = wall_of(robot, lumen, described, settings)
+        self._wall = wall_of(robot, None if lumen is None else Lumen.around(lumen), described, settings)
         (stage,) = joint(robot, settings, described, walled=self._wall is not None)
         x, reach = described.rest(robot, q), reach_of(robot, dt, described.several_equilibria)
         straight = growing(curve_from_formula(lambda u: (0.0, 0.0, u), 0.0, 1.0), 1).sample()[0]

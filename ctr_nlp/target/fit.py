@@ -12,7 +12,7 @@ from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.runs import runs
 from ctr_nlp.target.curve import Curve
-from ctr_nlp.target.lumen import Lumen, outer_radius
+from ctr_nlp.target.lumen import outer_radius
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
@@ -44,10 +44,10 @@ def misfits(problem: Problem) -> list[Misfit]:
 
     The innermost tube must go to the target's end, each other one as far as the lower limit of its beta.
     """
-    if problem.lumen is None:
+    if problem.sampled_lumen is None:
         return []
     curve, s = _longest(problem)
-    radius, found = Lumen.around(problem.lumen).near(curve.point(s)).radius, []
+    radius, found = problem.sampled_lumen.near(curve.point(s)).radius, []
     for i, (least, most) in enumerate(_extensions(problem.robot, s[-1])):
         lack = outer_radius(problem.robot)[i] - radius
         for forced, reached in ((True, (s <= least) & (least > 0)), (False, (s > least) & (s <= most))):

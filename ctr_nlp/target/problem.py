@@ -19,6 +19,7 @@ from ctr_nlp.support.packing import Packed, packable, unpacked
 from ctr_nlp.support.values import checked_path, floats, instance, number
 from ctr_nlp.support.whole_file import whole_file
 from ctr_nlp.target.curve import Curve
+from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.target.target import Frame, Target
 from ctr_nlp.typing import Array
 
@@ -102,6 +103,11 @@ class Problem(Value):
     def samples(self) -> tuple[Frame, ...]:
         """The target at 101 uniform sigma, frame by frame."""
         return self.target.sample()
+
+    @cached_property
+    def sampled_lumen(self) -> Lumen | None:
+        """The path and the radius of the lumen as they are used, every half mm; None where none is known."""
+        return None if self.lumen is None else Lumen.around(self.lumen)
 
     def __getitem__(self, frames: slice) -> Problem:
         if not isinstance(frames, slice) or frames.step not in (None, 1) or not range(self.frames)[frames]:

@@ -42,7 +42,7 @@ def motions(lumen):
     """Free of the wall, and within it."""
     problem = Problem("wandering", TWO, growing(lumen.part(0, 70.0), FRAMES), lumen=lumen)
     settings = Settings(clearance=CLEARANCE, contact_weight=WEIGHT)
-    wall = wall_of(TWO, lumen, MODELS["elastic"], settings, finer=1)
+    wall = wall_of(TWO, Lumen.around(lumen), MODELS["elastic"], settings, finer=1)
     scenarios = Scenarios(np.array([robot.numbers for robot in _robots()]), OFFSETS, np.ones(2))
     at = TWO, problem.samples, problem.dt, 1e-6, Ends(), MODELS["elastic"], scenarios
     return [shared_motion(*at, wall=each) for each in (None, wall)]

@@ -60,7 +60,7 @@ def test_the_nearest_place_is_that_of_the_whole_path_and_not_of_the_turn_before(
 
 
 def test_one_frame_after_another_is_described_for_itself():
-    wall = wall_of(ROBOT, wandering(1), MODELS["dominant"], Settings())
+    wall = wall_of(ROBOT, Lumen.around(wandering(1)), MODELS["dominant"], Settings())
     assert wall.around.ready(wait=True)
     x = drawn(3)
     whole = wall.around(x)
@@ -70,7 +70,7 @@ def test_one_frame_after_another_is_described_for_itself():
 
 
 def test_robots_of_other_tubes_are_described_with_their_own_shapes():
-    wall = wall_of(ROBOT, wandering(2), MODELS["elastic"], Settings())
+    wall = wall_of(ROBOT, Lumen.around(wandering(2)), MODELS["elastic"], Settings())
     assert wall.around.ready(wait=True)
     other, x = (
         replace(ROBOT, tubes=[replace(tube, curvature=1.3 * tube.curvature) for tube in ROBOT.tubes]),
@@ -81,7 +81,7 @@ def test_robots_of_other_tubes_are_described_with_their_own_shapes():
     expected, needed = wall.described(x, other.numbers)
     np.testing.assert_allclose(slack, needed, atol=WITHIN["elastic"])
     np.testing.assert_allclose(found, expected, atol=5 * WITHIN["elastic"])
-    own, _ = wall_of(other, wandering(2), MODELS["elastic"], Settings()).described(x)
+    own, _ = wall_of(other, Lumen.around(wandering(2)), MODELS["elastic"], Settings()).described(x)
     np.testing.assert_allclose(expected, own, atol=1e-9)
     assert abs(found - before).max() > 1.0
     np.testing.assert_array_equal(wall.around(x)[0], before)
@@ -103,7 +103,7 @@ def test_what_is_left_beside_points_is_the_same_in_c(lumen, monkeypatch):
 
 
 def test_what_is_not_known_is_not_described():
-    wall = wall_of(ROBOT, wandering(1), MODELS["dominant"], Settings())
+    wall = wall_of(ROBOT, Lumen.around(wandering(1)), MODELS["dominant"], Settings())
     assert wall.around.ready(wait=True)
     x = drawn(3)
     x[1] = np.nan
@@ -115,13 +115,13 @@ def test_what_is_not_known_is_not_described():
 
 
 def test_unknowns_of_another_model_are_refused():
-    wall = wall_of(ROBOT, straight(4.0), MODELS["dominant"], Settings())
+    wall = wall_of(ROBOT, Lumen.around(straight(4.0)), MODELS["dominant"], Settings())
     with pytest.raises(ValueError, match="the model has 8 unknowns"):
         wall.around(drawn(2)[:, :6])
 
 
 def test_a_wall_that_has_been_used_can_be_sent_to_another_process():
-    wall = wall_of(ROBOT, straight(4.0), MODELS["dominant"], Settings())
+    wall = wall_of(ROBOT, Lumen.around(straight(4.0)), MODELS["dominant"], Settings())
     x = drawn(5)
     before = wall.surroundings(x)
     after = pickle.loads(pickle.dumps(wall)).surroundings(x)

@@ -11,13 +11,14 @@ from frames import horizon
 
 from ctr_nlp import Problem, Robot, Settings, Tube, curve_from_formula, growing, shapes, solve_horizon
 from ctr_nlp.formulations.horizon import Ends
-from ctr_nlp.models import MODELS
 from ctr_nlp.plan.plan import plan_from_configurations
+from ctr_nlp.simulation.forward import Simulator
 from ctr_nlp.solvers import CHAIN_SOLVERS
 from ctr_nlp.steer.attempts import attempt
 from ctr_nlp.steer.realised import SHORT, realised
 
 ROBOT = Robot((Tube(90, 70, 0.02, 4.0, 3.2), Tube(150, 90, 0.02, 2.6, 1.6)))
+SIMULATOR = Simulator(ROBOT, "elastic")
 FRAMES = 8
 WEIGHT = 1e-5
 AT = 1e-3
@@ -55,7 +56,7 @@ def found(margin=0.1):
     return (
         chain,
         one,
-        *realised(ROBOT, MODELS["elastic"], chain, CHAIN_SOLVERS["ipopt"], [one], margin, lambda: False),
+        *realised(SIMULATOR, chain, CHAIN_SOLVERS["ipopt"], [one], margin, lambda: False),
     )
 
 
@@ -103,7 +104,7 @@ def test_moved_through_q_alone_the_robot_is_where_it_was_meant_to_be():
 
 def test_a_motion_that_needs_nothing_is_left_as_it_is():
     chain, _, best = found()
-    (same,) = realised(ROBOT, MODELS["elastic"], chain, CHAIN_SOLVERS["ipopt"], [best], 0.1, lambda: False)
+    (same,) = realised(SIMULATOR, chain, CHAIN_SOLVERS["ipopt"], [best], 0.1, lambda: False)
     assert same is best
 
 

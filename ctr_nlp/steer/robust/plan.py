@@ -103,7 +103,7 @@ def solve_robust(
         if free is not None and not interrupted():
             made += guarded(free, scenarios, Corners.of(problem.robot, model), trials, len(made))
             free = best_of(made, problem.frames)
-        wall = wall_of(problem.robot, problem.lumen, model, settings, finer=1)
+        wall = wall_of(problem.robot, problem.sampled_lumen, model, settings, finer=1)
         if wall is not None and free is not None:
             cost = settings.affordable(ROBUST_CLEARANCE_COST)
             made += Walled(wall, free, cost, trials, rounds).rounds(len(made))

@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from ctr_nlp.formulations.wall import Wall
+from ctr_nlp.simulation.forward import simulated
 from ctr_nlp.solvers.scenarios import SharedSolution, SharedSolver
 from ctr_nlp.solvers.scenarios.condensed import Condensed
 from ctr_nlp.steer.inside import Outcome
@@ -141,4 +142,4 @@ class Walled:
         problem, found = self.search.problem, tried.solution
         x = np.concatenate([found.phi[:, 0], found.q[:, problem.robot.d :]], axis=1)
         solved = np.full(problem.frames, found.success)
-        return Outcome.of(problem, self.search.model, found.q, x, solved)
+        return Outcome.of(problem, simulated(problem.robot, found.q, self.search.model), x, solved)

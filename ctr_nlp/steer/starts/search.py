@@ -13,6 +13,7 @@ from ctr_nlp.formulations.terms import Term
 from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.models import Model
 from ctr_nlp.nlp.chain import Chain
+from ctr_nlp.simulation.forward import Simulator
 from ctr_nlp.solvers import CHAIN_SOLVERS, ChainSolver
 from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.solvers.motion.judged import CLOSE, WIDE
@@ -54,8 +55,9 @@ no more than this part."""
 class Search:
     """Attempts at the horizon of one problem, from one motion or many.
 
-    free, inside: chains of all frames far from any wall and within the lumen, with a motion weight of 1 s^2.
-    weight: lambda in s^2. jobs: processes. Progress and seen are told of what goes on, and stop() ends it.
+    simulator: moves the problem's robot on the model. free, inside: chains of all frames far from any wall and
+    within the lumen, with a motion weight of 1 s^2. weight: lambda in s^2. jobs: processes. Progress and seen are
+    told of what goes on, and stop() ends it.
     """
 
     problem: Problem
@@ -64,6 +66,7 @@ class Search:
     ends: Ends
     settings: Settings
     terms: tuple[Term, ...]
+    simulator: Simulator
     free: Chain
     inside: Chain
     weight: float = 1.0
@@ -191,7 +194,7 @@ class Search:
         if not self.model.several_equilibria or self.stop():
             return attempts
         margin, solver = self.settings.stability_margin, CHAIN_SOLVERS[self.solver]
-        return realised(self.problem.robot, self.model, chain, solver, attempts, margin, self.stop)
+        return realised(self.simulator, chain, solver, attempts, margin, self.stop)
 
 
 def drafted(frames: int) -> Index:

@@ -27,7 +27,6 @@ from ctr_nlp.simulation.forward import shapes
 from ctr_nlp.solvers.frame.program import Program
 from ctr_nlp.steer import solve_horizon
 from ctr_nlp.support.pool import side_by_side
-from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.target.placing import placed
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import SIGMA, Frame, growing
@@ -49,11 +48,11 @@ class Alone:
 
     def __init__(self, problem: Problem) -> None:
         """Build; the problem's lumen must be known. Raises OptionError where nothing can be compiled."""
-        assert problem.lumen is not None
+        assert problem.sampled_lumen is not None
         robot = problem.robot
         self.problem, self._wall = (
             problem,
-            Wall(robot, Lumen.around(problem.lumen), MODELS["dominant"], WEIGHT, 0.0),
+            Wall(robot, problem.sampled_lumen, MODELS["dominant"], WEIGHT, 0.0),
         )
         (self._stage,) = joint(robot, Settings(), MODELS["dominant"], walled=True)
         self._nlp = self._stage.nlp
