@@ -105,6 +105,7 @@ def growths(kinds: Mapping[str, tuple[Sequence[int], Callable[[int], float]]] = 
 def draw(found: Sequence[Growth], path: Path) -> Path:
     """Times over sizes on logarithmic scales, with the powers that were fitted; raises OutputError."""
     import matplotlib
+    from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
     from ctr_nlp.figures import save
     from ctr_nlp.figures.parts.page import STYLE, panels
@@ -119,6 +120,11 @@ def draw(found: Sequence[Growth], path: Path) -> Path:
             axes.loglog(
                 growth.sizes, centre * growth.sizes**growth.exponent, color=VERMILLION, lw=1.2, label=label
             )
-            axes.set_ylabel("time (s)")
+            axes.set_xticks(growth.sizes, [f"{size:g}" for size in growth.sizes])
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.yaxis.set_major_formatter(EngFormatter("s"))
+            for axis in (axes.xaxis, axes.yaxis):
+                axis.set_minor_formatter(NullFormatter())
+            axes.set_ylabel("time")
             axes.legend()
         return save(figure, path)
