@@ -109,9 +109,9 @@ class Horizon:
         self._wall = wall_of(problem.robot, problem.sampled_lumen, self._model, settings)
         self._free = self._built(None)
         inside = self._free if self._wall is None else self._built(self._wall)
-        own = self._model, solver, self.ends, settings, self._terms
         self._simulator = Simulator(problem.robot, self._model)
-        self._search = Search(problem, *own, self._simulator, self._free, inside)
+        own = self._simulator, solver, self.ends, settings, self._terms
+        self._search = Search(problem, *own, self._free, inside)
         if self.ends.start is not None and self.ends.end is not None and not self._free.bent:
             check_ends(problem, self._free)
         self.build_seconds = time.perf_counter() - begin

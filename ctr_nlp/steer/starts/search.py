@@ -11,7 +11,6 @@ from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.formulations.wall import Wall
-from ctr_nlp.models import Model
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.simulation.forward import Simulator
 from ctr_nlp.solvers import CHAIN_SOLVERS, ChainSolver
@@ -55,18 +54,17 @@ no more than this part."""
 class Search:
     """Attempts at the horizon of one problem, from one motion or many.
 
-    simulator: moves the problem's robot on the model. free, inside: chains of all frames far from any wall and
+    simulator: of the problem's robot on its model. free, inside: chains of all frames far from any wall and
     within the lumen, with a motion weight of 1 s^2. weight: lambda in s^2. jobs: processes. Progress and seen are
     told of what goes on, and stop() ends it.
     """
 
     problem: Problem
-    model: Model
+    simulator: Simulator
     solver: str
     ends: Ends
     settings: Settings
     terms: tuple[Term, ...]
-    simulator: Simulator
     free: Chain
     inside: Chain
     weight: float = 1.0
@@ -105,7 +103,7 @@ class Search:
         chain, count = self.near(wall), len(motions)
         found = list[Attempt]()
         if self.jobs > 1 and count > 1:
-            own = self.solver, self.model, self.settings.stability_margin, wall, self.terms
+            own = self.solver, self.simulator.model, self.settings.stability_margin, wall, self.terms
             task = Task(self.problem.robot, self.problem.samples, self.problem.dt, self.weight, self.ends, *own)
             found = attempt_in_processes(task, motions, self.jobs, self.progress, self.seen)
         for number, motion in enumerate(() if found else motions, start=1):
@@ -156,7 +154,7 @@ class Search:
     def _thin(self, picked: Index) -> Chain:
         """The chain of picked frames, evenly apart, far from any wall."""
         frames, dt = [self.problem.samples[k] for k in picked], self.problem.dt * int(picked[-1] - picked[-2])
-        at = self.problem.robot, frames, dt, self.weight, self.ends, self.model
+        at = self.problem.robot, frames, dt, self.weight, self.ends, self.simulator.model
         return horizon(*at, fastest, self.settings.stability_margin, extra=self.terms)
 
     def _drafts(self, motions: Sequence[Array], picked: Index) -> list[Attempt]:
@@ -191,7 +189,7 @@ class Search:
 
     def _made(self, chain: Chain, attempts: list[Attempt]) -> list[Attempt]:
         """Attempts; where there are several equilibria, the best that the robot makes."""
-        if not self.model.several_equilibria or self.stop():
+        if not self.simulator.model.several_equilibria or self.stop():
             return attempts
         margin, solver = self.settings.stability_margin, CHAIN_SOLVERS[self.solver]
         return realised(self.simulator, chain, solver, attempts, margin, self.stop)
