@@ -21,7 +21,7 @@ from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.solvers.motion.judged import CLOSE, WIDE
 from ctr_nlp.solvers.scenarios import SharedSolver
 from ctr_nlp.steer.nlp_frames import NlpFrames
-from ctr_nlp.steer.robust.rounds import firmer, joined
+from ctr_nlp.steer.robust.rounds import joined
 from ctr_nlp.steer.robust.trials import Lost
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
@@ -90,10 +90,13 @@ class ScenarioFrames:
         found = [self.again(frame, one) for one in known if one.success]
         return distinct([one for one in found if one.success])[:KEPT] or found[:1] or known[:1]
 
-    def harder(self, lost: Lost, first: bool) -> ScenarioFrames:
-        """The same with lost robots among the scenarios; and more margin where they were, after the first."""
-        margins = self.margins if first else firmer(self.margins, lost.frames)
-        return replace(self, scenarios=joined(self.scenarios, lost), margins=margins)
+    def harder(self, lost: Lost) -> ScenarioFrames:
+        """The same with lost robots among the scenarios.
+
+        A robust horizon asks for more margin where they were lost, too; that leads runs frame by frame to worse
+        branches.
+        """
+        return replace(self, scenarios=joined(self.scenarios, lost))
 
     def step(self, frame: int, before: FrameResult) -> FrameResult:
         """The answer for a frame within speed limits of the one before, from there or from a known one.

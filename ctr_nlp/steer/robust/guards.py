@@ -21,7 +21,7 @@ DEARER = 0.08
 """By which part of itself the objective may grow for them."""
 IDLE = 1e-4
 """A guard is left out in frames where it costs less than this part of what the dearest costs."""
-BEYOND, MORE = 1.0, 0.02
+BEYOND, MORE = 1.0, 0.05
 """How many times its difference a guard has at first; and by how much more where it is lost all the same, between
 frames that hold it."""
 

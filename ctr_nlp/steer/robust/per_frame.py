@@ -29,7 +29,7 @@ from ctr_nlp.target.problem import Problem
 
 MARGINS = 0.1, 0.5
 """Stability margins of the robot as described in the frames that runs begin at."""
-ROUNDS = 2
+ROUNDS = 3
 """Times that a motion is planned again for robots that were lost."""
 DEARER = 0.1
 """By what part of itself the mean objective may grow before other runs are looked at, too."""
@@ -66,7 +66,7 @@ def solve_robust_per_frame(
         trial = trials(best.motion(problem), 0)
         made = [(solver, best, trial)]
         while not trial.few and len(made) <= rounds and not interrupted():
-            solver = solver.harder(trial, len(made) == 1)
+            solver = solver.harder(trial)
             best = _best_again(ranked, solver, interrupted)
             trial = trials(best.motion(problem), len(made))
             made.append((solver, best, trial))
