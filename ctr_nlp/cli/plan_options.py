@@ -29,8 +29,14 @@ WALL = ("clearance", "contact_weight", "clearance_cost", "contact_allowed")
 
 def add_model_options(parser: argparse.ArgumentParser) -> None:
     """The model to plan on, and the one that errors are taken on."""
-    parser.add_argument("--model", choices=MODELS, default="dominant", help="(default dominant)")
+    parser.add_argument("--model", choices=MODELS, help="(default dominant; with --robust elastic)")
     add_evaluate_option(parser, "the one planned on")
+
+
+def model_from(arguments: argparse.Namespace) -> str:
+    """The model to plan on: robots within tolerances differ most on the elastic one, where they can snap."""
+    named: str | None = arguments.model
+    return named or ("elastic" if arguments.robust else "dominant")
 
 
 def add_evaluate_option(parser: argparse.ArgumentParser, default: str) -> None:
@@ -94,7 +100,7 @@ def add_robust_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--robust",
         action="store_true",
-        help="plan for all the robots that the tolerances in the robot file allow, on the elastic model, over all "
+        help="plan for all the robots that the tolerances in the robot file allow, over all "
         "frames at once or with the joint formulation, and try the plan on 500 draws of them",
     )
     part = "share of them that may be lost: snap, or end on another branch; certain with 95 percent confidence"

@@ -7,7 +7,7 @@ import math
 import runpy
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,11 +32,26 @@ def load(name: str, arguments: argparse.Namespace) -> Problem:
 
     Also where a model that is asked for does not describe its robot.
     """
-    problem = _problem(name, arguments)
+    (problem,) = load_all([name], arguments)
+    return problem
+
+
+def load_all(names: Sequence[str], arguments: argparse.Namespace) -> list[Problem]:
+    """The problems of several names, as load. Options of files go with these alone; there must be one."""
+    options = {key: value for key in FILE_OPTIONS if (value := getattr(arguments, key, None)) is not None}
+    if options and not any(_is_anatomy(name) for name in names):
+        kind = "problem file" if names[0].endswith(".py") else "named problem"
+        raise OptionError(f"--{next(iter(options))} goes with a centreline file or a mask; {names[0]} is a {kind}")
+    found = [_problem(name, arguments, options if _is_anatomy(name) else {}) for name in names]
     for asked in (getattr(arguments, option, None) for option in ("model", "evaluate")):
         if asked is not None:
-            model_named(asked).check(problem.robot)
-    return problem
+            for problem in found:
+                model_named(asked).check(problem.robot)
+    return found
+
+
+def _is_anatomy(name: str) -> bool:
+    return name not in NAMES and not name.endswith(".py")
 
 
 def expanded(names: Sequence[str]) -> list[str]:
@@ -57,27 +72,19 @@ def expanded(names: Sequence[str]) -> list[str]:
     return found
 
 
-def _problem(name: str, arguments: argparse.Namespace) -> Problem:
+def _problem(name: str, arguments: argparse.Namespace, options: Mapping[str, Any]) -> Problem:
     robot = None if arguments.robot is None else Robot.from_toml(arguments.robot)
-    given = {key: getattr(arguments, key, None) for key in FILE_OPTIONS}
-    options = {key: value for key, value in given.items() if value is not None}
-    python = name.endswith(".py")
-    if name in NAMES or python:
-        if options:
-            kind = "problem file" if python else "named problem"
-            raise OptionError(f"--{next(iter(options))} goes with a centreline file or a mask; {name} is a {kind}")
-        if not python:
-            return named(name, arguments.frames, arguments.duration, robot)
+    if name in NAMES:
+        return named(name, arguments.frames, arguments.duration, robot)
     if not Path(name).is_file():
         raise OptionError(
             f"problem is {name!r}; it must be one of {', '.join(NAMES)} or an existing centreline file "
             f"({', '.join(CENTRELINES)}), mask ({', '.join(MASKS)}) or problem file (.py)"
         )
-    if python:
+    if name.endswith(".py"):
         return from_python(name, arguments.frames, arguments.duration, robot)
-    if "tilt" in options:
-        options["tilt"] = math.radians(options["tilt"])
-    return problem_from_file(name, robot, arguments.frames, arguments.duration, **options)
+    tilt = {"tilt": math.radians(options["tilt"])} if "tilt" in options else {}
+    return problem_from_file(name, robot, arguments.frames, arguments.duration, **{**options, **tilt})
 
 
 def from_python(file: str, frames: int, duration: float, robot: Robot | None) -> Problem:

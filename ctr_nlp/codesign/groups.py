@@ -82,11 +82,15 @@ def divided(
 
 
 def suited(
-    problems: Sequence[Problem], robots: Sequence[Robot], settings: Settings = DEFAULTS, jobs: int = 1
+    problems: Sequence[Problem],
+    robots: Sequence[Robot],
+    settings: Settings = DEFAULTS,
+    jobs: int = 1,
+    model: str | Model = "elastic",
 ) -> Index:
     """Which of several robots, from 0, follows each problem best on some of its frames, without tolerances."""
     pairs = [replace(draft(task), robot=robot) for robot in robots for task in problems]
-    found = dict(side_by_side(partial(_error, settings), pairs, jobs))
+    found = dict(side_by_side(partial(_error, settings, model), pairs, jobs))
     end_if_interrupted()
     return taken(np.array([found[k] for k in range(len(pairs))]).reshape(len(robots), len(problems)))
 
@@ -145,10 +149,10 @@ def _served(search: DesignSearch, group: tuple[Group, Array]) -> tuple[Array, Ar
             return p, np.full(len(search.tasks), np.nan)
 
 
-def _error(settings: Settings, task: Problem) -> float:
+def _error(settings: Settings, model: str | Model, task: Problem) -> float:
     """e3 of a problem's plan, mm; NaN where there is none."""
     try:
-        plan = solve_horizon(task, model="elastic", settings=replace(settings, contact_weight=0.0))
+        plan = solve_horizon(task, model=model, settings=replace(settings, contact_weight=0.0))
     except CtrError:
         return np.nan
     found = e3(plan)

@@ -29,10 +29,6 @@ def search_for(
     """The search for tubes over all frames of problems; as design."""
     tasks = _checked(problems, settings)
     described = model_named(model, "model of a design")
-    if not described.several_equilibria:
-        raise OptionError(
-            f"model of a design is {described.name}; tubes' diameters matter on the elastic one alone"
-        )
     robot = tasks[0].robot if constant_curvature else varying(tasks[0].robot)
     tubes = DesignedTubes(robot, rules or Manufacture(), tuple(fixed))
     margin = 0.0 if settings.stability_margin is None else settings.stability_margin

@@ -115,7 +115,8 @@ def design(
     (settings.seed). walls: whether the plans are kept within the lumens; tubes are chosen as if there were no
     walls. jobs: in how many processes starts and plans are worked on. stock: tubing (read_stock) to
     which tubes are rounded, with lengths and curvatures that can be made; without it diameters are free.
-    settings.stability_margin: the least of every robot. Ctrl-C ends the work; the design is then the best so far,
+    settings.stability_margin: the least of every robot. On the dominant model stiffness does not count, and
+    diameters are found by the rules alone. Ctrl-C ends the work; the design is then the best so far,
     marked as interrupted, and plans may be missing. Raises OptionError, ProblemError, RobotError.
     """
     count = whole_number(OptionError, "starts", starts)

@@ -25,12 +25,13 @@ KEPT = 64
 
 
 def program(
-    name: str, structure: Structure, model: Model, terms: Sequence[Term], freed: tuple[str, ...] = ()
+    name: str, structure: Structure, model: Model, terms: Sequence[Term], freed: tuple[str, ...] | None = None
 ) -> Nlp:
-    """The program of one frame: the model's unknowns, the motors' angles as rows, and what the terms add.
+    """The program of one frame: the model's unknowns, what these do not hold of q as rows, and what the terms add.
 
-    freed: numbers of the tubes that are unknowns, too, after the model's (structure.freed_places); the motors'
-    angles are then rows on any model. Raises OptionError where two terms have parameters of one name.
+    freed: for robots that share their motors, numbers of the tubes that are unknowns, too, after the model's
+    (structure.freed_places), or none; the motors' angles are then rows on any model. Raises OptionError
+    where two terms have parameters of one name.
     """
     return _program(name, structure, model.form, _Keyed(terms), freed)
 
@@ -73,10 +74,10 @@ class _Keyed(tuple[Term, ...]):
 
 
 @functools.lru_cache(maxsize=KEPT)
-def _program(name: str, structure: Structure, model: Model, terms: _Keyed, freed: tuple[str, ...]) -> Nlp:
+def _program(name: str, structure: Structure, model: Model, terms: _Keyed, freed: tuple[str, ...] | None) -> Nlp:
     numbers = ca.SX.sym("tubes", structure.d, len(NUMBERS))
     parameters = {"tubes": numbers} | _parameters(structure, terms)
-    places_freed = freed_places(structure, freed)
+    places_freed = freed_places(structure, freed or ())
     unknown, known = ca.SX.sym("freed", len(places_freed)), ca.SX(numbers)
     for k, (i, columns) in enumerate(places_freed):
         for column in columns:
@@ -98,7 +99,7 @@ def _program(name: str, structure: Structure, model: Model, terms: _Keyed, freed
     stops = list(itertools.accumulate(counts))
     bodies = (Body(q, tubes, shape, slice(stop - count, stop)) for count, stop in zip(counts, stops, strict=True))
     parts = [term.build(body, parameters) for term, body in zip(terms, bodies, strict=True)]
-    return _joined(name, shape, parameters, parts, unknown)
+    return _joined(name, shape, parameters, parts, unknown, freed is not None)
 
 
 def _parameters(structure: Structure, terms: Sequence[Term]) -> dict[str, ca.SX]:
@@ -118,14 +119,21 @@ def _configuration(shape: Shape, d: int) -> ca.SX:
     return ca.vertcat(shape.x, *shape.rows.values())[list(shape.picks[: 2 * d + 2])]
 
 
-def _joined(name: str, shape: Shape, parameters: Mapping[str, ca.SX], parts: Sequence[Parts], freed: ca.SX) -> Nlp:
+def _joined(
+    name: str,
+    shape: Shape,
+    parameters: Mapping[str, ca.SX],
+    parts: Sequence[Parts],
+    freed: ca.SX,
+    motors_shared: bool,
+) -> Nlp:
     """Freed numbers and then slacks come after the model's unknowns, and what these do not hold of the
-    configuration first among the rows.
+    configuration first among the rows; so do the motors' angles where several robots share them.
     """
     slacks = [part.slack for part in parts if part.slack is not None]
     motors = list[Constraint]()
     n, more, picks = shape.x.numel(), freed.numel(), shape.picks
-    if picks is not None or more:
+    if picks is not None or motors_shared:
         for row, value in shape.rows.items():
             free = np.full(value.numel(), np.inf)
             motors.append(Constraint(row, value, -free, free))

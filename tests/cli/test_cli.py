@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from argparse import Namespace
 
 import numpy as np
 import pytest
@@ -16,8 +17,9 @@ from ctr_nlp import Plan
 from ctr_nlp.cli.commands.plan import horizon as solve_horizon
 from ctr_nlp.cli.commands.plan import steer as solve_per_frame
 from ctr_nlp.cli.output.folder import MARK
+from ctr_nlp.cli.problems import load_all
 from ctr_nlp.cli.studies.compare import main as compare_solvers
-from ctr_nlp.exceptions import OutputError
+from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.steer.nlp_frames import NlpFrames
 
 FILES = {
@@ -211,6 +213,18 @@ def test_a_path_that_is_too_long_needs_trimming(tmp_path, capsys):
         plan = Plan.load(tmp_path / "out" / "plan.npz")
         tip = (plan.target[-1, -1] - plan.to_robot[:3, 3]) @ plan.to_robot[:3, :3]
         assert tip == pytest.approx([last, 0, 0], abs=1e-3)
+
+
+def test_options_of_files_go_with_the_files_among_several_problems(tmp_path):
+    t = np.linspace(0, 170, 60)
+    long = tmp_path / "long.csv"
+    np.savetxt(long, np.column_stack([t, 0 * t, 0 * t]), delimiter=",", header="x_mm,y_mm,z_mm", comments="")
+    given = Namespace(robot=None, frames=2, duration=1.0, trim="end")
+    assert [max(problem.target.lengths) for problem in load_all(["arc", str(long)], given)] == pytest.approx(
+        [150, 150]
+    )
+    with pytest.raises(OptionError, match="--trim goes with a centreline file or a mask; arc is a named problem"):
+        load_all(["arc", "cos"], given)
 
 
 def test_reverse_follows_the_path_from_its_last_point(tmp_path, straight):

@@ -45,7 +45,6 @@ BOTH = [
     ("arc --model foo", "invalid choice: 'foo'"),
     ("arc --evaluate foo", "invalid choice: 'foo'"),
     ("arc --solver foo", "invalid choice: 'foo'"),
-    ("arc --robust", "--robust does not go with --model dominant; it goes with elastic"),
     ("arc --robust --model elastic --solver ipopt", "--solver does not go with --robust; leave one of them out"),
     ("arc --most-lost 0.02", "--most-lost is given without --robust"),
     ("arc --robust --model elastic --most-lost 0", "most_lost is 0.0; it must be more than 0 and less than 1"),

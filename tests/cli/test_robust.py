@@ -111,10 +111,11 @@ def small(tmp_path):
 
 @pytest.mark.parametrize("formulation", ["horizon", "joint"])
 def test_a_robust_plan_is_tried_on_draws_and_holds_what_came_of_planning(small, tmp_path, capsys, formulation):
-    given = ["--model", "elastic", "--formulation", formulation, "--robust", "--most-lost", "0.02"]
+    given = ["--formulation", formulation, "--robust", "--most-lost", "0.02"]
     command(["plan", *small, *given, "--out", str(tmp_path / "out")])
     told = " ".join(capsys.readouterr().out.split())
     plan = Plan.load(tmp_path / "out" / "plan.npz")
+    assert plan.meta["model"] == "elastic"
     assert len(plan.drawn) == 500
     assert plan.verdicts.survives_draws.word == "yes"
     assert "survives its draws" in told
@@ -123,6 +124,16 @@ def test_a_robust_plan_is_tried_on_draws_and_holds_what_came_of_planning(small, 
     assert certificate["most_lost"] == 0.02
     assert certificate["lost"] <= 0.02 * certificate["draws"]
     assert "ctr-nlp plan --robust" not in told
+
+
+def test_a_robust_plan_on_the_dominant_model_says_that_no_draw_can_be_lost_there(small, tmp_path, capsys):
+    given = ["--model", "dominant", "--robust", "--out", str(tmp_path / "out")]
+    assert command(["plan", *small, *given]) == 0
+    plan = Plan.load(tmp_path / "out" / "plan.npz")
+    assert plan.meta["formulation"] == "robust-horizon"
+    assert len(plan.drawn) == 500
+    assert plan.verdicts.survives_draws.word == "not known"
+    assert "--evaluate elastic" in " ".join(capsys.readouterr().out.split())
 
 
 def test_a_plan_that_loses_too_many_says_what_it_would_bear(saved):

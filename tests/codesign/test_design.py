@@ -54,6 +54,16 @@ def test_designed_tubes_are_better_than_those_they_began_as(tasks, nominal):
     assert all(plan.robot == nominal.robot for plan in nominal.plans)
 
 
+def test_tubes_are_designed_on_the_dominant_model_too(tasks):
+    own = [solve_horizon(task, settings=Settings(contact_weight=0.0)) for task in tasks]
+    found = design(tasks, nominal=True, model="dominant", rules=RULES, starts=1)
+    assert all(plan.success.all() and plan.meta["model"] == "dominant" for plan in found.plans)
+    again = [solve_horizon(replace(task, robot=found.robot)) for task in tasks]
+    assert _rms(found.plans) == pytest.approx(_rms(again), rel=0.02)
+    assert _rms(again) < 0.5 * _rms(own)
+    assert all(rule.lower <= rule.value <= rule.upper for rule in found.rules)
+
+
 def test_designed_tubes_can_be_made(nominal):
     for rule in nominal.rules:
         assert rule.lower <= rule.value <= rule.upper, rule
@@ -140,7 +150,7 @@ def test_problems_of_several_robots_are_refused(tasks):
     ("given", "told"),
     [
         ({"starts": 0}, "starts is 0"),
-        ({"model": "dominant"}, "model of a design is dominant"),
+        ({"model": "rigid"}, "model of a design is 'rigid'"),
         ({"fixed": ["wall"]}, "'wall' cannot be fixed"),
     ],
 )

@@ -180,10 +180,13 @@ def test_a_point_that_is_no_solution_is_not_called_one(motion, q):
     assert found.status == "Maximum_Iterations_Exceeded"
 
 
-def test_scenarios_on_a_model_without_twist_are_refused(problem):
-    at = problem.samples, problem.dt, WEIGHT, Ends(), MODELS["dominant"], _scenarios()
-    with pytest.raises(OptionError, match="model of scenarios is dominant"):
-        shared_motion(TWO, *at)
+def test_tips_of_scenarios_on_a_model_without_twist_turn_with_their_motors(problem, q):
+    scenarios = _scenarios()
+    at = problem.samples, problem.dt, WEIGHT, Ends(), MODELS["dominant"], scenarios
+    motion = shared_motion(TWO, *at, fastest, np.full(FRAMES, MARGIN))
+    found = SharedSolver(motion)(q, np.repeat(q[:, None, :2], 3, axis=1))
+    assert found.success
+    np.testing.assert_allclose(found.phi, found.q[:, None, :2] + scenarios.offsets, atol=1e-9)
 
 
 @pytest.mark.parametrize(

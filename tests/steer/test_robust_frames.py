@@ -121,7 +121,7 @@ def test_a_repeated_run_ends_where_a_frame_fails(problem, scenarios):
     [
         ({"rounds": -1}, OptionError, "rounds"),
         ({"most_lost": 1.0}, OptionError, "most_lost is 1.0; it must be more than 0 and less than 1"),
-        ({"model": "dominant"}, OptionError, "model of scenarios"),
+        ({"model": "rigid"}, OptionError, "model of scenarios"),
         ({"direction": "sideways"}, OptionError, "direction"),
         ({"start": [0.0]}, RobotError, "start"),
     ],

@@ -11,7 +11,7 @@ import pytest
 from frames import elastic_shapes, follow
 from truth import TWO
 
-from ctr_nlp import Problem, growing
+from ctr_nlp import Problem, Settings, growing, solve_horizon
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.models import MODELS
@@ -178,7 +178,7 @@ def test_scenarios_grow_from_the_nominal_robot_where_a_start_fails(problem, foun
         ({"scenarios": 3}, "scenarios"),
         ({"most_lost": 0.0}, "most_lost is 0.0; it must be more than 0"),
         ({"rounds": -1}, "rounds"),
-        ({"model": "dominant"}, "model of scenarios"),
+        ({"model": "rigid"}, "model of scenarios"),
     ],
 )
 def test_what_cannot_be_planned_is_refused(problem, arguments, message):
@@ -218,3 +218,17 @@ def test_other_motions_are_started_from_where_robots_are_lost_on_what_comes_of_a
 def test_a_given_motion_of_another_size_is_refused(problem):
     with pytest.raises(OptionError, match="a motion of initial"):
         solve_robust(problem, _scenarios(), initial=[np.zeros((3, 6))])
+
+
+def test_a_robust_plan_on_the_dominant_model_is_better_for_its_scenarios_than_the_plain_one(problem):
+    """No tube can snap there: what is planned for is the mean error alone."""
+    more_curved = replace(TWO, tubes=(replace(TWO.tubes[0], curvature=(0.013, 0.0325)), TWO.tubes[1]))
+    numbers = np.array([TWO.numbers, more_curved.numbers])
+    scenarios = Scenarios(numbers, np.zeros((2, 2)), np.array([0.0, 1.0]))
+    found = solve_robust(problem, scenarios, model="dominant")
+    assert found.success.all()
+    assert found.meta["certificate"]["held"]
+    plain = solve_horizon(problem, settings=Settings(contact_weight=0.0))
+    shapes = [MODELS["dominant"].points(more_curved, plan.q, SIGMA) for plan in (plain, found)]
+    errors = [np.linalg.norm(shape - plain.target, axis=-1).mean() for shape in shapes]
+    assert errors[1] < 0.8 * errors[0]

@@ -25,7 +25,6 @@ from ctr_nlp.cli.report import draw, exit_status, print_front, print_report, wri
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.settings import Settings, check_motion_weight
-from ctr_nlp.models import model_named
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS
 from ctr_nlp.steer import DIRECTIONS, Horizon, march
@@ -111,8 +110,9 @@ def _run(arguments: argparse.Namespace) -> int:
         check_motion_weight(weight)
     problem = plan_options.moved(problems.load(arguments.problem, arguments), arguments)
     problem = with_asked_modulus(problem, arguments)
-    asked_model(arguments.model, arguments).check(problem.robot)
-    name = f"{path_component(problem.name)}-{arguments.formulation}-{arguments.model}"
+    model = plan_options.model_from(arguments)
+    asked_model(model, arguments).check(problem.robot)
+    name = f"{path_component(problem.name)}-{arguments.formulation}-{model}"
     out, film = Path(arguments.out or f"runs/{name}"), film_file(arguments)
     check_folder(out, "plan", film)
     if robust:
@@ -121,7 +121,7 @@ def _run(arguments: argparse.Namespace) -> int:
         plan, points = _at_once(arguments, problem) if whole else (_by_frame(arguments, problem), [])
     if arguments.evaluate is not None:
         plan = plan.on(arguments.evaluate)
-    tried = plan.can_snap and plan.bears is None
+    tried = (plan.can_snap or robust) and plan.bears is None
     if tried and not plan.meta["interrupted"] and plan.reached.any():
         plan = plan.with_draws(ASKED if robust else UNASKED)
     with deferred_interrupt() as pressed:
@@ -155,8 +155,6 @@ def _check_fit(arguments: argparse.Namespace) -> None:
     if arguments.most_lost is not None and not arguments.robust:
         raise OptionError("--most-lost is given without --robust; it says how many robots a robust plan may lose")
     if arguments.robust:
-        if not model_named(arguments.model).several_equilibria:
-            raise OptionError(f"--robust does not go with --model {arguments.model}; it goes with elastic")
         if arguments.formulation not in (HORIZON, "joint"):
             raise OptionError(
                 f"--robust does not go with --formulation {arguments.formulation}; it goes with horizon and joint"
@@ -184,7 +182,7 @@ def _by_frame(arguments: argparse.Namespace, problem: Problem) -> Plan:
     direction: Direction = arguments.direction or "best"
     start = None if arguments.start is None else read_start(arguments.start)
     checked_ends(problem, direction, start)
-    model = asked_model(arguments.model, arguments)
+    model = asked_model(plan_options.model_from(arguments), arguments)
     chosen = arguments.formulation, arguments.solver, model, settings
     solver = NlpFrames.of(problem, *chosen, plan_options.terms_from(arguments))
     problems.tell(problem)
@@ -205,7 +203,7 @@ def _at_once(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan, lis
     points: list[Point] = []
     with _shown(problem, arguments) as seen:
         terms = plan_options.terms_from(arguments)
-        model = asked_model(arguments.model, arguments)
+        model = asked_model(plan_options.model_from(arguments), arguments)
         horizon = Horizon(problem, model, arguments.solver, start, end, settings, terms)
         problems.tell(problem)
         end_if_interrupted()
@@ -224,7 +222,10 @@ def _at_once(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan, lis
 def _robust(arguments: argparse.Namespace, problem: Problem) -> Plan:
     """The plan for all robots that the tolerances allow, over all frames at once or frame by frame."""
     whole = arguments.formulation == HORIZON
-    asked: dict[str, Any] = {"model": arguments.model, "terms": plan_options.terms_from(arguments)}
+    asked: dict[str, Any] = {
+        "model": plan_options.model_from(arguments),
+        "terms": plan_options.terms_from(arguments),
+    }
     for name in ("start", "end"):
         if (path := getattr(arguments, name, None)) is not None:
             asked[name] = read_start(path)
@@ -248,7 +249,7 @@ def _shown(problem: Problem, arguments: argparse.Namespace) -> AbstractContextMa
         return nullcontext()
     from ctr_nlp.cli import live
 
-    return live.solving(problem, arguments.model)
+    return live.solving(problem, plan_options.model_from(arguments))
 
 
 plan = Command("ctr-nlp plan", partial(_parser, (HORIZON, *FORMULATIONS)), _run)

@@ -49,9 +49,8 @@ def _run(arguments: argparse.Namespace) -> int:
     if why := cache.missing():
         raise OptionError(f"nothing can be compiled: {why}")
     os.environ[cache.SWITCH] = "now"
-    chosen = [
-        with_asked_modulus(problems.load(name, arguments), arguments) for name in arguments.problems or NAMES
-    ]
+    named = problems.load_all(arguments.problems or NAMES, arguments)
+    chosen = [with_asked_modulus(problem, arguments) for problem in named]
     tasks = [
         (problem, model, how)
         for problem in chosen

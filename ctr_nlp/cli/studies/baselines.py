@@ -7,7 +7,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
-from ctr_nlp.cli import problems
+from ctr_nlp.cli import plan_options, problems
 from ctr_nlp.cli.arguments import (
     add_compile_option,
     add_out_option,
@@ -47,13 +47,14 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     add_out_option(parser, "runs/baselines")
     add_problem_options(parser)
     add_settings(parser, "a tenth of a plain horizon's", jumps=False)
+    plan_options.add_file_options(parser)
     add_compile_option(parser)
     return parser
 
 
 def _run(arguments: argparse.Namespace) -> int:
     out, settings = Path(arguments.out), settings_from(arguments, "seed")
-    tasks = [problems.load(name, arguments) for name in arguments.problems]
+    tasks = problems.load_all(arguments.problems, arguments)
     search = search_for(tasks, rules=rules_from(arguments), settings=settings)
     search = replace(search, tasks=tuple(draft(task) for task in search.tasks))
     check_folder(out, "baselines")

@@ -85,7 +85,7 @@ def _run(arguments: argparse.Namespace) -> int:
     for name in RENAMED.keys() & set(names):
         sys.stderr.write(f"note: the variant {name} is called {RENAMED[name]} now\n")
     variants = [parse_variant(name) for name in names]
-    chosen = [problems.load(name, arguments) for name in arguments.problems or NAMES]
+    chosen = problems.load_all(arguments.problems or NAMES, arguments)
     check_folder(out, "comparison")
     end_if_interrupted()
     with progress_bar() as labelled:

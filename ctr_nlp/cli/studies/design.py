@@ -33,6 +33,7 @@ from ctr_nlp.codesign.together import STARTS, design
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.shared.manufacture import Manufacture
+from ctr_nlp.models import MODELS
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.support.interrupt import end_if_interrupted
@@ -56,8 +57,8 @@ RULES = {
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
-        description="Choose the tubes of one robot together with its motions along several targets, on the "
-        "elastic model: curvatures, lengths of curved parts and diameters, within what can be made of Nitinol. By "
+        description="Choose the tubes of one robot together with its motions along several targets: "
+        "curvatures, lengths of curved parts and diameters, within what can be made of Nitinol. By "
         "default for all robots within the tolerances of the robot file, so that plans survive on robots as "
         "built. Write robot.toml, a plan of every problem, design.json and a drawing sheet (sheet.svg, "
         "sheet.pdf), with several robots in a folder for each, robot_1 and so on.",
@@ -83,6 +84,9 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument("--robots", metavar="K", type=whole, default=1, help=what)
     what = f"tubes that are started from, the robot's own and random ones (default {STARTS})"
     parser.add_argument("--starts", metavar="N", type=whole, default=STARTS, help=what)
+    what = "model that is designed on; on the dominant one stiffness does not count, and no tube can snap "
+    what += "(default elastic)"
+    parser.add_argument("--model", choices=MODELS, default="elastic", help=what)
     add_rules(parser)
     parser.add_argument("--jobs", metavar="N", type=whole, default=2, help="processes side by side (default 2)")
     add_out_option(parser, "runs/design")
@@ -113,10 +117,10 @@ def rules_from(arguments: argparse.Namespace) -> Manufacture:
 
 def _run(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out)
-    tasks, held = (
-        [_named(name, problems.load(name, arguments)) for name in problems.expanded(names)]
-        for names in (arguments.problems, arguments.hold_out)
-    )
+    designed_for, held_out = problems.expanded(arguments.problems), problems.expanded(arguments.hold_out)
+    names = designed_for + held_out
+    loaded = [_named(*each) for each in zip(names, problems.load_all(names, arguments), strict=True)]
+    tasks, held = loaded[: len(designed_for)], loaded[len(designed_for) :]
     if twice := [name for name, count in Counter(task.name for task in (*tasks, *held)).items() if count > 1]:
         raise OptionError(
             f"two problems are called {twice[0]}; plans are written under these names, rename a file"
@@ -126,6 +130,7 @@ def _run(arguments: argparse.Namespace) -> int:
     check_folder(out, "design")
     end_if_interrupted()
     alike: dict[str, Any] = {
+        "model": arguments.model,
         "rules": rules,
         "fixed": arguments.fix,
         "constant_curvature": arguments.constant_curvature,
@@ -165,11 +170,10 @@ def _planned(
 ) -> list[Made]:
     """Designs with plans of the problems held out, each on the robot that follows it best, all tried on draws."""
     robots, jobs = [one.design.robot for one in made], arguments.jobs
-    choice = suited(held, robots, settings, jobs) if held and len(robots) > 1 else [0] * len(held)
+    choice = suited(held, robots, settings, jobs, arguments.model) if held and len(robots) > 1 else [0] * len(held)
     on = [replace(task, robot=robots[k]) for task, k in zip(held, choice, strict=True)]
-    plans = planned_on(
-        on, settings, arguments.nominal, walls=arguments.walls, jobs=jobs, progress=labelled("held out")
-    )
+    asked: dict[str, Any] = {"model": arguments.model, "walls": arguments.walls, "jobs": jobs}
+    plans = planned_on(on, settings, arguments.nominal, **asked, progress=labelled("held out"))
     whole = [[*one.design.plans, *(plan for plan in plans if plan.robot == one.design.robot)] for one in made]
     tried = dict(side_by_side(_on_draws, [plan for each in whole for plan in each], jobs))
     numbers = itertools.count()

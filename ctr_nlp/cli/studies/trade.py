@@ -62,7 +62,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 def _run(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out)
-    tasks = [problems.load(name, arguments) for name in arguments.problems or NAMES]
+    tasks = problems.load_all(arguments.problems or NAMES, arguments)
     check_folder(out, "trade")
     end_if_interrupted()
     found = list[list[Traded]]()

@@ -39,11 +39,7 @@ TWIST_STEP = 0.7
 
 
 def check_shared(robot: Robot, model: Model, scenarios: Scenarios) -> None:
-    """Raise OptionError unless scenarios are of a robot, and of a model with several equilibria."""
-    if not model.several_equilibria:
-        raise OptionError(
-            f"model of scenarios is {model.name}; the tubes' numbers matter on the elastic one alone"
-        )
+    """Raise OptionError unless scenarios are of a robot, and of a model without a load."""
     if model.bears is not None:
         raise OptionError(f"model of scenarios bears {model.bears}; robust motions are planned without a load")
     if scenarios.offsets.shape[1] != robot.d:
@@ -65,13 +61,14 @@ def shared_motion(
     freed: tuple[str, ...] = (),
     guards: Guards | None = None,
 ) -> SharedMotion:
-    """The motion through frames, dt s apart, of scenarios of a robot on a model with several equilibria.
+    """The motion through frames, dt s apart, of scenarios of a robot.
 
     As horizon, but for tips that may turn as they do, and for the wall, which is no matter of slacks but a smooth
-    cost (terms.touch). margins (T,): the least of every scenario in each frame, None for any. guards: of these
-    frames. Raises OptionError.
+    cost (terms.touch). margins (T,): the least of every scenario in each frame, None for any; no matter
+    on a model that cannot snap. guards: of these frames. Raises OptionError.
     """
     check_shared(robot, model, scenarios)
+    margins = margins if model.can_snap else None
     margin = None if margins is None else 0.0
     terms = (*terms_of(robot, model, margin, extra), *([] if wall is None else [Touch(robot.d)]))
     frame = program("frame", robot.structure, model, terms, freed)

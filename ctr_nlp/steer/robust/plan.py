@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.formulations.settings import ROBUST_CLEARANCE_COST, Settings
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.formulations.wall import wall_of
@@ -69,7 +68,8 @@ def solve_robust(
     many are lost for that to be certain with 95 % confidence, some of these join the scenarios, and it is planned
     again, in at most so many rounds. What came of the last trial is meta["certificate"]. initial: motions
     (T, 2d + 2) to start from. margins: of the robot as described in motions that are found frame by frame, to
-    start from where too many robots are lost on what comes of initial ones, or there are none.
+    start from where too many robots are lost on what comes of initial ones, or there are none; on a model that
+    cannot snap, the plan of the robot as described is started from.
     settings.stability_margin: the least of every scenario. start, end, motion_weight, settings, terms, progress:
     as solve_horizon.
     In a lumen, all scenarios are kept off the wall as far as settings say (walled.py), once the motion that is
@@ -89,7 +89,7 @@ def solve_robust(
         nominal = Horizon(problem, model, None, start, end, _at(settings, margins[0]), terms)
         least = None if settings.stability_margin is None else np.full(problem.frames, settings.stability_margin)
         tried, made, free = list[Tried](), list[Round](), None
-        for starts, seconds in _starts(problem, model, given, margins, nominal.ends, terms, settings):
+        for starts, seconds in _starts(problem, model, given, margins, nominal, terms, settings):
             searched += seconds
             weight = MOTION_PART * nominal.balanced_weight(starts[0].x) if motion_weight is None else motion_weight
             own = model, nominal.ends, tuple(terms), weight, least
@@ -142,7 +142,7 @@ def _starts(
     model: Model,
     given: Sequence[Array],
     margins: Sequence[float],
-    ends: Ends,
+    nominal: Horizon,
     terms: Sequence[Term],
     settings: Settings,
 ) -> Iterator[tuple[list[Start], float]]:
@@ -153,8 +153,11 @@ def _starts(
     if starts:
         yield starts, time.perf_counter() - begin
     begin = time.perf_counter()
-    found = partial(per_frame_motions, problem, ends, progress=None, model=model, terms=terms)
-    starts = [Start(f"margin {each:g}", found(settings=_at(settings, each))[0]) for each in margins]
+    if model.can_snap:
+        found = partial(per_frame_motions, problem, nominal.ends, progress=None, model=model, terms=terms)
+        starts = [Start(f"margin {each:g}", found(settings=_at(settings, each))[0]) for each in margins]
+    else:
+        starts = [Start("the plain plan", nominal.solve().q)]
     yield starts, time.perf_counter() - begin
 
 
