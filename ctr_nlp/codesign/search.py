@@ -28,12 +28,12 @@ from ctr_nlp.steer.robust.search import RobustSearch, Start
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
-MISSED = 1e-4
+MISSED = 1e-3
 """What a point may miss, rad and mm, that is gone on from though it is no solution yet."""
 PULL, LOOSER = 1e-3, 0.1
 """What a step of p by one unit costs in the first round, mm^2 for every frame, and the factor from round to round:
 where tubes matter little, they stay."""
-STEPS, STEPS_PER_TASK = 260, 10
+STEPS, STEPS_PER_TASK = 560, 10
 """Of a round, at most: tubes that dozens of tasks share are found in more."""
 ROUNDS, ENOUGH = 5, 2e-3
 """Rounds from a start, at most; they end when one makes less than this part of a difference."""
