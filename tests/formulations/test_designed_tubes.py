@@ -64,6 +64,13 @@ def test_a_program_of_freed_numbers_is_the_one_that_takes_them_as_parameters():
         np.testing.assert_allclose(one.full(), another.full(), rtol=1e-12, atol=1e-12)
 
 
+def test_rules_of_both_ends_of_a_tube_have_names_of_their_own():
+    tubes = DesignedTubes(varying(TABLE), THIN)
+    names = [rule.name for rule in tubes.kept(tubes.own)]
+    assert len(set(names)) == len(names)
+    assert {"strain of tube 2 when made at its root", "strain of tube 2 when made at its tip"} <= set(names)
+
+
 def test_rules_are_what_they_say_of_table_i():
     rules = {rule.name: rule for rule in DesignedTubes(TABLE, THIN).kept(DesignedTubes(TABLE, THIN).own)}
     assert rules["strain of tube 2 when made"].value == pytest.approx(3.7 / 2 / 60)

@@ -63,7 +63,7 @@ def problem():
 
 
 def test_the_command_writes_all_that_it_says(problem, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(command.problems, "load", lambda name, arguments: problem)
+    monkeypatch.setattr(command.problems, "load_all", lambda names, arguments: [problem])
     out = tmp_path / "trade"
     given = ["bend", "--amounts", "0", "1", "--margins", "0.5", "--draws", "20", "--out", str(out)]
     assert command.main(given) == 0

@@ -9,6 +9,7 @@ is pushed out by no more than its curved part.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -182,12 +183,12 @@ class DesignedTubes:
         rules, d, gap = self.rules, self.robot.d, self.robot.carriage_gap or 0.0
         found = [
             (
-                f"strain of tube {i + 1} when made",
+                f"strain of tube {i + 1} when made{_where(columns)}",
                 curvatures[k] * outer[i] / 2,
                 -rules.strain_made,
                 rules.strain_made,
             )
-            for k, (i, _) in enumerate(self._curvatures)
+            for k, (i, columns) in enumerate(self._curvatures)
         ]
         for i in range(d):
             found.append((f"wall of tube {i + 1}", (outer[i] - inner[i]) / 2, rules.wall, math.inf))
@@ -204,11 +205,13 @@ class DesignedTubes:
         for first in range(d - 1):
             inside = range(first, d)
             together = sum(stiffness[i] for i in inside)
-            for end in sorted({0, *(len(each) - 1 for each in own[first:])}):
+            ends = sorted({0, *(len(each) - 1 for each in own[first:])})
+            for end in ends:
+                where = "" if len(ends) == 1 else f" at the {'tips' if end else 'roots'}"
                 bent = [each[min(end, len(each) - 1)] for each in own]
                 common = sum(stiffness[i] * bent[i] for i in inside) / together
                 for i in inside:
-                    name = f"strain of tube {i + 1} within tubes {first + 1} to {d}"
+                    name = f"strain of tube {i + 1} within tubes {first + 1} to {d}{where}"
                     strain = (bent[i] - common) * outer[i] / 2
                     found.append((name, strain, -rules.strain_deployed, rules.strain_deployed))
         return found
@@ -239,6 +242,11 @@ class DesignedTubes:
         lower, upper = self.box
         good = all(rule.lower <= rule.value <= rule.upper for rule in self.kept(p))
         return good and bool(((lower <= p) & (p <= upper)).all())
+
+
+def _where(columns: Sequence[int]) -> str:
+    """At which end of a curved part a pre-curvature is, by its columns in NUMBERS; nothing for that of an arc."""
+    return "" if len(columns) > 1 else f" at its {NUMBERS[columns[0]].partition('_')[0]}"
 
 
 def varying(robot: Robot) -> Robot:
