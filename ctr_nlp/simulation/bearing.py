@@ -62,8 +62,7 @@ def unstable(equilibria: LoadedEquilibria) -> Question:
     """
 
     def true(states: States) -> Flags:
-        ends = equilibria.ends(states.angles, states.axes, states.q, states.load)
-        return np.asarray(~(pivots(ends.responses) > 0).all(axis=(1, 2)))
+        return np.asarray(~(pivots(equilibria.ends_of(states).responses) > 0).all(axis=(1, 2)))
 
     return true
 

@@ -135,7 +135,7 @@ def forces(
     load, way = plan.bears or Load(), directions_of(directions)
     asked = [] if off is None else [_left(plan, off, load.follows)]
     numbers = load.numbers(plan.robot)
-    equilibria = LoadedEquilibria(plan.robot.structure, plan.robot.numbers, load.follows)
+    equilibria = LoadedEquilibria(plan.robot.structure, load.follows)
     which, states = _standing(plan, numbers, equilibria, whole_number(OptionError, "every", every))
     if not len(which):
         raise LoadError("the plan has no frame in which its robot stands under its load; no more can be borne")
@@ -161,7 +161,8 @@ def _standing(plan: Plan, numbers: Array, equilibria: LoadedEquilibria, every: i
     x, d = MODELS[Loaded.name].follow(plan.robot, plan.q).x, plan.robot.d
     which = np.flatnonzero(np.isfinite(x).all(axis=1))
     which = which[which % every == 0]
-    states = equilibria.unloaded(plan.q[which], tip_angles(x[which], d))
+    of_robot = np.repeat(plan.robot.numbers[None], len(which), axis=0)
+    states = equilibria.unloaded(of_robot, plan.q[which], tip_angles(x[which], d))
     loaded, done = equilibria.along(states, states.q, np.repeat(numbers[None], len(which), axis=0))
     return which[done == 1], loaded.rows(done == 1)
 

@@ -52,10 +52,12 @@ def same(pull):
 
 def rod_state(force, beta=150.0):
     """The straight rod under a force along itself, and what follows it."""
-    equilibria = LoadedEquilibria(ROD.structure, ROD.numbers)
+    equilibria = LoadedEquilibria(ROD.structure)
     q = np.array([[0.0, beta, 0.0, 0.0]])
     acting = Load(force=(0, 0, -force)).numbers(ROD)[None]
-    state = States(q, acting, np.zeros((1, 1)), np.eye(3)[None], np.zeros((1, 3, 3)), np.zeros(1))
+    state = States(
+        ROD.numbers[None], q, acting, np.zeros((1, 1)), np.eye(3)[None], np.zeros((1, 3, 3)), np.zeros(1)
+    )
     return equilibria, state
 
 
@@ -88,9 +90,9 @@ def test_two_hundred_loaded_shapes_match_shooting_from_the_base():
 def test_without_load_it_is_the_elastic_model(shared_data, number):
     case = truth.case(shared_data, number)
     robot, d = with_modulus(case.robot, 60_000), case.robot.d
-    equilibria, angles = LoadedEquilibria(robot.structure, robot.numbers), case.x[None, :d].copy()
+    equilibria, angles = LoadedEquilibria(robot.structure), case.x[None, :d].copy()
     angles[:, : d - 1] += angles[:, d - 1 :]
-    states = equilibria.unloaded(case.q[None], angles)
+    states = equilibria.unloaded(robot.numbers[None], case.q[None], angles)
     x = states.unknowns
     points = FREE.points(robot, x, SIGMA)
     np.testing.assert_allclose(points, ELASTIC.points(case.robot, case.x[None], SIGMA), atol=1e-3)
@@ -145,7 +147,7 @@ def test_the_margin_to_buckling_is_what_is_left_to_eulers_load(part):
     equilibria, state = rod_state(part * EULER)
     assert margins(equilibria, state, bending=True)[0] == pytest.approx(1 - part, abs=1e-4)
     assert (margins(equilibria, state)[0] > 0) == (part < 1)
-    assert np.linalg.det(equilibria.ends(state.angles, state.axes, state.q, state.load).slopes) > 0
+    assert np.linalg.det(equilibria.ends_of(state).slopes) > 0
 
 
 def test_a_rod_bends_as_the_elastica_does():
@@ -191,18 +193,18 @@ def test_a_force_that_turns_with_the_tool_is_the_same_force_in_the_base_at_rest(
 
 
 def test_slopes_are_the_derivatives_of_the_base_over_the_tip():
-    equilibria = LoadedEquilibria(NITINOL.structure, NITINOL.numbers, follows=True)
+    equilibria = LoadedEquilibria(NITINOL.structure, follows=True)
     q = np.array([[0.5, -0.8, 0.9, 30, 70, 120, 0.2, -0.3]])
     load = Load((0.1, 0.1, 0.2), "tool", 3.0, 6.45, (1, 0, 0)).numbers(NITINOL)[None]
     model = Loaded(Load((0.1, 0.1, 0.2), "tool", 3.0, 6.45, (1, 0, 0)))
-    state = model.follower(NITINOL).states(model.rest(NITINOL, q[0])[None])
-    ends = equilibria.ends(state.angles, state.axes, q, load)
+    state = model.states(NITINOL, model.rest(NITINOL, q[0])[None])
+    ends = equilibria.ends(state.numbers, state.angles, state.axes, q, load)
     h = 1e-5
     for k in range(5):
         step = np.zeros((1, 5))
         step[0, k] = h
         both = [state.moved(sign * step) for sign in (1, -1)]
-        misfits = [equilibria.misfit(q, equilibria.ends(*tip, q, load)) for tip in both]
+        misfits = [equilibria.misfit(q, equilibria.ends(state.numbers, *tip, q, load)) for tip in both]
         np.testing.assert_allclose((misfits[1] - misfits[0])[0] / (2 * h), ends.slopes[0, :, k], atol=1e-6)
 
 
@@ -246,6 +248,25 @@ def test_robots_that_differ_bear_a_tip_force_and_have_no_known_weight():
         Loaded(Load(densities=6.45, down=(0, 0, 1))).follow_apart(NITINOL.structure, numbers, way, way.q[None])
 
 
+def test_robots_side_by_side_go_where_each_goes_alone(monkeypatch):
+    """Also where some snap on the way, in whatever groups they are followed."""
+    turned = np.linspace(0.0, 3.4, 12)
+    q = np.column_stack([turned, 0 * turned, 0 * turned, *np.tile([[20], [40], [75]], 12), 0 * turned, 0 * turned])
+    numbers = NITINOL.numbers[None] * np.linspace(1.0, 2.6, 5)[:, None, None] ** np.array([0, 0, 1, 1, 0, 0])
+    model, way = Loaded(Load(force=(0, 0.1, 0))), passage(q, 4)
+    ways = np.repeat(way.q[None], 5, axis=0) + 0.05 * np.arange(5)[:, None, None] * (np.arange(8) == 1)
+    monkeypatch.setattr("ctr_nlp.models.loaded.model.TOGETHER", 3)
+    together = model.follow_apart(NITINOL.structure, numbers, way, ways)
+    snapped = [bool(found.snaps) for found in together]
+    assert any(snapped)
+    assert not all(snapped)
+    for own, motion, found in zip(numbers, ways, together, strict=True):
+        (alone,) = model.follow_apart(NITINOL.structure, own[None], way, motion[None])
+        np.testing.assert_allclose(found.x, alone.x, atol=1e-8)
+        np.testing.assert_allclose(found.stability_between, alone.stability_between, atol=1e-6)
+        assert found.snaps == alone.snaps
+
+
 def test_what_cannot_be_loaded_is_refused():
     with pytest.raises(LoadError, match="looks like a ratio"):
         FREE.check(table_i_robot())
@@ -275,7 +296,7 @@ def test_rods_go_over_to_compiled_code_once_it_is_there(monkeypatch):
     fastest = compiled._fastest
     monkeypatch.setattr(compiled, "_fastest", lambda *which: offers.pop() if offers else fastest(*which))
     equilibria, state = rod_state(0.1)
-    found = [equilibria.ends(state.angles, state.axes, state.q, state.load) for _ in range(4)]
+    found = [equilibria.ends_of(state) for _ in range(4)]
     assert not offers
     assert len(equilibria.rods._mapped) == 1
     for each in found:

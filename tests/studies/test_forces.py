@@ -14,7 +14,7 @@ from lumens import straight
 
 from ctr_nlp import Load, Plan, Robot, Tube, forces
 from ctr_nlp.exceptions import LoadError, OptionError
-from ctr_nlp.models.loaded.model import Loaded
+from ctr_nlp.models.loaded.following import Follower
 from ctr_nlp.studies.force_picture import picture
 from ctr_nlp.studies.forces import directions_of
 
@@ -50,9 +50,9 @@ def at_case(shared_data, number: int) -> Plan:
 def raised_by_hand(plan: Plan, frame: int, directions: np.ndarray, most: float) -> np.ndarray:
     """The forces at which a frame's robot snaps, raised in steps of one per cent; infinity beyond most."""
     robot, q = plan.robot, plan.q[frame]
-    follower = Loaded(Load()).follower(robot)
-    alone = follower.settled(q)
-    assert alone is not None
+    follower = Follower(robot.structure, robot.numbers[None], Load(), Load().numbers(robot))
+    which, alone = follower.settled(q[None])
+    assert len(which) == 1
     going, found = np.arange(len(directions)), np.full(len(directions), np.inf)
     states = alone.rows(np.zeros(len(directions), dtype=int))
     for force in np.geomspace(LEAST, most, math.ceil(math.log(most / LEAST, RATIO))):

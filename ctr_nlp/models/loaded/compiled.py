@@ -93,23 +93,28 @@ def _fastest(structure: Structure, follows: bool) -> tuple[ca.Function, int]:
 
 
 class Rods:
-    """A robot's rods from tip to base; one object a thread."""
+    """Robots' rods from tip to base; one object a thread."""
 
-    def __init__(self, structure: Structure, numbers: Array, follows: bool = False) -> None:
-        """Numbers (d, 6) as of structure.NUMBERS; follows: whether a force turns with the tip."""
+    def __init__(self, structure: Structure, follows: bool = False) -> None:
+        """Build; follows: whether a force turns with the tip."""
         self.d = structure.d
-        self._numbers = numbers.ravel(order="F")
         self._which = replace(structure, gap=False), follows
         self._function, self._lanes = _fastest(*self._which)
         self._mapped: dict[int, Mapped] = {}
 
-    def __call__(self, angles: Array, axes: Array, beta: Array, load: Array, soft: Array) -> Ends:
-        """The Ends of T tips: angles (T, d), axes (T, 3, 3), beta (T, d) mm, loads (T, 7 + 3 d), soft (T, 2)."""
+    def __call__(self, numbers: Array, angles: Array, axes: Array, beta: Array, load: Array, soft: Array) -> Ends:
+        """The Ends of T robots of numbers (T, d, 6), as of structure.NUMBERS.
+
+        Their tips have angles (T, d) and axes (T, 3, 3); beta (T, d) mm, loads (T, 7 + 3 d), soft (T, 2).
+        """
         rows, side = len(angles), self.d + 2
         mapped = self._for(rows)
         given = np.hstack([angles, axes.reshape(rows, 9), beta, load, soft])
-        padded = np.empty_like(mapped.inputs[0])
-        padded[:rows], padded[rows:] = given, given[-1]
+        of_tubes = numbers.swapaxes(1, 2).reshape(rows, 6 * self.d)
+        padded = np.zeros_like(mapped.inputs[0])
+        padded[:rows], mapped.inputs[1][:rows] = given, of_tubes
+        if rows:  # the function's calls are for several robots; those that are too many are the last one's
+            padded[rows:], mapped.inputs[1][rows:] = given[-1], of_tubes[-1]
         ends, responses = mapped(padded.ravel())
         return Ends(
             ends[:rows, : self.d].copy(),
@@ -125,5 +130,4 @@ class Rods:
         size = max(self._lanes, 1 << (rows - 1).bit_length())
         if size not in self._mapped:
             self._mapped[size] = Mapped(self._function, size, self._lanes)
-            self._mapped[size].inputs[1][:] = self._numbers
         return self._mapped[size]

@@ -14,13 +14,13 @@ RISES = 10
 
 
 class Course(NamedTuple):
-    """Places of a robot: q (M, 2d + 2), and which part of the load acts, (M,).
+    """Places of a robot: at (M,), which of its way's that is, from 0, and which part of the load acts, (M,).
 
     frames (M,): to which frame a place belongs, or on the way to which it is, from 0. own (M,): whether it is the
     frame itself, under the whole load. fresh (M,): where a robot without a load and a history comes to rest.
     """
 
-    q: Array
+    at: Index
     part: Array
     frames: Index
     own: Flags
@@ -41,4 +41,4 @@ def course(way: Passage) -> Course:
             found += [(at, float(part), False, False) for part in rising[::-1]]
     places = np.array([place for place, *_ in found], dtype=int)
     part, own, fresh = (np.array([each[k] for each in found]) for k in (1, 2, 3))
-    return Course(way.q[places], part.astype(float), way.frames[places], own.astype(bool), fresh.astype(bool))
+    return Course(places, part.astype(float), way.frames[places], own.astype(bool), fresh.astype(bool))

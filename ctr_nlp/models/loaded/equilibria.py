@@ -1,5 +1,7 @@
 """Equilibria of loaded robots, many rows side by side, each followed in a line of configurations and loads.
 
+Robots of the rows may differ in the numbers of their tubes.
+
 The tip that a configuration has is found by Newton's method in d + 2 unknowns from a prediction along the tangent,
 as elastic/equilibria.py does without a load; a step that strays from its prediction, or passes a singular slope,
 is halved until it is clear that the branch ends there.
@@ -25,11 +27,13 @@ WIDEST = 1.0
 
 
 class States(NamedTuple):
-    """T equilibria: q (T, 2d + 2); load (T, 7 + 3d); the tip, angles (T, d) relative to its axes (T, 3, 3).
+    """T equilibria of robots of numbers (T, d, 6): q (T, 2d + 2); load (T, 7 + 3d); the tip, angles (T, d)
+    relative to its axes (T, 3, 3).
 
     slopes (T, d + 2, d + 2): how tilt and motors follow the tip (rod.Rod); determinant (T,): of these.
     """
 
+    numbers: Array
     q: Array
     load: Array
     angles: Array
@@ -61,19 +65,23 @@ class States(NamedTuple):
 class LoadedEquilibria:
     """Follows equilibria of loaded robots; one object a thread."""
 
-    def __init__(self, structure: Structure, numbers: Array, follows: bool = False) -> None:
-        """Numbers (d, 6) of the tubes; follows: whether a force turns with the tip."""
-        self.d, self.rods = structure.d, Rods(structure, numbers, follows)
+    def __init__(self, structure: Structure, follows: bool = False) -> None:
+        """Build; follows: whether a force turns with the tip."""
+        self.d, self.rods = structure.d, Rods(structure, follows)
 
-    def unloaded(self, q: Array, tips: Array) -> States:
-        """The states at q (T, 2d + 2) without a load, whose tips' angles (T, d) against each other are known."""
-        return self._solved(q, self._no_load(len(q)), *self.placed(q, tips), np.ones(len(q), dtype=bool))[0]
+    def unloaded(self, numbers: Array, q: Array, tips: Array) -> States:
+        """The states of robots of numbers (T, d, 6) at q (T, 2d + 2) without a load.
 
-    def placed(self, q: Array, tips: Array) -> tuple[Array, Array]:
+        tips (T, d): what is known of their angles, against each other.
+        """
+        placed, every = self.placed(numbers, q, tips), np.ones(len(q), dtype=bool)
+        return self._solved(numbers, q, self._no_load(len(q)), *placed, every)[0]
+
+    def placed(self, numbers: Array, q: Array, tips: Array) -> tuple[Array, Array]:
         """Angles and axes of unloaded tips with angles (T, d) against each other, whose base stands at q."""
         rows, d = len(q), self.d
         axes, angles = np.tile(np.eye(3), (rows, 1, 1)), tips - tips[:, -1:]
-        ends = self.ends(angles, axes, q, self._no_load(rows))
+        ends = self.ends(numbers, angles, axes, q, self._no_load(rows))
         spin = q[:, d - 1] - ends.angles[:, -1]
         base = base_axes(q[:, 2 * d :])
         cos, sin = np.cos(spin)[:, None], np.sin(spin)[:, None]
@@ -110,17 +118,20 @@ class LoadedEquilibria:
     def _step(self, states: States, q: Array, load: Array) -> tuple[States, Flags]:
         """The equilibria at q and load on the branches of some nearby, and for which they were found."""
         d = self.d
-        step = solved(states.slopes, self.misfit(q, self.ends(states.angles, states.axes, q, load)))
+        here = self.ends(states.numbers, states.angles, states.axes, q, load)
+        step = solved(states.slopes, self.misfit(q, here))
         motors = q[:, :d] - states.q[:, :d]
         apart = abs(motors[:, :-1] - motors[:, -1:]).max(axis=1, initial=0.0)
         near = abs(step[:, 2:-1] - step[:, -1:]).max(axis=1, initial=0.0) < LEAP + apart
         near &= abs(step).max(axis=1) < WIDEST
         angles, axes = states.moved(step)
-        new, found = self._solved(q, load, angles, axes, near)
+        new, found = self._solved(states.numbers, q, load, angles, axes, near)
         away = np.maximum(abs(new.angles - angles).max(axis=1), abs(new.axes - axes).max(axis=(1, 2)))
         return new, found & (away < STRAY) & (new.determinant * states.determinant > 0)
 
-    def _solved(self, q: Array, load: Array, angles: Array, axes: Array, wanted: Flags) -> tuple[States, Flags]:
+    def _solved(
+        self, numbers: Array, q: Array, load: Array, angles: Array, axes: Array, wanted: Flags
+    ) -> tuple[States, Flags]:
         """What Newton's method finds from tips, of the rows that are wanted; for which it ends."""
         angles, axes, rows, side = angles.copy(), axes.copy(), len(q), self.d + 2
         slopes, found, going = np.tile(np.eye(side), (rows, 1, 1)), np.zeros(rows, dtype=bool), wanted.copy()
@@ -128,7 +139,7 @@ class LoadedEquilibria:
             at = np.flatnonzero(going)
             if not len(at):
                 break
-            ends = self.ends(angles[at], axes[at], q[at], load[at])
+            ends = self.ends(numbers[at], angles[at], axes[at], q[at], load[at])
             slopes[at] = ends.slopes
             step = solved(slopes[at], self.misfit(q[at], ends))
             size = abs(step).max(axis=1)
@@ -136,12 +147,24 @@ class LoadedEquilibria:
             found[at] |= size < CONVERGED
             going[at[~moved]] = False
             angles[at[moved]], axes[at[moved]] = turned(angles[at[moved]], axes[at[moved]], step[moved])
-        return States(q, load, angles, axes, slopes, np.linalg.det(slopes)), found
+        return States(numbers, q, load, angles, axes, slopes, np.linalg.det(slopes)), found
 
-    def ends(self, angles: Array, axes: Array, q: Array, load: Array, soft: Array | None = None) -> Ends:
+    def ends(
+        self, numbers: Array, angles: Array, axes: Array, q: Array, load: Array, soft: Array | None = None
+    ) -> Ends:
         """The rods of tips, at the extensions of q (T, 2d + 2) and under loads (T, 7 + 3d)."""
         soft = np.ones((len(q), 2)) if soft is None else soft
-        return self.rods(angles, axes, q[:, self.d : 2 * self.d], load, soft)
+        return self.rods(numbers, angles, axes, q[:, self.d : 2 * self.d], load, soft)
+
+    def ends_of(self, states: States, soft: Array | None = None) -> Ends:
+        """The rods of states."""
+        return self.ends(states.numbers, states.angles, states.axes, states.q, states.load, soft)
+
+    def states(self, numbers: Array, angles: Array, axes: Array, beta: Array, load: Array) -> States:
+        """The states of tips, each an equilibrium of its own configuration."""
+        q = self.configurations(numbers, angles, axes, beta, load)
+        slopes = self.ends(numbers, angles, axes, q, load).slopes
+        return States(numbers, q, load, angles, axes, slopes, np.linalg.det(slopes))
 
     def misfit(self, q: Array, ends: Ends) -> Array:
         """By what bases must turn, and motors be turned, to stand at q: (T, d + 2), in the order of responses."""
@@ -155,10 +178,10 @@ class LoadedEquilibria:
         motors -= 2 * np.pi * np.round(motors[:, -1:] / (2 * np.pi))
         return np.hstack([(-factor * y)[:, None], (factor * x)[:, None], motors])
 
-    def configurations(self, angles: Array, axes: Array, beta: Array, load: Array) -> Array:
+    def configurations(self, numbers: Array, angles: Array, axes: Array, beta: Array, load: Array) -> Array:
         """The q (T, 2d + 2) of tips; alpha up to whole turns of all tubes, theta_x within a quarter turn."""
         q = np.hstack([np.zeros(beta.shape), beta, np.zeros((len(beta), 2))])
-        ends = self.ends(angles, axes, q, load)
+        ends = self.ends(numbers, angles, axes, q, load)
         x, y, z = ends.axes[:, 2].T
         q[:, 2 * self.d :] = np.stack([-np.arcsin(np.clip(y, -1, 1)), np.arctan2(x, z)], axis=1)
         q[:, : self.d] = self.misfit(q, ends)[:, 2:]

@@ -1,4 +1,4 @@
-"""The equilibria that a loaded robot is really in, along motions."""
+"""The equilibria that loaded robots are really in, along motions."""
 
 from __future__ import annotations
 
@@ -9,86 +9,81 @@ from ctr_nlp.models.elastic.equilibria import Equilibria
 from ctr_nlp.models.loaded.course import Course, course
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.stability import margins
-from ctr_nlp.models.loaded.tips import tips
 from ctr_nlp.models.protocol import Followed, Passage, Snap
 from ctr_nlp.robot.structure import Structure
-from ctr_nlp.typing import Array
+from ctr_nlp.typing import Array, Index
 
 TURNING = 0.3
 """Part of the largest turn, of tips that leave a branch, from which on a tube is told to jump."""
 
 
 class Follower:
-    """Follows one robot of numbers (d, 6) that bears a load; one object a thread."""
+    """Follows robots of numbers (N, d, 6) that bear the same load, side by side; one object a thread."""
 
     def __init__(self, structure: Structure, numbers: Array, load: Load, acting: Array) -> None:
         """acting: the load's numbers (7 + 3d,)."""
-        self._elastic, self._d = Equilibria(structure, numbers), structure.d
-        self.loaded = LoadedEquilibria(structure, numbers, load.follows)
-        self._acting, self._conservative = acting[None], load.conservative
+        self._numbers, self._acting, self._conservative = numbers, acting, load.conservative
+        self._elastic = [Equilibria(structure, own) for own in numbers]
+        self.loaded = LoadedEquilibria(structure, load.follows)
 
-    def settled(self, q: Array) -> States | None:
-        """Where the robot comes to rest at q (2d + 2,) without a load and without a history."""
-        state = self._elastic.settled(q)
-        return None if state is None else self.loaded.unloaded(q[None], state.tips[None])
+    def settled(self, q: Array) -> tuple[Index, States]:
+        """Which robots come to rest at q (N, 2d + 2) without a load and without a history; their states."""
+        states = [elastic.settled(place) for elastic, place in zip(self._elastic, q, strict=True)]
+        which = np.array([k for k, state in enumerate(states) if state is not None], dtype=int)
+        tips = np.array([state.tips for state in states if state is not None])
+        known = self._numbers[which], q[which], tips.reshape(len(which), self._numbers.shape[1])
+        return which, self.loaded.unloaded(*known)
 
     def rest(self, q: Array) -> Array:
-        """The unknowns (2d + 2,) there after the load has come; NaN where the robot snaps on the way."""
-        state = self.settled(q)
-        if state is not None:
-            state, done = self.loaded.along(state, q[None], self._acting)
-            if done[0] == 1:
-                return state.unknowns[0]
-        return np.full(len(q), np.nan)
-
-    def margins(self, x: Array) -> Array:
-        """The stability margins (T,) of unknowns x (T, 2d + 2); NaN under a load that has no energy."""
-        found, known = np.full(len(x), np.nan), np.isfinite(x).all(axis=1)
-        if self._conservative and known.any():
-            found[known] = margins(self.loaded, self.states(x[known]))
+        """The unknowns (N, 2d + 2) there after the load has come; NaN of robots that snap on the way."""
+        which, states = self.settled(q)
+        states, done = self._led(states, q[which], 1.0)
+        found = np.full(q.shape, np.nan)
+        found[which[done == 1]] = states.rows(done == 1).unknowns
         return found
 
-    def states(self, x: Array) -> States:
-        """The states of unknowns x (T, 2d + 2), each an equilibrium of its own configuration."""
-        d, load = self._d, np.repeat(self._acting, len(x), axis=0)
-        angles, axes = tips(x, d)
-        q = self.loaded.configurations(angles, axes, x[:, d : 2 * d], load)
-        slopes = self.loaded.ends(angles, axes, q, load).slopes
-        return States(q, load, angles, axes, slopes, np.linalg.det(slopes))
+    def followed(self, way: Passage, q: Array, with_margins: bool = True) -> list[Followed]:
+        """Along ways through q (N, M, 2d + 2), before which the load comes and after which it goes.
 
-    def followed(self, way: Passage, with_margins: bool = True) -> Followed:
-        """Along a way, before which the load comes and after which it goes; NaN from a snap to a fresh place."""
+        NaN from a snap to a fresh place.
+        """
         places = course(way)
-        found, snaps = self._places(places)
-        stability = np.full(len(places.q), np.nan)
-        known = np.array([state is not None for state in found], dtype=bool)
-        x = np.full(places.q.shape, np.nan)
-        if known.any():
-            states = _joined([state for state in found if state is not None])
-            x[known] = states.unknowns
+        found, snaps = self._places(places, q[:, places.at])
+        x = np.full((len(q), len(places.at), q.shape[2]), np.nan)
+        stability = np.full(x.shape[:2], np.nan)
+        if found:
+            at = np.repeat(np.arange(len(found)), [len(which) for which, _ in found])
+            which, states = np.concatenate([which for which, _ in found]), _joined([each for _, each in found])
+            x[which, at] = states.unknowns
             if with_margins and self._conservative:
-                stability[known] = margins(self.loaded, states)
-        return _at_frames(way, places, x, stability, snaps, self._d)
+                stability[which, at] = margins(self.loaded, states)
+        rows = zip(x, stability, snaps, strict=True)
+        return [_at_frames(way, places, *row, self._numbers.shape[1]) for row in rows]
 
-    def _places(self, places: Course) -> tuple[list[States | None], tuple[Snap, ...]]:
-        """The states at every place, and where branches end."""
-        found, snaps, state = list[States | None](), list[Snap](), None
-        for q, part, frame, fresh in zip(places.q, places.part, places.frames, places.fresh, strict=True):
+    def _places(self, places: Course, q: Array) -> tuple[list[tuple[Index, States]], list[tuple[Snap, ...]]]:
+        """Which robots stand at every place q (N, M, 2d + 2), and their states; where the branches of each end."""
+        found, snaps = list[tuple[Index, States]](), [list[Snap]() for _ in q]
+        for j, (part, frame, fresh) in enumerate(zip(places.part, places.frames, places.fresh, strict=True)):
             if fresh:
-                state = self.settled(q)
-            elif state is not None:
-                reached, done = self.loaded.along(state, q[None], part * self._acting)
-                if done[0] < 1:
-                    snaps.append(Snap(int(frame) + 1, self._leaving(reached), None))
-                state = reached if done[0] == 1 else None
-            found.append(state)
-        return found, tuple(snaps)
+                which, states = self.settled(q[:, j])
+            else:
+                reached, done = self._led(states, q[which, j], part)
+                for k in np.flatnonzero(done < 1):
+                    snaps[which[k]].append(Snap(int(frame) + 1, _leaving(reached.slopes[k]), None))
+                which, states = which[done == 1], reached.rows(done == 1)
+            found.append((which, states))
+        return found, [tuple(each) for each in snaps]
 
-    def _leaving(self, state: States) -> tuple[int, ...]:
-        """The tubes, from 1, whose tips turn most where a branch ends."""
-        turn = np.linalg.svd(state.slopes[0])[2][-1][2:]
-        apart = abs(turn - turn.mean())
-        return tuple(int(i) + 1 for i in np.flatnonzero(apart >= TURNING * max(apart.max(), 1e-300)))
+    def _led(self, states: States, q: Array, part: float) -> tuple[States, Array]:
+        """States on their way to q (T, 2d + 2) and to a part of the load, as LoadedEquilibria.along."""
+        return self.loaded.along(states, q, np.repeat(part * self._acting[None], len(q), axis=0))
+
+
+def _leaving(slopes: Array) -> tuple[int, ...]:
+    """The tubes, from 1, whose tips turn most where a branch ends, by the slopes (d + 2, d + 2) there."""
+    turn = np.linalg.svd(slopes)[2][-1][2:]
+    apart = abs(turn - turn.mean())
+    return tuple(int(i) + 1 for i in np.flatnonzero(apart >= TURNING * max(apart.max(), 1e-300)))
 
 
 def _joined(states: list[States]) -> States:

@@ -12,9 +12,11 @@ from ctr_nlp.models.dominant.shape import columns_of
 from ctr_nlp.models.elastic import shape
 from ctr_nlp.models.elastic.torsion import sections
 from ctr_nlp.models.loaded.compiled import STEPS, loading
+from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.following import Follower
 from ctr_nlp.models.loaded.rod import Tip, integrated
 from ctr_nlp.models.loaded.shape import shape_under
+from ctr_nlp.models.loaded.stability import margins
 from ctr_nlp.models.loaded.tips import tips, unknowns
 from ctr_nlp.models.protocol import SUBSTEPS, Followed, Model, Passage, Places, Shape, combination, passage
 from ctr_nlp.robot import Robot
@@ -24,6 +26,8 @@ from ctr_nlp.typing import Array, Vector
 PIECE = 6
 """Steps of integration through whose tangents one polynomial goes: through more, evenly spaced, it swings between
 them."""
+TOGETHER = 256
+"""Robots that are followed side by side: of more, all places would need too much memory."""
 
 
 @dataclass(frozen=True)
@@ -94,21 +98,36 @@ class Loaded(Model):
 
     def margins(self, robot: Robot, x: Array) -> Array:
         """As Model.margins; NaN under a load that has no energy."""
-        return self.follower(robot).margins(x)
+        found, known = np.full(len(x), np.nan), np.isfinite(x).all(axis=1)
+        if self.load.conservative and known.any():
+            equilibria = LoadedEquilibria(robot.structure, self.load.follows)
+            found[known] = margins(equilibria, self.states(robot, x[known]))
+        return found
+
+    def states(self, robot: Robot, x: Array) -> States:
+        """The states of unknowns x (T, 2d + 2), each an equilibrium of its own configuration."""
+        equilibria, d = LoadedEquilibria(robot.structure, self.load.follows), robot.d
+        of_robot, acting = (
+            np.repeat(each[None], len(x), axis=0) for each in (robot.numbers, self.load.numbers(robot))
+        )
+        return equilibria.states(of_robot, *tips(x, d), x[:, d : 2 * d], acting)
 
     def rest(self, robot: Robot, q: Array) -> Array:
         """Where all tubes are turned to together from alpha_d, and then loaded; NaN where it snaps on the way."""
-        return self.follower(robot).rest(q)
+        found: Array = self._follower(robot).rest(np.asarray(q, dtype=float)[None])[0]
+        return found
 
     def guess(self, robot: Robot, q: Array) -> Array:
         """As if tubes had their motors' angles all along, and bore nothing."""
         rows = np.reshape(q, (-1, np.shape(q)[-1]))
-        tip = self.follower(robot).loaded.placed(rows, rows[:, : robot.d])
+        of_robot = np.repeat(robot.numbers[None], len(rows), axis=0)
+        equilibria = LoadedEquilibria(robot.structure, self.load.follows)
+        tip = equilibria.placed(of_robot, rows, rows[:, : robot.d])
         return np.reshape(unknowns(*tip, rows), np.shape(q))
 
     def configuration(self, robot: Robot, x: Array) -> Array:
         """As Model.configuration; alpha up to whole turns of all tubes together, theta_x within a quarter turn."""
-        return self.follower(robot).states(x).q
+        return self.states(robot, x).q
 
     def extensions(self, robot: Robot, x: Array) -> Array:
         """As Model.extensions; x holds them where q does."""
@@ -119,21 +138,20 @@ class Loaded(Model):
 
         x0 is not looked at: a robot is where the load has brought it.
         """
-        return self.follower(robot).followed(passage(np.asarray(q, dtype=float), substeps))
+        way = passage(np.asarray(q, dtype=float), substeps)
+        return self._follower(robot).followed(way, way.q[None])[0]
 
     def follow_apart(
         self, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True
     ) -> list[Followed]:
         """As Model.follow_apart; raises LoadError where tubes' weights count."""
-        acting = self.load.numbers_apart(structure.d)
-        return [
-            Follower(structure, own, self.load, acting).followed(way._replace(q=places), margins)
-            for own, places in zip(numbers, q, strict=True)
-        ]
+        acting, found = self.load.numbers_apart(structure.d), list[Followed]()
+        for some in (slice(first, first + TOGETHER) for first in range(0, len(numbers), TOGETHER)):
+            found += Follower(structure, numbers[some], self.load, acting).followed(way, q[some], margins)
+        return found
 
-    def follower(self, robot: Robot) -> Follower:
-        """What follows a robot that bears the load; one object a thread."""
-        return Follower(robot.structure, robot.numbers, self.load, self.load.numbers(robot))
+    def _follower(self, robot: Robot) -> Follower:
+        return Follower(robot.structure, robot.numbers[None], self.load, self.load.numbers(robot))
 
 
 STEADY, TURNING = Loaded(Load()), Loaded(Load(force=(0.0, 0.0, 1.0), axes="tool"))

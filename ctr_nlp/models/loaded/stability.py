@@ -61,7 +61,7 @@ def _looked_at(equilibria: LoadedEquilibria, states: States, margin: Array, bend
     """Whether no direction gives way at margins (T,), and the last pivot, which is the first to."""
     torsion = 1 / (1 - margin)
     soft = np.stack([torsion, torsion if bending else np.ones_like(torsion)], axis=1)
-    found = pivots(equilibria.ends(states.angles, states.axes, states.q, states.load, soft).responses)
+    found = pivots(equilibria.ends_of(states, soft).responses)
     held = np.asarray((found > 0).all(axis=(1, 2)))
     return held, found[:, -1].min(axis=1)
 
