@@ -37,13 +37,12 @@ class Place(NamedTuple):
 class Correction:
     """A quadratic program over the configuration of the tubes, whose numbers are given every time."""
 
-    def __init__(self, robot: Robot, roots: Array, pull: float) -> None:
+    def __init__(self, robot: Robot, roots: Array) -> None:
         """Build; roots (n,): square roots of the weights of places of the shape, whose squares sum to 1.
 
-        pull: mm^2 that a mm away from the planned configuration costs. Raises OptionError where nothing can be
-        compiled.
+        Raises OptionError where nothing can be compiled.
         """
-        self._scale = math.sqrt(pull) * robot.mm_per_unit
+        self._mm_per_unit = robot.mm_per_unit
         self._roots, self._size = np.repeat(roots, 3), len(robot.axes)
         self._program = Program(_nlp(robot), wait=True)
         nlp = self._program.nlp
@@ -53,19 +52,21 @@ class Correction:
         self._betas = slice(robot.d, 2 * robot.d)
 
     def __call__(
-        self, at: Place, wanted: Array, planned: Array, low: Array, high: Array, margin: float
+        self, at: Place, wanted: Array, planned: Array, low: Array, high: Array, margin: float, pull: float
     ) -> Array | None:
         """The configuration of the tubes (2d + 2,) within low and high; None where none is found.
 
         wanted (n, 3): where the places of the shape are to be, mm; planned (2d + 2,): where the tubes were planned
-        to be. margin: the least, which is missed where limits do not allow it.
+        to be. margin: the least, which is missed where limits do not allow it. pull: mm^2 that a mm away from the
+        planned configuration costs.
         """
         q, size, program = at.q, self._size, self._program
+        scale = math.sqrt(pull) * self._mm_per_unit
         slopes = at.over.reshape(size, -1).T * self._roots[:, None]
         away = (wanted - at.seen).ravel() * self._roots
-        root = np.linalg.cholesky(slopes.T @ slopes + np.diag(self._scale**2)).T
-        pull = slopes.T @ away + self._scale**2 * (planned - q)
-        self._root[:], self._wanted[:] = root.ravel("F"), lapack.dtrtrs(root, pull, trans=1)[0]
+        root = np.linalg.cholesky(slopes.T @ slopes + np.diag(scale**2)).T
+        towards = slopes.T @ away + scale**2 * (planned - q)
+        self._root[:], self._wanted[:] = root.ravel("F"), lapack.dtrtrs(root, towards, trans=1)[0]
         stable = math.isnan(at.margin)
         self._margin[:] = (
             np.append(np.zeros(size), -1.0) if stable else np.append(at.of_margin, margin - at.margin)

@@ -104,6 +104,12 @@ class Observer:
         slopes = self._signs_over * of_margin[self.differences.over]
         return math.sqrt(max(float(slopes @ self.covariance @ slopes), 0.0))
 
+    def uncertainty(self, of_points: Array) -> float:
+        """That of the shape, mm, root mean square over n places, whose slopes are of_points (k, n, 3)."""
+        slopes = self._signs_over[:, None, None] * of_points[self.differences.over]
+        over = slopes.reshape(len(slopes), -1)
+        return math.sqrt(max(float(np.sum((self.covariance @ over) * over)) / of_points.shape[1], 0.0))
+
     def moved(self, q: Array, time: float) -> None:
         """The motors have moved to q (2d + 2,) at a time, s."""
         stood = None if self._walker is None else self._walker.copy()

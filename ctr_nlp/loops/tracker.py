@@ -27,8 +27,11 @@ PLACES = 11
 ROOM = 24
 """Places for which predictions are compiled at least, so that robots of a kind share them whatever their sensors.
 """
-PULL = 0.03
-"""mm^2 that a mm away from the planned configuration costs, W as in the motion term."""
+PULL, LEAST = 0.03, 0.1
+"""mm^2 that a mm away from the planned configuration costs, W as in the motion term, while the robot is not known;
+and the part of that which is left once it is."""
+UNKNOWN = 0.5
+"""mm by which the estimated shape is uncertain, as root mean square over places, where the whole pull counts."""
 MARGIN = 0.25
 """The least stability margin of the estimated robot, where nothing is uncertain."""
 UNCERTAIN = 2.0
@@ -69,7 +72,6 @@ class Tracker:
         plan: Plan,
         sensors: Sensors,
         tolerances: Tolerances | None = None,
-        pull: float = PULL,
         known: tuple[Array, Array] | None = None,
     ) -> None:
         """Compile, and wait for it; tolerances: of the robot, None for the plan's.
@@ -91,7 +93,7 @@ class Tracker:
         self.observer = Observer(model, differences, sensors, predictor)
         weights = np.full(PLACES, 1.0)
         weights[[0, -1]] /= 2
-        self._correction = Correction(plan.robot, np.sqrt(weights / weights.sum()), pull)
+        self._correction = Correction(plan.robot, np.sqrt(weights / weights.sum()))
         self._shape, self._q = plan.shape[:, :: (len(SIGMA) - 1) // (PLACES - 1)], plan.q
         self._at, self._size = slice(count, count + PLACES), len(plan.robot.axes)
         self._doubts, self.state, self.notes = Doubts(), State.TRACKING, list[Note]()
@@ -185,7 +187,9 @@ class Tracker:
         )
         raised = np.fmin(self.plan.stability[frame], MARGIN + UNCERTAIN * deviation)
         least_margin = max(MARGIN, float(np.nan_to_num(raised)))
-        tubes = self._correction(at, self._shape[frame], planned, low, high, least_margin)
+        unknown = there.uncertainty(predicted.of_points[:, self._at]) / UNKNOWN
+        pull = PULL * min(1.0, max(LEAST, unknown**2))
+        tubes = self._correction(at, self._shape[frame], planned, low, high, least_margin, pull)
         motors = np.clip(there.motors(start if tubes is None else tubes), least, most)
         d = self._robot.d
         motors[d : 2 * d] = np.maximum.accumulate(motors[d : 2 * d])
