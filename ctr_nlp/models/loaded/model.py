@@ -26,7 +26,7 @@ from ctr_nlp.typing import Array, Vector
 PIECE = 6
 """Steps of integration through whose tangents one polynomial goes: through more, evenly spaced, it swings between
 them."""
-TOGETHER = 256
+TOGETHER = 128
 """Robots that are followed side by side: of more, all places would need too much memory."""
 
 
