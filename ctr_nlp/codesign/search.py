@@ -138,7 +138,7 @@ class DesignSearch:
         scenarios = robots(robot)
         for task, q in zip(self.on(robot), self.each(motions.q), strict=True):
             weight = MOTION_PART * self._balanced(task, q)
-            margins = np.full(task.frames, self.margin) if self.model.can_snap else None
+            margins = np.full(task.frames, self.margin)
             at = robot, task.samples, task.dt, weight, Ends(), self.model, scenarios
             one = shared_motion(*at, fastest, margins, (WithinCurved(),), freed=FREED)
             upper = one.upper.copy()

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from ctr_nlp.figures.parts.palette import FAILED, UNREACHED
 from ctr_nlp.plan.account import failed
@@ -149,3 +150,10 @@ def root_scale(axes: Axes) -> None:
             chosen.append(tick)
     axes.set_yticks([0.0, *chosen])
     axes.yaxis.set_major_formatter("{x:g}")
+
+
+def plain_ticks(axis: Axis) -> None:
+    """Ticks of a logarithmic axis as plain numbers, a few in every decade."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_locator(NullLocator())

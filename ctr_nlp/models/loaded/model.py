@@ -100,17 +100,22 @@ class Loaded(Model):
         """As Model.margins; NaN under a load that has no energy."""
         found, known = np.full(len(x), np.nan), np.isfinite(x).all(axis=1)
         if self.load.conservative and known.any():
-            equilibria = LoadedEquilibria(robot.structure, self.load.follows)
-            found[known] = margins(equilibria, self.states(robot, x[known]))
+            equilibria = self._equilibria(robot)
+            found[known] = margins(equilibria, self._states(equilibria, robot, x[known]))
         return found
 
     def states(self, robot: Robot, x: Array) -> States:
         """The states of unknowns x (T, 2d + 2), each an equilibrium of its own configuration."""
-        equilibria, d = LoadedEquilibria(robot.structure, self.load.follows), robot.d
+        return self._states(self._equilibria(robot), robot, x)
+
+    def _states(self, equilibria: LoadedEquilibria, robot: Robot, x: Array) -> States:
         of_robot, acting = (
             np.repeat(each[None], len(x), axis=0) for each in (robot.numbers, self.load.numbers(robot))
         )
-        return equilibria.states(of_robot, *tips(x, d), x[:, d : 2 * d], acting)
+        return equilibria.states(of_robot, *tips(x, robot.d), x[:, robot.d : 2 * robot.d], acting)
+
+    def _equilibria(self, robot: Robot) -> LoadedEquilibria:
+        return LoadedEquilibria(robot.structure, self.load.follows)
 
     def rest(self, robot: Robot, q: Array) -> Array:
         """Where all tubes are turned to together from alpha_d, and then loaded; NaN where it snaps on the way."""
@@ -121,8 +126,7 @@ class Loaded(Model):
         """As if tubes had their motors' angles all along, and bore nothing."""
         rows = np.reshape(q, (-1, np.shape(q)[-1]))
         of_robot = np.repeat(robot.numbers[None], len(rows), axis=0)
-        equilibria = LoadedEquilibria(robot.structure, self.load.follows)
-        tip = equilibria.placed(of_robot, rows, rows[:, : robot.d])
+        tip = self._equilibria(robot).placed(of_robot, rows, rows[:, : robot.d])
         return np.reshape(unknowns(*tip, rows), np.shape(q))
 
     def configuration(self, robot: Robot, x: Array) -> Array:

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator
 
-from ctr_nlp.figures.parts.page import STYLE, printable
+from ctr_nlp.figures.parts.page import STYLE, plain_ticks, printable
 from ctr_nlp.figures.parts.palette import BLACK, BLUE, VERMILLION
 from ctr_nlp.studies.baselines.race import METHODS, Run
 
@@ -28,9 +27,7 @@ def picture(runs: Sequence[Run], names: Sequence[str]) -> Figure:
             axes.plot(seconds, e3, drawstyle="steps-post", color=COLOURS[run.method], label=label)
             axes.plot(run.seconds, run.e3, "o", ms=3, color=COLOURS[run.method])
     axes.set_yscale("log")
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.minorticks_off()
+    plain_ticks(axes.yaxis)
     axes.set_xlabel("process time (s)")
     axes.set_ylabel("best root mean square of e3 (mm)")
     axes.legend()

@@ -7,9 +7,9 @@ from typing import Any
 
 import matplotlib
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, PercentFormatter
+from matplotlib.ticker import PercentFormatter
 
-from ctr_nlp.figures.parts.page import STYLE
+from ctr_nlp.figures.parts.page import STYLE, plain_ticks
 from ctr_nlp.figures.parts.palette import BLUE, ORANGE, VERMILLION
 from ctr_nlp.studies.survival.cases import Airway
 
@@ -30,9 +30,7 @@ def distributions(airways: Sequence[Airway]) -> Figure:
         left.ecdf([plan.mean for plan in plans if plan.mean is not None], label=label, lw=1.8, **looks[label])
         right.ecdf([plan.share for plan in plans], label=label, lw=1.8, clip_on=False, **looks[label])
     left.set_xscale("log")
-    left.xaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
-    left.xaxis.set_major_formatter("{x:g}")
-    left.minorticks_off()
+    plain_ticks(left.xaxis)
     left.set_xlabel("mean e3 over draws (mm)")
     left.set_ylabel("airways with no more")
     left.yaxis.set_major_formatter(PercentFormatter(1.0))
