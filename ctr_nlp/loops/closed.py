@@ -7,6 +7,7 @@ from time import process_time
 
 import numpy as np
 
+from ctr_nlp.loops.anew.replanning import Planned, Replanning
 from ctr_nlp.loops.feed import Feed
 from ctr_nlp.loops.observer import Innovation
 from ctr_nlp.loops.plant import Plant
@@ -15,7 +16,7 @@ from ctr_nlp.plan.measures import rms_over_sigma
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.simulation.drawn import APART
 from ctr_nlp.support.equal import Kept
-from ctr_nlp.typing import Array
+from ctr_nlp.typing import Array, Flags
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,10 +24,10 @@ class Run(Kept):
     """What became of a plan of T frames on a plant.
 
     q (T, 2d + 2): where motors were told to go. shape (T, 101, 3): the plant's, mm; e2 (T,): root mean squares
-    over sigma of its distance from the target, mm. lost, snapped: the frame, from 1, in which it is not where the
-    robot described would be, or snaps first; 0 where none. means (T, k), deviations (T, k): of the differences
-    estimated; none of an open loop. seconds (T,): of the process, for a cycle each. notes: what the operator was
-    told; stopped: whether the tracker gave up.
+    over sigma of its distance from the target, mm. lost, snapped: the frame, from 1, in which it is not in the
+    equilibrium that it was planned to be in, or snaps first; 0 where none. means (T, k), deviations (T, k): of the
+    differences estimated; none of an open loop. seconds (T,): of the process, for a cycle each. notes: what the
+    operator was told; stopped: whether the tracker gave up. planned: what came of planning the rest anew.
     """
 
     q: Array
@@ -40,6 +41,7 @@ class Run(Kept):
     innovations: tuple[Innovation, ...] = ()
     notes: tuple[Note, ...] = ()
     stopped: bool = False
+    planned: tuple[Planned, ...] = ()
 
     @property
     def e3(self) -> float:
@@ -55,17 +57,25 @@ def open_loop(plan: Plan, plant: Plant) -> Run:
     return _run(plan, plant, nothing, nothing, np.zeros(len(plan.q)))
 
 
-def closed_loop(plan: Plan, plant: Plant, feed: Feed, tracker: Tracker) -> Run:
-    """A plan led by a tracker on a plant, of which a feed tells; each is used once. Raises as Tracker."""
+def closed_loop(
+    plan: Plan, plant: Plant, feed: Feed, tracker: Tracker, replanning: Replanning | None = None
+) -> Run:
+    """A plan led by a tracker on a plant, of which a feed tells; each is used once. Raises as Tracker.
+
+    replanning: of the plan's motion, which then goes on as that says.
+    """
     q, means, deviations, seconds = plan.q[0], list[Array](), list[Array](), list[float]()
     for frame, time in enumerate(plan.time.tolist()):
         plant.moved(q, time)
+        if replanning is not None:
+            replanning.look(frame + 1, tracker)
         readings, begin = feed.arrived(time), process_time()
         q = tracker.step(frame, q, time, readings)
         seconds.append(process_time() - begin)
         means.append(tracker.observer.mean)
         deviations.append(np.sqrt(tracker.observer.covariance.diagonal()))
-    return _run(plan, plant, np.array(means), np.array(deviations), np.array(seconds), tracker)
+    found = _run(plan, plant, np.array(means), np.array(deviations), np.array(seconds), tracker)
+    return found if replanning is None else replace(found, planned=tuple(replanning.planned))
 
 
 def _run(
@@ -74,7 +84,8 @@ def _run(
     shape, x = (np.array([getattr(moved, name) for moved in plant.history]) for name in ("shape", "x"))
     snapped = next((k for k, moved in enumerate(plant.history, start=1) if moved.jumps), 0)
     away = shape - plan.target
-    lost = next((k for k, far in enumerate(_elsewhere(plan, x), start=1) if far), 0)
+    meant = plan.evaluated_on.follow(plan.robot, plan.q).x if tracker is None else tracker.way.x
+    lost = next((k for k, far in enumerate(_elsewhere(plan, x, meant), start=1) if far), 0)
     lost = min(lost, snapped) if lost and snapped else lost or snapped
     e2 = rms_over_sigma(np.linalg.norm(away, axis=-1))
     q = np.array([moved.q for moved in plant.history])
@@ -85,12 +96,10 @@ def _run(
     return replace(found, innovations=tuple(tracker.innovations), notes=tuple(tracker.notes), stopped=stopped)
 
 
-def _elsewhere(plan: Plan, x: Array) -> Array:
-    """In which frames tips are turned by more than APART against each other than the described robot's, (T,)."""
-    model = plan.evaluated_on
-    if not model.several_equilibria:
+def _elsewhere(plan: Plan, x: Array, meant: Array) -> Flags:
+    """In which frames tips are turned by more than APART against each other than they were meant to be, (T,)."""
+    if not plan.evaluated_on.several_equilibria:
         return np.zeros(len(x), dtype=bool)
-    own = model.follow(plan.robot, plan.q).x
-    apart = abs(x - own)[:, : plan.robot.d - 1].max(axis=1, initial=0.0)
-    found: Array = ~(apart <= APART)
+    apart = abs(x - meant)[:, : plan.robot.d - 1].max(axis=1, initial=0.0)
+    found: Flags = ~(apart <= APART)
     return found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.loops.prediction import CHANGED, TUBE_PARTS
 from ctr_nlp.robot import Robot, Tolerances
-from ctr_nlp.robot.draws import Draws, drawn_from
+from ctr_nlp.robot.draws import Draws, drawn_from, known_robot
 from ctr_nlp.robot.structure import NUMBERS
 from ctr_nlp.robot.tolerances import NAMES
 from ctr_nlp.typing import Array, Index
@@ -118,6 +118,20 @@ class Differences:
             else:
                 parts[:, tube, NAMES.index(name)] = values[:, k]
         return drawn_from(self.robot, parts, lags)
+
+    def robot_at(self, values: Array, covariance: Array) -> Robot:
+        """The robot of a vector (k,), of which a covariance (k, k) is left to doubt; limits are of its tubes.
+
+        Raises RobotError where no such tubes can be made.
+        """
+        d, among = self.robot.d, [k for k, (_, name) in enumerate(self.places) if name != LAG]
+        places = [tube * len(NAMES) + NAMES.index(name) for tube, name in (self.places[k] for k in among)]
+        parts, left = np.zeros(d * len(NAMES)), np.zeros((d * len(NAMES), d * len(NAMES)))
+        parts[places] = values[among]
+        left[np.ix_(places, places)] = covariance[np.ix_(among, among)]
+        found, zeros = known_robot(self.robot, parts.reshape(d, -1), left, 0.0), self.offsets(values)
+        alpha = zip(self.robot.lower[:d] + zeros, self.robot.upper[:d] + zeros, strict=True)
+        return replace(found, limits=replace(found.limits, alpha=tuple(alpha)))
 
     def told(self, values: Sequence[float]) -> dict[str, float]:
         """Values (k,) by name, as "curvature of tube 1"."""

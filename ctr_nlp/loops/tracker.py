@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.loops.anew.way import PLACES, Outset, Way
 from ctr_nlp.loops.correction import Correction, Place
 from ctr_nlp.loops.differences import Differences
 from ctr_nlp.loops.doubts import Doubts
@@ -19,11 +20,8 @@ from ctr_nlp.loops.prediction import Predictor
 from ctr_nlp.loops.sensors import Reading, Sensors
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Tolerances
-from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
 
-PLACES = 11
-"""Of the shape, evenly spaced, that are brought to where they were planned to be."""
 ROOM = 24
 """Places for which predictions are compiled at least, so that robots of a kind share them whatever their sensors.
 """
@@ -94,7 +92,7 @@ class Tracker:
         weights = np.full(PLACES, 1.0)
         weights[[0, -1]] /= 2
         self._correction = Correction(plan.robot, np.sqrt(weights / weights.sum()))
-        self._shape, self._q = plan.shape[:, :: (len(SIGMA) - 1) // (PLACES - 1)], plan.q
+        self.way, self._passed = Way.of(plan, model, np.zeros(plan.robot.d)), list[Array]()
         self._at, self._size = slice(count, count + PLACES), len(plan.robot.axes)
         self._doubts, self.state, self.notes = Doubts(), State.TRACKING, list[Note]()
         self._known, self._warned = deque[tuple[Array, Array]](maxlen=BACK), ""
@@ -102,25 +100,54 @@ class Tracker:
         self._silent, self._time = False, 0.0
         self._begun: float | None = None
 
+    @property
+    def tracks(self) -> bool:
+        """Whether measurements are believed."""
+        return self.state is State.TRACKING
+
     def step(self, frame: int, q: Array, time: float, readings: Sequence[Reading]) -> Array:
         """Where motors are to be (2d + 2,) in the next frame, within the plan's limits of position and speed.
 
         frame, from 0, was just reached, with the motors at q (2d + 2,) at a time, s; readings: what arrived since.
         """
         self.observe(q, time, readings)
-        if frame + 1 >= len(self._q):
+        if frame + 1 >= len(self.way.q):
             return q
         reach = self._robot.speed * (self.plan.time[frame + 1] - self.plan.time[frame])
         least, most = np.maximum(self._robot.lower, q - reach), np.minimum(self._robot.upper, q + reach)
-        return self.wanted(frame + 1, self._q[frame + 1] - self._q[frame], q[:0].reshape(0, len(q)), least, most)
+        step = self.way.q[frame + 1] - self.way.q[frame]
+        return self.wanted(frame + 1, step, q[:0].reshape(0, len(q)), least, most)
+
+    def outset(self, frame: int, first: int) -> Outset:
+        """Where the rest of the motion will begin, by what is known in a frame; both from 0, first the later one.
+
+        Raises RobotError where no robot is made of tubes as they are estimated.
+        """
+        observer, robot = self.observer, self._robot
+        known = observer.differences.robot_at(observer.mean, observer.covariance)
+        zeros = observer.differences.offsets(observer.mean)
+        off = observer.tubes - observer.q
+        ahead = np.clip(
+            self.way.q[frame + 1 : first] + observer.tubes - self.way.q[frame], known.lower, known.upper
+        )
+        betas = slice(robot.d, 2 * robot.d)
+        ahead[:, betas] = np.maximum.accumulate(ahead[:, betas], axis=1)
+        before = np.vstack([np.array(self._passed) + off, ahead])
+        return Outset(first, known, zeros, before, Way(*(rows[first:] for rows in self.way)))
+
+    def go_on(self, first: int, rest: Way) -> None:
+        """Lead the robot along another way from a frame, from 0, on."""
+        self.way = self.way.then(first, rest)
 
     def led(self, places: Array) -> None:
         """The motors have come through places (n, 2d + 2), where nothing was measured."""
+        self._passed += list(places)
         self.observer.led(places)
 
     def observe(self, q: Array, time: float, readings: Sequence[Reading]) -> None:
         """The motors are at q (2d + 2,) at a time, s; readings: what arrived since it was last told."""
         self._time, self._begun = time, time if self._begun is None else self._begun
+        self._passed.append(q)
         self.observer.moved(q, time)
         if self.observer.jumps and self.state is not State.STOPPED:
             self._tell(State.STOPPED, "the robot has snapped, by what is known of it")
@@ -170,8 +197,8 @@ class Tracker:
             return there.q
         off = there.tubes - there.q
         low, high = least + off, most + off
-        held, planned = self.state is State.HELD, self._q[frame]
-        start = np.clip(planned + off if held else there.tubes + step, low, high)
+        held, planned = self.state is State.HELD, self.way.q[frame]
+        start = np.clip(self.way.motors[frame] + off if held else there.tubes + step, low, high)
         walker = there.walker.copy()
         walker.go(start)
         predicted, margin = there.at(walker)
@@ -185,11 +212,11 @@ class Tracker:
         at = Place(
             start, predicted.points[self._at], predicted.of_points[:k, self._at], margin, predicted.of_margin[:k]
         )
-        raised = np.fmin(self.plan.stability[frame], MARGIN + UNCERTAIN * deviation)
+        raised = np.fmin(self.way.stability[frame], MARGIN + UNCERTAIN * deviation)
         least_margin = max(MARGIN, float(np.nan_to_num(raised)))
         unknown = there.uncertainty(predicted.of_points[:, self._at]) / UNKNOWN
         pull = PULL * min(1.0, max(LEAST, unknown**2))
-        tubes = self._correction(at, self._shape[frame], planned, low, high, least_margin, pull)
+        tubes = self._correction(at, self.way.shape[frame], planned, low, high, least_margin, pull)
         motors = np.clip(there.motors(start if tubes is None else tubes), least, most)
         d = self._robot.d
         motors[d : 2 * d] = np.maximum.accumulate(motors[d : 2 * d])

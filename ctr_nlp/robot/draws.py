@@ -1,4 +1,4 @@
-"""Draws: robots that a robot may be, with the zeros of their motors and the lags of their tubes."""
+"""Robots that a robot may be, with the zeros of their motors and the lags of their tubes; and the one it is."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.exceptions import RobotError
+from ctr_nlp.robot.limits import Limits
 from ctr_nlp.robot.robot import Robot
 from ctr_nlp.robot.structure import NUMBERS, Structure
-from ctr_nlp.robot.tolerances import NAMES
+from ctr_nlp.robot.tolerances import NAMES, Tolerances
+from ctr_nlp.robot.tube import Tube
 from ctr_nlp.support.equal import Kept
 from ctr_nlp.support.values import whole_number
 from ctr_nlp.typing import Array, Flags
@@ -134,3 +136,36 @@ def drawn_from(robot: Robot, parts: Array, lags: Array) -> Draws:
     shown = tuple((numbers[..., curved] < reach).any(axis=0) | np.array(robot.structure.shown))
     structure = replace(robot.structure, shown=tuple(map(bool, shown)))
     return Draws(structure, numbers, parts[..., 4], lags, parts)
+
+
+def known_robot(robot: Robot, parts: Array, covariance: Array, rotation_lag: Any) -> Robot:
+    """The robot whose tubes differ from those described by parts (d, 5), as robot.tolerances.NAMES has them.
+
+    covariance (5 d, 5 d): of what is left to doubt of these parts; the robot has it, as parts of its own tubes, as
+    its tolerances, and rotation_lag, rad, beside it. Motors' zeros are no numbers of tubes: what they are off by
+    is left to the caller, and only what is left to doubt of it is in the tolerances. Stiffness is told by
+    youngs_modulus. Raises RobotError where no such tubes can be made.
+    """
+    tubes = tuple(_tube(tube, own) for tube, own in zip(robot.tubes, parts, strict=True))
+    scale = np.ones(parts.shape)
+    scale[:, :3] = 1 / (1 + parts[:, :3])
+    left = covariance * np.outer(scale.ravel(), scale.ravel())
+    tolerances = Tolerances(rotation_lag=rotation_lag, distribution="normal", covariance=(left + left.T) / 2)
+    return replace(robot, tubes=tubes, limits=_limits(robot), tolerances=tolerances)
+
+
+def _tube(tube: Tube, parts: Array) -> Tube:
+    curvature, stiffness, ratio, length, _ = parts.tolist()
+    return replace(
+        tube,
+        curvature=(tube.root_curvature * (1 + curvature), tube.tip_curvature * (1 + curvature)),
+        youngs_modulus=tube.youngs_modulus * (1 + stiffness),
+        poisson_ratio=(1 + tube.poisson_ratio) * (1 + ratio) - 1,
+        curved_length=tube.curved_length + length,
+    )
+
+
+def _limits(robot: Robot) -> Limits:
+    """Those of the robot, of which positions do not change with the lengths found."""
+    beta = zip(*(robot.split(ends)[1].tolist() for ends in (robot.lower, robot.upper)), strict=True)
+    return replace(robot.limits, beta=tuple(beta))

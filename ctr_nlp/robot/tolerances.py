@@ -149,9 +149,12 @@ class Tolerances:
         bands = self.bands(tubes)
         if self.covariance is None:
             return np.diag(bands.ravel() / math.sqrt(3))
-        found = self._covariance()
-        sizes, axes = np.linalg.eigh((found + found.T) / 2)
-        return np.asarray(axes * np.sqrt(np.maximum(sizes, 0.0)))
+        found, root = self._covariance(), np.zeros((bands.size, bands.size))
+        differs = np.flatnonzero(found.diagonal() > 0)  # by rounding, nothing else may differ either
+        among = np.ix_(differs, differs)
+        sizes, axes = np.linalg.eigh((found + found.T)[among] / 2)
+        root[among] = axes * np.sqrt(np.maximum(sizes, 0.0))
+        return root
 
     def lags(self, d: int) -> Array:
         """The largest lags (d,) of d tubes, rad."""

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ctr_nlp.loops.anew.replanner import Replanner, problem_of
+from ctr_nlp.loops.anew.replanning import Replanning
 from ctr_nlp.loops.closed import closed_loop, open_loop
 from ctr_nlp.loops.feed import Feed
 from ctr_nlp.loops.plant import Plant
@@ -17,6 +19,7 @@ from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Tolerances
 from ctr_nlp.robot.draws import drawn
+from ctr_nlp.steer.robust.plan import solve_robust
 
 DRAWS, SEED = 100, 20260101
 """Robots that every plan is led on; nothing was tuned on these."""
@@ -58,7 +61,7 @@ class Looped:
     """A plan on robots in one case. planned: its e3, mm; opened, closed: mean e3 of all over that; kept: of those
     neither lost nor stopped, with feedback. lost_open, lost, stopped: of so many draws; told: of those that were
     lost with feedback, of how many the operator was told. cycle, slowest: median and 99 % quantile of one cycle,
-    ms.
+    ms. replanned: the share of replannings whose motion then led; replanning: the median time of one, s.
     """
 
     plan: str
@@ -74,11 +77,18 @@ class Looped:
     draws: int
     cycle: float
     slowest: float
+    replanned: float
+    replanning: float
 
 
-def looped(name: str, plan: Plan, case: str, draws: int = DRAWS, seed: int = SEED) -> Looped:
-    """A plan on so many robots; raises as Tracker. Where a play is given, all tubes have it whole."""
-    at = CASES[case]
+def looped(name: str, plan: Plan, case: str, draws: int = DRAWS, seed: int = SEED, replan: bool = False) -> Looped:
+    """A plan on so many robots; raises as Tracker. Where a play is given, all tubes have it whole.
+
+    replan: whether the motion is planned anew, for OFF before it begins and for what is known while it goes on;
+    what open loops play, and errors are told as parts of, is the plan as it was given. Raises as Replanner, too.
+    """
+    at, led = CASES[case], planned_for(plan, OFF) if replan else plan
+    replanner = Replanner(plan) if replan else None
     tolerances = replace(OFF, rotation_lag=at.play)
     robots = drawn(replace(plan.robot, tolerances=tolerances), draws, seed)
     robots = replace(robots, lags=np.full_like(robots.lags, at.play))
@@ -86,10 +96,11 @@ def looped(name: str, plan: Plan, case: str, draws: int = DRAWS, seed: int = SEE
     for k, bent in zip(range(draws), _bent(at.bending, draws, seed), strict=True):
         opened = open_loop(plan, Plant(plan.robot, robots[k : k + 1], plan.evaluated_on, bending=bent))
         plant = Plant(plan.robot, robots[k : k + 1], plan.evaluated_on, bending=bent)
-        feed, tracker = Feed(plant, at.sensors, seed + k), Tracker(plan, at.sensors, tolerances)
-        runs.append((opened, closed_loop(plan, plant, feed, tracker)))
+        feed, tracker = Feed(plant, at.sensors, seed + k), Tracker(led, at.sensors, tolerances)
+        replanning = None if replanner is None else Replanning(replanner, len(plan.time), plan.dt)
+        runs.append((opened, closed_loop(led, plant, feed, tracker, replanning)))
         seconds += runs[-1][1].seconds.tolist()
-    planned = e3(plan) or np.nan
+    planned, anew = e3(plan) or np.nan, [each for _, run in runs for each in run.planned]
     kept = [run.e3 for _, run in runs if not (run.lost or run.stopped)]
     return Looped(
         plan=name,
@@ -105,7 +116,15 @@ def looped(name: str, plan: Plan, case: str, draws: int = DRAWS, seed: int = SEE
         draws=draws,
         cycle=1e3 * float(np.quantile(seconds, 0.5)),
         slowest=1e3 * float(np.quantile(seconds, 0.99)),
+        replanned=float(np.mean([each.leads for each in anew])) if anew else 0.0,
+        replanning=float(np.median([each.seconds for each in anew])) if anew else 0.0,
     )
+
+
+def planned_for(plan: Plan, tolerances: Tolerances) -> Plan:
+    """A plan for all robots within other tolerances, from a plan for those of its own; raises as solve_robust."""
+    problem = problem_of(plan)
+    return solve_robust(replace(problem, robot=replace(plan.robot, tolerances=tolerances)), initial=[plan.q])
 
 
 def _bent(size: float, draws: int, seed: int) -> Iterator[tuple[float, float]]:

@@ -1,6 +1,6 @@
 """Plans on robots that are off by 10 % and 0.05 rad, led by sensors, and open loop beside: a table.
 
-python scripts/studies/closed_loop.py PLAN.npz [PLAN.npz ...] [--draws N] [--case CASE ...]
+python scripts/studies/closed_loop.py PLAN.npz [PLAN.npz ...] [--draws N] [--case CASE ...] [--replan]
 """
 
 from __future__ import annotations
@@ -20,9 +20,15 @@ def main() -> None:
     parser.add_argument("plans", metavar="PLAN.npz", nargs="+")
     parser.add_argument("--draws", type=int, default=DRAWS, help=f"robots a plan (default {DRAWS})")
     parser.add_argument("--case", nargs="+", choices=list(CASES), default=list(CASES), help="(default all)")
+    parser.add_argument(
+        "--replan",
+        action="store_true",
+        help="plan the motion anew before it begins, for robots that are so far off, and while it goes on, for "
+        "what is known of the robot by then",
+    )
     asked = parser.parse_args()
     rows = [
-        asdict(looped(Path(name).stem, Plan.load(name), case, asked.draws))
+        asdict(looped(Path(name).stem, Plan.load(name), case, asked.draws, replan=asked.replan))
         for case in asked.case
         for name in asked.plans
     ]

@@ -19,6 +19,7 @@ from ctr_nlp.models import Model
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
 from ctr_nlp.plan.verdicts import MOST_LOST
+from ctr_nlp.simulation.forward import Simulator
 from ctr_nlp.solvers.scenarios.condensed import Condensed
 from ctr_nlp.steer.horizon import Horizon
 from ctr_nlp.steer.motions import per_frame_motions
@@ -51,6 +52,7 @@ def solve_robust(
     *,
     most_lost: float = MOST_LOST,
     rounds: int = ROUNDS,
+    guards: bool = True,
     model: str | Model = "elastic",
     start: npt.ArrayLike | None = None,
     end: npt.ArrayLike | None = None,
@@ -66,10 +68,12 @@ def solve_robust(
     scenarios: the first is the problem's own robot; by default those of its tolerances. most_lost: the share of
     all robots within the tolerances that may be lost. A motion is tried on robots drawn for it alone; where too
     many are lost for that to be certain with 95 % confidence, some of these join the scenarios, and it is planned
-    again, in at most so many rounds. What came of the last trial is meta["certificate"]. initial: motions
-    (T, 2d + 2) to start from. margins: of the robot as described in motions that are found frame by frame, to
-    start from where too many robots are lost on what comes of initial ones, or there are none; on a model that
-    cannot snap, the plan of the robot as described is started from.
+    again, in at most so many rounds. What came of the last trial is meta["certificate"]. guards: whether robots at
+    the corners of the tolerances that such a motion loses are kept too, which takes as long again.
+    initial: motions (T, 2d + 2) to start from. margins: of the robot as described in motions that are found frame
+    by frame, to start from where too many robots are lost on what comes of initial ones, or there are none;
+    without margins only initial ones are started from. On a model that cannot snap, the plan of the robot as
+    described is.
     settings.stability_margin: the least of every scenario. start, end, motion_weight, settings, terms, progress:
     as solve_horizon.
     In a lumen, all scenarios are kept off the wall as far as settings say (walled.py), once the motion that is
@@ -82,11 +86,15 @@ def solve_robust(
     whole_number(OptionError, "rounds", rounds, 0)
     model, scenarios = described(problem.robot, model, scenarios)
     given = checked_motions(problem, initial)
+    if not given and not margins:
+        raise OptionError(
+            "initial and margins are both empty: give motions to start from, or margins to find them"
+        )
     motions = (1 + bool(given)) * (2 * (rounds + 1) + RELAXATIONS) + 1
     trials = Trials(problem.robot, model, motions, most_lost)
     begin, searched = time.perf_counter(), 0.0
     with deferred_interrupt() as interrupted:
-        nominal = Horizon(problem, model, None, start, end, _at(settings, margins[0]), terms)
+        nominal = Horizon(problem, model, None, start, end, _at(settings, *margins[:1]), terms)
         least = None if settings.stability_margin is None else np.full(problem.frames, settings.stability_margin)
         tried, made, free = list[Tried](), list[Round](), None
         for starts, seconds in _starts(problem, model, given, margins, nominal, terms, settings):
@@ -100,7 +108,7 @@ def solve_robust(
             free = best_of(made, problem.frames)
             if interrupted() or (free is not None and free.lost.few):
                 break
-        if free is not None and not interrupted():
+        if guards and free is not None and not interrupted():
             made += guarded(free, scenarios, Corners.of(problem.robot, model), trials, len(made))
             free = best_of(made, problem.frames)
         wall = wall_of(problem.robot, problem.sampled_lumen, model, settings, finer=1)
@@ -132,7 +140,7 @@ def solve_robust(
     return _plan(problem, best, None if wall is None else free, meta)
 
 
-def _at(settings: Settings, margin: float) -> Settings:
+def _at(settings: Settings, margin: float = MARGINS[0]) -> Settings:
     """Those of a nominal plan, far from any wall."""
     return replace(settings, stability_margin=margin, contact_weight=0.0)
 
@@ -153,11 +161,15 @@ def _starts(
     if starts:
         yield starts, time.perf_counter() - begin
     begin = time.perf_counter()
-    if model.can_snap:
+    if model.can_snap and margins:
         found = partial(per_frame_motions, problem, nominal.ends, progress=None, model=model, terms=terms)
         starts = [Start(f"margin {each:g}", found(settings=_at(settings, each))[0]) for each in margins]
-    else:
+    elif not model.can_snap:
         starts = [Start("the plain plan", nominal.solve().q)]
+    elif starts:
+        return
+    else:
+        raise OptionError("no motion of initial leads the robot from equilibrium to equilibrium; give margins too")
     yield starts, time.perf_counter() - begin
 
 
@@ -222,6 +234,7 @@ def _plan(problem: Problem, best: Round, free: Round | None, meta: dict[str, Any
         kkt=np.full(problem.frames, found.kkt),
         planned=np.concatenate([found.phi[:, 0], found.q[:, problem.robot.d :]], axis=1),
         free=None if free is None else free.tried.solution.q,
+        simulator=Simulator(problem.robot, best.search.model),
     )
 
 

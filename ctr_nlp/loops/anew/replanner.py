@@ -1,0 +1,53 @@
+"""The rest of a motion, planned anew for what is known of the robot by then."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.loops.anew.way import STRIDE, Outset, Way
+from ctr_nlp.models.elastic import Elastic
+from ctr_nlp.models.elastic.onward import Onward
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.steer.robust.plan import solve_robust
+from ctr_nlp.target.curve import curve_from_points
+from ctr_nlp.target.problem import Problem
+from ctr_nlp.target.target import sequence
+
+
+def problem_of(plan: Plan, first: int = 0) -> Problem:
+    """What a plan answers, from a frame on, counted from 0, by what it holds of its target and of the lumen."""
+    lumen = None if plan.lumen is None else curve_from_points(plan.lumen[:, :3], plan.lumen[:, 3])
+    target = sequence([curve_from_points(points) for points in plan.target[first:]])
+    return Problem("rest", plan.robot, target, plan.dt * len(target), lumen=lumen)
+
+
+class Replanner:
+    """Plans the rest of one plan's motion for a robot, and all robots that it may still be."""
+
+    def __init__(self, plan: Plan) -> None:
+        """Raises OptionError where the plan's model does not let motions be planned anew on their way."""
+        if type(plan.evaluated_on) is not Elastic:
+            load = "" if plan.bears is None else " under a load"
+            raise OptionError(
+                f"the plan is evaluated on the model {plan.evaluated}{load}; the rest of a motion can be planned "
+                "anew on the elastic model without a load"
+            )
+        self._plan = plan
+
+    def __call__(self, outset: Outset) -> Way | None:
+        """The way from outset.first on; None where none is found that is safe for all these robots, and better."""
+        model, first, start = Onward(outset.before), outset.first, outset.before[-1]
+        problem = replace(problem_of(self._plan, first), robot=outset.robot)
+        initial = np.clip(outset.way.q, outset.robot.lower, outset.robot.upper)
+        plan = solve_robust(
+            problem, rounds=1, guards=False, model=model, start=start, initial=[initial], margins=()
+        )
+        if not plan.complete or not plan.meta["certificate"]["held"]:
+            return None
+        rest = Way.of(plan, model, outset.zeros)
+        target = self._plan.target[first:, ::STRIDE]
+        own, other = (float(((way.shape - target) ** 2).sum()) for way in (rest, outset.way))
+        return rest if own < other else None

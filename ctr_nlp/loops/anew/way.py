@@ -1,0 +1,60 @@
+"""What a tracker leads a robot's tubes along, and where the rest of that begins."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ctr_nlp.models import Model
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.robot import Robot
+from ctr_nlp.target.target import SIGMA
+from ctr_nlp.typing import Array
+
+PLACES = 11
+"""Of the shape, evenly spaced, that are brought to where they were planned to be."""
+STRIDE = (len(SIGMA) - 1) // (PLACES - 1)
+
+
+class Way(NamedTuple):
+    """T frames. q (T, 2d + 2): of the tubes; shape (T, PLACES, 3): where they are then, mm; stability (T,): their
+    margins; x (T, n_x): the unknowns of the equilibria meant. zeros (T, d): what motors' zeros were taken to be
+    off by, rad: the motors are planned to be where the tubes are, less these.
+    """
+
+    q: Array
+    shape: Array
+    stability: Array
+    x: Array
+    zeros: Array
+
+    @classmethod
+    def of(cls, plan: Plan, model: Model, zeros: Array) -> Way:
+        """A plan's, made for motors whose zeros are off by (d,) rad; model: on which its robot moves."""
+        x = model.follow(plan.robot, plan.q).x
+        return cls(plan.q, plan.shape[:, ::STRIDE], plan.stability, x, np.tile(zeros, (len(plan.q), 1)))
+
+    @property
+    def motors(self) -> Array:
+        """Where motors are planned to be (T, 2d + 2)."""
+        found, d = self.q.copy(), self.zeros.shape[1]
+        found[:, :d] -= self.zeros
+        return found
+
+    def then(self, first: int, rest: Way) -> Way:
+        """The same up to a frame, counted from 0, from which on another way leads."""
+        return Way(*(np.concatenate([own[:first], other]) for own, other in zip(self, rest, strict=True)))
+
+
+class Outset(NamedTuple):
+    """Where the rest of a motion begins. first: its first frame, from 0. robot: as it is known, with what is left
+    to doubt as its tolerances; zeros (d,): what its motors' are off by, rad. before (n, 2d + 2): where its tubes
+    will have come through by then, the last of it where they begin. way: the rest that is in force.
+    """
+
+    first: int
+    robot: Robot
+    zeros: Array
+    before: Array
+    way: Way

@@ -1,0 +1,62 @@
+"""The elastic model of a robot that moves on: in which equilibrium it is, the way that it has come decides."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ctr_nlp.models.elastic.following import follow, followed_apart
+from ctr_nlp.models.elastic.model import Elastic
+from ctr_nlp.models.protocol import SUBSTEPS, Followed, Model, Passage, passage
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.structure import Structure
+from ctr_nlp.typing import Array
+
+ELASTIC = Elastic()
+
+
+class Onward(Elastic):
+    """Robots that have come through places before (n, 2d + 2) of the tubes, n > 1, when a motion begins.
+
+    A robot of the plain elastic model comes to rest in the first frame of a motion instead, from where all its
+    tubes are aligned; where tubes are turned far against each other, that is another equilibrium.
+    """
+
+    def __init__(self, before: Array) -> None:
+        self.before = before
+
+    @property
+    def form(self) -> Model:
+        """As Model.form."""
+        return ELASTIC
+
+    def rest(self, robot: Robot, q: Array) -> Array:
+        """As Model.rest, of a robot that has come that way."""
+        return self.follow(robot, np.asarray(q, dtype=float)[None]).x[0]
+
+    def follow(self, robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBSTEPS) -> Followed:
+        """As Model.follow."""
+        if x0 is not None:
+            return follow(robot, q, x0, substeps)
+        return _later(follow(robot, np.vstack([self.before, q]), None, substeps), len(self.before))
+
+    def follow_apart(
+        self, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True
+    ) -> list[Followed]:
+        """As Model.follow_apart; robots have come as far beside the places before as their first ones are."""
+        count, substeps = len(self.before), int((way.frames == way.frames[-1]).sum())
+        come = passage(np.vstack([self.before, way.q[:1]]), substeps)
+        whole = Passage(
+            np.vstack([come.q, way.q[1:]]),
+            np.concatenate([come.frames, way.frames[1:] + count]),
+            np.concatenate([come.fresh, way.fresh[1:]]),
+            way.total + count,
+        )
+        beside = come.q + (q[:, :1] - way.q[:1])
+        places = np.concatenate([beside, q[:, 1:]], axis=1)
+        return [_later(each, count) for each in followed_apart(structure, numbers, whole, places, margins)]
+
+
+def _later(found: Followed, count: int) -> Followed:
+    """What comes after so many frames; a robot that has snapped in these has done so by the first."""
+    snaps = tuple(snap._replace(frame=max(snap.frame - count, 1)) for snap in found.snaps)
+    return Followed(found.x[count:], found.stability[count:], found.stability_between[count:], snaps)
