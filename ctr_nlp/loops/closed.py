@@ -68,7 +68,7 @@ def closed_loop(
     for frame, time in enumerate(plan.time.tolist()):
         plant.moved(q, time)
         if replanning is not None:
-            replanning.look(frame + 1, tracker)
+            replanning.look(tracker, frame + 1, q[None])
         readings, begin = feed.arrived(time), process_time()
         q = tracker.step(frame, q, time, readings)
         seconds.append(process_time() - begin)

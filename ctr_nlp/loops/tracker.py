@@ -57,7 +57,8 @@ class Note(NamedTuple):
 
 
 class Tracker:
-    """Leads one robot through a plan. notes: what the operator was told, in order.
+    """Leads one robot through a plan. notes: what the operator was told, in order. way: what tubes are led along,
+    the plan's until it is planned anew (replanned).
 
     Where sensors cannot be believed, the estimate goes back to what it was before, and is kept, and the motors go
     back to the plan, which decides whether robots survive. It tracks again after silence alone: a registration
@@ -92,6 +93,7 @@ class Tracker:
         weights = np.full(PLACES, 1.0)
         weights[[0, -1]] /= 2
         self._correction = Correction(plan.robot, np.sqrt(weights / weights.sum()))
+        self.replanned = False
         self.way, self._passed = Way.of(plan, model, np.zeros(plan.robot.d)), list[Array]()
         self._at, self._size = slice(count, count + PLACES), len(plan.robot.axes)
         self._doubts, self.state, self.notes = Doubts(), State.TRACKING, list[Note]()
@@ -115,29 +117,26 @@ class Tracker:
             return q
         reach = self._robot.speed * (self.plan.time[frame + 1] - self.plan.time[frame])
         least, most = np.maximum(self._robot.lower, q - reach), np.minimum(self._robot.upper, q + reach)
-        step = self.way.q[frame + 1] - self.way.q[frame]
-        return self.wanted(frame + 1, step, q[:0].reshape(0, len(q)), least, most)
+        return self.wanted(frame + 1, frame, q[:0].reshape(0, len(q)), least, most)
 
-    def outset(self, frame: int, first: int) -> Outset:
-        """Where the rest of the motion will begin, by what is known in a frame; both from 0, first the later one.
+    def outset(self, ahead: Array, frame: int, first: int) -> Outset:
+        """Where the rest of the motion will begin, from a later frame, first, on, by what is known now.
 
+        ahead (n, 2d + 2): where the motors will have gone until they are led to a frame; both frames from 0.
         Raises RobotError where no robot is made of tubes as they are estimated.
         """
-        observer, robot = self.observer, self._robot
-        known = observer.differences.robot_at(observer.mean, observer.covariance)
-        zeros = observer.differences.offsets(observer.mean)
-        off = observer.tubes - observer.q
-        ahead = np.clip(
-            self.way.q[frame + 1 : first] + observer.tubes - self.way.q[frame], known.lower, known.upper
-        )
-        betas = slice(robot.d, 2 * robot.d)
-        ahead[:, betas] = np.maximum.accumulate(ahead[:, betas], axis=1)
-        before = np.vstack([np.array(self._passed) + off, ahead])
+        there, betas = self.observer.ahead(ahead), slice(self._robot.d, 2 * self._robot.d)
+        known = there.differences.robot_at(there.mean, there.covariance)
+        beside = there.tubes - self.way.q[frame - 1]
+        later = np.clip(self.way.q[frame:first] + beside, known.lower, known.upper)
+        later[:, betas] = np.maximum.accumulate(later[:, betas], axis=1)
+        before = np.vstack([np.vstack([*self._passed, *ahead]) + there.tubes - there.q, later])
+        zeros = there.differences.offsets(there.mean)
         return Outset(first, known, zeros, before, Way(*(rows[first:] for rows in self.way)))
 
-    def go_on(self, first: int, rest: Way) -> None:
-        """Lead the robot along another way from a frame, from 0, on."""
-        self.way = self.way.then(first, rest)
+    def go_on(self, first: int, start: Array, rest: Way) -> None:
+        """Lead the robot along another way from a frame, from 0, on; start (2d + 2,): of its tubes before."""
+        self.replanned, self.way = True, self.way.then(first, start, rest)
 
     def led(self, places: Array) -> None:
         """The motors have come through places (n, 2d + 2), where nothing was measured."""
@@ -186,11 +185,11 @@ class Tracker:
             self._known.append((self.observer.mean, self.observer.covariance))
             self.observer.measured(reading)
 
-    def wanted(self, frame: int, step: Array, ahead: Array, least: Array, most: Array) -> Array:
+    def wanted(self, frame: int, last: int, ahead: Array, least: Array, most: Array) -> Array:
         """Where motors are best (2d + 2,), between least and most, in a frame, from 0, that has not begun.
 
-        ahead (n, 2d + 2): where they will have gone by then, and stay on the way; step (2d + 2,): by how much the
-        plan moves from the last of these, or from where they are, to that frame. A robot that is stopped stays.
+        ahead (n, 2d + 2): where they will have gone by then, and stay on the way; last: the frame, from 0, that
+        the last of these belongs to, or where they are. A robot that is stopped stays.
         """
         there = self.observer.ahead(ahead)
         if self.state is State.STOPPED:
@@ -198,7 +197,9 @@ class Tracker:
         off = there.tubes - there.q
         low, high = least + off, most + off
         held, planned = self.state is State.HELD, self.way.q[frame]
-        start = np.clip(self.way.motors[frame] + off if held else there.tubes + step, low, high)
+        start = np.clip(
+            self.way.motors[frame] + off if held else there.tubes + planned - self.way.q[last], low, high
+        )
         walker = there.walker.copy()
         walker.go(start)
         predicted, margin = there.at(walker)

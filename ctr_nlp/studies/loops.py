@@ -97,7 +97,7 @@ def looped(name: str, plan: Plan, case: str, draws: int = DRAWS, seed: int = SEE
         opened = open_loop(plan, Plant(plan.robot, robots[k : k + 1], plan.evaluated_on, bending=bent))
         plant = Plant(plan.robot, robots[k : k + 1], plan.evaluated_on, bending=bent)
         feed, tracker = Feed(plant, at.sensors, seed + k), Tracker(led, at.sensors, tolerances)
-        replanning = None if replanner is None else Replanning(replanner, len(plan.time), plan.dt)
+        replanning = None if replanner is None else Replanning(replanner, plan.time)
         runs.append((opened, closed_loop(led, plant, feed, tracker, replanning)))
         seconds += runs[-1][1].seconds.tolist()
     planned, anew = e3(plan) or np.nan, [each for _, run in runs for each in run.planned]

@@ -71,6 +71,19 @@ def test_draws_have_the_covariance_that_is_given():
     np.testing.assert_allclose(robot.tolerances.bands(robot.tubes)[:, 0], 0.01 * np.sqrt(3))
 
 
+def test_what_a_covariance_leaves_no_doubt_of_does_not_differ_by_rounding():
+    covariance = np.zeros((15, 15))
+    among = np.array([0, 5, 10, 14])
+    spread = np.random.default_rng(0).standard_normal((4, 4))
+    covariance[np.ix_(among, among)] = 1e-4 * spread @ spread.T
+    robot = replace(table_i_robot(), tolerances=Tolerances(distribution="normal", covariance=covariance))
+    root = robot.tolerances.root(robot.tubes)
+    np.testing.assert_allclose(root @ root.T, covariance, atol=1e-12)
+    others = np.setdiff1d(np.arange(15), among)
+    assert (root[others] == 0).all()
+    assert (drawn(robot, 10, 1).parts.reshape(10, 15)[:, others] == 0).all()
+
+
 def test_draws_are_those_of_their_seed_and_fewer_are_the_first_of_more():
     for tolerances in (WIDE, replace(WIDE, distribution="normal"), correlated()):
         robot = known_so(tolerances)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ctr_nlp.exceptions import OptionError
+from ctr_nlp.exceptions import CtrError, OptionError
 from ctr_nlp.loops.anew.way import STRIDE, Outset, Way
 from ctr_nlp.models.elastic import Elastic
 from ctr_nlp.models.elastic.onward import Onward
@@ -39,6 +39,12 @@ class Replanner:
 
     def __call__(self, outset: Outset) -> Way | None:
         """The way from outset.first on; None where none is found that is safe for all these robots, and better."""
+        try:
+            return self._planned(outset)
+        except CtrError:  # no motion keeps all limits from there on
+            return None
+
+    def _planned(self, outset: Outset) -> Way | None:
         model, first, start = Onward(outset.before), outset.first, outset.before[-1]
         problem = replace(problem_of(self._plan, first), robot=outset.robot)
         initial = np.clip(outset.way.q, outset.robot.lower, outset.robot.upper)

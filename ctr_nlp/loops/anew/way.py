@@ -42,9 +42,13 @@ class Way(NamedTuple):
         found[:, :d] -= self.zeros
         return found
 
-    def then(self, first: int, rest: Way) -> Way:
-        """The same up to a frame, counted from 0, from which on another way leads."""
-        return Way(*(np.concatenate([own[:first], other]) for own, other in zip(self, rest, strict=True)))
+    def then(self, first: int, start: Array, rest: Way) -> Way:
+        """The same up to a frame, counted from 0, from which on another way leads.
+
+        start (2d + 2,): of the tubes, from where that does; up to there they are beside this way as far as it is.
+        """
+        beside = self._replace(q=self.q + (start - self.q[first - 1]))
+        return Way(*(np.concatenate([own[:first], other]) for own, other in zip(beside, rest, strict=True)))
 
 
 class Outset(NamedTuple):

@@ -1,0 +1,148 @@
+"""The rest of a motion planned anew while the robot moves: nearer to the target, safe, and never too late."""
+
+from concurrent.futures import Executor, Future
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from loops_of import OFF, ROBOT, SENSORS, made_plan, robots
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.loops.anew.replanner import Replanner, problem_of
+from ctr_nlp.loops.anew.replanning import LEAD, Replanning
+from ctr_nlp.loops.closed import closed_loop
+from ctr_nlp.loops.differences import Differences
+from ctr_nlp.loops.feed import Feed
+from ctr_nlp.loops.plant import Plant
+from ctr_nlp.loops.tracker import Tracker
+from ctr_nlp.robot.tolerances import NAMES
+
+DRAWS = 3
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return made_plan()
+
+
+def led(plan, k, replanning=None):
+    plant = Plant(ROBOT, robots(DRAWS)[k : k + 1])
+    return closed_loop(plan, plant, Feed(plant, SENSORS, k), Tracker(plan, SENSORS, OFF), replanning)
+
+
+def remaining(run, plan):
+    """Root mean square over frames of e2 where replanning may have led, mm."""
+    return float(np.sqrt((run.e2[plan.time >= 2 * LEAD + plan.dt] ** 2).mean()))
+
+
+@pytest.fixture(scope="module")
+def runs(plan):
+    """Of every draw along its plan, and planned anew; the target is straight, and the plan far from it."""
+    replanner = Replanner(plan)
+    return [(led(plan, k), led(plan, k, Replanning(replanner, plan.time))) for k in range(DRAWS)]
+
+
+def test_what_is_planned_anew_comes_nearer_to_the_target_and_is_safe(runs, plan):
+    for kept, anew in runs:
+        assert any(each.leads for each in anew.planned)
+        assert remaining(anew, plan) < 0.9 * remaining(kept, plan)
+        assert not anew.lost
+        assert not anew.snapped
+        assert not anew.stopped
+
+
+def test_it_keeps_limits_where_one_way_leads_into_another(runs, plan):
+    for _, run in runs:
+        assert (abs(np.diff(run.q, axis=0)) <= ROBOT.speed * plan.dt + 1e-9).all()
+        assert (run.q >= ROBOT.lower - 1e-9).all()
+        assert (run.q <= ROBOT.upper + 1e-9).all()
+        assert (np.diff(run.q[:, 2:4], axis=1) >= -1e-9).all()
+
+
+def test_nothing_changes_before_it_may(runs, plan):
+    for kept, anew in runs:
+        first = min(each.first for each in anew.planned if each.leads)
+        assert plan.time[first - 1] >= 2 * LEAD
+        np.testing.assert_array_equal(anew.q[: first - 1], kept.q[: first - 1])
+
+
+class Never(Executor):
+    """Is never done."""
+
+    def submit(self, fn, /, *args, **kwargs):
+        return Future()
+
+
+class TooLate(Executor):
+    """Is done when the frame that it was for has passed."""
+
+    def __init__(self):
+        self.future, self.work = Future(), None
+
+    def submit(self, fn, /, *args, **kwargs):
+        self.future, self.work = Future(), (fn, args)
+        return self.future
+
+    def finish(self):
+        if self.work is not None and not self.future.done():
+            self.future.set_result(self.work[0](*self.work[1]))
+
+
+def test_what_is_not_known_in_time_does_not_lead(plan, runs):
+    replanning = Replanning(Replanner(plan), plan.time, Never())
+    run = led(plan, 0, replanning)
+    np.testing.assert_array_equal(run.q, runs[0][0].q)
+    assert run.planned == ()
+
+
+def test_what_is_done_when_its_frame_has_passed_does_not_lead_and_the_next_is_begun(plan):
+    executor = TooLate()
+    replanning = Replanning(Replanner(plan), plan.time, executor)
+    tracker, plant = Tracker(plan, SENSORS, OFF), Plant(ROBOT, robots(1))
+    feed, q = Feed(plant, SENSORS, 0), plan.q[0]
+    changed = []
+    for frame, time in enumerate(plan.time.tolist()):
+        plant.moved(q, time)
+        changed.append(replanning.look(tracker, frame + 1, q[None]))
+        if frame == np.searchsorted(plan.time, 2 * LEAD) + 3:
+            executor.finish()
+        q = tracker.step(frame, q, time, feed.arrived(time))
+    assert not any(changed)
+    assert [each.leads for each in replanning.planned] == [False]
+    assert not executor.future.done()
+
+
+def test_a_robot_as_it_is_estimated_has_its_numbers_and_doubts():
+    differences = Differences.of(ROBOT, OFF)
+    values = np.linspace(-0.04, 0.05, len(differences))
+    found = differences.robot_at(values, differences.covariance)
+    np.testing.assert_allclose(found.numbers, differences.numbers(values), rtol=1e-12)
+    doubts = found.tolerances.root(found.tubes) @ found.tolerances.root(found.tubes).T
+    for k, (tube, name) in enumerate(differences.places):
+        own = doubts[tube * len(NAMES) + NAMES.index(name), tube * len(NAMES) + NAMES.index(name)]
+        scale = 1.0 if name == "motor_zero" else 1 + values[k]
+        assert own == pytest.approx(differences.covariance[k, k] / scale**2)
+
+
+def test_limits_of_tubes_are_those_of_motors_beside_their_zeros():
+    limited = replace(ROBOT, limits=replace(ROBOT.limits, alpha=(-1.0, 2.0)))
+    differences = Differences.of(limited, OFF)
+    values = np.full(len(differences), 0.03)
+    found = differences.robot_at(values, differences.covariance)
+    np.testing.assert_allclose(found.lower[:2], [-0.97, -0.97])
+    np.testing.assert_allclose(found.upper[:2], [2.03, 2.03])
+
+
+def test_the_problem_of_a_plan_is_what_it_follows(plan):
+    found = problem_of(plan, 10)
+    assert found.frames == len(plan.time) - 10
+    assert found.dt == pytest.approx(plan.dt)
+    for frame, points in zip(found.samples, plan.target[10:], strict=True):
+        np.testing.assert_allclose(frame.points, points, atol=1e-3)
+
+
+def test_plans_on_a_model_without_equilibria_to_lose_are_refused(plan):
+    with pytest.raises(
+        OptionError, match="dominant; the rest of a motion can be planned anew on the elastic model"
+    ):
+        Replanner(plan.on("dominant"))
