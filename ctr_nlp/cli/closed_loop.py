@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -14,14 +14,12 @@ import numpy as np
 from ctr_nlp.cli.console import SOLVED, SOME_FAILED, console, print_table
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.hardware.description import Hardware
-from ctr_nlp.hardware.guiding.loop import ClosedLoop, begun_with, known_of, went_on
+from ctr_nlp.hardware.guiding.loop import ClosedLoop, begun_with, known_of
 from ctr_nlp.hardware.guiding.replay import replayed
 from ctr_nlp.hardware.sensing.description import URLS, Sensing
 from ctr_nlp.hardware.sensing.opening import source_of
-from ctr_nlp.loops.anew.replanner import Replanner, problem_of
 from ctr_nlp.loops.tracker import Note, Tracker
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.support.pool import one_beside
 from ctr_nlp.typing import Array
 
 
@@ -38,12 +36,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="URL",
         help=f"who tells, instead of the hardware file's url: {URLS}; where the file has no [sensing], the tip is "
         "measured, with 0.5 mm of noise, in the robot's base frame",
-    )
-    parser.add_argument(
-        "--replan",
-        action="store_true",
-        help="plan the rest of the motion anew in a closed loop, again and again while it is played, for the "
-        "robot as it is estimated and all that it may still be",
     )
     parser.add_argument(
         "--replay",
@@ -69,24 +61,15 @@ def sensing_of(hardware: Hardware) -> Sensing:
 
 
 @contextmanager
-def opened(
-    plan: Plan, hardware: Hardware, records: list[dict[str, Any]] | None, replan: bool
-) -> Iterator[ClosedLoop]:
-    """A loop that goes on with what the records of a journal know, None for none; raises OptionError.
-
-    replan: whether the rest of the motion is planned anew, in a process beside.
-    """
-    sensing, replanner = sensing_of(hardware), Replanner(plan) if replan else None
-    tracker = Tracker(plan, sensing.sensors, known=None if records is None else known_of(records))
-    went_on(tracker, records or [])
-    with one_beside() if replan else nullcontext() as executor:
-        if executor is not None:
-            executor.submit(problem_of, plan).result()  # by then the other process has loaded what it needs
-        loop = ClosedLoop(tracker, source_of(sensing, plan), _told, replanner, executor)
-        try:
-            yield loop
-        finally:
-            loop.close()
+def opened(plan: Plan, hardware: Hardware, records: list[dict[str, Any]] | None) -> Iterator[ClosedLoop]:
+    """A loop that goes on with what the records of a journal know, None for none; raises OptionError."""
+    sensing = sensing_of(hardware)
+    known = None if records is None else known_of(records)
+    loop = ClosedLoop(Tracker(plan, sensing.sensors, known=known), source_of(sensing, plan), _told)
+    try:
+        yield loop
+    finally:
+        loop.close()
 
 
 def _told(note: Note) -> None:
@@ -111,11 +94,6 @@ def tell(loop: ClosedLoop) -> None:
     if known.any():
         told = f"{known.sum()} times measured, {taken.mean():.0%} of values taken, innovations"
         console().print(f"{told} {np.sqrt(sizes[known].mean()):.2f} times as large as expected", markup=False)
-    if loop.replanning is not None:
-        led = [each.first for each in loop.replanning.planned if each.leads]
-        frames = f"; it led from frames {', '.join(map(str, led))} on" if led else ""
-        count = len(loop.replanning.planned)
-        console().print(f"the rest of the motion was planned anew {count} times{frames}", markup=False)
     for note in loop.tracker.notes:
         after = note.time - loop.estimates[0].time
         console().print(f"{after:.2f} s after the start: {note.why} ({note.state.value})", markup=False)

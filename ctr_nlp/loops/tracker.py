@@ -58,7 +58,7 @@ class Note(NamedTuple):
 
 class Tracker:
     """Leads one robot through a plan. notes: what the operator was told, in order. way: what tubes are led along,
-    the plan's until it is planned anew (replanned).
+    the plan's until it is planned anew.
 
     Where sensors cannot be believed, the estimate goes back to what it was before, and is kept, and the motors go
     back to the plan, which decides whether robots survive. It tracks again after silence alone: a registration
@@ -93,7 +93,6 @@ class Tracker:
         weights = np.full(PLACES, 1.0)
         weights[[0, -1]] /= 2
         self._correction = Correction(plan.robot, np.sqrt(weights / weights.sum()))
-        self.replanned = False
         self.way, self._passed = Way.of(plan, model, np.zeros(plan.robot.d)), list[Array]()
         self._at, self._size = slice(count, count + PLACES), len(plan.robot.axes)
         self._doubts, self.state, self.notes = Doubts(), State.TRACKING, list[Note]()
@@ -134,9 +133,9 @@ class Tracker:
         zeros = there.differences.offsets(there.mean)
         return Outset(first, known, zeros, before, Way(*(rows[first:] for rows in self.way)))
 
-    def go_on(self, first: int, start: Array, rest: Way) -> None:
-        """Lead the robot along another way from a frame, from 0, on; start (2d + 2,): of its tubes before."""
-        self.replanned, self.way = True, self.way.then(first, start, rest)
+    def go_on(self, outset: Outset, rest: Way) -> None:
+        """Lead the robot along another way from an outset on."""
+        self.way = self.way.then(outset.first, outset.before[-1], rest)
 
     def led(self, places: Array) -> None:
         """The motors have come through places (n, 2d + 2), where nothing was measured."""

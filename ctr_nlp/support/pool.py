@@ -5,10 +5,9 @@ from __future__ import annotations
 import os
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from multiprocessing import get_context
-from multiprocessing.synchronize import Event
 from typing import Any, TypeVar
 
 from ctr_nlp.exceptions import OptionError
@@ -47,7 +46,9 @@ def side_by_side(
 def _elsewhere(
     work: Callable[[Thing], Found], things: Sequence[Thing], jobs: int, interrupted: Callable[[], bool]
 ) -> Iterator[tuple[int, Found]]:
-    with _processes(jobs) as (pool, pressed):
+    context = get_context("spawn")
+    pressed = context.Event()
+    with _one_thread_each(), ProcessPoolExecutor(jobs, context, share_interrupt, (pressed,)) as pool:
         tasks: dict[Future[Found], int] = {pool.submit(work, thing): number for number, thing in enumerate(things)}
         waiting = set(tasks)
         try:
@@ -60,26 +61,6 @@ def _elsewhere(
                     waiting = {task for task in waiting if not task.cancel()}
         finally:
             pool.shutdown(cancel_futures=True)
-
-
-@contextmanager
-def one_beside() -> Iterator[Executor]:
-    """A process that works beside this one; what it is at when the block ends is given up."""
-    with _processes(1) as (pool, pressed):
-        try:
-            yield pool
-        finally:
-            pressed.set()
-            pool.shutdown(cancel_futures=True)
-
-
-@contextmanager
-def _processes(jobs: int) -> Iterator[tuple[ProcessPoolExecutor, Event]]:
-    """So many of them, and what tells them that Ctrl-C was pressed."""
-    context = get_context("spawn")
-    pressed = context.Event()
-    with _one_thread_each(), ProcessPoolExecutor(jobs, context, share_interrupt, (pressed,)) as pool:
-        yield pool, pressed
 
 
 @contextmanager

@@ -1,6 +1,5 @@
 """The rest of a motion planned anew while the robot moves: nearer to the target, safe, and never too late."""
 
-from concurrent.futures import Executor, Future
 from dataclasses import replace
 
 import numpy as np
@@ -64,52 +63,6 @@ def test_nothing_changes_before_it_may(runs, plan):
         first = min(each.first for each in anew.planned if each.leads)
         assert plan.time[first - 1] >= 2 * LEAD
         np.testing.assert_array_equal(anew.q[: first - 1], kept.q[: first - 1])
-
-
-class Never(Executor):
-    """Is never done."""
-
-    def submit(self, fn, /, *args, **kwargs):
-        return Future()
-
-
-class TooLate(Executor):
-    """Is done when the frame that it was for has passed."""
-
-    def __init__(self):
-        self.future, self.work = Future(), None
-
-    def submit(self, fn, /, *args, **kwargs):
-        self.future, self.work = Future(), (fn, args)
-        return self.future
-
-    def finish(self):
-        if self.work is not None and not self.future.done():
-            self.future.set_result(self.work[0](*self.work[1]))
-
-
-def test_what_is_not_known_in_time_does_not_lead(plan, runs):
-    replanning = Replanning(Replanner(plan), plan.time, Never())
-    run = led(plan, 0, replanning)
-    np.testing.assert_array_equal(run.q, runs[0][0].q)
-    assert run.planned == ()
-
-
-def test_what_is_done_when_its_frame_has_passed_does_not_lead_and_the_next_is_begun(plan):
-    executor = TooLate()
-    replanning = Replanning(Replanner(plan), plan.time, executor)
-    tracker, plant = Tracker(plan, SENSORS, OFF), Plant(ROBOT, robots(1))
-    feed, q = Feed(plant, SENSORS, 0), plan.q[0]
-    changed = []
-    for frame, time in enumerate(plan.time.tolist()):
-        plant.moved(q, time)
-        changed.append(replanning.look(tracker, frame + 1, q[None]))
-        if frame == np.searchsorted(plan.time, 2 * LEAD) + 3:
-            executor.finish()
-        q = tracker.step(frame, q, time, feed.arrived(time))
-    assert not any(changed)
-    assert [each.leads for each in replanning.planned] == [False]
-    assert not executor.future.done()
 
 
 def test_a_robot_as_it_is_estimated_has_its_numbers_and_doubts():

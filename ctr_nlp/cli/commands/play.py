@@ -116,8 +116,6 @@ def _check_together(arguments: argparse.Namespace) -> None:
         raise OptionError("a plan is needed: PLAN.npz")
     if arguments.sensor is not None and not (arguments.closed_loop or arguments.replay):
         raise OptionError("--sensor goes with --closed-loop")
-    if arguments.replan and not arguments.closed_loop:
-        raise OptionError("--replan goes with --closed-loop")
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -143,9 +141,7 @@ def _run(arguments: argparse.Namespace) -> int:
         _check_certified(plan, arguments.plan)
     known = arguments.resume or (arguments.retract and (out / JOURNAL).exists())
     records = read_journal(out / JOURNAL) if known else None
-    looped = (
-        closed_loop.opened(plan, hardware, records, arguments.replan) if arguments.closed_loop else nullcontext()
-    )
+    looped = closed_loop.opened(plan, hardware, records) if arguments.closed_loop else nullcontext()
     with looped as loop, live.playing(plan) if arguments.live else nullcontext() as told:
         return _played(arguments, plan, hardware, out, records, told, loop)
 

@@ -48,26 +48,18 @@ class Course:
         self._time = time
         self.tracker.observe(q, now, readings)
 
-    def frame(self, knot: int) -> int:
-        """Of the plan, from 0, that is reached at a knot of the leeway."""
-        return int(self.leeway.frames[knot]) - 1
-
-    def ahead(self, knot: int) -> Array:
-        """Where motors will have gone (n, 2d + 2) until they are led to a knot of the leeway."""
-        s, last = self.trajectory.knots, self.leeway.knots[knot - 1]
-        here = float(self.trajectory.motion.parameter(self._time))
-        return self.trajectory.motion.path(np.append(s[(s > here) & (s < last)], last))
-
     def correct(self, knot: int) -> Patch:
         """Lead the robot to where the tracker wants it at a knot of the leeway; how the path has changed.
 
         Raises TrajectoryError where that leaves what the arm can do.
         """
         s, knots, before = self.trajectory.knots, self.leeway.knots, self._offsets[knot - 1]
+        here = float(self.trajectory.motion.parameter(self._time))
+        ahead = self.trajectory.motion.path(np.append(s[(s > here) & (s < knots[knot - 1])], knots[knot - 1]))
         low, high = self.leeway.box(knot, before)
         planned = self._planned[knot]
-        frames = self.frame(knot), self.frame(knot - 1)
-        wanted = self.tracker.wanted(*frames, self.ahead(knot), planned + low, planned + high)
+        frame, last = (int(self.leeway.frames[k]) - 1 for k in (knot, knot - 1))
+        wanted = self.tracker.wanted(frame, last, ahead, planned + low, planned + high)
         offset = self.leeway.within(knot, before, wanted - planned)
         self._offsets[knot:] = self.leeway.back(knot, offset)
         patch = self._patch()

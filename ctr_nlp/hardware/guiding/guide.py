@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,8 +13,6 @@ from ctr_nlp.hardware.guiding.course import FIRST, Course
 from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.sensing.source import Source
-from ctr_nlp.loops.anew.replanning import Replanning
-from ctr_nlp.loops.anew.way import Way
 from ctr_nlp.loops.sensors import Reading
 from ctr_nlp.loops.tracker import Note, State
 from ctr_nlp.typing import Array
@@ -49,15 +47,7 @@ class Guide:
     wrong: why the motion must stop, "" where nothing speaks against it. estimates: what was known, in order.
     """
 
-    def __init__(
-        self,
-        course: Course,
-        source: Source,
-        journal: Journal,
-        told: Callable[[Note], None],
-        replanning: Replanning | None = None,
-    ) -> None:
-        self._replanning = replanning
+    def __init__(self, course: Course, source: Source, journal: Journal, told: Callable[[Note], None]) -> None:
         self._course, self._source, self._journal, self._told = course, source, journal, told
         self._looked, self._knot, self._notes = -np.inf, FIRST, len(course.tracker.notes)
         self.wrong, self.estimates = "", list[Estimated]()
@@ -98,7 +88,6 @@ class Guide:
     def _correct(self, knot: int) -> None:
         """Correct one knot, and record what is needed to go on after a crash."""
         observer = self._course.tracker.observer
-        self._replan(knot)
         try:
             patch = self._course.correct(knot)
         except TrajectoryError as exception:
@@ -112,15 +101,6 @@ class Guide:
             covariance=observer.covariance.tolist(),
         )
         self._note()
-
-    def _replan(self, knot: int) -> None:
-        """Lead the robot along what was planned anew, from a knot on; the journal has it before it counts."""
-        tracker = self._course.tracker
-        if self._replanning is None:
-            return
-        first = self._replanning.look(tracker, self._course.frame(knot), self._course.ahead(knot))
-        if first:
-            self._journal.record("replanned", **told_of(tracker.way, first))
 
     def _note(self) -> None:
         """Tell what is new, and stop where the tracker does."""
@@ -138,18 +118,6 @@ class Guide:
 def _listed(values: Array) -> list[float | None]:
     """As JSON has them, None for what is missing."""
     return [value if np.isfinite(value) else None for value in values.tolist()]
-
-
-def told_of(way: Way, first: int) -> dict[str, object]:
-    """What a journal has of a way that leads from a frame, counted from 0, on."""
-    rows = {name: rows[first:].tolist() for name, rows in way._asdict().items()}
-    return {"first": first, "start": way.q[first - 1].tolist()} | rows
-
-
-def way_of(record: dict[str, Any]) -> tuple[int, Array, Way]:
-    """The frame, from 0, that a way of a journal's record leads from; where tubes come from; and the way."""
-    rest = Way(*(np.array(record[name], dtype=float) for name in Way._fields))
-    return record["first"], np.array(record["start"]), rest
 
 
 def readings_of(told: list[list[object]]) -> list[Reading]:

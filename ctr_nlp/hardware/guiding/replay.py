@@ -10,7 +10,7 @@ import numpy as np
 from ctr_nlp.exceptions import TrajectoryError
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.guiding.course import Course
-from ctr_nlp.hardware.guiding.guide import readings_of, way_of
+from ctr_nlp.hardware.guiding.guide import readings_of
 from ctr_nlp.hardware.motion.gcode import MEANING, lines
 from ctr_nlp.hardware.motion.trajectory import Patch, Trajectory
 from ctr_nlp.hardware.playing.session import announced, as_planned, closed, from_there
@@ -48,8 +48,6 @@ def replayed(plan: Plan, hardware: Hardware, records: list[dict[str, Any]], trac
         if record["kind"] == "sensed":
             q, readings = np.array(record["q"]), readings_of(record["readings"])
             course.observe(record["time"], q, record["now"], readings)
-        elif record["kind"] == "replanned":
-            tracker.go_on(*way_of(record))
         elif record["kind"] == "corrected":
             count += 1
             if course.correct(record["knot"]).told() != record["patch"]:
