@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ctr_nlp.loops.anew.replanner import Replanner, problem_of
-from ctr_nlp.loops.anew.replanning import Replanning
+from ctr_nlp.loops.anew.replanner import Replanner, problem_of, settings_of
+from ctr_nlp.loops.anew.replanning import LEAD, Replanning
 from ctr_nlp.loops.closed import closed_loop, open_loop
 from ctr_nlp.loops.feed import Feed
 from ctr_nlp.loops.plant import Plant
@@ -61,7 +61,8 @@ class Looped:
     """A plan on robots in one case. planned: its e3, mm; opened, closed: mean e3 of all over that; kept: of those
     neither lost nor stopped, with feedback. lost_open, lost, stopped: of so many draws; told: of those that were
     lost with feedback, of how many the operator was told. cycle, slowest: median and 99 % quantile of one cycle,
-    ms. replanned: the share of replannings whose motion then led; replanning: the median time of one, s.
+    ms. replanned: the share of replannings whose motion then led; replanning: the median time of one, s; late: the
+    share that took longer than LEAD.
     """
 
     plan: str
@@ -79,6 +80,7 @@ class Looped:
     slowest: float
     replanned: float
     replanning: float
+    late: float
 
 
 def looped(name: str, plan: Plan, case: str, draws: int = DRAWS, seed: int = SEED, replan: bool = False) -> Looped:
@@ -118,13 +120,14 @@ def looped(name: str, plan: Plan, case: str, draws: int = DRAWS, seed: int = SEE
         slowest=1e3 * float(np.quantile(seconds, 0.99)),
         replanned=float(np.mean([each.leads for each in anew])) if anew else 0.0,
         replanning=float(np.median([each.seconds for each in anew])) if anew else 0.0,
+        late=float(np.mean([each.seconds > LEAD for each in anew])) if anew else 0.0,
     )
 
 
 def planned_for(plan: Plan, tolerances: Tolerances) -> Plan:
     """A plan for all robots within other tolerances, from a plan for those of its own; raises as solve_robust."""
-    problem = problem_of(plan)
-    return solve_robust(replace(problem, robot=replace(plan.robot, tolerances=tolerances)), initial=[plan.q])
+    problem = replace(problem_of(plan), robot=replace(plan.robot, tolerances=tolerances))
+    return solve_robust(problem, initial=[plan.q], settings=settings_of(plan))
 
 
 def _bent(size: float, draws: int, seed: int) -> Iterator[tuple[float, float]]:

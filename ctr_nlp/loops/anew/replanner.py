@@ -7,14 +7,19 @@ from dataclasses import replace
 import numpy as np
 
 from ctr_nlp.exceptions import CtrError, OptionError
+from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.loops.anew.way import STRIDE, Outset, Way
 from ctr_nlp.models.elastic import Elastic
 from ctr_nlp.models.elastic.onward import Onward
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.robust.plan import solve_robust
 from ctr_nlp.target.curve import curve_from_points
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import sequence
+
+KEPT = "stability_margin", "clearance", "contact_weight"
+"""Settings of a plan that the rest is planned with, too."""
 
 
 def problem_of(plan: Plan, first: int = 0) -> Problem:
@@ -22,6 +27,11 @@ def problem_of(plan: Plan, first: int = 0) -> Problem:
     lumen = None if plan.lumen is None else curve_from_points(plan.lumen[:, :3], plan.lumen[:, 3])
     target = sequence([curve_from_points(points) for points in plan.target[first:]])
     return Problem("rest", plan.robot, target, plan.dt * len(target), lumen=lumen)
+
+
+def settings_of(plan: Plan) -> Settings:
+    """What a plan asks of margins and of the wall."""
+    return replace(DEFAULTS, **{name: plan.options[name] for name in KEPT if name in plan.options})
 
 
 class Replanner:
@@ -49,7 +59,14 @@ class Replanner:
         problem = replace(problem_of(self._plan, first), robot=outset.robot)
         initial = np.clip(outset.way.q, outset.robot.lower, outset.robot.upper)
         plan = solve_robust(
-            problem, rounds=1, guards=False, model=model, start=start, initial=[initial], margins=()
+            problem,
+            rounds=1,
+            guards=False,
+            settings=settings_of(self._plan),
+            model=model,
+            start=start,
+            initial=[initial],
+            margins=(),
         )
         if not plan.complete or not plan.meta["certificate"]["held"]:
             return None
