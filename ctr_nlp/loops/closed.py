@@ -64,7 +64,7 @@ def closed_loop(
 
     replanning: of the plan's motion, which then goes on as that says.
     """
-    q, means, deviations, seconds = plan.q[0], list[Array](), list[Array](), list[float]()
+    q, means, deviations, seconds = tracker.way.motors[0], list[Array](), list[Array](), list[float]()
     for frame, time in enumerate(plan.time.tolist()):
         plant.moved(q, time)
         if replanning is not None:

@@ -19,7 +19,7 @@ from ctr_nlp.loops.observer import Innovation, Observer
 from ctr_nlp.loops.prediction import Predictor
 from ctr_nlp.loops.sensors import Reading, Sensors
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.robot import Tolerances
+from ctr_nlp.robot import Robot, Tolerances
 from ctr_nlp.typing import Array
 
 ROOM = 24
@@ -125,17 +125,31 @@ class Tracker:
         Raises RobotError where no robot is made of tubes as they are estimated.
         """
         there, betas = self.observer.ahead(ahead), slice(self._robot.d, 2 * self._robot.d)
-        known = there.differences.robot_at(there.mean, there.covariance)
+        known = self.known
         beside = there.tubes - self.way.q[frame - 1]
         later = np.clip(self.way.q[frame:first] + beside, known.lower, known.upper)
         later[:, betas] = np.maximum.accumulate(later[:, betas], axis=1)
         before = np.vstack([np.vstack([*self._passed, *ahead]) + there.tubes - there.q, later])
-        zeros = there.differences.offsets(there.mean)
-        return Outset(first, known, zeros, before, Way(*(rows[first:] for rows in self.way)))
+        return Outset(first, known, self.zeros, before, Way(*(rows[first:] for rows in self.way)))
+
+    @property
+    def known(self) -> Robot:
+        """The robot as it is estimated, with what is left to doubt as tolerances; raises RobotError as outset."""
+        return self.observer.differences.robot_at(self.observer.mean, self.observer.covariance)
+
+    @property
+    def zeros(self) -> Array:
+        """What motors' zeros are estimated to be off by (d,) rad."""
+        return self.observer.differences.offsets(self.observer.mean)
+
+    @property
+    def beginning(self) -> Outset:
+        """The outset of a motion that has not begun; raises RobotError as outset."""
+        return Outset(0, self.known, self.zeros, self.way.q[:0], self.way)
 
     def go_on(self, outset: Outset, rest: Way) -> None:
         """Lead the robot along another way from an outset on."""
-        self.way = self.way.then(outset.first, outset.before[-1], rest)
+        self.way = self.way.then(outset.first, outset.before[-1], rest) if outset.first else rest
 
     def led(self, places: Array) -> None:
         """The motors have come through places (n, 2d + 2), where nothing was measured."""

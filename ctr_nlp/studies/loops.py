@@ -18,8 +18,9 @@ from ctr_nlp.loops.tracker import Tracker
 from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Tolerances
-from ctr_nlp.robot.draws import drawn
+from ctr_nlp.robot.draws import Draws, drawn
 from ctr_nlp.steer.robust.plan import solve_robust
+from ctr_nlp.studies.identified import identified
 
 DRAWS, SEED = 100, 20260101
 """Robots that every plan is led on; nothing was tuned on these."""
@@ -83,24 +84,31 @@ class Looped:
     late: float
 
 
-def looped(name: str, plan: Plan, case: str, draws: int = DRAWS, seed: int = SEED, replan: bool = False) -> Looped:
+AS_PLANNED, REPLANNED, IDENTIFIED = HOWS = "as planned", "replanned", "identified"
+"""How a plan is led: as it is; planned anew, for OFF before it begins, and for what is known while it goes on;
+planned anew for what was known of a robot after it was measured in free space."""
+
+
+def looped(
+    name: str, plan: Plan, case: str, draws: int = DRAWS, seed: int = SEED, how: str = AS_PLANNED
+) -> Looped:
     """A plan on so many robots; raises as Tracker. Where a play is given, all tubes have it whole.
 
-    replan: whether the motion is planned anew, for OFF before it begins and for what is known while it goes on;
-    what open loops play, and errors are told as parts of, is the plan as it was given. Raises as Replanner, too.
+    how: of HOWS; what open loops play, and errors are told as parts of, is the plan as it was given. Raises as
+    Replanner, too.
     """
-    at, led = CASES[case], planned_for(plan, OFF) if replan else plan
-    replanner = Replanner(plan) if replan else None
+    at, led = CASES[case], planned_for(plan, OFF) if how == REPLANNED else plan
+    replanner = None if how == AS_PLANNED else Replanner(plan)
     tolerances = replace(OFF, rotation_lag=at.play)
     robots = drawn(replace(plan.robot, tolerances=tolerances), draws, seed)
     robots = replace(robots, lags=np.full_like(robots.lags, at.play))
     runs, seconds = [], list[float]()
     for k, bent in zip(range(draws), _bent(at.bending, draws, seed), strict=True):
-        opened = open_loop(plan, Plant(plan.robot, robots[k : k + 1], plan.evaluated_on, bending=bent))
-        plant = Plant(plan.robot, robots[k : k + 1], plan.evaluated_on, bending=bent)
-        feed, tracker = Feed(plant, at.sensors, seed + k), Tracker(led, at.sensors, tolerances)
-        replanning = None if replanner is None else Replanning(replanner, plan.time)
-        runs.append((opened, closed_loop(led, plant, feed, tracker, replanning)))
+        own = plan.robot, robots[k : k + 1], plan.evaluated_on
+        opened, plant = open_loop(plan, Plant(*own, bending=bent)), Plant(*own, bending=bent)
+        tracker = _tracker(led, at, tolerances, own[1], seed + k, replanner if how == IDENTIFIED else None)
+        replanning = Replanning(replanner, plan.time) if replanner is not None and how == REPLANNED else None
+        runs.append((opened, closed_loop(led, plant, Feed(plant, at.sensors, seed + k), tracker, replanning)))
         seconds += runs[-1][1].seconds.tolist()
     planned, anew = e3(plan) or np.nan, [each for _, run in runs for each in run.planned]
     kept = [run.e3 for _, run in runs if not (run.lost or run.stopped)]
@@ -122,6 +130,21 @@ def looped(name: str, plan: Plan, case: str, draws: int = DRAWS, seed: int = SEE
         replanning=float(np.median([each.seconds for each in anew])) if anew else 0.0,
         late=float(np.mean([each.seconds > LEAD for each in anew])) if anew else 0.0,
     )
+
+
+def _tracker(
+    plan: Plan, at: Case, tolerances: Tolerances, draw: Draws, seed: int, replanner: Replanner | None
+) -> Tracker:
+    """Of one robot along a plan; replanner: None, or who plans for it after it was measured in free space."""
+    if replanner is None:
+        return Tracker(plan, at.sensors, tolerances)
+    places = np.append([] if at.tip_alone else PLACES, 1.0)
+    known = identified(plan.robot, tolerances, draw, plan.evaluated_on, places, NOISE, seed)
+    tracker = Tracker(plan, at.sensors, tolerances, known)
+    whole = replanner(tracker.beginning)
+    if whole is not None:
+        tracker.go_on(tracker.beginning, whole)
+    return tracker
 
 
 def planned_for(plan: Plan, tolerances: Tolerances) -> Plan:

@@ -18,13 +18,12 @@ from scipy.spatial.transform import Rotation
 
 from ctr_nlp import Calibration, Measurements, Robot, Tolerances, calibrate, table_i_robot
 from ctr_nlp.calibration.calibration import errors
-from ctr_nlp.calibration.next_poses import stable_poses
 from ctr_nlp.calibration.parameters import BASE
 from ctr_nlp.calibration.prediction import Prediction, flat_measured
 from ctr_nlp.models import model_named
-from ctr_nlp.models.protocol import Passage
 from ctr_nlp.robot.draws import Draws, drawn
 from ctr_nlp.robot.tolerances import NAMES
+from ctr_nlp.studies.identified import measured_apart
 from ctr_nlp.typing import Array
 
 POSES, PLACES, NOISE = 60, 10, 0.5
@@ -90,18 +89,8 @@ def trial(robot: Robot, seed: int) -> dict[str, float]:
 
 def _measured(robot: Robot, own: Draws, turn: Array, place: Array, seed: int, noise: float) -> Measurements:
     """Shapes of a robot at random poses, in the axes of a sensor."""
-    q, sigma = stable_poses(robot, ELASTIC, POSES, seed), np.linspace(1 / PLACES, 1, PLACES)
-    turned = np.array(q)
-    turned[:, : robot.d] += own.offsets[0]
-    way = Passage(turned, np.arange(len(q)), np.ones(len(q), dtype=bool), len(q))
-    (found,) = ELASTIC.follow_apart(own.structure, own.numbers, way, turned[None], False)
-    points = ELASTIC.points_apart(own.structure, np.repeat(own.numbers, len(q), axis=0), found.x, sigma)
-    points = points @ turn.T + place
-    points += noise * np.random.default_rng([seed, 3]).standard_normal(points.shape)
-    none = np.full((len(q), 3), np.nan)
-    return Measurements(
-        q, none, none, points, np.tile(sigma, (len(q), 1)), none[:, 0], np.zeros(len(q), dtype=int)
-    )
+    seen = measured_apart(robot, own, ELASTIC, np.linspace(1 / PLACES, 1, PLACES), noise, seed, POSES)
+    return replace(seen, points=seen.points @ turn.T + place)
 
 
 def _deviations(found: Calibration, own: Draws) -> Array:

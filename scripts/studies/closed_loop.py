@@ -1,6 +1,6 @@
 """Plans on robots that are off by 10 % and 0.05 rad, led by sensors, and open loop beside: a table.
 
-python scripts/studies/closed_loop.py PLAN.npz [PLAN.npz ...] [--draws N] [--case CASE ...] [--replan]
+python scripts/studies/closed_loop.py PLAN.npz [PLAN.npz ...] [--draws N] [--case CASE ...] [--how HOW]
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from ctr_nlp import Plan
-from ctr_nlp.studies.loops import CASES, DRAWS, looped
+from ctr_nlp.studies.loops import AS_PLANNED, CASES, DRAWS, HOWS, looped
 from ctr_nlp.support.tables import markdown
 
 
@@ -21,14 +21,16 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=DRAWS, help=f"robots a plan (default {DRAWS})")
     parser.add_argument("--case", nargs="+", choices=list(CASES), default=list(CASES), help="(default all)")
     parser.add_argument(
-        "--replan",
-        action="store_true",
-        help="plan the motion anew before it begins, for robots that are so far off, and while it goes on, for "
-        "what is known of the robot by then",
+        "--how",
+        choices=HOWS,
+        default=AS_PLANNED,
+        help="how a plan is led: as it is (the default); planned anew before it begins, for robots that are so "
+        "far off, and while it goes on, for what is known by then; or planned anew for what was known of a robot "
+        "after it was measured in free space",
     )
     asked = parser.parse_args()
     rows = [
-        asdict(looped(Path(name).stem, Plan.load(name), case, asked.draws, replan=asked.replan))
+        asdict(looped(Path(name).stem, Plan.load(name), case, asked.draws, how=asked.how))
         for case in asked.case
         for name in asked.plans
     ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -48,29 +49,24 @@ class Replanner:
         self._plan = plan
 
     def __call__(self, outset: Outset) -> Way | None:
-        """The way from outset.first on; None where none is found that is safe for all these robots, and better."""
+        """The way from outset.first on; None where none is found that is safe for all these robots.
+
+        None, too, where a motion that has begun comes no nearer to the target so. Before it has begun, the search
+        takes as long as for any plan.
+        """
+        begun = outset.first > 0
+        problem = replace(problem_of(self._plan, outset.first), robot=outset.robot)
+        initial = np.clip(outset.way.q, outset.robot.lower, outset.robot.upper)
+        model = Onward(outset.before) if begun else self._plan.evaluated_on
+        asked: dict[str, Any] = {"settings": settings_of(self._plan), "model": model, "initial": [initial]}
+        if begun:
+            asked |= {"start": outset.before[-1], "rounds": 1, "guards": False, "margins": ()}
         try:
-            return self._planned(outset)
+            plan = solve_robust(problem, **asked)
         except CtrError:  # no motion keeps all limits from there on
             return None
-
-    def _planned(self, outset: Outset) -> Way | None:
-        model, first, start = Onward(outset.before), outset.first, outset.before[-1]
-        problem = replace(problem_of(self._plan, first), robot=outset.robot)
-        initial = np.clip(outset.way.q, outset.robot.lower, outset.robot.upper)
-        plan = solve_robust(
-            problem,
-            rounds=1,
-            guards=False,
-            settings=settings_of(self._plan),
-            model=model,
-            start=start,
-            initial=[initial],
-            margins=(),
-        )
         if not plan.complete or not plan.meta["certificate"]["held"]:
             return None
-        rest = Way.of(plan, model, outset.zeros)
-        target = self._plan.target[first:, ::STRIDE]
+        rest, target = Way.of(plan, model, outset.zeros), self._plan.target[outset.first :, ::STRIDE]
         own, other = (float(((way.shape - target) ** 2).sum()) for way in (rest, outset.way))
-        return rest if own < other else None
+        return None if begun and own >= other else rest

@@ -1,0 +1,60 @@
+"""Robots that are measured in free space before a motion, by the sensors that lead it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ctr_nlp.calibration.calibration import Calibration, calibrate
+from ctr_nlp.calibration.measurements import Measurements
+from ctr_nlp.calibration.next_poses import stable_poses
+from ctr_nlp.loops.differences import Differences
+from ctr_nlp.models import Model
+from ctr_nlp.models.protocol import Passage
+from ctr_nlp.robot import Robot, Tolerances
+from ctr_nlp.robot.draws import Draws
+from ctr_nlp.typing import Array
+
+POSES = 20
+"""At which a robot is measured."""
+
+
+def identified(
+    robot: Robot, tolerances: Tolerances, draw: Draws, model: Model, sigma: Array, noise: float, seed: int
+) -> tuple[Array, Array]:
+    """What is known of a draw of a robot, mean (k,) and covariance (k, k) of its differences, after POSES poses.
+
+    sigma (n,): places of the shape that are measured, in the axes of the base, with noise, mm. Raises
+    MeasurementError, OptionError.
+    """
+    differences = Differences.of(robot, tolerances)
+    measured = measured_apart(robot, draw, model, sigma, noise, seed)
+    found = calibrate(replace(robot, tolerances=tolerances), measured, model=model, registered=True, held_out=0)
+    return _of(differences, found)
+
+
+def measured_apart(
+    robot: Robot, draw: Draws, model: Model, sigma: Array, noise: float, seed: int, poses: int = POSES
+) -> Measurements:
+    """Places of the shape of a draw of a robot at random poses, in each of which it comes to rest anew.
+
+    sigma (n,): of the places; noise: the standard deviation of every coordinate, mm; seed: of poses and noise.
+    """
+    q = stable_poses(robot, model, poses, seed)
+    turned = np.array(q)
+    turned[:, : robot.d] += draw.offsets[0]
+    way = Passage(turned, np.arange(poses), np.ones(poses, dtype=bool), poses)
+    (found,) = model.follow_apart(draw.structure, draw.numbers, way, turned[None], False)
+    points = model.points_apart(draw.structure, np.repeat(draw.numbers, poses, axis=0), found.x, sigma)
+    points += noise * np.random.default_rng([seed, 3]).standard_normal(points.shape)
+    none = np.full((poses, 3), np.nan)
+    places = np.tile(sigma, (poses, 1))
+    return Measurements(q, none, none, points, places, none[:, 0], np.zeros(poses, dtype=int))
+
+
+def _of(differences: Differences, found: Calibration) -> tuple[Array, Array]:
+    """A calibration in the order of differences, of which it estimated all."""
+    rows = {(one.number, one.kind): k for k, one in enumerate(found.parameters.each)}
+    picked = [rows[tube + 1, name] for tube, name in differences.places]
+    return found.fit.values[picked], found.fit.covariance[np.ix_(picked, picked)]
