@@ -50,7 +50,7 @@ class Loss(NamedTuple):
     length: float
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Robustness(Kept):
     """A plan of T frames on n draws of its robot, moved open loop from where all tubes are aligned.
 
@@ -82,6 +82,9 @@ class Robustness(Kept):
 
     def __len__(self) -> int:
         return len(self.parts)
+
+    def __repr__(self) -> str:
+        return f"Robustness({self.told.rstrip('.')})"
 
     @property
     def losses(self) -> int:

@@ -124,6 +124,8 @@ def poses(folder: Path, tubes: int) -> Measurements:
             q.append(pose)
             tips.append(tip)
             recordings.append(number)
+    if not q:
+        sys.exit(f"no poses in {folder}/{tubes}Tube_*/2023-*.csv; give the folder of the whole repository")
     return _tips(np.array(q), np.array(tips), np.full(len(q), np.nan), np.array(recordings))
 
 

@@ -52,6 +52,12 @@ def test_costs_are_those_of_one_tolerance_alone(plan):
     assert costs[1, "curvature"].growth == pytest.approx(np.sqrt(np.mean(squares)) - e3(plan), rel=1e-6)
 
 
+def test_it_is_shown_in_a_line(plan):
+    found = plan.robustness(20)
+    assert repr(found) == f"Robustness({found.told[:-1]})"
+    assert f"{found.losses} of 20 draws" in repr(found)
+
+
 def test_the_same_seed_gives_the_same(plan):
     assert plan.robustness(30, 4) == plan.drawn
     assert plan.robustness(30, 5) != plan.drawn

@@ -10,6 +10,7 @@ import numpy as np
 from ctr_nlp.exceptions import CtrError, OptionError
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.loops.anew.way import STRIDE, Outset, Way
+from ctr_nlp.loops.tracker import MARGIN
 from ctr_nlp.models.elastic import Elastic
 from ctr_nlp.models.elastic.onward import Onward
 from ctr_nlp.plan.plan import Plan
@@ -58,8 +59,11 @@ class Replanner:
         problem = replace(problem_of(self._plan, outset.first), robot=outset.robot)
         initial = np.clip(outset.way.q, outset.robot.lower, outset.robot.upper)
         model = Onward(outset.before) if begun else self._plan.evaluated_on
-        asked: dict[str, Any] = {"settings": settings_of(self._plan), "model": model, "initial": [initial]}
-        if begun:
+        settings = settings_of(self._plan)
+        asked: dict[str, Any] = {"settings": settings, "model": model, "initial": [initial]}
+        if begun:  # with the margin that a tracker keeps
+            least = max(settings.stability_margin or 0.0, MARGIN)
+            asked["settings"] = replace(settings, stability_margin=least)
             asked |= {"start": outset.before[-1], "rounds": 1, "guards": False, "margins": ()}
         try:
             plan = solve_robust(problem, **asked)
