@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,7 +17,7 @@ from ctr_nlp.loops.correction import Correction, Place
 from ctr_nlp.loops.differences import Differences
 from ctr_nlp.loops.doubts import Doubts
 from ctr_nlp.loops.observer import Innovation, Observer
-from ctr_nlp.loops.prediction import Predictor
+from ctr_nlp.loops.prediction import Predicted, Predictor
 from ctr_nlp.loops.sensors import Reading, Sensors
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot, Tolerances
@@ -31,9 +32,14 @@ and the part of that which is left once it is."""
 UNKNOWN = 0.5
 """mm by which the estimated shape is uncertain, as root mean square over places, where the whole pull counts."""
 MARGIN = 0.25
-"""The least stability margin of the estimated robot, where nothing is uncertain."""
+"""The least stability margin of the estimated robot, where nothing is uncertain; not more than was planned."""
 UNCERTAIN = 2.0
-"""Standard deviations of the margin by which it is raised for what is uncertain, up to the planned one."""
+"""Standard deviations of the margin by which that is raised for what is uncertain, up to the planned one."""
+THIN = 1000.0
+"""How many times the pull grows until nothing is left of a margin that is thinner than MARGIN and what is
+uncertain: there the plan decides whether robots survive, which was made for all of them."""
+NEAR = 0.3, 3.0, 0.1
+"""How far corrections lead from the planned configuration: alpha and theta in rad, beta in mm."""
 STOPS = 2.0
 """Standard deviations of the margin that must be left where sensors cannot be believed, or the robot stops."""
 BACK = 6
@@ -94,6 +100,10 @@ class Tracker:
         weights[[0, -1]] /= 2
         self._correction = Correction(plan.robot, np.sqrt(weights / weights.sum()))
         self.way, self._passed = Way.of(plan, model, np.zeros(plan.robot.d)), list[Array]()
+        alpha, beta, theta = NEAR
+        d = plan.robot.d
+        self._near = np.concatenate([np.full(d, alpha), np.full(d, beta), np.full(2, theta)])
+        self._betas = slice(d, 2 * d)
         self._at, self._size = slice(count, count + PLACES), len(plan.robot.axes)
         self._doubts, self.state, self.notes = Doubts(), State.TRACKING, list[Note]()
         self._known, self._warned = deque[tuple[Array, Array]](maxlen=BACK), ""
@@ -124,8 +134,7 @@ class Tracker:
         ahead (n, 2d + 2): where the motors will have gone until they are led to a frame; both frames from 0.
         Raises RobotError where no robot is made of tubes as they are estimated.
         """
-        there, betas = self.observer.ahead(ahead), slice(self._robot.d, 2 * self._robot.d)
-        known = self.known
+        there, known, betas = self.observer.ahead(ahead), self.known, self._betas
         beside = there.tubes - self.way.q[frame - 1]
         later = np.clip(self.way.q[frame:first] + beside, known.lower, known.upper)
         later[:, betas] = np.maximum.accumulate(later[:, betas], axis=1)
@@ -208,8 +217,8 @@ class Tracker:
         if self.state is State.STOPPED:
             return there.q
         off = there.tubes - there.q
-        low, high = least + off, most + off
         held, planned = self.state is State.HELD, self.way.q[frame]
+        low, high = self._limits(planned, least + off, most + off)
         start = np.clip(
             self.way.motors[frame] + off if held else there.tubes + planned - self.way.q[last], low, high
         )
@@ -222,16 +231,22 @@ class Tracker:
             return there.q
         if held:
             return start - off
-        k = self._size
-        at = Place(
-            start, predicted.points[self._at], predicted.of_points[:k, self._at], margin, predicted.of_margin[:k]
-        )
-        raised = np.fmin(self.way.stability[frame], MARGIN + UNCERTAIN * deviation)
-        least_margin = max(MARGIN, float(np.nan_to_num(raised)))
+        safe = MARGIN + UNCERTAIN * deviation
+        at = self._place(start, predicted, margin)
         unknown = there.uncertainty(predicted.of_points[:, self._at]) / UNKNOWN
-        pull = PULL * min(1.0, max(LEAST, unknown**2))
+        thin = 0.0 if math.isnan(margin) else max(0.0, 1 - margin / safe)
+        pull = PULL * (min(1.0, max(LEAST, unknown**2)) + THIN * thin)
+        least_margin = float(np.nan_to_num(np.fmin(self.way.stability[frame], safe)))
         tubes = self._correction(at, self.way.shape[frame], planned, low, high, least_margin, pull)
         motors = np.clip(there.motors(start if tubes is None else tubes), least, most)
-        d = self._robot.d
-        motors[d : 2 * d] = np.maximum.accumulate(motors[d : 2 * d])
+        motors[self._betas] = np.maximum.accumulate(motors[self._betas])
         return motors
+
+    def _place(self, q: Array, predicted: Predicted, margin: float) -> Place:
+        """The estimated robot with its tubes at q (2d + 2,)."""
+        points, slopes = predicted.points[self._at], predicted.of_points[: self._size, self._at]
+        return Place(q, points, slopes, margin, predicted.of_margin[: self._size])
+
+    def _limits(self, planned: Array, low: Array, high: Array) -> tuple[Array, Array]:
+        """Those of the tubes between low and high that are NEAR the planned configuration, or nearest to it."""
+        return np.clip(planned - self._near, low, high), np.clip(planned + self._near, low, high)
