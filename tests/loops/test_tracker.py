@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from loops_of import OFF, ROBOT, SENSORS, made_plan, robots
+from near_fold import near_the_fold, plan_through
 
 from ctr_nlp.loops.closed import closed_loop, open_loop
 from ctr_nlp.loops.doubts import Doubts
@@ -11,7 +12,7 @@ from ctr_nlp.loops.observer import Innovation
 from ctr_nlp.loops.plant import Plant
 from ctr_nlp.loops.sensors import Reading, Sensors
 from ctr_nlp.loops.sensors.points import TipPosition
-from ctr_nlp.loops.tracker import State, Tracker
+from ctr_nlp.loops.tracker import MARGIN, NEAR, State, Tracker
 
 BEGIN = 2.0
 FAULTS = {
@@ -150,3 +151,42 @@ def test_a_tip_of_which_a_value_is_missing_is_not_far_off():
     seen = tracker.observer.judged(Reading(0.0, np.array([0.0, np.nan, 60.0])))
     assert (seen.groups, seen.rejected) == (0, 0)
     assert not seen.accepted.any()
+
+
+@pytest.fixture(scope="module")
+def thin():
+    """A plan whose stability margin falls to 0.1, below what a tracker keeps elsewhere."""
+    q = near_the_fold(4.24, 40)
+    q[:, 2:4] = np.linspace((20.0, 30.0), (62.0, 85.0), 40)
+    plan = plan_through(q, ROBOT)
+    assert 0 < plan.stability[-1] < 0.5 * MARGIN
+    return plan
+
+
+def test_no_more_margin_is_asked_for_than_was_planned_and_the_pull_grows_where_it_is_thin(thin):
+    asked = []
+    for k in range(6):
+        tracker = Tracker(thin, SENSORS, OFF)
+        correct = tracker._correction
+
+        def recorded(at, wanted, planned, low, high, margin, pull, correct=correct):
+            asked.append((at.margin, margin, pull))
+            return correct(at, wanted, planned, low, high, margin, pull)
+
+        tracker._correction, plant = recorded, Plant(ROBOT, robots(6)[k : k + 1])
+        closed_loop(thin, plant, Feed(plant, SENSORS, k), tracker)
+        _, least, _ = np.array(asked[-len(thin.time) + 1 :]).T
+        assert (least <= thin.stability[1:] + 1e-12).all()
+    margins, least, pulls = np.array(asked).T
+    below = margins < least
+    assert below.any()
+    assert pulls[below].mean() > 10 * pulls[~below].max()
+    assert pulls[below].min() > pulls[~below].min()
+
+
+def test_corrections_stay_near_the_plan(thin):
+    draws = robots(3)
+    for k in range(3):
+        run = led(thin, draws[k : k + 1], k)
+        near = np.repeat(NEAR, 2) + np.append(np.full(2, 0.06), np.zeros(4))  # motors' zeros are off by 0.05 rad
+        assert (abs(run.q - thin.q) <= near + 1e-9).all()
