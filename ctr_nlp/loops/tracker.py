@@ -35,8 +35,8 @@ MARGIN = 0.25
 UNCERTAIN = 2.0
 """Standard deviations of the margin by which that is raised for what is uncertain, up to the planned one."""
 THIN = 1000.0
-"""How many times the pull grows until nothing is left of a margin that is thinner than the least one: there the
-plan decides whether robots survive, which was made for all of them."""
+"""How many times the pull grows until nothing is left of a margin that is thinner than MARGIN and what is
+uncertain: there the plan decides whether robots survive, which was made for all of them."""
 NEAR = 0.3, 3.0, 0.1
 """How far corrections lead from the planned configuration: alpha and theta in rad, beta in mm."""
 STOPS = 2.0
@@ -232,7 +232,7 @@ class Tracker:
             return start - off
         at, safe = self._place(start, predicted, margin), MARGIN + UNCERTAIN * deviation
         least_margin = float(np.nan_to_num(np.fmin(self.way.stability[frame], safe)))
-        thin = 1 - margin / least_margin if margin < least_margin else 0.0
+        thin = 1 - margin / safe if margin < safe else 0.0
         unknown = there.uncertainty(predicted.of_points[:, self._at]) / UNKNOWN
         pull = PULL * (min(1.0, max(LEAST, unknown**2)) + THIN * thin)
         tubes = self._correction(at, self.way.shape[frame], planned, low, high, least_margin, pull)
