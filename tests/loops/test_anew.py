@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from loops_of import OFF, ROBOT, SENSORS, made_plan, robots
+from near_fold import plan_through
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.loops.anew.replanner import Replanner, problem_of
@@ -91,6 +92,14 @@ def test_the_problem_of_a_plan_is_what_it_follows(plan):
     assert found.frames == len(plan.time) - 10
     assert found.dt == pytest.approx(plan.dt)
     for frame, points in zip(found.samples, plan.target[10:], strict=True):
+        np.testing.assert_allclose(frame.points, points, atol=1e-3)
+
+
+def test_a_target_that_is_shorter_than_a_path_may_be_is_followed_too(plan):
+    short = plan_through(np.repeat(plan.q, 10, axis=0), ROBOT)[:4]
+    found = problem_of(short)
+    assert max(found.target.lengths) < 1.0
+    for frame, points in zip(found.samples, short.target, strict=True):
         np.testing.assert_allclose(frame.points, points, atol=1e-3)
 
 

@@ -16,9 +16,11 @@ from ctr_nlp.models.elastic.onward import Onward
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.robust.plan import solve_robust
-from ctr_nlp.target.curve import curve_from_points
+from ctr_nlp.target.curve import Curve, curve_from_points
+from ctr_nlp.target.points import SHORTEST_MM, walked
 from ctr_nlp.target.problem import Problem
-from ctr_nlp.target.target import sequence
+from ctr_nlp.target.target import Target
+from ctr_nlp.typing import Array
 
 KEPT = "stability_margin", "clearance", "contact_weight"
 """Settings of a plan that the rest is planned with, too."""
@@ -27,8 +29,20 @@ KEPT = "stability_margin", "clearance", "contact_weight"
 def problem_of(plan: Plan, first: int = 0) -> Problem:
     """What a plan answers, from a frame on, counted from 0, by what it holds of its target and of the lumen."""
     lumen = None if plan.lumen is None else curve_from_points(plan.lumen[:, :3], plan.lumen[:, 3])
-    target = sequence([curve_from_points(points) for points in plan.target[first:]])
-    return Problem("rest", plan.robot, target, plan.dt * len(target), lumen=lumen)
+    curves, lengths = zip(*map(_curve, plan.target[first:], plan.target_direction[first:]), strict=True)
+    return Problem("rest", plan.robot, Target(curves, lengths), plan.dt * len(curves), lumen=lumen)
+
+
+def _curve(points: Array, direction: Array) -> tuple[Curve, float]:
+    """A curve through a frame's target (101, 3) mm that ends in a direction, and the length of that.
+
+    What is too short for a path of its own goes straight on.
+    """
+    length = float(walked(points)[-1])
+    if length > 2 * SHORTEST_MM:
+        curve = curve_from_points(points)
+        return curve, curve.length
+    return curve_from_points(np.vstack([points, points[-1] + 2 * SHORTEST_MM * direction])), length
 
 
 def settings_of(plan: Plan) -> Settings:
