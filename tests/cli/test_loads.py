@@ -11,6 +11,7 @@ from loaded_plans import turned
 
 from ctr_nlp import Load, Plan
 from ctr_nlp.cli.main import main
+from ctr_nlp.figures.beside import beside
 
 NITINOL = "--youngs-modulus", "60000"
 
@@ -40,6 +41,24 @@ def test_a_plan_is_moved_under_a_load_of_a_file(saved, capsys):
     told = json.loads((saved / "runs/turned-under/summary.json").read_text())
     assert told["load"] == str(load)
     assert (saved / "runs/turned-under/stability.png").is_file()
+    assert (saved / "runs/turned-under/beside.png").is_file()
+
+
+def test_a_plan_that_knew_the_load_is_shown_beside(saved):
+    own, load = turned().with_modulus(60_000), Load(force=(0.0, 0.05, 0.0))
+    under = own.under(load)
+    under.save("knew.npz")
+    asked = "under", "plan.npz", "--force", "0", "0.05", "0", "--beside", "knew.npz", *NITINOL
+    assert run(*asked) == 0
+    assert (saved / "runs/turned-under/beside.png").is_file()
+    figure = beside({"without": own, "under it": under}, "both", [2, len(own.time)])
+    rows = [axes.get_ylabel() for axes in figure.axes[::2]]
+    assert rows == ["without\nz (mm)", "under it\nz (mm)"]
+    drawn = figure.axes[-1]
+    tip = np.concatenate([line.get_xydata() for line in drawn.lines[: own.robot.d]])[-1]
+    sideways = int("xy".index(drawn.get_xlabel()[0]))
+    np.testing.assert_allclose(tip, under.shape[-1, -1, [sideways, 2]])
+    assert len(drawn.texts) == sideways  # the arrow of a force along y
 
 
 def test_a_tip_force_needs_no_file(saved):
@@ -79,6 +98,10 @@ def test_forces_are_told_and_written(saved, capsys):
         (["under", "plan.npz", "--force", "0", "0", "nan", *NITINOL], "force of a load has nan at [3]"),
         (["under", "plan.npz", "--load", "none.toml", *NITINOL], "load file none.toml: "),
         (
+            ["under", "plan.npz", "--force", "0", "0.05", "0", "--beside", "other.npz", *NITINOL],
+            "--beside other.npz follows another target than the plan",
+        ),
+        (
             ["under", "plan.npz", "--load", "mine.toml", *NITINOL],
             "load file mine.toml: unknown key 'tube' in a load",
         ),
@@ -88,6 +111,7 @@ def test_forces_are_told_and_written(saved, capsys):
 def test_bad_input_is_one_line_and_nothing_is_written(saved, capsys, argv, line):
     (saved / "mine.toml").write_text("tube = 4\n")
     (saved / "heavy.toml").write_text("densities = [6.4, 6.4, 6.4]\ndown = [0, 0, 1]\n")
+    turned()[1:].save(saved / "other.npz")
     before = set(saved.rglob("*"))
     assert run(*argv) == 2
     told = capsys.readouterr().err

@@ -11,6 +11,13 @@ from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, read
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.report import draw, exit_status, print_report, write
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.figures import save
+from ctr_nlp.figures.beside import beside
+from ctr_nlp.plan.plan import Plan
+
+SAME = 1e-3
+"""mm by which targets may differ that are the same."""
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
@@ -25,6 +32,11 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument("plan", metavar="PLAN.npz")
     add_load_options(parser)
     add_modulus_option(parser)
+    parser.add_argument(
+        "--beside",
+        metavar="PLANNED.npz",
+        help="a plan of the same target that was made for the load, to be shown beside in beside.png",
+    )
     add_out_option(parser, "runs/PROBLEM-under")
     add_figures_option(parser)
     return parser
@@ -33,16 +45,29 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 def _run(arguments: argparse.Namespace) -> int:
     plan, load = read_plan(arguments), read_load(arguments)
     out = Path(arguments.out or f"runs/{path_component(str(plan.meta['problem']['name']))}-under")
+    shown = _beside(plan, arguments.beside)
     check_folder(out, "under")
     found = plan.under(load)
+    shown = {"without the load": plan.on("elastic"), "under the load": found} | shown
     print_report(found)
     with published(out, "under") as staging:
         write(found, staging)
         if not arguments.no_figures:
             draw(found, (), staging)
+            save(beside(shown, f"{plan.meta['problem']['name']}: {load}"), staging / "beside.png")
         files = sorted(path.name for path in staging.iterdir())
     console().print(f"wrote {out}: {', '.join(files)}")
     return exit_status(found)
+
+
+def _beside(plan: Plan, name: str | None) -> dict[str, Plan]:
+    """The plan to be shown beside; raises OptionError where it is of another target."""
+    if name is None:
+        return {}
+    planned = Plan.load(name)
+    if planned.target.shape != plan.target.shape or abs(planned.target - plan.target).max() > SAME:
+        raise OptionError(f"--beside {name} follows another target than the plan; give one of the same problem")
+    return {"planned for the load": planned}
 
 
 main = Command("ctr-nlp under", _parser, _run)

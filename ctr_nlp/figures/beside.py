@@ -1,0 +1,81 @@
+"""Plans of one target beside each other: a row a plan, a column a frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ctr_nlp.figures.overlay import draw, key
+from ctr_nlp.figures.parts.page import STYLE, printable
+from ctr_nlp.figures.parts.palette import VERMILLION
+from ctr_nlp.plan.measures import rms_over_sigma
+from ctr_nlp.plan.plan import Plan
+
+FRAMES = 4
+"""Columns where the caller names no frames."""
+ARROW = 0.12
+"""Length of a force's arrow, as part of the height of a panel."""
+SIZE = 1.9, 2.1
+"""Inches of a panel, across and down, at most."""
+
+
+@rc_context(STYLE)
+def beside(plans: Mapping[str, Plan], title: str, frames: Sequence[int] | None = None) -> Figure:
+    """Shapes of plans over their targets in the same frames, to scale, in mm, a row under each name.
+
+    Seen from the side where targets are widest, with z upwards; a tip force is an arrow. frames: from 1, by
+    default four, evenly spread. All plans have as many frames.
+    """
+    first = next(iter(plans.values()))
+    shown = frames or [round(len(first.time) * k / FRAMES) for k in range(1, FRAMES + 1)]
+    index = np.array(shown) - 1
+    points = np.concatenate([np.concatenate([each.target[index], each.shape[index]]) for each in plans.values()])
+    low, high = np.nanmin(points, axis=(0, 1)), np.nanmax(points, axis=(0, 1))
+    sideways, extent = int(np.argmax(np.ptp(first.target[index], axis=(0, 1))[:2])), high - low
+    panel = np.array([max(extent[sideways], 0.5 * extent[2]), extent[2]]) * 1.2
+    scale = min(SIZE[0] / panel[0], SIZE[1] / panel[1])
+    width, height = panel * scale
+    figure = Figure(figsize=(width * len(shown) + 1.6, (height + 0.6) * len(plans) + 1.1), layout="constrained")
+    grid = figure.subplots(len(plans), len(shown), sharex=True, sharey=True, squeeze=False)
+    middle = (low + high) / 2
+    for row, (name, plan) in zip(grid, plans.items(), strict=True):
+        for axes, number in zip(row, shown, strict=True):
+            draw(axes, plan, number - 1, sideways)
+            _arrow(axes, plan, number - 1, sideways, ARROW * panel[1])
+            axes.set_aspect("equal")
+            axes.set_xlim(middle[sideways] - panel[0] / 2, middle[sideways] + panel[0] / 2)
+            axes.set_ylim(middle[2] - panel[1] / 2, middle[2] + panel[1] / 2)
+            axes.set_title(_told(plan, number))
+        row[0].set_ylabel(f"{name}\nz (mm)")
+    for axes in grid[-1]:
+        axes.set_xlabel(f"{'xy'[sideways]} (mm)")
+    figure.legend(handles=key(first.robot.d), loc="outside lower center", ncols=first.robot.d + 1)
+    figure.suptitle(printable(title), fontsize=10, parse_math=False)
+    return figure
+
+
+def _told(plan: Plan, number: int) -> str:
+    """The frame, its error, and whether it failed or the robot has snapped by then."""
+    away = plan.shape[number - 1] - plan.target[number - 1]
+    error = float(rms_over_sigma(np.linalg.norm(away, axis=-1)))
+    told = [] if plan.success[number - 1] else ["failed"]
+    if any(snap["frame"] <= number for snap in plan.meta.get("snaps", [])):
+        told = ["snapped"]
+    return f"frame {number}\n" + ", ".join([*told, *([f"{error:.2g} mm off"] if math.isfinite(error) else [])])
+
+
+def _arrow(axes: Axes, plan: Plan, frame: int, sideways: int, length: float) -> None:
+    """A tip force that keeps its direction, as far as it lies in the plane of the picture."""
+    load = plan.bears
+    if load is None or load.follows or not any(load.force):
+        return
+    x, z = (np.asarray(load.force)[[sideways, 2]] / np.linalg.norm(load.force) * length).tolist()
+    tip_x, tip_z = plan.shape[frame, -1, [sideways, 2]].tolist()
+    how = {"arrowstyle": "-|>", "color": VERMILLION, "lw": 1.5, "shrinkA": 0.0, "shrinkB": 0.0}
+    if math.hypot(x, z) > 0.1 * length:
+        axes.annotate("", (tip_x + x, tip_z + z), (tip_x, tip_z), arrowprops=how, annotation_clip=False)
