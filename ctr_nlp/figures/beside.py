@@ -10,7 +10,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ctr_nlp.figures.overlay import draw, key
+from ctr_nlp.figures.overlay import draw, frames_shown, key, to_scale
 from ctr_nlp.figures.parts.page import STYLE, printable
 from ctr_nlp.figures.parts.palette import VERMILLION
 from ctr_nlp.plan.measures import rms_over_sigma
@@ -29,10 +29,11 @@ def beside(plans: Mapping[str, Plan], title: str, frames: Sequence[int] | None =
     """Shapes of plans over their targets in the same frames, to scale, in mm, a row under each name.
 
     Seen from the side where targets are widest, with z upwards; a tip force is an arrow. frames: from 1, by
-    default four, evenly spread. All plans have as many frames.
+    default four, evenly spread. All plans have as many frames. Raises OptionError for a frame that they do not
+    have.
     """
     first = next(iter(plans.values()))
-    shown = frames or [round(len(first.time) * k / FRAMES) for k in range(1, FRAMES + 1)]
+    shown = frames_shown(first, frames, FRAMES)
     index = np.array(shown) - 1
     points = np.concatenate([np.concatenate([each.target[index], each.shape[index]]) for each in plans.values()])
     low, high = np.nanmin(points, axis=(0, 1)), np.nanmax(points, axis=(0, 1))
@@ -42,18 +43,14 @@ def beside(plans: Mapping[str, Plan], title: str, frames: Sequence[int] | None =
     width, height = panel * scale
     figure = Figure(figsize=(width * len(shown) + 1.6, (height + 0.6) * len(plans) + 1.1), layout="constrained")
     grid = figure.subplots(len(plans), len(shown), sharex=True, sharey=True, squeeze=False)
-    middle = (low + high) / 2
     for row, (name, plan) in zip(grid, plans.items(), strict=True):
         for axes, number in zip(row, shown, strict=True):
             draw(axes, plan, number - 1, sideways)
             _arrow(axes, plan, number - 1, sideways, ARROW * panel[1])
-            axes.set_aspect("equal")
-            axes.set_xlim(middle[sideways] - panel[0] / 2, middle[sideways] + panel[0] / 2)
-            axes.set_ylim(middle[2] - panel[1] / 2, middle[2] + panel[1] / 2)
+            to_scale(axes, (low + high) / 2, panel, sideways)
+            axes.label_outer()
             axes.set_title(_told(plan, number))
         row[0].set_ylabel(f"{name}\nz (mm)")
-    for axes in grid[-1]:
-        axes.set_xlabel(f"{'xy'[sideways]} (mm)")
     figure.legend(handles=key(first.robot.d), loc="outside lower center", ncols=first.robot.d + 1)
     figure.suptitle(printable(title), fontsize=10, parse_math=False)
     return figure

@@ -46,7 +46,7 @@ def shapes(plan: Plan, frames: Sequence[int] | None = None) -> Figure:
     The z-axis, along which the robot is inserted, points up. A motion near the zx- or the yz-plane is seen
     from one side, any other from two. Raises OptionError for a frame that the plan does not have.
     """
-    shown = _shown(plan, frames)
+    shown = frames_shown(plan, frames)
     index = np.array(shown) - 1
     points = np.concatenate([plan.target[index], plan.shape[index]]).reshape(-1, 3)
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
@@ -59,7 +59,7 @@ def shapes(plan: Plan, frames: Sequence[int] | None = None) -> Figure:
         for view, sideways in enumerate(views):
             axes = grid[k // columns * len(views) + view, k % columns]
             draw(axes, plan, number - 1, sideways)
-            _frame(axes, (low + high) / 2, panel, sideways)
+            to_scale(axes, (low + high) / 2, panel, sideways)
             if view == 0:
                 axes.set_title(_caption(plan, number))
     for axes in grid[:, 0]:
@@ -69,10 +69,11 @@ def shapes(plan: Plan, frames: Sequence[int] | None = None) -> Figure:
     return figure
 
 
-def _shown(plan: Plan, frames: Sequence[int] | None) -> list[int]:
+def frames_shown(plan: Plan, frames: Sequence[int] | None, most: int = SHOWN) -> list[int]:
+    """The frames asked for, from 1; by default so many at most, evenly spread. Raises OptionError."""
     count = len(plan.time)
     if frames is None:
-        return sorted({max(1, round(count * k / SHOWN)) for k in range(1, SHOWN + 1)})
+        return sorted({max(1, round(count * k / most)) for k in range(1, most + 1)})
     for number in frames:
         if not 1 <= number <= count:
             raise OptionError(f"frames has {number}; the plan has frames 1 to {count}")
@@ -137,7 +138,8 @@ def tube_ends(beta: Array) -> Array:
     return np.maximum.accumulate(ends)
 
 
-def _frame(axes: Axes, middle: Array, panel: Array, sideways: int) -> None:
+def to_scale(axes: Axes, middle: Array, panel: Array, sideways: int) -> None:
+    """Limits around the middle (3,) of a panel that is so wide and high, to scale; sideways: as draw; mm."""
     axes.set_aspect("equal")
     axes.set_xlim(middle[sideways] - panel[0] / 2, middle[sideways] + panel[0] / 2)
     axes.set_ylim(middle[2] - panel[1] / 2, middle[2] + panel[1] / 2)

@@ -174,7 +174,7 @@ class Tracker:
         for reading in readings:
             self._read(reading)
         silent = self._doubts.silent(time, self._begun)
-        if silent and self.state is State.TRACKING:
+        if silent and self.tracks:
             self._silent = True
             self._tell(State.HELD, silent)
 
@@ -194,7 +194,7 @@ class Tracker:
         if why and self._silent:
             self._silent = False
             self._tell(State.HELD, why)
-        elif why and self.state is State.TRACKING:
+        elif why and self.tracks:
             if self._known:
                 self.observer.restored(*self._known[0])
             self._known.clear()
@@ -202,7 +202,7 @@ class Tracker:
         elif self.state is State.HELD and self._silent and self._doubts.sound:
             self._silent = False
             self._tell(State.TRACKING, "measurements agree again with what is known")
-        if self.state is State.TRACKING:
+        if self.tracks:
             self._known.append((self.observer.mean, self.observer.covariance))
             self.observer.measured(reading)
 

@@ -141,9 +141,10 @@ def _tracker(
     places = np.append([] if at.tip_alone else PLACES, 1.0)
     known = identified(plan.robot, tolerances, draw, plan.evaluated_on, places, NOISE, seed)
     tracker = Tracker(plan, at.sensors, tolerances, known)
-    whole = replanner(tracker.beginning)
+    begun = tracker.beginning
+    whole = replanner(begun)
     if whole is not None:
-        tracker.go_on(tracker.beginning, whole)
+        tracker.go_on(begun, whole)
     return tracker
 
 

@@ -12,8 +12,6 @@ from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.report import draw, exit_status, print_report, write
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.figures import save
-from ctr_nlp.figures.beside import beside
 from ctr_nlp.plan.plan import Plan
 
 SAME = 1e-3
@@ -45,22 +43,29 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 def _run(arguments: argparse.Namespace) -> int:
     plan, load = read_plan(arguments), read_load(arguments)
     out = Path(arguments.out or f"runs/{path_component(str(plan.meta['problem']['name']))}-under")
-    shown = _beside(plan, arguments.beside)
+    planned = _planned(plan, arguments.beside)
     check_folder(out, "under")
     found = plan.under(load)
-    shown = {"without the load": plan.on("elastic"), "under the load": found} | shown
     print_report(found)
     with published(out, "under") as staging:
         write(found, staging)
         if not arguments.no_figures:
             draw(found, (), staging)
-            save(beside(shown, f"{plan.meta['problem']['name']}: {load}"), staging / "beside.png")
+            _draw_beside({"without the load": plan.on("elastic"), "under the load": found} | planned, staging)
         files = sorted(path.name for path in staging.iterdir())
     console().print(f"wrote {out}: {', '.join(files)}")
     return exit_status(found)
 
 
-def _beside(plan: Plan, name: str | None) -> dict[str, Plan]:
+def _draw_beside(plans: dict[str, Plan], folder: Path) -> None:
+    from ctr_nlp.figures import save
+    from ctr_nlp.figures.beside import beside
+
+    found = plans["under the load"]
+    save(beside(plans, f"{found.meta['problem']['name']}: {found.bears}"), folder / "beside.png")
+
+
+def _planned(plan: Plan, name: str | None) -> dict[str, Plan]:
     """The plan to be shown beside; raises OptionError where it is of another target."""
     if name is None:
         return {}
