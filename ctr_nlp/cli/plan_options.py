@@ -104,7 +104,18 @@ def add_robust_options(parser: argparse.ArgumentParser) -> None:
         "frames at once or with the joint formulation, and try the plan on 500 draws of them",
     )
     part = "share of them that may be lost: snap, or end on another branch; certain with 95 percent confidence"
-    add_numbers(group, ("most-lost", "PART", f"{part} (default {MOST_LOST:g})"))
+    force = (
+        "force that may act at the tip, in any direction, and come and go (default: the robot file's tip_force)"
+    )
+    add_numbers(group, ("most-lost", "PART", f"{part} (default {MOST_LOST:g})"), ("tip-force", "N", force))
+
+
+def tolerant(problem: Problem, arguments: argparse.Namespace) -> Problem:
+    """The problem with the force at the tip that add_robust_options' arguments ask for; raises RobotError."""
+    if arguments.tip_force is None:
+        return problem
+    tolerances = replace(problem.robot.tolerances, tip_force=arguments.tip_force)
+    return replace(problem, robot=replace(problem.robot, tolerances=tolerances))
 
 
 def add_wall_options(parser: argparse.ArgumentParser) -> None:

@@ -69,6 +69,11 @@ class Plant:
         """
         if len(draw) != 1:
             raise RobotError(f"a plant is one robot, and {len(draw)} draws are given")
+        if draw.forces.any():
+            raise RobotError(
+                "a draw for a plant bears a force at its tip, and plants know none; leave tip_force out of the "
+                "robot's tolerances"
+            )
         self._model = model_named(model)
         self._model.check(robot)
         if lag is not None:

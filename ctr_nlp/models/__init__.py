@@ -1,6 +1,18 @@
 """Models of the robot: configuration to backbone. They know symbols and numbers of tubes, and no program."""
 
 from ctr_nlp.models.protocol import Followed, Model, Shape, Snap
-from ctr_nlp.models.registry import DEFAULT, MODELS, model_named, register, suits, under
+from ctr_nlp.models.registry import DEFAULT, MODELS, model_named, pushed, register, suits, under
 
-__all__ = ["DEFAULT", "MODELS", "Followed", "Model", "Shape", "Snap", "model_named", "register", "suits", "under"]
+__all__ = [
+    "DEFAULT",
+    "MODELS",
+    "Followed",
+    "Model",
+    "Shape",
+    "Snap",
+    "model_named",
+    "pushed",
+    "register",
+    "suits",
+    "under",
+]

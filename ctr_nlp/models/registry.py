@@ -10,9 +10,11 @@ from ctr_nlp.loads import Load
 from ctr_nlp.models.dominant import Dominant
 from ctr_nlp.models.elastic import Elastic
 from ctr_nlp.models.loaded.model import Loaded
+from ctr_nlp.models.loaded.pushed import Pushed
 from ctr_nlp.models.protocol import Model
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.values import check_choice
+from ctr_nlp.typing import Array
 
 GROUP = "ctr_nlp.models"
 """The entry points under which a package offers models: name = "module:object", a Model."""
@@ -75,6 +77,19 @@ def under(model: str | Model, load: Load) -> Model:
     if described.name != Loaded.name:
         raise OptionError(f"a load does not go with the {described.name} model; it goes with {Loaded.name}")
     return Loaded(load)
+
+
+def pushed(model: str | Model, forces: Array) -> Model:
+    """A model of robots that each bear one of forces (n, 3), N, at their tips, beside what they bear on it.
+
+    That model itself where all forces are 0; raises OptionError where it knows no loads.
+    """
+    described = model_named(model)
+    if not forces.any():
+        return described
+    load = described.bears or Load()
+    under(described, load)
+    return Pushed(load, forces)
 
 
 def suits(robot: Robot, model: str | Model) -> bool:

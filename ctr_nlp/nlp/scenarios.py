@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -22,18 +22,23 @@ class Scenarios:
     """S robots that are moved alike; the first is the one as described, and others are compared with it.
 
     numbers (S, d, 6): of the tubes, in the order of structure.NUMBERS. offsets (S, d): of the motors' zeros, added
-    to alpha, rad. weights (S,): how much each one's shape error counts, >= 0 and not all 0. Raises OptionError.
+    to alpha, rad. weights (S,): how much each one's shape error counts, >= 0 and not all 0. forces (S, 3): at
+    their tips, N, in the base's directions; none by default. Raises OptionError.
     """
 
     numbers: Array
     offsets: Array
     weights: Array
+    forces: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     def __post_init__(self) -> None:
-        for name in ("numbers", "offsets", "weights"):
+        if not len(self.forces):
+            object.__setattr__(self, "forces", np.zeros((len(self.weights), 3)))
+        for name in ("numbers", "offsets", "weights", "forces"):
             object.__setattr__(self, name, frozen(np.array(getattr(self, name), dtype=float)))
         count, d = len(self.weights), self.offsets.shape[-1]
-        for name, shape in (("numbers", (count, d, 6)), ("offsets", (count, d)), ("weights", (count,))):
+        shapes = {"numbers": (count, d, 6), "offsets": (count, d), "weights": (count,), "forces": (count, 3)}
+        for name, shape in shapes.items():
             values = getattr(self, name)
             if values.shape != shape or not count or not np.isfinite(values).all():
                 raise OptionError(f"{name} of scenarios have shape {values.shape}; give finite numbers {shape}")
@@ -43,33 +48,39 @@ class Scenarios:
     def __len__(self) -> int:
         return len(self.weights)
 
-    def joined(self, numbers: Array, offsets: Array) -> Scenarios:
+    def joined(self, numbers: Array, offsets: Array, forces: Array) -> Scenarios:
         """These and then others, whose shape errors do not count."""
-        pairs = (self.numbers, numbers), (self.offsets, offsets), (self.weights, np.zeros(len(offsets)))
-        numbers, offsets, weights = (np.concatenate(pair) for pair in pairs)
-        return Scenarios(numbers, offsets, weights)
+        none = np.zeros(len(offsets))
+        pairs = zip(self.each, (numbers, offsets, none, forces), strict=True)
+        return Scenarios(*(np.concatenate(pair) for pair in pairs))
+
+    @property
+    def each(self) -> tuple[Array, Array, Array, Array]:
+        """The arrays, in order."""
+        return self.numbers, self.offsets, self.weights, self.forces
 
     def shrunk(self, part: float, since: int = 0) -> Scenarios:
         """The same robots, from number `since` on differing from the first by only a part of what they do."""
-        parts = np.where(np.arange(len(self)) < since, 1.0, part)
-        numbers = self.numbers[0] + parts[:, None, None] * (self.numbers - self.numbers[0])
-        offsets = self.offsets[0] + parts[:, None] * (self.offsets - self.offsets[0])
-        return replace(self, numbers=numbers, offsets=offsets)
+        parts = np.where(np.arange(len(self)) < since, 1.0, part)[:, None]
+        numbers = self.numbers[0] + parts[..., None] * (self.numbers - self.numbers[0])
+        offsets, forces = (of[0] + parts * (of - of[0]) for of in (self.offsets, self.forces))
+        return replace(self, numbers=numbers, offsets=offsets, forces=forces)
 
 
 @dataclass(frozen=True)
 class Guards:
     """Robots that need only not be lost: K of them in every one of T frames, others in each.
 
-    numbers (T, K, d, 6), offsets (T, K, d): as of Scenarios.
+    numbers (T, K, d, 6), offsets (T, K, d), forces (T, K, 3): as of Scenarios.
     """
 
     numbers: Array
     offsets: Array
+    forces: Array
 
     def at(self, picked: Index | list[int]) -> Guards:
         """Those of some frames."""
-        return Guards(self.numbers[picked], self.offsets[picked])
+        return Guards(self.numbers[picked], self.offsets[picked], self.forces[picked])
 
 
 @dataclass(frozen=True)
@@ -96,11 +107,13 @@ def with_guards(of_scenarios: Array, of_guards: Array | None, frames: int) -> Ar
 
 @dataclass(frozen=True)
 class SharedMotion:
-    """Minimise the scenarios' mean shape error and the links' costs over q (T, n) and the tips (T, S, d).
+    """Minimise the scenarios' mean shape error and the links' costs over q (T, n) and the tips (T, S, k).
 
     The S robots of a frame are the scenarios and, where there are any, its guards, whose errors do not count.
-    frame: the program of one robot in one frame over (phi, beta, theta), the last two of them q's own, and what
-    common unknowns give it, where there are any: these are then solved for, too. parameters (T S, p): a row for
+    frame: the program of one robot in one frame over its n unknowns and what common unknowns give it, where there
+    are any: these are then solved for, too. own (k,): the entries of these n that each robot has of its own, and
+    of q that are the frame's first k rows instead, at the same places: d tips' angles for alpha and, under a load,
+    the turn of the tip's axes for theta. Other entries are q's. parameters (T S, p): a row for
     every robot of every frame. lower, upper (T, n): of q, equal where it is fixed. apart (S,): by how much a
     scenario's tips, relative to the innermost one, may differ from the first scenario's, rad. twist_steps (T,):
     rad by which the first's may turn beyond its motors on the way to each frame; infinite where none is before it.
@@ -110,6 +123,7 @@ class SharedMotion:
 
     frame: Nlp
     d: int
+    own: Index
     scenarios: Scenarios
     parameters: Array
     lower: Array
@@ -128,6 +142,11 @@ class SharedMotion:
         return len(self.lower), len(self.apart), self.lower.shape[1], self.d
 
     @cached_property
+    def shared(self) -> Index:
+        """The entries (n - k,) of q that all robots of a frame have as unknowns."""
+        return np.setdiff1d(np.arange(self.lower.shape[1]), self.own)
+
+    @cached_property
     def weights(self) -> Array:
         """The share (S,) of every robot in the mean."""
         shares = self.scenarios.weights / self.scenarios.weights.sum()
@@ -142,12 +161,12 @@ class SharedMotion:
     @cached_property
     def own_rows(self) -> Index:
         """Which of a frame's constraints each scenario has of its own: those that its tips change."""
-        return np.flatnonzero(self.frame.g_depends[:, : self.d].any(axis=1))[self.d :]
+        return np.flatnonzero(self.frame.g_depends[:, self.own].any(axis=1))[len(self.own) :]
 
     @cached_property
     def common_rows(self) -> Index:
         """Which of them are the same for all."""
-        return np.flatnonzero(~self.frame.g_depends[:, : self.d].any(axis=1))
+        return np.flatnonzero(~self.frame.g_depends[:, self.own].any(axis=1))
 
     @cached_property
     def row_bounds(self) -> tuple[Array, Array]:
@@ -171,13 +190,18 @@ class SharedMotion:
         return np.asarray(found)
 
     def unknowns(self, q: Array, phi: Array, given: Array) -> Array:
-        """Those (T, S, n + k) of every robot in every frame, at q (T, n) and tips phi (T, S, d).
+        """Those (T, S, n + g) of every robot in every frame, at q (T, n) and tips phi (T, S, k).
 
-        given (S, k): what common unknowns give every scenario.
+        given (S, g): what common unknowns give every scenario.
         """
-        frames, count, n, d = self.sizes
-        moved = np.broadcast_to(q[:, None, d:], (frames, count, n - d))
-        return np.concatenate([phi, moved, np.broadcast_to(given, (frames, *given.shape))], axis=2)
+        frames, count, *_ = self.sizes
+        found = np.repeat(q[:, None], count, axis=1)
+        found[..., self.own] = phi
+        return np.concatenate([found, np.broadcast_to(given, (frames, *given.shape))], axis=2)
+
+    def tips(self, x: Array) -> Array:
+        """The tips (.., k) of unknowns (.., n)."""
+        return np.asarray(x[..., self.own])
 
     @cached_property
     def linking(self) -> sp.csr_array:

@@ -72,9 +72,13 @@ def e3_of(e2: Array | None, reached: Flags) -> float | None:
     return root_mean_square(e2[reached])
 
 
-def elsewhere(x: Array, planned: Array, snaps: Sequence[Snap]) -> Flags:
-    """In which frames (T,) a robot with unknowns x (T, n) is not where it was planned to be, or just snapped."""
-    away = ~(np.abs(x - planned).max(axis=1) < ELSEWHERE)
+def elsewhere(x: Array, planned: Array, snaps: Sequence[Snap], d: int) -> Flags:
+    """In which frames (T,) a robot of d tubes with unknowns x (T, n) is not where it was planned to be, or just
+    snapped. Whole turns of the innermost tube with all others, which change nothing, do not count.
+    """
+    apart = x - planned
+    apart[:, d - 1] -= 2 * np.pi * np.round(apart[:, d - 1] / (2 * np.pi))
+    away = ~(np.abs(apart).max(axis=1) < ELSEWHERE)
     away[[snap.frame - 1 for snap in snaps]] = True
     return away
 

@@ -174,7 +174,7 @@ def plan_from_configurations(
     found = moved(simulator, q, target=target, lumen=problem.sampled_lumen, free=free)
     if planned is not None:
         snaps = found.simulation.snaps
-        away = success & elsewhere(found.simulation.x, planned, snaps)
+        away = success & elsewhere(found.simulation.x, planned, snaps, robot.d)
         success, meta = success & ~away, meta | {"failures": meta["failures"] | lost(away, snaps)}
     alpha, beta, theta = robot.split(q)
     return Plan(

@@ -30,13 +30,15 @@ class Draws(Kept):
     """Robots that differ in numbers (n, d, 6), in the order of structure.NUMBERS, and share a structure.
 
     offsets (n, d): what alpha of a tube exceeds its motor's by, rad. lags (n, d): by which angle a tube may stay
-    behind its motor, rad. parts (n, d, 5): by how much they differ from the robot described, as NAMES.
+    behind its motor, rad. forces (n, 3): that act at the tips, N, in the directions of the base. parts (n, d, 5):
+    by how much they differ from the robot described, as NAMES.
     """
 
     structure: Structure
     numbers: Array
     offsets: Array
     lags: Array
+    forces: Array
     parts: Array
 
     def __len__(self) -> int:
@@ -44,7 +46,7 @@ class Draws(Kept):
 
     def __getitem__(self, chosen: Any) -> Draws:
         """Some of them."""
-        rows = (each[chosen] for each in (self.numbers, self.offsets, self.lags, self.parts))
+        rows = (each[chosen] for each in (self.numbers, self.offsets, self.lags, self.forces, self.parts))
         return Draws(self.structure, *rows)
 
     def turned(self, q: Array, fresh: Flags) -> Array:
@@ -75,6 +77,7 @@ def dragged(alpha: Array, goal: Array, play: Array) -> Array:
 def drawn(robot: Robot, count: int, seed: int) -> Draws:
     """So many robots that a robot with its tolerances may be, drawn at random; raises RobotError.
 
+    Where a force may act at the tip, all of it does, in a direction of each robot's own.
     seed: of numpy's default generator; the same seed gives the same draws, and fewer are the first of more.
     """
     count, seed = whole_number(RobotError, "draws", count), whole_number(RobotError, "seed of draws", seed, 0)
@@ -89,14 +92,15 @@ def drawn(robot: Robot, count: int, seed: int) -> Draws:
     else:
         root = tolerances.root(robot.tubes)
         parts = (random.standard_normal((count, len(root))) @ root.T).reshape(count, d, len(NAMES))
-    return drawn_from(robot, parts, shares.uniform(0.0, 1.0, (count, d)) * tolerances.lags(d))
+    lags = shares.uniform(0.0, 1.0, (count, d)) * tolerances.lags(d)
+    return drawn_from(robot, parts, lags, _forces(robot, count, seed))
 
 
 def corners(robot: Robot, most: int = MOST_CORNERS) -> Draws:
     """The robots at the corners of what a robot may be within its tolerances: all, or so many at random.
 
     Every independent quantity is as far off as at the end of a uniform band: sqrt(3) standard deviations. Tubes
-    with a lag have all of it.
+    with a lag have all of it. Where a force may act at the tip, all of it does, in a direction of each one's own.
     """
     root = robot.tolerances.root(robot.tubes)
     deviations = root[:, abs(root).max(axis=0) > 0]
@@ -107,7 +111,13 @@ def corners(robot: Robot, most: int = MOST_CORNERS) -> Draws:
         signs = np.random.default_rng(0).choice((-1.0, 1.0), (most, count))
     parts = math.sqrt(3) * signs @ deviations.T
     lags = np.tile(robot.tolerances.lags(robot.d), (len(signs), 1))
-    return drawn_from(robot, parts.reshape(-1, robot.d, len(NAMES)), lags)
+    return drawn_from(robot, parts.reshape(-1, robot.d, len(NAMES)), lags, _forces(robot, len(signs), 0))
+
+
+def _forces(robot: Robot, count: int, seed: int) -> Array:
+    """At tips (n, 3) N, each as large as may be, in directions that are uniform over the sphere."""
+    directions = np.random.default_rng([seed, 3]).standard_normal((count, 3))
+    return robot.tolerances.tip_force * directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
 def _stiffened(robot: Robot, off: Array) -> Array:
@@ -118,8 +128,12 @@ def _stiffened(robot: Robot, off: Array) -> Array:
     return np.asarray((fourth[..., 0] - fourth[..., 1]) / (whole[:, 0] - whole[:, 1]))
 
 
-def drawn_from(robot: Robot, parts: Array, lags: Array) -> Draws:
-    """Robots that differ from one by parts (n, d, 5), as NAMES, with lags (n, d) rad."""
+def drawn_from(robot: Robot, parts: Array, lags: Array, forces: Array | None = None) -> Draws:
+    """Robots that differ from one by parts (n, d, 5), as NAMES, with lags (n, d) rad.
+
+    forces (n, 3): at their tips, N; none by default.
+    """
+    forces = np.zeros((len(parts), 3)) if forces is None else forces
     numbers = np.repeat(robot.numbers[None], len(parts), axis=0)
     factors = {
         "root_curvature": parts[..., 0],
@@ -135,7 +149,7 @@ def drawn_from(robot: Robot, parts: Array, lags: Array) -> Draws:
     reach = robot.upper[robot.d : 2 * robot.d]
     shown = tuple((numbers[..., curved] < reach).any(axis=0) | np.array(robot.structure.shown))
     structure = replace(robot.structure, shown=tuple(map(bool, shown)))
-    return Draws(structure, numbers, parts[..., 4], lags, parts)
+    return Draws(structure, numbers, parts[..., 4], lags, forces, parts)
 
 
 def known_robot(robot: Robot, parts: Array, covariance: Array, rotation_lag: Any) -> Robot:

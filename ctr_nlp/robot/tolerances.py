@@ -11,8 +11,9 @@ import numpy as np
 
 from ctr_nlp.exceptions import RobotError
 from ctr_nlp.robot.tube import Tube
+from ctr_nlp.robot.units import between
 from ctr_nlp.support.packing import packable
-from ctr_nlp.support.values import numbers, plain_floats, unchanging
+from ctr_nlp.support.values import number, numbers, plain_floats, unchanging
 from ctr_nlp.typing import Array
 
 DISTRIBUTIONS = "uniform", "normal"
@@ -24,6 +25,8 @@ LARGEST = {
     "diameter": 1.0,
 }
 """Tolerances beyond which nothing is known of a robot: parts, mm and rad."""
+LARGEST_FORCE = 10.0
+"""N at the tip, beyond what any robot of this kind bears."""
 UNITS = {"curved_length": " mm", "motor_zero": " rad", "rotation_lag": " rad", "diameter": " mm"}
 NAMES = "curvature", "bending_stiffness", "torsional_ratio", "curved_length", "motor_zero"
 """What differs from robot to robot, tube by tube: parts, mm and rad."""
@@ -40,7 +43,8 @@ class Tolerances:
     stands for +-2 %. curved_length: mm. motor_zero: by what angle alpha is off where the motor reads 0, rad.
     rotation_lag: by up to what angle a tube stays behind its motor when that turns, rad; a robot has a lag of its
     own in [0, rotation_lag], uniform whatever the distribution. diameter: of the outer and of the inner diameter,
-    mm; they change the bending stiffness, which then differs by more than bending_stiffness says.
+    mm; they change the bending stiffness, which then differs by more than bending_stiffness says. tip_force: N, a
+    single number: a force of up to so much may act at the tip in any direction, and come and go.
 
     distribution: uniform in the band, or normal with the variance of that. covariance: of all tubes' differences
     together, (5 d, 5 d), for the normal distribution; tube by tube, outermost first, each with its curvature,
@@ -55,6 +59,7 @@ class Tolerances:
     motor_zero: Any = 0.02
     rotation_lag: Any = 0.0
     diameter: Any = 0.0
+    tip_force: float = 0.0
     distribution: str = "uniform"
     covariance: Any = None
 
@@ -72,6 +77,8 @@ class Tolerances:
                     raise RobotError(
                         f"{_of(name)} is {each:g}{unit}; it must lie in [0, {LARGEST[name]:.4g}]{unit}"
                     )
+        most = f"lie in [0, {LARGEST_FORCE:g}] N"
+        number(RobotError, _of("tip_force"), self.tip_force, between(0.0, LARGEST_FORCE), most, " N")
         if self.covariance is not None:
             self._check_covariance()
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ctr_nlp.models import Model, model_named
+from ctr_nlp.models import Model, model_named, pushed
 from ctr_nlp.models.protocol import Followed, Passage, passage
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.draws import Draws
@@ -38,9 +38,13 @@ class DrawnMotion(NamedTuple):
 
 
 def drawn_motion(robot: Robot, draws: Draws, q: Array, model: str | Model) -> DrawnMotion:
-    """The draws of a robot, moved by their motors through q (T, 2d + 2) from where all tubes are aligned."""
-    described = model_named(model)
-    found, lost = _followed(robot, draws, q, described)
+    """The draws of a robot, moved by their motors through q (T, 2d + 2) from where all tubes are aligned.
+
+    Forces at their tips come in the first frame and go in the last one. Raises OptionError where the model cannot
+    follow such robots, and LoadError where forces act on a robot whose moduli are not told.
+    """
+    described = pushed(model, draws.forces)
+    found, lost = _followed(robot, draws, q, model_named(model))
     x = np.array([each.x for each in found])
     n, frames = x.shape[:2]
     numbers = np.repeat(draws.numbers, frames, axis=0)
@@ -65,8 +69,10 @@ def _followed(
 ) -> tuple[list[Followed], Index]:
     """The draws along a motion, and in which frames they are lost."""
     model.check(robot)
+    apart = pushed(model, draws.forces)
+    apart.check(robot)
     way = passage(np.asarray(q, dtype=float), SUBSTEPS)
-    found = model.follow_apart(draws.structure, draws.numbers, way, draws.turned(way.q, way.fresh), margins)
+    found = apart.follow_apart(draws.structure, draws.numbers, way, draws.turned(way.q, way.fresh), margins)
     return found, _lost(model, robot, way, np.array([each.x for each in found]), _snapped(found))
 
 

@@ -117,7 +117,7 @@ class Outcome:
     def of(cls, problem: Problem, moved: Simulation, x: Array, success: Flags) -> Outcome:
         """That of a motion found with unknowns x (T, n) and success (T,), through which the robot is moved."""
         away = moved.shape - np.array([frame.points for frame in problem.samples])
-        failed = ~success | elsewhere(moved.x, x, moved.snaps)
+        failed = ~success | elsewhere(moved.x, x, moved.snaps, problem.robot.d)
         return cls(int(failed.sum()), rms_over_sigma(np.linalg.norm(away, axis=-1)))
 
     def growth(self, free: Outcome) -> float:

@@ -83,7 +83,7 @@ def _made(
     one = _found(robot, simulator.model, chain, one)
     for _ in range(ROUNDS + 1):
         q = one.solution.q.reshape(chain.frames, -1)[:, : len(robot.axes)]
-        missing, lost = _missing(simulator(q), one.motion, margin)
+        missing, lost = _missing(simulator(q), one.motion, margin, robot.d)
         if not lost and (best is None or missing.max() < best.missing):
             best = Made(one, float(missing.max()))
         if margin is None or stop() or not (lost or missing.max() > SHORT):
@@ -124,7 +124,7 @@ def held(frames: NlpFrames, one: Pass, simulator: Simulator, stop: Callable[[], 
             break
         one = _found_pass(frames, one)
         q, x = one.motion(problem), one.unknowns(problem)
-        missing, lost = _missing(simulator(q), x, margin)
+        missing, lost = _missing(simulator(q), x, margin, problem.robot.d)
         if not lost and missing.max() < least:
             best, least = one, float(missing.max())
         if margin is None or stop() or not (lost or missing.max() > SHORT):
@@ -157,9 +157,9 @@ def _raised(margins: Array, missing: Array) -> Array:
     return np.where(more > SHORT, np.maximum(margins, np.minimum(margins + more, MOST)), margins)
 
 
-def _missing(moved: Simulation, x: Array, margin: float | None) -> tuple[Array, bool]:
+def _missing(moved: Simulation, x: Array, margin: float | None, d: int) -> tuple[Array, bool]:
     """What the margin is missed by on the way to every frame (T,); whether the robot, when moved, is not at x."""
-    away = elsewhere(moved.x, x, moved.snaps)
+    away = elsewhere(moved.x, x, moved.snaps, d)
     missing = np.maximum((margin or 0.0) - moved.stability_between, 0.0)
     missing[away.argmax()] += GIVEN * away.any()
     return missing, bool(away.any())
@@ -175,6 +175,6 @@ def _turns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
         there[outer] += turn
         to[outer] += turn
         allowed = (robot.lower[outer] <= there[outer]).all() and (there[outer] <= robot.upper[outer]).all()
-        if allowed and not elsewhere(model.rest(robot, there)[None], to[None], ()).any():
+        if allowed and not elsewhere(model.rest(robot, there)[None], to[None], (), d).any():
             return turn
     return np.zeros(d - 1)

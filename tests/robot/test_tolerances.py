@@ -147,7 +147,8 @@ def test_a_tube_follows_its_motor_with_play():
     q = np.zeros((7, 4))
     q[:, 0] = motor
     still, offsets = np.zeros((1, 1)), np.full((1, 1), 0.05)
-    draws = Draws(table_i_robot().structure, np.zeros((1, 1, 6)), offsets, still + 0.3, np.zeros((1, 1, 5)))
+    none = np.zeros((1, 3)), np.zeros((1, 1, 5))
+    draws = Draws(table_i_robot().structure, np.zeros((1, 1, 6)), offsets, still + 0.3, *none)
     fresh = np.zeros(7, dtype=bool)
     fresh[0] = True
     found = draws.turned(q, fresh)
@@ -160,9 +161,8 @@ def test_a_tube_follows_its_motor_with_play():
 def test_tubes_come_from_where_they_are_aligned_with_the_innermost():
     q = np.zeros((2, 6))
     q[:, :2] = (1.0, 0.4), (1.5, 0.4)
-    draws = Draws(
-        table_i_robot().structure, np.zeros((1, 2, 6)), np.zeros((1, 2)), np.full((1, 2), 0.2), np.zeros((1, 2, 5))
-    )
+    of_tubes = np.zeros((1, 2, 6)), np.zeros((1, 2)), np.full((1, 2), 0.2)
+    draws = Draws(table_i_robot().structure, *of_tubes, np.zeros((1, 3)), np.zeros((1, 2, 5)))
     np.testing.assert_allclose(draws.turned(q, np.array([True, False]))[0, :, 0], [0.8, 1.3])
 
 

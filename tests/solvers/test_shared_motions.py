@@ -92,26 +92,30 @@ def _squares(problem, robot, q, offset):
     return np.trapezoid(squares, dx=0.05, axis=1)
 
 
-def _repaired(condensed, motion, q, phi):
+def repaired(condensed, motion, q, phi):
     """Tips at which all equations hold, by Newton's method."""
-    frames, count, _, d = motion.sizes
-    none = np.zeros((frames, count, d)), np.zeros(motion.row_bounds[0].shape)
+    none = np.zeros(phi.shape), np.zeros(motion.row_bounds[0].shape)
     for _ in range(8):
-        phi = phi + condensed.expand(q, phi, *none).repair[..., :d]
+        phi = phi + condensed.expand(q, phi, *none).repair[..., motion.own]
     return phi
 
 
 def test_derivatives_with_tips_eliminated_are_those_of_robots_in_equilibrium(motion, q):
-    rng, condensed = np.random.default_rng(1), Condensed(motion)
-    phi = _repaired(condensed, motion, q, _settled(q))
+    condensed = Condensed(motion)
+    check_derivatives(condensed, motion, q, repaired(condensed, motion, q, _settled(q)))
+
+
+def check_derivatives(condensed, motion, q, phi):
+    """Of the objective, of rows and of the Lagrangian, at q where tips phi solve all equations."""
+    rng, tubes = np.random.default_rng(1), motion.d
     rows, way = rng.normal(size=motion.row_bounds[0].shape), rng.normal(size=q.shape) * 1e-4
 
     def lagrangian(part):
         """The gradient over q of objectives and rows, where the equations hold, and these rows."""
         here = q + part * way
-        tips = _repaired(condensed, motion, here, phi)
+        tips = repaired(condensed, motion, here, phi)
         about = condensed.expand(here, tips, np.zeros(phi.shape), rows)
-        about = condensed.expand(here, tips, about.multipliers(rows, np.zeros((FRAMES, 2))), rows)
+        about = condensed.expand(here, tips, about.multipliers(rows, np.zeros((len(q), tubes - 1))), rows)
         pulled = (about.jacobian.swapaxes(1, 2) @ rows[..., None])[..., 0]
         values = about.at.rows[q.size : q.size + rows.size].reshape(rows.shape)
         value = condensed.by_frame(here, tips).sum() - _links(motion, here)
@@ -215,7 +219,7 @@ def limited(motion):
 
 def _twists(q, tips):
     """Of the first robot, (T,): by what its tips are turned against each other beyond its motors."""
-    return (tips[:, 0] - q[:, 0]) - (tips[:, 1] - q[:, 1])
+    return tips[:, 0] - (q[:, 0] - q[:, 1])
 
 
 def test_twists_change_by_no_more_than_is_asked_for(limited, q, solved):
@@ -229,9 +233,9 @@ def test_twists_change_by_no_more_than_is_asked_for(limited, q, solved):
 
 def test_derivatives_of_twists_are_those_of_robots_in_equilibrium(limited, q):
     condensed, way = Condensed(limited), np.random.default_rng(2).normal(size=q.shape) * 1e-4
-    phi, none = _repaired(condensed, limited, q, _settled(q)), np.zeros(limited.row_bounds[0].shape)
+    phi, none = repaired(condensed, limited, q, _settled(q)), np.zeros(limited.row_bounds[0].shape)
     twists, about = condensed.twists, condensed.expand(q, phi, np.zeros(phi.shape), none)
-    after, before = (twists.values(at, _repaired(condensed, limited, at, phi)) for at in (q + way, q - way))
+    after, before = (twists.values(at, repaired(condensed, limited, at, phi)) for at in (q + way, q - way))
     np.testing.assert_allclose((after - before) / 2, twists.moved(about.twists, way), atol=1e-7)
 
 

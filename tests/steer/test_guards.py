@@ -20,6 +20,8 @@ from ctr_nlp.steer.robust.tolerated import scenarios_of
 from ctr_nlp.steer.robust.trials import Lost
 
 ELASTIC = MODELS["elastic"]
+OWN = np.arange(2)
+"""The unknowns that two tubes' tips are."""
 
 
 class _Bearing(Corners):
@@ -43,7 +45,7 @@ def test_guards_keep_less_margin_and_may_be_further_apart():
     problem = named("cos", frames=2)
     scenarios = scenarios_of(problem.robot)
     numbers = np.stack([scenarios.numbers[1:3], scenarios.numbers[3:5]])
-    others = Guards(numbers, np.stack([scenarios.offsets[1:3], scenarios.offsets[3:5]]))
+    others = Guards(numbers, np.stack([scenarios.offsets[1:3], scenarios.offsets[3:5]]), np.zeros((2, 2, 3)))
     at = problem.robot, problem.samples, problem.dt, 1e-6, Ends(), ELASTIC
     motion = shared_motion(*at, scenarios, margins=np.full(2, 0.1), guards=others)
     parameters = motion.parameters.reshape(2, 15, -1)
@@ -63,7 +65,7 @@ def test_a_frame_keeps_the_guards_that_cost_something_there():
     placed = Placed(np.tile([7, 8, 9], (2, 1)), np.arange(6.0).reshape(2, 3, 1))
     burdens = np.array([[5.0, 1.0, 0.0, 2.0], [5.0, 0.0, 0.0, 1e-9]])
     phi = np.concatenate([np.zeros((2, 1, 1)), placed.tips], axis=1)
-    kept = placed.busy(SharedSolution(np.zeros(2), phi, 1.0, 0.0, 0.0, 0.0, "solved", 1, burdens=burdens))
+    kept = placed.busy(SharedSolution(np.zeros(2), phi, 1.0, 0.0, 0.0, 0.0, "solved", 1, OWN, burdens=burdens))
     assert kept.corners[0].tolist() == [9, 7]
     np.testing.assert_allclose(kept.tips[0, :, 0], [2.0, 0.0])
     assert kept.corners.shape == (2, 2)
@@ -81,11 +83,13 @@ def test_guards_join_until_few_corners_are_lost(monkeypatch):
         size = search.guards.offsets.shape[1]
         burdens = np.r_[np.zeros(count), np.ones(size)][None]
         phi = np.zeros((1, count + size, 2))
-        return Tried("a motion", 1, SharedSolution(bears, phi, 1.01, 0.0, 0.0, 0.0, "solved", 1, burdens=burdens))
+        return Tried(
+            "a motion", 1, SharedSolution(bears, phi, 1.01, 0.0, 0.0, 0.0, "solved", 1, OWN, burdens=burdens)
+        )
 
     monkeypatch.setattr(guards, "solved_again", solved)
-    known = SharedSolution(parts, np.zeros((1, count, 2)), 1.0, 0.0, 0.0, 0.0, "solved", 1)
-    few = Lost(base.numbers[:0], base.offsets[:0], np.zeros(0, dtype=int), 500, True)
+    known = SharedSolution(parts, np.zeros((1, count, 2)), 1.0, 0.0, 0.0, 0.0, "solved", 1, OWN)
+    few = Lost(base.numbers[:0], base.offsets[:0], base.forces[:0], np.zeros(0, dtype=int), 500, True)
     held = Round(RobustSearch(None, ELASTIC, Ends(), (), 1.0, None), Tried("a motion", 1, known), base, few)
     (kept,) = guards.guarded(held, base, robots, lambda q, number, draft: few, 3)
     assert kept.corners == 1

@@ -19,7 +19,6 @@ from ctr_nlp.formulations.frame import filled, program
 from ctr_nlp.formulations.joint import terms_of
 from ctr_nlp.loads import with_modulus
 from ctr_nlp.models.protocol import samples
-from ctr_nlp.steer.robust import solve_robust
 from ctr_nlp.target.curve import curve_from_points
 
 pytestmark = pytest.mark.interpreted
@@ -182,10 +181,6 @@ def test_what_cannot_be_planned_under_a_load_is_refused(tmp_path, monkeypatch, c
     argv = ["plan", "line", "--frames", "4", "--force", "0", "0.02", "0", "--youngs-modulus", "60000"]
     assert main(argv) == 2
     assert "does not go with the dominant model" in capsys.readouterr().err
-    assert main([*argv, "--model", "elastic", "--robust"]) == 2
-    assert "--force does not go with --robust" in capsys.readouterr().err
-    with pytest.raises(OptionError, match="without a load"):
-        solve_robust(replace(named("line", 4), robot=NITINOL), model=Loaded(PULL))
 
 
 def test_a_steerer_under_a_load_says_that_it_keeps_no_lumen():

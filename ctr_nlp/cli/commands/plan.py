@@ -44,11 +44,13 @@ UNASKED = 40
 """Draws of the robot that a plan on which it can snap is tried on by itself."""
 ASKED = 500
 """Those that a robust plan is tried on."""
-UNFIT = (
-    *("initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live", "evaluate", "solver"),
-    *("load", "force"),
-)
+UNFIT = (*("initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live", "evaluate", "solver"),)
 """Options that do not go with --robust."""
+ALONE_ROBUST = {
+    "most_lost": "how many robots a robust plan may lose",
+    "tip_force": "which force robots may bear that a robust plan is for",
+}
+"""Options that go with --robust alone, and what they say."""
 
 
 def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser:
@@ -109,7 +111,7 @@ def _run(arguments: argparse.Namespace) -> int:
     for weight in swept or ():
         check_motion_weight(weight)
     problem = plan_options.moved(problems.load(arguments.problem, arguments), arguments)
-    problem = with_asked_modulus(problem, arguments)
+    problem = plan_options.tolerant(with_asked_modulus(problem, arguments), arguments)
     model = plan_options.model_from(arguments)
     asked_model(model, arguments).check(problem.robot)
     name = f"{path_component(problem.name)}-{arguments.formulation}-{model}"
@@ -121,7 +123,7 @@ def _run(arguments: argparse.Namespace) -> int:
         plan, points = _at_once(arguments, problem) if whole else (_by_frame(arguments, problem), [])
     if arguments.evaluate is not None:
         plan = plan.on(arguments.evaluate)
-    tried = (plan.can_snap or robust) and plan.bears is None
+    tried = robust or (plan.can_snap and plan.bears is None)
     if tried and not plan.meta["interrupted"] and plan.reached.any():
         plan = plan.with_draws(ASKED if robust else UNASKED)
     with deferred_interrupt() as pressed:
@@ -152,8 +154,9 @@ def _check_fit(arguments: argparse.Namespace) -> None:
         raise OptionError(
             f"{option} does not go with --formulation {arguments.formulation}; it goes with {fitting}"
         )
-    if arguments.most_lost is not None and not arguments.robust:
-        raise OptionError("--most-lost is given without --robust; it says how many robots a robust plan may lose")
+    for option, what in ALONE_ROBUST.items():
+        if getattr(arguments, option) is not None and not arguments.robust:
+            raise OptionError(f"--{option.replace('_', '-')} is given without --robust; it says {what}")
     if arguments.robust:
         if arguments.formulation not in (HORIZON, "joint"):
             raise OptionError(
@@ -223,7 +226,7 @@ def _robust(arguments: argparse.Namespace, problem: Problem) -> Plan:
     """The plan for all robots that the tolerances allow, over all frames at once or frame by frame."""
     whole = arguments.formulation == HORIZON
     asked: dict[str, Any] = {
-        "model": plan_options.model_from(arguments),
+        "model": asked_model(plan_options.model_from(arguments), arguments),
         "terms": plan_options.terms_from(arguments),
     }
     for name in ("start", "end"):

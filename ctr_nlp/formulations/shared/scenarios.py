@@ -6,6 +6,8 @@ weighted mean of their shape errors and the motion (9); each keeps a stability m
 so that all are on one branch of a fork, which the margin does not see. Nor does it see a fork between two frames:
 the first's tips turn by little more than its motors from frame to frame.
 Guards are scenarios that need only not be lost: less margin does for them, and tips that are further away.
+Robots may bear a load, each a force of its own at its tip beside it. Then theta is an equation as alpha is, and
+the turn w of the tip's axes an unknown of each robot's own (models/loaded/tips.py).
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.frame import filled, packed, program
 from ctr_nlp.formulations.horizon import Ends, interpreted, motion_links
 from ctr_nlp.formulations.joint import terms_of
-from ctr_nlp.formulations.terms import Term, Touch
+from ctr_nlp.formulations.terms import Bears, Term, Touch
 from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.models import Model
 from ctr_nlp.nlp.nlp import Nlp
@@ -27,7 +29,7 @@ from ctr_nlp.nlp.scenarios import Guards, Scenarios, SharedMotion, with_guards
 from ctr_nlp.nlp.written import FrameFunctions
 from ctr_nlp.robot import Robot
 from ctr_nlp.target.target import Frame
-from ctr_nlp.typing import Array
+from ctr_nlp.typing import Array, Index
 
 APART, FURTHEST = 0.7, 0.9
 """rad by which a scenario's tips, relative to the innermost one, may differ from the first scenario's; and those
@@ -39,9 +41,9 @@ TWIST_STEP = 0.7
 
 
 def check_shared(robot: Robot, model: Model, scenarios: Scenarios) -> None:
-    """Raise OptionError unless scenarios are of a robot, and of a model without a load."""
-    if model.bears is not None:
-        raise OptionError(f"model of scenarios bears {model.bears}; robust motions are planned without a load")
+    """Raise OptionError unless scenarios are of a robot, and bear forces on a model that knows loads alone."""
+    if model.bears is None and scenarios.forces.any():
+        raise OptionError(f"scenarios bear forces, which the {model.name} model without a load does not know")
     if scenarios.offsets.shape[1] != robot.d:
         raise OptionError(f"scenarios have {scenarios.offsets.shape[1]} tubes and the robot has {robot.d}")
 
@@ -77,6 +79,10 @@ def shared_motion(
     eased = np.arange(numbers.shape[1]) >= len(scenarios)
     parameters = np.repeat(each[:, None], len(eased), axis=1)
     parameters[..., frame.place("tubes")] = numbers.swapaxes(2, 3).reshape(*numbers.shape[:2], -1)
+    if model.bears is not None:
+        parameters[..., frame.place(Bears.name)][..., :3] += with_guards(
+            scenarios.forces, None if guards is None else guards.forces, len(frames)
+        )
     if margins is not None:
         parameters[..., frame.place("margin")] = (margins[:, None] * np.where(eased, EASED, 1.0))[..., None]
     lower, upper = (np.tile(bound, (len(frames), 1)) for bound in (robot.lower, robot.upper))
@@ -88,8 +94,17 @@ def shared_motion(
     near = None if wall is None else partial(_surroundings, wall, scenarios.numbers)
     apart = np.where(eased, FURTHEST, APART)
     twists = np.append(np.inf, np.full(len(frames) - 1, TWIST_STEP))
-    own = flat, lower, upper, links, apart, twists
-    return SharedMotion(frame, robot.d, scenarios, *own, functions(frame), near, guards=guards)
+    rest = flat, lower, upper, links, apart, twists
+    return SharedMotion(
+        frame, robot.d, _own(frame, robot), scenarios, *rest, functions(frame), near, guards=guards
+    )
+
+
+def _own(frame: Nlp, robot: Robot) -> Index:
+    """Which entries of q a frame's unknowns do not hold; those of alpha where they do, as robots share motors."""
+    if frame.picks is None:
+        return np.arange(robot.d)
+    return np.flatnonzero(np.array(frame.picks[: len(robot.axes)]) >= frame.x.numel())
 
 
 def _surroundings(wall: Wall, numbers: Array, x: Array) -> dict[str, Array]:

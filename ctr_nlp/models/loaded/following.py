@@ -18,10 +18,10 @@ TURNING = 0.3
 
 
 class Follower:
-    """Follows robots of numbers (N, d, 6) that bear the same load, side by side; one object a thread."""
+    """Follows robots of numbers (N, d, 6), each under a load of its own, side by side; one object a thread."""
 
     def __init__(self, structure: Structure, numbers: Array, load: Load, acting: Array) -> None:
-        """acting: the load's numbers (7 + 3d,)."""
+        """load: of which kind they all are; acting: the numbers (N, 7 + 3d) of each."""
         self._numbers, self._acting, self._conservative = numbers, acting, load.conservative
         self._elastic = [Equilibria(structure, own) for own in numbers]
         self.loaded = LoadedEquilibria(structure, load.follows)
@@ -37,7 +37,7 @@ class Follower:
     def rest(self, q: Array) -> Array:
         """The unknowns (N, 2d + 2) there after the load has come; NaN of robots that snap on the way."""
         which, states = self.settled(q)
-        states, done = self._led(states, q[which], 1.0)
+        states, done = self.loaded.along(states, q[which], self._acting[which])
         found = np.full(q.shape, np.nan)
         found[which[done == 1]] = states.rows(done == 1).unknowns
         return found
@@ -67,16 +67,12 @@ class Follower:
             if fresh:
                 which, states = self.settled(q[:, j])
             else:
-                reached, done = self._led(states, q[which, j], part)
+                reached, done = self.loaded.along(states, q[which, j], part * self._acting[which])
                 for k in np.flatnonzero(done < 1):
                     snaps[which[k]].append(Snap(int(frame) + 1, _leaving(reached.slopes[k]), None))
                 which, states = which[done == 1], reached.rows(done == 1)
             found.append((which, states))
         return found, [tuple(each) for each in snaps]
-
-    def _led(self, states: States, q: Array, part: float) -> tuple[States, Array]:
-        """States on their way to q (T, 2d + 2) and to a part of the load, as LoadedEquilibria.along."""
-        return self.loaded.along(states, q, np.repeat(part * self._acting[None], len(q), axis=0))
 
 
 def _leaving(slopes: Array) -> tuple[int, ...]:

@@ -93,8 +93,12 @@ class Loaded(Model):
 
     def points_apart(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
         """As Model.points_apart; raises LoadError where tubes' weights count."""
-        acting = self.load.numbers_apart(structure.d)[None]
+        acting = self.acting_apart(structure.d, len(x))
         return curves(structure, numbers, acting, x, sigma, self.load.follows)[0]
+
+    def acting_apart(self, d: int, rows: int) -> Array:
+        """Numbers (rows, 7 + 3d) of what acts on robots of d tubes, a row each; raises as points_apart."""
+        return np.repeat(self.load.numbers_apart(d)[None], rows, axis=0)
 
     def margins(self, robot: Robot, x: Array) -> Array:
         """As Model.margins; NaN under a load that has no energy."""
@@ -149,13 +153,14 @@ class Loaded(Model):
         self, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True
     ) -> list[Followed]:
         """As Model.follow_apart; raises LoadError where tubes' weights count."""
-        acting, found = self.load.numbers_apart(structure.d), list[Followed]()
+        acting, found = self.acting_apart(structure.d, len(numbers)), list[Followed]()
         for some in (slice(first, first + TOGETHER) for first in range(0, len(numbers), TOGETHER)):
-            found += Follower(structure, numbers[some], self.load, acting).followed(way, q[some], margins)
+            follower = Follower(structure, numbers[some], self.load, acting[some])
+            found += follower.followed(way, q[some], margins)
         return found
 
     def _follower(self, robot: Robot) -> Follower:
-        return Follower(robot.structure, robot.numbers[None], self.load, self.load.numbers(robot))
+        return Follower(robot.structure, robot.numbers[None], self.load, self.load.numbers(robot)[None])
 
 
 STEADY, TURNING = Loaded(Load()), Loaded(Load(force=(0.0, 0.0, 1.0), axes="tool"))

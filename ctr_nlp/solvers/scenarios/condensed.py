@@ -1,7 +1,8 @@
 """Derivatives of a shared motion with the scenarios' tips eliminated, as far as they are linear.
 
-Every scenario of a frame has as many equations, alpha(phi_s, beta) = alpha + offset_s, as tips, so that about a
-point a step of the tips is one of q: dphi_s = Z_s dq + c_s, where c_s makes good what the equations miss. What is
+Every scenario of a frame has as many equations, alpha(phi_s, beta) = alpha + offset_s and under a load those of
+theta beside them, as its tips have unknowns, so that about a point a step of the tips is one of q:
+dphi_s = Z_s dq + c_s, where c_s makes good what the equations miss. What is
 left of a Newton system then has the unknowns of q alone, however many scenarios there are. The tips themselves
 stay unknowns: they need not keep their equations on the way, which near a fold is what lets a method move at all.
 Where frames have unknowns p in common, these stand beside q: dphi_s = Z_s dq + W_s dp + c_s.
@@ -18,12 +19,12 @@ from ctr_nlp.codegen.mapped import Mapped
 from ctr_nlp.nlp.scenarios import SharedMotion
 from ctr_nlp.solvers.scenarios.common import NONE, CommonValues, Given, GivenSlopes
 from ctr_nlp.solvers.scenarios.twists import TwistSteps
-from ctr_nlp.typing import Array
+from ctr_nlp.typing import Array, Index
 
 
 class Values(NamedTuple):
     """At a point. objective: mm^2; rows: q, the frames' rows, the links, steps of twists, p, p's own rows;
-    missing (T, S, d): of the equations, rad.
+    missing (T, S, k): of the equations, rad.
     """
 
     objective: float
@@ -35,13 +36,15 @@ class Values(NamedTuple):
 class Expansion:
     """About a point. at: the values there. Of every scenario of every frame, with m unknowns x = (phi, beta,
     theta, what p gives): gradient (T, S, m) and hessian (T, S, m, m) of the objective and, of the latter, of the
-    Lagrangian; own (T, S, k, m): the Jacobian of its own rows; inverse (T, S, d, d): of the equations' over phi;
-    turns (T, S, m, n + P): dx over (dq, dp); repair (T, S, m): the c of dx. Of the frames: jacobian (T, r, n + P)
+    Lagrangian; own (T, S, c, m): the Jacobian of its own rows; inverse (T, S, k, k): of the equations' over phi,
+    whose places (k,) among a robot's unknowns are tips; turns (T, S, m, n + P): dx over (dq, dp); repair
+    (T, S, m): the c of dx. Of the frames: jacobian (T, r, n + P)
     of the rows over q and p, and ahead (T, r): what the repair changes them by; twists (T, d - 1, n + P): that of
     the first scenario's twists. given: of p alone.
     """
 
     at: Values
+    tips: Index
     gradient: Array
     hessian: Array
     own: Array
@@ -61,12 +64,12 @@ class Expansion:
         """The Hessian (T, n + P, n + P) over q and p, but for what p adds by itself, and what the repair adds to
         the gradient (T, n + P); damping: added to every second derivative over q and over tips.
         """
-        d, turns = self.inverse.shape[-1], self.turns
+        tips, turns = self.tips, self.turns
         curved = self.hessian @ turns
         bent = (self.hessian @ self.repair[..., None])[..., 0]
         if damping:
-            curved[..., :d, :] += damping * turns[..., :d, :]
-            bent[..., :d] += damping * self.repair[..., :d]
+            curved[..., tips, :] += damping * turns[..., tips, :]
+            bent[..., tips] += damping * self.repair[..., tips]
         found = (turns.swapaxes(-1, -2) @ curved).sum(axis=1)
         n = found.shape[-1] - self.given.hessian.shape[-1]
         found[:, range(n), range(n)] += damping
@@ -77,20 +80,20 @@ class Expansion:
         return np.asarray((self.turns @ dq[:, None, :, None])[..., 0] + self.repair)
 
     def multipliers(self, rows: Array, turned: Array, step: Array | None = None, damping: float = 0.0) -> Array:
-        """Of the equations, (T, S, d): those at which tips are stationary, after a step where there is one.
+        """Of the equations, (T, S, k): those at which tips are stationary, after a step where there is one.
 
-        rows: multipliers (T, m) of the frames' rows; turned (T, d): what those of twists pull the first tips with.
+        rows: multipliers (T, m) of the frames' rows; turned (T, d - 1): what those of twists pull the first
+        robot's tips with.
         """
-        count, d = self.inverse.shape[1], self.inverse.shape[-1]
-        k = self.own.shape[2]
-        own = rows[:, : count * k].reshape(len(rows), count, k, 1)
-        slope = self.gradient[..., :d] + (self.own[..., :d].swapaxes(-1, -2) @ own)[..., 0]
-        apart = rows[:, count * k : count * k + (count - 1) * (d - 1)].reshape(len(rows), count - 1, d - 1)
-        slope[:, 1:, : d - 1] += apart
-        slope[:, 0, : d - 1] -= apart.sum(axis=1)
-        slope[:, 0] += turned
+        (count, size), tips, relative = self.own.shape[1:3], self.tips, turned.shape[1]
+        own = rows[:, : count * size].reshape(len(rows), count, size, 1)
+        slope = self.gradient[..., tips] + (self.own[..., tips].swapaxes(-1, -2) @ own)[..., 0]
+        others = rows[:, count * size : count * size + (count - 1) * relative]
+        apart = others.reshape(len(rows), count - 1, relative)
+        slope[:, 1:, :relative] += apart
+        slope[:, 0, :relative] += turned - apart.sum(axis=1)
         if step is not None:
-            slope += (self.hessian[..., :d, :] @ step[..., None])[..., 0] + damping * step[..., :d]
+            slope += (self.hessian[..., tips, :] @ step[..., None])[..., 0] + damping * step[..., tips]
         return np.asarray(-(self.inverse.swapaxes(-1, -2) @ slope[..., None])[..., 0])
 
 
@@ -120,7 +123,7 @@ class Condensed:
         )
 
     def value(self, q: Array, phi: Array, p: Array = NONE) -> Values:
-        """At q (T, n), phi (T, S, d) and p (P,)."""
+        """At q (T, n), phi (T, S, k) and p (P,)."""
         given = self.common(p)
         f, g = self._maps[0](self.motion.unknowns(q, phi, given.values).ravel())
         return self._values(q, phi, p, given, f, g)
@@ -158,15 +161,15 @@ class Condensed:
     def expand(
         self, q: Array, phi: Array, equations: Array, rows: Array, p: Array = NONE, of_p: Array = NONE
     ) -> Expansion:
-        """About q, phi and p, with multipliers of the equations (T, S, d), of the frames' rows (T, r), and of p's
+        """About q, phi and p, with multipliers of the equations (T, S, k), of the frames' rows (T, r), and of p's
         own rows, of_p (c,).
         """
         motion, given = self.motion, self.common(p)
         frames, count, n, d = motion.sizes
-        m = n + given.values.shape[1]
-        own, common = motion.own_rows, motion.common_rows
+        m, tips, shared = n + given.values.shape[1], motion.own, motion.shared
+        own, common, k = motion.own_rows, motion.common_rows, len(tips)
         pulls = np.zeros((frames, count, motion.frame.g.numel()))
-        pulls[..., :d] = equations
+        pulls[..., :k] = equations
         pulls[..., own] = rows[:, : count * len(own)].reshape(frames, count, -1)
         pulls[:, 0, common] = rows[:, rows.shape[1] - len(common) :]
         x = motion.unknowns(q, phi, given.values).ravel()
@@ -176,21 +179,23 @@ class Condensed:
         slopes = jacobian.reshape(frames, count, m, -1).swapaxes(-1, -2)
         pulled = gradient[..., n:] + (slopes[..., n:].swapaxes(-1, -2) @ pulls[..., None])[..., 0]
         of_given = self.common.slopes(p, pulled.sum(axis=0), of_p)
-        inverse: Array = np.linalg.inv(slopes[..., :d, :d]).astype(float)
+        inverse: Array = np.linalg.inv(slopes[..., :k, tips]).astype(float)
         turns = np.zeros((frames, count, m, n + len(p)))
-        turns[..., range(d, n), range(d, n)] = 1.0
+        turns[..., shared, shared] = 1.0
         turns[..., n:, n:] = of_given.values
-        turns[..., :d, :] = -inverse @ (slopes[..., :d, d:] @ turns[..., d:, :])
-        turns[..., :d, :d] = inverse
+        turned = -inverse @ (slopes[..., :k, :] @ turns)
+        turned[..., tips] = inverse
+        turns[..., tips, :] = turned
         repair = np.zeros((frames, count, m))
-        repair[..., :d] = -(inverse @ at.missing[..., None])[..., 0]
+        repair[..., tips] = -(inverse @ at.missing[..., None])[..., 0]
         of_own = slopes[..., own, :]
-        tips = turns[:, 1:, : d - 1] - turns[:, :1, : d - 1]
+        apart = turns[:, 1:, : d - 1] - turns[:, :1, : d - 1]
         moved = repair[:, 1:, : d - 1] - repair[:, :1, : d - 1]
-        parts = [of_own @ turns, tips, slopes[:, 0, common, :] @ turns[:, 0]]
+        parts = [of_own @ turns, apart, slopes[:, 0, common, :] @ turns[:, 0]]
         ahead = [(of_own @ repair[..., None])[..., 0], moved, np.zeros((frames, len(common)))]
         return Expansion(
             at,
+            tips,
             gradient,
             hessian.reshape(frames, count, m, m),
             of_own,
@@ -206,11 +211,23 @@ class Condensed:
     def _values(self, q: Array, phi: Array, p: Array, given: Given, f: Array, g: Array) -> Values:
         frames, count, _, d = self.motion.sizes
         each = g.reshape(frames, count, -1)
-        own, tips = each[..., self.motion.own_rows], phi[:, 1:, : d - 1] - phi[:, :1, : d - 1]
-        rows = [part.reshape(frames, -1) for part in (own, tips, each[:, 0, self.motion.common_rows])]
+        own, apart = each[..., self.motion.own_rows], phi[:, 1:, : d - 1] - phi[:, :1, : d - 1]
+        rows = [part.reshape(frames, -1) for part in (own, apart, each[:, 0, self.motion.common_rows])]
         linked = self.linking @ q.ravel() + self._link_offset
         counted = self._shares > 0  # others may be anywhere on the way
         objective = float(self._shares[counted] @ f.ravel()[counted] + self.link_weight @ linked**2) + given.cost
         of_frames, twists = np.concatenate(rows, axis=1).ravel(), self.twists.values(q, phi)
         value = np.concatenate([q.ravel(), of_frames, linked, twists, p, given.rows])
-        return Values(objective, value, each[..., :d] - q[:, None, :d] - self._offsets)
+        return Values(objective, value, self._missing(each, q))
+
+    def _missing(self, rows: Array, q: Array) -> Array:
+        """By what rows (T, S, m) of the frames say that tips miss their equations at q (T, n), (T, S, k).
+
+        Where theta is among them, angles of motors are known but for whole turns of all tubes together.
+        """
+        tips, d = self.motion.own, self.motion.d
+        found = rows[..., : len(tips)] - q[:, None, tips]
+        found[..., :d] -= self._offsets
+        if len(tips) > d:
+            found[..., :d] -= 2 * np.pi * np.round(found[..., d - 1 : d] / (2 * np.pi))
+        return np.asarray(found)

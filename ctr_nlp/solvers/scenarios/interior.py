@@ -75,7 +75,7 @@ class SharedSolver:
         most: int = MOST_ITERATIONS,
         p: Array = NONE,
     ) -> SharedSolution:
-        """Solve from q (T, n) and tips phi (T, S, d), which need not be in equilibrium, in at most so many steps.
+        """Solve from q (T, n) and tips phi (T, S, k), which need not be in equilibrium, in at most so many steps.
 
         barrier: the first, mm^2; p (P,): common unknowns, where there are any.
         """
@@ -190,12 +190,12 @@ class _Run:
 
         A whole step that misses more than before is corrected: equations are curved.
         """
-        rows, point, about, d = self._rows, self.point, self._about, self.point.phi.shape[-1]
+        rows, point, about = self._rows, self.point, self._about
         here = rows.merit(about.at, point.slack, self._barrier)
         part, dual = self._parts(step)
         for halving in range(MOST_HALVINGS):
             q = point.q + part * step.du[: point.q.size].reshape(point.q.shape)
-            phi, p = point.phi + part * step.dx[..., :d], point.p + part * step.du[point.q.size :]
+            phi, p = point.phi + part * step.dx[..., about.tips], point.p + part * step.du[point.q.size :]
             for _ in range(1 if halving else CORRECTIONS):
                 values = rows.condensed.value(q, phi, p)
                 slack = rows.trial_slack(values.rows, point.slack + part * step.slack, point.slack)

@@ -13,7 +13,7 @@ from ctr_nlp.solvers.scenarios.common import NONE
 from ctr_nlp.solvers.scenarios.condensed import Condensed, Expansion, Values
 from ctr_nlp.solvers.scenarios.filter import Merit
 from ctr_nlp.solvers.scenarios.links import LinkBand
-from ctr_nlp.typing import Array, Flags
+from ctr_nlp.typing import Array, Flags, Index
 
 PUSH, RELAX, INFINITE, LEFT = 1e-3, 1e-9, 1e20, 0.005
 """How far slacks start within bounds, how far bounds are moved outwards, what stands for none, and what part of
@@ -22,8 +22,9 @@ its distance from a bound a step leaves."""
 
 @dataclass(frozen=True)
 class SharedSolution:
-    """A point of a shared motion: q (T, n), tips phi (T, S, d), the objective in mm^2, common unknowns p (P,).
+    """A point of a shared motion: q (T, n), tips phi (T, S, k), the objective in mm^2, common unknowns p (P,).
 
+    own (k,): which of a robot's unknowns its tips are (SharedMotion).
     prices (c,): multipliers of p's own rows, mm^2 a unit, positive at upper bounds. burdens (T, S): what it
     costs that a robot keeps its margin and its distance in a frame: the multipliers' sizes, mm^2 a unit.
 
@@ -39,9 +40,17 @@ class SharedSolution:
     kkt: float
     status: str
     iterations: int
+    own: Index
     p: Array = field(default_factory=lambda: NONE)
     prices: Array = field(default_factory=lambda: NONE)
     burdens: Array = field(default_factory=lambda: NONE)
+
+    @property
+    def x(self) -> Array:
+        """The unknowns (T, n) of the first robot."""
+        found = self.q.copy()
+        found[:, self.own] = self.phi[:, 0]
+        return found
 
     @property
     def success(self) -> bool:
@@ -128,11 +137,11 @@ class SharedRows:
 
     def _still(self, motion: SharedMotion, of_q: Flags, of_p: Flags) -> Flags:
         """Rows that no free unknown changes."""
-        d, n = motion.d, of_q.shape[1]
+        shared = motion.shared
         rows = np.ones(motion.row_bounds[0].shape, dtype=bool)
         if len(motion.common_rows):
-            depends = motion.frame.g_depends[motion.common_rows, d:n]
-            rows[:, -len(motion.common_rows) :] = of_q[:, d:] @ depends.T
+            depends = motion.frame.g_depends[np.ix_(motion.common_rows, shared)]
+            rows[:, -len(motion.common_rows) :] = of_q[:, shared] @ depends.T
         links = abs(motion.linking) @ of_q.ravel() > 0
         own = np.full(len(self.condensed.common.row_lower), of_p.any())
         parts = of_q, rows, links, self.condensed.twists.free(of_q), of_p, own
@@ -161,7 +170,7 @@ class SharedRows:
         return Parts(of_q.reshape(self._shape), of_frames.reshape(self._shape[0], -1), *others)
 
     def equations(self, about: Expansion, rows: Array, step: Array | None = None, damping: float = 0.0) -> Array:
-        """Multipliers (T, S, d) of the equations that go with those of all rows (Expansion.multipliers)."""
+        """Multipliers (T, S, k) of the equations that go with those of all rows (Expansion.multipliers)."""
         parts = self.split(rows)
         return about.multipliers(parts.frames, self.twists.of_tips(parts.twists), step, damping)
 
@@ -243,5 +252,6 @@ class SharedRows:
         kkt = max(self._stationarity(point, about), float(products.max()), violation, missing)
         found = float(about.at.objective), violation, missing, float(kkt)
         split = self.split(point.multipliers)
-        burdens = self.condensed.motion.by_robot(abs(split.frames))
-        return SharedSolution(q, point.phi, *found, status, iterations, p, split.own, burdens)
+        motion = self.condensed.motion
+        burdens = motion.by_robot(abs(split.frames))
+        return SharedSolution(q, point.phi, *found, status, iterations, motion.own, p, split.own, burdens)

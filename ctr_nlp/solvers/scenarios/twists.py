@@ -1,7 +1,8 @@
 """How far the described robot's tips turn beyond its motors from frame to frame: rows over two frames each.
 
-Twist i is (phi_i - alpha_i) - (phi_d - alpha_d) of the first scenario. Margins at frames do not see a fork between
-them; where twists must not change by much, a motion cannot cross one there.
+Twist i is phi_i - (alpha_i - alpha_d) of the first scenario, whose phi_i is relative to the innermost tube's tip,
+too. Margins at frames do not see a fork between them; where twists must not change by much, a motion cannot cross
+one there.
 """
 
 from __future__ import annotations
@@ -36,20 +37,21 @@ class TwistSteps:
         return np.repeat(moving[self._after] | moving[self._after - 1], self._d - 1)
 
     def values(self, q: Array, phi: Array) -> Array:
-        """At q (T, n) and tips phi (T, S, d), rad."""
-        turned = phi[:, 0] - q[:, : self._d]
-        return self._changed(turned[:, :-1] - turned[:, -1:]).ravel()
+        """At q (T, n) and tips phi (T, S, k), rad."""
+        d = self._d
+        return self._changed(phi[:, 0, : d - 1] - (q[:, : d - 1] - q[:, d - 1 : d])).ravel()
 
     def slopes(self, turns: Array) -> Array:
         """Of twists, from the derivatives turns (T, m, n + P) of the first robot's unknowns."""
         d = self._d
-        turned = turns[:, :d].copy()
-        turned[:, range(d), range(d)] -= 1.0
-        return turned[:, :-1] - turned[:, -1:]
+        found = turns[:, : d - 1].copy()
+        found[:, range(d - 1), range(d - 1)] -= 1.0
+        found[:, :, d - 1] += 1.0
+        return found
 
     def repaired(self, repair: Array) -> Array:
         """By what a change (T, m) of the first robot's unknowns at fixed q changes the rows."""
-        return self._changed(repair[:, : self._d - 1] - repair[:, self._d - 1 : self._d]).ravel()
+        return self._changed(repair[:, : self._d - 1]).ravel()
 
     def moved(self, slopes: Array, step: Array) -> Array:
         """By what a step of q and p, as every frame sees it, (T, n + P), changes the rows."""
@@ -60,9 +62,8 @@ class TwistSteps:
         return np.asarray((slopes.swapaxes(1, 2) @ self._spread(rows)[..., None])[..., 0])
 
     def of_tips(self, rows: Array) -> Array:
-        """The transposed Jacobian over the first robot's tips alone times rows, (T, d)."""
-        each = self._spread(rows)
-        return np.column_stack([each, -each.sum(axis=1)])
+        """The transposed Jacobian over the first robot's first d - 1 tips alone times rows, (T, d - 1)."""
+        return self._spread(rows)
 
     def square(self, slopes: Array, sigma: Array, blocks: Array, band: Array) -> None:
         """Add the transposed Jacobian times sigma times itself to a system's blocks and band (bordered.py)."""

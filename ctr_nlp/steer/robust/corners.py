@@ -60,5 +60,6 @@ class Corners:
     def with_part(self, chosen: Index, part: Array | float) -> Draws:
         """Those chosen (..), with so much of their difference, (..) or the same for all."""
         robots = self.robots[chosen.ravel()]
-        parts = np.broadcast_to(part, chosen.shape).reshape(-1, 1, 1) * robots.parts
-        return drawn_from(self.robot, parts, robots.lags)
+        parts = np.broadcast_to(part, chosen.shape).reshape(-1, 1, 1)
+        forces = parts[..., 0] * robots.forces
+        return drawn_from(self.robot, parts * robots.parts, robots.lags, forces)

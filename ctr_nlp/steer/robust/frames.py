@@ -22,9 +22,10 @@ from ctr_nlp.solvers.motion.judged import CLOSE, WIDE
 from ctr_nlp.solvers.scenarios import SharedSolver
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.robust.rounds import joined
+from ctr_nlp.steer.robust.tolerated import told_on
 from ctr_nlp.steer.robust.trials import Lost
 from ctr_nlp.target.problem import Problem
-from ctr_nlp.typing import Array
+from ctr_nlp.typing import Array, Index
 
 FIRST, KEPT = 3, 3
 """Answers for the robot as described that are tried where a frame has no past, and how many of these are kept."""
@@ -37,7 +38,7 @@ class ScenarioFrames:
     """A FrameSolver for scenarios that share q. nominal: what finds where frames without a past begin.
 
     margins (T,): the least of every scenario in each frame; None for any. What a result's warm holds are the tips
-    (S, d) of all scenarios; where these have been joined by others since, they have the described robot's. known:
+    (S, k) of all scenarios; where these have been joined by others since, they have the described robot's. known:
     all answers of a run, which are started from, too.
     """
 
@@ -75,7 +76,7 @@ class ScenarioFrames:
         ]
         description = {
             "formulation": "robust-joint",
-            "model": model.name,
+            **told_on(model).told,
             "solver": "interior-point",
             "options": settings.options() | {"terms": [str(term) for term in terms]},
         }
@@ -121,15 +122,14 @@ class ScenarioFrames:
         """The answer from a start, whose tips are as near to those before as they are from frame to frame."""
         robot, iterations, ends = self.problem.robot, 0, Ends(None if before is None else before.q)
         last, far = (start, np.inf) if before is None else (before, tip_steps(robot, self.problem.dt))
-        tips, guess = self._tips(last), self._tips(start)
-        for factor in HOLDS:
-            solver = SharedSolver(self._motion(frame, ends, factor))
+        motions = [self._motion(frame, ends, factor) for factor in HOLDS]
+        tips, guess = (self._tips(each, motions[0].own) for each in (last, start))
+        for solver in map(SharedSolver, motions):
             for barrier in (CLOSE, WIDE):
                 found = solver(start.q[None], guess[None], barrier)
                 iterations += found.iterations
-                if found.success and (abs(found.phi[0] - tips) <= far).all():
-                    x = np.concatenate([found.phi[0, 0], found.q[0, robot.d :]])
-                    known = found.objective, found.kkt, iterations, found.status, found.phi[0], x
+                if found.success and (abs(found.phi[0] - tips)[:, : robot.d] <= far).all():
+                    known = found.objective, found.kkt, iterations, found.status, found.phi[0], found.x[0]
                     return FrameResult(found.q[0], True, *known)
         status = f"scenarios: {found.status}, KKT residual {found.kkt:.1e}"
         return FrameResult(last.q, False, iterations=iterations, status=status, warm=tips, x=last.x)
@@ -140,9 +140,9 @@ class ScenarioFrames:
         at = problem.robot, [problem.samples[frame]], problem.dt, factor * self.settings.motion_weight, ends
         return shared_motion(*at, self.model, self.scenarios, fastest, margins, self.terms)
 
-    def _tips(self, near: FrameResult) -> Array:
-        """Of all scenarios, (S, d)."""
+    def _tips(self, near: FrameResult, own: Index) -> Array:
+        """Of all scenarios, (S, k), which are these of a robot's unknowns."""
         robot = self.problem.robot
         x = self.model.rest(robot, near.q) if near.x is None else near.x
-        known = np.zeros((0, robot.d)) if not isinstance(near.warm, np.ndarray) else near.warm
-        return np.concatenate([known, np.repeat(x[None, : robot.d], len(self.scenarios) - len(known), axis=0)])
+        known = np.zeros((0, len(own))) if not isinstance(near.warm, np.ndarray) else near.warm
+        return np.concatenate([known, np.repeat(x[None, own], len(self.scenarios) - len(known), axis=0)])

@@ -27,18 +27,18 @@ frames that hold it."""
 
 
 class Placed(NamedTuple):
-    """Which corners guard each frame, (T, K), and their tips (T, K, d)."""
+    """Which corners guard each frame, (T, K), and their tips (T, K, k)."""
 
     corners: Index
     tips: Array
 
     @classmethod
     def none(cls, phi: Array) -> Placed:
-        """Of a motion with tips phi (T, S, d)."""
+        """Of a motion with tips phi (T, S, k)."""
         return cls(np.zeros((len(phi), 0), dtype=int), phi[:, :0])
 
     def beside(self, new: Index, first: Array) -> Placed:
-        """These, and new corners in all frames, with tips as the first robot's, (T, 1, d)."""
+        """These, and new corners in all frames, with tips as the first robot's, (T, 1, k)."""
         corners = np.concatenate([self.corners, np.tile(new, (len(first), 1))], axis=1)
         return Placed(corners, np.concatenate([self.tips, np.repeat(first, len(new), axis=1)], axis=1))
 
@@ -90,9 +90,8 @@ def _solved(
 ) -> tuple[RobustSearch, Tried]:
     """A motion solved again with guards that have so many times (C,) their difference; the search that did so."""
     robots, found = corners.with_part(placed.corners, parts[placed.corners]), before.solution
-    each = (
-        values.reshape(*placed.corners.shape, *values.shape[1:]) for values in (robots.numbers, robots.offsets)
-    )
+    of_robots = robots.numbers, robots.offsets, robots.forces
+    each = (values.reshape(*placed.corners.shape, *values.shape[1:]) for values in of_robots)
     search = replace(search, guards=Guards(*each))
     tips = np.concatenate([found.phi[:, : len(scenarios)], placed.tips], axis=1)
     known = replace(before, solution=replace(found, phi=tips))

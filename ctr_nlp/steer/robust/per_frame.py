@@ -21,7 +21,7 @@ from ctr_nlp.steer.passes import Pass, Progress, run_again, run_passes
 from ctr_nlp.steer.per_frame import plan_of
 from ctr_nlp.steer.requests import Direction, check_described, checked_ends
 from ctr_nlp.steer.robust.frames import ScenarioFrames
-from ctr_nlp.steer.robust.tolerated import described
+from ctr_nlp.steer.robust.tolerated import described, told_unknowns
 from ctr_nlp.steer.robust.trials import Trials
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.values import whole_number
@@ -90,7 +90,17 @@ def solve_robust_per_frame(
     }
     if not stopped:
         work["certificate"] = trials.certificate(trial, best.motion(problem), len(made))
-    return plan_of(problem, solver, best, None, options, work)
+    return plan_of(problem, solver, _told(best, problem, model), None, options, work)
+
+
+def _told(best: Pass, problem: Problem, model: Model) -> Pass:
+    """The same run with the unknowns that a plan tells of."""
+    q, robot = best.motion(problem), problem.robot
+    found = {
+        j: one if one.x is None else replace(one, x=told_unknowns(robot, model, q[j : j + 1], one.x[None])[0])
+        for j, one in best.results.items()
+    }
+    return replace(best, results=found)
 
 
 def _best_again(ranked: Sequence[Pass], solver: ScenarioFrames, stop: Callable[[], bool]) -> Pass:

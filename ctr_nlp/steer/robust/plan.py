@@ -30,7 +30,7 @@ from ctr_nlp.steer.robust.corners import Corners
 from ctr_nlp.steer.robust.guards import guarded
 from ctr_nlp.steer.robust.rounds import RELAXATIONS, Judge, Round, best_of, planned_again, relaxed
 from ctr_nlp.steer.robust.search import RobustSearch, Start, Tried
-from ctr_nlp.steer.robust.tolerated import described
+from ctr_nlp.steer.robust.tolerated import described, told_on, told_unknowns
 from ctr_nlp.steer.robust.trials import Trials
 from ctr_nlp.steer.robust.walled import Walled
 from ctr_nlp.support.interrupt import deferred_interrupt
@@ -65,7 +65,8 @@ def solve_robust(
 ) -> Plan:
     """The plan that robots of scenarios follow a problem's target with, all making one motion.
 
-    scenarios: the first is the problem's own robot; by default those of its tolerances. most_lost: the share of
+    scenarios: the first is the problem's own robot; by default those of its tolerances, with the forces that may
+    act at its tip, under which robots are in other places, but not lost. most_lost: the share of
     all robots within the tolerances that may be lost. A motion is tried on robots drawn for it alone; where too
     many are lost for that to be certain with 95 % confidence, some of these join the scenarios, and it is planned
     again, in at most so many rounds. What came of the last trial is meta["certificate"]. guards: whether robots at
@@ -121,7 +122,7 @@ def solve_robust(
     ends = {"start": _listed(nominal.ends.start), "end": _listed(nominal.ends.end)}
     meta = {
         "formulation": "robust-horizon",
-        "model": model.name,
+        **told_on(model).told,
         "solver": "interior-point",
         "options": settings.options(ROBUST_CLEARANCE_COST) | asked | ends,
         "build_s": nominal.build_seconds,
@@ -221,7 +222,7 @@ def _described(one: Tried) -> dict[str, Any]:
 def _plan(problem: Problem, best: Round, free: Round | None, meta: dict[str, Any]) -> Plan:
     """A round as a plan, and where a wall counts the motion of the one that is free of it."""
     found, wall = best.tried.solution, best.search.wall
-    condensed = Condensed(best.search.motion(best.scenarios))
+    condensed, model, robot = Condensed(best.search.motion(best.scenarios)), best.search.model, problem.robot
     condensed.look(found.q, found.phi)
     weight = None if wall is None else wall.weight
     return plan_from_configurations(
@@ -232,9 +233,9 @@ def _plan(problem: Problem, best: Round, free: Round | None, meta: dict[str, Any
         solve_time=np.full(problem.frames, np.nan),
         objective=condensed.by_frame(found.q, found.phi),
         kkt=np.full(problem.frames, found.kkt),
-        planned=np.concatenate([found.phi[:, 0], found.q[:, problem.robot.d :]], axis=1),
+        planned=told_unknowns(robot, model, found.q, found.x),
         free=None if free is None else free.tried.solution.q,
-        simulator=Simulator(problem.robot, best.search.model),
+        simulator=Simulator(robot, told_on(model)),
     )
 
 

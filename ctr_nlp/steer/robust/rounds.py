@@ -145,9 +145,9 @@ def solved_again(
 
 def joined(scenarios: Scenarios, lost: Lost, push: float = PUSHES[0]) -> Scenarios:
     """Scenarios, and the first of lost robots with so many times their difference, which count nothing."""
-    pairs = zip((lost.numbers, lost.offsets), (scenarios.numbers[0], scenarios.offsets[0]), strict=True)
-    numbers, offsets = (first + push * (each[:JOINING] - first) for each, first in pairs)
-    return scenarios.joined(numbers, offsets)
+    numbers, offsets, _, forces = (each[0] for each in scenarios.each)
+    pairs = (numbers, lost.numbers), (offsets, lost.offsets), (forces, lost.forces)
+    return scenarios.joined(*(first + push * (each[:JOINING] - first) for first, each in pairs))
 
 
 def firmer(margins: Array | None, frames: Index, picked: Index | None = None) -> Array | None:

@@ -112,30 +112,31 @@ class RobustSearch:
 
     def refined(self, draft: Tried, scenarios: Scenarios) -> Tried:
         """All frames of a draft."""
-        frames, (_, count, d) = self.problem.frames, draft.solution.phi.shape
+        frames, (_, *each) = self.problem.frames, draft.solution.phi.shape
         if self.picked is None:
             return draft
         q = filled(draft.solution.q, self.picked, frames)
         tips = filled(draft.solution.phi.reshape(len(self.picked), -1), self.picked, frames)
-        return self._solved(draft.start, q, tips.reshape(frames, count, d), scenarios, None, CLOSE)
+        return self._solved(draft.start, q, tips.reshape(frames, *each), scenarios, None, CLOSE)
 
     def solve(self, start: Start, scenarios: Scenarios, picked: Index | None = None) -> Tried:
         """All frames, or picked ones, of a start."""
-        x, robot = start.x if picked is None else start.x[picked], self.problem.robot
-        q, tips = self.model.configuration(robot, x), np.repeat(x[:, None, : robot.d], len(scenarios), axis=1)
+        x = start.x if picked is None else start.x[picked]
+        q, own = self.model.configuration(self.problem.robot, x), self.motion(scenarios, picked).own
+        tips = np.repeat(x[:, None, own], len(scenarios), axis=1)
         return self._solved(start.name, q, tips, scenarios, picked, WIDE)
 
     def _solved(
         self, name: str, q: Array, tips: Array, scenarios: Scenarios, picked: Index | None, barrier: float
     ) -> Tried:
-        """From tips (T, S, d); where that fails, as grown."""
+        """From tips (T, S, k); where that fails, as grown."""
         found = SharedSolver(self.motion(scenarios, picked))(q, tips, barrier, self.stop)
         if found.success or self.stop():
             return self.looked_at(Tried(name, len(q), found))
         return self.grown(name, q, tips[:, :1], scenarios, picked)
 
     def grown(self, name: str, q: Array, tips: Array, scenarios: Scenarios, picked: Index | None = None) -> Tried:
-        """With scenarios that grow from the nominal robot, of tips (T, 1, d), to what they are."""
+        """With scenarios that grow from the nominal robot, of tips (T, 1, k), to what they are."""
         tips = np.repeat(tips, self.motion(scenarios, picked).sizes[1], axis=1)
         done, part, best = 0.0, 0.5, None
         for _ in range(GROWTHS):
@@ -157,6 +158,5 @@ class RobustSearch:
         found, robot = tried.solution, self.problem.robot
         if not found.success:
             return tried
-        planned = np.concatenate([found.phi[:, 0], found.q[:, robot.d :]], axis=1)
         moved = self.model.follow(robot, found.q)
-        return replace(tried, made=not elsewhere(moved.x, planned, moved.snaps).any())
+        return replace(tried, made=not elsewhere(moved.x, found.x, moved.snaps, robot.d).any())

@@ -6,7 +6,8 @@ import numpy as np
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.shared.scenarios import check_shared
-from ctr_nlp.models import Model, model_named
+from ctr_nlp.loads import Load
+from ctr_nlp.models import MODELS, Model, model_named, under
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.draws import drawn_from
@@ -18,14 +19,14 @@ from ctr_nlp.typing import Array
 def scenarios_of(robot: Robot) -> Scenarios:
     """A robot, and robots that have the mean and the covariance of what it may be within its tolerances.
 
-    Lags are left out. Raises OptionError where nothing may differ, and where tubes' curved parts may come to end
-    in their transmissions, which is another structure.
+    Lags, and a force at the tip, are left out. Raises OptionError where nothing may differ, and where tubes'
+    curved parts may come to end in their transmissions, which is another structure.
     """
     root = robot.tolerances.root(robot.tubes)
     deviations = root[:, abs(root).max(axis=0) > 0]
-    if not deviations.size:
+    if not (deviations.size or robot.tolerances.tip_force):
         raise OptionError("all tolerances of the robot are 0; give some, or plan without robustness")
-    signs = balanced(deviations.shape[1])
+    signs = balanced(deviations.shape[1]) if deviations.size else np.zeros((0, 0))
     parts = np.vstack([np.zeros(len(root)), signs @ deviations.T]).reshape(-1, robot.d, len(NAMES))
     made = drawn_from(robot, parts, np.zeros(parts.shape[:2]))
     if made.structure != robot.structure:
@@ -33,16 +34,55 @@ def scenarios_of(robot: Robot) -> Scenarios:
             "curved_length of tolerances lets a curved part end before the tube's largest extension; "
             "a robust plan needs limits of beta below the curved lengths"
         )
-    return Scenarios(made.numbers, made.offsets, np.r_[0.0, np.ones(len(signs))])
+    weights = np.append(float(not len(signs)), np.ones(len(signs)))
+    return Scenarios(made.numbers, made.offsets, weights)
+
+
+def with_forces(scenarios: Scenarios, size: float) -> Scenarios:
+    """Scenarios, and the first of them with a force of a size, N, at its tip along each axis, either way.
+
+    Their shape errors do not count. None are added where the size is 0.
+    """
+    forces = size * np.vstack([np.eye(3), -np.eye(3)])[: 6 * (size > 0)]
+    numbers, offsets = (np.repeat(of[:1], len(forces), axis=0) for of in (scenarios.numbers, scenarios.offsets))
+    return scenarios.joined(numbers, offsets, forces)
 
 
 def described(robot: Robot, model: str | Model, scenarios: Scenarios | None) -> tuple[Model, Scenarios]:
-    """The model and the scenarios asked for, which by default are those of tolerances; raises OptionError."""
+    """The model and the scenarios asked for, which by default are those of tolerances; raises OptionError.
+
+    Where forces may act, the model is one of loaded robots, which also raises LoadError where moduli are not told.
+    """
     model = model_named(model, "model of scenarios")
-    scenarios = scenarios_of(robot) if scenarios is None else scenarios
+    if scenarios is None:
+        scenarios = with_forces(scenarios_of(robot), robot.tolerances.tip_force)
     instance(OptionError, "scenarios", scenarios, Scenarios)
+    if model.bears is None and (scenarios.forces.any() or robot.tolerances.tip_force):
+        model = under(model, Load())
+    model.check(robot)
+    if model.bears is not None:
+        model.bears.numbers_apart(robot.d)
     check_shared(robot, model, scenarios)
     return model, scenarios
+
+
+def told_on(model: Model) -> Model:
+    """The model that a plan made on one tells of: that without a load, where robots bear only what may come."""
+    return MODELS[model.name] if model.bears == Load() else model
+
+
+def told_unknowns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
+    """The unknowns (T, 2d + 2) of that model, of a robot at q (T, 2d + 2) with the unknowns x of the other one.
+
+    Tips are turned alike against each other; by how much they are turned together is what alpha tells of them.
+    """
+    told, last = told_on(model), robot.d - 1
+    if told == model:
+        return x
+    found = q.copy()
+    found[:, :last], found[:, last] = x[:, :last], 0.0
+    found[:, last] = q[:, last] - told.configuration(robot, found)[:, last]
+    return found
 
 
 def balanced(count: int) -> Array:

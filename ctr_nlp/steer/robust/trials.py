@@ -30,12 +30,14 @@ HALVINGS = 6
 
 
 class Lost(NamedTuple):
-    """Robots that were lost of those drawn: numbers (L, d, 6) of their tubes and offsets (L, d) of their motors,
-    rad; frames (L,): in which each was, from 1. few: whether so few that it is certain enough that hardly any is.
+    """Robots that were lost of those drawn: numbers (L, d, 6) of their tubes, offsets (L, d) of their motors, rad,
+    and forces (L, 3) at their tips, N; frames (L,): in which each was, from 1. few: whether so few that it is
+    certain enough that hardly any is.
     """
 
     numbers: Array
     offsets: Array
+    forces: Array
     frames: Index
     drawn: int
     few: bool
@@ -90,14 +92,16 @@ class Trials:
             group = draws[len(frames) : len(frames) + GROUP]
             frames = np.append(frames, lost_draws(self.robot, group, q, self.model))
         gone = np.flatnonzero(frames)
-        return Lost(draws.numbers[gone], draws.offsets[gone], frames[gone], len(frames), len(gone) <= allowed)
+        found = draws[gone]
+        own = found.numbers, found.offsets, found.forces
+        return Lost(*own, frames[gone], len(frames), len(gone) <= allowed)
 
     def borne(self, q: Array, number: int) -> float:
         """The part of the tolerances, below 1, at which few are lost on motion q; 0 where many are at any."""
         draws, (low, high) = drawn(self.robot, self.draws, SEED + number), (0.0, 1.0)
         for _ in range(HALVINGS):
             part = (low + high) / 2
-            shrunk = drawn_from(self.robot, part * draws.parts, part * draws.lags)
+            shrunk = drawn_from(self.robot, part * draws.parts, part * draws.lags, part * draws.forces)
             few = (lost_draws(self.robot, shrunk, q, self.model) > 0).sum() <= self.allowed
             low, high = (part, high) if few else (low, part)
         return low

@@ -140,6 +140,5 @@ class Walled:
 
     def _outcome(self, tried: Tried) -> Outcome:
         problem, found = self.search.problem, tried.solution
-        x = np.concatenate([found.phi[:, 0], found.q[:, problem.robot.d :]], axis=1)
         solved = np.full(problem.frames, found.success)
-        return Outcome.of(problem, simulated(problem.robot, found.q, self.search.model), x, solved)
+        return Outcome.of(problem, simulated(problem.robot, found.q, self.search.model), found.x, solved)
