@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from ctr_nlp.simulation.forward import shape_curve, shapes
     from ctr_nlp.steer import Steerer, solve_horizon, solve_per_frame
     from ctr_nlp.steer.robust import solve_robust, solve_robust_per_frame
-    from ctr_nlp.studies.forces import Forces, forces
+    from ctr_nlp.studies.borne.tip import Forces, forces
+    from ctr_nlp.studies.borne.wall import WallForces, wall_forces
     from ctr_nlp.target.curve import Curve, curve_from_formula, curve_from_points
     from ctr_nlp.target.problem import Problem
     from ctr_nlp.target.target import Target, growing, sequence
@@ -54,6 +55,7 @@ __all__ = [
     "Target",
     "Tolerances",
     "Tube",
+    "WallForces",
     "__version__",
     "by_frame",
     "calibrate",
@@ -78,6 +80,7 @@ __all__ = [
     "suited",
     "summary",
     "table_i_robot",
+    "wall_forces",
 ]
 
 _HOMES = {
@@ -99,7 +102,8 @@ _HOMES = {
     "simulation.forward": ("shape_curve", "shapes"),
     "steer": ("Steerer", "solve_horizon", "solve_per_frame"),
     "steer.robust": ("solve_robust", "solve_robust_per_frame"),
-    "studies.forces": ("Forces", "forces"),
+    "studies.borne.tip": ("Forces", "forces"),
+    "studies.borne.wall": ("WallForces", "wall_forces"),
     "target.curve": ("Curve", "curve_from_formula", "curve_from_points"),
     "target.problem": ("Problem",),
     "target.target": ("Target", "growing", "sequence"),

@@ -30,6 +30,7 @@ COMMANDS = {
     "robust": Entry("commands.robust", "main", "try a plan on robots that are not quite the one described"),
     "under": Entry("loads.under", "main", "move the robot of a plan while it bears a load"),
     "force": Entry("loads.force", "main", "find the tip forces that a plan bears"),
+    "contact": Entry("loads.contact", "main", "find the forces with which a plan touches the wall of its lumen"),
     "design": Entry("studies.design", "main", "choose tubes together with motions along several targets"),
     "calibrate": Entry("measured.calibrate", "main", "find a robot's tubes from measurements of its shape"),
     "report": Entry("commands.report", "main", "write plans as one page for a browser"),

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from ctr_nlp.models.loaded.compiled import RodKind
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.model import curves
 from ctr_nlp.models.loaded.stability import pivots
@@ -94,17 +95,17 @@ def _crossing(
     return (low + high) / 2
 
 
-def compliance(robot: Robot, equilibria: LoadedEquilibria, states: States, follows: bool = False) -> Array:
+def compliance(robot: Robot, equilibria: LoadedEquilibria, states: States) -> Array:
     """How tips of states give in to small forces there, (T, 3, 3) mm/N, symmetric where the load has an energy."""
     rows = len(states.q)
     pushed = states.rows(np.repeat(np.arange(rows), 6))
     force = np.tile(SMALL * np.concatenate([np.eye(3), -np.eye(3)]), (rows, 1))
     found, done = _raised(equilibria, pushed, pushed.load, force)
-    tips = np.where(done[:, None] == 1, shapes(robot, found, np.ones(1), follows)[:, 0], np.nan)
+    tips = np.where(done[:, None] == 1, shapes(robot, found, np.ones(1), equilibria.rods.kind)[:, 0], np.nan)
     ahead, behind = np.moveaxis(tips.reshape(rows, 2, 3, 3), 1, 0)
     return np.swapaxes(ahead - behind, 1, 2) / (2 * SMALL)
 
 
-def shapes(robot: Robot, states: States, sigma: Array, follows: bool = False) -> Array:
-    """Points (T, n, 3) mm of states at sigma (n,); follows: whether a force turns with the tip."""
-    return curves(robot.structure, robot.numbers[None], states.load, states.unknowns, sigma, follows)[0]
+def shapes(robot: Robot, states: States, sigma: Array, kind: RodKind) -> Array:
+    """Points (T, n, 3) mm of states of such rods at sigma (n,) or (T, n)."""
+    return curves(robot.structure, robot.numbers[None], states.load, states.unknowns, sigma, kind)[0]

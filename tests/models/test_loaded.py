@@ -17,6 +17,7 @@ from ctr_nlp.exceptions import LoadError, OptionError
 from ctr_nlp.loads import with_modulus
 from ctr_nlp.models import MODELS, under
 from ctr_nlp.models.loaded import compiled
+from ctr_nlp.models.loaded.compiled import RodKind
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.models.loaded.stability import margins
@@ -193,7 +194,7 @@ def test_a_force_that_turns_with_the_tool_is_the_same_force_in_the_base_at_rest(
 
 
 def test_slopes_are_the_derivatives_of_the_base_over_the_tip():
-    equilibria = LoadedEquilibria(NITINOL.structure, follows=True)
+    equilibria = LoadedEquilibria(NITINOL.structure, RodKind(follows=True))
     q = np.array([[0.5, -0.8, 0.9, 30, 70, 120, 0.2, -0.3]])
     load = Load((0.1, 0.1, 0.2), "tool", 3.0, 6.45, (1, 0, 0)).numbers(NITINOL)[None]
     model = Loaded(Load((0.1, 0.1, 0.2), "tool", 3.0, 6.45, (1, 0, 0)))
@@ -292,7 +293,7 @@ def test_a_tube_pushed_out_beyond_its_curved_part_may_be_the_last_one():
 
 def test_rods_go_over_to_compiled_code_once_it_is_there(monkeypatch):
     """Until then they are interpreted, in the same object."""
-    offers = [(compiled.symbolic(ROD.structure, False), 1)] * 3
+    offers = [(compiled.symbolic(ROD.structure, compiled.PLAIN), 1)] * 3
     fastest = compiled._fastest
     monkeypatch.setattr(compiled, "_fastest", lambda *which: offers.pop() if offers else fastest(*which))
     equilibria, state = rod_state(0.1)

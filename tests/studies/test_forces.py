@@ -15,8 +15,8 @@ from lumens import straight
 from ctr_nlp import Load, Plan, Robot, Tube, forces
 from ctr_nlp.exceptions import LoadError, OptionError
 from ctr_nlp.models.loaded.following import Follower
-from ctr_nlp.studies.force_picture import picture
-from ctr_nlp.studies.forces import directions_of
+from ctr_nlp.studies.borne.tip import directions_of
+from ctr_nlp.studies.borne.tip_picture import picture
 
 ROD = Robot((Tube(200, 150, 0.0, 1.5, 1.0, youngs_modulus=60_000),))
 OUT = 100.0
@@ -50,7 +50,7 @@ def at_case(shared_data, number: int) -> Plan:
 def raised_by_hand(plan: Plan, frame: int, directions: np.ndarray, most: float) -> np.ndarray:
     """The forces at which a frame's robot snaps, raised in steps of one per cent; infinity beyond most."""
     robot, q = plan.robot, plan.q[frame]
-    follower = Follower(robot.structure, robot.numbers[None], Load(), Load().numbers(robot))
+    follower = Follower(robot.structure, robot.numbers[None], Load(), Load().numbers(robot)[None])
     which, alone = follower.settled(q[None])
     assert len(which) == 1
     going, found = np.arange(len(directions)), np.full(len(directions), np.inf)

@@ -13,7 +13,7 @@ from ctr_nlp.cli.loads.options import add_modulus_option, read_plan
 from ctr_nlp.cli.output.file import path_component, write_text
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.studies.forces import COUNTS, MOST, Forces, Worst, forces
+from ctr_nlp.studies.borne.tip import COUNTS, MOST, Forces, Worst, forces
 from ctr_nlp.support.tables import write_csv
 
 WEAKEST = 5
@@ -56,7 +56,7 @@ def _run(arguments: argparse.Namespace) -> int:
         write_csv(staging / "forces.csv", found.rows())
         if not arguments.no_figures:
             from ctr_nlp.figures import save  # brings matplotlib, which takes long to load
-            from ctr_nlp.studies.force_picture import picture
+            from ctr_nlp.studies.borne.tip_picture import picture
 
             save(picture(found, name), staging / "forces.png")
         files = sorted(path.name for path in staging.iterdir())

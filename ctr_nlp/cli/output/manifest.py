@@ -33,6 +33,7 @@ STANDARD: Mapping[str, tuple[str, ...]] = {
         *("configuration.png", "stability.png", "clearance.png"),
     ),
     "force": ("forces.json", "forces.csv", "forces.png"),
+    "contact": ("contact.json", "contact.csv", "contact.png"),
     "play": ("tracking.csv", "tracking.png"),
     "report": ("report.html",),
     "bag": ("metadata.yaml", "{folder}.mcap", "{folder}.db3"),

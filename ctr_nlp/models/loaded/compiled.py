@@ -13,7 +13,7 @@ import numpy as np
 from ctr_nlp.codegen import cache, vector
 from ctr_nlp.codegen.background import Library
 from ctr_nlp.codegen.mapped import Mapped
-from ctr_nlp.models.elastic.torsion import sections
+from ctr_nlp.models.elastic.torsion import Section, sections
 from ctr_nlp.models.loaded.rod import Loading, Softness, Tip, integrated
 from ctr_nlp.models.loaded.vectors import vectors
 from ctr_nlp.models.protocol import symbolic_tubes
@@ -47,25 +47,54 @@ def loading(values: Sequence[Any]) -> Loading:
     return Loading(tuple(values[:3]), tuple(values[3:6]), values[6], vectors(values[OF_TIP:]))
 
 
+class RodKind(NamedTuple):
+    """What kind of rods: whether a force turns with the tip; into how many pieces every section is divided, along
+    each of which a force per length of its own acts, or 0 where none does.
+    """
+
+    follows: bool = False
+    pieces: int = 0
+
+    def divided(self, parts: Sequence[Section]) -> list[Section]:
+        """The sections, or their pieces, from base to tip."""
+        return [piece for part in parts for piece in part.divided(self.pieces)] if self.pieces else list(parts)
+
+    @property
+    def steps(self) -> int:
+        """Of integration, in each of these."""
+        return STEPS // max(self.pieces, 1)
+
+    def numbers(self, structure: Structure) -> int:
+        """How many numbers a load has: of loads.Load.numbers, and then three of every piece, N/mm, if any."""
+        d, shown = structure.d, structure.shown
+        parts = sum(1 + sum(shown[i:]) for i in range(d))
+        return OF_TIP + 3 * d + 3 * self.pieces * parts
+
+
+PLAIN = RodKind()
+"""Those of loads that keep their direction, without forces along the robot."""
+
+
 @functools.lru_cache(maxsize=64)
-def symbolic(structure: Structure, follows: bool) -> ca.Function:
+def symbolic(structure: Structure, kind: RodKind) -> ca.Function:
     """(row, numbers (6 d,)) -> what Ends holds; row: psi and axes of the tip, beta, the load, softnesses."""
     d = structure.d
     numbers = ca.SX.sym("numbers", d, len(NUMBERS))
     tip, beta = ca.SX.sym("tip", d + 9), ca.SX.sym("beta", d)
-    load, soft = ca.SX.sym("load", OF_TIP + 3 * d), ca.SX.sym("soft", 2)
+    load, soft = ca.SX.sym("load", kind.numbers(structure)), ca.SX.sym("soft", 2)
     tubes, entries, extensions = symbolic_tubes(structure, numbers), ca.vertsplit(tip), ca.vertsplit(beta)
     d1, d2, t = vectors(entries[d:])
     rod = integrated(
         tubes,
         Tip(entries[:d], (d1, d2, t)),
         extensions,
-        sections(tubes, extensions, ca, planes=False),
+        kind.divided(sections(tubes, extensions, ca, planes=False)),
         loading(ca.vertsplit(load)),
         ca,
-        STEPS,
+        kind.steps,
         soft=Softness(*ca.vertsplit(soft)),
-        follows=follows,
+        follows=kind.follows,
+        pressed=vectors(ca.vertsplit(load)[OF_TIP + 3 * d :]),
     )
     reach = zip(rod.angles, rod.rates, tubes, extensions, strict=True)
     angles = [angle - rate * (tube.length - out) for angle, rate, tube, out in reach]
@@ -76,36 +105,37 @@ def symbolic(structure: Structure, follows: bool) -> ca.Function:
 
 
 @functools.lru_cache(maxsize=64)
-def _library(structure: Structure, follows: bool) -> Library:
-    functions = functools.partial(_functions, structure, follows)  # it is sent to the process that compiles
-    return Library(symbolic(structure, follows).serialize(), functions, vector.LANES)
+def _library(structure: Structure, kind: RodKind) -> Library:
+    functions = functools.partial(_functions, structure, kind)  # it is sent to the process that compiles
+    return Library(symbolic(structure, kind).serialize(), functions, vector.LANES)
 
 
-def _functions(structure: Structure, follows: bool) -> tuple[ca.Function]:
-    return (symbolic(structure, follows),)
+def _functions(structure: Structure, kind: RodKind) -> tuple[ca.Function]:
+    return (symbolic(structure, kind),)
 
 
-def _fastest(structure: Structure, follows: bool) -> tuple[ca.Function, int]:
+def _fastest(structure: Structure, kind: RodKind) -> tuple[ca.Function, int]:
     """The function, and for how many rows at once: compiled as soon as that has been done."""
-    if not cache.missing() and (path := _library(structure, follows).soon()) is not None:
+    if not cache.missing() and (path := _library(structure, kind).soon()) is not None:
         return ca.external("rod", str(path)), vector.LANES
-    return symbolic(structure, follows), 1
+    return symbolic(structure, kind), 1
 
 
 class Rods:
     """Robots' rods from tip to base; one object a thread."""
 
-    def __init__(self, structure: Structure, follows: bool = False) -> None:
-        """Build; follows: whether a force turns with the tip."""
-        self.d = structure.d
-        self._which = replace(structure, gap=False), follows
+    def __init__(self, structure: Structure, kind: RodKind) -> None:
+        """Build."""
+        self.d, self.kind = structure.d, kind
+        self._which = replace(structure, gap=False), kind
+        self.size = kind.numbers(structure)
         self._function, self._lanes = _fastest(*self._which)
         self._mapped: dict[int, Mapped] = {}
 
     def __call__(self, numbers: Array, angles: Array, axes: Array, beta: Array, load: Array, soft: Array) -> Ends:
         """The Ends of T robots of numbers (T, d, 6), as of structure.NUMBERS.
 
-        Their tips have angles (T, d) and axes (T, 3, 3); beta (T, d) mm, loads (T, 7 + 3 d), soft (T, 2).
+        Their tips have angles (T, d) and axes (T, 3, 3); beta (T, d) mm, loads (T, size), soft (T, 2).
         """
         rows, side = len(angles), self.d + 2
         mapped = self._for(rows)

@@ -15,7 +15,7 @@ import numpy as np
 
 from ctr_nlp.models.dominant.shape import base_frame
 from ctr_nlp.models.elastic.compiled import LEAP, SMALLEST, STRAY
-from ctr_nlp.models.loaded.compiled import Ends, Rods
+from ctr_nlp.models.loaded.compiled import PLAIN, Ends, RodKind, Rods
 from ctr_nlp.models.loaded.tips import axes_of, turned, unknowns
 from ctr_nlp.robot.structure import Structure
 from ctr_nlp.typing import Array, Flags
@@ -65,9 +65,9 @@ class States(NamedTuple):
 class LoadedEquilibria:
     """Follows equilibria of loaded robots; one object a thread."""
 
-    def __init__(self, structure: Structure, follows: bool = False) -> None:
-        """Build; follows: whether a force turns with the tip."""
-        self.d, self.rods = structure.d, Rods(structure, follows)
+    def __init__(self, structure: Structure, kind: RodKind = PLAIN) -> None:
+        """Build."""
+        self.d, self.rods = structure.d, Rods(structure, kind)
 
     def unloaded(self, numbers: Array, q: Array, tips: Array) -> States:
         """The states of robots of numbers (T, d, 6) at q (T, 2d + 2) without a load.
@@ -188,7 +188,7 @@ class LoadedEquilibria:
         return np.hstack([-q[:, : self.d], q[:, self.d :]])
 
     def _no_load(self, rows: int) -> Array:
-        return np.zeros((rows, 7 + 3 * self.d))
+        return np.zeros((rows, self.rods.size))
 
 
 def base_axes(theta: Array) -> Array:

@@ -6,6 +6,7 @@ import numpy as np
 
 from ctr_nlp.loads import Load
 from ctr_nlp.models.elastic.equilibria import Equilibria
+from ctr_nlp.models.loaded.compiled import RodKind
 from ctr_nlp.models.loaded.course import Course, course
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.stability import margins
@@ -24,7 +25,7 @@ class Follower:
         """load: of which kind they all are; acting: the numbers (N, 7 + 3d) of each."""
         self._numbers, self._acting, self._conservative = numbers, acting, load.conservative
         self._elastic = [Equilibria(structure, own) for own in numbers]
-        self.loaded = LoadedEquilibria(structure, load.follows)
+        self.loaded = LoadedEquilibria(structure, RodKind(load.follows))
 
     def settled(self, q: Array) -> tuple[Index, States]:
         """Which robots come to rest at q (N, 2d + 2) without a load and without a history; their states."""

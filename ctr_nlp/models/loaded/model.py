@@ -11,13 +11,14 @@ from ctr_nlp.loads import Load
 from ctr_nlp.models.dominant.shape import columns_of
 from ctr_nlp.models.elastic import shape
 from ctr_nlp.models.elastic.torsion import sections
-from ctr_nlp.models.loaded.compiled import STEPS, loading
+from ctr_nlp.models.loaded.compiled import OF_TIP, RodKind, loading
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.following import Follower
 from ctr_nlp.models.loaded.rod import Tip, integrated
 from ctr_nlp.models.loaded.shape import shape_under
 from ctr_nlp.models.loaded.stability import margins
 from ctr_nlp.models.loaded.tips import tips, unknowns
+from ctr_nlp.models.loaded.vectors import vectors
 from ctr_nlp.models.protocol import SUBSTEPS, Followed, Model, Passage, Places, Shape, combination, passage
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import Structure, Tubes, tubes_in_columns
@@ -89,12 +90,12 @@ class Loaded(Model):
 
     def _curves(self, robot: Robot, x: Array, sigma: Array) -> tuple[Array, Array]:
         acting = self.load.numbers(robot)[None]
-        return curves(robot.structure, robot.numbers[None], acting, x, sigma, self.load.follows)
+        return curves(robot.structure, robot.numbers[None], acting, x, sigma, RodKind(self.load.follows))
 
     def points_apart(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
         """As Model.points_apart; raises LoadError where tubes' weights count."""
         acting = self.acting_apart(structure.d, len(x))
-        return curves(structure, numbers, acting, x, sigma, self.load.follows)[0]
+        return curves(structure, numbers, acting, x, sigma, RodKind(self.load.follows))[0]
 
     def acting_apart(self, d: int, rows: int) -> Array:
         """Numbers (rows, 7 + 3d) of what acts on robots of d tubes, a row each; raises as points_apart."""
@@ -119,7 +120,7 @@ class Loaded(Model):
         return equilibria.states(of_robot, *tips(x, robot.d), x[:, robot.d : 2 * robot.d], acting)
 
     def _equilibria(self, robot: Robot) -> LoadedEquilibria:
-        return LoadedEquilibria(robot.structure, self.load.follows)
+        return LoadedEquilibria(robot.structure, RodKind(self.load.follows))
 
     def rest(self, robot: Robot, q: Array) -> Array:
         """Where all tubes are turned to together from alpha_d, and then loaded; NaN where it snaps on the way."""
@@ -168,24 +169,27 @@ STEADY, TURNING = Loaded(Load()), Loaded(Load(force=(0.0, 0.0, 1.0), axes="tool"
 
 
 def curves(
-    structure: Structure, numbers: Array, acting: Array, x: Array, sigma: Array, follows: bool
+    structure: Structure, numbers: Array, acting: Array, x: Array, sigma: Array, kind: RodKind
 ) -> tuple[Array, Array]:
-    """Points and tangents (T, n, 3) of robots of numbers (T or 1, d, 6) under loads (T or 1, 7 + 3d)."""
+    """Points and tangents (T, n, 3) of robots of numbers (T or 1, d, 6) under loads (T or 1, l) of such rods."""
     d, tubes = structure.d, tubes_in_columns(structure, numbers)
     beta, (angles, axes) = columns_of(x[:, d : 2 * d]), tips(x, d)
     d1, d2, t = (_vector(axes[:, k]) for k in range(3))
-    parts, tip = sections(tubes, beta, np, planes=False), Tip(columns_of(angles), (d1, d2, t))
-    rod = integrated(tubes, tip, beta, parts, loading(columns_of(acting)), np, STEPS, follows=follows)
-    vectors = [
+    parts = kind.divided(sections(tubes, beta, np, planes=False))
+    tip, load = Tip(columns_of(angles), (d1, d2, t)), columns_of(acting)
+    pressed, steps = vectors(load[OF_TIP + 3 * d :]), min(kind.steps, PIECE)
+    at = tubes, tip, beta, parts, loading(load), np, kind.steps
+    rod = integrated(*at, follows=kind.follows, pressed=pressed)
+    curved = [
         vector
         for tangents in rod.tangents
-        for first in range(0, STEPS, PIECE)
-        for vector in shape.powers(tangents[first : first + PIECE + 1])
+        for first in range(0, kind.steps, steps)
+        for vector in shape.powers(tangents[first : first + steps + 1])
     ]
-    pieces = [piece for part in parts for piece in part.divided(STEPS // PIECE)]
-    lengths, turns = shape.travels(tubes, beta, pieces, sigma * beta[-1], np, PIECE // 2)
+    pieces = [piece for part in parts for piece in part.divided(kind.steps // steps)]
+    lengths, turns = shape.travels(tubes, beta, pieces, sigma * beta[-1], np, steps // 2)
     like = np.zeros((len(x), np.shape(sigma)[-1]))
-    points, tangents = combination(lengths, vectors), combination([1.0, *turns], [rod.axes[2], *vectors])
+    points, tangents = combination(lengths, curved), combination([1.0, *turns], [rod.axes[2], *curved])
     return _stacked(points, like), _stacked(tangents, like)
 
 

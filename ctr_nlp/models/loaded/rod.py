@@ -160,10 +160,12 @@ def integrated(
     *,
     soft: Softness | None = None,
     follows: bool = False,
+    pressed: Sequence[Vector] = (),
 ) -> Rod:
     """The rod of a tip, in so many steps a section of Runge and Kutta's method of order 4.
 
-    soft: of the responses; None for none. follows: whether tool_force counts.
+    soft: of the responses; None for none. follows: whether tool_force counts. pressed: forces per length, N/mm,
+    that act along each of the parts beside the tubes' weights; none by default.
     """
     d, force = len(tubes), load.force
     if follows:
@@ -178,14 +180,14 @@ def integrated(
     ]
     by = None if soft is None else _changes(tip, load, follows, xp)
     states, responses = [], list[list[Any]]()
-    for part in reversed(parts):
-        weight = total([load.weights[i] for i in part.present])
+    for k, part in reversed(list(enumerate(parts))):
+        weight = total([*(load.weights[i] for i in part.present), *pressed[k : k + 1]])
         section = _Section(tubes, beta, part, force, weight, soft or Softness(), xp)
         nodes = [y]
-        for k in range(steps):
-            y, by = _stepped(section, k, steps, y, by)
+        for step in range(steps):
+            y, by = _stepped(section, step, steps, y, by)
             nodes.append(y)
-            if by is not None and (k + 1) % (steps // 2) == 0:
+            if by is not None and (step + 1) % (steps // 2) == 0:
                 by = _anew(by, responses, d, xp)
         states.append(nodes[::-1])
         force = plus(force, part.length, weight)

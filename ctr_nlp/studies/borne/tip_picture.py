@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from ctr_nlp.figures.parts.page import STYLE, printable
 from ctr_nlp.figures.parts.palette import BLACK, BLUE, SKY, VERMILLION
-from ctr_nlp.studies.forces import Forces
+from ctr_nlp.studies.borne.tip import Forces
 from ctr_nlp.typing import Array
 
 LABELLED = "125"

@@ -15,6 +15,7 @@ from ctr_nlp.formulations.around import Beside
 from ctr_nlp.loads import Load
 from ctr_nlp.loads.load import FORCE
 from ctr_nlp.models import MODELS
+from ctr_nlp.models.loaded.compiled import RodKind
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.models.loaded.tips import tip_angles
@@ -133,17 +134,17 @@ def forces(
     if off is not None:
         number(OptionError, "off", off, lambda x: 0 <= x < math.inf, "be a finite number >= 0", " mm")
     load, way = plan.bears or Load(), directions_of(directions)
-    asked = [] if off is None else [_left(plan, off, load.follows)]
     numbers = load.numbers(plan.robot)
-    equilibria = LoadedEquilibria(plan.robot.structure, load.follows)
+    equilibria = LoadedEquilibria(plan.robot.structure, RodKind(load.follows))
     which, states = _standing(plan, numbers, equilibria, whole_number(OptionError, "every", every))
     if not len(which):
         raise LoadError("the plan has no frame in which its robot stands under its load; no more can be borne")
+    asked = [] if off is None else [_left(plan, off, equilibria.rods.kind)]
     snaps, found = borne(equilibria, states, way, most, asked + [unstable(equilibria)] * load.conservative)
     if load.conservative:
         snaps = np.minimum(snaps, found.pop())
     leaves = found[0] if found else np.full(snaps.shape, np.inf)
-    soft = compliance(plan.robot, equilibria, states, load.follows)
+    soft = compliance(plan.robot, equilibria, states)
     return Forces(which + 1, way, snaps, leaves, soft, float(most), off)
 
 
@@ -167,14 +168,14 @@ def _standing(plan: Plan, numbers: Array, equilibria: LoadedEquilibria, every: i
     return which[done == 1], loaded.rows(done == 1)
 
 
-def _left(plan: Plan, off: float, follows: bool) -> Question:
+def _left(plan: Plan, off: float, kind: RodKind) -> Question:
     """Whether states (T,) are further beyond the wall of a plan's lumen than off, mm."""
     if plan.lumen is None:
         raise OptionError("off is asked for, and the plan knows no wall of a lumen")
     beside, robot = Beside(Lumen(plan.lumen)), plan.robot
 
     def left(states: States) -> Flags:
-        shape = shapes(robot, states, SIGMA, follows)
+        shape = shapes(robot, states, SIGMA, kind)
         return np.asarray(beside.clearances(robot, robot.split(states.q)[1], shape, SIGMA).min(axis=1) < -off)
 
     return left

@@ -1,0 +1,83 @@
+"""`ctr-nlp contact`: the forces with which a plan touches the wall of its lumen."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from ctr_nlp.cli.arguments import add_figures_option, add_out_option
+from ctr_nlp.cli.console import SOLVED, Command, console, print_table
+from ctr_nlp.cli.loads.options import add_modulus_option, read_plan
+from ctr_nlp.cli.output.file import path_component, write_text
+from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.studies.borne.wall import STIFFNESS, WallForces, wall_forces
+from ctr_nlp.support.tables import write_csv
+
+SHOWN = 5
+"""Frames that the table shows."""
+
+
+def _parser(prog: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=prog,
+        description="The forces with which a plan's robot and the wall of its lumen press on each other, on the "
+        "elastic model, where the wall gives in like an elastic foundation: how large they are in every frame, "
+        "where along the robot, how deep it is in the wall, and what of it another shape could avoid. Write "
+        "contact.json, contact.csv and a picture.",
+        epilog="Exit status: 0 done, 2 bad input, nothing written. The wall acts beside the load that the plan is "
+        "evaluated under (`ctr-nlp under`).",
+    )
+    parser.add_argument("plan", metavar="PLAN.npz")
+    told = f"of the wall, in N/mm for every mm of length (default {STIFFNESS:g}, of an airway)"
+    parser.add_argument("--wall-stiffness", metavar="N/MM2", type=float, default=STIFFNESS, help=told)
+    add_modulus_option(parser)
+    add_out_option(parser, "runs/PROBLEM-contact")
+    add_figures_option(parser)
+    return parser
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    plan = read_plan(arguments)
+    name = str(plan.meta["problem"]["name"])
+    out = Path(arguments.out or f"runs/{path_component(name)}-contact")
+    check_folder(out, "contact")
+    found = wall_forces(plan, arguments.wall_stiffness)
+    _print(found, name)
+    with published(out, "contact") as staging:
+        write_text(staging / "contact.json", json.dumps(found.summary(), indent=2, allow_nan=False) + "\n")
+        write_csv(staging / "contact.csv", found.rows())
+        if not arguments.no_figures:
+            from ctr_nlp.figures import save  # brings matplotlib, which takes long to load
+            from ctr_nlp.studies.borne.wall_picture import picture
+
+            save(picture(found, name), staging / "contact.png")
+        files = sorted(path.name for path in staging.iterdir())
+    console().print(f"wrote {out}: {', '.join(files)}")
+    return SOLVED
+
+
+def _print(found: WallForces, name: str) -> None:
+    """The frames with the largest forces, and what is to be said of all."""
+    told = found.summary()
+    rows = [row for row in found.rows() if row["total_N"] not in ("", 0.0)]
+    rows.sort(key=lambda row: -float(row["total_N"]))
+    if rows:
+        columns = "frame", "force N", "avoidable N", "on a piece N", "depth mm", "unpushed mm", "tip moved mm"
+        cells = [[str(row["frame"]), *list(row.values())[1:]] for row in rows[:SHOWN]]
+        title = f"{name}, forces of the wall, the largest of {len(rows)} frames in contact"
+        print_table(title, columns, cells)
+        most, avoidable = (f"{told[key]:.3g} N" for key in ("largest_total_N", "of_it_avoidable_N"))
+        console().print(
+            f"The wall presses most in frame {told['worst_frame']}, with {most} on the whole robot; of it another "
+            f"shape could avoid {avoidable}, where the lumen is wider than the robot."
+        )
+    else:
+        console().print(f"{name}: the robot touches the wall in no frame.")
+    if told["snaps_in_frame"] is not None:
+        console().print(
+            f"From frame {told['snaps_in_frame']} on forces are not known: the robot snaps as the wall pushes it."
+        )
+
+
+main = Command("ctr-nlp contact", _parser, _run)

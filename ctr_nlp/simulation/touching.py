@@ -1,0 +1,195 @@
+"""A robot within a wall that gives: where it touches the wall along a motion, and with what forces.
+
+The wall is an elastic foundation: it pushes with stiffness times depth on every mm of the robot, towards the
+lumen's path; from both sides where the lumen is narrower than the robot. Forces per length are constant along
+pieces of the robot. Those at which every piece is pressed as deep into the wall as its force says are found by a
+semismooth Newton method (Qi and Sun, A nonsmooth version of Newton's method, Mathematical Programming 58, 1993),
+frame after frame, whose derivatives are differences of equilibria that are followed side by side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from ctr_nlp.loads import Load
+from ctr_nlp.models import MODELS
+from ctr_nlp.models.elastic.torsion import sections
+from ctr_nlp.models.loaded.compiled import RodKind
+from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
+from ctr_nlp.models.loaded.model import Loaded
+from ctr_nlp.models.loaded.tips import tip_angles
+from ctr_nlp.models.protocol import passage
+from ctr_nlp.robot import Robot
+from ctr_nlp.simulation.bearing import shapes
+from ctr_nlp.simulation.drawn import SUBSTEPS
+from ctr_nlp.target.lumen import Lumen, outer_radii
+from ctr_nlp.target.target import SIGMA
+from ctr_nlp.typing import Array, Flags
+
+PIECES = 9
+"""Into which every section between ends of tubes is divided: some mm each."""
+MISSED = 1e-4
+"""N that the forces of all pieces differ at most from what their depths say."""
+ITERATIONS, HALVINGS = 30, 6
+"""Of Newton's method in a frame, and of a step that makes nothing better."""
+PROBE = 1e-4
+"""N/mm by which the force on a piece is changed for a difference."""
+TINY = 1e-9
+"""mm from the path, and N/mm, below which the wall pushes nowhere."""
+PLACES = (0.125, 0.375, 0.625, 0.875)
+"""Parts of a piece at which its depth is taken."""
+
+
+class Pressed(NamedTuple):
+    """Of T robots, pieces (T, K): how deep the deepest place of each is in the wall, mm, 0 where it does not
+    touch; with what the wall pushes on it, N/mm, and towards where (T, K, 3), of length 1 or 0; where the lumen is
+    narrower than the robot.
+    """
+
+    depth: Array
+    push: Array
+    towards: Array
+    narrow: Flags
+
+
+class Touching(NamedTuple):
+    """A motion through T frames, and K pieces of the robot; NaN from a frame on in which it snaps.
+
+    along, length (T, K): the middle of every piece and its length, mm. depth (T, K): of its deepest place in the
+    wall, mm; force (T, K): of the wall on it, N; towards (T, K, 3): that force's direction. narrow (T, K): where
+    the lumen is narrower than the robot. shape (T, 101, 3) mm at uniform sigma. missed (T,): N by which the forces
+    of all pieces differ from what depths say.
+    """
+
+    along: Array
+    length: Array
+    depth: Array
+    force: Array
+    towards: Array
+    narrow: Flags
+    shape: Array
+    missed: Array
+
+
+@dataclass(frozen=True)
+class Foundation:
+    """A robot in a lumen whose wall has a stiffness, N/mm for every mm of length; load: what it bears beside."""
+
+    robot: Robot
+    lumen: Lumen
+    stiffness: float
+    load: Load
+
+    @cached_property
+    def kind(self) -> RodKind:
+        """Rods with forces along them."""
+        return RodKind(self.load.follows, PIECES)
+
+    @cached_property
+    def equilibria(self) -> LoadedEquilibria:
+        """Of such rods."""
+        return LoadedEquilibria(self.robot.structure, self.kind)
+
+    def places(self, beta: Array) -> tuple[Array, Array]:
+        """The middles and lengths (T, K) of pieces of robots with extensions beta (T, d), mm."""
+        parts = self.kind.divided(sections(self.robot.tube_numbers, list(beta.T), np, planes=False))
+        start, length = (
+            np.stack([getattr(part, name) + 0 * beta[:, 0] for part in parts], axis=1)
+            for name in ("start", "length")
+        )
+        return start + length / 2, length
+
+    def pressed(self, states: States) -> Pressed:
+        """How the wall pushes on robots where they are."""
+        beta = self.robot.split(states.q)[1]
+        middle, length = self.places(beta)
+        places = middle[..., None] + length[..., None] * (np.array(PLACES) - 0.5)
+        sigma = places.reshape(len(beta), -1) / beta[:, -1:]
+        points = shapes(self.robot, states, sigma, self.kind)
+        near, over = self.lumen.near(points), outer_radii(self.robot, beta, sigma)
+        over -= near.radius
+        depth, behind = (np.maximum(over + side * near.distance, 0.0) for side in (1.0, -1.0))
+        away = np.maximum(near.distance, TINY)
+        pushes = (self.stiffness * (depth - behind) / away)[..., None] * (near.centre - points)
+        push = pushes.reshape(*places.shape, 3).mean(axis=2)
+        size = np.linalg.norm(push, axis=-1)
+        towards = np.where(size[..., None] > TINY, push / np.maximum(size, TINY)[..., None], 0.0)
+        deepest, narrow = (each.reshape(places.shape).max(axis=2) for each in (depth, over > 0))
+        return Pressed(deepest, size, towards, narrow)
+
+    def under(self, pushes: Array) -> Array:
+        """Numbers (T, l) of the load and of pushes (T, K, 3) on the pieces, N/mm."""
+        own = np.repeat(self.load.numbers(self.robot)[None], len(pushes), axis=0)
+        return np.hstack([own, pushes.reshape(len(pushes), -1)])
+
+    def along(self, q: Array) -> Touching:
+        """The robot moved through frames q (T, 2d + 2), in the first of which the wall closes around it."""
+        found, way = self._unknown(q), passage(np.asarray(q, dtype=float), SUBSTEPS)
+        states, pushes = self._standing(q[:1]), np.zeros((1, found.along.shape[1], 3))
+        for place, j, last in zip(way.q[:, None], way.frames, np.diff(way.frames, append=-1) != 0, strict=True):
+            states, done = self.equilibria.along(states, place, self.under(pushes))
+            length = self.places(self.robot.split(place)[1])[1][0]
+            settled = self._settled(states, pushes, length) if done[0] == 1 else None
+            if settled is None:
+                break
+            states, pushes, missed = settled
+            if last:
+                wall = self.pressed(states)
+                found.depth[j], found.force[j] = wall.depth[0], np.linalg.norm(pushes[0], axis=1) * length
+                found.towards[j], found.narrow[j], found.missed[j] = wall.towards[0], wall.narrow[0], missed
+                found.shape[j] = shapes(self.robot, states, SIGMA, self.kind)[0]
+        return found
+
+    def _unknown(self, q: Array) -> Touching:
+        along, length = self.places(self.robot.split(q)[1])
+        unknown = (np.full((*along.shape, *more), np.nan) for more in ((), (), (3,)))
+        shape, missed = np.full((len(q), len(SIGMA), 3), np.nan), np.full(len(q), np.nan)
+        depth, force, towards = unknown
+        return Touching(along, length, depth, force, towards, np.zeros(along.shape, dtype=bool), shape, missed)
+
+    def _standing(self, q: Array) -> States:
+        """The robot at q (1, 2d + 2) without load and wall."""
+        x = MODELS[Loaded.name].follow(self.robot, q).x
+        return self.equilibria.unloaded(self.robot.numbers[None], q, tip_angles(x, self.robot.d))
+
+    def _settled(self, states: States, pushes: Array, length: Array) -> tuple[States, Array, float] | None:
+        """A robot that stands, pushes (1, K, 3) at which it does, and what they miss; None where it is lost."""
+        wall = self.pressed(states)
+        missed = self._missed(wall, pushes, length)
+        for _ in range(ITERATIONS):
+            if missed <= MISSED:
+                return states, pushes, missed
+            step = self._newton(states, wall, pushes)
+            for part in 2.0 ** -np.arange(HALVINGS):
+                tried = pushes + part * step
+                there, done = self.equilibria.along(states, states.q, self.under(tried))
+                at = self.pressed(there)
+                less = self._missed(at, tried, length)
+                if done[0] == 1 and less < missed:
+                    break
+            else:
+                return None
+            states, wall, pushes, missed = there, at, tried, less
+        return None
+
+    def _missed(self, wall: Pressed, pushes: Array, length: Array) -> float:
+        apart = wall.push[..., None] * wall.towards - pushes
+        return float((np.linalg.norm(apart[0], axis=1) * length).sum())
+
+    def _newton(self, states: States, wall: Pressed, pushes: Array) -> Array:
+        """The change (1, K, 3) of pushes after which, to first order, they are what depths say."""
+        sizes, towards = wall.push[0], wall.towards[0]
+        kept = (pushes[0] * towards).sum(axis=1)
+        busy = np.flatnonzero((sizes > 0) | (kept > 0))
+        probes = np.repeat(pushes, len(busy), axis=0)
+        probes[np.arange(len(busy)), busy] += PROBE * towards[busy]
+        many = states.rows(np.zeros(len(busy), dtype=int))
+        there, _ = self.equilibria.along(many, many.q, self.under(probes))
+        slopes = (self.pressed(there).push[:, busy] - sizes[busy]).T / PROBE
+        changed = np.zeros_like(kept)
+        changed[busy] = np.linalg.solve(np.eye(len(busy)) - slopes, (sizes - kept)[busy])
+        return np.asarray((np.maximum(kept + changed, 0.0)[:, None] * towards)[None] - pushes)

@@ -1,0 +1,1 @@
+"""Forces that plans bear: at their tips, and of the walls that they touch."""
