@@ -218,8 +218,8 @@ def limited(motion):
 
 
 def _twists(q, tips):
-    """Of the first robot, (T,): by what its tips are turned against each other beyond its motors."""
-    return tips[:, 0] - (q[:, 0] - q[:, 1])
+    """Of the first robot, (T,): what its outer tip is turned against the inner one, less its motor's angle."""
+    return tips[:, 0] - q[:, 0]
 
 
 def test_twists_change_by_no_more_than_is_asked_for(limited, q, solved):

@@ -49,7 +49,7 @@ class _Losing:
         self.asked += 1
         count = int(self.asked <= self.rounds)
         numbers, offsets = np.repeat(TWO.numbers[None], count, 0), np.full((count, 2), 0.15)
-        return Lost(numbers, offsets, np.full(count, 3), 50, not count)
+        return Lost(numbers, offsets, np.zeros((count, 3)), np.full(count, 3), 50, not count)
 
     def certificate(self, lost, q, number):
         return {"held": lost.few}

@@ -50,7 +50,7 @@ class _Losing:
         self.asked.append((q.shape, number, draft))
         count = 1 if len(self.asked) <= self.rounds else 0
         numbers, offsets = np.repeat(TWO.numbers[None], count, 0), np.full((count, 2), 0.15)
-        return Lost(numbers, offsets, np.full(count, 3), 500, not count)
+        return Lost(numbers, offsets, np.zeros((count, 3)), np.full(count, 3), 500, not count)
 
     def certificate(self, lost, q, number):
         return {"held": lost.few, "number": number}
@@ -105,7 +105,7 @@ def test_robots_that_joined_differ_less_while_that_helps_and_few_are_lost(proble
     search = RobustSearch(
         problem, MODELS["elastic"], Ends(), (), robust.options["motion_weight"], np.full(FRAMES, 0.1)
     )
-    joined = _scenarios().joined(TWO.numbers[None], np.array([[0.3, -0.3]]))
+    joined = _scenarios().joined(TWO.numbers[None], np.array([[0.3, -0.3]]), np.zeros((1, 3)))
     tried = search.solve(Start("a plan", follow(TWO, robust.q).x), joined)
     held = Round(search, tried, joined, _Losing(0)(robust.q, 0, False))
     nearer = relaxed(held, 3, _Losing(0), 1)

@@ -1,8 +1,9 @@
 """How far the described robot's tips turn beyond its motors from frame to frame: rows over two frames each.
 
-Twist i is phi_i - (alpha_i - alpha_d) of the first scenario, whose phi_i is relative to the innermost tube's tip,
-too. Margins at frames do not see a fork between them; where twists must not change by much, a motion cannot cross
-one there.
+Twist i is phi_i - alpha_i of the first scenario, whose phi_i is relative to the innermost tube's tip: what tube i
+is turned against that one beyond its motor, less what the innermost one turns. Margins at frames do not see a fork
+between them; where these must not change by much, a motion cannot cross one there. A robot that turns by much as a
+whole in a frame crosses one, too, so that its turn is not left out.
 """
 
 from __future__ import annotations
@@ -39,14 +40,13 @@ class TwistSteps:
     def values(self, q: Array, phi: Array) -> Array:
         """At q (T, n) and tips phi (T, S, k), rad."""
         d = self._d
-        return self._changed(phi[:, 0, : d - 1] - (q[:, : d - 1] - q[:, d - 1 : d])).ravel()
+        return self._changed(phi[:, 0, : d - 1] - q[:, : d - 1]).ravel()
 
     def slopes(self, turns: Array) -> Array:
         """Of twists, from the derivatives turns (T, m, n + P) of the first robot's unknowns."""
         d = self._d
         found = turns[:, : d - 1].copy()
         found[:, range(d - 1), range(d - 1)] -= 1.0
-        found[:, :, d - 1] += 1.0
         return found
 
     def repaired(self, repair: Array) -> Array:

@@ -1,0 +1,144 @@
+"""One plan of a study: what it is made from, and the row that comes of it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from ctr_nlp.anatomy.problem_files import problem_from_file
+from ctr_nlp.exceptions import CtrError, OptionError
+from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.plan.metrics import summary
+from ctr_nlp.plan.plan import Plan, versions
+from ctr_nlp.problems import NAMES, named
+from ctr_nlp.robot import Robot
+from ctr_nlp.steer import solve_horizon, solve_per_frame
+from ctr_nlp.steer.robust import solve_robust, solve_robust_per_frame
+from ctr_nlp.studies.clearance.cases import problem_of
+from ctr_nlp.support.values import strict_json
+from ctr_nlp.target.problem import Problem
+
+SYNTHETIC = "synthetic:"
+"""What the names of synthetic airways begin with, before their seed."""
+METHODS = "horizon", "joint", "two-stage", "robust-horizon", "robust-joint"
+"""Ways in which a case may be planned."""
+DONE, FAILED = "done", "failed"
+"""Words of a row's status: there is a plan, solved or not; there is none."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A problem, a robot and settings. problem: a name, a centreline file, or synthetic:SEED; content: the digest
+    of the file, nothing for others. robot: as Robot.to_dict has it, as JSON, of a name; None for the problem's
+    own. settings: names and values of Settings. draws: robots that the plan is tried on, 0 for none; seed: of
+    these.
+    """
+
+    problem: str
+    content: str
+    robot_name: str
+    robot: str | None
+    model: str
+    method: str
+    frames: int
+    settings: tuple[tuple[str, Any], ...] = ()
+    draws: int = 0
+    seed: int = 0
+    options: tuple[tuple[str, Any], ...] = field(default=())
+    """Of problem_from_file, by name."""
+
+    @cached_property
+    def digest(self) -> str:
+        """Of all that the row depends on: the case, and the versions of what computes it."""
+        told = json.dumps([asdict(self), versions()], sort_keys=True)
+        return hashlib.sha256(told.encode()).hexdigest()[:32]
+
+    @property
+    def kind(self) -> tuple[str, ...]:
+        """What cases have in common that take about as long as each other."""
+        return self.method, self.model, str(self.frames), str(self.draws > 0)
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """The first columns of its row."""
+        named_so = {f"set_{name}": value for name, value in self.settings}
+        own = ("problem", "robot_name", "model", "method", "frames", "draws", "seed")
+        return {"digest": self.digest} | {name: getattr(self, name) for name in own} | named_so
+
+    def loaded(self) -> Problem:
+        """The problem with its robot; raises CtrError."""
+        robot = None if self.robot is None else Robot.from_dict(json.loads(self.robot))
+        if self.problem.startswith(SYNTHETIC):
+            problem = problem_of(int(self.problem.removeprefix(SYNTHETIC)), self.frames)
+            return problem if robot is None else replace(problem, robot=robot)
+        if self.problem in NAMES:
+            return named(self.problem, self.frames, robot=robot)
+        return problem_from_file(self.problem, frames=self.frames, robot=robot, **dict(self.options))
+
+    def planned(self) -> Plan:
+        """The plan, tried on draws where there are any; raises CtrError."""
+        problem, settings = self.loaded(), Settings(**dict(self.settings))
+        made = {
+            "horizon": lambda: solve_horizon(problem, model=self.model, settings=settings),
+            "robust-horizon": lambda: solve_robust(problem, model=self.model, settings=settings),
+            "robust-joint": lambda: solve_robust_per_frame(problem, model=self.model, settings=settings),
+        }
+        plan = (
+            made[self.method]()
+            if self.method in made
+            else solve_per_frame(problem, self.method, model=self.model, settings=settings)
+        )
+        return plan.with_draws(self.draws, self.seed) if self.draws else plan
+
+    def row(self, keep: Path | None = None) -> dict[str, Any]:
+        """The row of the plan, or of why there is none; keep: the folder into which the plan is written, too."""
+        begin = time.process_time()
+        try:
+            plan = self.planned()
+            if keep is not None:
+                plan.save(keep / f"{self.digest}.npz")
+            found = _numbers(plan) | {"status": DONE, "reason": ""}
+        except Exception as error:
+            # A study of thousands goes on whatever one of them dies of; the row tells what that was.
+            told = str(error) if isinstance(error, CtrError) else f"{type(error).__name__}: {error}"
+            found = {"status": FAILED, "reason": told}
+        return self.columns | found | {"process_s": time.process_time() - begin}
+
+
+def lost_row(case: Case, reason: str) -> dict[str, Any]:
+    """The row of a case whose worker died, or never answered."""
+    return case.columns | {"status": FAILED, "reason": reason, "process_s": float("nan")}
+
+
+def content_of(path: str) -> str:
+    """The digest of a file, raises OptionError where it cannot be read."""
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError as error:
+        raise OptionError(f"problem file {path} cannot be read: {error}") from error
+
+
+def _numbers(plan: Plan) -> dict[str, Any]:
+    """A plan's summary and verdicts as columns, and its versions."""
+    found = dict(_flat(strict_json(summary(plan))))
+    for verdict in plan.verdicts:
+        found[f"verdict_{verdict.matter.replace(' ', '_')}"] = verdict.word
+    found["complete"] = plan.complete
+    return found | {f"version_{name}": value for name, value in versions().items()}
+
+
+def _flat(told: Mapping[str, Any], before: str = "") -> list[tuple[str, Any]]:
+    """Numbers, words and truth values of nested mappings, under names joined by underscores; no lists."""
+    found = list[tuple[str, Any]]()
+    for name, value in told.items():
+        if isinstance(value, Mapping):
+            found += _flat(value, f"{before}{name}_")
+        elif value is None or isinstance(value, bool | int | float | str):
+            found.append((f"{before}{name}", value))
+    return found

@@ -1,0 +1,68 @@
+"""The rows of a study in Parquet files: written as they come, each file whole or not at all, and read back."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ctr_nlp.exceptions import OptionError, OutputError
+from ctr_nlp.support.extras import needed
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+ROWS = "rows"
+"""The folder of the files, beside which plans may lie."""
+
+
+@dataclass(frozen=True)
+class Results:
+    """A folder of rows. One program at a time adds to it."""
+
+    folder: Path
+
+    def known(self) -> set[str]:
+        """Digests of the cases that have rows; raises OutputError."""
+        if not any((self.folder / ROWS).glob("*.parquet")):
+            return set()
+        return set(self._dataset().to_table(columns=["digest"]).column("digest").to_pylist())
+
+    def add(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Keep rows, if there are any, in a file of their own; raises OutputError where that cannot be written."""
+        if not rows:
+            return
+        arrow, parquet = needed("pyarrow"), needed("pyarrow.parquet")
+        place = self.folder / ROWS
+        try:
+            place.mkdir(parents=True, exist_ok=True)
+            target = place / f"{uuid.uuid4().hex}.parquet"
+            partial = target.with_suffix(".partial")
+            names = list(dict.fromkeys(name for row in rows for name in row))
+            columns = {name: _column(arrow, [row.get(name) for row in rows]) for name in names}
+            parquet.write_table(arrow.table(columns), partial)
+            partial.replace(target)
+        except OSError as error:
+            raise OutputError(f"rows of the study cannot be written to {place}: {error}") from error
+
+    def frame(self) -> pd.DataFrame:
+        """All rows, in the order of their digests; raises OptionError where there are none."""
+        if not self.known():
+            raise OptionError(f"{self.folder} holds no rows of a study")
+        found: pd.DataFrame = self._dataset().to_table().to_pandas()
+        return found.sort_values("digest", ignore_index=True)
+
+    def _dataset(self) -> Any:
+        arrow, dataset, parquet = (needed(name) for name in ("pyarrow", "pyarrow.dataset", "pyarrow.parquet"))
+        files = sorted(map(str, (self.folder / ROWS).glob("*.parquet")))
+        schema = arrow.unify_schemas([parquet.read_schema(file) for file in files], promote_options="permissive")
+        return dataset.dataset(files, schema=schema)
+
+
+def _column(arrow: Any, values: list[Any]) -> Any:
+    """Numbers are all floating: a column may be whole numbers in one file and not in another."""
+    if all(value is None or (isinstance(value, int | float) and not isinstance(value, bool)) for value in values):
+        return arrow.array(values, arrow.float64())
+    return arrow.array(values)

@@ -1,0 +1,230 @@
+"""Studies of many plans: what a file asks for, rows that are kept, and what goes on after workers died."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import replace
+
+import pytest
+
+from ctr_nlp import table_i_robot
+from ctr_nlp.cli.main import main
+from ctr_nlp.exceptions import OptionError, OutputError
+from ctr_nlp.studies.grid import running
+from ctr_nlp.studies.grid.case import DONE, FAILED, Case, lost_row
+from ctr_nlp.studies.grid.results import Results
+from ctr_nlp.studies.grid.running import FIRST, SECONDS, Batches, local_client, run
+from ctr_nlp.studies.grid.study_file import Study
+
+pytest.importorskip("distributed", reason="the extra `study` is not installed")
+
+SMALL = {"problems": {"names": ["arc"]}, "frames": 4, "settings": {"seed": [0, 1, 2, 3]}}
+
+
+def study(told=SMALL, folder="."):
+    return Study.from_dict(told, folder)
+
+
+class Deadly(Case):
+    """A case whose worker dies of it."""
+
+    def row(self, keep=None):
+        os._exit(1)
+
+
+class Endless(Case):
+    """A case that takes longer than anybody waits."""
+
+    def row(self, keep=None):
+        time.sleep(60)
+
+
+def made(kind, case):
+    return kind(**{name: getattr(case, name) for name in Case.__dataclass_fields__})
+
+
+@pytest.fixture(scope="module")
+def client():
+    with local_client(2) as found:
+        yield found
+
+
+def test_a_study_is_every_combination(tmp_path):
+    (tmp_path / "r.toml").write_text(table_i_robot().to_toml())
+    (tmp_path / "airways").mkdir()
+    rows = "".join(f"{0.001 * z * z},0,{z}\n" for z in range(0, 81, 4))
+    (tmp_path / "airways" / "a.csv").write_text(f"x_mm,y_mm,z_mm\n{rows}")
+    told = {
+        "problems": {"names": ["cos", "line"], "folder": "airways", "synthetic": 2},
+        "robots": {"files": ["r.toml"], "drawn": {"of": "r.toml", "count": 3, "seed": 1}},
+        "models": ["dominant", "elastic"],
+        "methods": "horizon",
+        "sample": {"method": "sobol", "count": 4, "ranges": {"stability_margin": [0.1, 0.5]}},
+    }
+    found = study(told, tmp_path)
+    assert len(found) == 5 * 4 * 2 * 4
+    assert len({case.digest for case in found.cases}) == len(found)
+    margins = {dict(case.settings)["stability_margin"] for case in found.cases}
+    assert len(margins) == 4
+    assert all(0.1 <= each <= 0.5 for each in margins)
+    robots = {case.robot for case in found.cases}
+    assert len(robots) == 4
+    drawn = next(case for case in found.cases if case.robot_name == "r 1").loaded().robot
+    assert drawn.tubes[0].curvature != table_i_robot().tubes[0].curvature
+    assert drawn.tolerances == table_i_robot().tolerances
+
+
+def test_a_digest_changes_with_all_that_a_row_depends_on(tmp_path):
+    case = study().cases[0]
+    for change in (
+        {"frames": 5},
+        {"model": "elastic"},
+        {"draws": 3},
+        {"settings": (("seed", 9),)},
+        {"content": "x"},
+    ):
+        assert replace(case, **change).digest != case.digest
+    assert replace(case).digest == case.digest
+
+
+@pytest.mark.parametrize(
+    ("told", "message"),
+    [
+        ({}, "has no cases"),
+        ({"problem": {}}, "unknown key 'problem'"),
+        ({"problems": {"names": ["cosine"]}}, "cosine"),
+        ({"problems": {"folder": "nowhere"}}, "no centreline files"),
+        ({"problems": {"files": ["nowhere.csv"]}}, "cannot be read"),
+        (SMALL | {"models": "rigid"}, "rigid"),
+        (SMALL | {"methods": ["fast"]}, "fast"),
+        (SMALL | {"settings": {"margin": [1]}}, "unknown key 'margin'"),
+        (SMALL | {"settings": {"stability_margin": [2.0]}}, "stability_margin"),
+        (SMALL | {"sample": {"count": 2, "ranges": {"seed": [3, 1]}}}, "range of seed"),
+        (SMALL | {"sample": {"count": 2, "ranges": {"seed": [1, 3]}}}, "both listed and sampled"),
+        (SMALL | {"robots": {"drawn": {"count": 2}}}, "need of"),
+        (SMALL | {"settings": {"seed": [1, 1]}}, "cases twice"),
+        (SMALL | {"frames": 0}, "frames of a study"),
+    ],
+)
+def test_what_a_study_cannot_be_is_refused(told, message, tmp_path):
+    with pytest.raises(OptionError, match=message):
+        study(told, tmp_path)
+
+
+def test_rows_are_read_back_whatever_columns_they_have(tmp_path):
+    results = Results(tmp_path)
+    assert results.known() == set()
+    with pytest.raises(OptionError, match="holds no rows"):
+        results.frame()
+    results.add([{"digest": "b", "e3": 1, "status": DONE}])
+    results.add([{"digest": "a", "e3": 0.5, "status": DONE, "more": "x"}, {"digest": "c", "status": FAILED}])
+    frame = results.frame()
+    assert frame["digest"].tolist() == ["a", "b", "c"]
+    assert frame["e3"].tolist()[:2] == [0.5, 1.0]
+    assert frame["e3"].isna().tolist() == [False, False, True]
+    assert results.known() == {"a", "b", "c"}
+
+
+def test_a_file_that_was_not_written_whole_is_no_row(tmp_path):
+    results = Results(tmp_path)
+    results.add([{"digest": "a"}])
+    (tmp_path / "rows" / "x.partial").write_bytes(b"half")
+    assert results.known() == {"a"}
+
+
+def test_rows_that_cannot_be_written_are_one_clear_error(tmp_path):
+    (tmp_path / "rows").write_text("a file of the user's")
+    with pytest.raises(OutputError, match="cannot be written"):
+        Results(tmp_path).add([{"digest": "a"}])
+
+
+def test_batches_grow_to_what_is_worth_a_task():
+    cases = study(SMALL | {"settings": {"seed": list(range(100))}}).cases
+    batches = Batches.of(cases)
+    first = batches.next()
+    assert len(first) == FIRST
+    batches.took(first, FIRST * SECONDS / 20)
+    assert len(batches.next()) == 20
+    batches.alone.append(cases[0])
+    assert batches.next() == [cases[0]]
+    left = 100 - FIRST - 20
+    while batches:
+        left -= len(batches.next())
+    assert left == 0
+
+
+def test_a_study_is_done_once_and_goes_on_where_it_was(client, tmp_path):
+    few, told = study(SMALL | {"settings": {"seed": [0, 1]}}), []
+    assert run(few, tmp_path, client).done == 2
+    before = Results(tmp_path).frame()
+    progress = run(study(), tmp_path, client, seen=lambda one: told.append(one.done), keep_plans=True)
+    assert (progress.known, progress.done, progress.failed) == (2, 4, 0)
+    assert told[0] == 2
+    assert told[-1] == 4
+    frame = Results(tmp_path).frame()
+    assert len(frame) == len(frame["digest"].unique()) == 4
+    assert frame["complete"].all()
+    assert frame["e3"].max() - frame["e3"].min() < 1e-3
+    kept = frame[frame["digest"].isin(before["digest"])].reset_index(drop=True)
+    assert kept["process_s"].tolist() == before["process_s"].tolist()
+    assert len(list((tmp_path / "plans").glob("*.npz"))) == 2
+
+
+def test_a_failure_is_a_row_with_its_reason(client, tmp_path):
+    told = SMALL | {"models": ["dominant", "elastic"], "methods": ["two-stage"]}
+    progress = run(study(told), tmp_path, client)
+    frame = Results(tmp_path).frame()
+    assert progress.failed == 4
+    failed = frame[frame["status"] == FAILED]
+    assert set(failed["model"]) == {"elastic"}
+    assert failed["reason"].str.len().min() > 10
+
+
+def test_what_kills_its_worker_or_never_ends_is_a_row_and_the_rest_is_done(client, tmp_path):
+    cases = study().cases
+    spoiled = replace(study(), cases=(made(Deadly, cases[0]), made(Endless, cases[1]), *cases[2:]))
+    progress = run(spoiled, tmp_path, client, patience=3.0)
+    frame = Results(tmp_path).frame().set_index("digest")
+    assert (progress.done, progress.failed) == (4, 2)
+    for case in cases[:2]:
+        assert "worker died or took too long" in frame.loc[case.digest, "reason"]
+    assert (frame.loc[[case.digest for case in cases[2:]], "status"] == DONE).all()
+
+
+def test_a_stop_keeps_what_is_done(client, tmp_path):
+    asked = []
+
+    def stop():
+        asked.append(1)
+        return True
+
+    progress = run(study(SMALL | {"settings": {"seed": list(range(60))}}), tmp_path, client, stop=stop)
+    assert asked == [1]
+    assert progress.done < 60
+    assert len(Results(tmp_path).known()) == progress.done
+
+
+def test_a_lost_row_has_the_columns_of_its_case():
+    case = study().cases[0]
+    assert lost_row(case, "why") | {"process_s": 0} == case.columns | {
+        "status": FAILED,
+        "reason": "why",
+        "process_s": 0,
+    }
+    assert running.PATIENCE > 0
+
+
+def test_the_command_does_a_study_and_tells_it_by_a_column(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "s.toml").write_text('frames = 4\n[problems]\nnames = ["arc"]\n[settings]\nseed = [0, 1]\n')
+    assert main(["study", "s.toml", "--workers", "1", "--out", "here"]) == 0
+    assert "rows of all plans; 0 of them were known, and 0 failed" in capsys.readouterr().out
+    assert main(["study", "s.toml", "--by", "set_seed", "--out", "here"]) == 0
+    assert "plans by set_seed" in capsys.readouterr().out
+    assert main(["study", "s.toml", "--by", "colour", "--out", "here"]) == 2
+    assert "--by colour is no column" in capsys.readouterr().err
+    (tmp_path / "bad.toml").write_text("frames = 4\n")
+    assert main(["study", "bad.toml", "--out", "no"]) == 2
+    assert "study bad.toml: study 'study' has no cases" in capsys.readouterr().err
+    assert not (tmp_path / "no").exists()
