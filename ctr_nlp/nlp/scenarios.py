@@ -199,10 +199,6 @@ class SharedMotion:
         found[..., self.own] = phi
         return np.concatenate([found, np.broadcast_to(given, (frames, *given.shape))], axis=2)
 
-    def tips(self, x: Array) -> Array:
-        """The tips (.., k) of unknowns (.., n)."""
-        return np.asarray(x[..., self.own])
-
     @cached_property
     def linking(self) -> sp.csr_array:
         """The matrices of all links over q, (l, T n)."""

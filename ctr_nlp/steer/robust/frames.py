@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -122,9 +123,10 @@ class ScenarioFrames:
         """The answer from a start, whose tips are as near to those before as they are from frame to frame."""
         robot, iterations, ends = self.problem.robot, 0, Ends(None if before is None else before.q)
         last, far = (start, np.inf) if before is None else (before, tip_steps(robot, self.problem.dt))
-        motions = [self._motion(frame, ends, factor) for factor in HOLDS]
-        tips, guess = (self._tips(each, motions[0].own) for each in (last, start))
-        for solver in map(SharedSolver, motions):
+        motions = (self._motion(frame, ends, factor) for factor in HOLDS)
+        first = next(motions)
+        tips, guess = (self._tips(each, first.own) for each in (last, start))
+        for solver in map(SharedSolver, itertools.chain([first], motions)):
             for barrier in (CLOSE, WIDE):
                 found = solver(start.q[None], guess[None], barrier)
                 iterations += found.iterations

@@ -65,8 +65,8 @@ def solve_robust(
 ) -> Plan:
     """The plan that robots of scenarios follow a problem's target with, all making one motion.
 
-    scenarios: the first is the problem's own robot; by default those of its tolerances, with the forces that may
-    act at its tip, under which robots are in other places, but not lost. most_lost: the share of
+    scenarios: the first is the problem's own robot; by default those of its tolerances, and that robot
+    under the forces that may act at its tip, whose errors do not count. most_lost: the share of
     all robots within the tolerances that may be lost. A motion is tried on robots drawn for it alone; where too
     many are lost for that to be certain with 95 % confidence, some of these join the scenarios, and it is planned
     again, in at most so many rounds. What came of the last trial is meta["certificate"]. guards: whether robots at
