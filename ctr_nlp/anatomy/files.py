@@ -18,6 +18,14 @@ CENTRELINES, MASKS = (*TABLE, *MARKUPS, *LINES), (*NIFTI, *NRRD)
 SUFFIXES = (*CENTRELINES, *MASKS)
 
 
+def centrelines_in(folder: str | Path) -> list[Path]:
+    """The centreline files in a folder, in their order; raises OptionError where it has none."""
+    found = sorted(path for path in Path(folder).glob("*") if path.name.endswith(CENTRELINES))
+    if not found:
+        raise OptionError(f"folder {folder} has no centreline files ({', '.join(CENTRELINES)})")
+    return found
+
+
 def read_branches(
     path: str | Path, entry: npt.ArrayLike | None = None, target: npt.ArrayLike | None = None
 ) -> Branches:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ctr_nlp.anatomy.files import CENTRELINES, MASKS
+from ctr_nlp.anatomy.files import CENTRELINES, MASKS, centrelines_in
 from ctr_nlp.anatomy.problem_files import problem_from_file
 from ctr_nlp.exceptions import CtrError, OptionError, ProblemError
 from ctr_nlp.models import model_named
@@ -61,14 +61,7 @@ def expanded(names: Sequence[str]) -> list[str]:
     """
     found = list[str]()
     for name in names:
-        folder = Path(name)
-        if not folder.is_dir():
-            found.append(name)
-            continue
-        files = sorted(str(path) for path in folder.iterdir() if path.name.endswith(CENTRELINES))
-        if not files:
-            raise OptionError(f"folder {name} has no centreline files ({', '.join(CENTRELINES)})")
-        found += files
+        found += map(str, centrelines_in(name)) if Path(name).is_dir() else [name]
     return found
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from ctr_nlp.models.protocol import passage
 from ctr_nlp.robot import Robot
 from ctr_nlp.simulation.bearing import shapes
 from ctr_nlp.simulation.drawn import SUBSTEPS
+from ctr_nlp.support.equal import Kept
 from ctr_nlp.target.lumen import Lumen, outer_radii
 from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array, Flags
@@ -56,7 +57,8 @@ class Pressed(NamedTuple):
     narrow: Flags
 
 
-class Touching(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Touching(Kept):
     """A motion through T frames, and K pieces of the robot; NaN from a frame on in which it snaps.
 
     along, length (T, K): the middle of every piece and its length, mm. depth (T, K): of its deepest place in the
@@ -129,7 +131,7 @@ class Foundation:
     def along(self, q: Array) -> Touching:
         """The robot moved through frames q (T, 2d + 2), in the first of which the wall closes around it."""
         found, way = self._unknown(q), passage(np.asarray(q, dtype=float), SUBSTEPS)
-        states, pushes = self._standing(q[:1]), np.zeros((1, found.along.shape[1], 3))
+        states, pushes = self._standing(q[:1]), np.zeros((1, found["along"].shape[1], 3))
         for place, j, last in zip(way.q[:, None], way.frames, np.diff(way.frames, append=-1) != 0, strict=True):
             states, done = self.equilibria.along(states, place, self.under(pushes))
             length = self.places(self.robot.split(place)[1])[1][0]
@@ -139,17 +141,25 @@ class Foundation:
             states, pushes, missed = settled
             if last:
                 wall = self.pressed(states)
-                found.depth[j], found.force[j] = wall.depth[0], np.linalg.norm(pushes[0], axis=1) * length
-                found.towards[j], found.narrow[j], found.missed[j] = wall.towards[0], wall.narrow[0], missed
-                found.shape[j] = shapes(self.robot, states, SIGMA, self.kind)[0]
-        return found
+                here = {
+                    "depth": wall.depth[0],
+                    "force": np.linalg.norm(pushes[0], axis=1) * length,
+                    "towards": wall.towards[0],
+                    "narrow": wall.narrow[0],
+                    "shape": shapes(self.robot, states, SIGMA, self.kind)[0],
+                    "missed": missed,
+                }
+                for name, value in here.items():
+                    found[name][j] = value
+        return Touching(**found)
 
-    def _unknown(self, q: Array) -> Touching:
+    def _unknown(self, q: Array) -> dict[str, Any]:
+        """The arrays of Touching of a motion of which nothing is known but where its pieces are."""
         along, length = self.places(self.robot.split(q)[1])
-        unknown = (np.full((*along.shape, *more), np.nan) for more in ((), (), (3,)))
-        shape, missed = np.full((len(q), len(SIGMA), 3), np.nan), np.full(len(q), np.nan)
-        depth, force, towards = unknown
-        return Touching(along, length, depth, force, towards, np.zeros(along.shape, dtype=bool), shape, missed)
+        sizes = {"depth": along.shape, "force": along.shape, "towards": (*along.shape, 3)}
+        sizes |= {"shape": (len(q), len(SIGMA), 3), "missed": (len(q),)}
+        known = {"along": along, "length": length, "narrow": np.zeros(along.shape, dtype=bool)}
+        return known | {name: np.full(size, np.nan) for name, size in sizes.items()}
 
     def _standing(self, q: Array) -> States:
         """The robot at q (1, 2d + 2) without load and wall."""

@@ -130,6 +130,7 @@ def test_a_file_that_was_not_written_whole_is_no_row(tmp_path):
     results = Results(tmp_path)
     results.add([{"digest": "a"}])
     (tmp_path / "rows" / "x.partial").write_bytes(b"half")
+    (tmp_path / "rows" / ".x-00.parquet").write_bytes(b"half")
     assert results.known() == {"a"}
 
 

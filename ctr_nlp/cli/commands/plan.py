@@ -44,7 +44,7 @@ UNASKED = 40
 """Draws of the robot that a plan on which it can snap is tried on by itself."""
 ASKED = 500
 """Those that a robust plan is tried on."""
-UNFIT = (*("initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live", "evaluate", "solver"),)
+UNFIT = "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live", "evaluate", "solver"
 """Options that do not go with --robust."""
 ALONE_ROBUST = {
     "most_lost": "how many robots a robust plan may lose",

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import json
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ctr_nlp.cli.arguments import add_figures_option, add_out_option
 from ctr_nlp.cli.console import SOLVED, Command, console, print_table
 from ctr_nlp.cli.loads.options import add_modulus_option, read_plan
-from ctr_nlp.cli.output.file import path_component, write_text
-from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.cli.loads.written import write_found
+from ctr_nlp.cli.output.file import path_component
+from ctr_nlp.cli.output.folder import check_folder
 from ctr_nlp.studies.borne.wall import STIFFNESS, WallForces, wall_forces
-from ctr_nlp.support.tables import write_csv
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SHOWN = 5
 """Frames that the table shows."""
@@ -44,17 +48,14 @@ def _run(arguments: argparse.Namespace) -> int:
     check_folder(out, "contact")
     found = wall_forces(plan, arguments.wall_stiffness)
     _print(found, name)
-    with published(out, "contact") as staging:
-        write_text(staging / "contact.json", json.dumps(found.summary(), indent=2, allow_nan=False) + "\n")
-        write_csv(staging / "contact.csv", found.rows())
-        if not arguments.no_figures:
-            from ctr_nlp.figures import save  # brings matplotlib, which takes long to load
-            from ctr_nlp.studies.borne.wall_picture import picture
-
-            save(picture(found, name), staging / "contact.png")
-        files = sorted(path.name for path in staging.iterdir())
-    console().print(f"wrote {out}: {', '.join(files)}")
+    write_found(found, out, "contact", "contact", None if arguments.no_figures else partial(_picture, found, name))
     return SOLVED
+
+
+def _picture(found: WallForces, name: str) -> Figure:
+    from ctr_nlp.studies.borne.wall_picture import picture  # brings matplotlib, which takes long to load
+
+    return picture(found, name)
 
 
 def _print(found: WallForces, name: str) -> None:

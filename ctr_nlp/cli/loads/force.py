@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ctr_nlp.cli.arguments import add_figures_option, add_out_option, whole
 from ctr_nlp.cli.console import SOLVED, Command, console, print_table
 from ctr_nlp.cli.loads.options import add_modulus_option, read_plan
-from ctr_nlp.cli.output.file import path_component, write_text
-from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.cli.loads.written import write_found
+from ctr_nlp.cli.output.file import path_component
+from ctr_nlp.cli.output.folder import check_folder
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.studies.borne.tip import COUNTS, MOST, Forces, Worst, forces
-from ctr_nlp.support.tables import write_csv
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 WEAKEST = 5
 """Frames that the table shows."""
@@ -51,17 +55,14 @@ def _run(arguments: argparse.Namespace) -> int:
     asked = {key: getattr(arguments, key) for key in ("every", "directions", "most", "off")}
     found = forces(plan, **asked)
     _print(found, plan)
-    with published(out, "force") as staging:
-        write_text(staging / "forces.json", json.dumps(found.summary(), indent=2, allow_nan=False) + "\n")
-        write_csv(staging / "forces.csv", found.rows())
-        if not arguments.no_figures:
-            from ctr_nlp.figures import save  # brings matplotlib, which takes long to load
-            from ctr_nlp.studies.borne.tip_picture import picture
-
-            save(picture(found, name), staging / "forces.png")
-        files = sorted(path.name for path in staging.iterdir())
-    console().print(f"wrote {out}: {', '.join(files)}")
+    write_found(found, out, "force", "forces", None if arguments.no_figures else partial(_picture, found, name))
     return SOLVED
+
+
+def _picture(found: Forces, name: str) -> Figure:
+    from ctr_nlp.studies.borne.tip_picture import picture  # brings matplotlib, which takes long to load
+
+    return picture(found, name)
 
 
 def _print(found: Forces, plan: Plan) -> None:

@@ -12,6 +12,8 @@ from typing import Any
 from ctr_nlp.cli.arguments import add_out_option, whole
 from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, Command, console, print_table, progress_bar
 from ctr_nlp.cli.output.file import path_component
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.studies.grid.case import DONE
 from ctr_nlp.studies.grid.results import Results
 from ctr_nlp.studies.grid.running import PATIENCE, Progress, local_client, run
 from ctr_nlp.studies.grid.study_file import Study
@@ -87,16 +89,14 @@ def _client(arguments: argparse.Namespace) -> Iterator[Any]:
 def _print(frame: Any, column: str) -> None:
     """Means and extremes of plans by a column, and of failures the reasons."""
     if column not in frame:
-        from ctr_nlp.exceptions import OptionError
-
         raise OptionError(f"--by {column} is no column of the study; those are {', '.join(sorted(frame))}")
     shown = [name for name in SHOWN if name in frame]
     rows = []
     for name, part in frame.groupby(column):
         cells = [f"{part[each].mean():.3g}" if part[each].notna().any() else "" for each in shown]
-        rows.append([str(name), str(len(part)), str(int((part["status"] != "done").sum())), *cells])
+        rows.append([str(name), str(len(part)), str(int((part["status"] != DONE).sum())), *cells])
     print_table(f"plans by {column}, means", (column, "plans", "failed", *shown), rows)
-    for reason, count in frame.loc[frame["status"] != "done", "reason"].value_counts().items():
+    for reason, count in frame.loc[frame["status"] != DONE, "reason"].value_counts().items():
         console().print(f"{count} failed: {reason}")
 
 

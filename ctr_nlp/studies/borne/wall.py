@@ -11,8 +11,7 @@ import numpy as np
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.loads import Load, check_moduli
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.simulation.touching import Foundation
-from ctr_nlp.support.equal import Kept
+from ctr_nlp.simulation.touching import Foundation, Touching
 from ctr_nlp.support.values import instance, number
 from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.typing import Array, Flags
@@ -26,26 +25,16 @@ LEAST, MOST = 1e-6, 1e3
 
 
 @dataclass(frozen=True, eq=False)
-class WallForces(Kept):
+class WallForces(Touching):
     """A plan of T frames whose robot is pressed into a wall of a stiffness, N/mm for every mm, along K pieces.
 
-    along, length (T, K): the middle of every piece, from the base, and its length, mm. depth (T, K): of its
-    deepest place in the wall, mm; force (T, K): of the wall on it, N; towards (T, K, 3): that force's direction in
-    the base frame. narrow (T, K): where the lumen is narrower than the robot, which cannot avoid the wall there.
     depth_alone (T,): how deep the robot would be in a wall that does not push, mm. tip (T,): by how much the wall
-    moves the tip, mm. shape (T, 101, 3) mm. From a frame on in which the robot snaps under the wall all is NaN.
+    moves the tip, mm. Where the lumen is narrow, the robot cannot avoid the wall.
     """
 
     stiffness: float
-    along: Array
-    length: Array
-    depth: Array
-    force: Array
-    towards: Array
-    narrow: Flags
     depth_alone: Array
     tip: Array
-    shape: Array
 
     @property
     def known(self) -> Flags:
@@ -122,11 +111,10 @@ def wall_forces(plan: Plan, stiffness: float = STIFFNESS) -> WallForces:
     alone = plan.under(load)
     assert alone.clearance is not None  # a lumen is known
     return WallForces(
-        value,
-        *found[:6],
+        **vars(found),
+        stiffness=value,
         depth_alone=np.maximum(-alone.clearance.min(axis=1), 0.0),
         tip=np.linalg.norm(found.shape[:, -1] - alone.shape[:, -1], axis=1),
-        shape=found.shape,
     )
 
 

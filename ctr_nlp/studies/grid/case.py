@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +50,7 @@ class Case:
     settings: tuple[tuple[str, Any], ...] = ()
     draws: int = 0
     seed: int = 0
-    options: tuple[tuple[str, Any], ...] = field(default=())
+    options: tuple[tuple[str, Any], ...] = ()
     """Of problem_from_file, by name."""
 
     @cached_property
@@ -84,16 +84,13 @@ class Case:
     def planned(self) -> Plan:
         """The plan, tried on draws where there are any; raises CtrError."""
         problem, settings = self.loaded(), Settings(**dict(self.settings))
-        made = {
+        made: dict[str, Callable[[], Plan]] = {
             "horizon": lambda: solve_horizon(problem, model=self.model, settings=settings),
             "robust-horizon": lambda: solve_robust(problem, model=self.model, settings=settings),
             "robust-joint": lambda: solve_robust_per_frame(problem, model=self.model, settings=settings),
         }
-        plan = (
-            made[self.method]()
-            if self.method in made
-            else solve_per_frame(problem, self.method, model=self.model, settings=settings)
-        )
+        by_frame = partial(solve_per_frame, problem, self.method, model=self.model, settings=settings)
+        plan = made.get(self.method, by_frame)()
         return plan.with_draws(self.draws, self.seed) if self.draws else plan
 
     def row(self, keep: Path | None = None) -> dict[str, Any]:

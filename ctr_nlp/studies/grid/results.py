@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.support.extras import needed
+from ctr_nlp.support.whole_file import whole_file
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,7 +27,7 @@ class Results:
 
     def known(self) -> set[str]:
         """Digests of the cases that have rows; raises OutputError."""
-        if not any((self.folder / ROWS).glob("*.parquet")):
+        if not self._files:
             return set()
         return set(self._dataset().to_table(columns=["digest"]).column("digest").to_pylist())
 
@@ -38,12 +39,10 @@ class Results:
         place = self.folder / ROWS
         try:
             place.mkdir(parents=True, exist_ok=True)
-            target = place / f"{uuid.uuid4().hex}.parquet"
-            partial = target.with_suffix(".partial")
             names = list(dict.fromkeys(name for row in rows for name in row))
             columns = {name: _column(arrow, [row.get(name) for row in rows]) for name in names}
-            parquet.write_table(arrow.table(columns), partial)
-            partial.replace(target)
+            with whole_file(place / f"{uuid.uuid4().hex}.parquet") as partial:
+                parquet.write_table(arrow.table(columns), partial)
         except OSError as error:
             raise OutputError(f"rows of the study cannot be written to {place}: {error}") from error
 
@@ -54,9 +53,14 @@ class Results:
         found: pd.DataFrame = self._dataset().to_table().to_pandas()
         return found.sort_values("digest", ignore_index=True)
 
+    @property
+    def _files(self) -> list[str]:
+        """Those that were written whole: what a writer that was killed has left is hidden (whole_file)."""
+        return sorted(str(path) for path in (self.folder / ROWS).glob("*.parquet") if path.name[0] != ".")
+
     def _dataset(self) -> Any:
         arrow, dataset, parquet = (needed(name) for name in ("pyarrow", "pyarrow.dataset", "pyarrow.parquet"))
-        files = sorted(map(str, (self.folder / ROWS).glob("*.parquet")))
+        files = self._files
         schema = arrow.unify_schemas([parquet.read_schema(file) for file in files], promote_options="permissive")
         return dataset.dataset(files, schema=schema)
 

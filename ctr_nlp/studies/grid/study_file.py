@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
-from ctr_nlp.anatomy.files import CENTRELINES
+from ctr_nlp.anatomy.files import centrelines_in
 from ctr_nlp.exceptions import CtrError, OptionError
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import MODELS
@@ -111,13 +111,7 @@ def _problems(told: Any, folder: Path) -> Iterator[tuple[str, str]]:
         yield name, ""
     files = [folder / name for name in told.get("files", ())]
     if "folder" in told:
-        inside = sorted((folder / told["folder"]).glob("*"))
-        found = [path for path in inside if path.name.endswith(CENTRELINES)]
-        if not found:
-            raise OptionError(
-                f"folder {told['folder']} of a study holds no centreline files ({', '.join(CENTRELINES)})"
-            )
-        files += found
+        files += centrelines_in(folder / told["folder"])
     for path in files:
         yield str(path), content_of(str(path))
     for number in range(whole_number(OptionError, "synthetic of problems", told.get("synthetic", 0), 0)):

@@ -1,0 +1,33 @@
+"""What commands on forces write: numbers as JSON, a row a frame as CSV, and a picture."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ctr_nlp.cli.console import console
+from ctr_nlp.cli.output.file import write_text
+from ctr_nlp.cli.output.folder import published
+from ctr_nlp.studies.borne.tip import Forces
+from ctr_nlp.studies.borne.wall import WallForces
+from ctr_nlp.support.tables import write_csv
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def write_found(
+    found: Forces | WallForces, out: Path, kind: str, stem: str, picture: Callable[[], Figure] | None
+) -> None:
+    """Write STEM.json, STEM.csv and STEM.png into out, as files of a kind, and tell so; picture: None for none."""
+    with published(out, kind) as staging:
+        write_text(staging / f"{stem}.json", json.dumps(found.summary(), indent=2, allow_nan=False) + "\n")
+        write_csv(staging / f"{stem}.csv", found.rows())
+        if picture is not None:
+            from ctr_nlp.figures import save  # brings matplotlib, which takes long to load
+
+            save(picture(), staging / f"{stem}.png")
+        files = sorted(path.name for path in staging.iterdir())
+    console().print(f"wrote {out}: {', '.join(files)}")
