@@ -61,3 +61,31 @@ def test_what_is_said_between_the_hold_and_the_reset_is_not_forgotten(words):
 def test_an_alarm_after_the_reset_is_one_of_a_reset_in_motion():
     with pytest.raises(DeviceFault, match="reset in motion"):
         stop(Controller(in_reset=b"ALARM:3\r\n"))
+
+
+class Jogging(Controller):
+    """Has a jog's prepared steps still to make when it is cancelled, for so many s; feed is what it tells then."""
+
+    def __init__(self, clock, seconds, feed):
+        super().__init__()
+        self.state, self.clock, self.rests, self.feed = b"<Jog|", clock, clock.now() + seconds, feed
+
+    def write(self, data):
+        self.clock.sleep(0.02)
+        if RESET in data or self.clock.now() >= self.rests:
+            super().write(data)
+        elif STATUS in data:
+            place, feed = b"MPos:%.3f" % (-1.0 - self.rests + self.clock.now()), b"FS:" + self.feed
+            self.said += self.state + AT.replace(b"MPos:-1.000", place).replace(b"FS:0", feed)
+
+
+def test_a_slow_jog_whose_feed_is_0_is_left_its_last_steps():
+    """grblHAL stays in state Jog with a feed of 0 for 0.5 s where it jogs at 3 mm/min."""
+    clock = Clock()
+    assert stopped(Talk(Jogging(clock, 0.5, feed=b"0"), clock), clock).position[0] == -1
+
+
+def test_a_jog_that_goes_on_is_reset_in_motion():
+    clock = Clock()
+    with pytest.raises(DeviceFault, match="reset in motion"):
+        stopped(Talk(Jogging(clock, 0.5, feed=b"3"), clock), clock)

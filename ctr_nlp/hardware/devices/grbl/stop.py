@@ -20,7 +20,8 @@ UNHEARD = 0.2
 """s after which a controller that still runs, or says nothing, is reset without having come to rest."""
 
 RESTING = 1.0
-"""s that a hold may take to come to rest; the slowest of ordinary drives need 0.4 s."""
+"""s that a hold may take to come to rest; the slowest of ordinary drives need 0.4 s. A slow jog, too: steps that are
+prepared are still made, one by one, after its feed has come to 0."""
 
 RESTART = 3.0
 """s for a restart."""
@@ -54,7 +55,10 @@ def stopped(talk: Talk, clock: Clock, homing: bool = False) -> Report:
 
 
 def _rested(talk: Talk, clock: Clock) -> Report | None:
-    """The second of two reports in a row of axes at rest in one place, None where that does not come in time."""
+    """The second of two reports in a row of axes at rest in one place, None where that does not come in time.
+
+    The controller has heard the hold where it tells another state, or, of a jog, a feed of 0.
+    """
     begun = held = clock.now()
     before: Report | None = None
     heard = False
@@ -64,7 +68,7 @@ def _rested(talk: Talk, clock: Clock) -> Report | None:
             continue
         if report.state in ("Alarm", "Home"):
             return None
-        heard = heard or report.state not in ("Run", "Jog")
+        heard = heard or report.state not in ("Run", "Jog") or (report.state == "Jog" and report.feed == 0)
         at_rest = report.stopped or report.state == "Idle"
         if at_rest and before is not None and (before.position == report.position).all():
             return report

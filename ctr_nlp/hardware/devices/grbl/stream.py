@@ -48,7 +48,7 @@ class Stream:
         self._talk, self._identity, self._connection, self._clock = talk, identity, hardware.connection, clock
         self._columns, self._resolution = identity.columns(hardware), identity.resolution(hardware)
         self._slides, self._tolerance = np.array([axis.unit == "mm" for axis in hardware.axes]), hardware.tolerance
-        self._seen = Report("Idle", False, talk.report().position, 0, None, None)
+        self._seen = Report("Idle", False, talk.report().position, 0, None, None, None)
         start = self._seen.position[self._columns]
         self._follow_path(start, commands)
         self._place, self._count = Place(0.0, 0.0, 0, 0.0), len(commands.time)

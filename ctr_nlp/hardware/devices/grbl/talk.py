@@ -66,8 +66,9 @@ class Report:
     """A status report. position (m,): MPos, in the order of the controller's axes, mm and deg.
 
     state: Idle, Run, Hold, Jog, Alarm, Home, Check, ...; stopped: whether a Hold has come to rest. line: number
-    of the line that is being played, 0 where that is not told. free: empty blocks of the planner; override: of the
-    feed, in %; None where that is not told, as an override is for many reports after the one that told it.
+    of the line that is being played, 0 where that is not told. free: empty blocks of the planner; feed: the speed at
+    which the last steps that are prepared end, in the controller's units; override: of the feed, in %; None where
+    that is not told, as an override is for many reports after the one that told it.
     """
 
     state: str
@@ -75,6 +76,7 @@ class Report:
     position: Array
     line: int
     free: int | None
+    feed: float | None
     override: float | None
 
 
@@ -94,7 +96,7 @@ def report_of(text: str, axes: int) -> Report | None:
         return None
     fields = dict(field.partition(":")[::2] for field in found["fields"].split("|"))
     place, line = fields.get("MPos", ""), fields.get("Ln", "0")
-    free, override = (fields.get(name, "").partition(",")[0] for name in ("Bf", "Ov"))
+    free, feed, override = (fields.get(name, "").partition(",")[0] for name in ("Bf", "FS", "Ov"))
     if not (NUMBERS.fullmatch(place) and place.count(",") == axes - 1 and WHOLE.fullmatch(line)):
         return None
     return Report(
@@ -103,6 +105,7 @@ def report_of(text: str, axes: int) -> Report | None:
         np.array([float(value) for value in place.split(",")]),
         int(line),
         int(free) if WHOLE.fullmatch(free) else None,
+        float(feed) if WHOLE.fullmatch(feed) or NUMBERS.fullmatch(feed) else None,
         float(override) if WHOLE.fullmatch(override) else None,
     )
 
