@@ -46,7 +46,6 @@ THIN = {
     ("steer",): "--frames 40",
     ("scripts/compare_solvers.py", "compare"): "--frames 2 --variants joint:sqp horizon:banded",
     ("scripts/benchmark.py", "benchmark"): "--parts rows --rows frame",
-    ("scripts/study_clearance.py", "clearance"): "--seeds 1 --frames 5",
     ("scripts/design_tubes.py", "design"): "--nominal --frames 4 --starts 1 --robot two.toml",
     ("scripts/reproduce_seed.py", "reproduce"): "--only fig10 --frames 3 --jobs 1",
 }

@@ -20,6 +20,7 @@ from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.problems import named
+from ctr_nlp.studies.grid.study_file import Study
 
 HEAVY = {"casadi", "numpy", "scipy", "matplotlib", "rich", "argparse"}
 
@@ -236,7 +237,7 @@ def test_a_new_file_is_written_once_and_is_good(kind, tmp_path, monkeypatch, cap
     if kind == "problem":
         assert from_python(file, 4, 10.0, None).frames == 4
     else:
-        {"robot": Robot, "hardware": Hardware, "load": Load}[kind].from_toml(file)
+        {"robot": Robot, "hardware": Hardware, "load": Load}.get(kind, Study).from_toml(file)
     Path(file).write_text("mine now")
     assert run("new", kind, file) == 2
     assert f"{file} exists and is left as it is" in capsys.readouterr().err
@@ -251,7 +252,7 @@ def test_a_new_file_is_named_for_what_it_is(tmp_path, monkeypatch, capsys):
 
 
 def test_examples_are_the_templates():
-    for name in ("robot.toml", "hardware.toml"):
+    for name in ("robot.toml", "hardware.toml", "study.toml", "clearance.toml", "survival.toml"):
         assert (ROOT / "examples" / name).read_text() == template(name)
 
 

@@ -16,7 +16,6 @@ from ctr_nlp.cli.commands.plan import steer as solve_per_frame
 from ctr_nlp.cli.commands.play import main as play
 from ctr_nlp.cli.commands.report import main as make_report
 from ctr_nlp.cli.studies.benchmark import main as benchmark
-from ctr_nlp.cli.studies.clearance import main as study_clearance
 from ctr_nlp.cli.studies.compare import main as compare_solvers
 from ctr_nlp.cli.studies.reproduce import main as reproduce_seed
 
@@ -129,14 +128,6 @@ OTHERS = [
     (benchmark, "--json /nowhere/at/all.json", "--json is /nowhere/at/all.json"),
 ]
 ALONE = [
-    (study_clearance, "--seeds 0", "seeds is 0 beside 0 files; give at least one airway"),
-    (study_clearance, "--seeds -1", "seeds is -1"),
-    (study_clearance, "nowhere.csv", "nowhere.csv is not a file"),
-    (study_clearance, "--seeds 1 --frames 0", "frames is 0"),
-    (study_clearance, "--seeds 1 --frames 1", "frames is 1"),
-    (study_clearance, "--seeds 1 --jobs 0", "jobs is 0"),
-    (study_clearance, "{path} --seeds 0 --out {path}", "path.csv"),
-    (study_clearance, "{broken} --seeds 0", "is not a centreline"),
     (list_branches, "nowhere.csv", "nowhere.csv cannot be read"),
     (list_branches, "{folder}", "is not a known kind of file"),
     (list_branches, "{broken}", "is not a centreline"),

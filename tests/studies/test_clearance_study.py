@@ -8,15 +8,20 @@ import pytest
 from lumens import straight
 
 from ctr_nlp import Problem, growing, table_i_robot
-from ctr_nlp.cli.studies.clearance import main
+from ctr_nlp.cli.commands.new import template
+from ctr_nlp.cli.main import main
 from ctr_nlp.plan.measures import depth
-from ctr_nlp.studies.clearance import Case
-from ctr_nlp.studies.clearance.cases import Alone, plans_of, problem_of
+from ctr_nlp.steer import solve_horizon
+from ctr_nlp.studies.airways import synthetic_problem
+from ctr_nlp.studies.clearance.alone import Alone
+from ctr_nlp.studies.clearance.cases import FIRST, WITH, Airway
 from ctr_nlp.studies.clearance.report import claims, findings, page
+
+pytest.importorskip("distributed", reason="the extra `study` is not installed")
 
 FRAMES = 12
 """Of the thin slice."""
-CASE = Case("made up", True, 100, 150.0, True, 3.0, 1.0, 1.05, 1.4, 20.0, 4.0, 0.0, 9, 3, 0, 1.0, 2.0, 6.0, 1.5, 1)
+CASE = Airway("one", True, 100, 150.0, True, 3.0, 1.0, 1.05, 1.4, 20.0, 4.0, 0.0, 9, 3, 0, 1.0, 2.0, 6.0, 1.5, 1)
 
 
 def rows(folder):
@@ -33,12 +38,21 @@ def held(row):
     assert numbers["contact_with"] == 0 or numbers["alone_clear"] < numbers["frames_with"]
 
 
+def done(folder, frames, synthetic, airways=None):
+    """The output folder of the study of the template, with other airways."""
+    text = template("clearance.toml").replace("frames = 100", f"frames = {frames}")
+    text = text.replace("synthetic = 100", f"synthetic = {synthetic}")
+    if airways is not None:
+        text = text.replace('# folder = "airways"', f'folder = "{airways}"')
+    (folder / "clearance.toml").write_text(text, encoding="utf-8")
+    assert main(["study", str(folder / "clearance.toml"), "--out", str(folder / "out")]) == 0
+    return folder / "out"
+
+
 @pytest.fixture(scope="module")
 def studied(tmp_path_factory):
     """The output folder of two airways."""
-    folder = tmp_path_factory.mktemp("study") / "out"
-    assert main(["--seeds", "2", "--frames", str(FRAMES), "--out", str(folder)]) == 0
-    return folder
+    return done(tmp_path_factory.mktemp("study"), FRAMES, 2)
 
 
 def test_claims_hold_in_a_thin_slice(studied):
@@ -61,8 +75,8 @@ def test_a_page_has_a_row_for_every_airway_and_its_picture(studied):
 
 def test_clearance_alone_may_not_stay_short():
     """Where a plan that puts clearance first retreats from the wall, clearance alone has to stay in contact."""
-    problem = problem_of(1, FRAMES)
-    _, kept, first = plans_of(problem)
+    problem = synthetic_problem(1, FRAMES)
+    kept, first = (solve_horizon(problem, settings=settings) for settings in (WITH, FIRST))
     frame = int(depth(kept).argmax())
     assert depth(first)[frame] == 0
     assert first.beta[frame, -1] < problem.target.lengths[frame] - 1
@@ -97,29 +111,16 @@ def test_exceptions_are_named():
     assert "| missed | 1.000 | 1.050 | 5.0 |" in page([replace(missed, synthetic=False), CASE])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [(["--seeds", "0"], "at least one"), (["none.csv"], "none.csv"), (["--jobs", "0"], "jobs")],
-)
-def test_bad_input_is_refused(arguments, named, tmp_path, capsys):
-    assert main([*arguments, "--out", str(tmp_path / "out")]) == 2
-    assert named in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_file_without_radii_is_refused(tmp_path, capsys):
-    path = tmp_path / "bare.csv"
-    path.write_text("x_mm,y_mm,z_mm\n" + "".join(f"0,0,{z}\n" for z in range(0, 60, 2)), encoding="utf-8")
-    assert main([str(path), "--seeds", "0", "--out", str(tmp_path / "out")]) == 2
-    assert "radi" in capsys.readouterr().err
+def test_airways_without_all_their_plans_are_no_page(tmp_path, capsys):
+    text = 'frames = 4\nreport = "clearance"\nmeasures = ["contact"]\n[problems]\nsynthetic = 1\n'
+    (tmp_path / "s.toml").write_text(text, encoding="utf-8")
+    assert main(["study", str(tmp_path / "s.toml"), "--workers", "1", "--out", str(tmp_path / "out")]) == 2
+    assert "no problem of the study has all the plans that a clearance report" in capsys.readouterr().err
 
 
 @pytest.mark.slow
 def test_claims_hold_in_real_airways_and_ten_synthetic_ones(shared_data, tmp_path):
-    files = sorted(map(str, (shared_data / "airways").glob("*.csv")))
-    assert len(files) == 4
-    assert main([*files, "--seeds", "10", "--out", str(tmp_path / "out")]) == 0
-    found = rows(tmp_path / "out")
+    found = rows(done(tmp_path, 100, 10, shared_data / "airways"))
     assert len(found) == 14
     for row in found:
         held(row)

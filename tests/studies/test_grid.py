@@ -9,6 +9,7 @@ from dataclasses import replace
 import pytest
 
 from ctr_nlp import table_i_robot
+from ctr_nlp.cli.commands.new import template
 from ctr_nlp.cli.main import main
 from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.studies.grid import running
@@ -75,6 +76,42 @@ def test_a_study_is_every_combination(tmp_path):
     assert drawn.tolerances == table_i_robot().tolerances
 
 
+@pytest.mark.parametrize(("name", "count"), [("study", 4 * 2), ("clearance", 100 * 3), ("survival", 100 * 5)])
+def test_templates_are_studies(name, count, tmp_path):
+    (tmp_path / "s.toml").write_text(template(f"{name}.toml"), encoding="utf-8")
+    found = Study.from_toml(tmp_path / "s.toml")
+    assert len(found) == count
+    assert found.report == (None if name == "study" else name)
+
+
+def test_each_problem_has_draws_of_its_own_that_all_its_plans_share():
+    told = {"problems": {"names": ["arc", "cos"]}, "draws": 2, "seed": 7, "settings": {"seed": [0, 1]}}
+    assert [(case.problem, case.seed) for case in study(told).cases] == [
+        *[("arc", 7)] * 2,
+        *[("cos", 8)] * 2,
+    ]
+
+
+def test_a_study_may_leave_walls_out():
+    told = SMALL | {"problems": {"names": ["bronchus"]}}
+    assert study(told).cases[0].loaded().lumen is not None
+    assert study(told | {"walls": False}).cases[0].loaded().lumen is None
+
+
+def test_one_plan_is_made_alone(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    text = 'frames = 4\nmethods = ["joint", "two-stage"]\nmodels = "elastic"\n[problems]\nnames = ["arc"]\n'
+    (tmp_path / "s.toml").write_text(text)
+    good, bad = Study.from_toml("s.toml").cases
+    assert main(["study", "s.toml", "--only", good.digest[:10]]) == 0
+    assert f"digest: {good.digest}" in capsys.readouterr().out
+    assert main(["study", "s.toml", "--only", bad.digest]) == 2
+    assert "two-stage" in capsys.readouterr().err
+    assert main(["study", "s.toml", "--only", "x"]) == 2
+    assert "--only x is the digest of 0 plans" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["s.toml"]
+
+
 def test_a_digest_changes_with_all_that_a_row_depends_on(tmp_path):
     case = study().cases[0]
     for change in (
@@ -105,6 +142,11 @@ def test_a_digest_changes_with_all_that_a_row_depends_on(tmp_path):
         (SMALL | {"robots": {"drawn": {"count": 2}}}, "need of"),
         (SMALL | {"settings": {"seed": [1, 1]}}, "cases twice"),
         (SMALL | {"frames": 0}, "frames of a study"),
+        (SMALL | {"walls": "no"}, "walls of a study"),
+        (SMALL | {"report": "fate"}, "fate"),
+        (SMALL | {"measures": ["weight"]}, "weight"),
+        (SMALL | {"ways": [{}]}, "settings of a study stands beside"),
+        ({"problems": {"names": ["arc"]}, "ways": [{"method": "joint"}]}, "unknown key 'method'"),
     ],
 )
 def test_what_a_study_cannot_be_is_refused(told, message, tmp_path):

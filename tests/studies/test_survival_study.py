@@ -1,20 +1,19 @@
 """How plans of airways survive: what the study measures, what it keeps when it is stopped, and what it says."""
 
 import csv
-import os
-import signal
 
 import numpy as np
 import pytest
 
-from ctr_nlp.cli.studies.survival import main
-from ctr_nlp.exceptions import OptionError
-from ctr_nlp.studies.clearance.cases import problem_of
-from ctr_nlp.studies.survival import Airway, cases
-from ctr_nlp.studies.survival.cases import FIRST_SEED, read_rows, write_rows
+from ctr_nlp.cli.commands.new import template
+from ctr_nlp.cli.main import main
+from ctr_nlp.studies.airways import synthetic_problem
+from ctr_nlp.studies.survival.cases import Airway, airways
 from ctr_nlp.studies.survival.distributions import distributions
-from ctr_nlp.studies.survival.report import findings, page
+from ctr_nlp.studies.survival.report import findings, page, write
 from ctr_nlp.studies.trade import MARGINS, Traded, traded
+
+pytest.importorskip("distributed", reason="the extra `study` is not installed")
 
 FILES = ["survival.csv", "survival.md", "survival.pdf", "survival.png"]
 
@@ -23,7 +22,8 @@ def airway(seed, means, losses, robust=(1.2, 0), solved=True):
     """Of made-up plans with these mean errors, mm, and draws lost of 100."""
     each = zip(MARGINS, means, losses, strict=True)
     plans = [Traded(f"synthetic {seed}", 0.0, margin, 1.0, mean, lost, 100, True) for margin, mean, lost in each]
-    return Airway(seed, 100, tuple(plans), Traded(f"synthetic {seed}", 1.0, 0.1, 1.1, *robust, 100, solved))
+    best = Traded(f"synthetic {seed}", 1.0, 0.1, 1.1, *robust, 100, solved)
+    return Airway(f"synthetic {seed}", 100, tuple(plans), best)
 
 
 CLEAR = airway(0, (8.0, 4.0, 2.0, 1.9), (60, 30, 0, 0))
@@ -47,52 +47,45 @@ def test_findings_tell_where_robust_plans_are_worse():
     assert len(distributions([CLEAR, CLOSE]).axes) == 2
 
 
-def test_a_table_is_read_as_it_was_written(tmp_path):
-    path = tmp_path / "survival.csv"
-    write_rows([CLEAR, CLOSE], path)
-    assert read_rows(path, 100, 100) == [CLEAR, CLOSE]
-    assert read_rows(tmp_path / "none.csv", 100, 100) == []
-    with pytest.raises(OptionError, match="100 frames and 100 draws, not 50 and 100"):
-        read_rows(path, 50, 100)
-    path.write_text("airway,frames,draws\n1,100,100\n")
-    with pytest.raises(OptionError, match="not a table of this study"):
-        read_rows(path, 100, 100)
+def row(plan):
+    """Of a study, of a plan."""
+    return {
+        "problem": plan.problem.replace(" ", ":"),
+        "method": "robust-horizon" if plan.amount else "horizon",
+        "set_stability_margin": np.nan if plan.amount else plan.margin,
+        "frames": 100.0,
+        "e3": plan.planned,
+        "robustness_e3_mean": plan.mean,
+        "robustness_lost": float(plan.lost),
+        "robustness_draws": float(plan.draws),
+        "complete": plan.solved,
+    }
 
 
-def test_a_study_goes_on_where_it_was_stopped(tmp_path, capsys, monkeypatch):
-    """Ctrl-C after the second of three airways: two are kept, and the next run plans the third alone."""
-    planned = []
+def test_airways_are_read_from_rows_in_any_order():
+    rows = [row(plan) for one in (CLEAR, CLOSE) for plan in one.plans]
+    assert airways(rows[::-1]) == [CLOSE, CLEAR]
+    assert airways(rows[:-1]) == [CLEAR]
+    assert airways([rows[-1]]) == []
 
-    def measured(seed, frames, draws):
-        planned.append(seed)
-        if len(planned) == 2:
-            os.kill(os.getpid(), signal.SIGINT)
-        return airway(seed, (8.0, 4.0, 2.0, 1.9), (60, 30, 0, 0))
 
-    monkeypatch.setattr(cases, "measured", measured)
-    given = ["--seeds", "3", "--out", str(tmp_path / "out")]
-    assert main(given) == 130
+def test_all_files_are_written(tmp_path):
+    write([CLEAR, CLOSE], tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == FILES
+    with (tmp_path / "survival.csv").open() as file:
+        assert [line["airway"] for line in csv.DictReader(file)] == ["synthetic 0"] * 5 + ["synthetic 1"] * 5
+
+
+def test_plans_of_an_airway_are_those_of_the_trade(tmp_path, capsys):
+    text = template("survival.toml").replace("frames = 100", "frames = 6").replace("draws = 100", "draws = 10")
+    (tmp_path / "s.toml").write_text(text.replace("synthetic = 100", "synthetic = 1"), encoding="utf-8")
+    assert main(["study", str(tmp_path / "s.toml"), "--out", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr().out
+    assert "- robust: 0 of 10 draws are lost" in told
+    assert "survival.csv, survival.md, survival.pdf, survival.png" in told
     with (tmp_path / "out" / "survival.csv").open() as file:
-        assert [row["airway"] for row in csv.DictReader(file)] == ["0"] * 5 + ["1"] * 5
-    assert main(given) == 0
-    assert planned == [0, 1, 2]
-    assert sorted(path.name for path in (tmp_path / "out").glob("survival.*")) == FILES
-    assert "robust: 0 of 300 draws" in capsys.readouterr().out
-    assert main([*given, "--draws", "50"]) == 2
-
-
-def test_plans_of_an_airway_are_those_of_the_trade(tmp_path):
-    assert main(["--seeds", "1", "--frames", "6", "--draws", "10", "--out", str(tmp_path)]) == 0
-    (found,) = read_rows(tmp_path / "survival.csv", 6, 10)
-    assert [plan.margin for plan in found.margins] == list(MARGINS)
-    (known,) = traded(problem_of(0, 6), (), (0.5,), 10, FIRST_SEED)
-    np.testing.assert_allclose(found.margins[2].mean, known.mean, rtol=1e-9)
-    assert found.robust.amount == 1
-    assert found.robust.lost == 0
-
-
-@pytest.mark.parametrize("wrong", [("--seeds", "0"), ("--draws", "0"), ("--jobs", "0"), ("--frames", "1")])
-def test_bad_input_is_refused(wrong, tmp_path, capsys):
-    assert main([*wrong, "--out", str(tmp_path / "out")]) == 2
-    assert wrong[0][2:] in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
+        found = list(csv.DictReader(file))
+    assert [float(plan["margin"]) for plan in found[:-1]] == list(MARGINS)
+    (known,) = traded(synthetic_problem(0, 6), (), (0.5,), 10, 20270000)
+    np.testing.assert_allclose(float(found[2]["mean"]), known.mean, rtol=1e-9)
+    assert (float(found[-1]["amount"]), int(found[-1]["lost"])) == (1, 0)

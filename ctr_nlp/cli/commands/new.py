@@ -1,4 +1,4 @@
-"""`ctr-nlp new`: a commented problem, robot, hardware or load file to start from."""
+"""`ctr-nlp new`: a commented problem, robot, hardware, load or study file to start from."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ NEXT = {
     "robot.toml": "ctr-nlp plan bronchus --robot {file}",
     "hardware.toml": "ctr-nlp play PLAN.npz --hardware {file} --dry-run",
     "load.toml": "ctr-nlp under PLAN.npz --load {file}",
+    "study.toml": "ctr-nlp study {file}",
+    "clearance.toml": "ctr-nlp study {file}",
+    "survival.toml": "ctr-nlp study {file}",
 }
 """Template -> what can be done with a copy of it."""
 KINDS = {Path(name).stem: name for name in NEXT}
@@ -23,8 +26,9 @@ KINDS = {Path(name).stem: name for name in NEXT}
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
-        description="Write a file with comments to start from: a problem (.py), a robot, its hardware or a load "
-        "(.toml).",
+        description="Write a file with comments to start from: a problem (.py), a robot, its hardware, a load or "
+        "a study of many plans (.toml). clearance and survival are studies that end with a page: what clearance "
+        "costs and brings, and how plans survive robots that are not quite known.",
         epilog="Exit status: 0 written, 2 bad input, nothing written; a file that is there is never replaced.",
     )
     parser.add_argument("kind", choices=KINDS)

@@ -46,6 +46,7 @@ STANDARD: Mapping[str, tuple[str, ...]] = {
     "design": ("robot.toml", "design.json", "sheet.svg", "sheet.pdf"),
     "baselines": ("baselines.md", "baselines.csv", "baselines.png", "baselines.pdf"),
     "trade": ("trade.md", "trade.csv", "trade.json"),
+    "study": ("study.toml",),
     "survival": ("survival.md", "survival.csv", "survival.png", "survival.pdf"),
     "seed": (
         *("seed.md", "table2.csv", "fig9d.csv", "fig9d.png"),

@@ -13,14 +13,14 @@ from matplotlib.ticker import SymmetricalLogLocator
 
 from ctr_nlp.figures.parts.page import STYLE
 from ctr_nlp.figures.parts.palette import BLACK, BLUE, ORANGE, VERMILLION
-from ctr_nlp.studies.clearance.cases import WITH, Case
+from ctr_nlp.studies.clearance.cases import WITH, Airway
 
 LINEAR = 1.0
 """mm of contact up to which the scale is linear, so that none can be shown; logarithmic beyond."""
 
 
 @matplotlib.rc_context(STYLE)
-def cost_of_clearance(cases: Sequence[Case]) -> Figure:
+def cost_of_clearance(cases: Sequence[Airway]) -> Figure:
     """Contact without and with clearance, mm summed over frames, and growth of e3 in %; sorted by the first."""
     figure = Figure(figsize=(7.0, 5.4), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(1.6, 1.0))
@@ -35,7 +35,7 @@ def cost_of_clearance(cases: Sequence[Case]) -> Figure:
     return figure
 
 
-def _contact(axes: Axes, ranked: Sequence[Case]) -> None:
+def _contact(axes: Axes, ranked: Sequence[Airway]) -> None:
     place = np.arange(1, len(ranked) + 1)
     without, kept, alone = np.array([(each.contact_without, each.contact_with, each.alone) for each in ranked]).T
     left = kept > 0
@@ -53,7 +53,7 @@ def _contact(axes: Axes, ranked: Sequence[Case]) -> None:
     axes.legend(loc="upper left", handletextpad=0.2)
 
 
-def _growth(axes: Axes, ranked: Sequence[Case]) -> None:
+def _growth(axes: Axes, ranked: Sequence[Airway]) -> None:
     place, growth = np.arange(1, len(ranked) + 1), np.array([case.growth for case in ranked])
     real = np.array([not case.synthetic for case in ranked])
     for chosen, colour, label in ((~real, BLUE, "synthetic airway"), (real, ORANGE, "real airway")):

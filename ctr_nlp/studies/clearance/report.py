@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from ctr_nlp.figures import save
-from ctr_nlp.studies.clearance.cases import CLEAR, FOLLOWED_MM, STARTS, WITH, Case
+from ctr_nlp.studies.airways import FOLLOWED_MM
+from ctr_nlp.studies.clearance.alone import CLEAR, STARTS
+from ctr_nlp.studies.clearance.cases import WITH, Airway
 from ctr_nlp.studies.clearance.cost import cost_of_clearance
 from ctr_nlp.support.tables import markdown, write_csv
 
@@ -22,8 +24,8 @@ class Claim:
     """A sentence, the cases that it is about, and those among them that it does not hold for."""
 
     says: str
-    about: tuple[Case, ...]
-    exceptions: tuple[Case, ...]
+    about: tuple[Airway, ...]
+    exceptions: tuple[Airway, ...]
 
     @property
     def holds(self) -> bool:
@@ -36,7 +38,7 @@ class Claim:
         return f"{self.says}: in {held} cases{but}"
 
 
-def claims(cases: Sequence[Case]) -> tuple[Claim, Claim, Claim]:
+def claims(cases: Sequence[Airway]) -> tuple[Claim, Claim, Claim]:
     """That clearance is cheap, that it helps, and that all of it is had where it can be had.
 
     The last is said the other way round: cases without any contact left are not asked what clearance alone
@@ -62,11 +64,11 @@ def claims(cases: Sequence[Case]) -> tuple[Claim, Claim, Claim]:
     )
 
 
-def _claim(says: str, about: Sequence[Case], holds: Callable[[Case], bool]) -> Claim:
+def _claim(says: str, about: Sequence[Airway], holds: Callable[[Airway], bool]) -> Claim:
     return Claim(says, tuple(about), tuple(case for case in about if not holds(case)))
 
 
-def frames_missed(cases: Sequence[Case]) -> str:
+def frames_missed(cases: Sequence[Airway]) -> str:
     """The last claim frame by frame, as a sentence."""
     left = [case for case in cases if case.frames_with]
     missed, touching = (sum(getattr(case, name) for case in left) for name in ("alone_clear", "frames_with"))
@@ -143,14 +145,14 @@ be avoided by staying short.
 REMAKING = """\
 ## How to remake it
 
-    python scripts/study_clearance.py FILE ... --seeds {synthetic} --frames {frames} --out DIR
+    ctr-nlp study examples/clearance.toml --out DIR
 
-with {files}.
-It writes `clearance.md` (this page), `clearance.csv` with all numbers, and `clearance.png`.
+with centreline files of {files} and of synthetic airways in `[problems]`. It writes `clearance.md` (this page),
+`clearance.csv` with all numbers, and `clearance.png`, beside the rows of the study.
 """
 
 
-def write(cases: Sequence[Case], folder: Path) -> None:
+def write(cases: Sequence[Airway], folder: Path) -> None:
     """Write clearance.md, clearance.csv and clearance.png into a folder that exists."""
     rows = [asdict(case) | {"growth": case.growth, "growth_first": case.growth_first} for case in cases]
     write_csv(folder / "clearance.csv", rows)
@@ -158,7 +160,7 @@ def write(cases: Sequence[Case], folder: Path) -> None:
     (folder / "clearance.md").write_text(page(cases), encoding="utf-8")
 
 
-def findings(cases: Sequence[Case]) -> list[str]:
+def findings(cases: Sequence[Airway]) -> list[str]:
     """The claims and what there is to them, a sentence each."""
     cheap, helps, complete = claims(cases)
     growth = [case.growth for case in cases]
@@ -175,7 +177,7 @@ def findings(cases: Sequence[Case]) -> list[str]:
     ]
 
 
-def page(cases: Sequence[Case]) -> str:
+def page(cases: Sequence[Airway]) -> str:
     """All of it in Markdown."""
     real, synthetic = ([case for case in cases if case.synthetic is made] for made in (False, True))
     numbers = {
@@ -188,7 +190,7 @@ def page(cases: Sequence[Case]) -> str:
         "followed": FOLLOWED_MM,
         "starts": STARTS,
         "clear": CLEAR,
-        "files": f"the files {', '.join(f'`{case.name}`' for case in real)}" if real else "no files",
+        "files": ", ".join(f"`{case.name}`" for case in real) or "your own",
     }
     parts = [INTRODUCTION, *(f"{k}. {text[0].upper()}{text[1:]}.\n" for k, text in enumerate(findings(cases), 1))]
     parts.append(EXPLANATION.format(**numbers))
@@ -202,7 +204,7 @@ def page(cases: Sequence[Case]) -> str:
     return "".join([*parts, "\n", REMAKING.format(**numbers)])
 
 
-def _numbers(case: Case) -> list[float]:
+def _numbers(case: Airway) -> list[float]:
     """What stands in the columns after the first, as numbers."""
     return [
         *(case.e3_without, case.e3_with, case.growth, case.growth_first),
@@ -212,7 +214,7 @@ def _numbers(case: Case) -> list[float]:
     ]
 
 
-def _cells(case: Case) -> list[str]:
+def _cells(case: Airway) -> list[str]:
     name = case.name.removeprefix("synthetic ") if case.synthetic else case.name
     alone = slice(10, 12) if case.contact_with == 0 else slice(0)
     cells = [name, *_shown(_numbers(case))]

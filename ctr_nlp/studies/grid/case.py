@@ -20,12 +20,11 @@ from ctr_nlp.problems import NAMES, named
 from ctr_nlp.robot import Robot
 from ctr_nlp.steer import solve_horizon, solve_per_frame
 from ctr_nlp.steer.robust import solve_robust, solve_robust_per_frame
-from ctr_nlp.studies.clearance.cases import problem_of
+from ctr_nlp.studies.airways import SYNTHETIC, synthetic_problem
+from ctr_nlp.studies.grid.measures import MEASURES
 from ctr_nlp.support.values import strict_json
 from ctr_nlp.target.problem import Problem
 
-SYNTHETIC = "synthetic:"
-"""What the names of synthetic airways begin with, before their seed."""
 METHODS = "horizon", "joint", "two-stage", "robust-horizon", "robust-joint"
 """Ways in which a case may be planned."""
 DONE, FAILED = "done", "failed"
@@ -37,7 +36,8 @@ class Case:
     """A problem, a robot and settings. problem: a name, a centreline file, or synthetic:SEED; content: the digest
     of the file, nothing for others. robot: as Robot.to_dict has it, as JSON, of a name; None for the problem's
     own. settings: names and values of Settings. draws: robots that the plan is tried on, 0 for none; seed: of
-    these.
+    these. walled: whether the problem keeps its wall, where it has one. measures: keys of MEASURES that are taken
+    of the plan beside its summary. options: of problem_from_file, by name.
     """
 
     problem: str
@@ -51,7 +51,8 @@ class Case:
     draws: int = 0
     seed: int = 0
     options: tuple[tuple[str, Any], ...] = ()
-    """Of problem_from_file, by name."""
+    walled: bool = True
+    measures: tuple[str, ...] = ()
 
     @cached_property
     def digest(self) -> str:
@@ -73,17 +74,21 @@ class Case:
 
     def loaded(self) -> Problem:
         """The problem with its robot; raises CtrError."""
+        problem = self._loaded()
+        return problem if self.walled else replace(problem, lumen=None)
+
+    def _loaded(self) -> Problem:
         robot = None if self.robot is None else Robot.from_dict(json.loads(self.robot))
         if self.problem.startswith(SYNTHETIC):
-            problem = problem_of(int(self.problem.removeprefix(SYNTHETIC)), self.frames)
+            problem = synthetic_problem(int(self.problem.removeprefix(SYNTHETIC)), self.frames)
             return problem if robot is None else replace(problem, robot=robot)
         if self.problem in NAMES:
             return named(self.problem, self.frames, robot=robot)
         return problem_from_file(self.problem, frames=self.frames, robot=robot, **dict(self.options))
 
-    def planned(self) -> Plan:
-        """The plan, tried on draws where there are any; raises CtrError."""
-        problem, settings = self.loaded(), Settings(**dict(self.settings))
+    def planned(self, problem: Problem) -> Plan:
+        """The plan of the problem as it was loaded, tried on draws where there are any; raises CtrError."""
+        settings = Settings(**dict(self.settings))
         made: dict[str, Callable[[], Plan]] = {
             "horizon": lambda: solve_horizon(problem, model=self.model, settings=settings),
             "robust-horizon": lambda: solve_robust(problem, model=self.model, settings=settings),
@@ -95,17 +100,21 @@ class Case:
 
     def row(self, keep: Path | None = None) -> dict[str, Any]:
         """The row of the plan, or of why there is none; keep: the folder into which the plan is written, too."""
-        begin = time.process_time()
+        begin, columns = time.process_time(), self.columns
         try:
-            plan = self.planned()
+            problem = self.loaded()
+            plan = self.planned(problem)
             if keep is not None:
                 plan.save(keep / f"{self.digest}.npz")
             found = _numbers(plan) | {"status": DONE, "reason": ""}
+            for name in self.measures:
+                found |= MEASURES[name](plan, problem)
         except Exception as error:
             # A study of thousands goes on whatever one of them dies of; the row tells what that was.
             told = str(error) if isinstance(error, CtrError) else f"{type(error).__name__}: {error}"
             found = {"status": FAILED, "reason": told}
-        return self.columns | found | {"process_s": time.process_time() - begin}
+        # A plan calls its problem by a name of its own; rows of plans and of failures have the same one.
+        return columns | found | columns | {"process_s": time.process_time() - begin}
 
 
 def lost_row(case: Case, reason: str) -> dict[str, Any]:

@@ -1,35 +1,30 @@
-"""Airways one after another, without walls: plain plans at several margins and a robust one, on the same draws."""
+"""Airways of a study, without walls: plain plans at several margins and a robust one, on the same draws."""
 
 from __future__ import annotations
 
-import csv
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ctr_nlp.exceptions import OptionError
-from ctr_nlp.studies.clearance.cases import problem_of
-from ctr_nlp.studies.trade import MARGINS, Traded, asked, traded
-from ctr_nlp.support.pool import side_by_side
+from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.studies.airways import shown_name
+from ctr_nlp.studies.trade import Traded
 from ctr_nlp.support.tables import write_csv
 
-AMOUNTS = (1.0,)
-"""Of the tolerances that robust plans are made for."""
-DRAWS, FIRST_SEED = 100, 20270000
-"""Of the robots on which the plans of an airway are judged; the seeds of airways' draws count on from the last."""
+ROBUST = "robust-horizon"
+"""The method of robust plans; those of others are for the robot as described."""
 
 
 @dataclass(frozen=True)
 class Airway:
-    """Plans of a synthetic airway, judged on the same draws.
+    """Plans of an airway, or of another problem, judged on the same draws.
 
     margins: plans for the robot described, the least margin first; robust: the one for its tolerances.
     """
 
-    seed: int
+    name: str
     frames: int
     margins: tuple[Traded, ...]
     robust: Traded
@@ -55,55 +50,42 @@ def mean_of(plan: Traded) -> float:
     return math.inf if plan.mean is None else plan.mean
 
 
-def study(seeds: Sequence[int], frames: int = 100, draws: int = DRAWS, jobs: int = 1) -> Iterator[Airway]:
-    """The airways of some seeds, as they are done, in so many processes; after Ctrl-C no more are begun."""
-    for _, airway in side_by_side(partial(measured, frames=frames, draws=draws), seeds, jobs):
-        if airway is not None:
-            yield airway
+def airways(rows: Sequence[Mapping[str, Any]]) -> list[Airway]:
+    """The airways of a study's rows; those without a plan for the robot described, or a robust one, are not."""
+    found = dict[str, list[Mapping[str, Any]]]()
+    for row in rows:
+        found.setdefault(row["problem"], []).append(row)
+    return [airway for plans in found.values() if (airway := _airway(plans)) is not None]
 
 
-def measured(seed: int, frames: int = 100, draws: int = DRAWS) -> Airway | None:
-    """The airway of a seed; None where Ctrl-C ended it."""
-    plans = traded(problem_of(seed, frames), AMOUNTS, MARGINS, draws, FIRST_SEED + seed)
-    if len(plans) < len(asked(AMOUNTS, MARGINS)):
+def _airway(rows: Sequence[Mapping[str, Any]]) -> Airway | None:
+    plans = sorted(map(_traded, rows), key=lambda plan: plan.margin)
+    margins, robust = ([plan for plan in plans if (plan.amount > 0) is asked] for asked in (False, True))
+    if not margins or len(robust) != 1:
         return None
-    return Airway(seed, frames, tuple(plans[:-1]), plans[-1])
+    return Airway(margins[0].problem, int(rows[0]["frames"]), tuple(margins), robust[0])
+
+
+def _traded(row: Mapping[str, Any]) -> Traded:
+    margin = row.get("set_stability_margin")
+    known = margin is not None and not math.isnan(margin)
+    return Traded(
+        problem=shown_name(row["problem"]),
+        amount=float(row["method"] == ROBUST),
+        margin=margin if margin is not None and known else float(Settings().stability_margin or 0.0),
+        planned=row["e3"],
+        mean=row.get("robustness_e3_mean"),
+        lost=int(row["robustness_lost"]),
+        draws=int(row["robustness_draws"]),
+        solved=bool(row["complete"]),
+    )
 
 
 def write_rows(airways: Sequence[Airway], path: Path) -> None:
     """A CSV file with a row for every plan."""
     rows = [
-        {"airway": airway.seed, "frames": airway.frames} | asdict(plan) | {"lost_share": plan.share}
+        {"airway": airway.name, "frames": airway.frames} | asdict(plan) | {"lost_share": plan.share}
         for airway in airways
         for plan in airway.plans
     ]
     write_csv(path, rows)
-
-
-def read_rows(path: Path, frames: int, draws: int) -> list[Airway]:
-    """The airways of such a file, none where there is no file.
-
-    Raises OptionError where the file is another, or its plans have other numbers of frames or draws.
-    """
-    if not path.exists():
-        return []
-    found = dict[int, list[Traded]]()
-    try:
-        with open(path, encoding="utf-8", newline="") as file:
-            for row in csv.DictReader(file):
-                if (int(row["frames"]), int(row["draws"])) != (frames, draws):
-                    what = f"airways of {row['frames']} frames and {row['draws']} draws, not {frames} and {draws}"
-                    raise OptionError(f"{path} holds {what}; name another folder with --out")
-                found.setdefault(int(row["airway"]), []).append(_plan(row))
-        return [Airway(seed, frames, tuple(plans[:-1]), plans[-1]) for seed, plans in found.items()]
-    except (KeyError, ValueError, TypeError) as error:
-        raise OptionError(
-            f"{path} is not a table of this study ({error}); name another folder with --out"
-        ) from error
-
-
-def _plan(row: Mapping[str, Any]) -> Traded:
-    planned, mean = (float(row[key]) if row[key] else None for key in ("planned", "mean"))
-    amount, margin = float(row["amount"]), float(row["margin"])
-    lost, draws = int(row["lost"]), int(row["draws"])
-    return Traded(row["problem"], amount, margin, planned, mean, lost, draws, row["solved"] == "True")

@@ -10,7 +10,7 @@ import numpy as np
 from ctr_nlp.figures import save
 from ctr_nlp.plan.account import shown
 from ctr_nlp.plan.verdicts import MOST_LOST
-from ctr_nlp.studies.survival.cases import FIRST_SEED, Airway, mean_of, write_rows
+from ctr_nlp.studies.survival.cases import Airway, mean_of, write_rows
 from ctr_nlp.studies.survival.distributions import distributions
 from ctr_nlp.studies.trade import Traded
 from ctr_nlp.support.tables import markdown
@@ -21,23 +21,23 @@ EXPLANATION = """\
 
 ![How mean errors and shares lost are distributed](survival.png)
 
-**Plans.** The paper's robot of three tubes with the default tolerances, into the last 150 mm of
-`synthetic_airway(seed)`, without walls; {frames} frames in 10 s, on the elastic model. Plans for the robot as
-described keep a stability margin of {margins}; the best margin is, in each airway, the one at which fewest draws
-are lost, and of these the one of least mean e3: nobody knows it beforehand. Robust plans are made for the whole
-tolerances, as `ctr-nlp plan --robust` does.
+**Plans.** Synthetic airways are followed in their last 150 mm by the paper's robot of three tubes with the default
+tolerances, without walls; {frames} frames in 10 s, on the elastic model. Plans for the robot as described keep a
+stability margin of {margins}; the best margin is, in each airway, the one at which fewest draws are lost, and of
+these the one of least mean e3: nobody knows it beforehand. Robust plans are made for the whole tolerances, as
+`ctr-nlp plan --robust` does.
 
-**Draws.** All plans of an airway are judged on the same {draws} robots, drawn within the tolerances with seed
-{seed} + that of the airway, which planning does not see. A draw is lost where it snaps or slides onto another
-branch of equilibria.
+**Draws.** All plans of an airway are judged on the same {draws} robots, drawn within the tolerances with a seed of
+the airway's own, which planning does not see. A draw is lost where it snaps or slides onto another branch of
+equilibria.
 """
 REMAKING = """
 ## How to remake it
 
-    ctr-nlp survival --seeds {count} --frames {frames} --draws {draws} --out DIR
+    ctr-nlp study examples/survival.toml --out DIR
 
-writes `survival.md` (this page), `survival.csv` with a row for every plan, `survival.png` and `survival.pdf`. The
-table is written after every airway; a study that was stopped goes on where it was.
+writes `survival.md` (this page), `survival.csv` with a row for every plan, `survival.png` and `survival.pdf`,
+beside the rows of the study. A study that was stopped goes on where it was.
 """
 
 
@@ -96,8 +96,6 @@ def page(airways: Sequence[Airway]) -> str:
     numbers = {
         "frames": first.frames,
         "draws": first.plain.draws,
-        "seed": FIRST_SEED,
-        "count": len(airways),
         "margins": ", ".join(f"{plan.margin:g}" for plan in first.margins),
     }
     title = f"# How plans of {len(airways)} airways survive tubes that are not quite known\n\n"
@@ -108,7 +106,7 @@ def page(airways: Sequence[Airway]) -> str:
             "e3 as planned, mm", every, lambda plans: np.array([plan.planned or np.nan for plan in plans]), shown
         ),
     ]
-    return "".join([title, *sentences, EXPLANATION.format(**numbers), *tables, REMAKING.format(**numbers)])
+    return "".join([title, *sentences, EXPLANATION.format(**numbers), *tables, REMAKING])
 
 
 def _table(

@@ -20,8 +20,8 @@ UNHEARD = 0.2
 """s after which a controller that still runs, or says nothing, is reset without having come to rest."""
 
 RESTING = 1.0
-"""s that a hold may take to come to rest; the slowest of ordinary drives need 0.4 s. A slow jog, too: steps that are
-prepared are still made, one by one, after its feed has come to 0."""
+"""s that a hold may take to come to rest; the slowest of ordinary drives need 0.4 s. So may a slow jog: steps that
+are prepared are still made, one by one, after its feed has come to 0."""
 
 RESTART = 3.0
 """s for a restart."""

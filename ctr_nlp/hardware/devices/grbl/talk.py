@@ -66,9 +66,9 @@ class Report:
     """A status report. position (m,): MPos, in the order of the controller's axes, mm and deg.
 
     state: Idle, Run, Hold, Jog, Alarm, Home, Check, ...; stopped: whether a Hold has come to rest. line: number
-    of the line that is being played, 0 where that is not told. free: empty blocks of the planner; feed: the speed at
-    which the last steps that are prepared end, in the controller's units; override: of the feed, in %; None where
-    that is not told, as an override is for many reports after the one that told it.
+    of the line that is being played, 0 where that is not told. free: empty blocks of the planner; feed: the speed
+    at which the last steps that are prepared end, in the controller's units; override: of the feed, in %; None
+    where that is not told, as an override is for many reports after the one that told it.
     """
 
     state: str

@@ -1,0 +1,29 @@
+"""Synthetic airways as problems of studies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ctr_nlp.anatomy import synthetic_airway
+from ctr_nlp.robot import table_i_robot
+from ctr_nlp.target.placing import placed
+from ctr_nlp.target.problem import Problem
+from ctr_nlp.target.target import growing
+
+SYNTHETIC = "synthetic:"
+"""What the names of synthetic airways begin with in studies, before their seed."""
+FOLLOWED_MM = 150.0
+"""mm of a synthetic airway that are followed, its last."""
+
+
+def synthetic_problem(seed: int, frames: int = 100) -> Problem:
+    """The paper's robot advancing into the last part of a synthetic airway, whose wall is that of the whole."""
+    airway = synthetic_airway(seed=seed)
+    path, to_robot = placed(airway.part(airway.length - FOLLOWED_MM, airway.length))
+    lumen = airway.moved(to_robot)
+    return Problem(f"synthetic {seed}", table_i_robot(), growing(path, frames), to_robot=to_robot, lumen=lumen)
+
+
+def shown_name(problem: str) -> str:
+    """A problem of a study as tables show it: a file without its folder and ending."""
+    return problem.replace(":", " ") if problem.startswith(SYNTHETIC) else Path(problem).stem

@@ -1,0 +1,96 @@
+"""The ways in which a study plans: every model with every method and setting, in one table or several."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import qmc
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.models import MODELS
+from ctr_nlp.studies.grid.case import METHODS
+from ctr_nlp.studies.grid.measures import MEASURES
+from ctr_nlp.support.values import check_choice, whole_number
+
+OF_WAYS = ("models", "methods", "settings", "sample", "measures")
+OF_SAMPLE = ("method", "count", "seed", "ranges")
+SAMPLERS: Mapping[str, type[qmc.QMCEngine]] = {"sobol": qmc.Sobol, "latin-hypercube": qmc.LatinHypercube}
+"""How settings may be sampled, by name."""
+
+
+@dataclass(frozen=True)
+class Way:
+    """How a problem is planned, and what is measured of the plan; fields as those of Case."""
+
+    model: str
+    method: str
+    settings: tuple[tuple[str, Any], ...]
+    measures: tuple[str, ...]
+
+
+def ways(told: Mapping[str, Any]) -> Iterator[Way]:
+    """Those of a study's tables [[ways]] one after the other, or of the study itself; raises OptionError."""
+    tables = told.get("ways")
+    if tables is None:
+        tables = [{name: told[name] for name in OF_WAYS if name in told}]
+    elif both := sorted(set(OF_WAYS) & told.keys()):
+        raise OptionError(f"{both[0]} of a study stands beside its tables [[ways]]; write it into each of these")
+    for table in tables:
+        check_keys(table, OF_WAYS, "ways of a study")
+        measures = tuple(_listed(table.get("measures", [])))
+        for name in measures:
+            check_choice("a measure of a study", name, MEASURES)
+        models, methods = table.get("models", ["dominant"]), table.get("methods", ["horizon"])
+        for model, method, settings in itertools.product(_listed(models), _listed(methods), _settings(table)):
+            check_choice("a model of a study", model, MODELS)
+            check_choice("a method of a study", method, METHODS)
+            yield Way(model, method, settings, measures)
+
+
+def check_keys(told: Any, allowed: Sequence[str], of: str) -> None:
+    """Raise OptionError unless something is a mapping whose keys are all allowed."""
+    if not isinstance(told, Mapping):
+        raise OptionError(f"{of} is {told!r:.60}; it must be a table with the keys {', '.join(allowed)}")
+    unknown = sorted(set(map(str, told)) - set(allowed))
+    if unknown:
+        raise OptionError(f"unknown key {unknown[0]!r} of {of}; allowed are {', '.join(allowed)}")
+
+
+def _settings(told: Mapping[str, Any]) -> Iterator[tuple[tuple[str, Any], ...]]:
+    """Every combination of the settings that are listed, each with every sample of those that are sampled."""
+    listed = told.get("settings", {})
+    check_keys(listed, tuple(Settings.__dataclass_fields__), "settings of a study")
+    grid = itertools.product(*([(name, value) for value in _listed(values)] for name, values in listed.items()))
+    for chosen, sampled in itertools.product(grid, _sampled(told.get("sample"))):
+        if both := {name for name, _ in chosen} & {name for name, _ in sampled}:
+            raise OptionError(f"{sorted(both)[0]} of a study is both listed and sampled; leave one out")
+        found = tuple(sorted((*chosen, *sampled)))
+        Settings(**dict(found))
+        yield found
+
+
+def _sampled(told: Any) -> list[tuple[tuple[str, Any], ...]]:
+    """Settings sampled evenly within their ranges; one empty sample where none are."""
+    if told is None:
+        return [()]
+    check_keys(told, OF_SAMPLE, "sample of a study")
+    ranges = told.get("ranges", {})
+    check_keys(ranges, tuple(Settings.__dataclass_fields__), "ranges of a sample")
+    check_choice("method of a sample", told.get("method", "sobol"), SAMPLERS)
+    count = whole_number(OptionError, "count of a sample", told.get("count", 0), 1)
+    seed = whole_number(OptionError, "seed of a sample", told.get("seed", 0), 0)
+    for name, ends in ranges.items():
+        if not (isinstance(ends, list) and len(ends) == 2 and ends[0] < ends[1]):
+            raise OptionError(f"range of {name} is {ends!r:.40}; it must be two numbers, the least first")
+    engine = SAMPLERS[told.get("method", "sobol")](len(ranges), rng=np.random.default_rng(seed))
+    low, high = np.array([ranges[name] for name in ranges], dtype=float).T
+    return [tuple(zip(ranges, row, strict=True)) for row in qmc.scale(engine.random(count), low, high).tolist()]
+
+
+def _listed(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else [value]
