@@ -264,9 +264,13 @@ def test_the_command_does_a_study_and_tells_it_by_a_column(tmp_path, monkeypatch
     assert main(["study", "s.toml", "--workers", "1", "--out", "here"]) == 0
     assert "rows of all plans; 0 of them were known, and 0 failed" in capsys.readouterr().out
     assert main(["study", "s.toml", "--by", "set_seed", "--out", "here"]) == 0
-    assert "plans by set_seed" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "plans by set_seed" in told
+    assert "plans of the largest e3" in told
+    assert (tmp_path / "here" / "by.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "here" / "study.toml").read_text() == (tmp_path / "s.toml").read_text()
     assert main(["study", "s.toml", "--by", "colour", "--out", "here"]) == 2
-    assert "--by colour is no column" in capsys.readouterr().err
+    assert "colour is no column" in capsys.readouterr().err
     (tmp_path / "bad.toml").write_text("frames = 4\n")
     assert main(["study", "bad.toml", "--out", "no"]) == 2
     assert "study bad.toml: study 'study' has no cases" in capsys.readouterr().err

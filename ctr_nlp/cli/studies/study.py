@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.metrics import summary
-from ctr_nlp.studies.grid.case import DONE
+from ctr_nlp.studies.grid.groups import ERROR, Groups, grouped
 from ctr_nlp.studies.grid.reports import reported
 from ctr_nlp.studies.grid.results import Results
 from ctr_nlp.studies.grid.running import PATIENCE, Progress, local_client, run
@@ -23,10 +23,10 @@ from ctr_nlp.studies.grid.study_file import Study
 from ctr_nlp.support.extras import needed
 from ctr_nlp.support.interrupt import deferred_interrupt
 
-SHOWN = "e3", "stability_min", "process_s"
+SHOWN = ERROR, "stability_min", "process_s"
 """Columns whose means are printed."""
-COPY = "study.toml"
-"""The study's own file, beside its rows."""
+COPY, PICTURE = "study.toml", "by.png"
+"""The study's own file, and what is drawn of its plans by a column, beside its rows."""
 SHORT = 10
 """Letters of a digest that are enough to name a row."""
 
@@ -52,10 +52,15 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     told = (
         "make only the plan whose row has this digest, or one that begins so: here, without a cluster, and with "
     )
-    told += "nothing written, to find out why it failed"
+    told += "nothing written but, with --plans, the plan"
     parser.add_argument("--only", metavar="DIGEST", help=told)
-    told = "do nothing new; tell what is known, by a column such as problem, robot_name or set_stability_margin"
+    told = (
+        "do nothing new; tell what is known by a column such as problem, robot_name or set_stability_margin, and "
+    )
+    told += "draw it (DIR/by.png)"
     parser.add_argument("--by", metavar="COLUMN", help=told)
+    told = "with --by: another column, over whose medians those of e3 are drawn, such as robustness_lost_share"
+    parser.add_argument("--against", metavar="COLUMN", help=told)
     add_out_option(parser, "runs/NAME-study")
     return parser
 
@@ -64,10 +69,9 @@ def _run(arguments: argparse.Namespace) -> int:
     study = Study.from_toml(arguments.study)
     out = Path(arguments.out or f"runs/{path_component(study.name)}-study")
     if arguments.by is not None:
-        _print(Results(out).frame(), arguments.by, arguments.study)
-        return SOLVED
+        return _by(study, out, arguments)
     if arguments.only is not None:
-        return _alone(study, arguments.only)
+        return _alone(study, arguments.only, out / "plans" if arguments.plans else None)
     for kind in ("study", *([] if study.report is None else [study.report])):
         check_folder(out, kind)
     with _client(arguments) as client, progress_bar() as labelled, deferred_interrupt() as interrupted:
@@ -83,41 +87,63 @@ def _run(arguments: argparse.Namespace) -> int:
         asked = {"keep_plans": arguments.plans, "patience": arguments.patience}
         progress = run(study, out, client, seen=seen, stop=interrupted, **asked)
         stopped = interrupted() and progress.done < progress.total
-    frame = _of(study, Results(out).frame())
-    _print(frame, "problem", arguments.study)
+    found = _found(study, out, "problem")
+    _print(found, arguments.study)
     done = "all" if progress.done == progress.total else f"{progress.done} of {progress.total}"
     told = f"wrote {out}: rows of {done} plans; {progress.known} of them were known, and {progress.failed} failed"
     console().print(told)
     if stopped:
         return INTERRUPTED
     if study.report is not None:
-        _report(study.report, frame, out)
-    return SOLVED if not progress.failed and bool(frame["complete"].fillna(False).all()) else SOME_FAILED
+        _report(study, out)
+    return SOLVED if found.complete else SOME_FAILED
 
 
-def _of(study: Study, frame: Any) -> Any:
-    """Those rows of a folder that are the study's, in its order."""
-    place = {case.digest: number for number, case in enumerate(study.cases)}
-    own = frame[frame["digest"].isin(place)]
-    return own.sort_values("digest", key=lambda digests: digests.map(place), ignore_index=True)
+def _found(study: Study, out: Path, column: str, more: Sequence[str] = ()) -> Groups:
+    """The study's rows by a column."""
+    results = Results(out)
+    shown = [name for name in SHOWN if name in results.columns]
+    return grouped(results, {case.digest for case in study.cases}, column, [*dict.fromkeys([*shown, *more])])
 
 
-def _report(report: str, frame: Any, out: Path) -> None:
+def _by(study: Study, out: Path, arguments: argparse.Namespace) -> int:
+    """What is known by a column, and its picture."""
+    against = arguments.against
+    found = _found(study, out, arguments.by, [] if against is None else [against])
+    check_folder(out, "by")
+    _print(found, arguments.study)
+    from ctr_nlp.figures import save
+    from ctr_nlp.studies.grid.picture import by_group  # brings matplotlib, which takes long to load
+
+    with published(out, "by") as staging:
+        save(by_group(found, ERROR, against), staging / PICTURE)
+    console().print(f"wrote {out / PICTURE}")
+    return SOLVED
+
+
+def _report(study: Study, out: Path) -> None:
     """The page that the study ends with, and what it says."""
-    with published(out, report) as staging:
-        sentences = reported(report, frame.to_dict("records"), staging)
+    assert study.report is not None
+    place = {case.digest: number for number, case in enumerate(study.cases)}
+    rows = [row for row in Results(out).frame().to_dict("records") if row["digest"] in place]
+    rows.sort(key=lambda row: place[row["digest"]])
+    with published(out, study.report) as staging:
+        sentences = reported(study.report, rows, staging)
         files = sorted(path.name for path in staging.iterdir())
     for sentence in sentences:
         console().print(f"- {sentence}")
     console().print(f"wrote {out}: {', '.join(files)}")
 
 
-def _alone(study: Study, digest: str) -> int:
-    """The one plan whose row has a digest that begins so, made here; its row is printed, nothing is written."""
+def _alone(study: Study, digest: str, keep: Path | None) -> int:
+    """The one plan whose row has a digest that begins so, made here, told, and written where it is to be kept."""
     cases = [case for case in study.cases if case.digest.startswith(digest)]
     if len(cases) != 1:
         raise OptionError(f"--only {digest} is the digest of {len(cases)} plans of the study; it must be of one")
     plan = cases[0].planned(cases[0].loaded())
+    if keep is not None:
+        keep.mkdir(parents=True, exist_ok=True)
+        plan.save(keep / f"{cases[0].digest}.npz")
     console().print(f"{plan}")
     for name, value in (cases[0].columns | summary(plan)).items():
         console().print(f"{name}: {value}", markup=False, soft_wrap=True)
@@ -135,19 +161,19 @@ def _client(arguments: argparse.Namespace) -> Iterator[Any]:
         yield client
 
 
-def _print(frame: Any, column: str, study: str) -> None:
-    """Means of plans by a column; of failures the reasons, each with a command that fails in the same way."""
-    if column not in frame:
-        raise OptionError(f"--by {column} is no column of the study; those are {', '.join(sorted(frame))}")
-    shown = [name for name in SHOWN if name in frame]
+def _print(found: Groups, study: str) -> None:
+    """Plans by a column, the worst ones, and why plans failed, with commands that make such a plan alone."""
+    shown = dict.fromkeys(name for group in found.groups for name in group.values)
     rows = []
-    for name, part in frame.groupby(column):
-        cells = [f"{part[each].mean():.3g}" if part[each].notna().any() else "" for each in shown]
-        rows.append([str(name), str(len(part)), str(int((part["status"] != DONE).sum())), *cells])
-    print_table(f"plans by {column}, means", (column, "plans", "failed", *shown), rows)
-    for reason, part in frame.loc[frame["status"] != DONE].groupby("reason"):
-        again = f"ctr-nlp study {study} --only {part['digest'].iloc[0][:SHORT]}"
-        console().print(f"{len(part)} failed: {reason} Again: {again}", markup=False, soft_wrap=True)
+    for group in found.groups:
+        means = [f"{group.of(name).mean():.3g}" if len(group.of(name)) else "" for name in shown]
+        rows.append([group.name, str(group.plans), str(group.failed), *means])
+    print_table(f"plans by {found.column}, means", (found.column, "plans", "failed", *shown), rows)
+    worst = [[f"{bad.error:.3g}", bad.problem, bad.robot, bad.digest[:SHORT]] for bad in found.worst]
+    print_table("plans of the largest e3", ("e3 mm", "problem", "robot", "digest for --only"), worst)
+    for failure in found.failures:
+        again = f"ctr-nlp study {study} --only {failure.digest[:SHORT]}"
+        console().print(f"{failure.plans} failed: {failure.reason} Again: {again}", markup=False, soft_wrap=True)
 
 
 main = Command("ctr-nlp study", _parser, _run)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -45,6 +45,22 @@ class Results:
                 parquet.write_table(arrow.table(columns), partial)
         except OSError as error:
             raise OutputError(f"rows of the study cannot be written to {place}: {error}") from error
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of all columns; raises OptionError where there are no rows."""
+        if not self._files:
+            raise OptionError(f"{self.folder} holds no rows of a study")
+        return list(self._dataset().schema.names)
+
+    def parts(self, columns: Sequence[str]) -> Iterator[pd.DataFrame]:
+        """All rows, part by part, so that they may be more than memory holds; of these columns those that exist.
+
+        Raises as columns.
+        """
+        known = set(self.columns)
+        for batch in self._dataset().to_batches(columns=[name for name in columns if name in known]):
+            yield batch.to_pandas()
 
     def frame(self) -> pd.DataFrame:
         """All rows, in the order of their digests; raises OptionError where there are none."""
