@@ -41,6 +41,14 @@ class Endless(Case):
         time.sleep(60)
 
 
+class Sleepy(Case):
+    """A case that takes a while and plans nothing."""
+
+    def row(self, keep=None):
+        time.sleep(0.4)
+        return self.columns | {"status": DONE, "process_s": 0.4}
+
+
 def made(kind, case):
     return kind(**{name: getattr(case, name) for name in Case.__dataclass_fields__})
 
@@ -233,6 +241,19 @@ def test_what_kills_its_worker_or_never_ends_is_a_row_and_the_rest_is_done(clien
     for case in cases[:2]:
         assert "worker died or took too long" in frame.loc[case.digest, "reason"]
     assert (frame.loc[[case.digest for case in cases[2:]], "status"] == DONE).all()
+
+
+def test_a_worker_keeps_little_of_what_it_has_done(client, tmp_path):
+    cases = study(SMALL | {"settings": {"seed": list(range(12))}}).cases
+    run(replace(study(), cases=tuple(made(Sleepy, case) for case in cases)), tmp_path, client)
+    for profiles, log in client.run(kept).values():
+        assert profiles == 0
+        assert log <= 100
+
+
+def kept(dask_worker):
+    """Trees of a worker's profile, one a second, and events of its log, which hold cases and rows, at most."""
+    return len(dask_worker.profile_history), dask_worker.state.stimulus_log.maxlen
 
 
 def test_a_stop_keeps_what_is_done(client, tmp_path):

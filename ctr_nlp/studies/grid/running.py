@@ -197,14 +197,19 @@ def _limited(seconds: float) -> Iterator[None]:
 
 @contextmanager
 def local_client(workers: int, memory: str = "auto") -> Iterator[Any]:
-    """A client of so many processes of this machine, which listen on loopback only, with one thread each."""
+    """A client of so many processes of this machine, which listen on loopback only, with one thread each.
+
+    Dask's statistical profile, of which each worker keeps a tree a second for three hours, is off: it alone grew
+    by 40 KB a plan.
+    """
     distributed, dask = needed("distributed"), needed("dask")
     quiet = {"distributed.scheduler.allowed-failures": 0, "distributed.admin.tick.limit": "60s"}
+    lean = {"distributed.worker.profile.enabled": False, "distributed.admin.low-level-log-length": 100}
     threads = {
         f"distributed.nanny.pre-spawn-environ.{name}": "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
     }
     with (
-        dask.config.set(quiet | threads),
+        dask.config.set(quiet | lean | threads),
         distributed.LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
