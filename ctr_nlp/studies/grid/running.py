@@ -1,4 +1,4 @@
-"""A study on Dask's workers: batches of cases that last a second or more, their rows kept as they come.
+"""A study on Dask's workers: batches of cases that last two seconds or more, their rows kept as they come.
 
 Only a few batches a worker wait at the scheduler at any time, so that it costs the same however large the study
 is. A batch whose worker dies is given again case by case; a case whose worker dies alone, or that takes longer
@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import Any
 
 from ctr_nlp.studies.grid.case import FAILED, Case, lost_row
@@ -24,16 +25,20 @@ from ctr_nlp.studies.grid.study_file import Study
 from ctr_nlp.support.extras import needed
 
 SECONDS, FIRST, MOST = 2.0, 2, 200
-"""What a batch is to last; cases of the first one of a kind, and of any at most."""
+"""What a batch is to last at least; cases of the first one of a kind, and of any at most."""
+SPACING = 0.04
+"""s between the ends of two batches, on average, so that client and scheduler keep up with many workers."""
 WAITING = 3
 """Batches that are given to each worker, those at work included."""
-POLL = 0.5
-"""s between looks at whether to stop while nothing is done."""
+POLL, ROUND = 0.5, 0.1
+"""s between looks at whether to stop while nothing is done, and for which batches that are done are collected."""
 PATIENCE = 600.0
 """s that a case may take, where nobody says."""
 EXIT = 70
 """With which a worker ends itself whose case takes too long."""
 
+Worked = tuple[list[dict[str, Any]], float]
+"""What a batch returns: rows, and the seconds that they took."""
 Seen = Callable[["Progress"], None]
 """Told of every batch that is done."""
 
@@ -82,16 +87,16 @@ class Batches:
     def __bool__(self) -> bool:
         return bool(self.alone) or any(self.waiting.values())
 
-    def next(self) -> list[Case]:
-        """The next batch."""
+    def next(self, seconds: float = SECONDS) -> list[Case]:
+        """The next batch, which is to last so long."""
         if self.alone:
             return [self.alone.popleft()]
         kind, cases = max(self.waiting.items(), key=lambda one: len(one[1]))
-        return [cases.popleft() for _ in range(min(self._size(kind), len(cases)))]
+        return [cases.popleft() for _ in range(min(self._size(kind, seconds), len(cases)))]
 
-    def _size(self, kind: tuple[str, ...]) -> int:
-        seconds, count = self.lasted.get(kind, (0.0, 0))
-        return FIRST if not count else min(MOST, max(1, round(SECONDS * count / max(seconds, 1e-3))))
+    def _size(self, kind: tuple[str, ...], seconds: float) -> int:
+        lasted, count = self.lasted.get(kind, (0.0, 0))
+        return FIRST if not count else min(MOST, max(1, round(seconds * count / max(lasted, 1e-3))))
 
     def took(self, cases: Sequence[Case], seconds: float) -> None:
         """A batch has lasted so long."""
@@ -114,7 +119,6 @@ def run(
     patience: s that a case may take; stop: asked now and then, and after a yes no more is begun. Raises
     OutputError where rows cannot be written, which loses only what was at work.
     """
-    distributed = needed("distributed")
     results, begin = Results(folder), time.monotonic()
     known = results.known()
     left = [case for case in study.cases if case.digest not in known]
@@ -122,20 +126,24 @@ def run(
     plans = folder / "plans" if keep_plans else None
     if plans is not None:
         plans.mkdir(parents=True, exist_ok=True)
-    batches, at_work = Batches.of(left), dict[Any, list[Case]]()
+    batches, at_work, done = Batches.of(left), dict[Any, list[Case]](), SimpleQueue[Any]()
     seen(progress)
     try:
         while batches or at_work:
-            _give(client, batches, at_work, plans, patience)
+            for future in _give(client, batches, at_work, plans, patience):
+                future.add_done_callback(done.put)
             if not at_work:
                 time.sleep(POLL)  # no worker is there yet
                 continue
-            finished = _finished(distributed, at_work)
-            for future in finished:
-                rows = _rows(future, at_work.pop(future), batches)
+            if finished := _finished(done):
+                found = client.gather(dict(enumerate(finished)), errors="skip")  # None of those that failed
+                rows = [
+                    row
+                    for k, one in enumerate(finished)
+                    for row in _rows(one, found[k], at_work.pop(one), batches)
+                ]
                 results.add(rows)
                 progress.grow(rows, time.monotonic() - begin)
-            if finished:
                 seen(progress)
             if stop():
                 break
@@ -144,29 +152,39 @@ def run(
     return progress
 
 
+def worth(workers: int) -> float:
+    """What a batch is to last where so many workers end one each, s."""
+    return max(SECONDS, SPACING * workers)
+
+
 def _give(
     client: Any, batches: Batches, at_work: dict[Any, list[Case]], plans: Path | None, patience: float
-) -> None:
-    """Batches to workers, until each has enough."""
-    wanted = WAITING * sum(client.nthreads().values())
-    while batches and len(at_work) < wanted:
-        cases = batches.next()
-        at_work[client.submit(work, cases, plans, patience, pure=False, retries=0)] = cases
+) -> Iterator[Any]:
+    """Batches to workers, until each has enough; the futures of these."""
+    workers = sum(client.nthreads().values())
+    while batches and len(at_work) < WAITING * workers:
+        cases = batches.next(worth(workers))
+        future = client.submit(work, cases, plans, patience, pure=False, retries=0)
+        at_work[future] = cases
+        yield future
 
 
-def _finished(distributed: Any, at_work: dict[Any, list[Case]]) -> list[Any]:
-    """Futures that are done by now, or as soon as one is; none after POLL seconds."""
+def _finished(done: SimpleQueue[Any]) -> list[Any]:
+    """Futures that are done within ROUND seconds of the first one; none where POLL seconds bring none."""
     try:
-        return list(distributed.wait(list(at_work), timeout=POLL, return_when="FIRST_COMPLETED").done)
-    except (TimeoutError, distributed.TimeoutError):
+        found = [done.get(timeout=POLL)]
+    except Empty:
         return []
+    time.sleep(ROUND)
+    while not done.empty():
+        found.append(done.get())
+    return found
 
 
-def _rows(future: Any, cases: list[Case], batches: Batches) -> list[dict[str, Any]]:
+def _rows(future: Any, found: Worked | None, cases: list[Case], batches: Batches) -> list[dict[str, Any]]:
     """The rows of a batch; none where its worker died, and its cases are to be given again, each alone."""
-    if future.status == "finished":
-        rows: list[dict[str, Any]]
-        rows, seconds = future.result()
+    if found is not None:
+        rows, seconds = found
         batches.took(cases, seconds)
         return rows
     if len(cases) > 1:
@@ -175,7 +193,7 @@ def _rows(future: Any, cases: list[Case], batches: Batches) -> list[dict[str, An
     return [lost_row(cases[0], f"its worker died or took too long: {future.exception()}"[:500])]
 
 
-def work(cases: list[Case], plans: Path | None, patience: float) -> tuple[list[dict[str, Any]], float]:
+def work(cases: list[Case], plans: Path | None, patience: float) -> Worked:
     """The rows of cases, and the seconds that all took; a case that takes longer than it may ends the process."""
     begin, rows = time.monotonic(), list[dict[str, Any]]()
     for case in cases:

@@ -1,0 +1,48 @@
+"""Projections of large studies: their arithmetic, and a small simulated one."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from ctr_nlp.studies.grid.running import FIRST, SECONDS, SPACING, WAITING, worth
+from ctr_nlp.studies.grid.scale import Cost, projected, simulated
+
+COST = Cost(0.002, 0.0001, 0.004, 0.0002, 0.00001, 1000.0, 500.0, 2000.0)
+
+
+def test_a_projection_worked_by_hand():
+    """4 workers: 12 batches of 2, then 1,000 plans of 0.5 s in batches of 4; the workers are the slowest."""
+    found = projected(1024, 4, 0.5, COST)
+    assert found.batches == 12 + 250
+    assert found.tasks == 12
+    assert found.wall_s == pytest.approx(1024 * 0.00001 + 128.0 + 1.0)
+    assert found.efficiency == pytest.approx(128.0 / found.wall_s)
+    assert found.client_share == pytest.approx((262 * 0.002 + 0.1024) / found.wall_s)
+    assert found.scheduler_share == pytest.approx((262 * 0.004 + 0.2048) / found.wall_s)
+    assert (found.messages_bytes, found.rows_bytes, found.client_bytes) == (1024e3, 512e3, 2048e3)
+
+
+def test_a_client_that_cannot_keep_up_decides():
+    """1,000 workers do 100,024 plans of 1 ms in 0.1 s; giving and collecting the batches takes longer."""
+    found = projected(100_024, 1000, 0.001, Cost(0.002, 0.0001, 0.004, 0.0002, 0.0, 0.0, 0.0, 0.0))
+    first = FIRST * WAITING * 1000
+    batches = first / 2 + (100_024 - first) / 200
+    assert found.wall_s == pytest.approx(0.006 * batches + 0.0003 * 100_024)
+    assert found.client_share + found.scheduler_share == pytest.approx(1.0)
+
+
+def test_batches_of_many_workers_last_longer():
+    assert worth(2) == SECONDS
+    assert worth(1000) == SPACING * 1000
+
+
+def test_a_simulated_study_gives_the_batches_that_are_projected():
+    pytest.importorskip("distributed", reason="the extra `study` is not installed")
+    found, told = simulated([0.1] * 300, 4), projected(300, 4, 0.1, COST)
+    assert found.batches == pytest.approx(told.batches, rel=0.2)
+    assert found.tasks <= 2 * told.tasks
+    assert found.rows_bytes > 0
+    assert found.wall_s > 300 * 0.1 / 4
+    assert math.isnan(found.client_share)
