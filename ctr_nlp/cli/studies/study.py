@@ -102,7 +102,8 @@ def _run(arguments: argparse.Namespace) -> int:
 def _found(study: Study, out: Path, column: str, more: Sequence[str] = ()) -> Groups:
     """The study's rows by a column."""
     results = Results(out)
-    shown = [name for name in SHOWN if name in results.columns]
+    known = results.columns
+    shown = [name for name in SHOWN if name in known]
     return grouped(results, {case.digest for case in study.cases}, column, [*dict.fromkeys([*shown, *more])])
 
 

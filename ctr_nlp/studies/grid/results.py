@@ -49,8 +49,6 @@ class Results:
     @property
     def columns(self) -> list[str]:
         """Names of all columns; raises OptionError where there are no rows."""
-        if not self._files:
-            raise OptionError(f"{self.folder} holds no rows of a study")
         return list(self._dataset().schema.names)
 
     def parts(self, columns: Sequence[str]) -> Iterator[pd.DataFrame]:
@@ -58,14 +56,12 @@ class Results:
 
         Raises as columns.
         """
-        known = set(self.columns)
-        for batch in self._dataset().to_batches(columns=[name for name in columns if name in known]):
+        dataset = self._dataset()
+        for batch in dataset.to_batches(columns=[name for name in columns if name in dataset.schema.names]):
             yield batch.to_pandas()
 
     def frame(self) -> pd.DataFrame:
         """All rows, in the order of their digests; raises OptionError where there are none."""
-        if not self.known():
-            raise OptionError(f"{self.folder} holds no rows of a study")
         found: pd.DataFrame = self._dataset().to_table().to_pandas()
         return found.sort_values("digest", ignore_index=True)
 
@@ -75,8 +71,11 @@ class Results:
         return sorted(str(path) for path in (self.folder / ROWS).glob("*.parquet") if path.name[0] != ".")
 
     def _dataset(self) -> Any:
-        arrow, dataset, parquet = (needed(name) for name in ("pyarrow", "pyarrow.dataset", "pyarrow.parquet"))
+        """All files as one; raises OptionError where there are none. Every file's columns are read anew."""
         files = self._files
+        if not files:
+            raise OptionError(f"{self.folder} holds no rows of a study")
+        arrow, dataset, parquet = (needed(name) for name in ("pyarrow", "pyarrow.dataset", "pyarrow.parquet"))
         schema = arrow.unify_schemas([parquet.read_schema(file) for file in files], promote_options="permissive")
         return dataset.dataset(files, schema=schema)
 
