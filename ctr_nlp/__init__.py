@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from ctr_nlp.steer.robust import solve_robust, solve_robust_per_frame
     from ctr_nlp.studies.borne.tip import Forces, forces
     from ctr_nlp.studies.borne.wall import WallForces, wall_forces
+    from ctr_nlp.studies.grid.results import Results
+    from ctr_nlp.studies.grid.study_file import Study
+    from ctr_nlp.studies.workers.running import run_study
     from ctr_nlp.target.curve import Curve, curve_from_formula, curve_from_points
     from ctr_nlp.target.problem import Problem
     from ctr_nlp.target.target import Target, growing, sequence
@@ -48,10 +51,12 @@ __all__ = [
     "Measurements",
     "Plan",
     "Problem",
+    "Results",
     "Robot",
     "Settings",
     "Steerer",
     "StockTube",
+    "Study",
     "Target",
     "Tolerances",
     "Tube",
@@ -69,6 +74,7 @@ __all__ = [
     "read_csv",
     "read_measurements",
     "read_stock",
+    "run_study",
     "seed_robot",
     "sequence",
     "shape_curve",
@@ -104,6 +110,9 @@ _HOMES = {
     "steer.robust": ("solve_robust", "solve_robust_per_frame"),
     "studies.borne.tip": ("Forces", "forces"),
     "studies.borne.wall": ("WallForces", "wall_forces"),
+    "studies.grid.results": ("Results",),
+    "studies.grid.study_file": ("Study",),
+    "studies.workers.running": ("run_study",),
     "target.curve": ("Curve", "curve_from_formula", "curve_from_points"),
     "target.problem": ("Problem",),
     "target.target": ("Target", "growing", "sequence"),

@@ -35,6 +35,10 @@ class OutputError(CtrError):
     """A place that cannot be written, or a plan that cannot be read."""
 
 
+class ClusterError(CtrError):
+    """A Dask cluster that cannot be reached, was lost, or cannot do what a study asks for."""
+
+
 class MeasurementError(CtrError):
     """Measurements that cannot be read, or that no robot of this kind can have given."""
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ctr_nlp.studies.grid.results import Results
-from ctr_nlp.studies.grid.scale import measured, projected, simulated
+from ctr_nlp.studies.workers.scale import measured, projected, simulated
 from ctr_nlp.support.tables import markdown
 
 

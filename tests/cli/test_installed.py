@@ -13,7 +13,9 @@ from problems import NAMES, ROOT
 
 BUILT = ("pyproject.toml", "README.md", "LICENSE")
 """What a wheel is built from, beside the package."""
-EXAMPLES = sorted(path.name for path in (ROOT / "examples").glob("*.py"))
+ON_A_CLUSTER = {"slurm_study.py"}
+"""Examples that need other commands and arguments: tests/studies/test_slurm.py runs them."""
+EXAMPLES = sorted({path.name for path in (ROOT / "examples").glob("*.py")} - ON_A_CLUSTER)
 
 
 def ran(command, folder, **environment):

@@ -12,11 +12,12 @@ from ctr_nlp import table_i_robot
 from ctr_nlp.cli.commands.new import template
 from ctr_nlp.cli.main import main
 from ctr_nlp.exceptions import OptionError, OutputError
-from ctr_nlp.studies.grid import running
-from ctr_nlp.studies.grid.case import DONE, FAILED, Case, lost_row
+from ctr_nlp.studies.grid.case import DONE, FAILED, LATE, LOST, Case, row_without_plan
 from ctr_nlp.studies.grid.results import Results
-from ctr_nlp.studies.grid.running import FIRST, SECONDS, Batches, local_client, run
 from ctr_nlp.studies.grid.study_file import Study
+from ctr_nlp.studies.workers.batches import FIRST, SECONDS, TRIES, Batches
+from ctr_nlp.studies.workers.clients import local_client
+from ctr_nlp.studies.workers.running import run_study
 
 pytest.importorskip("distributed", reason="the extra `study` is not installed")
 
@@ -35,9 +36,12 @@ class Deadly(Case):
 
 
 class Endless(Case):
-    """A case that takes longer than anybody waits."""
+    """A case that takes longer than anybody waits; its problem may be a file in which its tries are told."""
 
     def row(self, keep=None):
+        if os.path.isabs(self.problem):
+            with open(self.problem, "a") as told:
+                told.write("begun\n")
         time.sleep(60)
 
 
@@ -207,9 +211,9 @@ def test_batches_grow_to_what_is_worth_a_task():
 
 def test_a_study_is_done_once_and_goes_on_where_it_was(client, tmp_path):
     few, told = study(SMALL | {"settings": {"seed": [0, 1]}}), []
-    assert run(few, tmp_path, client).done == 2
+    assert run_study(few, tmp_path, client).done == 2
     before = Results(tmp_path).frame()
-    progress = run(study(), tmp_path, client, seen=lambda one: told.append(one.done), keep_plans=True)
+    progress = run_study(study(), tmp_path, client, seen=lambda one: told.append(one.done), keep_plans=True)
     assert (progress.known, progress.done, progress.failed) == (2, 4, 0)
     assert told[0] == 2
     assert told[-1] == 4
@@ -224,7 +228,7 @@ def test_a_study_is_done_once_and_goes_on_where_it_was(client, tmp_path):
 
 def test_a_failure_is_a_row_with_its_reason(client, tmp_path):
     told = SMALL | {"models": ["dominant", "elastic"], "methods": ["two-stage"]}
-    progress = run(study(told), tmp_path, client)
+    progress = run_study(study(told), tmp_path, client)
     frame = Results(tmp_path).frame()
     assert progress.failed == 4
     failed = frame[frame["status"] == FAILED]
@@ -234,18 +238,48 @@ def test_a_failure_is_a_row_with_its_reason(client, tmp_path):
 
 def test_what_kills_its_worker_or_never_ends_is_a_row_and_the_rest_is_done(client, tmp_path):
     cases = study().cases
-    spoiled = replace(study(), cases=(made(Deadly, cases[0]), made(Endless, cases[1]), *cases[2:]))
-    progress = run(spoiled, tmp_path, client, patience=3.0)
+    deadly, endless = made(Deadly, cases[0]), made(Endless, cases[1])
+    spoiled = replace(study(), cases=(deadly, endless, *cases[2:]))
+    progress = run_study(spoiled, tmp_path, client, patience=3.0)
     frame = Results(tmp_path).frame().set_index("digest")
-    assert (progress.done, progress.failed) == (4, 2)
-    for case in cases[:2]:
-        assert "worker died or took too long" in frame.loc[case.digest, "reason"]
+    assert (progress.done, progress.failed, progress.workers) == (4, 2, 2)
+    assert frame.loc[deadly.digest, "status"] == LOST
+    assert frame.loc[deadly.digest, "reason"].startswith(f"{TRIES} workers died of it, one after the other: ")
+    assert frame.loc[endless.digest, "status"] == LATE
+    assert frame.loc[endless.digest, "reason"] == "it took longer than 3 s"
     assert (frame.loc[[case.digest for case in cases[2:]], "status"] == DONE).all()
+    again = replace(study(), cases=(*cases[:1], endless, *cases[2:]))
+    progress = run_study(again, tmp_path, client, patience=3.0)
+    assert (progress.known, progress.done, progress.failed) == (3, 4, 0)
+
+
+def test_a_case_that_takes_too_long_is_tried_once(client, tmp_path):
+    tries = tmp_path / "tries"
+    (endless,) = (made(Endless, case) for case in study(SMALL | {"settings": {"seed": [0]}}).cases)
+    counted = replace(endless, problem=str(tries))
+    run_study(replace(study(), cases=(counted,)), tmp_path / "out", client, patience=1.0)
+    assert tries.read_text() == "begun\n"
+
+
+def test_a_plan_that_cannot_be_written_ends_the_study_and_is_made_again(client, tmp_path):
+    (tmp_path / "plans").write_text("in the way of the folder")
+    with pytest.raises(OutputError, match="folder of plans cannot be made"):
+        run_study(study(), tmp_path, client, keep_plans=True)
+    assert Results(tmp_path).known() == set()
+    (tmp_path / "plans").unlink()
+    blocked = tmp_path / "plans" / f"{study().cases[0].digest}.npz"
+    blocked.mkdir(parents=True)
+    with pytest.raises(OutputError, match="plan cannot be written"):
+        run_study(study(), tmp_path, client, keep_plans=True)
+    assert study().cases[0].digest not in Results(tmp_path).known()
+    blocked.rmdir()
+    assert run_study(study(), tmp_path, client, keep_plans=True).done == 4
+    assert len(Results(tmp_path).frame()) == len(list((tmp_path / "plans").glob("*.npz"))) == 4
 
 
 def test_a_worker_keeps_little_of_what_it_has_done(client, tmp_path):
     cases = study(SMALL | {"settings": {"seed": list(range(12))}}).cases
-    run(replace(study(), cases=tuple(made(Sleepy, case) for case in cases)), tmp_path, client)
+    run_study(replace(study(), cases=tuple(made(Sleepy, case) for case in cases)), tmp_path, client)
     for profiles, log in client.run(kept).values():
         assert profiles == 0
         assert log <= 100
@@ -263,7 +297,7 @@ def test_a_stop_keeps_what_is_done(client, tmp_path):
         asked.append(1)
         return True
 
-    progress = run(study(SMALL | {"settings": {"seed": list(range(60))}}), tmp_path, client, stop=stop)
+    progress = run_study(study(SMALL | {"settings": {"seed": list(range(60))}}), tmp_path, client, stop=stop)
     assert asked == [1]
     assert progress.done < 60
     assert len(Results(tmp_path).known()) == progress.done
@@ -271,12 +305,11 @@ def test_a_stop_keeps_what_is_done(client, tmp_path):
 
 def test_a_lost_row_has_the_columns_of_its_case():
     case = study().cases[0]
-    assert lost_row(case, "why") | {"process_s": 0} == case.columns | {
-        "status": FAILED,
+    assert row_without_plan(case, LATE, "why", 3.0) == case.columns | {
+        "status": LATE,
         "reason": "why",
-        "process_s": 0,
+        "process_s": 3.0,
     }
-    assert running.PATIENCE > 0
 
 
 def test_the_command_does_a_study_and_tells_it_by_a_column(tmp_path, monkeypatch, capsys):

@@ -6,8 +6,9 @@ import math
 
 import pytest
 
-from ctr_nlp.studies.grid.running import FIRST, SECONDS, SPACING, WAITING, worth
-from ctr_nlp.studies.grid.scale import Cost, projected, simulated
+from ctr_nlp.studies.workers.batches import FIRST, SECONDS, SPACING, worth
+from ctr_nlp.studies.workers.running import WAITING
+from ctr_nlp.studies.workers.scale import Cost, projected, simulated
 
 COST = Cost(0.002, 0.0001, 0.004, 0.0002, 0.00001, 1000.0, 500.0, 2000.0)
 

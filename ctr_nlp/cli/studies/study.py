@@ -18,9 +18,9 @@ from ctr_nlp.plan.metrics import summary
 from ctr_nlp.studies.grid.groups import ERROR, Groups, grouped
 from ctr_nlp.studies.grid.reports import reported
 from ctr_nlp.studies.grid.results import Results
-from ctr_nlp.studies.grid.running import PATIENCE, Progress, local_client, run
 from ctr_nlp.studies.grid.study_file import Study
-from ctr_nlp.support.extras import needed
+from ctr_nlp.studies.workers.clients import cluster_client, local_client
+from ctr_nlp.studies.workers.running import PATIENCE, Progress, run_study
 from ctr_nlp.support.interrupt import deferred_interrupt
 
 SHOWN = ERROR, "stability_min", "process_s"
@@ -82,10 +82,12 @@ def _run(arguments: argparse.Namespace) -> int:
 
         def seen(progress: Progress) -> None:
             told = f"{progress.failed} failed, {progress.rate:.3g} a second"
+            if not progress.workers and progress.done < progress.total:
+                told += ", no worker is there"
             report(progress.done, progress.total, told)
 
         asked = {"keep_plans": arguments.plans, "patience": arguments.patience}
-        progress = run(study, out, client, seen=seen, stop=interrupted, **asked)
+        progress = run_study(study, out, client, seen=seen, stop=interrupted, **asked)
         stopped = interrupted() and progress.done < progress.total
     found = _found(study, out, "problem")
     _print(found, arguments.study)
@@ -143,8 +145,7 @@ def _alone(study: Study, digest: str, keep: Path | None) -> int:
         raise OptionError(f"--only {digest} is the digest of {len(cases)} plans of the study; it must be of one")
     plan = cases[0].planned(cases[0].loaded())
     if keep is not None:
-        keep.mkdir(parents=True, exist_ok=True)
-        plan.save(keep / f"{cases[0].digest}.npz")
+        cases[0].keep(plan, keep)
     console().print(f"{plan}")
     for name, value in (cases[0].columns | summary(plan)).items():
         console().print(f"{name}: {value}", markup=False, soft_wrap=True)
@@ -158,7 +159,7 @@ def _client(arguments: argparse.Namespace) -> Iterator[Any]:
         with local_client(arguments.workers or os.cpu_count() or 1) as client:
             yield client
         return
-    with needed("distributed").Client(arguments.address) as client:
+    with cluster_client(arguments.address) as client:
         yield client
 
 

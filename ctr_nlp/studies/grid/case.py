@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ctr_nlp.anatomy.problem_files import problem_from_file
-from ctr_nlp.exceptions import CtrError, OptionError
+from ctr_nlp.exceptions import CtrError, OptionError, OutputError
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan, versions
@@ -27,8 +27,10 @@ from ctr_nlp.target.problem import Problem
 
 METHODS = "horizon", "joint", "two-stage", "robust-horizon", "robust-joint"
 """Ways in which a case may be planned."""
-DONE, FAILED = "done", "failed"
-"""Words of a row's status: there is a plan, solved or not; there is none."""
+DONE, FAILED, LATE, LOST = "done", "failed", "late", "lost"
+"""Words of a row's status: there is a plan, solved or not; there is none; it took too long; its workers died."""
+PATIENCE_S = "patience_s"
+"""The column of rows of cases that took too long: s that they had."""
 
 
 @dataclass(frozen=True)
@@ -99,27 +101,38 @@ class Case:
         return plan.with_draws(self.draws, self.seed) if self.draws else plan
 
     def row(self, keep: Path | None = None) -> dict[str, Any]:
-        """The row of the plan, or of why there is none; keep: the folder into which the plan is written, too."""
+        """The row of the plan, or of why there is none; keep: the folder into which the plan is written, too.
+
+        Raises OutputError where the plan cannot be written.
+        """
         begin, columns = time.process_time(), self.columns
         try:
             problem = self.loaded()
             plan = self.planned(problem)
-            if keep is not None:
-                plan.save(keep / f"{self.digest}.npz")
             found = _numbers(plan) | {"status": DONE, "reason": ""}
             for name in self.measures:
                 found |= MEASURES[name](plan, problem)
         except Exception as error:
             # A study of thousands goes on whatever one of them dies of; the row tells what that was.
             told = str(error) if isinstance(error, CtrError) else f"{type(error).__name__}: {error}"
-            found = {"status": FAILED, "reason": told}
+            return row_without_plan(self, FAILED, told, time.process_time() - begin)
+        if keep is not None:
+            self.keep(plan, keep)
         # A plan calls its problem by a name of its own; rows of plans and of failures have the same one.
         return columns | found | columns | {"process_s": time.process_time() - begin}
 
+    def keep(self, plan: Plan, folder: Path) -> None:
+        """Write its plan into a folder, under its digest; raises OutputError."""
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"a folder of plans cannot be made at {folder}: {error}") from error
+        plan.save(folder / f"{self.digest}.npz")
 
-def lost_row(case: Case, reason: str) -> dict[str, Any]:
-    """The row of a case whose worker died, or never answered."""
-    return case.columns | {"status": FAILED, "reason": reason, "process_s": float("nan")}
+
+def row_without_plan(case: Case, status: str, reason: str, process_s: float) -> dict[str, Any]:
+    """The row of a case of which there is no plan, and why."""
+    return case.columns | {"status": status, "reason": reason, "process_s": process_s}
 
 
 def content_of(path: str) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ctr_nlp.exceptions import OptionError, OutputError
+from ctr_nlp.studies.grid.case import LOST, PATIENCE_S
 from ctr_nlp.support.extras import needed
 from ctr_nlp.support.whole_file import whole_file
 
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
 ROWS = "rows"
 """The folder of the files, beside which plans may lie."""
+LOST_FILE = "lost-"
+"""How names of files begin that hold the row of one case whose workers died, or that took too long."""
 
 
 @dataclass(frozen=True)
@@ -33,15 +36,35 @@ class Results:
 
     def add(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Keep rows, if there are any, in a file of their own; raises OutputError where that cannot be written."""
-        if not rows:
-            return
+        if rows:
+            self._write(rows, "")
+
+    def add_lost(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Keep rows of cases that are to be tried again some day, each in a file of its own; raises as add."""
+        for row in rows:
+            self._write([row], LOST_FILE)
+
+    def forget_lost(self, patience: float) -> None:
+        """Delete the rows of cases whose workers died, and of those that took too long but may take longer now,
+        patience in s. Raises OutputError.
+        """
+        parquet = needed("pyarrow.parquet")
+        try:
+            for file in (self.folder / ROWS).glob(f"{LOST_FILE}*.parquet"):
+                (row,) = parquet.read_table(file).to_pylist()
+                if row["status"] == LOST or row[PATIENCE_S] < patience:
+                    file.unlink()
+        except OSError as error:
+            raise OutputError(f"rows of the study cannot be deleted: {error}") from error
+
+    def _write(self, rows: Sequence[Mapping[str, Any]], begin: str) -> None:
         arrow, parquet = needed("pyarrow"), needed("pyarrow.parquet")
         place = self.folder / ROWS
         try:
             place.mkdir(parents=True, exist_ok=True)
             names = list(dict.fromkeys(name for row in rows for name in row))
             columns = {name: _column(arrow, [row.get(name) for row in rows]) for name in names}
-            with whole_file(place / f"{uuid.uuid4().hex}.parquet") as partial:
+            with whole_file(place / f"{begin}{uuid.uuid4().hex}.parquet") as partial:
                 parquet.write_table(arrow.table(columns), partial)
         except OSError as error:
             raise OutputError(f"rows of the study cannot be written to {place}: {error}") from error

@@ -11,8 +11,8 @@ import pickle
 import tempfile
 import time
 import tracemalloc
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
@@ -22,9 +22,10 @@ import numpy as np
 
 from ctr_nlp.studies.grid.case import DONE, Case
 from ctr_nlp.studies.grid.results import ROWS
-from ctr_nlp.studies.grid.running import FIRST, MOST, WAITING, Progress, local_client, run, worth
 from ctr_nlp.studies.grid.study_file import Study
-from ctr_nlp.support.extras import needed
+from ctr_nlp.studies.workers.batches import FIRST, MOST, worth
+from ctr_nlp.studies.workers.clients import local_client
+from ctr_nlp.studies.workers.running import WAITING, Progress, run_study
 
 THREADS = 16
 """Threads of each worker of a simulated cluster."""
@@ -148,7 +149,7 @@ def _spent(study: Study, client: Any) -> tuple[float, float, int]:
     loop = client.cluster.loop
     with tempfile.TemporaryDirectory() as folder:
         before = time.thread_time(), _in(loop, time.thread_time)
-        run(study, Path(folder), client)
+        run_study(study, Path(folder), client)
         after = time.thread_time(), _in(loop, time.thread_time)
         return after[0] - before[0], after[1] - before[1], _bytes(Path(folder))
 
@@ -189,7 +190,7 @@ def simulated(seconds: Sequence[float], workers: int) -> Scale:
         def seen(progress: Progress) -> None:
             tasks.append(len(client.cluster.scheduler.tasks))
 
-        progress = run(study, Path(folder), counting, seen=seen)
+        progress = run_study(study, Path(folder), counting, seen=seen)
         rows_bytes = _bytes(Path(folder))
     wall = prepared + progress.seconds
     return Scale(
@@ -220,23 +221,8 @@ class _Counting:
         return self._client.submit(*given, **options)
 
 
-@contextmanager
-def _threads(workers: int) -> Iterator[Any]:
+def _threads(workers: int) -> AbstractContextManager[Any]:
     """A client of so many threads of this process."""
-    distributed, dask = needed("distributed"), needed("dask")
     each = math.gcd(workers, THREADS)
-    with (
-        dask.config.set({"distributed.worker.profile.enabled": False, "distributed.admin.tick.limit": "60s"}),
-        distributed.LocalCluster(
-            n_workers=workers // each,
-            threads_per_worker=each,
-            processes=False,
-            protocol="tcp://",
-            host="127.0.0.1",
-            dashboard_address=None,
-            memory_limit=0,
-            silence_logs="CRITICAL",
-        ) as cluster,
-        distributed.Client(cluster) as client,
-    ):
-        yield client
+    threads = {"threads_per_worker": each, "processes": False, "protocol": "tcp://", "dashboard_address": None}
+    return local_client(workers // each, "0", **threads)

@@ -1,0 +1,88 @@
+"""Clients of Dask clusters: of processes of this machine, and of a scheduler that somebody else has begun."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from ctr_nlp.exceptions import ClusterError
+from ctr_nlp.support.extras import needed
+
+CONNECT = 10.0
+"""s that a scheduler may take to answer when a client asks it first."""
+QUIET = {
+    # a case whose worker died is tried again by us, and not by Dask
+    "distributed.scheduler.allowed-failures": 0,
+    "distributed.admin.tick.limit": "60s",
+    # its statistical profile, a tree a second for three hours, grew by 40 KB a plan
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.low-level-log-length": 100,
+    # so long after a worker died Dask gives it up for good, if it is not there at that moment: it died again
+    "distributed.deploy.lost-worker-timeout": "1000 days",
+    "distributed.nanny.pre-spawn-environ.OMP_NUM_THREADS": "1",
+    "distributed.nanny.pre-spawn-environ.OPENBLAS_NUM_THREADS": "1",
+}
+"""Dask's settings for clusters that are begun here."""
+
+
+@contextmanager
+def local_client(workers: int, memory: str = "auto", **more: Any) -> Iterator[Any]:
+    """A client of so many processes of this machine, which listen on loopback only, with one thread each.
+
+    memory: that each may take before it is ended; more: options of distributed.LocalCluster.
+    """
+    distributed, dask = needed("distributed"), needed("dask")
+    asked = {"n_workers": workers, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"} | more
+    with (
+        dask.config.set(QUIET),
+        distributed.LocalCluster(host="127.0.0.1", memory_limit=memory, silence_logs="CRITICAL", **asked) as begun,
+        distributed.Client(begun) as client,
+    ):
+        yield client
+
+
+@contextmanager
+def cluster_client(address: str) -> Iterator[Any]:
+    """A client of the scheduler at a URL; TLS as Dask's own configuration says.
+
+    What Dask logs meanwhile is silenced: errors tell it. Raises ClusterError where no scheduler answers so.
+    """
+    distributed = needed("distributed")
+    for handler in logging.getLogger("distributed").handlers:
+        handler.setLevel(logging.CRITICAL)
+    try:
+        asyncio.run(_asked(address))  # a client that fails itself is left half open
+    except Exception as error:  # of many kinds: bad URLs, missing certificates, nobody there
+        cause = re.sub("in <.*?>: ", "", str(error.__cause__ or "") or str(error))
+        raise ClusterError(f"no cluster can be reached at {address}: {cause}"[:500]) from error
+    with distributed.Client(address, timeout=CONNECT) as client:
+        yield client
+
+
+async def _asked(address: str) -> None:
+    """Raises what Dask raises where nobody answers at a URL."""
+    secrets = needed("distributed").Security().get_connection_args("client")
+    comm = await needed("distributed.comm").connect(address, timeout=CONNECT, **secrets)
+    await comm.close()
+
+
+def losses() -> tuple[type[Exception], ...]:
+    """What Dask raises where its scheduler is there no more."""
+    distributed = needed("distributed")
+    return OSError, distributed.TimeoutError, distributed.CancelledError
+
+
+@contextmanager
+def loss_told() -> Iterator[None]:
+    """Raises ClusterError where the scheduler is lost within the block."""
+    try:
+        yield
+    except losses() as error:
+        raise ClusterError(
+            "the cluster's scheduler was lost; rows that were made are kept, and the same study begun again into "
+            f"the same folder goes on where it was ({type(error).__name__})"
+        ) from error
