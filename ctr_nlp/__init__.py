@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ctr_nlp.exceptions import CtrError
     from ctr_nlp.formulations.settings import Settings
     from ctr_nlp.formulations.shared.manufacture import Manufacture
-    from ctr_nlp.loads import Load
+    from ctr_nlp.loads import Load, LoadOverTime, read_load
     from ctr_nlp.models.loaded.model import Loaded
     from ctr_nlp.plan.metrics import by_frame, summary
     from ctr_nlp.plan.plan import Plan
@@ -46,6 +46,7 @@ __all__ = [
     "Forces",
     "Limits",
     "Load",
+    "LoadOverTime",
     "Loaded",
     "Manufacture",
     "Measurements",
@@ -72,6 +73,7 @@ __all__ = [
     "growing",
     "problem_from_file",
     "read_csv",
+    "read_load",
     "read_measurements",
     "read_stock",
     "run_study",
@@ -99,7 +101,7 @@ _HOMES = {
     "codesign.together": ("Design", "design"),
     "exceptions": ("CtrError",),
     "formulations.settings": ("Settings",),
-    "loads": ("Load",),
+    "loads": ("Load", "LoadOverTime", "read_load"),
     "models.loaded.model": ("Loaded",),
     "plan.metrics": ("by_frame", "summary"),
     "plan.plan": ("Plan",),

@@ -40,12 +40,16 @@ class Unsolved(Exception):
 
 @dataclass(frozen=True)
 class Pull:
-    """What acts: a tip force (3,) N in the base's axes, an axial moment N mm, a density g/cm^3 and down (3,)."""
+    """What acts: a tip force (3,) N in the base's axes, an axial moment N mm, a density g/cm^3 and down (3,),
+    and a force (3,) N/mm along the body between two places, mm.
+    """
 
     force: tuple[float, float, float] = (0.0, 0.0, 0.0)
     axial_moment: float = 0.0
     density: float = 0.0
     down: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    along: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    between: tuple[float, float] = (0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -72,7 +76,8 @@ class LoadedShot:
     @cached_property
     def places(self):
         starts = [b - t.curved_length for b, t in zip(self.beta, self.robot.tubes, strict=True)]
-        return np.array(sorted({0.0, *self.beta, *(s for s in starts if s > 0)}))
+        ends = [s for s in self.pull.between if s < self.beta[-1]]
+        return np.array(sorted({0.0, *self.beta, *(s for s in [*starts, *ends] if s > 0)}))
 
     def pulls(self, s):
         """EI_i k_i at s, and which tubes are there."""
@@ -88,7 +93,9 @@ class LoadedShot:
         """n at s, of a part of the load."""
         down = np.array(self.pull.down) / np.linalg.norm(self.pull.down)
         beyond = (self.numbers[2] * np.maximum(self.beta - s, 0)).sum()
-        return part * (np.array(self.pull.force) + beyond * down)
+        begin, end = self.pull.between
+        pushed = max(min(end, self.beta[-1]) - max(begin, s), 0.0) * np.array(self.pull.along)
+        return part * (np.array(self.pull.force) + beyond * down + pushed)
 
     def shoot(self, unknown, q, part, tolerance=1e-9, dense=False):
         """What tips lack, (d + 2,), and the pieces of the solution."""

@@ -10,6 +10,7 @@ from ctr_nlp.exceptions import OptionError, ProblemError
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.shared.design import DesignedTubes, varying
 from ctr_nlp.formulations.shared.manufacture import Manufacture
+from ctr_nlp.loads import steady
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.steer.motions import at_frames
 from ctr_nlp.steer.nlp_frames import DEFAULTS
@@ -29,6 +30,7 @@ def search_for(
     """The search for tubes over all frames of problems; as design."""
     tasks = _checked(problems, settings)
     described = model_named(model, "model of a design")
+    steady(described.bears, "a design")
     robot = tasks[0].robot if constant_curvature else varying(tasks[0].robot)
     tubes = DesignedTubes(robot, rules or Manufacture(), tuple(fixed))
     margin = 0.0 if settings.stability_margin is None else settings.stability_margin

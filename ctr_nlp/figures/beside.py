@@ -68,10 +68,12 @@ def _told(plan: Plan, number: int) -> str:
 
 def _arrow(axes: Axes, plan: Plan, frame: int, sideways: int, length: float) -> None:
     """A tip force that keeps its direction, as far as it lies in the plane of the picture."""
-    load = plan.bears
-    if load is None or load.follows or not any(load.force):
+    if plan.bears is None or plan.bears.follows:
         return
-    x, z = (np.asarray(load.force)[[sideways, 2]] / np.linalg.norm(load.force) * length).tolist()
+    force = plan.bears.over(plan.robot, np.array([frame / max(len(plan.time) - 1, 1)]))[0, :3]
+    if not force.any():
+        return
+    x, z = (force[[sideways, 2]] / np.linalg.norm(force) * length).tolist()
     tip_x, tip_z = plan.shape[frame, -1, [sideways, 2]].tolist()
     how = {"arrowstyle": "-|>", "color": VERMILLION, "lw": 1.5, "shrinkA": 0.0, "shrinkB": 0.0}
     if math.hypot(x, z) > 0.1 * length:

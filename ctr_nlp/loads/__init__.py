@@ -1,6 +1,7 @@
-"""What pulls at a robot, turns it and weighs it down, in N, N mm and g/cm^3. Knows robots, and no model."""
+"""What pulls at a robot, turns it and weighs it down, in N, N mm, N/mm and g/cm^3. Knows robots, and no model."""
 
 from ctr_nlp.loads.load import Load
 from ctr_nlp.loads.modulus import check_moduli, with_modulus
+from ctr_nlp.loads.over_time import LoadOverTime, load_from_dict, read_load, steady
 
-__all__ = ["Load", "check_moduli", "with_modulus"]
+__all__ = ["Load", "LoadOverTime", "check_moduli", "load_from_dict", "read_load", "steady", "with_modulus"]

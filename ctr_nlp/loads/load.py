@@ -1,34 +1,35 @@
-"""A load: what pulls at a robot's tip, turns it, and weighs on its tubes."""
+"""A load: what pulls at a robot's tip, turns it, pushes along its body, and weighs on its tubes."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, fields
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ctr_nlp.exceptions import CtrError, LoadError
+from ctr_nlp.exceptions import LoadError
 from ctr_nlp.loads.modulus import check_moduli
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.units import between, did_you_mean
 from ctr_nlp.support.packing import packable
-from ctr_nlp.support.values import floats, number, read_toml, strict_json, unchanging
+from ctr_nlp.support.values import floats, number, strict_json, unchanging
 from ctr_nlp.typing import Array
 
 AXES = "base", "tool"
 """In which a tip force may be given."""
-FORCE, MOMENT = 100.0, 1000.0
-"""Largest tip force, N, and axial moment, N mm: some hundred times what these robots bear."""
+FORCE, MOMENT, PER_LENGTH = 100.0, 1000.0, 10.0
+"""Largest tip force, N, axial moment, N mm, and force per length, N/mm: some hundred times what robots bear."""
 DENSITIES = (0.5, 25.0)
 """Least and largest density of a tube, g/cm^3, from light polymers to beyond platinum."""
 GRAVITY = 9.80665
 """m/s^2."""
 PER_MM3 = 1e-6
 """kg/mm^3 that one g/cm^3 is."""
-OF_TIP = 7
-"""Numbers of a load that act at the tip; three a tube follow."""
+BETWEEN = slice(10, 12)
+"""Of a load's numbers, the places between which a force acts along the body."""
+BEFORE_WEIGHTS = 12
+"""Numbers of a load that are the same for every robot; the weights follow, three numbers a tube."""
 
 
 @packable("load")
@@ -40,6 +41,8 @@ class Load:
     pre-curvature of the innermost tube bends it. axial_moment: N mm about the tip's direction, which turns the
     innermost tube. densities: of the tubes, g/cm^3, a number or one a tube, outermost first (nitinol has 6.45);
     down: (3,) the direction of gravity in the base frame, of any length, needed where there are densities.
+    distributed_force: (3,) N/mm in the directions of the base frame, which acts along the body between two places,
+    mm from the opening; of a robot that ends before the second one, up to the tip.
     Lists and arrays are kept as tuples. Raises LoadError.
 
     A force that turns with the tool, and a moment that turns with the tip, have no energy: robots that bear them
@@ -51,6 +54,8 @@ class Load:
     axial_moment: float = 0.0
     densities: Any = None
     down: Any = None
+    distributed_force: Any = None
+    between: Any = None
 
     def __post_init__(self) -> None:
         for f in fields(self):
@@ -64,7 +69,24 @@ class Load:
         )
         _limited("axial_moment of a load", moment, MOMENT, ("N mm", "mN mm", "µN mm", "nN mm"))
         object.__setattr__(self, "force", tuple(vector.tolist()))
+        self._check_distributed()
         self._check_gravity()
+
+    def _check_distributed(self) -> None:
+        if (self.distributed_force is None) != (self.between is None):
+            given, missing = ("between", "distributed_force")[:: 1 if self.between is not None else -1]
+            raise LoadError(f"{given} of a load needs {missing}: a force along the body is told by both")
+        if self.distributed_force is None:
+            return
+        vector = floats(LoadError, "distributed_force of a load", self.distributed_force, (3,))
+        size = float(np.linalg.norm(vector))
+        _limited("distributed_force of a load", size, PER_LENGTH, ("N/mm", "N/m"))
+        begin, end = floats(LoadError, "between of a load", self.between, (2,)).tolist()
+        if not 0 <= begin < end:
+            raise LoadError(
+                f"between of a load is [{begin:g}, {end:g}] mm; it must be two places from the opening on, the "
+                "first before the second"
+            )
 
     def _check_gravity(self) -> None:
         if (self.densities is None) != (self.down is None):
@@ -92,25 +114,36 @@ class Load:
         """Whether a force turns with the tool."""
         return self.axes == "tool" and any(self.force)
 
-    def numbers(self, robot: Robot) -> Array:
-        """What models need to know, (7 + 3 d,), linear in the load.
+    @property
+    def distributed(self) -> bool:
+        """Whether a force acts along the body, beside the weight."""
+        return self.distributed_force is not None and any(self.distributed_force)
 
-        The force of base axes, that of tool axes, the axial moment, and the weight of every tube, N/mm, as a
-        vector. Raises LoadError where a robot cannot be told to bear the load.
+    def numbers(self, robot: Robot) -> Array:
+        """What models need to know, (12 + 3 d,), all of it 0 without a load.
+
+        The force of base axes, that of tool axes, the axial moment, the distributed force, the two places between
+        which it acts, and the weight of every tube, N/mm, as a vector. Raises LoadError where a robot cannot be
+        told to bear the load.
         """
         check_moduli(robot)
-        return np.concatenate([self._of_tip(), self._weights(robot).ravel()])
+        return np.concatenate([self._of_all(), self._weights(robot).ravel()])
+
+    def over(self, robot: Robot, part: Array) -> Array:
+        """The same (n, 12 + 3 d) at parts (n,) of a motion, from 0, its first frame, to 1; raises as numbers."""
+        return np.repeat(self.numbers(robot)[None], len(part), axis=0)
 
     def numbers_apart(self, d: int) -> Array:
         """The same of any robot of d tubes; raises LoadError where their weights count, which are not known."""
         if self.densities is not None:
             raise LoadError("a load with densities weighs on described tubes alone; leave them out for other ones")
-        return np.concatenate([self._of_tip(), np.zeros(3 * d)])
+        return np.concatenate([self._of_all(), np.zeros(3 * d)])
 
-    def _of_tip(self) -> Array:
+    def _of_all(self) -> Array:
         none = (0.0, 0.0, 0.0)
         in_base, in_tool = (none, self.force) if self.follows else (self.force, none)
-        return np.array([*in_base, *in_tool, self.axial_moment])
+        along = (*self.distributed_force, *self.between) if self.distributed else (*none, 0.0, 0.0)
+        return np.array([*in_base, *in_tool, self.axial_moment, *along])
 
     def _weights(self, robot: Robot) -> Array:
         """Weight of every tube, (d, 3) N/mm."""
@@ -142,14 +175,6 @@ class Load:
             raise LoadError(f"unknown key {unknown[0]!r} in a load; allowed are {', '.join(allowed)}")
         return cls(**data)
 
-    @classmethod
-    def from_toml(cls, path: str | Path) -> Load:
-        """The load of a TOML file; raises LoadError where it cannot be read or is not a load."""
-        try:
-            return cls.from_dict(read_toml(path))
-        except CtrError as error:
-            raise LoadError(f"load file {path}: {error}") from error
-
     def __str__(self) -> str:
         """In words, as tables and verdicts tell it."""
         told = []
@@ -158,6 +183,9 @@ class Load:
             told.append(f"a tip force of ({x:g}, {y:g}, {z:g}) N" + " in the tool's axes" * self.follows)
         if self.axial_moment:
             told.append(f"an axial moment of {self.axial_moment:g} N mm")
+        if self.distributed:
+            (x, y, z), (begin, end) = self.distributed_force, self.between
+            told.append(f"({x:g}, {y:g}, {z:g}) N/mm between {begin:g} and {end:g} mm from the opening")
         if self.densities is not None:
             told.append("its weight")
         return " and ".join(told) or "no load"

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.loads import Load
+from ctr_nlp.loads import Load, LoadOverTime
 from ctr_nlp.models.walker import Rigid, Walker
 from ctr_nlp.nlp.nlp import Inner
 from ctr_nlp.robot import Robot
@@ -159,7 +159,7 @@ class Model(ABC):
         """
 
     @property
-    def bears(self) -> Load | None:
+    def bears(self) -> Load | LoadOverTime | None:
         """The load that comes and goes while a robot stands; with one, frame_under must be defined."""
         return None
 
@@ -183,7 +183,7 @@ class Model(ABC):
         margin: ca.SX | None = None,
         tangents: bool = False,
     ) -> Shape:
-        """As frame, under a load whose numbers (7 + 3d, 1) are symbols; raises OptionError where none is borne."""
+        """As frame, under a load whose numbers (12 + 3d, 1) are symbols; raises OptionError where none acts."""
         raise OptionError(f"model is {self.name!r}, which bears no load")
 
     def points(self, robot: Robot, x: Array, sigma: Array) -> Array:

@@ -6,11 +6,10 @@ import importlib.metadata
 from collections.abc import Iterator, Mapping
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.loads import Load
+from ctr_nlp.loads import Load, LoadOverTime, steady
 from ctr_nlp.models.dominant import Dominant
 from ctr_nlp.models.elastic import Elastic
-from ctr_nlp.models.loaded.model import Loaded
-from ctr_nlp.models.loaded.pushed import Pushed
+from ctr_nlp.models.loaded.model import Loaded, Pushed
 from ctr_nlp.models.protocol import Model
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.values import check_choice
@@ -71,7 +70,7 @@ def model_named(model: str | Model, name: str = "model") -> Model:
     return MODELS[model]
 
 
-def under(model: str | Model, load: Load) -> Model:
+def under(model: str | Model, load: Load | LoadOverTime) -> Model:
     """A model of robots that bear a load; raises OptionError where it knows none."""
     described = model_named(model)
     if described.name != Loaded.name:
@@ -87,7 +86,7 @@ def pushed(model: str | Model, forces: Array) -> Model:
     described = model_named(model)
     if not forces.any():
         return described
-    load = described.bears or Load()
+    load = steady(described.bears, "a robot that bears a force at its tip, too,")
     under(described, load)
     return Pushed(load, forces)
 

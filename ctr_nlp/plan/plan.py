@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.exceptions import CtrError, LoadError, OutputError
-from ctr_nlp.loads import Load, with_modulus
+from ctr_nlp.loads import Load, LoadOverTime, with_modulus
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.plan.draws import DRAWS, SEED, robustness
@@ -53,13 +53,13 @@ class Plan(Record):
         """The same motion on another model: shapes, tip directions and stability of the robot moved through it."""
         return self._evaluated(model_named(model), {"evaluated": model, "load": None})
 
-    def under(self, load: Load) -> Plan:
-        """The same motion of the robot that bears a load all the time, on the elastic model (models/loaded).
+    def under(self, load: Load | LoadOverTime) -> Plan:
+        """The same motion of the robot that bears a load, on the elastic model (models/loaded).
 
         The load comes while the robot stands in the first frame, and is taken away in the last one. Raises
         LoadError where the load does not fit the robot, or this has no modulus in MPa (with_modulus).
         """
-        instance(LoadError, "load", load, Load)
+        instance(LoadError, "load", load, Load, LoadOverTime)
         model = Loaded(load)
         return self._evaluated(model, {"evaluated": model.name, "load": load.to_dict()})
 

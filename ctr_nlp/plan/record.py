@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.exceptions import OutputError
-from ctr_nlp.loads import Load
+from ctr_nlp.loads import Load, LoadOverTime, load_from_dict
 from ctr_nlp.models import MODELS, Model
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.plan.robustness import PREFIX, Robustness
@@ -87,7 +87,7 @@ class Record(Value):
         return str(self.meta.get("evaluated", self.meta["model"]))
 
     @cached_property
-    def bears(self) -> Load | None:
+    def bears(self) -> Load | LoadOverTime | None:
         """What the robot bears all the time there; None for nothing."""
         return load_of(self.meta, "load" if "load" in self.meta else "planned_load")
 
@@ -122,9 +122,9 @@ class Record(Value):
         return dict(self.meta.get("options", {}))
 
 
-def load_of(meta: Mapping[str, Any], name: str) -> Load | None:
+def load_of(meta: Mapping[str, Any], name: str) -> Load | LoadOverTime | None:
     """The load that a plan's meta tells under a name; None for none."""
-    return None if meta.get(name) is None else Load.from_dict(meta[name])
+    return None if meta.get(name) is None else load_from_dict(meta[name])
 
 
 def planned_on(meta: Mapping[str, Any]) -> Model:

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.loads import steady
 from ctr_nlp.plan.moved import e3_of, free_errors, lost, lumen_of, moved
 from ctr_nlp.plan.record import Record
 from ctr_nlp.simulation.forward import Simulator
@@ -51,6 +52,7 @@ def stretch(plan: AnyPlan, frames: slice) -> AnyPlan:
         raise OptionError(f"frames of a plan are {frames!r}; give [first:stop] within 0 and {count}")
     if len(chosen) == count:
         return plan
+    steady(plan.bears, "a part of a plan")
     first, stop = chosen.start, chosen.stop
     kept = {name: array[first:stop] for name, array in rows(plan).items()}
     kept["time"] = plan.dt * np.arange(1.0, len(chosen) + 1)
@@ -70,7 +72,8 @@ def stretch(plan: AnyPlan, frames: slice) -> AnyPlan:
 
 
 def turned(plan: AnyPlan) -> AnyPlan:
-    """The same motion played backwards, at the same pace."""
+    """The same motion played backwards, at the same pace; raises LoadError under a load over time."""
+    steady(plan.bears, "a plan that is played backwards")
     back = {name: array[::-1] for name, array in rows(plan).items() if name != "time"}
     count = len(plan.time) + 1
     meta: dict[str, Any] = {
@@ -95,6 +98,7 @@ def joined(plan: AnyPlan, other: Record) -> AnyPlan:
     if not isinstance(other, Record):
         raise OptionError(f"a plan is joined with {other!r:.80}; give another Plan")
     _check_alike(plan, other)
+    steady(plan.bears, "a plan that is joined with another one")
     first, second, count = rows(plan), rows(other), len(plan.time)
     both = {name: np.concatenate([first[name], second[name]]) for name in first if name in second}
     both["time"] = plan.dt * np.arange(1.0, len(both["time"]) + 1)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ctr_nlp.models.loaded.compiled import RodKind
+from ctr_nlp.models.loaded.acting import RodKind
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.model import curves
 from ctr_nlp.models.loaded.stability import pivots

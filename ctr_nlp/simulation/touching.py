@@ -18,7 +18,7 @@ import numpy as np
 from ctr_nlp.loads import Load
 from ctr_nlp.models import MODELS
 from ctr_nlp.models.elastic.torsion import sections
-from ctr_nlp.models.loaded.compiled import RodKind
+from ctr_nlp.models.loaded.acting import RodKind
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.models.loaded.tips import tip_angles
@@ -89,7 +89,7 @@ class Foundation:
     @cached_property
     def kind(self) -> RodKind:
         """Rods with forces along them."""
-        return RodKind(self.load.follows, PIECES)
+        return RodKind.of(self.load)._replace(pieces=PIECES)
 
     @cached_property
     def equilibria(self) -> LoadedEquilibria:

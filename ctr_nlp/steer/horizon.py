@@ -15,6 +15,7 @@ from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.formulations.wall import Wall, wall_of
+from ctr_nlp.loads import steady
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
@@ -104,6 +105,8 @@ class Horizon:
         begin = time.perf_counter()
         self.problem = problem
         self.ends = Ends(*checked_ends(problem, "best", start, end))
+        if self.ends.end is not None:
+            steady(self._model.bears, "a motion to an end that is given")
         self._names = {"formulation": "horizon", **self._model.told, "solver": solver}
         self._settings, self._terms = settings, checked_terms(terms)
         self._wall = wall_of(problem.robot, problem.sampled_lumen, self._model, settings)

@@ -13,6 +13,7 @@ from ctr_nlp.formulations.joint import joint
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms.shape import STRIDE
 from ctr_nlp.formulations.wall import ROUNDS, SETTLED, Wall, wall_of
+from ctr_nlp.loads import steady
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.robot import Robot
 from ctr_nlp.solvers.frame.adapter import OPTIMAL, Surroundings
@@ -58,6 +59,7 @@ class Steerer:
         number(OptionError, "dt", dt, lambda x: 0 < x < math.inf, "be a finite number > 0", " s")
         described = model_named(model)
         described.check(robot)
+        steady(described.bears, "a Steerer")
         q = robot.check(q)
         if lumen is not None and (not isinstance(lumen, Curve) or lumen.radius is None):
             raise OptionError(f"lumen is {lumen!r:.80}; it must be a curve with a radius, or None for no wall")

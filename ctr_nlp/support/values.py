@@ -63,10 +63,10 @@ def whole_number(error: type[CtrError], name: str, value: Any, least: int = 1) -
     return int(value)
 
 
-def instance(error: type[CtrError], name: str, value: Any, kind: type) -> None:
-    """Raise error unless a value is of a kind."""
-    if not isinstance(value, kind):
-        raise error(f"{name} is {value!r:.80}; it must be a {kind.__name__}")
+def instance(error: type[CtrError], name: str, value: Any, *kinds: type) -> None:
+    """Raise error unless a value is of one of some kinds."""
+    if not isinstance(value, kinds):
+        raise error(f"{name} is {value!r:.80}; it must be a {' or a '.join(kind.__name__ for kind in kinds)}")
 
 
 def checked_path(error: type[CtrError], path: Any) -> Path:

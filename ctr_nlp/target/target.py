@@ -30,7 +30,8 @@ class Frame(Kept):
     """The target of one frame at SIGMA.
 
     points (101, 3) mm; tangents (101, 3); length mm; radius (101,) mm of the lumen, or None; curve: that of which
-    it is the first part of this length; number: from 0, in its target. Arrays are read-only.
+    it is the first part of this length; number: from 0, in its target; part: of the motion that has passed there,
+    from 0 to 1. Arrays are read-only.
     """
 
     points: Array
@@ -39,6 +40,7 @@ class Frame(Kept):
     radius: Array | None
     curve: Curve
     number: int = 0
+    part: float = 0.0
 
     def at(self, sigma: Array) -> Array:
         """Points (n, 3) in mm at any sigma (n,), by the cubic through points and tangents."""
@@ -97,7 +99,7 @@ class Target(Value):
         found, frames = list[Frame](), range(len(self))
         for _, run in itertools.groupby(frames, lambda frame: id(self.curves[frame])):
             found += _sampled(
-                self.curves[len(found)], np.array([self.lengths[frame] for frame in run]), len(found)
+                self.curves[len(found)], np.array([self.lengths[frame] for frame in run]), len(found), len(self)
             )
         return tuple(found)
 
@@ -137,8 +139,11 @@ FINER = 8
 """Steps of the curvature's quadrature between two neighbours of SIGMA."""
 
 
-def _sampled(curve: Curve, lengths: Array, first: int) -> list[Frame]:
-    """Frames of these lengths (n,), mm, along one curve, which is evaluated for all of them at once."""
+def _sampled(curve: Curve, lengths: Array, first: int, total: int) -> list[Frame]:
+    """Frames of these lengths (n,), mm, along one curve, which is evaluated for all of them at once.
+
+    first: the number of the first one, from 0; total: how many frames the target has.
+    """
     frames = range(first, first + len(lengths))
     s = SIGMA * lengths[:, None]
 
@@ -155,7 +160,10 @@ def _sampled(curve: Curve, lengths: Array, first: int) -> list[Frame]:
     _check_direction(np.array(points), lengths, frames)
     radii = [None] * len(lengths) if curve.radius is None else known("radius", curve.radius)
     each = zip(points, tangents, lengths.tolist(), radii, frames, strict=True)
-    return [Frame(point, tangent, length, radius, curve, k) for point, tangent, length, radius, k in each]
+    last = max(total - 1, 1)
+    return [
+        Frame(point, tangent, length, radius, curve, k, k / last) for point, tangent, length, radius, k in each
+    ]
 
 
 def _check_direction(points: Array, lengths: Array, frames: range) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from loaded_plans import turned
 
-from ctr_nlp import Load, Plan
+from ctr_nlp import Load, Plan, read_load
 from ctr_nlp.cli.main import main
 from ctr_nlp.figures.beside import beside
 
@@ -31,7 +31,7 @@ def run(*argv: str) -> int:
 def test_a_plan_is_moved_under_a_load_of_a_file(saved, capsys):
     assert run("new", "load", "mine.toml") == 0
     assert "next: ctr-nlp under PLAN.npz --load mine.toml" in capsys.readouterr().out
-    load = Load.from_toml("mine.toml")
+    load = read_load("mine.toml")
     assert load == Load(force=(0.0, 0.05, 0.0))
     assert run("under", "plan.npz", "--load", "mine.toml", *NITINOL) == 0
     out = capsys.readouterr().out

@@ -23,14 +23,22 @@ def test_the_weight_of_a_steel_rod_is_its_mass_times_g():
     """A metre of 2 mm steel wire weighs 24.7 g."""
     rod = Robot((replace(NITINOL.tubes[2], outer_diameter=2.0, inner_diameter=0.0),))
     numbers = Load(densities=7.85, down=(0, 0, -3)).numbers(rod)
-    np.testing.assert_allclose(numbers[:7], 0)
-    np.testing.assert_allclose(numbers[7:] * 1000, [0, 0, -0.02466 * 9.80665], rtol=1e-3)
+    np.testing.assert_allclose(numbers[:12], 0)
+    np.testing.assert_allclose(numbers[12:] * 1000, [0, 0, -0.02466 * 9.80665], rtol=1e-3)
 
 
 def test_a_force_stands_in_the_axes_that_it_is_given_in():
     np.testing.assert_array_equal(Load(force=[0.1, 0, -0.2]).numbers(NITINOL)[:7], [0.1, 0, -0.2, 0, 0, 0, 0])
     held = Load(force=np.array([0.1, 0, -0.2]), axes="tool", axial_moment=2)
     np.testing.assert_array_equal(held.numbers(NITINOL)[:7], [0, 0, 0, 0.1, 0, -0.2, 2])
+
+
+def test_a_force_along_the_body_has_its_places_beside_it():
+    load = Load(distributed_force=[0, 0.002, 0], between=[20, 60])
+    np.testing.assert_array_equal(load.numbers(NITINOL)[7:12], [0, 0.002, 0, 20, 60])
+    assert load.conservative
+    assert "(0, 0.002, 0) N/mm between 20 and 60 mm from the opening" in str(load)
+    assert not Load(distributed_force=(0, 0, 0), between=(0, 5)).numbers(NITINOL).any()
 
 
 def test_only_what_keeps_its_direction_has_an_energy():
@@ -40,7 +48,7 @@ def test_only_what_keeps_its_direction_has_an_energy():
 
 
 def test_a_load_is_the_same_after_a_file():
-    load = Load((0.1, 0.2, 0.3), "tool", 4.0, (6.45, 6.45, 7.9), (0, 1, 0))
+    load = Load((0.1, 0.2, 0.3), "tool", 4.0, (6.45, 6.45, 7.9), (0, 1, 0), (0, 0.001, 0), (20, 60))
     assert Load.from_dict(load.to_dict()) == load
     assert hash(Load.from_dict(load.to_dict())) == hash(load)
 
@@ -56,6 +64,16 @@ def test_a_load_is_the_same_after_a_file():
         ({"axes": "world"}, r"axes of a load are 'world'; they must be base or tool"),
         ({"axial_moment": math.inf}, r"axial_moment of a load is inf N mm; it must be finite"),
         ({"axial_moment": -5000}, r"axial_moment of a load is -5000 N mm; it must be at most 1000 N mm; .*mN mm"),
+        ({"distributed_force": (0, 0.1, 0)}, r"distributed_force of a load needs between"),
+        ({"between": (0, 5)}, r"between of a load needs distributed_force"),
+        (
+            {"distributed_force": (0, 50, 0), "between": (0, 5)},
+            r"50 N/mm; it must be at most 10 N/mm; .*\(50 N/m\)",
+        ),
+        (
+            {"distributed_force": (0, 0.1, 0), "between": (9, 5)},
+            r"between of a load is \[9, 5\] mm; it must be two",
+        ),
         ({"densities": 6.45}, r"densities of a load needs down"),
         ({"down": (0, 0, 1)}, r"down of a load needs densities"),
         (

@@ -16,8 +16,8 @@ from ctr_nlp import Limits, Load, Robot, Tube, table_i_robot
 from ctr_nlp.exceptions import LoadError, OptionError
 from ctr_nlp.loads import with_modulus
 from ctr_nlp.models import MODELS, under
-from ctr_nlp.models.loaded import compiled
-from ctr_nlp.models.loaded.compiled import RodKind
+from ctr_nlp.models.loaded import acting, compiled
+from ctr_nlp.models.loaded.acting import RodKind
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.models.loaded.stability import margins
@@ -48,7 +48,21 @@ def drawn_case(seed):
 def same(pull):
     """As a load."""
     weight = {"densities": pull.density, "down": pull.down} if pull.density else {}
-    return Load(pull.force, axial_moment=pull.axial_moment, **weight)
+    along = {"distributed_force": pull.along, "between": pull.between} if any(pull.along) else {}
+    return Load(pull.force, axial_moment=pull.axial_moment, **weight, **along)
+
+
+def leaning(seed):
+    """A case that something leans on, too, with up to 0.02 N/mm along a half of it; every third to its tip."""
+    robot, q, pull = drawn_case(seed)
+    rng, length = np.random.default_rng(seed), q[2 * robot.d - 1]
+    along, begin = rng.normal(size=3), rng.uniform(0, 0.5) * length
+    along *= rng.uniform(0, 0.02) / np.linalg.norm(along)
+    return (
+        robot,
+        q,
+        replace(pull, along=tuple(along), between=(begin, begin + (0.5 if seed % 3 else 2.0) * length)),
+    )
 
 
 def rod_state(force, beta=150.0):
@@ -62,9 +76,9 @@ def rod_state(force, beta=150.0):
     return equilibria, state
 
 
-def compared(seed):
+def compared(seed, case=drawn_case):
     """The largest distance from shooting, mm, or None where that finds nothing on the way."""
-    robot, q, pull = drawn_case(seed)
+    robot, q, pull = case(seed)
     try:
         expected = LoadedShot(robot, q, pull).points(SIGMA)
     except Unsolved:
@@ -80,11 +94,28 @@ def test_loaded_shapes_match_shooting_from_the_base(seed):
     assert error < 0.001
 
 
+@pytest.mark.parametrize("seed", [0, 1, 3, 7])
+def test_shapes_that_something_leans_on_match_shooting_from_the_base(seed):
+    error = compared(seed, leaning)
+    assert error is not None
+    assert error < 0.001
+
+
+def test_a_force_along_the_body_bends_a_rod_as_it_bends_a_cantilever():
+    """A stiff rod whose outer half bears w mm of it: the tip gives in by 41 w L^4 / (384 EI)."""
+    w = 1e-6
+    load = Load(distributed_force=(w, 0, 0), between=(75.0, 400.0))
+    points = Loaded(load).points(ROD, Loaded(load).rest(ROD, np.array([0.0, 150.0, 0.0, 0.0]))[None], SIGMA)[0]
+    expected = 41 * w * 150**4 / (384 * ROD.tubes[0].bending_stiffness)
+    assert points[-1, 0] == pytest.approx(expected, rel=1e-3)
+
+
 @pytest.mark.slow
 def test_two_hundred_loaded_shapes_match_shooting_from_the_base():
-    errors = [error for seed in range(230) if (error := compared(seed)) is not None][:200]
-    assert len(errors) == 200
-    assert max(errors) < 0.001
+    for case in (drawn_case, leaning):
+        errors = [error for seed in range(230) if (error := compared(seed, case)) is not None][:200]
+        assert len(errors) == 200
+        assert max(errors) < 0.001
 
 
 @pytest.mark.parametrize("number", range(truth.CASES))
@@ -165,7 +196,7 @@ def test_a_rod_bends_as_the_elastica_does():
 def test_a_hanging_rod_bends_by_its_weight():
     """w L^4 / (8 EI), while that is small."""
     load = Load(densities=6.45, down=(0, -1, 0))
-    weight = -load.numbers(ROD)[8]
+    weight = -load.numbers(ROD)[13]
     model = Loaded(load)
     tip = model.points(ROD, model.rest(ROD, np.array([0.0, 150, 0, 0]))[None], np.ones(1))[0, 0]
     assert tip[1] == pytest.approx(-weight * 150**4 / (8 * ROD.tubes[0].bending_stiffness), rel=1e-3)
@@ -293,7 +324,7 @@ def test_a_tube_pushed_out_beyond_its_curved_part_may_be_the_last_one():
 
 def test_rods_go_over_to_compiled_code_once_it_is_there(monkeypatch):
     """Until then they are interpreted, in the same object."""
-    offers = [(compiled.symbolic(ROD.structure, compiled.PLAIN), 1)] * 3
+    offers = [(compiled.symbolic(ROD.structure, acting.PLAIN), 1)] * 3
     fastest = compiled._fastest
     monkeypatch.setattr(compiled, "_fastest", lambda *which: offers.pop() if offers else fastest(*which))
     equilibria, state = rod_state(0.1)

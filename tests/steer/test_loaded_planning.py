@@ -12,9 +12,20 @@ from problems import named
 from rows import central
 from test_elastic_planning import TIES
 
-from ctr_nlp import Load, Loaded, Plan, Problem, Steerer, sequence, solve_horizon, solve_per_frame, table_i_robot
+from ctr_nlp import (
+    Load,
+    Loaded,
+    LoadOverTime,
+    Plan,
+    Problem,
+    Steerer,
+    sequence,
+    solve_horizon,
+    solve_per_frame,
+    table_i_robot,
+)
 from ctr_nlp.cli.main import main
-from ctr_nlp.exceptions import OptionError
+from ctr_nlp.exceptions import LoadError, OptionError
 from ctr_nlp.formulations.frame import filled, program
 from ctr_nlp.formulations.joint import terms_of
 from ctr_nlp.loads import with_modulus
@@ -27,6 +38,7 @@ PULL = Load(force=(0.1, -0.2, 0.15))
 LOADS = {
     "force": PULL,
     "tool force and moment": Load(force=(0.1, 0.2, -0.1), axes="tool", axial_moment=2.0),
+    "force along the body": Load((0.05, 0.0, 0.0), distributed_force=(0.0, 0.004, 0.0), between=(10.0, 40.0)),
     "weight": Load(force=(0.0, 0.1, 0.0), densities=6.45, down=(1, 0, 0)),
 }
 EVERY_LOAD = pytest.mark.parametrize("kind", LOADS)
@@ -135,11 +147,15 @@ def reachable():
     return Problem("reachable", robot, sequence([curve_from_points(shape) for shape in free.shape])), free
 
 
+CONSTANT, LEANING = Load(force=(0.0, 0.1, 0.0)), Load(distributed_force=(0.0, 0.004, 0.0), between=(20.0, 70.0))
+CHANGING = LoadOverTime([CONSTANT, LEANING, Load()], [0.0, 0.5, 1.0])
+
+
 @pytest.mark.parametrize("solve", [solve_per_frame, solve_horizon])
-def test_a_plan_that_knows_the_load_makes_up_for_it(reachable, solve):
+@pytest.mark.parametrize("load", [CONSTANT, LEANING, CHANGING], ids=["constant", "along the body", "over time"])
+def test_a_plan_that_knows_the_load_makes_up_for_it(reachable, solve, load):
     """At most a tenth of the error that is left without; and its file tells the load."""
     problem, free = reachable
-    load = Load(force=(0.0, 0.1, 0.0))
     found = solve(problem, model=Loaded(load))
     blind = np.sqrt((np.linalg.norm(free.under(load).shape - found.target, axis=-1) ** 2).mean())
     left = np.sqrt((np.linalg.norm(found.shape - found.target, axis=-1) ** 2).mean())
@@ -181,6 +197,11 @@ def test_what_cannot_be_planned_under_a_load_is_refused(tmp_path, monkeypatch, c
     argv = ["plan", "line", "--frames", "4", "--force", "0", "0.02", "0", "--youngs-modulus", "60000"]
     assert main(argv) == 2
     assert "does not go with the dominant model" in capsys.readouterr().err
+
+
+def test_a_steerer_bears_no_load_that_changes():
+    with pytest.raises(LoadError, match="a Steerer needs a load that stays the same; this one changes over time"):
+        Steerer(NITINOL, [0, 0, 0, 0, 20, 40, 0, 0], 0.05, model=Loaded(CHANGING))
 
 
 def test_a_steerer_under_a_load_says_that_it_keeps_no_lumen():

@@ -56,7 +56,7 @@ def raised_by_hand(plan: Plan, frame: int, directions: np.ndarray, most: float) 
     going, found = np.arange(len(directions)), np.full(len(directions), np.inf)
     states = alone.rows(np.zeros(len(directions), dtype=int))
     for force in np.geomspace(LEAST, most, math.ceil(math.log(most / LEAST, RATIO))):
-        load = np.zeros((len(going), 7 + 3 * robot.d))
+        load = np.zeros((len(going), follower.loaded.rods.size))
         load[:, :3] = force * directions[going]
         states, done = follower.loaded.along(states, states.q, load)
         found[going[done < 1]] = force

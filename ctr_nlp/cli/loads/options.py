@@ -6,7 +6,7 @@ import argparse
 from dataclasses import replace
 
 from ctr_nlp.cli.arguments import add_triple
-from ctr_nlp.loads import Load, with_modulus
+from ctr_nlp.loads import Load, LoadOverTime, read_load, with_modulus
 from ctr_nlp.models import Model, model_named, under
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.target.problem import Problem
@@ -26,7 +26,7 @@ def add_modulus_option(parser: argparse.ArgumentParser) -> None:
 def add_load_options(parser: argparse.ArgumentParser, required: bool = True) -> None:
     """What the robot bears: a file, or a tip force alone."""
     group = parser.add_mutually_exclusive_group(required=required)
-    told = "what the robot bears all the time (`ctr-nlp new load FILE.toml` writes one to start from)"
+    told = "what the robot bears, all the time or changing (`ctr-nlp new load FILE.toml` writes one to start from)"
     group.add_argument("--load", metavar="FILE.toml", help=told)
     add_triple(group, "force", "a force at the tip alone, in N, in the directions of the base")
 
@@ -37,9 +37,9 @@ def read_plan(arguments: argparse.Namespace) -> Plan:
     return plan if arguments.youngs_modulus is None else plan.with_modulus(arguments.youngs_modulus)
 
 
-def read_load(arguments: argparse.Namespace) -> Load:
+def asked_load(arguments: argparse.Namespace) -> Load | LoadOverTime:
     """The load that add_load_options asks for; raises LoadError."""
-    return Load(force=arguments.force) if arguments.load is None else Load.from_toml(arguments.load)
+    return Load(force=arguments.force) if arguments.load is None else read_load(arguments.load)
 
 
 def with_asked_modulus(problem: Problem, arguments: argparse.Namespace) -> Problem:
@@ -53,4 +53,4 @@ def asked_model(model: str, arguments: argparse.Namespace) -> Model:
     """The model of a name, under the load where one was given; raises LoadError, OptionError."""
     if arguments.load is None and arguments.force is None:
         return model_named(model)
-    return under(model, read_load(arguments))
+    return under(model, asked_load(arguments))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ctr_nlp.cli.arguments import add_figures_option, add_out_option
 from ctr_nlp.cli.console import Command, console
-from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, read_load, read_plan
+from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, asked_load, read_plan
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.report import draw, exit_status, print_report, write
@@ -41,7 +41,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    plan, load = read_plan(arguments), read_load(arguments)
+    plan, load = read_plan(arguments), asked_load(arguments)
     out = Path(arguments.out or f"runs/{path_component(str(plan.meta['problem']['name']))}-under")
     planned = _planned(plan, arguments.beside)
     check_folder(out, "under")

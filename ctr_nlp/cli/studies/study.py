@@ -42,11 +42,13 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         'the extra `study`: pip install "ctr_nlp[study]".',
     )
     parser.add_argument("study", metavar="STUDY.toml")
-    told = "scheduler of a Dask cluster to work on, as tcp://HOST:PORT (default: processes of this machine)"
+    told = "scheduler of a Dask cluster to work on, as tcp://HOST:PORT or tls://HOST:PORT (default: processes of "
+    told += "this machine)"
     parser.add_argument("--address", metavar="URL", help=told)
     cores = os.cpu_count() or 1
     parser.add_argument("--workers", metavar="N", type=whole, help=f"processes of this machine (default {cores})")
-    told = f"seconds that a plan may take before it is given up (default {PATIENCE:g})"
+    told = "seconds that a plan may take before it is given up; begun again with more, the study tries it again "
+    told += f"(default {PATIENCE:g})"
     parser.add_argument("--patience", metavar="S", type=float, default=PATIENCE, help=told)
     parser.add_argument("--plans", action="store_true", help="keep the plans themselves, too, in DIR/plans")
     told = (
@@ -89,6 +91,9 @@ def _run(arguments: argparse.Namespace) -> int:
         asked = {"keep_plans": arguments.plans, "patience": arguments.patience}
         progress = run_study(study, out, client, seen=seen, stop=interrupted, **asked)
         stopped = interrupted() and progress.done < progress.total
+    if stopped and not progress.done:
+        console().print("Nothing was written: the study was stopped before its first plan was done.")
+        return INTERRUPTED
     found = _found(study, out, "problem")
     _print(found, arguments.study)
     done = "all" if progress.done == progress.total else f"{progress.done} of {progress.total}"
@@ -172,7 +177,8 @@ def _print(found: Groups, study: str) -> None:
         rows.append([group.name, str(group.plans), str(group.failed), *means])
     print_table(f"plans by {found.column}, means", (found.column, "plans", "failed", *shown), rows)
     worst = [[f"{bad.error:.3g}", bad.problem, bad.robot, bad.digest[:SHORT]] for bad in found.worst]
-    print_table("plans of the largest e3", ("e3 mm", "problem", "robot", "digest for --only"), worst)
+    if worst:
+        print_table("plans of the largest e3", ("e3 mm", "problem", "robot", "digest for --only"), worst)
     for failure in found.failures:
         again = f"ctr-nlp study {study} --only {failure.digest[:SHORT]}"
         console().print(f"{failure.plans} failed: {failure.reason} Again: {again}", markup=False, soft_wrap=True)

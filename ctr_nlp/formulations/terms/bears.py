@@ -6,18 +6,22 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from ctr_nlp.formulations.terms.term import Body, Parts, Symbols, Term
-from ctr_nlp.loads.load import OF_TIP
+from ctr_nlp.loads import Load, LoadOverTime
+from ctr_nlp.loads.load import BEFORE_WEIGHTS
+from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import Structure
 from ctr_nlp.target.target import Frame
-from ctr_nlp.typing import Array
 
 
 @dataclass(frozen=True, eq=False)
 class Bears(Term):
-    """The numbers (7 + 3d,) of a load (loads.Load.numbers), the same in every frame."""
+    """The numbers (12 + 3d,) of a load (loads.Load.over) that a robot bears in every frame."""
 
-    acting: Array
+    load: Load | LoadOverTime
+    robot: Robot
     name = "load"
 
     @property
@@ -26,13 +30,13 @@ class Bears(Term):
         return type(self)
 
     def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
-        """load: N, N mm and N/mm."""
-        return {self.name: (OF_TIP + 3 * structure.d, 1)}
+        """load: N, N mm, N/mm and mm."""
+        return {self.name: (BEFORE_WEIGHTS + 3 * structure.d, 1)}
 
     def build(self, body: Body, parameters: Symbols) -> Parts:
         """Nothing beside the shape, which was made with the load."""
         return Parts()
 
     def fill(self, frame: Frame) -> Mapping[str, Any]:
-        """The numbers."""
-        return {self.name: self.acting}
+        """The numbers in that part of the motion."""
+        return {self.name: self.load.over(self.robot, np.array([frame.part]))[0]}

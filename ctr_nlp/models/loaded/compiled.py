@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -13,17 +12,14 @@ import numpy as np
 from ctr_nlp.codegen import cache, vector
 from ctr_nlp.codegen.background import Library
 from ctr_nlp.codegen.mapped import Mapped
-from ctr_nlp.models.elastic.torsion import Section, sections
-from ctr_nlp.models.loaded.rod import Loading, Softness, Tip, integrated
+from ctr_nlp.loads.load import BEFORE_WEIGHTS
+from ctr_nlp.models.elastic.torsion import sections
+from ctr_nlp.models.loaded.acting import RodKind, loading
+from ctr_nlp.models.loaded.rod import Softness, Tip, integrated
 from ctr_nlp.models.loaded.vectors import vectors
 from ctr_nlp.models.protocol import symbolic_tubes
 from ctr_nlp.robot.structure import NUMBERS, Structure
 from ctr_nlp.typing import Array
-
-STEPS = 18
-"""Steps of integration a section where numbers are wanted."""
-OF_TIP = 7
-"""Numbers of a load that act at the tip (loads.Load.numbers); three a tube follow."""
 
 
 class Ends(NamedTuple):
@@ -40,39 +36,6 @@ class Ends(NamedTuple):
     def slopes(self) -> Array:
         """How turns and angles at the base follow those at the tip, (T, d + 2, d + 2)."""
         return functools.reduce(lambda found, response: response @ found, self.responses.swapaxes(0, 1))
-
-
-def loading(values: Sequence[Any]) -> Loading:
-    """The numbers of a load as models take them."""
-    return Loading(tuple(values[:3]), tuple(values[3:6]), values[6], vectors(values[OF_TIP:]))
-
-
-class RodKind(NamedTuple):
-    """What kind of rods: whether a force turns with the tip; into how many pieces every section is divided, along
-    each of which a force per length of its own acts, or 0 where none does.
-    """
-
-    follows: bool = False
-    pieces: int = 0
-
-    def divided(self, parts: Sequence[Section]) -> list[Section]:
-        """The sections, or their pieces, from base to tip."""
-        return [piece for part in parts for piece in part.divided(self.pieces)] if self.pieces else list(parts)
-
-    @property
-    def steps(self) -> int:
-        """Of integration, in each of these."""
-        return STEPS // max(self.pieces, 1)
-
-    def numbers(self, structure: Structure) -> int:
-        """How many numbers a load has: of loads.Load.numbers, and then three of every piece, N/mm, if any."""
-        d, shown = structure.d, structure.shown
-        parts = sum(1 + sum(shown[i:]) for i in range(d))
-        return OF_TIP + 3 * d + 3 * self.pieces * parts
-
-
-PLAIN = RodKind()
-"""Those of loads that keep their direction, without forces along the robot."""
 
 
 @functools.lru_cache(maxsize=64)
@@ -94,7 +57,8 @@ def symbolic(structure: Structure, kind: RodKind) -> ca.Function:
         kind.steps,
         soft=Softness(*ca.vertsplit(soft)),
         follows=kind.follows,
-        pressed=vectors(ca.vertsplit(load)[OF_TIP + 3 * d :]),
+        distributed=kind.distributed,
+        pressed=vectors(ca.vertsplit(load)[BEFORE_WEIGHTS + 3 * d :]),
     )
     reach = zip(rod.angles, rod.rates, tubes, extensions, strict=True)
     angles = [angle - rate * (tube.length - out) for angle, rate, tube, out in reach]

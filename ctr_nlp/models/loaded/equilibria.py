@@ -15,7 +15,8 @@ import numpy as np
 
 from ctr_nlp.models.dominant.shape import base_frame
 from ctr_nlp.models.elastic.compiled import LEAP, SMALLEST, STRAY
-from ctr_nlp.models.loaded.compiled import PLAIN, Ends, RodKind, Rods
+from ctr_nlp.models.loaded.acting import PLAIN, RodKind
+from ctr_nlp.models.loaded.compiled import Ends, Rods
 from ctr_nlp.models.loaded.tips import axes_of, turned, unknowns
 from ctr_nlp.robot.structure import Structure
 from ctr_nlp.typing import Array, Flags
@@ -27,7 +28,7 @@ WIDEST = 1.0
 
 
 class States(NamedTuple):
-    """T equilibria of robots of numbers (T, d, 6): q (T, 2d + 2); load (T, 7 + 3d); the tip, angles (T, d)
+    """T equilibria of robots of numbers (T, d, 6): q (T, 2d + 2); load (T, 12 + 3d); the tip, angles (T, d)
     relative to its axes (T, 3, 3).
 
     slopes (T, d + 2, d + 2): how tilt and motors follow the tip (rod.Rod); determinant (T,): of these.
@@ -152,7 +153,7 @@ class LoadedEquilibria:
     def ends(
         self, numbers: Array, angles: Array, axes: Array, q: Array, load: Array, soft: Array | None = None
     ) -> Ends:
-        """The rods of tips, at the extensions of q (T, 2d + 2) and under loads (T, 7 + 3d)."""
+        """The rods of tips, at the extensions of q (T, 2d + 2) and under loads (T, 12 + 3d)."""
         soft = np.ones((len(q), 2)) if soft is None else soft
         return self.rods(numbers, angles, axes, q[:, self.d : 2 * self.d], load, soft)
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ctr_nlp.loads import Load
+from ctr_nlp.loads import Load, LoadOverTime
 from ctr_nlp.models.elastic.equilibria import Equilibria
-from ctr_nlp.models.loaded.compiled import RodKind
+from ctr_nlp.models.loaded.acting import RodKind, eased
 from ctr_nlp.models.loaded.course import Course, course
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.stability import margins
@@ -21,11 +21,13 @@ TURNING = 0.3
 class Follower:
     """Follows robots of numbers (N, d, 6), each under a load of its own, side by side; one object a thread."""
 
-    def __init__(self, structure: Structure, numbers: Array, load: Load, acting: Array) -> None:
-        """load: of which kind they all are; acting: the numbers (N, 7 + 3d) of each."""
+    def __init__(self, structure: Structure, numbers: Array, load: Load | LoadOverTime, acting: Array) -> None:
+        """load: of which kind they all are; acting: the numbers of each, (N, 12 + 3d), or (N, M, 12 + 3d) at every
+        place of a way.
+        """
         self._numbers, self._acting, self._conservative = numbers, acting, load.conservative
         self._elastic = [Equilibria(structure, own) for own in numbers]
-        self.loaded = LoadedEquilibria(structure, RodKind(load.follows))
+        self.loaded = LoadedEquilibria(structure, RodKind.of(load))
 
     def settled(self, q: Array) -> tuple[Index, States]:
         """Which robots come to rest at q (N, 2d + 2) without a load and without a history; their states."""
@@ -35,10 +37,14 @@ class Follower:
         known = self._numbers[which], q[which], tips.reshape(len(which), self._numbers.shape[1])
         return which, self.loaded.unloaded(*known)
 
+    def _at(self, place: int) -> Array:
+        """The numbers (N, 12 + 3d) at a place of a way."""
+        return self._acting if self._acting.ndim == 2 else self._acting[:, place]
+
     def rest(self, q: Array) -> Array:
         """The unknowns (N, 2d + 2) there after the load has come; NaN of robots that snap on the way."""
         which, states = self.settled(q)
-        states, done = self.loaded.along(states, q[which], self._acting[which])
+        states, done = self.loaded.along(states, q[which], self._at(0)[which])
         found = np.full(q.shape, np.nan)
         found[which[done == 1]] = states.rows(done == 1).unknowns
         return found
@@ -68,7 +74,7 @@ class Follower:
             if fresh:
                 which, states = self.settled(q[:, j])
             else:
-                reached, done = self.loaded.along(states, q[which, j], part * self._acting[which])
+                reached, done = self.loaded.along(states, q[which, j], eased(self._at(places.at[j])[which], part))
                 for k in np.flatnonzero(done < 1):
                     snaps[which[k]].append(Snap(int(frame) + 1, _leaving(reached.slopes[k]), None))
                 which, states = which[done == 1], reached.rows(done == 1)

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.loads import Load
+from ctr_nlp.loads import Load, LoadOverTime
+from ctr_nlp.loads.load import BEFORE_WEIGHTS
 from ctr_nlp.models.dominant.shape import columns_of
 from ctr_nlp.models.elastic import shape
 from ctr_nlp.models.elastic.torsion import sections
-from ctr_nlp.models.loaded.compiled import OF_TIP, RodKind, loading
+from ctr_nlp.models.loaded.acting import RodKind, loading
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.following import Follower
 from ctr_nlp.models.loaded.rod import Tip, integrated
@@ -33,27 +34,35 @@ TOGETHER = 128
 
 @dataclass(frozen=True)
 class Loaded(Model):
-    """Torsionally compliant tubes under a load; without one the elastic model, to 0.001 mm."""
+    """Torsionally compliant tubes under a load; without one the elastic model, to 0.001 mm.
 
-    load: Load
+    Under a load over time the rows of x and q are the frames of the whole motion; rest is that of its first one.
+    """
+
+    load: Load | LoadOverTime
 
     name = "elastic"
     several_equilibria = True
     can_snap = True
 
     @property
-    def bears(self) -> Load:
+    def bears(self) -> Load | LoadOverTime:
         """The load."""
         return self.load
 
     @property
     def form(self) -> Loaded:
-        """As Model.form: one for loads that keep their direction, and one for those that turn with the tip."""
-        return TURNING if self.load.follows else STEADY
+        """As Model.form: one for each kind of rod."""
+        return FORMS[self.kind]
+
+    @property
+    def kind(self) -> RodKind:
+        """What kind of rods it makes of robots."""
+        return RodKind.of(self.load)
 
     def check(self, robot: Robot) -> None:
         """Raise LoadError unless the robot tells its moduli, and the load fits it."""
-        self.load.numbers(robot)
+        self._over(robot, 1)
 
     def frame(
         self,
@@ -78,7 +87,7 @@ class Loaded(Model):
     ) -> Shape:
         """As Model.frame_under."""
         acting = loading(ca.vertsplit(load))
-        return shape_under(acting, self.load.follows, structure, tubes, places, margin, tangents)
+        return shape_under(acting, self.kind, structure, tubes, places, margin, tangents)
 
     def points(self, robot: Robot, x: Array, sigma: Array) -> Array:
         """As Model.points."""
@@ -88,17 +97,21 @@ class Loaded(Model):
         """As Model.tangents."""
         return self._curves(robot, x, sigma)[1]
 
+    def _over(self, robot: Robot, rows: int) -> Array:
+        """Numbers (rows, 12 + 3d) of what acts in every frame of a motion."""
+        return self.load.over(robot, np.linspace(0.0, 1.0, rows))
+
     def _curves(self, robot: Robot, x: Array, sigma: Array) -> tuple[Array, Array]:
-        acting = self.load.numbers(robot)[None]
-        return curves(robot.structure, robot.numbers[None], acting, x, sigma, RodKind(self.load.follows))
+        acting = self._over(robot, len(x))
+        return curves(robot.structure, robot.numbers[None], acting, x, sigma, self.kind)
 
     def points_apart(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
         """As Model.points_apart; raises LoadError where tubes' weights count."""
         acting = self.acting_apart(structure.d, len(x))
-        return curves(structure, numbers, acting, x, sigma, RodKind(self.load.follows))[0]
+        return curves(structure, numbers, acting, x, sigma, self.kind)[0]
 
     def acting_apart(self, d: int, rows: int) -> Array:
-        """Numbers (rows, 7 + 3d) of what acts on robots of d tubes, a row each; raises as points_apart."""
+        """Numbers (rows, 12 + 3d) of what acts on robots of d tubes, a row each; raises as points_apart."""
         return np.repeat(self.load.numbers_apart(d)[None], rows, axis=0)
 
     def margins(self, robot: Robot, x: Array) -> Array:
@@ -106,25 +119,24 @@ class Loaded(Model):
         found, known = np.full(len(x), np.nan), np.isfinite(x).all(axis=1)
         if self.load.conservative and known.any():
             equilibria = self._equilibria(robot)
-            found[known] = margins(equilibria, self._states(equilibria, robot, x[known]))
+            acting = self._over(robot, len(x))
+            found[known] = margins(equilibria, self._states(equilibria, robot, x[known], acting[known]))
         return found
 
     def states(self, robot: Robot, x: Array) -> States:
         """The states of unknowns x (T, 2d + 2), each an equilibrium of its own configuration."""
-        return self._states(self._equilibria(robot), robot, x)
+        return self._states(self._equilibria(robot), robot, x, self._over(robot, len(x)))
 
-    def _states(self, equilibria: LoadedEquilibria, robot: Robot, x: Array) -> States:
-        of_robot, acting = (
-            np.repeat(each[None], len(x), axis=0) for each in (robot.numbers, self.load.numbers(robot))
-        )
+    def _states(self, equilibria: LoadedEquilibria, robot: Robot, x: Array, acting: Array) -> States:
+        of_robot = np.repeat(robot.numbers[None], len(x), axis=0)
         return equilibria.states(of_robot, *tips(x, robot.d), x[:, robot.d : 2 * robot.d], acting)
 
     def _equilibria(self, robot: Robot) -> LoadedEquilibria:
-        return LoadedEquilibria(robot.structure, RodKind(self.load.follows))
+        return LoadedEquilibria(robot.structure, self.kind)
 
     def rest(self, robot: Robot, q: Array) -> Array:
         """Where all tubes are turned to together from alpha_d, and then loaded; NaN where it snaps on the way."""
-        found: Array = self._follower(robot).rest(np.asarray(q, dtype=float)[None])[0]
+        found: Array = self._follower(robot, self._over(robot, 1)).rest(np.asarray(q, dtype=float)[None])[0]
         return found
 
     def guess(self, robot: Robot, q: Array) -> Array:
@@ -147,8 +159,10 @@ class Loaded(Model):
 
         x0 is not looked at: a robot is where the load has brought it.
         """
-        way = passage(np.asarray(q, dtype=float), substeps)
-        return self._follower(robot).followed(way, way.q[None])[0]
+        q = np.asarray(q, dtype=float)
+        way = passage(q, substeps)
+        acting = passage(np.hstack([q, self._over(robot, len(q))]), substeps).q[:, q.shape[1] :]
+        return self._follower(robot, acting[None]).followed(way, way.q[None])[0]
 
     def follow_apart(
         self, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True
@@ -160,11 +174,36 @@ class Loaded(Model):
             found += follower.followed(way, q[some], margins)
         return found
 
-    def _follower(self, robot: Robot) -> Follower:
-        return Follower(robot.structure, robot.numbers[None], self.load, self.load.numbers(robot)[None])
+    def _follower(self, robot: Robot, acting: Array) -> Follower:
+        return Follower(robot.structure, robot.numbers[None], self.load, acting)
 
 
-STEADY, TURNING = Loaded(Load()), Loaded(Load(force=(0.0, 0.0, 1.0), axes="tool"))
+@dataclass(frozen=True, eq=False)
+class Pushed(Loaded):
+    """The same of n robots, each of which bears one of forces (n, 3), N, beside the load.
+
+    The forces are in the directions of the base. Only robots apart bear them: follow_apart, points_apart.
+    """
+
+    forces: Array
+
+    def acting_apart(self, d: int, rows: int) -> Array:
+        """As Loaded.acting_apart, of the n robots after one another, each with as many of the rows."""
+        found = super().acting_apart(d, rows)
+        found[:, :3] += np.repeat(self.forces, rows // len(self.forces), axis=0)
+        return found
+
+
+UNIT = (0.0, 0.0, 1.0)
+FORMS = {
+    RodKind.of(load): Loaded(load)
+    for load in (
+        Load(),
+        Load(UNIT, "tool"),
+        Load(distributed_force=UNIT, between=(0.0, 1.0)),
+        Load(UNIT, "tool", distributed_force=UNIT, between=(0.0, 1.0)),
+    )
+}
 """What programs are made of."""
 
 
@@ -177,9 +216,9 @@ def curves(
     d1, d2, t = (_vector(axes[:, k]) for k in range(3))
     parts = kind.divided(sections(tubes, beta, np, planes=False))
     tip, load = Tip(columns_of(angles), (d1, d2, t)), columns_of(acting)
-    pressed, steps = vectors(load[OF_TIP + 3 * d :]), min(kind.steps, PIECE)
+    pressed, steps = vectors(load[BEFORE_WEIGHTS + 3 * d :]), min(kind.steps, PIECE)
     at = tubes, tip, beta, parts, loading(load), np, kind.steps
-    rod = integrated(*at, follows=kind.follows, pressed=pressed)
+    rod = integrated(*at, follows=kind.follows, distributed=kind.distributed, pressed=pressed)
     curved = [
         vector
         for tangents in rod.tangents

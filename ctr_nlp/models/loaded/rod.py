@@ -4,9 +4,9 @@ At the tip force and moment are known. With the tubes' angles there, relative to
 that does not spin along the robot, everything is integrated to the base, and every such start is an equilibrium
 (Rucker, Jones, Webster, A Geometrically Exact Model for Externally Loaded Concentric-Tube Continuum Robots, IEEE
 Transactions on Robotics 26(5), 2010; Antman, Nonlinear Problems of Elasticity). n is the internal force, m the
-moment:
+moment, w a force per length that acts between two places:
 
-    n' = -weight,   m' = -t x n,   d_1' = -u_1 t,   d_2' = -u_2 t,   t' = u_1 d_1 + u_2 d_2
+    n' = -weight - w,   m' = -t x n,   d_1' = -u_1 t,   d_2' = -u_2 t,   t' = u_1 d_1 + u_2 d_2
     u_1 = (m . d_2 + sum EI_i k_i cos psi_i) / sum EI_i,   u_2 = (-m . d_1 + sum EI_i k_i sin psi_i) / sum EI_i
     GJ_i psi_i'' = EI_i k_i u x e(psi_i),   psi_i'(beta_i) = 0, but GJ_d psi_d'(beta_d) is the axial moment.
 
@@ -26,24 +26,12 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.models.elastic.torsion import Node, Section, curvatures_at, moved
+from ctr_nlp.models.loaded.acting import Along, Loading
 from ctr_nlp.models.loaded.vectors import cross, dot, plus, scaled, total, vectors
 from ctr_nlp.robot.structure import Tubes
 from ctr_nlp.typing import Vector
 
 Values = list[Any]
-
-
-class Loading(NamedTuple):
-    """A load's numbers (loads.Load.numbers) as models take them: numbers, columns (T, 1), or symbols.
-
-    force: N, in the base's directions. tool_force: N, in those of the tip. moment: N mm. weights: of every tube,
-    N/mm.
-    """
-
-    force: Vector
-    tool_force: Vector
-    moment: Any
-    weights: Sequence[Vector]
 
 
 class Tip(NamedTuple):
@@ -96,13 +84,16 @@ class Rod(NamedTuple):
 
 @dataclass(frozen=True)
 class _Section:
-    """What holds along a section: the numbers of its tubes, and the force at its end towards the tip."""
+    """What holds along a section: the numbers of its tubes, and the force at its end towards the tip, without what
+    acts along the body between two places.
+    """
 
     tubes: Tubes
     beta: Sequence[Any]
     part: Section
     force: Vector
     weight: Vector
+    along: Along | None
     soft: Softness
     xp: Any
 
@@ -124,6 +115,8 @@ class _Section:
         twist = {i: self.tubes[i].torsional_ratio * k[i] for i in active}
         turns = [twist[i] * (u1 * sin[i] - u2 * cos[i]) if i in twist else 0.0 for i in range(d)]
         n = plus(self.force, self.end - s, self.weight)
+        if self.along is not None:
+            n = plus(n, self.along.beyond(s), self.along.force)
         bends = plus(scaled(u1, d1), u2, d2)
         found = [*rates, *turns, *scaled(-u1, t), *scaled(-u2, t), *bends, *cross(n, t)]
         if by is None:
@@ -160,11 +153,13 @@ def integrated(
     *,
     soft: Softness | None = None,
     follows: bool = False,
+    distributed: bool = False,
     pressed: Sequence[Vector] = (),
 ) -> Rod:
     """The rod of a tip, in so many steps a section of Runge and Kutta's method of order 4.
 
-    soft: of the responses; None for none. follows: whether tool_force counts. pressed: forces per length, N/mm,
+    soft: of the responses; None for none. follows: whether tool_force counts; distributed: whether the load's
+    distributed force does. pressed: forces per length, N/mm,
     that act along each of the parts beside the tubes' weights; none by default.
     """
     d, force = len(tubes), load.force
@@ -180,9 +175,10 @@ def integrated(
     ]
     by = None if soft is None else _changes(tip, load, follows, xp)
     states, responses = [], list[list[Any]]()
+    along = Along(load.distributed, load.between, beta[-1], xp) if distributed else None
     for k, part in reversed(list(enumerate(parts))):
         weight = total([*(load.weights[i] for i in part.present), *pressed[k : k + 1]])
-        section = _Section(tubes, beta, part, force, weight, soft or Softness(), xp)
+        section = _Section(tubes, beta, part, force, weight, along, soft or Softness(), xp)
         nodes = [y]
         for step in range(steps):
             y, by = _stepped(section, step, steps, y, by)

@@ -10,6 +10,7 @@ from ctr_nlp.models.dominant.shape import base_frame
 from ctr_nlp.models.elastic.shape import powers, travels, turned
 from ctr_nlp.models.elastic.stability import determinant, responses
 from ctr_nlp.models.elastic.torsion import sections
+from ctr_nlp.models.loaded.acting import RodKind
 from ctr_nlp.models.loaded.rod import Loading, Rod, Tip, integrated
 from ctr_nlp.models.loaded.vectors import dot
 from ctr_nlp.models.protocol import Places, Shape, combination, matrix_of, vectors_of
@@ -23,14 +24,14 @@ STEPS = 4
 
 def shape_under(
     load: Loading,
-    follows: bool,
+    kind: RodKind,
     structure: Structure,
     tubes: Tubes,
     places: Places,
     margin: ca.SX | None,
     tangents: bool,
 ) -> Shape:
-    """The shape of one frame, as Model.frame; follows: whether a force turns with the tip."""
+    """The shape of one frame, as Model.frame; kind: of the rod."""
     d, x = structure.d, ca.SX.sym("x", 2 * structure.d + 2)
     entries = ca.vertsplit(x)
     beta, w = entries[d : 2 * d], entries[2 * d :]
@@ -39,7 +40,7 @@ def shape_under(
         turned(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (w[0], w[1], 0.0)),
     )
     parts = sections(tubes, beta, ca, planes=False)
-    rod = integrated(tubes, tip, beta, parts, load, ca, STEPS, follows=follows)
+    rod = integrated(tubes, tip, beta, parts, load, ca, STEPS, follows=kind.follows, distributed=kind.distributed)
     lengths, turns = travels(tubes, beta, parts, places(beta), ca, STEPS // 2)
     curves = [vector for at in rod.tangents for vector in powers(at)]
     theta = tilt(rod.axes[2])

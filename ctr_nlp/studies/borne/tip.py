@@ -12,10 +12,10 @@ import numpy as np
 
 from ctr_nlp.exceptions import LoadError, OptionError
 from ctr_nlp.formulations.around import Beside
-from ctr_nlp.loads import Load
+from ctr_nlp.loads import steady
 from ctr_nlp.loads.load import FORCE
 from ctr_nlp.models import MODELS
-from ctr_nlp.models.loaded.compiled import RodKind
+from ctr_nlp.models.loaded.acting import RodKind
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.models.loaded.tips import tip_angles
@@ -133,9 +133,9 @@ def forces(
     number(OptionError, "most", most, lambda x: 0 < x <= FORCE, f"lie in (0, {FORCE:g}]", " N")
     if off is not None:
         number(OptionError, "off", off, lambda x: 0 <= x < math.inf, "be a finite number >= 0", " mm")
-    load, way = plan.bears or Load(), directions_of(directions)
+    load, way = steady(plan.bears, "a search for the forces that a tip bears"), directions_of(directions)
     numbers = load.numbers(plan.robot)
-    equilibria = LoadedEquilibria(plan.robot.structure, RodKind(load.follows))
+    equilibria = LoadedEquilibria(plan.robot.structure, RodKind.of(load))
     which, states = _standing(plan, numbers, equilibria, whole_number(OptionError, "every", every))
     if not len(which):
         raise LoadError("the plan has no frame in which its robot stands under its load; no more can be borne")

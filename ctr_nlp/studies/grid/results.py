@@ -28,6 +28,9 @@ class Results:
 
     folder: Path
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "folder", Path(self.folder))
+
     def known(self) -> set[str]:
         """Digests of the cases that have rows; raises OutputError."""
         if not self._files:

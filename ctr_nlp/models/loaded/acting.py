@@ -1,0 +1,106 @@
+"""What acts on rods, as models take it, and what kinds of rods it makes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from ctr_nlp.loads import Load, LoadOverTime
+from ctr_nlp.loads.load import BEFORE_WEIGHTS, BETWEEN
+from ctr_nlp.models.elastic.torsion import Section
+from ctr_nlp.models.loaded.vectors import vectors
+from ctr_nlp.robot.structure import Structure
+from ctr_nlp.typing import Array, Vector
+
+STEPS = 18
+"""Steps of integration a section where numbers are wanted."""
+GENTLE = 1.0
+"""mm to both sides of a place where a force along the body begins or ends, within which it does so."""
+
+
+class Loading(NamedTuple):
+    """A load's numbers (loads.Load.numbers) as models take them: numbers, columns (T, 1), or symbols.
+
+    force: N, in the base's directions. tool_force: N, in those of the tip. moment: N mm. distributed: N/mm, which
+    acts between two places, mm from the opening. weights: of every tube, N/mm.
+    """
+
+    force: Vector
+    tool_force: Vector
+    moment: Any
+    distributed: Vector
+    between: tuple[Any, Any]
+    weights: Sequence[Vector]
+
+
+def loading(values: Sequence[Any]) -> Loading:
+    """The numbers of a load as models take them."""
+    force, tool_force, distributed = vectors([*values[:6], *values[7:10]])
+    return Loading(force, tool_force, values[6], distributed, (values[10], values[11]), vectors(values[12:]))
+
+
+@dataclass(frozen=True)
+class Along:
+    """A force per length, N/mm, which begins and ends gently at two places, mm, of a robot of some length."""
+
+    force: Vector
+    between: tuple[Any, Any]
+    length: Any
+    xp: Any
+
+    def beyond(self, s: Any) -> Any:
+        """The length from s to the tip along which it acts, mm."""
+        return self._after(s) - self._after(self.length)
+
+    def _after(self, s: Any) -> Any:
+        """The same for a robot without an end."""
+        begin, end = self.between
+        return self._rest(end - s) - self._rest(begin - s)
+
+    def _rest(self, left: Any) -> Any:
+        """max(left, 0), rounded within GENTLE of 0."""
+        near = self.xp.fmin(self.xp.fmax(left, -GENTLE), GENTLE)
+        return (near + GENTLE) ** 2 / (4 * GENTLE) + self.xp.fmax(left - GENTLE, 0.0)
+
+
+def eased(acting: Array, part: float) -> Array:
+    """Numbers (N, l) of loads of which a part has come, from 0 to 1: all but the places between which they act."""
+    found = part * acting
+    found[:, BETWEEN] = acting[:, BETWEEN]
+    return found
+
+
+class RodKind(NamedTuple):
+    """What kind of rods: whether a force turns with the tip; whether one acts between two places along the body;
+    into how many pieces every section is divided, along each of which a force per length of its own acts, or 0
+    where none does.
+    """
+
+    follows: bool = False
+    distributed: bool = False
+    pieces: int = 0
+
+    @classmethod
+    def of(cls, load: Load | LoadOverTime) -> RodKind:
+        """That of robots which bear a load."""
+        return cls(load.follows, load.distributed)
+
+    def divided(self, parts: Sequence[Section]) -> list[Section]:
+        """The sections, or their pieces, from base to tip."""
+        return [piece for part in parts for piece in part.divided(self.pieces)] if self.pieces else list(parts)
+
+    @property
+    def steps(self) -> int:
+        """Of integration, in each of these."""
+        return STEPS // max(self.pieces, 1)
+
+    def numbers(self, structure: Structure) -> int:
+        """How many numbers a load has: of loads.Load.numbers, and then three of every piece, N/mm, if any."""
+        d, shown = structure.d, structure.shown
+        parts = sum(1 + sum(shown[i:]) for i in range(d))
+        return BEFORE_WEIGHTS + 3 * d + 3 * self.pieces * parts
+
+
+PLAIN = RodKind()
+"""Those of loads that keep their direction, without forces along the robot."""
