@@ -20,7 +20,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 import scipy.linalg
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad, solve_ivp
 from scipy.optimize import fsolve
 from scipy.spatial.transform import Rotation
 
@@ -173,11 +173,16 @@ class LoadedShot:
         return np.array([self.at(s)[-3:] for s in sigma * self.beta[-1]])
 
     def tips(self):
-        """Angles of the tubes' tips against the innermost one's own, there where each ends, less its tip's."""
-        d = self.robot.d
-        return np.array([self.at(b)[i] for i, b in enumerate(self.beta)]), self.at(self.beta[-1])[
-            2 * d : 2 * d + 9
+        """Angles (d,) of the tubes' tips relative to a frame that does not spin along the robot, and that frame
+        (3, 3) at the last tip, column by column, where it is the innermost tube's own.
+        """
+        d, last = self.robot.d, self.beta[-1]
+        spin = [
+            quad(lambda s: self.at(s)[2 * d - 1], b, last, limit=200)[0] if b < last else 0.0 for b in self.beta
         ]
+        return np.array([self.at(b)[i] for i, b in enumerate(self.beta)]) - spin, self.at(last)[
+            2 * d : 2 * d + 9
+        ].reshape(3, 3)
 
     def margin(self, elements=24):
         """The least mu of (H - mu K) x = 0, by elements between which the frame and the tubes turn evenly.
@@ -198,6 +203,11 @@ class LoadedShot:
             middle = (low + high) / 2
             low, high = (middle, high) if least(middle) > 0 else (low, middle)
         return (low + high) / 2
+
+    def stable(self, elements=8):
+        """Whether H is positive definite."""
+        stiff, _ = self._variations(elements)
+        return bool(scipy.linalg.eigvalsh(stiff, subset_by_index=[0, 0])[0] > 0)
 
     def _variations(self, elements):
         """H and K there, over turns of the frame at every node and angles of the tubes but the last."""
@@ -237,6 +247,28 @@ class LoadedShot:
         stiff, slopes = (each.full() for each in found)
         torsional = slopes.T @ (np.array(weights)[:, None] * slopes)
         return stiff[np.ix_(kept, kept)], torsional[np.ix_(kept, kept)]
+
+
+@dataclass(frozen=True)
+class AnyShot(LoadedShot):
+    """Some equilibrium, stable or not: what is found from unknowns that are drawn with a seed."""
+
+    seed: int = 0
+
+    @cached_property
+    def solution(self):
+        """The pieces between places."""
+        rng = np.random.default_rng(self.seed)
+        guess = rng.uniform(0, 1.5) * rng.normal(size=self.robot.d + 2)
+        unknown, _, ended, _ = fsolve(
+            lambda z: self.shoot(z, self.q, 1.0, 1e-6)[0], guess, full_output=True, maxfev=100
+        )
+        if ended == 1:
+            unknown = fsolve(lambda z: self.shoot(z, self.q, 1.0)[0], unknown, xtol=1e-10, epsfcn=1e-8)
+            lacks, pieces = self.shoot(unknown, self.q, 1.0, 1e-11, dense=True)
+            if abs(lacks).max() < 1e-7:
+                return pieces
+        raise Unsolved
 
 
 def _turn(v):

@@ -21,7 +21,7 @@ from ctr_nlp.steer.horizon import solve_horizon
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.support.interrupt import deferred_interrupt, end_if_interrupted
-from ctr_nlp.support.pool import side_by_side
+from ctr_nlp.support.pool import Jobs, side_by_side
 from ctr_nlp.support.values import whole_number
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Index
@@ -43,7 +43,7 @@ def divided(
     rules: Manufacture | None = None,
     fixed: Sequence[str] = (),
     constant_curvature: bool = False,
-    jobs: int = 1,
+    jobs: Jobs = 1,
     settings: Settings = DEFAULTS,
     progress: Progress | None = None,
 ) -> list[list[Problem]]:
@@ -85,7 +85,7 @@ def suited(
     problems: Sequence[Problem],
     robots: Sequence[Robot],
     settings: Settings = DEFAULTS,
-    jobs: int = 1,
+    jobs: Jobs = 1,
     model: str | Model = "elastic",
 ) -> Index:
     """Which of several robots, from 0, follows each problem best on some of its frames, without tolerances."""

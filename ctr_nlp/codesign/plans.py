@@ -16,7 +16,7 @@ from ctr_nlp.plan.robustness import Robustness
 from ctr_nlp.steer.horizon import solve_horizon
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.robust import solve_robust
-from ctr_nlp.support.pool import side_by_side
+from ctr_nlp.support.pool import Jobs, side_by_side
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
@@ -28,14 +28,14 @@ def planned_on(
     model: str | Model = "elastic",
     initial: Sequence[Array] = (),
     walls: bool = False,
-    jobs: int = 1,
+    jobs: Jobs = 1,
     progress: Progress | None = None,
 ) -> list[Plan]:
     """Plans of tasks on their robot as a design makes them: for tolerances unless nominal.
 
     walls: whether they are kept within the lumens; otherwise they are made as if there were no walls. initial: for
     each task, if given, a motion (T, 2d + 2) to start from. Robust plans start from others only where that does
-    not do; nominal ones always, and the better of both is the plan. jobs: in how many processes. After Ctrl-C some
+    not do; nominal ones always, and the better of both is the plan. jobs: as of side_by_side. After Ctrl-C some
     plans may be missing.
     """
     given = [[motion] for motion in initial] or [list[Array]()] * len(tasks)

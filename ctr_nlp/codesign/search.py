@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
-from ctr_nlp.exceptions import CtrError
+from ctr_nlp.exceptions import CtrError, ProblemError
 from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.shared.design import FREED, DesignedTubes
@@ -24,7 +24,9 @@ from ctr_nlp.solvers.scenarios import SharedSolution, SharedSolver
 from ctr_nlp.solvers.scenarios.condensed import Condensed
 from ctr_nlp.steer.horizon import Horizon, solve_horizon
 from ctr_nlp.steer.robust.plan import MOTION_PART
-from ctr_nlp.steer.robust.search import RobustSearch, Start
+from ctr_nlp.steer.robust.search import RobustSearch, Start, Tried
+from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.support.pool import Jobs, side_by_side
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
@@ -92,7 +94,8 @@ def never() -> bool:
 class DesignSearch:
     """Solves for tubes over tasks, whose problems differ in their targets alone.
 
-    margin: the least of every robot; seen: told of what comes of every round.
+    margin: the least of every robot; seen: told of what comes of every round; jobs: where tasks are worked on that
+    do not depend on each other (side_by_side).
     """
 
     tasks: tuple[Problem, ...]
@@ -101,6 +104,7 @@ class DesignSearch:
     margin: float
     stop: Callable[[], bool] = never
     seen: Callable[[Candidate], None] | None = None
+    jobs: Jobs = 1
 
     @cached_property
     def settings(self) -> Settings:
@@ -116,9 +120,16 @@ class DesignSearch:
         return [replace(task, robot=robot) for task in self.tasks]
 
     def planned(self, p: Array) -> Motions:
-        """Motions of the tasks on tubes p as they are, each for itself; raises CtrError where p is no robot."""
+        """Motions of the tasks on tubes p as they are, each for itself.
+
+        Raises CtrError where p is no robot, and where Ctrl-C came first.
+        """
         robot = self.tubes.robot_of(p)
-        plans = [solve_horizon(task, model=self.model, settings=self.settings) for task in self.on(robot)]
+        plan = partial(solve_horizon, model=self.model, settings=self.settings)
+        made = dict(side_by_side(plan, self.on(robot), self.jobs))
+        if len(made) < len(self.tasks):
+            raise ProblemError("the work on some tasks of a design was interrupted")
+        plans = [made[number] for number in range(len(self.tasks))]
         q = np.concatenate([plan.q for plan in plans])
         tips = [self.model.follow(robot, plan.q).x[:, : robot.d] for plan in plans]
         e3 = [summary(plan)["e3"] if plan.success.all() else np.nan for plan in plans]
@@ -155,21 +166,33 @@ class DesignSearch:
     def shared(self, known: Candidate, robots: Robots) -> Candidate | None:
         """The same tubes with motions that scenarios share, each task's for itself; None where one has none."""
         robot = self.tubes.robot_of(known.p)
-        scenarios = robots(robot)
-        q, phi, e3 = list[Array](), list[Array](), list[float]()
-        parts = zip(self.on(robot), self.each(known.motions.q), self.each(known.motions.phi[:, 0]), strict=True)
-        for task, of_task, tips in parts:
-            weight = MOTION_PART * self._balanced(task, of_task)
-            margins = np.full(task.frames, self.margin)
-            search = RobustSearch(task, self.model, Ends(), (), weight, margins, stop=self.stop)
-            x = np.concatenate([tips, of_task[:, robot.d :]], axis=1)
-            tried = search.solve(Start(known.start, x), scenarios)
-            if not tried.solved:
+        tips = self.each(known.motions.phi[:, 0])
+        tasks = list(zip(self.on(robot), self.each(known.motions.q), tips, strict=True))
+        work, tried = partial(self.portable.shared_of, known.start, robots(robot)), dict[int, Tried]()
+        for number, one in side_by_side(work, tasks, self.jobs):
+            if not one.solved:
                 return None
-            q.append(tried.solution.q)
-            phi.append(tried.solution.phi)
-            e3.append(np.sqrt(tried.solution.objective / task.frames))
-        return replace(known, motions=Motions(np.concatenate(q), np.concatenate(phi), np.array(e3)))
+            tried[number] = one
+        if len(tried) < len(tasks):
+            return None  # Ctrl-C came first
+        found = [tried[number].solution for number in range(len(tasks))]
+        e3 = np.sqrt([one.objective / len(one.q) for one in found])
+        q, phi = (np.concatenate([getattr(one, name) for one in found]) for name in ("q", "phi"))
+        return replace(known, motions=Motions(q, phi, e3))
+
+    def shared_of(self, start: str, scenarios: Scenarios, known: tuple[Problem, Array, Array]) -> Tried:
+        """What comes of one task's motion (T, 2d + 2), with tips (T, d), that scenarios are to share."""
+        task, of_task, tips = known
+        weight = MOTION_PART * self._balanced(task, of_task)
+        x, margins = np.concatenate([tips, of_task[:, task.robot.d :]], axis=1), np.full(task.frames, self.margin)
+        with deferred_interrupt() as interrupted:
+            search = RobustSearch(task, self.model, Ends(), (), weight, margins, stop=interrupted)
+            return search.solve(Start(start, x), scenarios)
+
+    @property
+    def portable(self) -> DesignSearch:
+        """The same without what no process can be handed."""
+        return replace(self, tubes=replace(self.tubes), stop=never, seen=None, jobs=1)
 
     def refined(self, known: Candidate, robots: Robots, pull: float, barrier: float) -> Candidate | None:
         """Tubes and motions after one round from known ones; None where it leads to no motions that go on."""

@@ -16,7 +16,7 @@ from ctr_nlp.codesign.doubts import doubts
 from ctr_nlp.codesign.plans import planned_on
 from ctr_nlp.codesign.request import draft, search_for
 from ctr_nlp.codesign.rounding import FINALISTS, Stocked, in_stock
-from ctr_nlp.codesign.search import AGAIN, Candidate, DesignSearch, Robots, alone, error_of, never
+from ctr_nlp.codesign.search import AGAIN, Candidate, DesignSearch, Robots, alone, error_of
 from ctr_nlp.codesign.starts import starts as first_tubes
 from ctr_nlp.codesign.stock import StockTube, nearest
 from ctr_nlp.exceptions import OptionError, ProblemError
@@ -32,7 +32,7 @@ from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.robust.tolerated import scenarios_of
 from ctr_nlp.steer.starts.search import drafted
 from ctr_nlp.support.interrupt import deferred_interrupt
-from ctr_nlp.support.pool import side_by_side
+from ctr_nlp.support.pool import Jobs, side_by_side
 from ctr_nlp.support.values import whole_number
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
@@ -97,7 +97,7 @@ def design(
     constant_curvature: bool = False,
     starts: int = STARTS,
     walls: bool = False,
-    jobs: int = 1,
+    jobs: Jobs = 1,
     stock: Sequence[StockTube] | None = None,
     settings: Settings = DEFAULTS,
     progress: Progress | None = None,
@@ -113,7 +113,9 @@ def design(
     stay as they are, such as outer_diameter_1. constant_curvature: whether curved parts are arcs; otherwise their
     curvatures are linear in arc length. starts: tubes that are tried, the robot's own and random ones
     (settings.seed). walls: whether the plans are kept within the lumens; tubes are chosen as if there were no
-    walls. jobs: in how many processes starts and plans are worked on. stock: tubing (read_stock) to
+    walls. jobs: in how many processes starts, tasks and plans are worked on, or a distributed.Client, on whose
+    cluster they are: of a cohort of dozens of problems only what all of them share is then solved for here.
+    stock: tubing (read_stock) to
     which tubes are rounded, with lengths and curvatures that can be made; without it diameters are free.
     settings.stability_margin: the least of every robot. On the dominant model stiffness does not count, and
     diameters are found by the rules alone. Ctrl-C ends the work; the design is then the best so far,
@@ -122,7 +124,7 @@ def design(
     count = whole_number(OptionError, "starts", starts)
     with deferred_interrupt() as interrupted:
         whole = search_for(problems, model, rules, fixed, constant_curvature, settings)
-        whole = replace(whole, stop=interrupted)
+        whole = replace(whole, stop=interrupted, jobs=jobs)
         if stock is not None:
             nearest(stock, whole.tubes, whole.tubes.own)  # refuses what cannot nest before anything is solved
         search = replace(whole, tasks=tuple(draft(task) for task in whole.tasks))
@@ -160,13 +162,17 @@ def design(
 
 
 def _tried(
-    search: DesignSearch, count: int, seed: int, jobs: int, progress: Progress | None
+    search: DesignSearch, count: int, seed: int, jobs: Jobs, progress: Progress | None
 ) -> tuple[Candidate | None, list[Candidate]]:
-    """The robot's own tubes as they are, and what came of every start that led anywhere."""
+    """The robot's own tubes as they are, and what came of every start that led anywhere.
+
+    Starts are worked on side by side where there are as many as processes; otherwise the tasks of each are.
+    """
     begun, found = dict[int, Candidate | None](), dict[int, Candidate]()
     starts = list(itertools.islice(first_tubes(search.tubes, seed), count))
-    alike = replace(search, tubes=replace(search.tubes), stop=never)  # without what no process can be handed
-    for number, (before, after) in side_by_side(partial(_settled, alike), starts, jobs):
+    apart, within = (jobs, 1) if isinstance(jobs, int) and len(starts) >= jobs else (1, jobs)
+    alike = replace(search.portable, jobs=within)
+    for number, (before, after) in side_by_side(partial(_settled, alike), starts, apart):
         begun[number] = before
         if after is not None:
             found[number] = after
@@ -210,7 +216,7 @@ def _plans(
     nominal: bool,
     model: str | Model,
     walls: bool,
-    jobs: int,
+    jobs: Jobs,
     progress: Progress | None,
     best: Candidate,
 ) -> list[Plan]:

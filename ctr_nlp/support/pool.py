@@ -1,4 +1,4 @@
-"""Work on many things in several processes, until Ctrl-C."""
+"""Work on many things in several processes, or on a Dask cluster, until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -6,15 +6,18 @@ import os
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing import get_context
 from typing import Any, TypeVar
 
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.support.extras import needed
 from ctr_nlp.support.interrupt import deferred_interrupt, share_interrupt
 
 Thing = TypeVar("Thing")
 Found = TypeVar("Found")
+Jobs = int | Any
+"""In how many processes of this machine, or a distributed.Client of the cluster on which, something is done."""
 
 POLL = 0.2
 """Seconds between two looks at whether Ctrl-C was pressed."""
@@ -23,17 +26,21 @@ THREADS = "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"
 
 
 def side_by_side(
-    work: Callable[[Thing], Found], things: Sequence[Thing], jobs: int
+    work: Callable[[Thing], Found], things: Sequence[Thing], jobs: Jobs
 ) -> Iterator[tuple[int, Found]]:
     """What work makes of things, each with its number in their order, as they are done.
 
-    jobs: in how many processes; with 1 in this one. work and things must be fit for pickling where there are more.
+    jobs: in how many processes, with 1 in this one; or a distributed.Client, on whose cluster it is done. work and
+    things must be fit for pickling where it is done elsewhere.
     After Ctrl-C nothing new is begun, and what is at work is told (deferred_interrupt). Raises OptionError, and
     what work raises.
     """
-    if jobs < 1:
-        raise OptionError(f"jobs is {jobs}; it must be at least 1")
     with deferred_interrupt() as interrupted:
+        if not isinstance(jobs, int):
+            yield from _on_cluster(work, things, jobs, interrupted)
+            return
+        if jobs < 1:
+            raise OptionError(f"jobs is {jobs}; it must be at least 1")
         if jobs > 1:
             yield from _elsewhere(work, things, jobs, interrupted)
             return
@@ -61,6 +68,22 @@ def _elsewhere(
                     waiting = {task for task in waiting if not task.cancel()}
         finally:
             pool.shutdown(cancel_futures=True)
+
+
+def _on_cluster(
+    work: Callable[[Thing], Found], things: Sequence[Thing], client: Any, interrupted: Callable[[], bool]
+) -> Iterator[tuple[int, Found]]:
+    distributed = needed("distributed")
+    tasks = {client.submit(work, thing, pure=False): number for number, thing in enumerate(things)}
+    waiting = set(tasks)
+    try:
+        while waiting and not interrupted():
+            with suppress(TimeoutError, distributed.TimeoutError):
+                finished, waiting = distributed.wait(waiting, timeout=POLL, return_when="FIRST_COMPLETED")
+                for task in finished:
+                    yield tasks[task], task.result()
+    finally:
+        client.cancel(list(waiting))
 
 
 @contextmanager

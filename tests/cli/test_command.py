@@ -11,7 +11,7 @@ import pytest
 from problems import NAMES, ROOT
 
 import ctr_nlp
-from ctr_nlp import Load, Plan, Robot
+from ctr_nlp import Plan, Robot, read_load
 from ctr_nlp.cli.commands import doctor
 from ctr_nlp.cli.commands.new import KINDS, template
 from ctr_nlp.cli.main import COMMANDS, load, main
@@ -237,7 +237,8 @@ def test_a_new_file_is_written_once_and_is_good(kind, tmp_path, monkeypatch, cap
     if kind == "problem":
         assert from_python(file, 4, 10.0, None).frames == 4
     else:
-        {"robot": Robot, "hardware": Hardware, "load": Load}.get(kind, Study).from_toml(file)
+        read = {"robot": Robot.from_toml, "hardware": Hardware.from_toml, "load": read_load}
+        read.get(kind, Study.from_toml)(file)
     Path(file).write_text("mine now")
     assert run("new", kind, file) == 2
     assert f"{file} exists and is left as it is" in capsys.readouterr().err

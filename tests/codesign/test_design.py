@@ -19,6 +19,7 @@ from ctr_nlp.cli.main import main
 from ctr_nlp.codesign.starts import starts
 from ctr_nlp.exceptions import OptionError, ProblemError
 from ctr_nlp.formulations.shared.design import DesignedTubes
+from ctr_nlp.studies.workers.clients import local_client
 from ctr_nlp.target.curve import curve_from_formula
 
 PAIR = Robot(TWO.tubes)
@@ -136,6 +137,18 @@ def test_a_design_for_tolerances_carries_robust_plans(tasks):
 def test_two_processes_find_what_one_alone_finds(tasks):
     """The same work from the same starts: to the last bit."""
     alone, several = (design(tasks[:1], nominal=True, rules=RULES, starts=2, jobs=jobs) for jobs in (1, 2))
+    assert alone.robot == several.robot
+    assert alone.tried == several.tried
+    np.testing.assert_array_equal(alone.plans[0].q, several.plans[0].q)
+
+
+@pytest.mark.parametrize("nominal", [True, False])
+def test_a_cluster_finds_what_one_process_finds(tasks, nominal):
+    pytest.importorskip("distributed", reason="the extra `study` is not installed")
+    asked = {"nominal": nominal, "rules": RULES, "starts": 1}
+    alone = design(tasks[:1] if not nominal else tasks, **asked)
+    with local_client(2) as client:
+        several = design(tasks[:1] if not nominal else tasks, **asked, jobs=client)
     assert alone.robot == several.robot
     assert alone.tried == several.tried
     np.testing.assert_array_equal(alone.plans[0].q, several.plans[0].q)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -9,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import truth
-from loaded_truth import LoadedShot, Pull, Unsolved
+from loaded_truth import AnyShot, LoadedShot, Pull, Unsolved
 from strategies import drawn
 
 from ctr_nlp import Limits, Load, Robot, Tube, table_i_robot
@@ -21,7 +22,7 @@ from ctr_nlp.models.loaded.acting import RodKind
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.models.loaded.stability import margins
-from ctr_nlp.models.loaded.tips import tips
+from ctr_nlp.models.loaded.tips import tips, unknowns
 from ctr_nlp.models.protocol import passage
 
 pytestmark = pytest.mark.interpreted
@@ -149,6 +150,36 @@ def test_margins_of_many_match_a_discretised_energy():
     for found, expected in known:
         assert found == pytest.approx(expected, abs=1.5e-3 if expected > 0.998 else 1e-3)
         assert (found > 0) == (expected > 0)
+
+
+def test_signs_of_margins_are_those_of_a_discretised_energy():
+    assert signs((4, 8, 9, 10)) == {True, False}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", range(10))
+def test_signs_of_a_thousand_margins_are_those_of_a_discretised_energy(part):
+    """A tenth of them."""
+    assert signs(itertools.count(1000 * part), 100) == {True, False}
+
+
+def signs(seeds, most=math.inf):
+    """Whether so many equilibria, stable or not, are stable, which our margins and the energy must agree on."""
+    found = []
+    for seed in seeds:
+        robot, q, pull = margin_case(seed)
+        shot = AnyShot(robot, q, pull, seed)
+        try:
+            angles, axes = shot.tips()
+        except Unsolved:
+            continue
+        x, model = unknowns(angles[None], axes.T[None], q[None]), Loaded(same(pull))
+        np.testing.assert_allclose(model.points(robot, x, SIGMA)[0], shot.points(SIGMA), atol=2e-3)
+        assert (model.margins(robot, x)[0] > 0) == shot.stable(), seed
+        found.append(shot.stable())
+        if len(found) == most:
+            break
+    return set(found)
 
 
 def margin_case(seed):

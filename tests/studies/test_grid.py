@@ -317,10 +317,11 @@ def test_the_command_does_a_study_and_tells_it_by_a_column(tmp_path, monkeypatch
     (tmp_path / "s.toml").write_text('frames = 4\n[problems]\nnames = ["arc"]\n[settings]\nseed = [0, 1]\n')
     assert main(["study", "s.toml", "--workers", "1", "--out", "here"]) == 0
     assert "rows of all plans; 0 of them were known, and 0 failed" in capsys.readouterr().out
-    assert main(["study", "s.toml", "--by", "set_seed", "--out", "here"]) == 0
+    assert main(["study", "s.toml", "--by", "set_seed", "--page", "--out", "here"]) == 0
     told = capsys.readouterr().out
     assert "plans by set_seed" in told
     assert "plans of the largest e3" in told
+    assert "arc, its own, " in (tmp_path / "here" / "worst.html").read_text()
     assert (tmp_path / "here" / "by.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "here" / "study.toml").read_text() == (tmp_path / "s.toml").read_text()
     assert main(["study", "s.toml", "--by", "colour", "--out", "here"]) == 2

@@ -34,6 +34,7 @@ from ctr_nlp.studies.paper.runs import (
     study,
 )
 from ctr_nlp.studies.paper.section import mm
+from ctr_nlp.studies.workers.clients import local_client
 from ctr_nlp.support.pool import side_by_side
 
 FRAMES = 4
@@ -395,6 +396,14 @@ def test_tasks_are_run_once(monkeypatch, plan):
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_work_side_by_side_keeps_its_order_by_number(jobs):
     assert dict(side_by_side(operator.neg, [3, 5, 7], jobs)) == {0: -3, 1: -5, 2: -7}
+
+
+def test_work_on_a_cluster_keeps_its_order_by_number_and_raises_what_work_raises():
+    pytest.importorskip("distributed", reason="the extra `study` is not installed")
+    with local_client(2) as client:
+        assert dict(side_by_side(operator.neg, [3, 5, 7], client)) == {0: -3, 1: -5, 2: -7}
+        with pytest.raises(TypeError):
+            dict(side_by_side(operator.neg, [3, "five"], client))
 
 
 def test_processes_keep_to_one_thread_each(monkeypatch):

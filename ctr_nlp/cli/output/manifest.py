@@ -47,7 +47,7 @@ STANDARD: Mapping[str, tuple[str, ...]] = {
     "baselines": ("baselines.md", "baselines.csv", "baselines.png", "baselines.pdf"),
     "trade": ("trade.md", "trade.csv", "trade.json"),
     "study": ("study.toml",),
-    "by": ("by.png",),
+    "by": ("by.png", "worst.html"),
     "survival": ("survival.md", "survival.csv", "survival.png", "survival.pdf"),
     "seed": (
         *("seed.md", "table2.csv", "fig9d.csv", "fig9d.png"),

@@ -6,6 +6,7 @@ import argparse
 import itertools
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,8 +37,9 @@ from ctr_nlp.formulations.shared.manufacture import Manufacture
 from ctr_nlp.models import MODELS
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.steer.passes import Progress
+from ctr_nlp.studies.workers.clients import cluster_client
 from ctr_nlp.support.interrupt import end_if_interrupted
-from ctr_nlp.support.pool import side_by_side
+from ctr_nlp.support.pool import Jobs, side_by_side
 from ctr_nlp.target.problem import Problem
 
 DRAWS, SEED = 500, 0
@@ -89,6 +91,11 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument("--model", choices=MODELS, default="elastic", help=what)
     add_rules(parser)
     parser.add_argument("--jobs", metavar="N", type=whole, default=2, help="processes side by side (default 2)")
+    what = (
+        "scheduler of a Dask cluster on which problems are worked on instead, as tcp://HOST:PORT (extra study): "
+    )
+    what += "for cohorts of dozens of problems and more"
+    parser.add_argument("--address", metavar="URL", help=what)
     add_out_option(parser, "runs/design")
     add_figures_option(parser)
     add_problem_options(parser)
@@ -134,10 +141,10 @@ def _run(arguments: argparse.Namespace) -> int:
         "rules": rules,
         "fixed": arguments.fix,
         "constant_curvature": arguments.constant_curvature,
-        "jobs": arguments.jobs,
         "settings": settings,
     }
-    with progress_bar() as labelled:
+    with _workers(arguments) as jobs, progress_bar() as labelled:
+        alike["jobs"] = jobs
         groups = divided(tasks, arguments.robots, progress=labelled("groups"), **alike)
         only: dict[str, Any] = {name: getattr(arguments, name) for name in ("nominal", "starts", "walls")}
         made = list[Made]()
@@ -149,7 +156,7 @@ def _run(arguments: argparse.Namespace) -> int:
                 break
         interrupted = made[-1].design.interrupted
         if not interrupted:
-            made = _planned(made, held, settings, arguments, labelled)
+            made = _planned(made, held, settings, arguments, jobs, labelled)
     place = place_of(out, interrupted)
     with published(place, "design") as staging:
         write(made, staging, nominal=arguments.nominal, figures=not arguments.no_figures)
@@ -161,15 +168,23 @@ def _run(arguments: argparse.Namespace) -> int:
     return max((exit_status(plan, tried=not arguments.nominal) for plan in plans), default=SOLVED)
 
 
+def _workers(arguments: argparse.Namespace) -> AbstractContextManager[Jobs]:
+    """In how many processes, or on which cluster, problems are worked on; raises ClusterError."""
+    if arguments.address is None:
+        return nullcontext(arguments.jobs)
+    return cluster_client(arguments.address)
+
+
 def _planned(
     made: Sequence[Made],
     held: Sequence[Problem],
     settings: Settings,
     arguments: argparse.Namespace,
+    jobs: Jobs,
     labelled: Callable[[str], Progress],
 ) -> list[Made]:
     """Designs with plans of the problems held out, each on the robot that follows it best, all tried on draws."""
-    robots, jobs = [one.design.robot for one in made], arguments.jobs
+    robots = [one.design.robot for one in made]
     choice = suited(held, robots, settings, jobs, arguments.model) if held and len(robots) > 1 else [0] * len(held)
     on = [replace(task, robot=robots[k]) for task, k in zip(held, choice, strict=True)]
     asked: dict[str, Any] = {"model": arguments.model, "walls": arguments.walls, "jobs": jobs}

@@ -11,10 +11,13 @@ from typing import Any
 
 from ctr_nlp.cli.arguments import add_out_option, whole
 from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, Command, console, print_table, progress_bar
-from ctr_nlp.cli.output.file import path_component
+from ctr_nlp.cli.output.file import path_component, write_text
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.metrics import summary
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.report import page
+from ctr_nlp.studies.grid.case import Case
 from ctr_nlp.studies.grid.groups import ERROR, Groups, grouped
 from ctr_nlp.studies.grid.reports import reported
 from ctr_nlp.studies.grid.results import Results
@@ -25,8 +28,8 @@ from ctr_nlp.support.interrupt import deferred_interrupt
 
 SHOWN = ERROR, "stability_min", "process_s"
 """Columns whose means are printed."""
-COPY, PICTURE = "study.toml", "by.png"
-"""The study's own file, and what is drawn of its plans by a column, beside its rows."""
+COPY, PICTURE, WORST = "study.toml", "by.png", "worst.html"
+"""Beside its rows: the study's own file, what is drawn of its plans by a column, and a page of the worst ones."""
 SHORT = 10
 """Letters of a digest that are enough to name a row."""
 
@@ -63,6 +66,11 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument("--by", metavar="COLUMN", help=told)
     told = "with --by: another column, over whose medians those of e3 are drawn, such as robustness_lost_share"
     parser.add_argument("--against", metavar="COLUMN", help=told)
+    told = (
+        f"with --by: write a page of the plans of the largest e3, moving side by side (DIR/{WORST}); plans that "
+    )
+    told += "were not kept (--plans) are made again"
+    parser.add_argument("--page", action="store_true", help=told)
     add_out_option(parser, "runs/NAME-study")
     return parser
 
@@ -125,8 +133,25 @@ def _by(study: Study, out: Path, arguments: argparse.Namespace) -> int:
 
     with published(out, "by") as staging:
         save(by_group(found, ERROR, against), staging / PICTURE)
-    console().print(f"wrote {out / PICTURE}")
+        if arguments.page:
+            write_text(staging / WORST, _page(study, out, found))
+        files = sorted(path.name for path in staging.iterdir())
+    console().print(f"wrote {out}: {', '.join(files)}")
     return SOLVED
+
+
+def _page(study: Study, out: Path, found: Groups) -> str:
+    """The plans of the largest error as one page for a browser."""
+    if not found.worst:
+        raise OptionError("--page shows the plans of the largest e3, and no plan of the study is known")
+    cases = {case.digest: case for case in study.cases}
+    plans = [_kept_or_made(cases[bad.digest], out / "plans") for bad in found.worst]
+    return page(plans, [f"{bad.problem}, {bad.robot}, {bad.digest[:SHORT]}" for bad in found.worst])
+
+
+def _kept_or_made(case: Case, folder: Path) -> Plan:
+    kept = case.place(folder)
+    return Plan.load(kept) if kept.is_file() else case.planned(case.loaded())
 
 
 def _report(study: Study, out: Path) -> None:

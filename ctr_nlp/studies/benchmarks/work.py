@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ WORK = Callable[[TIMES], list[float]]
 """One turn of a row: seconds of each piece of its work."""
 BATCH = 1000
 """Configurations whose elastic shapes are found in one call."""
+FORCE, MODULUS = 0.1, 60_000.0
+"""N across the robot, and MPa, where it bears a load."""
 
 
 def _problem(name: str, frames: int = 100) -> Any:
@@ -31,11 +34,20 @@ def _problem(name: str, frames: int = 100) -> Any:
     return named(name, frames)
 
 
-def step(model: str) -> WORK:
+def _borne(problem: Any) -> tuple[Any, Any]:
+    """A problem whose robot has a modulus, and the model on which it bears a force."""
+    from ctr_nlp.loads import Load, with_modulus
+    from ctr_nlp.models.loaded.model import Loaded
+
+    robot = with_modulus(problem.robot, MODULUS)
+    return replace(problem, robot=robot), Loaded(Load((0.0, FORCE, 0.0)))
+
+
+def step(model: str, loaded: bool = False) -> WORK:
     """Steerer.step for each frame's target of cos, there and back."""
     from ctr_nlp.steer import Steerer, solve_per_frame
 
-    problem = _problem("cos")
+    problem, model = _borne(_problem("cos")) if loaded else (_problem("cos"), model)
     plan = solve_per_frame(problem, model=model, direction="forward")
     steerer = Steerer(problem.robot, plan.q[0], problem.dt, model=model)
     targets = [frame.points for frame in problem.samples]
@@ -83,12 +95,13 @@ def rest() -> WORK:
     return lambda timed: [timed(lambda: elastic.at_rest(robot, q, SIGMA)) / BATCH]
 
 
-def horizon(*names: str, model: str = "dominant", frames: int = 100) -> WORK:
+def horizon(*names: str, model: str = "dominant", frames: int = 100, loaded: bool = False) -> WORK:
     """solve_horizon with all that belongs to it."""
     from ctr_nlp.steer import solve_horizon
 
     problems = [_problem(name, frames) for name in names]
-    return lambda timed: [timed(lambda one=one: solve_horizon(one, model=model)) for one in problems]  # type: ignore[misc]
+    asked = [_borne(problem) if loaded else (problem, model) for problem in problems]
+    return lambda timed: [timed(lambda one=one, on=on: solve_horizon(one, model=on)) for one, on in asked]  # type: ignore[misc]
 
 
 def program(*options: str) -> WORK:
@@ -115,6 +128,7 @@ def program(*options: str) -> WORK:
 ROWS: dict[str, Callable[[], WORK]] = {
     "step": lambda: step("dominant"),
     "step-elastic": lambda: step("elastic"),
+    "step-loaded": lambda: step("elastic", loaded=True),
     "frame": lambda: march("cos"),
     "frame-lumen": lambda: march("bronchus"),
     "shape": lambda: shape(1),
@@ -124,6 +138,7 @@ ROWS: dict[str, Callable[[], WORK]] = {
     "plans": lambda: horizon("cos", "arc", "line", "line_arc", "synthesis"),
     "horizon-lumen": lambda: horizon("bronchus"),
     "horizon-elastic": lambda: horizon("cos", model="elastic"),
+    "horizon-loaded": lambda: horizon("cos", model="elastic", loaded=True),
     "horizon-5000": lambda: horizon("cos", frames=5000),
     "program": lambda: program("--no-figures"),
     "program-figures": lambda: program(),

@@ -127,7 +127,11 @@ class Case:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise OutputError(f"a folder of plans cannot be made at {folder}: {error}") from error
-        plan.save(folder / f"{self.digest}.npz")
+        plan.save(self.place(folder))
+
+    def place(self, folder: Path) -> Path:
+        """Where its plan is kept in a folder."""
+        return folder / f"{self.digest}.npz"
 
 
 def row_without_plan(case: Case, status: str, reason: str, process_s: float) -> dict[str, Any]:

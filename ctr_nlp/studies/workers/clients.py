@@ -14,7 +14,7 @@ from ctr_nlp.support.extras import needed
 
 CONNECT = 10.0
 """s that a scheduler may take to answer when a client asks it first."""
-QUIET = {
+SETTINGS = {
     # a case whose worker died is tried again by us, and not by Dask
     "distributed.scheduler.allowed-failures": 0,
     # what Dask does all the time in every process took 2.6 % of two cores, with its own settings
@@ -43,7 +43,7 @@ def local_client(workers: int, memory: str = "auto", **more: Any) -> Iterator[An
     distributed, dask = needed("distributed"), needed("dask")
     asked = {"n_workers": workers, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"} | more
     with (
-        dask.config.set(QUIET),
+        dask.config.set(SETTINGS),
         distributed.LocalCluster(host="127.0.0.1", memory_limit=memory, silence_logs="CRITICAL", **asked) as begun,
         distributed.Client(begun) as client,
     ):
