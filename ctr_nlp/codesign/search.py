@@ -17,6 +17,7 @@ from ctr_nlp.formulations.shared.tasks import WithinCurved, shared_tubes
 from ctr_nlp.models import Model
 from ctr_nlp.nlp.scenarios import Scenarios, SharedMotion
 from ctr_nlp.plan.metrics import summary
+from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
 from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.solvers.motion.judged import WIDE
@@ -122,18 +123,23 @@ class DesignSearch:
     def planned(self, p: Array) -> Motions:
         """Motions of the tasks on tubes p as they are, each for itself.
 
-        Raises CtrError where p is no robot, and where Ctrl-C came first.
+        After Ctrl-C some are no solutions. Raises CtrError where p is no robot, and where Ctrl-C came before all
+        tasks were given to processes.
         """
         robot = self.tubes.robot_of(p)
         plan = partial(solve_horizon, model=self.model, settings=self.settings)
-        made = dict(side_by_side(plan, self.on(robot), self.jobs))
-        if len(made) < len(self.tasks):
-            raise ProblemError("the work on some tasks of a design was interrupted")
-        plans = [made[number] for number in range(len(self.tasks))]
+        plans = [plan(task) for task in self.on(robot)] if self.jobs == 1 else self._elsewhere(plan, robot)
         q = np.concatenate([plan.q for plan in plans])
         tips = [self.model.follow(robot, plan.q).x[:, : robot.d] for plan in plans]
         e3 = [summary(plan)["e3"] if plan.success.all() else np.nan for plan in plans]
         return Motions(q, np.concatenate(tips)[:, None], np.array(e3, dtype=float))
+
+    def _elsewhere(self, plan: Callable[[Problem], Plan], robot: Robot) -> list[Plan]:
+        """The plans of the tasks on a robot, made side by side."""
+        made = dict(side_by_side(plan, self.on(robot), self.jobs))
+        if len(made) < len(self.tasks):
+            raise ProblemError("the work on some tasks of a design was interrupted")
+        return [made[number] for number in range(len(self.tasks))]
 
     def start(self, name: str, p: Array) -> Candidate | None:
         """What tubes p do as they are; None where no robot has them, or it cannot be moved as the tasks ask."""
