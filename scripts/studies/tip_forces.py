@@ -1,4 +1,4 @@
-"""Plans under forces at the tip, known ones and such as may come from any side: two tables.
+"""Plans under forces at the tip, known ones and such as may come from any side: two tables a problem.
 
 python scripts/studies/tip_forces.py [PROBLEM ...] [--robot FILE] [--planned N] [--forces N ...] [--known N]
 """
@@ -36,10 +36,10 @@ def main() -> None:
     asked = parser.parse_args()
     robot = with_modulus(Robot.from_toml(asked.robot or "examples/robot.toml"), asked.modulus)
     problems = [_problem(name, asked.frames, robot) for name in asked.problems]
-    if asked.known:
-        _print([asdict(compensated(problem, asked.known)) for problem in problems])
-    if asked.forces:
-        for problem in problems:
+    for problem in problems:
+        if asked.known:
+            _print([asdict(compensated(problem, asked.known))])
+        if asked.forces:
             _print([asdict(row) for row in withstood(problem, asked.planned, asked.forces, asked.draws)])
 
 
