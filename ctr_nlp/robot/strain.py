@@ -12,15 +12,14 @@ import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numpy as np
-
 from ctr_nlp.exceptions import RobotError
 from ctr_nlp.robot.tube import Tube
 
 STRAIN_DEPLOYED = 0.06
 """Largest strain of a tube's outer fibre, relative to its own pre-curved shape, by the other tubes."""
-INSIDE = 1e-9
-"""How far within a section its ends are looked at, as a part of its length: curvatures jump there."""
+INSIDE, SHORTEST = 1e-9, 1e-6
+"""mm from the ends of a piece at which its strains are looked at, and of the shortest piece that counts: a shorter
+one is what rounding leaves between tubes that end together."""
 
 
 class Strain(NamedTuple):
@@ -53,8 +52,9 @@ def largest_strain(tubes: Sequence[Tube], beta: Sequence[float]) -> Strain | Non
     """Where a tube of the aligned robot at beta (d,) mm is strained most; None where nothing is deployed."""
     starts = [max(b - tube.curved_length, 0.0) for tube, b in zip(tubes, beta, strict=True)]
     edges = sorted({0.0, *beta, *(start for start, b in zip(starts, beta, strict=True) if start < b)})
-    inside = (np.array([a + INSIDE * (b - a), b - INSIDE * (b - a)]) for a, b in itertools.pairwise(edges))
-    found = [strain for places in inside for s in places for strain in _strains(tubes, beta, float(s))]
+    pieces = [(a, b) for a, b in itertools.pairwise(edges) if b - a > SHORTEST]
+    places = [place for a, b in pieces for place in (a + INSIDE, b - INSIDE)]
+    found = [strain for place in places for strain in _strains(tubes, beta, place)]
     return max(found, key=lambda one: one.strain, default=None)
 
 

@@ -82,6 +82,17 @@ def test_tubes_that_are_not_over_each_other_do_not_strain_each_other():
     assert largest_strain(apart.tubes, apart.deployed).strain == pytest.approx(0, abs=1e-12)
 
 
+@pytest.mark.parametrize("apart", [0.0, 1.5e-14, 1e-9, 9e-7, 1.1e-6, 1e-3])
+def test_tubes_that_end_together_but_for_rounding_are_a_robot(apart):
+    """Limits that are worked out from the travels of motors differ by what rounding leaves."""
+    seed = table_i_robot()
+    limits = Limits(beta=((0, 50), (0, 60 - apart), (0, 60)))
+    assert replace(seed, limits=limits).deployed.tolist() == [50, 60 - apart, 60]
+    assert largest_strain(seed.tubes, [50, 60 - apart, 60]).strain == pytest.approx(
+        largest_strain(seed.tubes, [50, 60, 60]).strain, abs=1e-6
+    )
+
+
 @given(robots())
 def test_no_section_is_strained_more_than_the_largest(robot):
     """Every section's both ends, curvatures and means worked out anew."""
