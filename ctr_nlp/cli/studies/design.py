@@ -91,10 +91,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument("--model", choices=MODELS, default="elastic", help=what)
     add_rules(parser)
     parser.add_argument("--jobs", metavar="N", type=whole, default=2, help="processes side by side (default 2)")
-    what = (
-        "scheduler of a Dask cluster on which problems are worked on instead, as tcp://HOST:PORT (extra study): "
-    )
-    what += "for cohorts of dozens of problems and more"
+    what = "scheduler of a Dask cluster on which problems are worked on instead, as tcp://HOST:PORT (extra "
+    what += "study): for cohorts of dozens of problems and more"
     parser.add_argument("--address", metavar="URL", help=what)
     add_out_option(parser, "runs/design")
     add_figures_option(parser)

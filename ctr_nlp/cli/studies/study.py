@@ -66,10 +66,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument("--by", metavar="COLUMN", help=told)
     told = "with --by: another column, over whose medians those of e3 are drawn, such as robustness_lost_share"
     parser.add_argument("--against", metavar="COLUMN", help=told)
-    told = (
-        f"with --by: write a page of the plans of the largest e3, moving side by side (DIR/{WORST}); plans that "
-    )
-    told += "were not kept (--plans) are made again"
+    told = f"with --by: write a page of the plans of the largest e3, moving side by side (DIR/{WORST}); plans "
+    told += "that were not kept (--plans) are made again"
     parser.add_argument("--page", action="store_true", help=told)
     add_out_option(parser, "runs/NAME-study")
     return parser

@@ -37,7 +37,8 @@ class Loading(NamedTuple):
 def loading(values: Sequence[Any]) -> Loading:
     """The numbers of a load as models take them."""
     force, tool_force, distributed = vectors([*values[:6], *values[7:10]])
-    return Loading(force, tool_force, values[6], distributed, (values[10], values[11]), vectors(values[12:]))
+    begin, end = values[BETWEEN]
+    return Loading(force, tool_force, values[6], distributed, (begin, end), vectors(values[BEFORE_WEIGHTS:]))
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,8 @@ class Results:
         """
         dataset, arrow, part, rows = self._dataset(), needed("pyarrow"), list[Any](), 0
         for batch in dataset.to_batches(columns=[name for name in columns if name in dataset.schema.names]):
-            part, rows = [*part, batch], rows + len(batch)
+            part.append(batch)
+            rows += len(batch)
             if rows >= PART:
                 yield arrow.Table.from_batches(part).to_pandas()
                 part, rows = [], 0
