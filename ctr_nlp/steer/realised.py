@@ -62,7 +62,7 @@ def realised(
         if stop() or (made and len(tried) >= TRIED) or min(kept, default=np.inf) <= objective:
             break  # with higher margins its objective would only grow
         tried.append(objective)
-        found = _made(simulator, chain, solver, one, margin, stop)
+        found = _made(simulator, chain, solver, one, margin, stop, min(kept, default=np.inf))
         made += [] if found is None else [found]
     if not made:
         return [replace(one, made=False) for one in attempts]
@@ -76,8 +76,12 @@ def _made(
     one: Attempt,
     margin: float | None,
     stop: Callable[[], bool],
+    least: float,
 ) -> Made | None:
-    """An attempt changed until its motion is made and the margin held between frames, or as nearly as it goes."""
+    """An attempt changed until its motion is made and the margin held between frames, or as nearly as it goes.
+
+    least: an objective from which on a change is not worth following, as it only grows with margins.
+    """
     margins, best = np.full(chain.frames, np.nan if margin is None else margin), None
     robot = simulator.robot
     one = _found(robot, simulator.model, chain, one)
@@ -91,7 +95,7 @@ def _made(
         margins = _raised(margins, missing)
         chain = chain.with_parameters({"margin": margins})
         one = attempt(chain, solver, one.motion, None, stop, CLOSE)
-        if not one.solution.success:
+        if not one.solution.success or one.solution.objective >= least:
             break
     return best
 
@@ -158,9 +162,12 @@ def _raised(margins: Array, missing: Array) -> Array:
 
 
 def _missing(moved: Simulation, x: Array, margin: float | None, d: int) -> tuple[Array, bool]:
-    """What the margin is missed by on the way to every frame (T,); whether the robot, when moved, is not at x."""
+    """What the margin is missed by on the way to every frame (T,); whether the robot, when moved, is not at x.
+
+    After a snap that leads nobody knows where, nothing is missed: that the robot is elsewhere is what counts.
+    """
     away = elsewhere(moved.x, x, moved.snaps, d)
-    missing = np.maximum((margin or 0.0) - moved.stability_between, 0.0)
+    missing = np.maximum(np.nan_to_num((margin or 0.0) - moved.stability_between), 0.0)
     missing[away.argmax()] += GIVEN * away.any()
     return missing, bool(away.any())
 

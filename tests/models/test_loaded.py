@@ -312,14 +312,18 @@ def test_robots_that_differ_bear_a_tip_force_and_have_no_known_weight():
 
 
 def test_robots_side_by_side_go_where_each_goes_alone(monkeypatch):
-    """Also where some snap on the way, in whatever groups they are followed."""
+    """Also where some snap on the way, in whatever groups they are followed, and whether place after place or with
+    what they probably take at all places known beforehand.
+    """
     turned = np.linspace(0.0, 3.4, 12)
     q = np.column_stack([turned, 0 * turned, 0 * turned, *np.tile([[20], [40], [75]], 12), 0 * turned, 0 * turned])
     numbers = NITINOL.numbers[None] * np.linspace(1.0, 2.6, 5)[:, None, None] ** np.array([0, 0, 1, 1, 0, 0])
     model, way = Loaded(Load(force=(0, 0.1, 0))), passage(q, 4)
     ways = np.repeat(way.q[None], 5, axis=0) + 0.05 * np.arange(5)[:, None, None] * (np.arange(8) == 1)
     monkeypatch.setattr("ctr_nlp.models.loaded.model.TOGETHER", 3)
-    together = model.follow_apart(NITINOL.structure, numbers, way, ways)
+    with monkeypatch.context() as patched:
+        patched.setattr("ctr_nlp.models.loaded.following.follower.FEW", 0)
+        together = model.follow_apart(NITINOL.structure, numbers, way, ways)
     snapped = [bool(found.snaps) for found in together]
     assert any(snapped)
     assert not all(snapped)
@@ -328,6 +332,23 @@ def test_robots_side_by_side_go_where_each_goes_alone(monkeypatch):
         np.testing.assert_allclose(found.x, alone.x, atol=1e-8)
         np.testing.assert_allclose(found.stability_between, alone.stability_between, atol=1e-6)
         assert found.snaps == alone.snaps
+
+
+def test_the_least_margin_on_the_way_is_that_of_all_places_there(shared_data):
+    """Followed place by place, of which the last one before a frame has the frame's own margin."""
+    case = truth.case(shared_data, 21)
+    robot, q = with_modulus(case.robot, 60_000), np.repeat(case.q[None], 6, axis=0)
+    q[:, 0] += [0.6, 0.3, 0.1, 0.0, 0.2, 0.4]
+    model, substeps = Loaded(Load(force=(0.1, 0, 0))), 5
+    found = model.follow(robot, q, substeps=substeps)
+    assert not found.snaps
+    places = passage(q, substeps)
+    every = model.margins(robot, model.follow(robot, places.q, substeps=1).x)
+    least = [every[places.frames == frame].min() for frame in range(len(q))]
+    inner = slice(1, -1)  # in the first and the last frame the load comes and goes
+    np.testing.assert_allclose(found.stability_between[inner], least[inner], atol=1e-7)
+    assert (found.stability_between[[0, -1]] <= np.take(least, [0, -1]) + 1e-9).all()
+    assert (found.stability_between[inner] < found.stability[inner] - 1e-3).any()
 
 
 def test_what_cannot_be_loaded_is_refused():

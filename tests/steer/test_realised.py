@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import frames as tracking
 import numpy as np
@@ -11,11 +12,12 @@ from frames import horizon
 
 from ctr_nlp import Problem, Robot, Settings, Tube, curve_from_formula, growing, shapes, solve_horizon
 from ctr_nlp.formulations.horizon import Ends
+from ctr_nlp.models import Snap
 from ctr_nlp.plan.plan import plan_from_configurations
 from ctr_nlp.simulation.forward import Simulator
 from ctr_nlp.solvers import CHAIN_SOLVERS
 from ctr_nlp.steer.attempts import attempt
-from ctr_nlp.steer.realised import SHORT, realised
+from ctr_nlp.steer.realised import GIVEN, SHORT, _missing, realised
 
 ROBOT = Robot((Tube(90, 70, 0.02, 4.0, 3.2), Tube(150, 90, 0.02, 2.6, 1.6)))
 SIMULATOR = Simulator(ROBOT, "elastic")
@@ -58,6 +60,16 @@ def found(margin=0.1):
         one,
         *realised(SIMULATOR, chain, CHAIN_SOLVERS["ipopt"], [one], margin, lambda: False),
     )
+
+
+class Counted(Simulator):
+    """Counts the motions that it is asked for."""
+
+    calls = 0
+
+    def __call__(self, q):
+        self.calls += 1
+        return super().__call__(q)
 
 
 def moved(one):
@@ -106,6 +118,29 @@ def test_a_motion_that_needs_nothing_is_left_as_it_is():
     chain, _, best = found()
     (same,) = realised(SIMULATOR, chain, CHAIN_SOLVERS["ipopt"], [best], 0.1, lambda: False)
     assert same is best
+
+
+def test_what_cannot_become_better_than_a_motion_that_is_made_is_not_followed_again():
+    """The second attempt is the first one again, whose objective grows as its margins are raised."""
+    chain, one, best = found()
+    worse = replace(one, solution=replace(one.solution, objective=one.solution.objective + 1e-3))
+    assert one.solution.objective + 1e-3 < best.solution.objective
+    simulator = Counted(ROBOT, "elastic")
+    alone = realised(simulator, chain, CHAIN_SOLVERS["ipopt"], [one], 0.1, lambda: False)
+    followed = simulator.calls
+    both = realised(simulator, chain, CHAIN_SOLVERS["ipopt"], [one, worse], 0.1, lambda: False)
+    assert simulator.calls == 3 * followed - 1  # the last change of the second attempt is as bad as the best
+    assert both[0].solution.objective == alone[0].solution.objective
+
+
+def test_a_robot_that_snaps_nobody_knows_where_is_given_more_of_a_margin_there():
+    moved = SIMULATOR(np.repeat(opposed()[-1:], FRAMES, axis=0))
+    x, between, snap = moved.x.copy(), np.full(FRAMES, 0.2), Snap(6, (1,), None)
+    x[5:], between[5:] = np.nan, [0.0, np.nan, np.nan]
+    lost = moved._replace(x=x, stability_between=between, snaps=(snap,))
+    missing, elsewhere = _missing(lost, moved.x, 0.1, ROBOT.d)
+    assert elsewhere
+    np.testing.assert_allclose(missing, [0, 0, 0, 0, 0, 0.1 + GIVEN, 0, 0])
 
 
 def test_without_a_margin_frames_that_the_robot_does_not_reach_are_named():

@@ -14,7 +14,7 @@ from lumens import straight
 
 from ctr_nlp import Load, Plan, Robot, Tube, forces
 from ctr_nlp.exceptions import LoadError, OptionError
-from ctr_nlp.models.loaded.following import Follower
+from ctr_nlp.models.loaded.following.follower import Follower
 from ctr_nlp.studies.borne.tip import directions_of
 from ctr_nlp.studies.borne.tip_picture import picture
 

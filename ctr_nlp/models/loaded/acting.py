@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from ctr_nlp.loads import Load, LoadOverTime
 from ctr_nlp.loads.load import BEFORE_WEIGHTS, BETWEEN
 from ctr_nlp.models.elastic.torsion import Section
@@ -65,11 +67,13 @@ class Along:
         return (near + GENTLE) ** 2 / (4 * GENTLE) + self.xp.fmax(left - GENTLE, 0.0)
 
 
-def eased(acting: Array, part: float) -> Array:
-    """Numbers (N, l) of loads of which a part has come, from 0 to 1: all but the places between which they act."""
-    found = part * acting
-    found[:, BETWEEN] = acting[:, BETWEEN]
-    return found
+def eased(acting: Array, part: Array) -> Array:
+    """Numbers (.., l) of loads of which parts (..) have come, from 0 to 1: all but the places between which they
+    act.
+    """
+    found = part[..., None] * acting
+    found[..., BETWEEN] = acting[..., BETWEEN]
+    return np.asarray(found)
 
 
 class RodKind(NamedTuple):

@@ -21,16 +21,21 @@ from ctr_nlp.models.protocol import symbolic_tubes
 from ctr_nlp.robot.structure import NUMBERS, Structure
 from ctr_nlp.typing import Array
 
+BLOCK = 128
+"""Rows at once: the sizes that functions are mapped to are few, and little is worked out in vain."""
+
 
 class Ends(NamedTuple):
     """T rods at the base. angles (T, d): of the tubes, less what their transmissions twist, relative to the frame.
 
     axes (T, 3, 3): that frame, row by row d_1, d_2 and t. responses (T, k, d + 2, d + 2): of rod.Rod.
+    tangents (T, k, n, 3): of k sections or their pieces, at n nodes from base to tip.
     """
 
     angles: Array
     axes: Array
     responses: Array
+    tangents: Array
 
     @property
     def slopes(self) -> Array:
@@ -64,8 +69,9 @@ def symbolic(structure: Structure, kind: RodKind) -> ca.Function:
     angles = [angle - rate * (tube.length - out) for angle, rate, tube, out in reach]
     ends = ca.vertcat(*angles, *(entry for axis in rod.axes for entry in axis))
     responses = ca.horzcat(*(row for response in rod.responses for row in response)).T
-    given = [ca.vertcat(tip, beta, load, soft), numbers]
-    return ca.Function("rod", given, [ca.densify(ends), ca.densify(responses)], {"cse": True})
+    tangents = ca.vertcat(*(entry for nodes in rod.tangents for tangent in nodes for entry in tangent))
+    given, found = [ca.vertcat(tip, beta, load, soft), numbers], [ends, responses, tangents]
+    return ca.Function("rod", given, [ca.densify(each) for each in found], {"cse": True})
 
 
 @functools.lru_cache(maxsize=64)
@@ -101,27 +107,35 @@ class Rods:
 
         Their tips have angles (T, d) and axes (T, 3, 3); beta (T, d) mm, loads (T, size), soft (T, 2).
         """
-        rows, side = len(angles), self.d + 2
-        mapped = self._for(rows)
+        rows, d = len(angles), self.d
         given = np.hstack([angles, axes.reshape(rows, 9), beta, load, soft])
-        of_tubes = numbers.swapaxes(1, 2).reshape(rows, 6 * self.d)
+        of_tubes = numbers.swapaxes(1, 2).reshape(rows, 6 * d)
+        blocks = [slice(k, k + BLOCK) for k in range(0, max(rows, 1), BLOCK)]
+        each = (self._block(given[block], of_tubes[block]) for block in blocks)
+        ends, responses, tangents = map(np.concatenate, zip(*each, strict=True))
+        pieces = tangents.shape[1] // (3 * (self.kind.steps + 1))
+        return Ends(
+            ends[:, :d],
+            ends[:, d:].reshape(rows, 3, 3),
+            responses.reshape(rows, responses.shape[1] // (d + 2) ** 2, d + 2, d + 2),
+            tangents.reshape(rows, pieces, self.kind.steps + 1, 3),
+        )
+
+    def _block(self, given: Array, of_tubes: Array) -> list[Array]:
+        """The function's results for at most BLOCK rows."""
+        rows, mapped = len(given), self._for(len(given))
         padded = np.zeros_like(mapped.inputs[0])
         padded[:rows], mapped.inputs[1][:rows] = given, of_tubes
         if rows:  # the function's calls are for several robots; those that are too many are the last one's
             padded[rows:], mapped.inputs[1][rows:] = given[-1], of_tubes[-1]
-        ends, responses = mapped(padded.ravel())
-        return Ends(
-            ends[:rows, : self.d].copy(),
-            ends[:rows, self.d :].reshape(rows, 3, 3).copy(),
-            responses[:rows].reshape(rows, -1, side, side).copy(),
-        )
+        return [found[:rows].copy() for found in mapped(padded.ravel())]
 
     def _for(self, rows: int) -> Mapped:
         """The function mapped over at least so many rows, in few sizes; compiled as soon as that has been done."""
         if self._lanes < vector.LANES:
             self._function, self._lanes = _fastest(*self._which)
             self._mapped = {} if self._lanes == vector.LANES else self._mapped
-        size = max(self._lanes, 1 << (rows - 1).bit_length())
+        size = max(self._lanes, 1 << max(rows - 1, 0).bit_length())
         if size not in self._mapped:
             self._mapped[size] = Mapped(self._function, size, self._lanes)
         return self._mapped[size]

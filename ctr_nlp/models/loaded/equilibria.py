@@ -21,8 +21,10 @@ from ctr_nlp.models.loaded.tips import axes_of, turned, unknowns
 from ctr_nlp.robot.structure import Structure
 from ctr_nlp.typing import Array, Flags
 
-CONVERGED, ITERATIONS = 1e-9, 12
+CONVERGED, ITERATIONS = 1e-6, 12
 """rad of the last Newton step, whose error is about its square; steps at most."""
+ON = 1e-2
+"""rad: an equilibrium so near to its prediction is the one that Newton's method finds from there."""
 WIDEST = 1.0
 """rad that a Newton step may turn tips or tubes by."""
 
@@ -55,11 +57,22 @@ class States(NamedTuple):
         """The x (T, 2d + 2) of tips.py."""
         return unknowns(self.angles, self.axes, self.q)
 
+    @classmethod
+    def nowhere(cls, numbers: Array, q: Array, load: Array) -> States:
+        """Those of robots of which nothing else is known."""
+        rows, d, _ = numbers.shape
+        shapes = (rows, d), (rows, 3, 3), (rows, d + 2, d + 2), (rows,)
+        return cls(numbers, q, load, *(np.full(shape, np.nan) for shape in shapes))
+
+    def write(self, which: Any, others: States) -> None:
+        """Put others in place of some."""
+        for array, values in zip(self, others, strict=True):
+            array[which] = values
+
     def replaced(self, which: Any, others: States) -> States:
         """The same with others in place of some."""
         found = States(*(each.copy() for each in self))
-        for array, values in zip(found, others, strict=True):
-            array[which] = values
+        found.write(which, others)
         return found
 
 
@@ -116,8 +129,25 @@ class LoadedEquilibria:
             part[gone] = np.minimum(np.minimum(2 * part[gone], most), 1 - done[gone])
             part[stopped] /= 2
 
+    def near(self, numbers: Array, q: Array, load: Array, angles: Array, axes: Array) -> tuple[States, Flags]:
+        """The equilibria near tips, on whatever branches, and for which they were found."""
+        return self._solved(numbers, q, load, angles, axes, np.asarray(np.isfinite(angles).all(axis=1)))
+
+    def leads(self, states: States, goals: States) -> Flags:
+        """Whether the branches of states lead to goals in one step, (T,): predictions are goals but for ON."""
+        angles, axes, near = self._predicted(states, goals.q, goals.load)
+        away = abs(unknowns(angles, axes, goals.q) - goals.unknowns).max(axis=1)
+        return np.asarray(near & (away < ON) & (goals.determinant * states.determinant > 0))
+
     def _step(self, states: States, q: Array, load: Array) -> tuple[States, Flags]:
         """The equilibria at q and load on the branches of some nearby, and for which they were found."""
+        angles, axes, near = self._predicted(states, q, load)
+        new, found = self._solved(states.numbers, q, load, angles, axes, near)
+        away = np.maximum(abs(new.angles - angles).max(axis=1), abs(new.axes - axes).max(axis=(1, 2)))
+        return new, found & (away < STRAY) & (new.determinant * states.determinant > 0)
+
+    def _predicted(self, states: States, q: Array, load: Array) -> tuple[Array, Array, Flags]:
+        """The tips at q and load along the tangents of states' branches; for which these turn little."""
         d = self.d
         here = self.ends(states.numbers, states.angles, states.axes, q, load)
         step = solved(states.slopes, self.misfit(q, here))
@@ -125,10 +155,7 @@ class LoadedEquilibria:
         apart = abs(motors[:, :-1] - motors[:, -1:]).max(axis=1, initial=0.0)
         near = abs(step[:, 2:-1] - step[:, -1:]).max(axis=1, initial=0.0) < LEAP + apart
         near &= abs(step).max(axis=1) < WIDEST
-        angles, axes = states.moved(step)
-        new, found = self._solved(states.numbers, q, load, angles, axes, near)
-        away = np.maximum(abs(new.angles - angles).max(axis=1), abs(new.axes - axes).max(axis=(1, 2)))
-        return new, found & (away < STRAY) & (new.determinant * states.determinant > 0)
+        return *states.moved(step), near
 
     def _solved(
         self, numbers: Array, q: Array, load: Array, angles: Array, axes: Array, wanted: Flags

@@ -8,18 +8,16 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.loads import Load, LoadOverTime
-from ctr_nlp.loads.load import BEFORE_WEIGHTS
 from ctr_nlp.models.dominant.shape import columns_of
 from ctr_nlp.models.elastic import shape
 from ctr_nlp.models.elastic.torsion import sections
 from ctr_nlp.models.loaded.acting import RodKind, loading
+from ctr_nlp.models.loaded.compiled import Rods
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
-from ctr_nlp.models.loaded.following import Follower
-from ctr_nlp.models.loaded.rod import Tip, integrated
+from ctr_nlp.models.loaded.following.follower import Follower
 from ctr_nlp.models.loaded.shape import shape_under
 from ctr_nlp.models.loaded.stability import margins
 from ctr_nlp.models.loaded.tips import tips, unknowns
-from ctr_nlp.models.loaded.vectors import vectors
 from ctr_nlp.models.protocol import SUBSTEPS, Followed, Model, Passage, Places, Shape, combination, passage
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import Structure, Tubes, tubes_in_columns
@@ -211,24 +209,23 @@ def curves(
     structure: Structure, numbers: Array, acting: Array, x: Array, sigma: Array, kind: RodKind
 ) -> tuple[Array, Array]:
     """Points and tangents (T, n, 3) of robots of numbers (T or 1, d, 6) under loads (T or 1, l) of such rods."""
-    d, tubes = structure.d, tubes_in_columns(structure, numbers)
-    beta, (angles, axes) = columns_of(x[:, d : 2 * d]), tips(x, d)
-    d1, d2, t = (_vector(axes[:, k]) for k in range(3))
-    parts = kind.divided(sections(tubes, beta, np, planes=False))
-    tip, load = Tip(columns_of(angles), (d1, d2, t)), columns_of(acting)
-    pressed, steps = vectors(load[BEFORE_WEIGHTS + 3 * d :]), min(kind.steps, PIECE)
-    at = tubes, tip, beta, parts, loading(load), np, kind.steps
-    rod = integrated(*at, follows=kind.follows, distributed=kind.distributed, pressed=pressed)
+    d, rows = structure.d, len(x)
+    of_robots = np.broadcast_to(numbers, (rows, *numbers.shape[1:]))
+    beta, load = x[:, d : 2 * d], np.broadcast_to(acting, (rows, acting.shape[1]))
+    ends = Rods(structure, kind)(of_robots, *tips(x, d), beta, load, np.ones((rows, 2)))
+    tubes, out, steps = tubes_in_columns(structure, numbers), columns_of(beta), min(kind.steps, PIECE)
     curved = [
         vector
-        for tangents in rod.tangents
+        for nodes in np.moveaxis(ends.tangents, 0, 2)
         for first in range(0, kind.steps, steps)
-        for vector in shape.powers(tangents[first : first + steps + 1])
+        for vector in shape.powers([_vector(tangent) for tangent in nodes[first : first + steps + 1]])
     ]
+    parts = kind.divided(sections(tubes, out, np, planes=False))
     pieces = [piece for part in parts for piece in part.divided(kind.steps // steps)]
-    lengths, turns = shape.travels(tubes, beta, pieces, sigma * beta[-1], np, steps // 2)
-    like = np.zeros((len(x), np.shape(sigma)[-1]))
-    points, tangents = combination(lengths, curved), combination([1.0, *turns], [rod.axes[2], *curved])
+    lengths, turns = shape.travels(tubes, out, pieces, sigma * out[-1], np, steps // 2)
+    like = np.zeros((rows, np.shape(sigma)[-1]))
+    base = _vector(ends.axes[:, 2])
+    points, tangents = combination(lengths, curved), combination([1.0, *turns], [base, *curved])
     return _stacked(points, like), _stacked(tangents, like)
 
 

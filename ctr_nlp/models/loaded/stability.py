@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
-from ctr_nlp.typing import Array, Flags
+from ctr_nlp.typing import Array, Flags, Index
 
 LEAST = -1023.0
 """The margin of what buckles however stiff in torsion."""
@@ -40,6 +40,25 @@ def margins(equilibria: LoadedEquilibria, states: States, bending: bool = False)
         found, _ = _looked_at(equilibria, states, middle, bending)
         low, high = np.where(found, middle, low), np.where(found, high, middle)
     return _refined(equilibria, states, low, high, bending)
+
+
+def least_margins(equilibria: LoadedEquilibria, states: States, groups: Index, known: Array) -> Array:
+    """The least stability margin of states in each of n groups, or the one known of it, (n,), if that is less.
+
+    groups (T,): of states, from 0. Which states have less than the least known is looked at for all at once; of a
+    group's the one whose last pivot is least there is likely to have the least.
+    """
+    least, left = known.copy(), np.arange(len(groups))
+    while True:
+        at = np.clip(least[groups[left]], LEAST, MOST)
+        held, last = _looked_at(equilibria, states.rows(left), at, False)
+        left, last = left[~held], last[~held]
+        if not len(left):
+            return least
+        ranked = left[np.lexsort((last, groups[left]))]
+        first = ranked[np.append(True, np.diff(groups[ranked]) != 0)]
+        np.minimum.at(least, groups[first], margins(equilibria, states.rows(first)))
+        left = np.setdiff1d(left, first)
 
 
 def _refined(equilibria: LoadedEquilibria, states: States, low: Array, high: Array, bending: bool) -> Array:
