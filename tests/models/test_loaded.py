@@ -20,6 +20,7 @@ from ctr_nlp.models import MODELS, under
 from ctr_nlp.models.loaded import acting, compiled
 from ctr_nlp.models.loaded.acting import RodKind
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
+from ctr_nlp.models.loaded.following.track import Track
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.models.loaded.stability import margins
 from ctr_nlp.models.loaded.tips import tips, unknowns
@@ -312,8 +313,8 @@ def test_robots_that_differ_bear_a_tip_force_and_have_no_known_weight():
 
 
 def test_robots_side_by_side_go_where_each_goes_alone(monkeypatch):
-    """Also where some snap on the way, in whatever groups they are followed, and whether place after place or with
-    what they probably take at all places known beforehand.
+    """Also where some snap on the way, in whatever groups they are followed; whether from frame to frame or place
+    after place, and whether what they probably take is known beforehand or not.
     """
     turned = np.linspace(0.0, 3.4, 12)
     q = np.column_stack([turned, 0 * turned, 0 * turned, *np.tile([[20], [40], [75]], 12), 0 * turned, 0 * turned])
@@ -324,14 +325,19 @@ def test_robots_side_by_side_go_where_each_goes_alone(monkeypatch):
     with monkeypatch.context() as patched:
         patched.setattr("ctr_nlp.models.loaded.following.follower.FEW", 0)
         together = model.follow_apart(NITINOL.structure, numbers, way, ways)
+        patched.setattr(Track, "fill", lambda *_: False)
+        step_by_step = model.follow_apart(NITINOL.structure, numbers, way, ways)
     snapped = [bool(found.snaps) for found in together]
     assert any(snapped)
     assert not all(snapped)
-    for own, motion, found in zip(numbers, ways, together, strict=True):
+    for own, motion, found, slow in zip(numbers, ways, together, step_by_step, strict=True):
         (alone,) = model.follow_apart(NITINOL.structure, own[None], way, motion[None])
-        np.testing.assert_allclose(found.x, alone.x, atol=1e-8)
-        np.testing.assert_allclose(found.stability_between, alone.stability_between, atol=1e-6)
-        assert found.snaps == alone.snaps
+        (frames,) = model.follow_apart(NITINOL.structure, own[None], way, motion[None], margins=False)
+        for other in (alone, slow):
+            np.testing.assert_allclose(found.x, other.x, atol=1e-8)
+            np.testing.assert_allclose(found.stability_between, other.stability_between, atol=1e-6)
+        np.testing.assert_allclose(found.x, frames.x, atol=1e-8)
+        assert found.snaps == alone.snaps == slow.snaps == frames.snaps
 
 
 def test_the_least_margin_on_the_way_is_that_of_all_places_there(shared_data):

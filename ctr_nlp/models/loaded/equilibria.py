@@ -21,12 +21,14 @@ from ctr_nlp.models.loaded.tips import axes_of, turned, unknowns
 from ctr_nlp.robot.structure import Structure
 from ctr_nlp.typing import Array, Flags
 
-CONVERGED, ITERATIONS = 1e-6, 12
+CONVERGED, ITERATIONS = 1e-7, 12
 """rad of the last Newton step, whose error is about its square; steps at most."""
 ON = 1e-2
 """rad: an equilibrium so near to its prediction is the one that Newton's method finds from there."""
-WIDEST = 1.0
-"""rad that a Newton step may turn tips or tubes by."""
+ALIKE = 1e-6
+"""rad by which unknowns of the same equilibrium may differ."""
+WIDEST, SHRINKS = 1.0, 0.7
+"""rad that a Newton step may turn tips or tubes by, and the part of the step before it; else none is found."""
 
 
 class States(NamedTuple):
@@ -51,6 +53,10 @@ class States(NamedTuple):
     def moved(self, step: Array) -> tuple[Array, Array]:
         """Angles and axes after changes (T, d + 2) of the tips."""
         return turned(self.angles, self.axes, step)
+
+    def alike(self, others: States) -> Flags:
+        """Whether they are the same equilibria as others, (T,); those that are not known are not."""
+        return np.asarray(abs(self.unknowns - others.unknowns).max(axis=1, initial=0.0) < ALIKE)
 
     @property
     def unknowns(self) -> Array:
@@ -129,14 +135,23 @@ class LoadedEquilibria:
             part[gone] = np.minimum(np.minimum(2 * part[gone], most), 1 - done[gone])
             part[stopped] /= 2
 
-    def near(self, numbers: Array, q: Array, load: Array, angles: Array, axes: Array) -> tuple[States, Flags]:
-        """The equilibria near tips, on whatever branches, and for which they were found."""
-        return self._solved(numbers, q, load, angles, axes, np.asarray(np.isfinite(angles).all(axis=1)))
+    def linked(self, states: States, goals: States) -> Flags:
+        """Whether the branches of states lead to goals in lines, (T,): as predicted but for ON, or on the way.
 
-    def leads(self, states: States, goals: States) -> Flags:
-        """Whether the branches of states lead to goals in one step, (T,): predictions are goals but for ON."""
+        Those of which either is not known do not.
+        """
+        found = np.isfinite(states.determinant) & np.isfinite(goals.determinant)
+        known = np.flatnonzero(found)
+        found[known] = self._near(states.rows(known), goals.rows(known))
+        left = known[~found[known]]
+        reached, done = self.along(states.rows(left), goals.q[left], goals.load[left])
+        found[left] = (done == 1) & reached.alike(goals.rows(left))
+        return found
+
+    def _near(self, states: States, goals: States) -> Flags:
+        """Whether goals (T,) are where the tangents of states' branches lead to, but for ON."""
         angles, axes, near = self._predicted(states, goals.q, goals.load)
-        away = abs(unknowns(angles, axes, goals.q) - goals.unknowns).max(axis=1)
+        away = abs(unknowns(angles, axes, goals.q) - goals.unknowns).max(axis=1, initial=0.0)
         return np.asarray(near & (away < ON) & (goals.determinant * states.determinant > 0))
 
     def _step(self, states: States, q: Array, load: Array) -> tuple[States, Flags]:
@@ -163,6 +178,7 @@ class LoadedEquilibria:
         """What Newton's method finds from tips, of the rows that are wanted; for which it ends."""
         angles, axes, rows, side = angles.copy(), axes.copy(), len(q), self.d + 2
         slopes, found, going = np.tile(np.eye(side), (rows, 1, 1)), np.zeros(rows, dtype=bool), wanted.copy()
+        most = np.full(rows, WIDEST)
         for _ in range(ITERATIONS):
             at = np.flatnonzero(going)
             if not len(at):
@@ -171,9 +187,9 @@ class LoadedEquilibria:
             slopes[at] = ends.slopes
             step = solved(slopes[at], self.misfit(q[at], ends))
             size = abs(step).max(axis=1)
-            going[at], moved = size >= CONVERGED, size < WIDEST
+            moved = size < most[at]
             found[at] |= size < CONVERGED
-            going[at[~moved]] = False
+            going[at], most[at] = moved & (size >= CONVERGED), SHRINKS * size
             angles[at[moved]], axes[at[moved]] = turned(angles[at[moved]], axes[at[moved]], step[moved])
         return States(numbers, q, load, angles, axes, slopes, np.linalg.det(slopes)), found
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from ctr_nlp.models.loaded.acting import RodKind, eased
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.following.course import Course, course
 from ctr_nlp.models.loaded.following.likely import Likely
+from ctr_nlp.models.loaded.following.track import Track
 from ctr_nlp.models.loaded.stability import least_margins, margins
 from ctr_nlp.models.protocol import Followed, Passage, Snap
 from ctr_nlp.robot.structure import Structure
@@ -61,60 +63,46 @@ class Follower:
         NaN from a snap to a fresh place.
         """
         places, count, total = course(way), len(q), way.total
-        states, snaps = self._branches(places, q[:, places.at])
+        acting = self._acting[:, None] if self._acting.ndim == 2 else self._acting[:, places.at]
+        load = eased(np.broadcast_to(acting, (count, len(places.at), acting.shape[2])), places.part)
+        track = Track(places, self._numbers, q[:, places.at], load)
+        robots = range(count)
+        snaps = self._branches(places, track, robots)
+        if with_margins:
+            torn = [k for k in robots if not track.fill(self.loaded, k)]
+            for k in torn:
+                track.forget(k)
+            if torn:
+                snaps |= self._branches(places, track, torn)
         frames = (total * np.arange(count)[:, None] + places.frames).ravel()
-        known, own = np.isfinite(states.determinant), np.tile(places.own, count)
+        known, own = track.known, np.tile(places.own, count)
         here = np.flatnonzero(known & own)
         x, (at, between) = np.full((count * total, q.shape[2]), np.nan), np.full((2, count * total), np.nan)
-        x[frames[here]] = states.rows(here).unknowns
+        x[frames[here]] = track.states.rows(here).unknowns
         if with_margins and self._conservative:
-            at[frames[here]] = margins(self.loaded, states.rows(here))
+            at[frames[here]] = margins(self.loaded, track.states.rows(here))
             way_there = np.flatnonzero(known & ~own & np.isfinite(at[frames]))
-            between = least_margins(self.loaded, states.rows(way_there), frames[way_there], at)
-        each = zip(np.split(x, count), np.split(at, count), np.split(between, count), snaps, strict=True)
-        return [_followed(*one, self._numbers.shape[1]) for one in each]
+            between = least_margins(self.loaded, track.states.rows(way_there), frames[way_there], at)
+        each = zip(np.split(x, count), np.split(at, count), np.split(between, count), strict=True)
+        return [_followed(*one, snaps[k], self._numbers.shape[1]) for k, one in enumerate(each)]
 
-    def _branches(self, places: Course, q: Array) -> tuple[States, list[tuple[Snap, ...]]]:
-        """The states of robots at places q (N, M, 2d + 2), one robot's after the other's, and where branches end.
-
-        Those of the k-th place of a robot are not numbers where it has snapped before.
-        """
-        count, length, _ = q.shape
-        acting = self._acting[:, None] if self._acting.ndim == 2 else self._acting[:, places.at]
-        load = eased(np.broadcast_to(acting, (count, length, acting.shape[2])), places.part)
-        flat = (array.reshape(count * length, -1) for array in (q, load))
-        states = States.nowhere(np.repeat(self._numbers, length, axis=0), *flat)
-        snaps = [list[Snap]() for _ in q]
-        likely = Likely(self._structure, self.loaded, states) if count <= FEW else None
-        begins = np.flatnonzero(places.fresh)
-        for begin, end in zip(begins, np.append(begins[1:], length), strict=True):
-            which, start = self.settled(q[:, begin])
-            first = which * length + begin
-            states.write(first, start)
+    def _branches(self, places: Course, track: Track, robots: Sequence[int]) -> dict[int, list[Snap]]:
+        """Follow some robots from station to station; where the branches of each end."""
+        snaps = {k: list[Snap]() for k in robots}
+        likely = Likely(self._structure, self.loaded, track.states) if len(robots) <= FEW else None
+        begins = [*np.flatnonzero(places.fresh).tolist(), len(places.at)]
+        for begin, end in itertools.pairwise(begins):
+            which, start = self.settled(track.q(begin))
+            kept = np.isin(which, robots)
+            first = track.rows(which[kept], begin)
+            track.states.write(first, start.rows(kept))
             if likely is not None:
                 for row in first:
-                    likely.look(slice(row, row + end - begin))
-            for row, slopes in self._onwards(states, first, first + end - begin - 1, likely):
-                robot, place = divmod(row, length)
+                    likely.look(track.stations(row, row + end - begin))
+            for row, slopes in track.onwards(self.loaded, first, first + end - begin - 1, likely):
+                robot, place = track.robot(row)
                 snaps[robot].append(Snap(int(places.frames[place]) + 1, _leaving(slopes), None))
-        return states, [tuple(each) for each in snaps]
-
-    def _onwards(
-        self, states: States, at: Index, last: Index, likely: Likely | None
-    ) -> Iterator[tuple[int, Array]]:
-        """Follow robots from rows of states to others, and write those between; rows that branches do not lead to,
-        with the slopes (d + 2, d + 2) where they end.
-        """
-        while True:
-            at = at if likely is None else likely.skip(states, at)
-            at, last = at[at < last], last[at < last]
-            if not len(at):
-                return
-            reached, done = self.loaded.along(states.rows(at), states.q[at + 1], states.load[at + 1])
-            there = done == 1
-            yield from zip(at[~there] + 1, reached.slopes[~there], strict=True)
-            at, last = at[there] + 1, last[there]
-            states.write(at, reached.rows(there))
+        return snaps
 
 
 def _leaving(slopes: Array) -> tuple[int, ...]:
@@ -124,10 +112,10 @@ def _leaving(slopes: Array) -> tuple[int, ...]:
     return tuple(int(i) + 1 for i in np.flatnonzero(apart >= TURNING * max(apart.max(), 1e-300)))
 
 
-def _followed(x: Array, at: Array, between: Array, snaps: tuple[Snap, ...], d: int) -> Followed:
+def _followed(x: Array, at: Array, between: Array, snaps: list[Snap], d: int) -> Followed:
     """A robot's unknowns x (T, 2d + 2) and margins (T,), with the angle of its innermost tube in one piece."""
     reached = np.isfinite(x[:, d - 1])
     x[reached, d - 1] = np.unwrap(x[reached, d - 1])
     snapped = [snap.frame - 1 for snap in snaps]
     between[snapped] = np.fmin(between[snapped], 0.0)
-    return Followed(x, at, between, snaps)
+    return Followed(x, at, between, tuple(snaps))

@@ -1,0 +1,104 @@
+"""Loaded robots at the places of their courses: from station to station along lines, and between them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
+from ctr_nlp.models.loaded.following.course import Course
+from ctr_nlp.models.loaded.following.likely import Likely
+from ctr_nlp.typing import Array, Flags, Index
+
+STRAIGHT = 1e-9
+"""rad, mm, N: what changes so evenly from place to place goes on in a line."""
+
+
+class Track:
+    """States of N robots at M places each, one robot's after the other's; not numbers where none is known.
+
+    Stations are frames, and where a line ends: between two of them configuration and load change evenly.
+    """
+
+    def __init__(self, places: Course, numbers: Array, q: Array, load: Array) -> None:
+        """Numbers (N, d, 6), q (N, M, 2d + 2), load (N, M, l)."""
+        self._count, self._length, _ = q.shape
+        flat = (array.reshape(self._count * self._length, -1) for array in (q, load))
+        self.states = States.nowhere(np.repeat(numbers, self._length, axis=0), *flat)
+        self._fresh = np.tile(places.fresh, self._count)
+        self._stations = (places.own | places.fresh | _bent(np.concatenate([q, load], axis=2))).ravel()
+
+    def rows(self, robots: Index, place: int) -> Index:
+        """The rows of robots at a place."""
+        return robots * self._length + place
+
+    def robot(self, row: int) -> tuple[int, int]:
+        """Which robot a row belongs to, and which of its places."""
+        return divmod(row, self._length)
+
+    def q(self, place: int) -> Array:
+        """The configurations (N, 2d + 2) of a place."""
+        return self.states.q[self.rows(np.arange(self._count), place)]
+
+    @property
+    def known(self) -> Flags:
+        """Which rows are."""
+        return np.isfinite(self.states.determinant)
+
+    def stations(self, begin: int, end: int) -> Index:
+        """The rows of stations from one to before another."""
+        return begin + np.flatnonzero(self._stations[begin:end])
+
+    def onwards(
+        self, equilibria: LoadedEquilibria, at: Index, last: Index, likely: Likely | None
+    ) -> Iterator[tuple[int, Array]]:
+        """Follow robots from rows to others, from station to station; stations that branches do not lead to, with
+        the slopes (d + 2, d + 2) where these end.
+        """
+        states, following = self.states, _next(self._stations)
+        while True:
+            at = at if likely is None else likely.skip(states, at)
+            at, last = at[at < last], last[at < last]
+            if not len(at):
+                return
+            ahead = following[at]
+            reached, done = equilibria.along(states.rows(at), states.q[ahead], states.load[ahead])
+            there = done == 1
+            yield from zip(ahead[~there], reached.slopes[~there], strict=True)
+            at, last = ahead[there], last[there]
+            states.write(at, reached.rows(there))
+
+    def fill(self, equilibria: LoadedEquilibria, robot: int) -> bool:
+        """Find what is between stations that a robot reaches; whether each place leads to the next one there."""
+        here = slice(robot * self._length, (robot + 1) * self._length)
+        states, stations, known = self.states.rows(here), self._stations[here], self.known[here]
+        before = np.maximum.accumulate(np.where(stations, np.arange(self._length), 0))
+        wanted = np.flatnonzero(~stations & known[before] & known[_next(stations)])
+        found, done = equilibria.along(states.rows(before[wanted]), states.q[wanted], states.load[wanted])
+        states.write(wanted[done == 1], found.rows(done == 1))
+        self.states.write(here, states)
+        known[wanted] = done == 1
+        joined = np.flatnonzero(known[1:] & ~self._fresh[here][1:])
+        return bool(done.all() and equilibria.linked(states.rows(joined), states.rows(joined + 1)).all())
+
+    def forget(self, robot: int) -> None:
+        """Take each place of a robot for a station, of which nothing is known."""
+        here = slice(robot * self._length, (robot + 1) * self._length)
+        numbers, q, load, *_ = self.states.rows(here)
+        self.states.write(here, States.nowhere(numbers, q, load))
+        self._stations[here] = True
+
+
+def _bent(values: Array) -> Flags:
+    """At which places (N, M) of values (N, M, k) a line ends; first and last ones are such."""
+    found = np.ones(values.shape[:2], dtype=bool)
+    found[:, 1:-1] = abs(np.diff(values, 2, axis=1)).max(axis=2, initial=0.0) > STRAIGHT
+    return found
+
+
+def _next(stations: Flags) -> Index:
+    """The next station after each row; the last row after the last one."""
+    rows = np.arange(len(stations))
+    ends = np.where(stations, rows, len(rows) - 1)
+    return np.append(np.minimum.accumulate(ends[::-1])[::-1][1:], len(rows) - 1)
