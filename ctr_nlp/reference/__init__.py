@@ -6,6 +6,7 @@ None of them knows the robot's speed limits; largest steps are part of every com
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import MODELS
@@ -13,23 +14,34 @@ from ctr_nlp.reference.descent import Method, ReferenceFrames
 from ctr_nlp.reference.euclidean import euclidean
 from ctr_nlp.reference.paper_two_stage import paper_two_stage
 from ctr_nlp.reference.tip_jacobian import tip_jacobian
+from ctr_nlp.reference.tip_resolved import tip_resolved
 from ctr_nlp.support.values import check_choice
 from ctr_nlp.target.problem import Problem
 
-METHODS: dict[str, Callable[[Problem, float], Method]] = {
-    "paper-two-stage": paper_two_stage,
-    "euclidean": euclidean,
-    "tip-jacobian": tip_jacobian,
+
+class Reference(NamedTuple):
+    """A method of others: made of a problem and lambda / dt^2, and the model that it knows."""
+
+    method: Callable[[Problem, float], Method]
+    model: str = "dominant"
+
+
+METHODS = {
+    "paper-two-stage": Reference(paper_two_stage),
+    "euclidean": Reference(euclidean),
+    "tip-jacobian": Reference(tip_jacobian),
+    "tip-resolved": Reference(tip_resolved, "elastic"),
 }
-"""Every reference method by the name that options use: (problem, lambda / dt^2) -> method."""
+"""Every reference method by the name that options use."""
 
 
 def reference_frames(problem: Problem, name: str, settings: Settings) -> ReferenceFrames:
     """A reference method as a FrameSolver; raises OptionError where the name is unknown."""
     check_choice("reference method", name, METHODS)
-    MODELS["dominant"].check(problem.robot)
-    method = METHODS[name](problem, settings.motion_weight / problem.dt**2)
-    return ReferenceFrames(problem, name, method, settings.options())
+    found = METHODS[name]
+    MODELS[found.model].check(problem.robot)
+    method = found.method(problem, settings.motion_weight / problem.dt**2)
+    return ReferenceFrames(problem, name, found.model, method, settings.options())
 
 
 __all__ = ["METHODS", "reference_frames"]

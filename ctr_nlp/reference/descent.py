@@ -14,8 +14,8 @@ from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
-Method = Callable[[Frame, Array, Array | None], FrameResult]
-"""(frame, guess q, previous q or None) -> result."""
+Method = Callable[[Frame, Array, FrameResult | None], FrameResult]
+"""(frame, guess q, what was found for the frame before, or None) -> result."""
 
 SEARCH_STARTS = 32
 STEP = 1e-7
@@ -28,13 +28,13 @@ FLAT = 1e-2
 class ReferenceFrames:
     """A FrameSolver around a reference method."""
 
-    def __init__(self, problem: Problem, name: str, method: Method, options: dict[str, Any]) -> None:
+    def __init__(self, problem: Problem, name: str, model: str, method: Method, options: dict[str, Any]) -> None:
         """Wrap a method for the frames of a problem; options go into the plan's meta."""
         self.problem, self._method = problem, method
         self.build_seconds = 0.0
         self.description: dict[str, Any] = {
             "formulation": name,
-            "model": "dominant",
+            "model": model,
             "solver": "scipy",
             "options": options,
         }
@@ -48,7 +48,7 @@ class ReferenceFrames:
 
     def step(self, frame: int, before: FrameResult) -> FrameResult:
         """The answer for a frame, from the one before it."""
-        return self._method(self.problem.samples[frame], before.q, before.q)
+        return self._method(self.problem.samples[frame], before.q, before)
 
     def run(self, frames: Sequence[int], before: FrameResult) -> Iterator[tuple[FrameResult, float]]:
         """Answers for frames, each from the one before it, and the seconds that each took."""
@@ -118,6 +118,6 @@ def shape_error(shape: tuple[Any, Any, Any], target: Array, weights: Array) -> A
     return sum(((shape[i] - target[:, i]) ** 2 for i in range(3)), np.zeros(1)) @ weights
 
 
-def motion(robot: Robot, q: Array, previous: Array | None, weight: float) -> Array | float:
-    """Motion term: weight |W (q - previous)|^2 in mm^2 of a batch q (B, 2d + 2); 0 without a previous q."""
-    return 0.0 if previous is None else weight * (((q - previous) * robot.mm_per_unit) ** 2).sum(axis=-1)
+def motion(robot: Robot, q: Array, before: FrameResult | None, weight: float) -> Array | float:
+    """Motion term: weight |W (q - q before)|^2 in mm^2 of a batch q (B, 2d + 2); 0 without a frame before."""
+    return 0.0 if before is None else weight * (((q - before.q) * robot.mm_per_unit) ** 2).sum(axis=-1)

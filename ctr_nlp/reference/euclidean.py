@@ -22,11 +22,11 @@ def euclidean(problem: Problem, motion_weight: float) -> Method:
     def configured(x: Array) -> Array:
         return np.concatenate([x[:, :d], extensions(robot, x[:, d : 2 * d]), x[:, 2 * d :]], axis=1)
 
-    def solve(frame: Frame, guess: Array, previous: Array | None) -> FrameResult:
+    def solve(frame: Frame, guess: Array, before: FrameResult | None) -> FrameResult:
         def cost(x: Array) -> Array:
             q = configured(x)
             points = dominant.backbone(robot.tube_numbers, list(q.T[..., None]), SIGMA, np).points
-            return shape_error(points, frame.points, QUADRATURE) + motion(robot, q, previous, motion_weight)
+            return shape_error(points, frame.points, QUADRATURE) + motion(robot, q, before, motion_weight)
 
         start = np.concatenate([guess[:d], fractions(robot, guess[d : 2 * d]), guess[2 * d :]])
         x, objective, ok, evaluations, status = descend(cost, start, bounds)

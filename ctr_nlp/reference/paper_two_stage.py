@@ -26,16 +26,16 @@ def paper_two_stage(problem: Problem, motion_weight: float, points: int = POINTS
     """
     robot = problem.robot
 
-    def solve(frame: Frame, guess: Array, previous: Array | None) -> FrameResult:
-        beta, ok_first, n_first, first = _extend(robot, frame, guess, previous, motion_weight)
-        q, objective, ok, n, second = _rotate(robot, frame, beta, points, guess, previous, motion_weight)
+    def solve(frame: Frame, guess: Array, before: FrameResult | None) -> FrameResult:
+        beta, ok_first, n_first, first = _extend(robot, frame, guess, before, motion_weight)
+        q, objective, ok, n, second = _rotate(robot, frame, beta, points, guess, before, motion_weight)
         return FrameResult(q, ok_first and ok, objective, np.nan, n_first + n, f"{first}; {second}")
 
     return solve
 
 
 def _extend(
-    robot: Robot, frame: Frame, guess: Array, previous: Array | None, weight: float
+    robot: Robot, frame: Frame, guess: Array, before: FrameResult | None, weight: float
 ) -> tuple[Array, bool, int, str]:
     """Beta from curvature; the tip belongs to the target's end, so beta_d is the target's length."""
     d, low, high = robot.d, robot.lower[2 * robot.d - 1], robot.reach
@@ -52,7 +52,7 @@ def _extend(
         )
         kappa = np.interp(s / last, SIGMA, frame.curvature)
         squares = ((k - kappa) ** 2).reshape(len(x), d, SAMPLES).mean(axis=2)
-        change = 0.0 if previous is None else weight * ((beta - robot.split(previous)[1]) ** 2).sum(axis=1)
+        change = 0.0 if before is None else weight * ((beta - robot.split(before.q)[1]) ** 2).sum(axis=1)
         return lever(robot.reach) ** 2 * (squares * widths).sum(axis=1) / last + change
 
     start = fractions(robot, np.append(robot.split(guess)[1][:-1], last))[: d - 1]
@@ -63,7 +63,7 @@ def _extend(
 
 
 def _rotate(
-    robot: Robot, frame: Frame, beta: Array, points: int, guess: Array, previous: Array | None, weight: float
+    robot: Robot, frame: Frame, beta: Array, points: int, guess: Array, before: FrameResult | None, weight: float
 ) -> tuple[Array, float, bool, int, str]:
     """Alpha and theta from evenly spaced points of the segments, all weighted alike."""
     d, parts = robot.d, np.arange(1, points + 1) / points
@@ -76,7 +76,7 @@ def _rotate(
     def cost(x: Array) -> Array:
         q = configured(x)
         shape = dominant.backbone(robot.tube_numbers, list(q.T[..., None]), sigma, np).points
-        return shape_error(shape, target, even) + motion(robot, q, previous, weight)
+        return shape_error(shape, target, even) + motion(robot, q, before, weight)
 
     angles = np.r_[0:d, 2 * d : 2 * d + 2]
     bounds = np.column_stack([robot.lower, robot.upper])[angles]

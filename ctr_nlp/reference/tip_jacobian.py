@@ -24,7 +24,7 @@ def tip_jacobian(problem: Problem, motion_weight: float) -> Method:
     del motion_weight
     robot = problem.robot
 
-    def solve(frame: Frame, guess: Array, previous: Array | None) -> FrameResult:
+    def solve(frame: Frame, guess: Array, before: FrameResult | None) -> FrameResult:
         q = _within_limits(robot, guess)
         evaluations = 0
         for _ in range(ITERATIONS):

@@ -93,7 +93,7 @@ def parse_variant(name: str) -> Variant:
 
     name = RENAMED.get(name, name)
     if name in METHODS:
-        return Variant(name, name, "dominant", reference)
+        return Variant(name, name, METHODS[name].model, reference)
     if name in ROBUST:
         return Variant(name, name, "elastic", robust)
     parts = name.split(":")

@@ -1,0 +1,181 @@
+"""Tip steering on the elastic model, whose null space keeps motors from limits and the robot from the snap.
+
+Damped least squares (Nakamura, Hanafusa, Inverse Kinematic Solutions with Singularity Robustness, J. Dyn. Syst.
+Meas. Control 108, 1986) in the norm of Chan and Dubey (A Weighted Least-Norm Solution Based Scheme for Avoiding
+Joint Limits, IEEE Trans. Robotics and Automation 11(2), 1995). In the null space motors follow the gradient of a
+criterion (Liegeois, IEEE Trans. Systems, Man and Cybernetics 7(12), 1977): the logarithm of det(d alpha / d phi),
+which is 0 at the snap, as long as it is less than CALM; beyond, it would align all tubes.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ctr_nlp.codegen import cache
+from ctr_nlp.codegen.background import Library
+from ctr_nlp.codegen.mapped import Mapped
+from ctr_nlp.formulations.frames import FrameResult
+from ctr_nlp.models import MODELS
+from ctr_nlp.models.protocol import symbolic_tubes
+from ctr_nlp.nlp.written import Written
+from ctr_nlp.reference.descent import Method
+from ctr_nlp.reference.tip_jacobian import CLOSE_MM
+from ctr_nlp.robot import Robot
+from ctr_nlp.robot.robot import mm_per_unit
+from ctr_nlp.robot.structure import NUMBERS, Structure
+from ctr_nlp.target.problem import Problem
+from ctr_nlp.target.target import Frame
+from ctr_nlp.typing import Array
+
+ELASTIC = MODELS["elastic"]
+LEAST, DAMPING, SINGULAR = 0.05, 3.0, 0.3
+"""mu of the damped inverse J' (J J' + mu^2 I)^-1, in mm/mm: the least one, and what is added near singularities, the
+more the less sqrt det J J' is than the third.
+"""
+STEPS = 50
+"""Steps of control in a frame at most: 1 kHz for 50 ms."""
+FURTHEST, WIDEST = 2.0, 0.05
+"""mm that the tip is asked to move by in one step, and motors in the null space, angles by Robot.mm_per_unit."""
+CALM = 3.0
+"""The determinant from which on the robot is far enough from the snap; of aligned tubes it is 7 to 16 on Table I."""
+GAIN = 3.0
+"""mm^2: how much of the criterion's gradient, 1/mm, the null space follows in a step."""
+HELD, TRIES = 1e8, 3
+"""The weight of motors that would leave their limits, which are asked of the others; how often this is done."""
+CLOSER = 0.999
+"""Part of the tip's distance that must be left at most after a step; else the target is out of reach."""
+STILL = 1e-3
+"""mm that motors move by in a step, below which they stand."""
+ROOM = 1e-3
+"""Part of the way between two limits that a motor counts as away from them, where it is nearer."""
+
+
+def tip_resolved(problem: Problem, motion_weight: float) -> Method:
+    """The method for a problem; motion_weight has no part in it."""
+    del motion_weight
+    robot = problem.robot
+    steering = TipSteering(robot)
+
+    def solve(frame: Frame, guess: Array, before: FrameResult | None) -> FrameResult:
+        x = ELASTIC.rest(robot, guess) if before is None or before.x is None else before.x
+        steps, last, distance = 0, np.inf, np.inf
+        while steps < STEPS and np.isfinite(x).all():
+            new, distance, moved = steering.step(x, frame.points[-1])
+            steps += 1
+            if moved < STILL or (distance > CLOSE_MM and distance > CLOSER * last):
+                break
+            x, last = new, distance
+        if not np.isfinite(x).all():
+            return FrameResult(guess, False, np.inf, np.nan, steps, "no equilibrium")
+        q = ELASTIC.configuration(robot, x[None])[0]
+        return FrameResult(q, distance < 1.0, distance**2, np.nan, steps, f"tip within {distance:.3g} mm", x=x)
+
+    return solve
+
+
+class TipSteering:
+    """Steps of a robot's tip, each a call of one function of a few dozen microseconds; one object a thread."""
+
+    def __init__(self, robot: Robot) -> None:
+        """Build."""
+        self._robot = robot
+        self._function, self._compiled = _fastest(robot.structure)
+        self._mapped = self._filled()
+
+    def step(self, x: Array, goal: Array) -> tuple[Array, float, float]:
+        """Unknowns (2d + 2,) after a step from x (2d + 2,) towards a tip at goal (3,), mm.
+
+        Then how far the tip was from there, mm, and how far motors move, mm, angles by Robot.mm_per_unit.
+        """
+        if not self._compiled:
+            self._function, self._compiled = _fastest(self._robot.structure)
+            self._mapped = self._filled() if self._compiled else self._mapped
+        new, told = self._mapped(np.concatenate([x, goal]))
+        return new[0].copy(), float(told[0, 0]), float(told[0, 1])
+
+    def _filled(self) -> Mapped:
+        found, robot = Mapped(self._function, 1, 1), self._robot
+        found.inputs[1][0] = np.concatenate([robot.numbers.ravel(order="F"), robot.lower, robot.upper])
+        return found
+
+
+@functools.lru_cache(maxsize=64)
+def symbolic(structure: Structure) -> ca.Function:
+    """(x and goal, numbers and limits) -> (x after a step, [distance of the tip, what motors move by])."""
+    d = structure.d
+    numbers, limits = ca.SX.sym("numbers", d, len(NUMBERS)), ca.SX.sym("limits", 2 * d + 2, 2)
+    goal, none = ca.SX.sym("goal", 3), ca.SX(0)
+    shape = ELASTIC.frame(structure, symbolic_tubes(structure, numbers), lambda beta: beta[-1], none)
+    assert shape.stability is not None
+    theta = shape.x[2 * d :]
+    told: list[Any] = [
+        ca.vertcat(*shape.placed(shape.points)),
+        shape.alpha,
+        ca.log(ca.fmin(shape.stability[-1], CALM)),
+    ]
+    tip, alpha, criterion = Written.without([shape.inner.columns], told)
+    q, scale = ca.vertcat(alpha, *shape.beta, theta), ca.DM(mm_per_unit(d))
+    by_q = ca.solve(ca.jacobian(q, shape.x), ca.SX.eye(2 * d + 2))  # dx / dq
+    jacobian, uphill = (ca.jacobian(each, shape.x) @ by_q @ ca.diag(1 / scale) for each in (tip, criterion))
+    far = ca.norm_2(goal - tip)
+    wanted = (goal - tip) * ca.fmin(1.0, FURTHEST / (far + 1e-12))
+    weights, kept = _weights(q, limits, scale), q
+    for _ in range(TRIES):
+        aim = q + _resolved(jacobian, uphill.T, weights, wanted) / scale
+        kept = _kept(aim, limits, d)
+        weights = ca.if_else(ca.fabs(aim - kept) > 0, HELD, weights)
+    found = shape.x + by_q @ (kept - q)
+    given = ca.vertcat(shape.x, goal), ca.vertcat(ca.vec(numbers), ca.vec(limits))
+    return ca.Function("resolved", given, [found, ca.vertcat(far, ca.norm_2((kept - q) * scale))], {"cse": True})
+
+
+def _weights(q: ca.SX, limits: ca.SX, scale: ca.DM) -> ca.SX:
+    """1 + |dH/dq| of each motor, H = sum (u - l)^2 / (4 (u - q) (q - l)), in the mm that motors are told in."""
+    low, high = limits[:, 0], limits[:, 1]
+    room = high - low
+    below, above = (ca.fmax(each, ROOM * room) for each in (q - low, high - q))
+    slope = room**2 * (2 * q - high - low) / (4 * (above * below) ** 2)
+    return 1 + ca.if_else(ca.fabs(room) < 1e6, ca.fabs(slope) / scale, 0.0)
+
+
+def _resolved(jacobian: ca.SX, uphill: ca.SX, weights: ca.SX, wanted: ca.SX) -> ca.SX:
+    """What motors move by, mm: for the tip by damped least squares, and uphill in the null space."""
+    root = ca.sqrt(weights)
+    light = jacobian @ ca.diag(1 / root)
+    square = light @ light.T
+    near = 1 - ca.fmin(1.0, ca.sqrt(ca.fmax(ca.det(square), 0.0)) / SINGULAR)
+    inverse = light.T @ ca.solve(square + (LEAST**2 + (DAMPING * near) ** 2) * ca.SX.eye(3), ca.SX.eye(3))
+    along = GAIN * uphill / root
+    free = along - inverse @ (light @ along)
+    free *= ca.fmin(1.0, WIDEST / (ca.norm_2(free) + 1e-12))
+    return (inverse @ wanted + free) / root
+
+
+def _kept(q: ca.SX, limits: ca.SX, d: int) -> ca.SX:
+    """The nearest configuration entry by entry; an outer tube gives way to the inner one."""
+    entries = ca.vertsplit(ca.fmin(ca.fmax(q, limits[:, 0]), limits[:, 1]))
+    for i in reversed(range(d, 2 * d - 1)):
+        entries[i] = ca.fmax(ca.fmin(entries[i], entries[i + 1]), limits[i, 0])
+    return ca.vertcat(*entries)
+
+
+@functools.lru_cache(maxsize=64)
+def _library(structure: Structure) -> Library:
+    return Library(symbolic(structure).serialize(), functools.partial(_functions, structure), 1)
+
+
+def _functions(structure: Structure) -> tuple[ca.Function]:
+    return (symbolic(structure),)
+
+
+def _fastest(structure: Structure) -> tuple[ca.Function, bool]:
+    """The function of robots of a structure, and whether it is compiled."""
+    structure = replace(structure, gap=False)
+    if not cache.missing() and (path := _library(structure).soon()) is not None:
+        return ca.external("resolved", str(path)), True
+    return symbolic(structure), False
