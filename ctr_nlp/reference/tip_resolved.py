@@ -34,15 +34,15 @@ from ctr_nlp.typing import Array
 
 ELASTIC = MODELS["elastic"]
 LEAST, DAMPING, SINGULAR = 0.05, 3.0, 0.3
-"""mu of the damped inverse J' (J J' + mu^2 I)^-1, in mm/mm: the least one, and what is added near singularities, the
-more the less sqrt det J J' is than the third.
+"""mu of the damped inverse J' (J J' + mu^2 I)^-1, in mm/mm: the least one, and what is added near singularities,
+the more the less sqrt det J J' is than the third.
 """
 STEPS = 50
 """Steps of control in a frame at most: 1 kHz for 50 ms."""
 FURTHEST, WIDEST = 2.0, 0.05
 """mm that the tip is asked to move by in one step, and motors in the null space, angles by Robot.mm_per_unit."""
 CALM = 3.0
-"""The determinant from which on the robot is far enough from the snap; of aligned tubes it is 7 to 16 on Table I."""
+"""The determinant from which on the robot is far from the snap; of aligned tubes it is 7 to 16 (Table I)."""
 GAIN = 3.0
 """mm^2: how much of the criterion's gradient, 1/mm, the null space follows in a step."""
 HELD, TRIES = 1e8, 3
