@@ -19,6 +19,7 @@ from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.reference import METHODS, reference_frames
 from ctr_nlp.reference.published import BASELINE, SEED
+from ctr_nlp.reference.sampled import rrt_connect
 from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS, default_chain_solver, default_solver
 from ctr_nlp.steer import Horizon, march
 from ctr_nlp.steer.motions import per_frame_motions
@@ -60,6 +61,8 @@ ROBUST: Mapping[str, Callable[..., Plan]] = {
     "robust-joint": solve_robust_per_frame,
 }
 """Variants that plan for the robot's tolerances, on the elastic model; they take long: by name only."""
+PATHS: Mapping[str, Callable[..., Plan]] = {"rrt-connect": rrt_connect}
+"""Methods that lead through a lumen to the last frame, whatever lies between; by name only."""
 
 
 RENAMED = {"seed-two-stage": "paper-two-stage"}
@@ -91,14 +94,19 @@ def parse_variant(name: str) -> Variant:
     def robust(problem: Problem, settings: Settings, _: Sequence[Array], progress: Progress | None) -> Plan:
         return _tried(ROBUST[name](problem, settings=settings, progress=progress))
 
+    def path(problem: Problem, settings: Settings, _: Sequence[Array], progress: Progress | None) -> Plan:
+        return PATHS[name](problem, settings, progress=progress)
+
     name = RENAMED.get(name, name)
     if name in METHODS:
         return Variant(name, name, METHODS[name].model, reference)
     if name in ROBUST:
         return Variant(name, name, "elastic", robust)
+    if name in PATHS:
+        return Variant(name, name, "elastic", path)
     parts = name.split(":")
     if len(parts) not in (2, 3):
-        raise OptionError(f"variant is {name!r}; it must be one of {', '.join([*VARIANTS, *ROBUST])}")
+        raise OptionError(f"variant is {name!r}; it must be one of {', '.join([*VARIANTS, *ROBUST, *PATHS])}")
     formulation, solver, model = (*parts, "dominant")[:3]
     for kind, value, allowed in (
         ("formulation", formulation, ("horizon", *FORMULATIONS)),

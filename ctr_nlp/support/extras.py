@@ -15,6 +15,7 @@ EXTRAS = {
     "anatomy": ("nibabel", "nrrd", "networkx", "pyvista", "vtkmodules"),
     "report": ("k3d", "bokeh", "jinja2"),
     "completion": ("shtab",),
+    "sampling": ("ompl",),
     "study": ("dask", "distributed", "pyarrow", "pandas"),
 }
 """The modules that each extra of this package brings."""

@@ -18,7 +18,16 @@ from ctr_nlp.plan.draws import DRAWS
 from ctr_nlp.problems import NAMES
 from ctr_nlp.reference import METHODS
 from ctr_nlp.reference.published import BASELINE, BASELINE_ELASTIC, SEED, SEED_ELASTIC
-from ctr_nlp.studies.comparison import RENAMED, ROBUST, VARIANTS, Comparison, compare, parse_variant, variants_here
+from ctr_nlp.studies.comparison import (
+    PATHS,
+    RENAMED,
+    ROBUST,
+    VARIANTS,
+    Comparison,
+    compare,
+    parse_variant,
+    variants_here,
+)
 from ctr_nlp.support.interrupt import end_if_interrupted
 from ctr_nlp.support.tables import markdown, write_csv
 
@@ -70,7 +79,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         metavar="NAME",
         nargs="+",
         help=f"(default all that work here, of {', '.join(VARIANTS)}; by name only {', '.join(ROBUST)}, which "
-        "plan for the robot's tolerances and take seconds to a minute a problem)",
+        f"plan for the robot's tolerances and take seconds to a minute a problem, and {', '.join(PATHS)}, which "
+        "leads through a lumen to the last frame, whatever lies between, and needs the extra `sampling`)",
     )
     options.add_out_option(parser, "runs/comparison")
     options.add_problem_options(parser)
