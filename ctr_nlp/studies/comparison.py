@@ -19,13 +19,13 @@ from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.reference import METHODS, reference_frames
 from ctr_nlp.reference.published import BASELINE, SEED
-from ctr_nlp.reference.sampled import rrt_connect
 from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS, default_chain_solver, default_solver
 from ctr_nlp.steer import Horizon, march
 from ctr_nlp.steer.motions import per_frame_motions
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.robust import solve_robust, solve_robust_per_frame
+from ctr_nlp.studies.sampled import rrt_connect
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.values import check_choice
 from ctr_nlp.target.problem import Problem

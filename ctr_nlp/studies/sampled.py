@@ -3,29 +3,30 @@
 Kuffner, LaValle, RRT-Connect: An Efficient Approach to Single-Query Path Planning, ICRA 2000; Sucan, Moll,
 Kavraki, The Open Motion Planning Library, IEEE Robotics & Automation Magazine 19(4), 2012. The trees grow in the
 unknowns of the model, of which each is an equilibrium: a path along which the margin is held is one that the robot
-really takes. Valid is what keeps the limits and the margin and does not touch the wall. The path leads from an
-answer for the target's first frame to one for its last, knows nothing of the frames between, and is made shorter
-afterwards.
+really takes. Valid is what keeps the limits and the margin and is nowhere further beyond the wall than is allowed.
+The path leads from an answer for the target's first frame to one for its last, and is made shorter afterwards; it
+knows nothing of the frames between.
 """
 
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.frames import FrameResult
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import MODELS
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
 from ctr_nlp.reference.descent import extensions, fractions
-from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.passes import Progress
+from ctr_nlp.steer.per_frame import solve_per_frame
 from ctr_nlp.support.extras import needed
-from ctr_nlp.support.values import number
+from ctr_nlp.support.values import floats, number
 from ctr_nlp.target.lumen import outer_radii
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import SIGMA
@@ -37,8 +38,8 @@ RANGE, RESOLUTION = 20.0, 0.005
 """mm of a branch of the tree at most, and the part of the space's extent between two looks along it."""
 SIDEWAYS = 0.5
 """rad by which tilts may differ from the first frame's."""
-SAMPLES, APART = SIGMA[::2], 0.05
-"""Where the wall is looked for, and mm that stay free there, as it is taken at half millimetres of the path."""
+SAMPLES, FINE, APART = SIGMA[::2], 0.1, 0.01
+"""Where of the robot the wall is looked for, at what mm of the lumen's path, and mm that stay free for that."""
 MM = 20.0, 40.0, 50.0
 """What a radian of a tube, the whole room of an outer tube and a radian of tilt count as, mm."""
 ELASTIC = MODELS["elastic"]
@@ -47,14 +48,15 @@ ELASTIC = MODELS["elastic"]
 class Room:
     """The space that the tree grows in: unknowns with fractions for extensions, in mm; what is valid there."""
 
-    def __init__(self, problem: Problem, margin: float) -> None:
+    def __init__(self, problem: Problem, settings: Settings) -> None:
         """Raises OptionError of a problem without a wall."""
-        if problem.sampled_lumen is None:
+        lumen = problem.lumen
+        if lumen is None or lumen.radius is None:
             name = problem.name or "the problem"
             raise OptionError(f"rrt-connect plans within a lumen, and {name} has none with a radius")
-        self.robot, self._margin, self.looked = problem.robot, margin, 0
-        table = problem.sampled_lumen.table
-        self._tree, self._radius = cKDTree(table[:, :3]), table[:, 3]
+        self.robot, self._settings, self.looked = problem.robot, settings, 0
+        places = np.arange(0.0, lumen.length, FINE)
+        self._tree, self._radius = cKDTree(lumen.point(places)), lumen.radius(places)
         d = self.robot.d
         turn, room, tilt = MM
         self._scale = np.concatenate([np.full(d, turn), np.full(d - 1, room), [1.0], np.full(2, tilt)])
@@ -83,7 +85,7 @@ class Room:
         return np.minimum(low * self._scale, known.min(axis=0)), np.maximum(high * self._scale, known.max(axis=0))
 
     def valid(self, place: Array) -> bool:
-        """Whether the robot is free of the wall, stable and within its limits at a point."""
+        """Whether the robot is within the lumen, stable and within its limits at a point."""
         self.looked += 1
         return self.holds(self.unknowns(place))
 
@@ -93,7 +95,11 @@ class Room:
         points = ELASTIC.points(robot, x[None], SAMPLES)[0]
         distance, nearest = self._tree.query(points)
         over = distance + outer_radii(robot, x[None, d : 2 * d], SAMPLES)[0] - self._radius[nearest]
-        return bool(over.max() < -APART and ELASTIC.margins(robot, x[None])[0] > self._margin and self._within(x))
+        if over.max() > self._settings.contact_allowed - APART:
+            return False
+        margin = self._settings.stability_margin
+        stable = margin is None or ELASTIC.margins(robot, x[None])[0] > margin
+        return bool(stable and self._within(x))
 
     def _within(self, x: Array) -> bool:
         """Whether motors are within limits that the space does not know: those of tubes' angles."""
@@ -108,26 +114,31 @@ def rrt_connect(
     problem: Problem,
     settings: Settings | None = None,
     *,
+    start: npt.ArrayLike | None = None,
+    end: npt.ArrayLike | None = None,
     seconds: float = SECONDS,
     seed: int = 1,
     progress: Progress | None = None,
 ) -> Plan:
     """A path through the lumen to the pose of the last frame, as a plan with frames evenly along it.
 
-    seconds: of the search at most. Where nothing is found no frame counts as solved, and the robot stands still.
-    Raises OptionError where the problem has no wall, no frame's answer is free of it, or OMPL is not installed.
+    start, end: configurations (2d + 2,) to lead from and to, at rest; those of frames planned alone by default.
+    settings: stability_margin and contact_allowed say what is valid. seconds: of the search at most. Where nothing
+    is found no frame counts as solved, and the robot stands still.
+    Raises OptionError where the problem has no wall, an end is not valid, or OMPL is not installed.
     """
     del progress
     number(OptionError, "seconds", seconds, lambda value: 0.1 <= value <= 1e5, "lie in [0.1, 1e5]", " s")
     ompl = needed("ompl")
     settings = settings or Settings()
-    room = Room(problem, settings.stability_margin or 0.0)
+    room = Room(problem, settings)
     begin = time.perf_counter()
-    start, goal = (_free(problem, room, settings, frame) for frame in (0, problem.frames - 1))
+    given = zip((start, end), (0, problem.frames - 1), strict=True)
+    ends = [_end(problem, room, settings, q, frame) for q, frame in given]
     build = time.perf_counter() - begin
-    path = _searched(ompl, room, np.array([room.place(start), room.place(goal)]), seconds, seed)
+    path = _searched(ompl, room, np.array([room.place(x) for x in ends]), seconds, seed)
     found = path is not None
-    x = np.repeat(start[None], problem.frames, axis=0) if path is None else _spread(room, path, problem.frames)
+    x = np.repeat(ends[:1], problem.frames, axis=0) if path is None else _spread(room, path, problem.frames)
     why = {} if found else {str(j + 1): f"no path was found within {seconds:g} s" for j in range(problem.frames)}
     unknown = np.full(problem.frames, np.nan)
     meta = {
@@ -149,15 +160,18 @@ def rrt_connect(
     )
 
 
-def _free(problem: Problem, room: Room, settings: Settings, frame: int) -> Array:
-    """The unknowns (2d + 2,) of the best answer for a frame that is free of the wall."""
-    answers: list[FrameResult] = NlpFrames.of(problem, model=ELASTIC, settings=settings).search(frame)
-    for answer in answers:
-        if answer.success and answer.x is not None and room.holds(answer.x):
-            return answer.x
+def _end(problem: Problem, room: Room, settings: Settings, q: npt.ArrayLike | None, frame: int) -> Array:
+    """The unknowns (2d + 2,) of a robot at rest at q, or as it is planned for a frame alone, if that is valid."""
+    if q is None:
+        willing = replace(settings, clearance_cost=np.inf)
+        q = solve_per_frame(problem[frame : frame + 1], model=ELASTIC, settings=willing).q[0]
+    x = ELASTIC.rest(problem.robot, floats(OptionError, "start or end", q, (len(problem.robot.axes),)))
+    if np.isfinite(x).all() and room.holds(x):
+        return x
     raise OptionError(
-        f"rrt-connect finds no answer for frame {frame + 1} of {problem.name or 'the problem'} that is free of "
-        f"the wall and holds the margin; tubes that fit the lumen (ctr-nlp design) may have one"
+        f"rrt-connect finds no valid robot for frame {frame + 1} of {problem.name or 'the problem'}: in the "
+        f"lumen but for {settings.contact_allowed:g} mm, and {settings.stability_margin or 0:g} from the snap; "
+        f"tubes that fit the lumen (ctr-nlp design) may do"
     )
 
 
