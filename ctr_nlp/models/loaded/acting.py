@@ -16,8 +16,8 @@ from ctr_nlp.robot.structure import Structure
 from ctr_nlp.typing import Array, Vector
 
 STEPS = 18
-"""Steps of integration a section where numbers are wanted."""
-GENTLE = 1.0
+"""Steps of integration a section where numbers are wanted; twice as many where a force may begin or end in one."""
+GENTLE = 0.5
 """mm to both sides of a place where a force along the body begins or ends, within which it does so."""
 
 
@@ -98,7 +98,7 @@ class RodKind(NamedTuple):
     @property
     def steps(self) -> int:
         """Of integration, in each of these."""
-        return STEPS // max(self.pieces, 1)
+        return STEPS * (2 if self.distributed else 1) // max(self.pieces, 1)
 
     def numbers(self, structure: Structure) -> int:
         """How many numbers a load has: of loads.Load.numbers, and then three of every piece, N/mm, if any."""
