@@ -79,7 +79,7 @@ def tip_resolved(problem: Problem, motion_weight: float) -> Method:
 
 
 class TipSteering:
-    """Steps of a robot's tip, each a call of one function of a few dozen microseconds; one object a thread."""
+    """Steps of a robot's tip, each a call of one compiled function, of some microseconds; one object a thread."""
 
     def __init__(self, robot: Robot) -> None:
         """Build."""
@@ -111,13 +111,9 @@ def symbolic(structure: Structure) -> ca.Function:
     numbers, limits = ca.SX.sym("numbers", d, len(NUMBERS)), ca.SX.sym("limits", 2 * d + 2, 2)
     goal, none = ca.SX.sym("goal", 3), ca.SX(0)
     shape = ELASTIC.frame(structure, symbolic_tubes(structure, numbers), lambda beta: beta[-1], none)
-    assert shape.stability is not None
     theta = shape.x[2 * d :]
-    told: list[Any] = [
-        ca.vertcat(*shape.placed(shape.points)),
-        shape.alpha,
-        ca.log(ca.fmin(shape.stability[-1], CALM)),
-    ]
+    far_from_snap = ca.SX(0) if shape.stability is None else ca.log(ca.fmin(shape.stability[-1], CALM))
+    told: list[Any] = [ca.vertcat(*shape.placed(shape.points)), shape.alpha, far_from_snap]
     tip, alpha, criterion = Written.without([shape.inner.columns], told)
     q, scale = ca.vertcat(alpha, *shape.beta, theta), ca.DM(mm_per_unit(d))
     by_q = ca.solve(ca.jacobian(q, shape.x), ca.SX.eye(2 * d + 2))  # dx / dq

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from problems import named
 
-from ctr_nlp import Settings, table_i_robot
+from ctr_nlp import Robot, Settings, Tube, table_i_robot
 from ctr_nlp.models import MODELS
 from ctr_nlp.reference import reference_frames
 from ctr_nlp.reference.tip_resolved import TipSteering
@@ -57,6 +57,16 @@ def test_near_the_snap_the_null_space_leads_away_from_it_while_the_tip_stays():
     new = steered(TipSteering(ROBOT), x, goal, 200)
     assert np.linalg.norm(tip(new) - goal) < 0.02
     assert ELASTIC.margins(ROBOT, new[None])[0] > before + 0.3
+
+
+def test_a_lone_tube_cannot_snap_and_its_tip_is_steered_too():
+    lone = Robot((Tube(150, 100, 0.01, 2.0, 1.0),))
+    steering = TipSteering(lone)
+    x = ELASTIC.rest(lone, np.array([0.3, 50.0, 0.0, 0.0]))
+    goal = ELASTIC.points(lone, np.array([[0.6, 60.0, 0.1, -0.1]]), np.ones(1))[0, 0]
+    for _ in range(60):
+        x, distance, _ = steering.step(x, goal)
+    assert distance < 1e-3
 
 
 def test_a_plan_tells_the_model_that_it_was_made_on():
