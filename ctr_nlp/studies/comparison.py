@@ -94,8 +94,8 @@ def parse_variant(name: str) -> Variant:
     def robust(problem: Problem, settings: Settings, _: Sequence[Array], progress: Progress | None) -> Plan:
         return _tried(ROBUST[name](problem, settings=settings, progress=progress))
 
-    def path(problem: Problem, settings: Settings, _: Sequence[Array], progress: Progress | None) -> Plan:
-        return PATHS[name](problem, settings, progress=progress)
+    def path(problem: Problem, settings: Settings, _: Sequence[Array], __: Progress | None) -> Plan:
+        return PATHS[name](problem, settings)
 
     name = RENAMED.get(name, name)
     if name in METHODS:

@@ -23,7 +23,6 @@ from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import MODELS
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
 from ctr_nlp.reference.descent import extensions, fractions
-from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.per_frame import solve_per_frame
 from ctr_nlp.support.extras import needed
 from ctr_nlp.support.values import floats, number
@@ -118,7 +117,6 @@ def rrt_connect(
     end: npt.ArrayLike | None = None,
     seconds: float = SECONDS,
     seed: int = 1,
-    progress: Progress | None = None,
 ) -> Plan:
     """A path through the lumen to the pose of the last frame, as a plan with frames evenly along it.
 
@@ -127,7 +125,6 @@ def rrt_connect(
     is found no frame counts as solved, and the robot stands still.
     Raises OptionError where the problem has no wall, an end is not valid, or OMPL is not installed.
     """
-    del progress
     number(OptionError, "seconds", seconds, lambda value: 0.1 <= value <= 1e5, "lie in [0.1, 1e5]", " s")
     ompl = needed("ompl")
     settings = settings or Settings()

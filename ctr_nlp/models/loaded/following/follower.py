@@ -45,14 +45,11 @@ class Follower:
         known = self._numbers[which], q[which], tips.reshape(len(which), self._numbers.shape[1])
         return which, self.loaded.unloaded(*known)
 
-    def _at(self, place: int) -> Array:
-        """The numbers (N, 12 + 3d) at a place of a way."""
-        return self._acting if self._acting.ndim == 2 else self._acting[:, place]
-
     def rest(self, q: Array) -> Array:
         """The unknowns (N, 2d + 2) there after the load has come; NaN of robots that snap on the way."""
         which, states = self.settled(q)
-        states, done = self.loaded.along(states, q[which], self._at(0)[which])
+        acting = self._acting if self._acting.ndim == 2 else self._acting[:, 0]
+        states, done = self.loaded.along(states, q[which], acting[which])
         found = np.full(q.shape, np.nan)
         found[which[done == 1]] = states.rows(done == 1).unknowns
         return found

@@ -11,7 +11,7 @@ import numpy as np
 from ctr_nlp.models.elastic.following import followed
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.tips import tip_angles
-from ctr_nlp.models.protocol import Passage
+from ctr_nlp.models.protocol import passage
 from ctr_nlp.robot.structure import Structure
 from ctr_nlp.typing import Array, Flags, Index
 
@@ -40,9 +40,7 @@ class Likely:
 
     def _unloaded(self, numbers: Array, q: Array) -> Array:
         """The unknowns (T, 2d + 2) at q (T, 2d + 2) of a robot that bears nothing; NaN where none are found."""
-        frames = np.arange(len(q))
-        way = Passage(q, frames, frames == 0, len(q))
-        return followed(self._structure, numbers, way, q, margins=False).x
+        return followed(self._structure, numbers, passage(q, 1), q, margins=False).x
 
     def skip(self, states: States, at: Index) -> Index:
         """Write states from rows on as far as they are known; the last rows written, or those where none are."""
