@@ -31,6 +31,7 @@ from ctr_nlp.steer.requests import (
     check_described,
     check_ends,
     check_growth,
+    check_model,
     check_search,
     checked_ends,
     checked_motions,
@@ -96,7 +97,7 @@ class Horizon:
     ) -> None:
         """Build; raises OptionError, RobotError, and ProblemError where no motion can keep the limits."""
         self._model = model_named(model, "model of a horizon")
-        self._model.check(problem.robot)
+        check_model(problem, self._model)
         solver = default_chain_solver() if solver is None else solver
         check_choice("solver of a horizon", solver, CHAIN_SOLVERS)
         if problem.frames < 2:

@@ -21,7 +21,7 @@ from ctr_nlp.models import Model, model_named
 from ctr_nlp.simulation.forward import other_way
 from ctr_nlp.solvers import SOLVERS, NlpSolver, Solution, default_solver
 from ctr_nlp.steer.at_once import AtOnce, reach_of
-from ctr_nlp.steer.requests import checked_terms
+from ctr_nlp.steer.requests import check_model, checked_terms
 from ctr_nlp.support.values import check_choice
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
@@ -78,7 +78,7 @@ class NlpFrames:
         """
         check_choice("formulation", formulation, FORMULATIONS)
         described, terms = model_named(model), checked_terms(terms)
-        described.check(problem.robot)
+        check_model(problem, described)
         solver = default_solver() if solver is None else solver
         check_choice("solver", solver, SOLVERS)
         samples, begin = problem.samples, time.perf_counter()

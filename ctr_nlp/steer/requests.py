@@ -13,6 +13,7 @@ from scipy.optimize import linprog
 from ctr_nlp.exceptions import OptionError, ProblemError
 from ctr_nlp.formulations.settings import Settings, check_motion_weight
 from ctr_nlp.formulations.terms import Term
+from ctr_nlp.models import Model
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.support.values import check_choice, floats, instance, whole_number
 from ctr_nlp.target.problem import OVERLONG, Problem
@@ -21,6 +22,8 @@ from ctr_nlp.typing import Array
 Direction = Literal["forward", "backward", "best"]
 
 DIRECTIONS = ("forward", "backward", "best")
+NEAR_POLE = 0.1
+"""rad from the y axis within which the base of a loaded robot cannot be led to point."""
 SLACK = 1e-6
 """Limits may be exceeded by this part before a motion counts as impossible."""
 
@@ -29,6 +32,27 @@ def check_described(problem: Any, settings: Any) -> None:
     """Raise ProblemError or OptionError unless these are a problem and settings."""
     instance(ProblemError, "problem", problem, Problem)
     instance(OptionError, "settings", settings, Settings)
+
+
+def check_model(problem: Problem, model: Model) -> None:
+    """Raise LoadError or RobotError where the robot does not suit the model, and ProblemError where the target
+    leads a loaded robot's base to the pole of its tilt.
+
+    Programs of loaded robots have the tip's direction as unknown, and tell theta from where the base points. At
+    theta_x = 90 deg theta_y can be anything then, and would have to turn by half a turn in one frame.
+    """
+    model.check(problem.robot)
+    if model.bears is None:
+        return
+    base = np.array([sample.tangents[0] for sample in problem.samples])
+    away = np.arctan2(np.hypot(base[:, 0], base[:, 2]), abs(base[:, 1]))
+    frame = int(away.argmin())
+    if away[frame] < NEAR_POLE:
+        raise ProblemError(
+            f"the target of {problem.name} begins {away[frame]:.2f} rad from the y axis of the base in frame "
+            f"{frame + 1}, where theta_x is 90 deg; under a load it must stay {NEAR_POLE:g} rad away. Turn the "
+            "problem about the z axis of the base, or plan without the load and look at plan.under(load)"
+        )
 
 
 def checked_ends(

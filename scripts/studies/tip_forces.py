@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
-from ctr_nlp import Problem, Robot, problem_from_file
+from ctr_nlp import CtrError, Problem, Robot, problem_from_file
 from ctr_nlp.loads import with_modulus
 from ctr_nlp.problems import NAMES, named
 from ctr_nlp.studies.borne.draws import DRAWS, compensated, withstood
@@ -37,10 +37,13 @@ def main() -> None:
     robot = with_modulus(Robot.from_toml(asked.robot or "examples/robot.toml"), asked.modulus)
     problems = [_problem(name, asked.frames, robot) for name in asked.problems]
     for problem in problems:
-        if asked.known:
-            _print([asdict(compensated(problem, asked.known))])
-        if asked.forces:
-            _print([asdict(row) for row in withstood(problem, asked.planned, asked.forces, asked.draws)])
+        try:
+            if asked.known:
+                _print([asdict(compensated(problem, asked.known))])
+            if asked.forces:
+                _print([asdict(row) for row in withstood(problem, asked.planned, asked.forces, asked.draws)])
+        except CtrError as error:
+            print(f"{problem.name}: {error}", flush=True)
 
 
 def _problem(name: str, frames: int, robot: Robot) -> Problem:

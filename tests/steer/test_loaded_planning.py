@@ -25,7 +25,7 @@ from ctr_nlp import (
     table_i_robot,
 )
 from ctr_nlp.cli.main import main
-from ctr_nlp.exceptions import LoadError, OptionError
+from ctr_nlp.exceptions import LoadError, OptionError, ProblemError
 from ctr_nlp.formulations.frame import filled, program
 from ctr_nlp.formulations.joint import terms_of
 from ctr_nlp.loads import with_modulus
@@ -197,6 +197,14 @@ def test_what_cannot_be_planned_under_a_load_is_refused(tmp_path, monkeypatch, c
     argv = ["plan", "line", "--frames", "4", "--force", "0", "0.02", "0", "--youngs-modulus", "60000"]
     assert main(argv) == 2
     assert "does not go with the dominant model" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("solve", [solve_per_frame, solve_horizon])
+def test_a_base_that_is_led_through_the_pole_of_its_tilt_is_refused_under_a_load_at_once(solve):
+    """In the middle of synthesis the base points along -y."""
+    problem = named("synthesis", 100, robot=NITINOL)
+    with pytest.raises(ProblemError, match=r"begins 0\.\d+ rad from the y axis of the base in frame (49|5\d)"):
+        solve(problem, model=Loaded(PULL))
 
 
 def test_a_steerer_bears_no_load_that_changes():
