@@ -30,8 +30,8 @@ def program(
     """The program of one frame: the model's unknowns, what these do not hold of q as rows, and what the terms add.
 
     freed: for robots that share their motors, numbers of the tubes that are unknowns, too, after the model's
-    (structure.freed_places), or none; the motors' angles are then rows on any model. Raises OptionError
-    where two terms have parameters of one name.
+    (structure.freed_places), or none; the motors' angles are then rows on any model, and the tilt, which they
+    share, is an unknown. Raises OptionError where two terms have parameters of one name.
     """
     return _program(name, structure, model.form, _Keyed(terms), freed)
 
@@ -93,13 +93,14 @@ def _program(name: str, structure: Structure, model: Model, terms: _Keyed, freed
     margin = parameters["margin"] if any(isinstance(term, Margin) for term in terms) else None
     tangents = any(term.tangents for term in terms)
     load = parameters[Bears.name] if any(isinstance(term, Bears) for term in terms) else None
-    frame = model.frame if load is None else functools.partial(model.frame_under, load)
+    shared = freed is not None
+    frame = model.frame if load is None else functools.partial(model.frame_under, load, tilted=shared)
     shape = frame(structure, tubes, places, margin, tangents)
     q = _configuration(shape, structure.d)
     stops = list(itertools.accumulate(counts))
     bodies = (Body(q, tubes, shape, slice(stop - count, stop)) for count, stop in zip(counts, stops, strict=True))
     parts = [term.build(body, parameters) for term, body in zip(terms, bodies, strict=True)]
-    return _joined(name, shape, parameters, parts, unknown, freed is not None)
+    return _joined(name, shape, parameters, parts, unknown, shared)
 
 
 def _parameters(structure: Structure, terms: Sequence[Term]) -> dict[str, ca.SX]:

@@ -34,6 +34,7 @@ class Shape:
     stability: determinants (k, 1) that are positive where the margin asked for is held, or None. picks: where the
     configuration stands among x's entries, then alpha's and then theta's, and after it further entries that say in
     which of several equilibria the robot is; None where x is q. theta (2, 1): the tilt, where x does not hold it.
+    aside (2, 1): where x holds the tilt beside unknowns that tell it, rad by which the base points elsewhere.
     """
 
     x: ca.SX
@@ -46,11 +47,13 @@ class Shape:
     stability: ca.SX | None = None
     picks: tuple[int, ...] | None = None
     theta: ca.SX | None = None
+    aside: ca.SX | None = None
 
     @property
     def rows(self) -> dict[str, ca.SX]:
-        """By name, what of the configuration x does not hold, in the order of picks."""
-        return {"alpha": self.alpha} | ({} if self.theta is None else {"theta": self.theta})
+        """By name, what of the configuration x does not hold, in the order of picks, and then what must be 0."""
+        found = {"alpha": self.alpha, "theta": self.theta, "aside": self.aside}
+        return {name: value for name, value in found.items() if value is not None}
 
     def seen(self, vectors: ca.SX) -> Vector:
         """Vectors (n, 3) of the base frame in the axes of `points`."""
@@ -182,8 +185,12 @@ class Model(ABC):
         places: Places,
         margin: ca.SX | None = None,
         tangents: bool = False,
+        tilted: bool = False,
     ) -> Shape:
-        """As frame, under a load whose numbers (12 + 3d, 1) are symbols; raises OptionError where none acts."""
+        """As frame, under a load whose numbers (12 + 3d, 1) are symbols; raises OptionError where none acts.
+
+        tilted: whether x holds the tilt, too, after unknowns that tell it.
+        """
         raise OptionError(f"model is {self.name!r}, which bears no load")
 
     def points(self, robot: Robot, x: Array, sigma: Array) -> Array:

@@ -105,25 +105,37 @@ def with_guards(of_scenarios: Array, of_guards: Array | None, frames: int) -> Ar
     return found if of_guards is None else np.concatenate([found, of_guards], axis=1)
 
 
+def robots_at(q: Array, phi: Array, held: Index) -> Array:
+    """The unknowns (T, S, m) of robots with tips phi (T, S, k) at q (T, n), whose beta and theta stand where held
+    (n - d,) says.
+    """
+    frames, count, k = phi.shape
+    found = np.empty((frames, count, k + len(held)))
+    found[..., np.setdiff1d(np.arange(k + len(held)), held)] = phi
+    found[..., held] = q[:, None, q.shape[1] - len(held) :]
+    return found
+
+
 @dataclass(frozen=True)
 class SharedMotion:
     """Minimise the scenarios' mean shape error and the links' costs over q (T, n) and the tips (T, S, k).
 
     The S robots of a frame are the scenarios and, where there are any, its guards, whose errors do not count.
-    frame: the program of one robot in one frame over its n unknowns and what common unknowns give it, where there
-    are any: these are then solved for, too. own (k,): the entries of these n that each robot has of its own, and
-    of q that are the frame's first k rows instead, at the same places: d tips' angles for alpha and, under a load,
-    the turn of the tip's axes for theta. Other entries are q's. parameters (T S, p): a row for
-    every robot of every frame. lower, upper (T, n): of q, equal where it is fixed. apart (S,): by how much a
-    scenario's tips, relative to the innermost one, may differ from the first scenario's, rad. twist_steps (T,):
-    rad by which the first's may turn beyond its motors on the way to each frame; infinite where none is before it.
+    frame: the program of one robot in one frame over its unknowns x (m,) and what common unknowns give it, where
+    there are any: these are then solved for, too. held (n - d,): where x holds beta and theta, which are q's. Its
+    other k entries each robot has of its own: d tips' angles and, under a load, the turn of the tip's axes. The
+    frame's first k rows are their equations: alpha is what q and the offsets say, and under a load the base points
+    aside by 0. parameters (T S, p): a row for every robot of every frame. lower, upper (T, n): of q, equal where
+    it is fixed. apart (S,): by how much a scenario's tips, relative to the innermost one, may differ from the
+    first scenario's, rad. twist_steps (T,): rad by which the first's may turn beyond its motors on the way to each
+    frame; infinite where none is before it.
     surroundings: where some parameters hold near a motion only, these (T, S, ..), by name, of all robots' unknowns
-    (T, S, n).
+    (T, S, m).
     """
 
     frame: Nlp
     d: int
-    own: Index
+    held: Index
     scenarios: Scenarios
     parameters: Array
     lower: Array
@@ -142,9 +154,10 @@ class SharedMotion:
         return len(self.lower), len(self.apart), self.lower.shape[1], self.d
 
     @cached_property
-    def shared(self) -> Index:
-        """The entries (n - k,) of q that all robots of a frame have as unknowns."""
-        return np.setdiff1d(np.arange(self.lower.shape[1]), self.own)
+    def own(self) -> Index:
+        """The entries (k,) of x that each robot has of its own."""
+        given = 0 if self.common is None else self.common.factors.shape[1]
+        return np.setdiff1d(np.arange(self.frame.x.numel() - given), self.held)
 
     @cached_property
     def weights(self) -> Array:
@@ -190,14 +203,12 @@ class SharedMotion:
         return np.asarray(found)
 
     def unknowns(self, q: Array, phi: Array, given: Array) -> Array:
-        """Those (T, S, n + g) of every robot in every frame, at q (T, n) and tips phi (T, S, k).
+        """Those (T, S, m + g) of every robot in every frame, at q (T, n) and tips phi (T, S, k).
 
         given (S, g): what common unknowns give every scenario.
         """
-        frames, count, *_ = self.sizes
-        found = np.repeat(q[:, None], count, axis=1)
-        found[..., self.own] = phi
-        return np.concatenate([found, np.broadcast_to(given, (frames, *given.shape))], axis=2)
+        of_given = np.broadcast_to(given, (len(q), *given.shape))
+        return np.concatenate([robots_at(q, phi, self.held), of_given], axis=2)
 
     @cached_property
     def linking(self) -> sp.csr_array:

@@ -117,6 +117,22 @@ def test_a_robust_plan_may_bear_a_load_all_the_time():
     assert e3(found) < 0.1 * e3(found.on("elastic"))
 
 
+def test_a_base_may_be_led_through_the_pole_of_its_tilt():
+    """At theta_x = 90 deg theta_y does not follow from where the base points."""
+    robot = tolerant(0.05, **ONE)
+    q = np.zeros((5, 6))
+    q[:, 0], q[:, 2], q[:, 3] = np.linspace(0, 0.4, 5), np.linspace(20, 60, 5), np.linspace(40, 80, 5)
+    q[:, 4], q[:, 5] = np.pi / 2 + np.linspace(-0.3, 0.3, 5), np.linspace(-0.2, 0.2, 5)
+    reached = made(robot, q).shape
+    problem = Problem("pole", robot, growing(curve_from_formula(lambda u: (0.0 * u, 0.0 * u, u), 0, 80), 5))
+    target = replace(problem.target, curves=_through(reached), lengths=tuple(q[:, 3]))
+    found = solve_robust(replace(problem, target=target), initial=[q], margins=(), guards=False)
+    assert found.complete
+    assert e3(found) < 0.1
+    assert found.q[0, 4] < np.pi / 2 - 0.2
+    assert found.q[-1, 4] > np.pi / 2 + 0.2
+
+
 def _through(shapes):
     return tuple(curve_from_points(shape) for shape in shapes)
 

@@ -6,8 +6,8 @@ weighted mean of their shape errors and the motion (9); each keeps a stability m
 so that all are on one branch of a fork, which the margin does not see. Nor does it see a fork between two frames:
 the first's tips turn by little more than its motors from frame to frame.
 Guards are scenarios that need only not be lost: less margin does for them, and tips that are further away.
-Robots may bear a load, each a force of its own at its tip beside it. Then theta is an equation as alpha is, and
-the turn w of the tip's axes an unknown of each robot's own (models/loaded/tips.py).
+Robots may bear a load, each a force of its own at its tip beside it. Then the turn w of the tip's axes is also an
+unknown of each robot's own, and an equation says that its base points where theta has it (models/loaded/shape.py).
 """
 
 from __future__ import annotations
@@ -96,19 +96,18 @@ def shared_motion(
     twists = np.append(np.inf, np.full(len(frames) - 1, TWIST_STEP))
     rest = flat, lower, upper, links, apart, twists
     return SharedMotion(
-        frame, robot.d, _own(frame, robot), scenarios, *rest, functions(frame), near, guards=guards
+        frame, robot.d, _held(frame, robot), scenarios, *rest, functions(frame), near, guards=guards
     )
 
 
-def _own(frame: Nlp, robot: Robot) -> Index:
-    """Which entries of q a frame's unknowns do not hold; those of alpha where they do, as robots share motors."""
-    if frame.picks is None:
-        return np.arange(robot.d)
-    return np.flatnonzero(np.array(frame.picks[: len(robot.axes)]) >= frame.x.numel())
+def _held(frame: Nlp, robot: Robot) -> Index:
+    """Where a frame's unknowns hold beta and theta."""
+    return frame.configuration[robot.d : len(robot.axes)]
 
 
 def _surroundings(wall: Wall, numbers: Array, x: Array) -> dict[str, Array]:
-    """What surrounds robots (T, S, n), scenarios and then others, whose cost is 0; these have the first's."""
-    found = wall.of_scenarios(x[:, : len(numbers)], numbers)
+    """What surrounds robots (T, S, m), scenarios and then others, whose cost is 0; these have the first's."""
+    n = 2 * numbers.shape[1] + 2  # a tilt that is held beside the model's unknowns comes after them
+    found = wall.of_scenarios(x[:, : len(numbers), :n], numbers)
     others = np.zeros(x.shape[1] - len(numbers), dtype=int)
     return {name: np.concatenate([each, each[:, others]], axis=1) for name, each in found.items()}

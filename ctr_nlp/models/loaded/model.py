@@ -82,10 +82,11 @@ class Loaded(Model):
         places: Places,
         margin: ca.SX | None = None,
         tangents: bool = False,
+        tilted: bool = False,
     ) -> Shape:
         """As Model.frame_under."""
         acting = loading(ca.vertsplit(load))
-        return shape_under(acting, self.kind, structure, tubes, places, margin, tangents)
+        return shape_under(acting, self.kind, structure, tubes, places, margin, tangents, tilted)
 
     def points(self, robot: Robot, x: Array, sigma: Array) -> Array:
         """As Model.points."""
@@ -140,9 +141,15 @@ class Loaded(Model):
     def guess(self, robot: Robot, q: Array) -> Array:
         """As if tubes had their motors' angles all along, and bore nothing."""
         rows = np.reshape(q, (-1, np.shape(q)[-1]))
-        of_robot = np.repeat(robot.numbers[None], len(rows), axis=0)
-        tip = self._equilibria(robot).placed(of_robot, rows, rows[:, : robot.d])
-        return np.reshape(unknowns(*tip, rows), np.shape(q))
+        return np.reshape(self.unloaded(robot, rows, rows[:, : robot.d]), np.shape(q))
+
+    def unloaded(self, robot: Robot, q: Array, angles: Array) -> Array:
+        """The unknowns (T, 2d + 2) of a robot that stands at q (T, 2d + 2) and bears nothing.
+
+        angles (T, d): of its tubes' tips, against each other.
+        """
+        of_robot = np.repeat(robot.numbers[None], len(q), axis=0)
+        return unknowns(*self._equilibria(robot).placed(of_robot, q, angles), q)
 
     def configuration(self, robot: Robot, x: Array) -> Array:
         """As Model.configuration; alpha up to whole turns of all tubes together, theta_x within a quarter turn."""

@@ -1,4 +1,8 @@
-"""The shape of a loaded robot as symbols of a program: every x = (phi, beta, w) of tips.py is an equilibrium."""
+"""The shape of a loaded robot as symbols of a program: every x = (phi, beta, w) of tips.py is an equilibrium.
+
+It is integrated from its tip, and where its base then points tells theta, but for a pole at theta_x = 90 deg.
+Where theta is an unknown beside x, two equations say that the base points where theta has it: these have no pole.
+"""
 
 from __future__ import annotations
 
@@ -30,8 +34,9 @@ def shape_under(
     places: Places,
     margin: ca.SX | None,
     tangents: bool,
+    tilted: bool,
 ) -> Shape:
-    """The shape of one frame, as Model.frame; kind: of the rod."""
+    """The shape of one frame, as Model.frame_under; kind: of the rod."""
     d, x = structure.d, ca.SX.sym("x", 2 * structure.d + 2)
     entries = ca.vertsplit(x)
     beta, w = entries[d : 2 * d], entries[2 * d :]
@@ -43,27 +48,33 @@ def shape_under(
     rod = integrated(tubes, tip, beta, parts, load, ca, STEPS, follows=kind.follows, distributed=kind.distributed)
     lengths, turns = travels(tubes, beta, parts, places(beta), ca, STEPS // 2)
     curves = [vector for at in rod.tangents for vector in powers(at)]
-    theta = tilt(rod.axes[2])
+    held = ca.SX.sym("theta", 2 * tilted)
+    theta = (held[0], held[1]) if tilted else tilt(rod.axes[2])
+    base = base_frame(theta[0], theta[1], ca)
     reach = zip(rod.angles, rod.rates, tubes, beta, strict=True)
-    spin = _spin(rod, theta)
+    spin = _spin(rod, base)
     alpha = [angle + spin - rate * (tube.length - out) for angle, rate, tube, out in reach]
-    values = [ca.horzcat(*lengths), matrix_of(curves), ca.vertcat(*alpha), ca.vertcat(*theta)]
+    of_base = _aside(rod, base) if tilted else theta
+    values = [ca.horzcat(*lengths), matrix_of(curves), ca.vertcat(*alpha), ca.vertcat(*of_base)]
     if margin is not None:
         found_at = responses(tubes, beta, parts, rod.nodes(tubes, beta, parts), margin, ca, held=True)
         values.append(ca.vertcat(*(determinant(response) for response in found_at)))
     if tangents:
         values += [ca.horzcat(*(0 * lengths[0] + turn for turn in turns)), ca.vertcat(*rod.axes[2])]
     inner = Inner.of(values)
-    travelled, directions, motors, tilts, *others = inner.symbols
+    travelled, directions, motors, second, *others = inner.symbols
     vectors = vectors_of(directions)
     points = combination(ca.horzsplit(travelled), vectors)
     found = None
     if tangents:
         found = combination([1.0, *ca.horzsplit(others[-2])], [*vectors_of(others[-1]), *vectors])
-    rows = 2 * d + 2
-    picks = (*range(rows, rows + d), *range(d, 2 * d), rows + d, rows + d + 1, *range(d))
+    x = ca.vertcat(x, held)
+    rows = x.numel()
+    at = rows - 2 if tilted else rows + d
+    picks = (*range(rows, rows + d), *range(d, 2 * d), at, at + 1, *range(d))
     stable = None if margin is None else others[0]
-    return Shape(x, motors, tuple(beta), points, inner, found, None, stable, picks, tilts)
+    told = {"aside" if tilted else "theta": second}
+    return Shape(x, motors, tuple(beta), points, inner, found, None, stable, picks, **told)
 
 
 def tilt(t: Vector) -> tuple[Any, Any]:
@@ -71,7 +82,12 @@ def tilt(t: Vector) -> tuple[Any, Any]:
     return -ca.asin(t[1]), ca.atan2(t[0], t[2])
 
 
-def _spin(rod: Rod, theta: tuple[Any, Any]) -> Any:
+def _aside(rod: Rod, base: tuple[Vector, Vector, Vector]) -> tuple[Any, Any]:
+    """By how much the rod's base points aside of the third column of R of eq. (4), rad where that is little."""
+    return dot(base[0], rod.axes[2]), dot(base[1], rod.axes[2])
+
+
+def _spin(rod: Rod, base: tuple[Vector, Vector, Vector]) -> Any:
     """By how much the rod's frame at the base is turned about t from the columns of R of eq. (4)."""
-    (d1, d2, _), (b1, b2, _) = rod.axes, base_frame(*theta, ca)
+    (d1, d2, _), (b1, b2, _) = rod.axes, base
     return ca.atan2(dot(b2, d1) - dot(b1, d2), dot(b1, d1) + dot(b2, d2))

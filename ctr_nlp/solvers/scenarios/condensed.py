@@ -1,7 +1,7 @@
 """Derivatives of a shared motion with the scenarios' tips eliminated, as far as they are linear.
 
 Every scenario of a frame has as many equations, alpha(phi_s, beta) = alpha + offset_s and under a load those of
-theta beside them, as its tips have unknowns, so that about a point a step of the tips is one of q:
+its base beside them, as its tips have unknowns, so that about a point a step of the tips is one of q:
 dphi_s = Z_s dq + c_s, where c_s makes good what the equations miss. What is
 left of a Newton system then has the unknowns of q alone, however many scenarios there are. The tips themselves
 stay unknowns: they need not keep their equations on the way, which near a fold is what lets a method move at all.
@@ -34,7 +34,7 @@ class Values(NamedTuple):
 
 @dataclass(frozen=True)
 class Expansion:
-    """About a point. at: the values there. Of every scenario of every frame, with m unknowns x = (phi, beta,
+    """About a point. at: the values there. Of every scenario of every frame, with m unknowns x (phi, beta,
     theta, what p gives): gradient (T, S, m) and hessian (T, S, m, m) of the objective and, of the latter, of the
     Lagrangian; own (T, S, c, m): the Jacobian of its own rows; inverse (T, S, k, k): of the equations' over phi,
     whose places (k,) among a robot's unknowns are tips; turns (T, S, m, n + P): dx over (dq, dp); repair
@@ -166,8 +166,9 @@ class Condensed:
         """
         motion, given = self.motion, self.common(p)
         frames, count, n, d = motion.sizes
-        m, tips, shared = n + given.values.shape[1], motion.own, motion.shared
-        own, common, k = motion.own_rows, motion.common_rows, len(tips)
+        tips, own, common = motion.own, motion.own_rows, motion.common_rows
+        k, robot = len(tips), len(tips) + len(motion.held)
+        m = robot + given.values.shape[1]
         pulls = np.zeros((frames, count, motion.frame.g.numel()))
         pulls[..., :k] = equations
         pulls[..., own] = rows[:, : count * len(own)].reshape(frames, count, -1)
@@ -177,14 +178,14 @@ class Condensed:
         at = self._values(q, phi, p, given, f, g)
         gradient = gradient.reshape(frames, count, m) * motion.weights[:, None]
         slopes = jacobian.reshape(frames, count, m, -1).swapaxes(-1, -2)
-        pulled = gradient[..., n:] + (slopes[..., n:].swapaxes(-1, -2) @ pulls[..., None])[..., 0]
+        pulled = gradient[..., robot:] + (slopes[..., robot:].swapaxes(-1, -2) @ pulls[..., None])[..., 0]
         of_given = self.common.slopes(p, pulled.sum(axis=0), of_p)
         inverse: Array = np.linalg.inv(slopes[..., :k, tips]).astype(float)
         turns = np.zeros((frames, count, m, n + len(p)))
-        turns[..., shared, shared] = 1.0
-        turns[..., n:, n:] = of_given.values
+        turns[..., motion.held, range(d, n)] = 1.0
+        turns[..., robot:, n:] = of_given.values
         turned = -inverse @ (slopes[..., :k, :] @ turns)
-        turned[..., tips] = inverse
+        turned[..., :d] = inverse[..., :d]
         turns[..., tips, :] = turned
         repair = np.zeros((frames, count, m))
         repair[..., tips] = -(inverse @ at.missing[..., None])[..., 0]
@@ -223,11 +224,11 @@ class Condensed:
     def _missing(self, rows: Array, q: Array) -> Array:
         """By what rows (T, S, m) of the frames say that tips miss their equations at q (T, n), (T, S, k).
 
-        Where theta is among them, angles of motors are known but for whole turns of all tubes together.
+        Where the tip's axes are unknowns, angles of motors are known but for whole turns of all tubes together.
         """
-        tips, d = self.motion.own, self.motion.d
-        found = rows[..., : len(tips)] - q[:, None, tips]
-        found[..., :d] -= self._offsets
-        if len(tips) > d:
+        k, d = len(self.motion.own), self.motion.d
+        found = rows[..., :k].copy()
+        found[..., :d] -= q[:, None, :d] + self._offsets
+        if k > d:
             found[..., :d] -= 2 * np.pi * np.round(found[..., d - 1 : d] / (2 * np.pi))
         return np.asarray(found)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ctr_nlp.nlp.scenarios import SharedMotion
+from ctr_nlp.nlp.scenarios import SharedMotion, robots_at
 from ctr_nlp.solvers.frame.adapter import FEASIBLE, OPTIMAL
 from ctr_nlp.solvers.scenarios.common import NONE
 from ctr_nlp.solvers.scenarios.condensed import Condensed, Expansion, Values
@@ -24,7 +24,7 @@ its distance from a bound a step leaves."""
 class SharedSolution:
     """A point of a shared motion: q (T, n), tips phi (T, S, k), the objective in mm^2, common unknowns p (P,).
 
-    own (k,): which of a robot's unknowns its tips are (SharedMotion).
+    held (n - d,): where a robot's unknowns hold beta and theta (SharedMotion).
     prices (c,): multipliers of p's own rows, mm^2 a unit, positive at upper bounds. burdens (T, S): what it
     costs that a robot keeps its margin and its distance in a frame: the multipliers' sizes, mm^2 a unit.
 
@@ -40,17 +40,15 @@ class SharedSolution:
     kkt: float
     status: str
     iterations: int
-    own: Index
+    held: Index
     p: Array = field(default_factory=lambda: NONE)
     prices: Array = field(default_factory=lambda: NONE)
     burdens: Array = field(default_factory=lambda: NONE)
 
     @property
     def x(self) -> Array:
-        """The unknowns (T, n) of the first robot."""
-        found = self.q.copy()
-        found[:, self.own] = self.phi[:, 0]
-        return found
+        """The model's unknowns (T, n) of the first robot, without a tilt that is held beside them."""
+        return robots_at(self.q, self.phi[:, :1], self.held)[:, 0, : self.q.shape[1]]
 
     @property
     def success(self) -> bool:
@@ -137,11 +135,10 @@ class SharedRows:
 
     def _still(self, motion: SharedMotion, of_q: Flags, of_p: Flags) -> Flags:
         """Rows that no free unknown changes."""
-        shared = motion.shared
         rows = np.ones(motion.row_bounds[0].shape, dtype=bool)
         if len(motion.common_rows):
-            depends = motion.frame.g_depends[np.ix_(motion.common_rows, shared)]
-            rows[:, -len(motion.common_rows) :] = of_q[:, shared] @ depends.T
+            depends = motion.frame.g_depends[np.ix_(motion.common_rows, motion.held)]
+            rows[:, -len(motion.common_rows) :] = of_q[:, motion.d :] @ depends.T
         links = abs(motion.linking) @ of_q.ravel() > 0
         own = np.full(len(self.condensed.common.row_lower), of_p.any())
         parts = of_q, rows, links, self.condensed.twists.free(of_q), of_p, own
@@ -254,4 +251,4 @@ class SharedRows:
         split = self.split(point.multipliers)
         motion = self.condensed.motion
         burdens = motion.by_robot(abs(split.frames))
-        return SharedSolution(q, point.phi, *found, status, iterations, motion.own, p, split.own, burdens)
+        return SharedSolution(q, point.phi, *found, status, iterations, motion.held, p, split.own, burdens)

@@ -23,7 +23,7 @@ from ctr_nlp.solvers.motion.judged import CLOSE, WIDE
 from ctr_nlp.solvers.scenarios import SharedSolver
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.robust.rounds import joined
-from ctr_nlp.steer.robust.tolerated import told_on
+from ctr_nlp.steer.robust.tolerated import bearing_unknowns, told_on
 from ctr_nlp.steer.robust.trials import Lost
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Index
@@ -69,7 +69,7 @@ class ScenarioFrames:
         nominal = [
             NlpFrames.of(
                 problem,
-                model=model,
+                model=told_on(model),
                 settings=replace(settings, stability_margin=margin, contact_weight=0.0),
                 terms=terms,
             )
@@ -88,9 +88,15 @@ class ScenarioFrames:
 
     def search(self, frame: int) -> list[FrameResult]:
         """Distinct answers for a frame without a past, best first; at least one."""
-        known = [one for frames in self.nominal for one in frames.search(frame)[:FIRST]]
+        known = [self._bearing(one) for frames in self.nominal for one in frames.search(frame)[:FIRST]]
         found = [self.again(frame, one) for one in known if one.success]
         return distinct([one for one in found if one.success])[:KEPT] or found[:1] or known[:1]
+
+    def _bearing(self, known: FrameResult) -> FrameResult:
+        """An answer for the robot as described as one of the model of scenarios."""
+        if known.x is None:
+            return known
+        return replace(known, x=bearing_unknowns(self.problem.robot, self.model, known.q[None], known.x[None])[0])
 
     def harder(self, lost: Lost) -> ScenarioFrames:
         """The same with lost robots among the scenarios.

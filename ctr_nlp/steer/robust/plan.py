@@ -94,11 +94,12 @@ def solve_robust(
     motions = (1 + bool(given)) * (2 * (rounds + 1) + RELAXATIONS) + 1
     trials = Trials(problem.robot, model, motions, most_lost)
     begin, searched = time.perf_counter(), 0.0
+    told = told_on(model)
     with deferred_interrupt() as interrupted:
-        nominal = Horizon(problem, model, None, start, end, _at(settings, *margins[:1]), terms)
+        nominal = Horizon(problem, told, None, start, end, _at(settings, *margins[:1]), terms)
         least = None if settings.stability_margin is None else np.full(problem.frames, settings.stability_margin)
         tried, made, free = list[Tried](), list[Round](), None
-        for starts, seconds in _starts(problem, model, given, margins, nominal, terms, settings):
+        for starts, seconds in _starts(problem, told, given, margins, nominal, terms, settings):
             searched += seconds
             weight = MOTION_PART * nominal.balanced_weight(starts[0].x) if motion_weight is None else motion_weight
             own = model, nominal.ends, tuple(terms), weight, least
@@ -122,7 +123,7 @@ def solve_robust(
     ends = {"start": _listed(nominal.ends.start), "end": _listed(nominal.ends.end)}
     meta = {
         "formulation": "robust-horizon",
-        **told_on(model).told,
+        **told.told,
         "solver": "interior-point",
         "options": settings.options(ROBUST_CLEARANCE_COST) | asked | ends,
         "build_s": nominal.build_seconds,
@@ -134,7 +135,7 @@ def solve_robust(
         "rounds": [one.described() for one in made],
     }
     if free is None:
-        return _unsolved(problem, model.configuration(problem.robot, starts[0].x), meta)
+        return _unsolved(problem, told.configuration(problem.robot, starts[0].x), meta)
     best = best_of([one for one in made if one.search.wall is not None], problem.frames) or free
     if not stopped:
         meta["certificate"] = trials.certificate(best.lost, best.tried.solution.q, len(made))

@@ -20,6 +20,7 @@ from ctr_nlp.solvers.motion.judged import CLOSE, WIDE
 from ctr_nlp.solvers.scenarios import SharedSolution, SharedSolver
 from ctr_nlp.steer.motions import filled
 from ctr_nlp.steer.passes import Progress
+from ctr_nlp.steer.robust.tolerated import bearing_unknowns, told_on
 from ctr_nlp.steer.starts.search import drafted
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Index
@@ -32,7 +33,9 @@ GROWTHS = 6
 
 @dataclass(frozen=True)
 class Start:
-    """A motion as unknowns x (T, 2d + 2) of the nominal robot; name: where it comes from."""
+    """A motion as unknowns x (T, 2d + 2) of the nominal robot on the model that plans tell of (tolerated.told_on);
+    name: where it comes from.
+    """
 
     name: str
     x: Array
@@ -122,8 +125,9 @@ class RobustSearch:
     def solve(self, start: Start, scenarios: Scenarios, picked: Index | None = None) -> Tried:
         """All frames, or picked ones, of a start."""
         x = start.x if picked is None else start.x[picked]
-        q, own = self.model.configuration(self.problem.robot, x), self.motion(scenarios, picked).own
-        tips = np.repeat(x[:, None, own], len(scenarios), axis=1)
+        robot, own = self.problem.robot, self.motion(scenarios, picked).own
+        q = told_on(self.model).configuration(robot, x)
+        tips = np.repeat(bearing_unknowns(robot, self.model, q, x)[:, None, own], len(scenarios), axis=1)
         return self._solved(start.name, q, tips, scenarios, picked, WIDE)
 
     def _solved(

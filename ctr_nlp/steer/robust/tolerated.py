@@ -8,6 +8,8 @@ from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.shared.scenarios import check_shared
 from ctr_nlp.loads import Load
 from ctr_nlp.models import MODELS, Model, model_named, under
+from ctr_nlp.models.loaded.model import Loaded
+from ctr_nlp.models.loaded.tips import tip_angles
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.draws import drawn_from
@@ -83,6 +85,14 @@ def told_unknowns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
     found[:, :last], found[:, last] = x[:, :last], 0.0
     found[:, last] = q[:, last] - told.configuration(robot, found)[:, last]
     return found
+
+
+def bearing_unknowns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
+    """The unknowns (T, 2d + 2) of a model, of a robot at q (T, 2d + 2) with the unknowns x of told_on(model)."""
+    if told_on(model) == model:
+        return x
+    assert isinstance(model, Loaded)
+    return model.unloaded(robot, q, tip_angles(x, robot.d))
 
 
 def balanced(count: int) -> Array:
