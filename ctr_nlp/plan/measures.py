@@ -46,6 +46,19 @@ def _to_polyline(points: Array, line: Array) -> Array:
     return np.linalg.norm(found, axis=-1)
 
 
+def off_own_path(plan: Record) -> Array:
+    """Largest distance (T,) in mm from each frame's shape to the nearest point of the last shape that is known.
+
+    It is 0 where the body goes where the tip has been: follow-the-leader motion, whatever the target. NaN where a
+    shape is not known.
+    """
+    known = np.flatnonzero(plan.reached)
+    if not known.size:
+        return np.full(len(plan.time), np.nan)
+    last = plan.shape[known[-1]]
+    return np.array([_to_polyline(shape, last).max() for shape in plan.shape])
+
+
 def e3(plan: Record) -> float | None:
     """Root mean square over frames of e2, mm, of those whose shape is known; None without any."""
     return root_mean_square(rms_over_sigma(e1(plan)))

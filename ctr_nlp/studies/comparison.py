@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ctr_nlp.codegen import cache
-from ctr_nlp.exceptions import OptionError
+from ctr_nlp.exceptions import CtrError, OptionError
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.formulations.settings import Settings
@@ -117,10 +116,22 @@ def parse_variant(name: str) -> Variant:
     return Variant(name, formulation, model, whole if formulation == "horizon" else by_frame)
 
 
+class Refusal(NamedTuple):
+    """A variant that does not serve a problem, and why, in one line."""
+
+    problem: str
+    variant: str
+    why: str
+
+
 class Comparison(NamedTuple):
-    """rows: one a problem and variant. agreements: one a problem on which several solvers solved the horizon."""
+    """rows: one a problem and variant that serves it. refusals: one a problem and variant that does not.
+
+    agreements: one a problem on which several solvers solved the horizon.
+    """
 
     rows: list[dict[str, Any]]
+    refusals: list[Refusal]
     agreements: list[dict[str, Any]]
 
 
@@ -129,34 +140,39 @@ def compare(
     variants: Sequence[Variant],
     settings: Settings | None = None,
     progress: Callable[[str, str], Progress] | None = None,
+    measure: Callable[[str, str, Plan], dict[str, Any]] | None = None,
 ) -> Comparison:
-    """Every variant on every problem, with the paper's published figures beside; one solve at a time.
+    """Every variant on every problem; one solve at a time. All horizons of a problem start from the same motions.
 
-    No wall of a lumen counts: not all methods know of one. All horizons of a problem start from the same motions.
-    progress: (problem, variant) -> what is told how many frames are done. Ctrl-C leaves the rows that were begun.
-    Raises OptionError where the model of a variant does not describe a problem's robot.
+    progress: (problem, variant) -> what is told how many frames are done. measure: (problem, variant, plan) -> a
+    row, `row` by default. Ctrl-C leaves the rows that were begun. A variant that does not serve a problem is a
+    refusal; the first one is raised where none serves any.
     """
-    problems = list(problems)
-    for problem, variant in itertools.product(problems, variants):
-        model_named(variant.model, f"model of variant {variant.name}").check(problem.robot)
-    chosen, rows = replace(settings or Settings(), contact_weight=0.0), []
-    agreements: list[dict[str, Any]] = []
+    chosen, measure = settings or Settings(contact_weight=0.0), measure or row
+    found = Comparison([], [], [])
     with deferred_interrupt() as interrupted:
         for problem in problems:
             initial: Sequence[Array] = ()
             horizons: list[Plan] = []
             for variant in variants:
                 report = None if progress is None else progress(problem.name, variant.name)
-                if variant.formulation == "horizon" and variant.model == DEFAULT and not initial:
-                    initial = per_frame_motions(problem, Ends(), chosen, report, MODELS["dominant"])
-                plan = variant.plan(problem, chosen, initial, report)
-                rows.append(row(problem.name, variant.name, plan))
-                if variant.formulation == "horizon" and variant.model == DEFAULT:
-                    horizons.append(plan)
+                ours = variant.formulation == "horizon" and variant.model == DEFAULT
+                try:
+                    model_named(variant.model, f"model of variant {variant.name}").check(problem.robot)
+                    if ours and not initial:
+                        initial = per_frame_motions(problem, Ends(), chosen, report, MODELS["dominant"])
+                    plan = variant.plan(problem, chosen, initial, report)
+                except CtrError as error:
+                    found.refusals.append(Refusal(problem.name, variant.name, str(error)))
+                    continue
+                found.rows.append(measure(problem.name, variant.name, plan))
+                horizons += [plan] * ours
                 if interrupted():
-                    return Comparison(rows, agreements)
-            agreements += [agreement(problem, horizons[0], other) for other in horizons[1:]]
-    return Comparison(rows, agreements)
+                    return found
+            found.agreements.extend(agreement(problem, horizons[0], other) for other in horizons[1:])
+    if not found.rows:
+        raise OptionError(found.refusals[0].why)
+    return found
 
 
 def agreement(problem: Problem, first: Plan, second: Plan) -> dict[str, Any]:

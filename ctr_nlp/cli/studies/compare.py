@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from ctr_nlp.cli import arguments as options
 from ctr_nlp.cli import problems
 from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, Command, console, print_table, progress_bar
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
+from ctr_nlp.cli.plan_options import add_file_options
 from ctr_nlp.models import MODELS, model_named
 from ctr_nlp.plan.account import shown
 from ctr_nlp.plan.draws import DRAWS
@@ -28,6 +30,8 @@ from ctr_nlp.studies.comparison import (
     parse_variant,
     variants_here,
 )
+from ctr_nlp.studies.methods.measured import every_method, measured
+from ctr_nlp.studies.methods.page import page
 from ctr_nlp.support.interrupt import end_if_interrupted
 from ctr_nlp.support.tables import markdown, write_csv
 
@@ -69,9 +73,10 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         prog=prog,
         description="Solve problems with every variant, one after the other, and print errors, steps and times "
         f"beside the paper's Table II; for plans on the elastic model also e3 over {DRAWS} draws of the "
-        "robot's tolerances and the share that is lost; write comparison.md, .csv and .json.",
-        epilog="Exit status: 0 no verdict on a plan of ours is no, 1 one is, 2 bad input, 130 interrupted (what "
-        "was done goes into DIR/interrupted, and DIR's own files stay).",
+        "robot's tolerances and the share that is lost; write comparison.md, .csv and .json. A variant that does "
+        "not serve a problem says why.",
+        epilog="Exit status: 0 no verdict on a plan of ours is no, 1 one is, 2 bad input, or no variant serves "
+        "any problem, 130 interrupted (what was done goes into DIR/interrupted, and DIR's own files stay).",
     )
     parser.add_argument("problems", metavar="PROBLEM", nargs="*", help=f"{problems.KINDS} (default all names)")
     parser.add_argument(
@@ -82,8 +87,16 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         f"plan for the robot's tolerances and take seconds to a minute a problem, and {', '.join(PATHS)}, which "
         "leads through a lumen to the last frame, whatever lies between, and needs the extra `sampling`)",
     )
+    parser.add_argument(
+        "--all",
+        action="store_true",
+        help="every method once, ours and others' (or those of --variants), with the lumen's wall, which does not "
+        "count otherwise; all motions judged on the elastic model and over draws, on one page a reader can go by: "
+        "comparison.md",
+    )
     options.add_out_option(parser, "runs/comparison")
     options.add_problem_options(parser)
+    add_file_options(parser)
     options.add_compile_option(parser)
     options.add_settings(parser)
     return parser
@@ -91,28 +104,47 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 def _run(arguments: argparse.Namespace) -> int:
     settings, out = options.settings_from(arguments, *options.FRAME_SETTINGS), Path(arguments.out)
-    names = arguments.variants or variants_here()
+    names = arguments.variants or (every_method() if arguments.all else variants_here())
     for name in RENAMED.keys() & set(names):
         sys.stderr.write(f"note: the variant {name} is called {RENAMED[name]} now\n")
     variants = [parse_variant(name) for name in names]
     chosen = problems.load_all(arguments.problems or NAMES, arguments)
     check_folder(out, "comparison")
     end_if_interrupted()
+    settings, measure = (settings, measured) if arguments.all else (replace(settings, contact_weight=0.0), None)
     with progress_bar() as labelled:
-        found = compare(chosen, variants, settings, lambda problem, variant: labelled(f"{problem}, {variant}"))
+        found = compare(
+            chosen, variants, settings, lambda problem, variant: labelled(f"{problem}, {variant}"), measure
+        )
     rows = found.rows
-    interrupted = len(rows) < len(chosen) * len(variants) or any(row["interrupted"] for row in rows)
+    done = len(rows) + len(found.refusals)
+    interrupted = done < len(chosen) * len(variants) or any(row["interrupted"] for row in rows)
     place = place_of(out, interrupted)
     with published(place, "comparison") as staging:
-        _write(found, staging)
-    for name in dict.fromkeys(row["problem"] for row in rows):
-        print_table(name, list(COLUMNS), [_cells(row) for row in rows if row["problem"] == name])
-    if found.agreements:
-        print_table("do solvers of the horizon agree?", list(AGREEMENT), _agreements(found))
+        _write(found, page(found, _command(arguments)) if arguments.all else _page(found), staging)
+    if not arguments.all:
+        _print(found)
+    for refusal in found.refusals:
+        console().print(f"{refusal.problem}, {refusal.variant}: {refusal.why}")
     console().print(f"wrote {place}: comparison.md, comparison.csv, comparison.json")
     if interrupted:
         return INTERRUPTED
     return SOME_FAILED if any(row["no"] for row in rows if row["variant"] not in METHODS) else SOLVED
+
+
+def _command(arguments: argparse.Namespace) -> str:
+    """With which the page is made again, files by their names alone."""
+    words = ["ctr-nlp compare", *(Path(name).name for name in arguments.problems), "--all"]
+    words += ["--variants", *arguments.variants] if arguments.variants else []
+    words += [f"--frames {arguments.frames}"] if arguments.frames != 100 else []
+    return " ".join(words + ([f"--trim {arguments.trim}"] if arguments.trim else []))
+
+
+def _print(found: Comparison) -> None:
+    for name in dict.fromkeys(row["problem"] for row in found.rows):
+        print_table(name, list(COLUMNS), [_cells(row) for row in found.rows if row["problem"] == name])
+    if found.agreements:
+        print_table("do solvers of the horizon agree?", list(AGREEMENT), _agreements(found))
 
 
 def _agreements(found: Comparison) -> list[list[str]]:
@@ -127,20 +159,25 @@ def _agreements(found: Comparison) -> list[list[str]]:
     return cells
 
 
-def _write(found: Comparison, folder: Path) -> None:
-    rows = found.rows
-    for name, entries in (("comparison", rows), ("agreement", found.agreements)):
+def _write(found: Comparison, text: str, folder: Path) -> None:
+    refusals = [refusal._asdict() for refusal in found.refusals]
+    for name, entries in (("comparison", found.rows), ("refusals", refusals), ("agreement", found.agreements)):
         if entries:
-            text = json.dumps(entries, indent=1, allow_nan=False)
-            (folder / f"{name}.json").write_text(text + "\n", encoding="utf-8")
-    write_csv(folder / "comparison.csv", rows)
+            told = json.dumps(entries, indent=1, allow_nan=False)
+            (folder / f"{name}.json").write_text(told + "\n", encoding="utf-8")
+    write_csv(folder / "comparison.csv", found.rows)
+    (folder / "comparison.md").write_text(text, encoding="utf-8")
+
+
+def _page(found: Comparison) -> str:
+    rows = found.rows
     details = markdown(["problem", *COLUMNS], [[row["problem"], *_cells(row)] for row in rows])
     known = [model for model in MODELS if any(row.get(f"{model}_no") is not None for row in rows)]
     halves = [f"e3 in mm on the {model} model:\n\n{_overview(rows, model)}\n" for model in known]
-    page = f"{''.join(halves)}{_over_draws(rows)}Everything:\n\n{details}"
+    text = f"{''.join(halves)}{_over_draws(rows)}Everything:\n\n{details}"
     if found.agreements:
-        page += f"\nWhether solvers of the horizon agree:\n\n{markdown(list(AGREEMENT), _agreements(found))}"
-    (folder / "comparison.md").write_text(page, encoding="utf-8")
+        text += f"\nWhether solvers of the horizon agree:\n\n{markdown(list(AGREEMENT), _agreements(found))}"
+    return text
 
 
 def _over_draws(rows: list[dict[str, Any]]) -> str:

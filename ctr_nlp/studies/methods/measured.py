@@ -1,0 +1,67 @@
+"""What is measured of every method's plan alike: on the elastic model, and over draws of its robot."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ctr_nlp.plan.draws import DRAWS
+from ctr_nlp.plan.measures import depth, off_own_path
+from ctr_nlp.plan.metrics import summary
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.solvers import default_chain_solver, default_solver
+from ctr_nlp.studies.comparison import PATHS, ROBUST, variants_here
+from ctr_nlp.typing import Array
+
+BOTH = "e3", "e_max", "tip_max"
+"""Keys of errors in mm that are told on the model planned on and on the elastic one."""
+
+
+def every_method() -> list[str]:
+    """Each method once: ours by the solvers that are taken by default, robust ones, and all those of others."""
+    solvers = {default_chain_solver(), default_solver()}
+    named = [name for name in variants_here() if ":" not in name or name.split(":")[1] in solvers]
+    return [*named, *ROBUST, *PATHS]
+
+
+def measured(problem: str, variant: str, plan: Plan, draws: int = DRAWS) -> dict[str, Any]:
+    """Errors in mm, times in ms; planned_*: on the model planned on, all else of the motion on the elastic one.
+
+    own_path: how far the robot is off its own last shape at most, mm, which follow-the-leader motion keeps at 0.
+    depth: the deepest contact with the wall, mm, None where no wall is known. lost: the share of draws of the
+    robot, within its tolerances, that snap or end on another branch; draws_e3: the mean of e3 over them; both are
+    None where no frame has a shape. frame_ms: search and solution divided by frames, without the construction of
+    programs.
+    """
+    moved = plan if plan.can_snap else plan.on("elastic")
+    planned, found = summary(plan), summary(moved)
+    drawn = moved.robustness(draws) if moved.reached.any() and not found["interrupted"] else None
+    errors, frames = None if drawn is None else drawn.errors, found["frames"]
+    seconds = planned["solve_ms"]["total"] / 1e3 + (planned["search_s"] or 0.0)
+    return {
+        "problem": problem,
+        "variant": variant,
+        "model": plan.meta["model"],
+        **{f"planned_{key}": planned[key] for key in BOTH},
+        **{key: found[key] for key in BOTH},
+        "own_path": _largest(off_own_path(moved)),
+        "roughness": found["roughness"],
+        "lost": None if drawn is None else drawn.share,
+        "draws": None if drawn is None else len(drawn),
+        "draws_e3": None if errors is None else errors.mean,
+        "snaps": len(found["snaps"]),
+        "margin": found["stability_between_min"],
+        "planned_depth": _largest(depth(plan)),
+        "depth": _largest(depth(moved)),
+        "frame_ms": 1e3 * seconds / frames,
+        "solved": frames - planned["failed"],
+        "frames": frames,
+        "interrupted": found["interrupted"],
+        "no": ", ".join(plan.verdicts.failed),
+    }
+
+
+def _largest(values: Array) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(known.max()) if known.size else None

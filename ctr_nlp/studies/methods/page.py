@@ -1,0 +1,168 @@
+"""The page that shows every method on every problem: an overview, and a table a problem."""
+
+from __future__ import annotations
+
+import math
+import os
+import platform
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ctr_nlp.formulations import FORMULATIONS
+from ctr_nlp.plan.account import shown
+from ctr_nlp.studies.comparison import ROBUST, Comparison, Refusal
+from ctr_nlp.support.tables import markdown
+
+Row = Mapping[str, Any]
+OURS = {"horizon", *FORMULATIONS, *ROBUST}
+"""What the names of our own methods begin with."""
+
+
+class Column(NamedTuple):
+    """A number of a row, the less the better; planned: the key of the same on the model planned on."""
+
+    title: str
+    key: str
+    show: Callable[[float], str] = shown
+    planned: str | None = None
+
+
+COLUMNS = (
+    Column("e3 mm", "e3", planned="planned_e3"),
+    Column("largest mm", "e_max", planned="planned_e_max"),
+    Column("tip mm", "tip_max", planned="planned_tip_max"),
+    Column("off own path mm", "own_path"),
+    Column("roughness mm²/s", "roughness"),
+    Column("draws lost", "lost", lambda value: f"{value:.1%}"),
+    Column("e3 over draws mm", "draws_e3"),
+    Column("contact mm", "depth", planned="planned_depth"),
+    Column("ms a frame", "frame_ms"),
+)
+OVERVIEWS = {"e3 in mm on the elastic model": COLUMNS[0], "Share of draws that is lost": COLUMNS[5]}
+EXPLANATION = """\
+# Methods beside each other
+
+Every method on every problem that it serves, with the paper's robot. Each was made for something: **judge it by
+that**.
+
+| method | what it was made for |
+|---|---|
+| `horizon`, `joint` | ours: the whole shape, all frames at once or frame by frame; `:elastic`: on that model |
+| `two-stage`, `two-stage-exact` | ours: the whole shape by the paper's two stages, on the dominant model |
+| `robust-horizon`, `robust-joint` | ours: the shapes of all robots within the tolerances: look at the draws |
+| `paper-two-stage`, `euclidean` | the whole shape on the dominant model, as in the paper and its baseline |
+| `tip-jacobian`, `tip-resolved` | the tip alone, on the dominant and on the elastic model: look at the tip |
+| `rrt-connect` | a way through a lumen to the last frame's pose, whatever lies between: look at the contact |
+| follow-the-leader | the body where the tip has been, not the target: look at the distance off its own path |
+
+**What is measured.** All motions are judged on the elastic model, which stands for the real robot, whatever they
+were planned on; where two numbers stand in a cell, the first is on the model planned on.
+
+- *e3*: root mean square over frames and arc length of the distance from the target. *Largest* and *tip*: the
+  largest distance at any place, and at the tip, in any frame.
+- *Off own path*: how far any frame's shape is off the last frame's at most, which is 0 where a robot follows its
+  leader, whatever its target.
+- *Roughness*: squared steps of all motors over time.
+- *Draws lost*: of {draws} robots that differ by their tolerances (the paper's robot: 2 % of curvature and
+  stiffness, 0.02 rad of each motor's zero), those that snap or end on another branch of equilibria; then the mean
+  of e3 over all draws. All methods meet the same robots.
+- *Contact*: how deep the robot is beyond the lumen's wall at most. `horizon`, `joint`, the robust ones and
+  `rrt-connect` know of the wall, the others do not. For clearance e3 may grow by a tenth (robust: by 70 %).
+- *ms a frame*: search and solution divided by frames, without what is built or compiled once.
+- *Solved*: frames that are solved in the method's own sense; for methods of the tip that it is within 1 mm.
+
+**Bold** is the least of a column among methods that solved all frames, and, of others, all that is less than the
+least of ours. A method that does not serve a problem says why.
+"""
+REMAKING = """
+## How to remake it
+
+    {command}
+
+writes this page as `comparison.md` into its folder, with all rows as `comparison.csv` and `.json`. It was made
+with {frames} frames on {machine}, one method after the other; times differ from machine to machine and with what
+else runs there.
+"""
+
+
+def page(found: Comparison, command: str) -> str:
+    """The text of the page; command: with which it is made."""
+    problems = list(dict.fromkeys(row["problem"] for row in (*found.rows, *_as_rows(found.refusals))))
+    draws = max((row["draws"] or 0 for row in found.rows), default=0)
+    parts = [EXPLANATION.format(draws=draws)]
+    parts += [f"## {title}\n\n{_overview(found, problems, column)}" for title, column in OVERVIEWS.items()]
+    parts += [f"## {problem}\n\n{table(found, problem)}" for problem in problems]
+    frames = max((row["frames"] for row in found.rows), default=0)
+    return "\n".join(parts) + REMAKING.format(command=command, frames=frames, machine=machine())
+
+
+def table(found: Comparison, problem: str) -> str:
+    """A row a method; the methods that do not serve the problem last, each with its reason."""
+    rows = [row for row in found.rows if row["problem"] == problem]
+    body = [
+        [f"`{row['variant']}`", *(_cell(row, rows, column) for column in COLUMNS), _solved(row)] for row in rows
+    ]
+    empty = [""] * (len(COLUMNS) - 1)
+    body += [
+        [f"`{r.variant}`", *empty, r.why.replace("|", "/"), ""] for r in found.refusals if r.problem == problem
+    ]
+    return markdown(["method", *_titles(), "solved"], body)
+
+
+def machine() -> str:
+    """The kind of the machine, as its processor calls itself, without its name."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return f"{os.cpu_count()} cores of a {named[0] if named else platform.machine()}"
+
+
+def _titles() -> list[str]:
+    return [column.title for column in COLUMNS]
+
+
+def _as_rows(refusals: Sequence[Refusal]) -> list[Row]:
+    return [refusal._asdict() for refusal in refusals]
+
+
+def _overview(found: Comparison, problems: Sequence[str], column: Column) -> str:
+    """A row a method, a column a problem; empty where it was refused."""
+    known = {(row["variant"], row["problem"]): row for row in found.rows}
+    columns = {problem: [row for row in found.rows if row["problem"] == problem] for problem in problems}
+    alone = column._replace(planned=None)
+    body = [
+        [
+            f"`{variant}`",
+            *(_cell(known[variant, p], columns[p], alone) if (variant, p) in known else "" for p in problems),
+        ]
+        for variant in dict.fromkeys(variant for variant, _ in known)
+    ]
+    return markdown(["method", *problems], body)
+
+
+def _cell(row: Row, rows: Sequence[Row], column: Column) -> str:
+    value = row[column.key]
+    if value is None:
+        return ""
+    told = f"**{column.show(value)}**" if _is_best(row, rows, column.key) else column.show(value)
+    planned = None if column.planned is None else row[column.planned]
+    return told if planned in (None, value) else f"{shown(planned)} / {told}"
+
+
+def _is_best(row: Row, rows: Sequence[Row], key: str) -> bool:
+    """Whether no other method has less, or none of ours has as little; of those that solved all frames."""
+    whole = [each for each in rows if each["solved"] == each["frames"] and each[key] is not None]
+    least = min((each[key] for each in whole), default=math.inf)
+    ours = min((each[key] for each in whole if _is_ours(each["variant"])), default=math.inf)
+    return row in whole and (row[key] <= least or (not _is_ours(row["variant"]) and row[key] < ours))
+
+
+def _is_ours(variant: str) -> bool:
+    return variant.partition(":")[0] in OURS
+
+
+def _solved(row: Row) -> str:
+    return "all" if row["solved"] == row["frames"] else f"{row['solved']} of {row['frames']}"

@@ -1,0 +1,124 @@
+"""One table of methods and problems: what is measured, what is refused, and what is set in bold."""
+
+import json
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ctr_nlp import Problem, Robot, Settings, curve_from_points, growing, table_i_robot
+from ctr_nlp.cli.studies.compare import main
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.plan.measures import off_own_path
+from ctr_nlp.problems import named
+from ctr_nlp.reference import METHODS
+from ctr_nlp.steer import solve_per_frame
+from ctr_nlp.studies.comparison import PATHS, ROBUST, Comparison, Refusal, compare, parse_variant
+from ctr_nlp.studies.methods.measured import every_method, measured
+from ctr_nlp.studies.methods.page import COLUMNS, page, table
+
+ROBOT = table_i_robot()
+ALIKE = {column.key: 1.0 for column in COLUMNS} | {column.planned: 1.0 for column in COLUMNS if column.planned}
+
+
+def row(variant, **numbers):
+    whole = {"problem": "bend", "variant": variant, "solved": 9, "frames": 9, "draws": 40}
+    return whole | ALIKE | numbers
+
+
+def cells(text, variant):
+    line = next(line for line in text.splitlines() if line.startswith(f"| `{variant}`"))
+    return [cell.strip() for cell in line.strip("|").split("|")]
+
+
+def test_every_method_of_every_registry_is_there_once():
+    names = every_method()
+    assert len(names) == len(set(names))
+    assert {*METHODS, *ROBUST, *PATHS} <= {*names}
+    assert all(parse_variant(name).name == name for name in names)
+
+
+def test_a_method_that_does_not_serve_a_problem_is_a_refusal_and_the_others_go_on():
+    variants = [parse_variant(name) for name in ("rrt-connect", "two-stage:ipopt:elastic", "tip-jacobian")]
+    found = compare([named("arc", 3)], variants)
+    assert [row["variant"] for row in found.rows] == ["tip-jacobian"]
+    assert [refusal.variant for refusal in found.refusals] == ["rrt-connect", "two-stage:ipopt:elastic"]
+    assert all("\n" not in refusal.why for refusal in found.refusals)
+    with pytest.raises(OptionError, match="within a lumen, and arc has none"):
+        compare([named("arc", 3)], variants[:2])
+
+
+def lone(frames):
+    """A robot of one tube along a straight line of 40 mm."""
+    line = np.column_stack([np.zeros((41, 2)), np.arange(41.0)])
+    return Problem("lone", Robot(ROBOT.tubes[:1]), growing(curve_from_points(line), frames))
+
+
+def test_plans_on_either_model_are_judged_on_the_elastic_one():
+    """A lone tube twists nothing: on both models it is the same, and no draw of it is ever lost."""
+    found = measured("lone", "joint", solve_per_frame(lone(3)), 5)
+    assert found["e3"] == pytest.approx(found["planned_e3"], abs=1e-6)
+    assert found["lost"] == 0.0
+    assert found["draws"] == 5
+    assert found["depth"] is None
+    assert found["solved"] == found["frames"] == 3
+    three = measured("arc", "joint", solve_per_frame(named("arc", 10)), 5)
+    assert three["e3"] > 2 * three["planned_e3"]
+
+
+def test_a_robot_that_follows_its_leader_is_not_off_its_own_path():
+    """A tube that comes out unturned stays on its own arc; half a turn away it is two sagittas off."""
+    plan = solve_per_frame(lone(4))
+    leader = replace(plan, alpha=0 * plan.alpha, theta=0 * plan.theta).on("dominant")
+    assert off_own_path(leader).max() < 1e-2
+    turned = replace(leader, alpha=np.linspace(math.pi, 0, 4)[:, None]).on("dominant")
+    curvature, length = 1 / 130, float(turned.beta[0, 0])
+    sagitta = (1 - math.cos(length * curvature)) / curvature
+    assert off_own_path(turned)[0] == pytest.approx(2 * sagitta, rel=0.05)
+    assert off_own_path(turned)[-1] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_what_is_least_is_bold_and_so_is_all_of_others_that_beats_ours():
+    rows = [
+        row("horizon:banded", e3=2.0, tip_max=3.0),
+        row("joint:sqp", e3=3.0, tip_max=4.0),
+        row("euclidean", e3=2.5, tip_max=2.0),
+        row("tip-resolved", e3=9.0, tip_max=0.1),
+        row("tip-jacobian", e3=0.5, tip_max=0.01, solved=8),
+    ]
+    text = table(Comparison(rows, [Refusal("bend", "rrt-connect", "it needs a lumen")], []), "bend")
+    bold = {name: [cell.count("**") > 0 for cell in cells(text, name)] for name in (r["variant"] for r in rows)}
+    e3, tip = 1, 3
+    assert [bold[name][e3] for name in bold] == [True, False, False, False, False]
+    assert [bold[name][tip] for name in bold] == [False, False, True, True, False]
+    assert cells(text, "tip-jacobian")[-1] == "8 of 9"
+    assert "it needs a lumen" in cells(text, "rrt-connect")
+    assert cells(text, "euclidean")[e3].startswith("1 / 2.5") or "1.00 / 2.50" in cells(text, "euclidean")[e3]
+
+
+def test_the_page_tells_how_it_is_made_and_nothing_of_where(tmp_path):
+    text = page(Comparison([row("joint:sqp")], [], []), "ctr-nlp compare bend --all")
+    assert "    ctr-nlp compare bend --all\n" in text
+    assert "cores of a" in text
+    assert not re.search(r"/(home|tmp|work|root)/", text)
+
+
+def test_the_wall_counts_for_methods_that_know_it_and_all_goes_into_one_page(tmp_path, capsys):
+    out = tmp_path / "out"
+    given = ["bronchus", "--frames", "5", "--all", "--variants", "joint:sqp", "tip-jacobian", "joint:sqp:rigid"]
+    assert main([*given, "--out", str(out)]) == 2
+    assert not out.exists()
+    main([*given[:-1], "two-stage:sqp:elastic", "--out", str(out)])
+    ours, tip = json.loads((out / "comparison.json").read_text())
+    assert ours["planned_depth"] < tip["planned_depth"]
+    assert ours["draws"] == tip["draws"] == 200
+    assert json.loads((out / "refusals.json").read_text())[0]["variant"] == "two-stage:sqp:elastic"
+    assert "two-stage formulations need" in capsys.readouterr().out
+    text = (out / "comparison.md").read_text()
+    assert "ctr-nlp compare bronchus --all --variants joint:sqp tip-jacobian" in text
+    free = compare(
+        [named("bronchus", 5)], [parse_variant("joint:sqp")], Settings(contact_weight=0.0), None, measured
+    )
+    assert ours["planned_depth"] <= free.rows[0]["planned_depth"]
