@@ -1,0 +1,98 @@
+"""How a program that wraps another laboratory's forward model is asked for shapes: numbers in text, both ways.
+
+It reads from its standard input: the number of tubes d and of configurations n; for each tube, outermost first,
+its length and curved length (mm), curvature (1/mm), outer and inner diameter (mm), Young's modulus (MPa) and
+Poisson's ratio; for each configuration alpha_1..d (rad), beta_1..d (mm) and the force at the tip (3, N, in the
+base frame).
+It writes a line for each configuration: the seconds that the model took; its own measure of stability, positive
+where stable, or nan; the number of points m, 0 where the model was not solved; and m times arc length from the
+insertion point, x, y and z, in mm.
+
+All in the convention of this library, to which such a program converts. What differs elsewhere:
+
+- Most count tubes from the innermost, in metres and pascals.
+- Most tell where a tube's base is, beta - length, which is negative, instead of how far its tip is out.
+- Most give pre-curvature as a Darboux vector along x, so that a tube at angle 0 bends towards -y. Here it bends
+  towards +x: their angle is ours plus a quarter turn, and points and forces stay as they are.
+- None knows a tilt of the base: theta is 0.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.robot import Robot
+from ctr_nlp.typing import Array
+
+PATIENCE = 600.0
+"""s that a program may take for all configurations."""
+
+
+class Answer(NamedTuple):
+    """What a model says of a configuration; arc_length (m,), points (m, 3) in mm, empty where it is not solved."""
+
+    seconds: float
+    stability: float
+    arc_length: Array
+    points: Array
+
+
+def question(robot: Robot, q: Array, force: Sequence[float] = (0.0, 0.0, 0.0)) -> str:
+    """What a program is given for configurations q (n, 2d + 2) without a tilt, under a force (3,) at the tip, N.
+
+    Raises OptionError of tubes whose pre-curvature varies, which other models do not know, and of a tilt.
+    """
+    if not all(isinstance(tube.curvature, float) for tube in robot.tubes):
+        raise OptionError("a tube's curvature varies along it; models of others know constant ones only")
+    if q[:, 2 * robot.d :].any():
+        raise OptionError("theta is not 0 in all configurations; models of others know no tilt of the base")
+    tubes = [
+        (
+            t.length,
+            t.curved_length,
+            t.curvature,
+            t.outer_diameter,
+            t.inner_diameter,
+            t.youngs_modulus,
+            t.poisson_ratio,
+        )
+        for t in robot.tubes
+    ]
+    rows = [*tubes, *(np.append(each, force) for each in q[:, : 2 * robot.d])]
+    lines = [" ".join(f"{value:.17g}" for value in row) for row in rows]
+    return "\n".join([f"{robot.d} {len(q)}", *lines]) + "\n"
+
+
+def answers(program: str | Path, text: str, count: int) -> list[Answer]:
+    """What a program says to a question of count configurations, in one thread; raises OptionError."""
+    environment = os.environ | {"OMP_NUM_THREADS": "1"}
+    try:
+        done = subprocess.run(
+            [str(program)],
+            input=text,
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+            check=True,
+            env=environment,
+        )
+        found = [_answer(line) for line in done.stdout.splitlines()]
+    except (OSError, subprocess.SubprocessError, ValueError) as error:
+        raise OptionError(f"{program} does not answer as the model of another laboratory does: {error}") from error
+    if len(found) != count:
+        raise OptionError(f"{program} answers {len(found)} of {count} configurations")
+    return found
+
+
+def _answer(line: str) -> Answer:
+    """Raises ValueError where a line is not of the form that the module's docstring tells."""
+    seconds, stability, count, *numbers = (float(word) for word in line.split())
+    rows = np.array(numbers).reshape(int(count), 4)
+    return Answer(seconds, stability, rows[:, 0], rows[:, 1:])
