@@ -164,10 +164,10 @@ def compare(
                     plan = variant.plan(problem, chosen, initial, report)
                 except CtrError as error:
                     found.refusals.append(Refusal(problem.name, variant.name, str(error)))
-                    continue
-                found.rows.append(measure(problem.name, variant.name, plan))
-                horizons += [plan] * ours
-                if interrupted():
+                else:
+                    found.rows.append(measure(problem.name, variant.name, plan))
+                    horizons += [plan] * ours
+                if found.rows and interrupted():
                     return found
             found.agreements.extend(agreement(problem, horizons[0], other) for other in horizons[1:])
     if not found.rows:

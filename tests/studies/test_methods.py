@@ -17,7 +17,7 @@ from ctr_nlp.reference import METHODS
 from ctr_nlp.steer import solve_per_frame
 from ctr_nlp.studies.comparison import PATHS, ROBUST, Comparison, Refusal, compare, parse_variant
 from ctr_nlp.studies.methods.measured import every_method, measured
-from ctr_nlp.studies.methods.page import COLUMNS, page, table
+from ctr_nlp.studies.methods.page import COLUMNS, made_for, page, table
 
 ROBOT = table_i_robot()
 ALIKE = {column.key: 1.0 for column in COLUMNS} | {column.planned: 1.0 for column in COLUMNS if column.planned}
@@ -96,6 +96,14 @@ def test_what_is_least_is_bold_and_so_is_all_of_others_that_beats_ours():
     assert cells(text, "tip-jacobian")[-1] == "8 of 9"
     assert "it needs a lumen" in cells(text, "rrt-connect")
     assert cells(text, "euclidean")[e3].startswith("1 / 2.5") or "1.00 / 2.50" in cells(text, "euclidean")[e3]
+
+
+def test_every_method_is_told_of_in_the_words_of_its_file():
+    told = {name: made_for(name.partition(":")[0]) for name in every_method()}
+    assert all(told.values())
+    assert "tip" in told["tip-jacobian"].lower()
+    assert told["rrt-connect"] != told["robust-joint"] != told["robust-horizon"]
+    assert made_for("nobody's") == ""
 
 
 def test_the_page_tells_how_it_is_made_and_nothing_of_where(tmp_path):

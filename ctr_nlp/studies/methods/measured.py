@@ -10,6 +10,7 @@ from ctr_nlp.plan.draws import DRAWS
 from ctr_nlp.plan.measures import depth, off_own_path
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.reference import METHODS
 from ctr_nlp.solvers import default_chain_solver, default_solver
 from ctr_nlp.studies.comparison import PATHS, ROBUST, variants_here
 from ctr_nlp.typing import Array
@@ -21,8 +22,8 @@ BOTH = "e3", "e_max", "tip_max"
 def every_method() -> list[str]:
     """Each method once: ours by the solvers that are taken by default, robust ones, and all those of others."""
     solvers = {default_chain_solver(), default_solver()}
-    named = [name for name in variants_here() if ":" not in name or name.split(":")[1] in solvers]
-    return [*named, *ROBUST, *PATHS]
+    ours = [name for name in variants_here() if ":" in name and name.split(":")[1] in solvers]
+    return [*ours, *ROBUST, *METHODS, *PATHS]
 
 
 def measured(problem: str, variant: str, plan: Plan, draws: int = DRAWS) -> dict[str, Any]:

@@ -5,18 +5,21 @@ from __future__ import annotations
 import math
 import os
 import platform
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from ctr_nlp.formulations import FORMULATIONS
+from ctr_nlp.formulations.horizon import horizon
 from ctr_nlp.plan.account import shown
-from ctr_nlp.studies.comparison import ROBUST, Comparison, Refusal
+from ctr_nlp.reference import METHODS
+from ctr_nlp.studies.comparison import PATHS, ROBUST, Comparison
 from ctr_nlp.support.tables import markdown
 
 Row = Mapping[str, Any]
-OURS = {"horizon", *FORMULATIONS, *ROBUST}
-"""What the names of our own methods begin with."""
+OURS: Mapping[str, Callable[..., Any]] = {"horizon": horizon, **FORMULATIONS, **ROBUST}
+"""Our own methods by what their names begin with."""
 
 
 class Column(NamedTuple):
@@ -44,17 +47,11 @@ EXPLANATION = """\
 # Methods beside each other
 
 Every method on every problem that it serves, with the paper's robot. Each was made for something: **judge it by
-that**.
+that**. Methods of the tip by the tip, those that follow their own leader by the distance off their own path, those
+that lead through a lumen by the contact, robust ones by the draws. `:elastic` is the model that a method plans on,
+otherwise it is the dominant one.
 
-| method | what it was made for |
-|---|---|
-| `horizon`, `joint` | ours: the whole shape, all frames at once or frame by frame; `:elastic`: on that model |
-| `two-stage`, `two-stage-exact` | ours: the whole shape by the paper's two stages, on the dominant model |
-| `robust-horizon`, `robust-joint` | ours: the shapes of all robots within the tolerances: look at the draws |
-| `paper-two-stage`, `euclidean` | the whole shape on the dominant model, as in the paper and its baseline |
-| `tip-jacobian`, `tip-resolved` | the tip alone, on the dominant and on the elastic model: look at the tip |
-| `rrt-connect` | a way through a lumen to the last frame's pose, whatever lies between: look at the contact |
-| follow-the-leader | the body where the tip has been, not the target: look at the distance off its own path |
+{methods}
 
 **What is measured.** All motions are judged on the elastic model, which stands for the real robot, whatever they
 were planned on; where two numbers stand in a cell, the first is on the model planned on.
@@ -88,12 +85,15 @@ else runs there.
 
 def page(found: Comparison, command: str) -> str:
     """The text of the page; command: with which it is made."""
-    problems = list(dict.fromkeys(row["problem"] for row in (*found.rows, *_as_rows(found.refusals))))
-    draws = max((row["draws"] or 0 for row in found.rows), default=0)
-    parts = [EXPLANATION.format(draws=draws)]
+    asked = [(row["problem"], row["variant"]) for row in found.rows]
+    asked += [(refusal.problem, refusal.variant) for refusal in found.refusals]
+    problems = list(dict.fromkeys(problem for problem, _ in asked))
+    kinds = dict.fromkeys(variant.partition(":")[0] for _, variant in asked)
+    methods = markdown(["method", "what it is"], [[f"`{kind}`", made_for(kind)] for kind in kinds])
+    draws, frames = (max((row[key] or 0 for row in found.rows), default=0) for key in ("draws", "frames"))
+    parts = [EXPLANATION.format(draws=draws, methods=methods.rstrip())]
     parts += [f"## {title}\n\n{_overview(found, problems, column)}" for title, column in OVERVIEWS.items()]
     parts += [f"## {problem}\n\n{table(found, problem)}" for problem in problems]
-    frames = max((row["frames"] for row in found.rows), default=0)
     return "\n".join(parts) + REMAKING.format(command=command, frames=frames, machine=machine())
 
 
@@ -110,6 +110,16 @@ def table(found: Comparison, problem: str) -> str:
     return markdown(["method", *_titles(), "solved"], body)
 
 
+def made_for(kind: str) -> str:
+    """What a method is, in the words that its file begins with; empty of one that is in no registry."""
+    others = PATHS | {name: reference.method for name, reference in METHODS.items()}
+    made = (OURS | others).get(kind)
+    if made is None:
+        return ""
+    file = sys.modules[getattr(made, "func", made).__module__]  # a part of a function is as its whole
+    return (file.__doc__ or "").partition("\n")[0]
+
+
 def machine() -> str:
     """The kind of the machine, as its processor calls itself, without its name."""
     try:
@@ -122,10 +132,6 @@ def machine() -> str:
 
 def _titles() -> list[str]:
     return [column.title for column in COLUMNS]
-
-
-def _as_rows(refusals: Sequence[Refusal]) -> list[Row]:
-    return [refusal._asdict() for refusal in refusals]
 
 
 def _overview(found: Comparison, problems: Sequence[str], column: Column) -> str:
