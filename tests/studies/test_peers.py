@@ -32,7 +32,7 @@ for row in range(n):
         across, along = (1 - math.cos(k * s)) / k, math.sin(k * s) / k
         turn = alpha + {off}
         told += [s, across * math.cos(turn), across * math.sin(turn), along]
-    print(0.001, {stability}, 3, *told)
+    print(0.001, "{stability}", 3, *told)
 """
 
 
