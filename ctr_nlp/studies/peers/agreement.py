@@ -22,8 +22,8 @@ ELSEWHERE = 5.0
 """mm between two tips from which on the models are in different equilibria, and are not compared."""
 GRID = 0.01
 """mm that extensions are multiples of, since some models round lengths."""
-SHORTEST = 0.1
-"""Part of its room that a tube is out at least."""
+SHORTEST, APART = 0.1, 2.0
+"""Part of its room that a tube is out at least, and mm between tips: models differentiate over a millimetre."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,9 @@ def configurations(robot: Robot, count: int, seed: int = 0) -> Array:
     q[:, :d] = rng.uniform(-np.pi, np.pi, (count, d))
     low, high = robot.lower[d : 2 * d], robot.upper[d : 2 * d]
     beta = low + (high - low) * rng.uniform(SHORTEST, 1.0, (count, d))
-    q[:, d : 2 * d] = np.round(np.maximum.accumulate(beta, axis=1) / GRID) * GRID
+    for i in range(1, d):
+        beta[:, i] = np.minimum(np.maximum(beta[:, i], beta[:, i - 1] + APART), high[i])
+    q[:, d : 2 * d] = np.round(beta / GRID) * GRID
     return q
 
 
