@@ -89,7 +89,9 @@ def page(found: Comparison, command: str) -> str:
     asked += [(refusal.problem, refusal.variant) for refusal in found.refusals]
     problems = list(dict.fromkeys(problem for problem, _ in asked))
     kinds = dict.fromkeys(variant.partition(":")[0] for _, variant in asked)
-    methods = markdown(["method", "what it is"], [[f"`{kind}`", made_for(kind)] for kind in kinds])
+    methods = markdown(
+        ["method", "what it is"], [[f"`{kind}`", made_for(kind).replace("|", "\\|")] for kind in kinds]
+    )
     draws, frames = (max((row[key] or 0 for row in found.rows), default=0) for key in ("draws", "frames"))
     parts = [EXPLANATION.format(draws=draws, methods=methods.rstrip())]
     parts += [f"## {title}\n\n{_overview(found, problems, column)}" for title, column in OVERVIEWS.items()]
@@ -105,7 +107,7 @@ def table(found: Comparison, problem: str) -> str:
     ]
     empty = [""] * (len(COLUMNS) - 1)
     body += [
-        [f"`{r.variant}`", *empty, r.why.replace("|", "/"), ""] for r in found.refusals if r.problem == problem
+        [f"`{r.variant}`", *empty, r.why.replace("|", "\\|"), ""] for r in found.refusals if r.problem == problem
     ]
     return markdown(["method", *_titles(), "solved"], body)
 
@@ -127,7 +129,7 @@ def machine() -> str:
     except OSError:
         lines = []
     named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return f"{os.cpu_count()} cores of a {named[0] if named else platform.machine()}"
+    return f"{os.cpu_count()} cores of {named[0] if named else platform.machine()}"
 
 
 def _titles() -> list[str]:
