@@ -1,7 +1,8 @@
 """Robots followed through a motion by shooting, from the differential equations of their tubes and nothing else.
 
 Tube i of a robot that bends nothing but itself turns by psi_i(s) from the base's frame, s from the opening:
-GJ_i psi_i'' = EI_i k_i (u_x sin psi_i - u_y cos psi_i), with u = sum EI_i k_i (cos psi_i, sin psi_i) / sum EI_i,
+GJ_i psi_i'' = EI_i k_i (u_x sin b_i - u_y cos b_i), with u = sum EI_i k_i (cos b_i, sin b_i) / sum EI_i, where it
+bends towards b_i = psi_i, and a helix towards b_i = psi_i + torsion (s - begin of its curved part);
 psi_i(0) = alpha_i + psi_i'(0) (L_i - beta_i), as transmissions twist evenly, and psi_i'(beta_i) = 0 at the tip.
 The unknowns are the rates psi_i'(0); sensitivities of the tips' rates over them are integrated beside, and where
 their determinant is 0 an equilibrium ceases to be stable. Robots are integrated at once, piece by piece
@@ -30,7 +31,7 @@ OPTIONS = {"method": "DOP853", "rtol": 1e-8, "atol": 1e-10}
 
 @dataclass(frozen=True, eq=False)
 class Tubes:
-    """n robots of d tubes: all (n, d), mm, 1/mm; bending and torsion stiffness in one unit; motors' zeros, rad."""
+    """n robots of d tubes: all (n, d), mm, 1/mm; bending and torsion stiffness in one unit; zeros, rad; rad/mm."""
 
     length: np.ndarray
     curved: np.ndarray
@@ -39,6 +40,7 @@ class Tubes:
     bending: np.ndarray
     torsion: np.ndarray
     zero: np.ndarray
+    helix: np.ndarray
 
     def __getitem__(self, rows) -> Tubes:
         return Tubes(*(each[rows] for each in vars(self).values()))
@@ -56,7 +58,15 @@ def tubes(robot: Robot, parts: np.ndarray) -> Tubes:
     ends = [each(lambda t, k=k: np.broadcast_to(t.curvature, 2)[k]) * (1 + bent) for k in (0, 1)]
     torsion = bending * (1 + ratio) / each(lambda t: 1 + t.poisson_ratio)
     length = np.broadcast_to(each(lambda t: t.length), bending.shape)
-    return Tubes(length, each(lambda t: t.curved_length) + longer, *ends, bending, torsion, zero)
+    return Tubes(
+        length,
+        each(lambda t: t.curved_length) + longer,
+        *ends,
+        bending,
+        torsion,
+        zero,
+        np.broadcast_to(each(lambda t: t.pre_torsion), bending.shape),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,13 +106,18 @@ class Shooting:
         def slope(z, y):
             y = y.reshape(n, -1)
             pull, total = self._pulls(low + z * (high - low), (low + high) / 2)
-            turn, rates, sway, change = self._moments(y, pull, total, d)
+            made = self._made(low + z * (high - low))
+            turn, rates, sway, change = self._moments(y, made, pull, total, d)
             return (h * np.concatenate([rates, turn, change, sway], axis=1)).ravel()
 
         return solve_ivp(slope, (0, 1), state.ravel(), **OPTIONS).y[:, -1].reshape(n, -1)
 
-    def _moments(self, y, pull, total, d):
-        n, psi, rates = len(y), y[:, :d], y[:, d : 2 * d]
+    def _made(self, s):
+        """What helices turn by of themselves at s (n,), from where their curved parts begin."""
+        return self.robots.helix * (s[:, None] - (self.beta - self.robots.curved))
+
+    def _moments(self, y, made, pull, total, d):
+        n, psi, rates = len(y), y[:, :d] + made, y[:, d : 2 * d]
         by = y[:, 2 * d : 2 * d + d * d].reshape(n, d, d)
         cos, sin = np.cos(psi), np.sin(psi)
         x, z = ((pull * each).sum(axis=1, keepdims=True) / total for each in (cos, sin))
@@ -152,7 +167,7 @@ class Shooting:
         def slope(z, y):
             y = y.reshape(n, -1)
             pull, total = self._pulls(low + z * (high - low), (low + high) / 2)
-            psi, axes = y[:, :d], y[:, 2 * d + 3 :].reshape(n, 3, 3)
+            psi, axes = y[:, :d] + self._made(low + z * (high - low)), y[:, 2 * d + 3 :].reshape(n, 3, 3)
             x, v = ((pull * each).sum(axis=1, keepdims=True) / total for each in (np.cos(psi), np.sin(psi)))
             d1, d2, t = axes[:, 0], axes[:, 1], axes[:, 2]
             turn = pull * (x * np.sin(psi) - v * np.cos(psi)) / self.robots.torsion
@@ -231,11 +246,12 @@ class Motion(NamedTuple):
         return np.where(away.any(axis=1), away.argmax(axis=1) + 1, 0)
 
 
-def followed(robots: Tubes, q: np.ndarray, sigma: np.ndarray) -> Motion:
-    """Robots moved through q (T, 2d + 2) from where their motors are aligned; shapes at sigma (m,)."""
+def followed(robots: Tubes, q: np.ndarray, sigma: np.ndarray, aligned: bool = True) -> Motion:
+    """Robots moved through q (T, 2d + 2) from where motors are aligned, or untwisted; shapes at sigma (m,)."""
     n, d = robots.zero.shape
     at = q[0].copy()
-    at[:d] = at[d - 1]
+    if aligned:
+        at[:d] = at[d - 1]
     way = Followed(robots, np.zeros((n, d)), at[:d] + np.zeros((n, d)), np.zeros(n, dtype=int))
     way.advance(np.arange(n), at, at, 1, 1.0)
     shapes, tips = np.full((n, len(q), len(sigma), 3), np.nan), np.full((n, len(q), d), np.nan)

@@ -92,7 +92,7 @@ class Shot:
     def x(self) -> np.ndarray:
         """The same equilibrium in our unknowns: the angles at the tips, and beta and theta."""
         d = self.robot.d
-        *others, inner = (self.at(self.q[d + i])[i] for i in range(d))
+        *others, inner = (self._bends(self.q[d + i])[i] for i in range(d))
         return np.concatenate([np.array(others) - inner, [inner], self.q[d:]])
 
     @cached_property
@@ -141,7 +141,7 @@ class Shot:
                 nodes = np.ix_([i * n + k, i * n + k + 1], [i * n + k, i * n + k + 1])
                 stiff[nodes] += torsion / (grid[k + 1] - grid[k]) * np.array([[1, -1], [-1, 1]])
         for k, s in enumerate(middles):
-            psi, h = self.at(s)[:d], grid[k + 1] - grid[k]
+            psi, h = self._bends(s), grid[k + 1] - grid[k]
             pull, total = self._pulls(s, beta)
             for i, j in itertools.product(range(d), range(d)):
                 value = pull[i] * pull[j] / total * np.cos(psi[i] - psi[j]) * h / 4
@@ -149,6 +149,15 @@ class Shot:
                     bent[i * n + k + a, j * n + k + b] -= value
                     bent[i * n + k + a, i * n + k + b] += value
         return 1 + float(scipy.linalg.eigh(bent, stiff, eigvals_only=True, subset_by_index=[0, 0])[0])
+
+    def _bends(self, s: float) -> np.ndarray:
+        """Where tubes bend to at s, (d,)."""
+        return self.at(s)[: self.robot.d] + self._made(s)
+
+    def _made(self, s: float) -> np.ndarray:
+        """What helices turn by of themselves from where their curved parts begin, (d,)."""
+        begins = self.q[self.robot.d : 2 * self.robot.d] - [tube.curved_length for tube in self.robot.tubes]
+        return np.array([tube.pre_torsion for tube in self.robot.tubes]) * (s - begins)
 
     def _pulls(self, s: float, beta: np.ndarray) -> tuple[np.ndarray, float]:
         """EI_i k_i of the tubes at s, and the sum of all EI there."""
@@ -176,7 +185,7 @@ class Shot:
             def slope(s, y, middle=middle):
                 inside = np.nextafter(s, middle)
                 pulls, total = self._pulls(inside, beta)
-                psi, (d1, d2, t) = y[:d], y[2 * d + 3 :].reshape(3, 3)
+                psi, (d1, d2, t) = y[:d] + self._made(s), y[2 * d + 3 :].reshape(3, 3)
                 u = np.array([pulls @ np.cos(psi), pulls @ np.sin(psi)]) / total
                 moments = pulls * (u[0] * np.sin(psi) - u[1] * np.cos(psi))
                 bends = -u[0] * t, -u[1] * t, u[0] * d1 + u[1] * d2

@@ -87,7 +87,7 @@ class Prediction:
         return q
 
     def _equilibria(self, values: Array) -> tuple[Array, Array]:
-        """Unknowns x (T, n_x) of the model, and the tubes' numbers (d, 6)."""
+        """Unknowns x (T, n_x) of the model, and the tubes' numbers (d, 7)."""
         parameters, measured = self.parameters, self.measured
         parts = parameters.parts(values)[None]
         numbers = drawn_from(parameters.robot, parts, np.zeros(parts.shape[:2])).numbers

@@ -210,7 +210,7 @@ class Model(ABC):
         return points, tangents
 
     def points_apart(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
-        """Points (T, n, 3) in mm of robots that differ in numbers (T, d, 6), at x (T, n_x); sigma: as points."""
+        """Points (T, n, 3) in mm of robots that differ in numbers (T, d, 7), at x (T, n_x); sigma: as points."""
         sigma = np.broadcast_to(sigma, (len(x), np.shape(sigma)[-1]))
         function, rows = samples(self, structure, sigma.shape[1]), zip(x, sigma, numbers, strict=True)
         return np.array([function(*row)[0].full() for row in rows])
@@ -251,7 +251,7 @@ class Model(ABC):
         return Followed(np.array(q, dtype=float), unknown, unknown)
 
     def walker(self, structure: Structure, numbers: Array, q: Array) -> Walker:
-        """A robot of numbers (d, 6) that stands at q (2d + 2,) without a history, to be moved step by step."""
+        """A robot of numbers (d, 7) that stands at q (2d + 2,) without a history, to be moved step by step."""
         if self.several_equilibria:
             raise OptionError(f"model is {self.name!r}, and does not tell how robots move step by step")
         return Rigid(q)
@@ -259,7 +259,7 @@ class Model(ABC):
     def follow_apart(
         self, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True
     ) -> list[Followed]:
-        """The unknowns of robots that differ in numbers (n, d, 6), at their own places q (n, M, 2d + 2) on a way.
+        """The unknowns of robots that differ in numbers (n, d, 7), at their own places q (n, M, 2d + 2) on a way.
 
         margins: whether stability is asked for, which takes longer than the unknowns; it is NaN where not.
         Raises OptionError where the model has several equilibria and does not say which these robots are in.
@@ -276,7 +276,7 @@ class Model(ABC):
 
 @functools.lru_cache(maxsize=64)
 def samples(model: Model, structure: Structure, count: int) -> ca.Function:
-    """(x, sigma (count,), numbers (d, 6)) -> points and tangents (count, 3), mm, in the base frame."""
+    """(x, sigma (count,), numbers (d, 7)) -> points and tangents (count, 3), mm, in the base frame."""
     sigma, numbers = ca.SX.sym("sigma", count), ca.SX.sym("numbers", structure.d, len(NUMBERS))
     tubes = symbolic_tubes(structure, numbers)
     shape = model.frame(structure, tubes, lambda beta: sigma * beta[-1], tangents=True)
@@ -288,7 +288,7 @@ def samples(model: Model, structure: Structure, count: int) -> ca.Function:
 
 
 def symbolic_tubes(structure: Structure, numbers: ca.SX) -> Tubes:
-    """Tubes whose numbers are the entries of a symbol (d, 6)."""
+    """Tubes whose numbers are the entries of a symbol (d, 7)."""
     return tubes_of(structure, [[numbers[i, k] for k in range(len(NUMBERS))] for i in range(structure.d)])
 
 

@@ -13,6 +13,7 @@ from ctr_nlp.exceptions import OptionError
 from ctr_nlp.nlp.links import Link
 from ctr_nlp.nlp.nlp import Nlp
 from ctr_nlp.nlp.written import FrameFunctions
+from ctr_nlp.robot.structure import NUMBERS
 from ctr_nlp.support.values import frozen
 from ctr_nlp.typing import Array, Index
 
@@ -21,7 +22,7 @@ from ctr_nlp.typing import Array, Index
 class Scenarios:
     """S robots that are moved alike; the first is the one as described, and others are compared with it.
 
-    numbers (S, d, 6): of the tubes, in the order of structure.NUMBERS. offsets (S, d): of the motors' zeros, added
+    numbers (S, d, 7): of the tubes, in the order of structure.NUMBERS. offsets (S, d): of the motors' zeros, added
     to alpha, rad. weights (S,): how much each one's shape error counts, >= 0 and not all 0. forces (S, 3): at
     their tips, N, in the base's directions; none by default. Raises OptionError.
     """
@@ -37,7 +38,12 @@ class Scenarios:
         for name in ("numbers", "offsets", "weights", "forces"):
             object.__setattr__(self, name, frozen(np.array(getattr(self, name), dtype=float)))
         count, d = len(self.weights), self.offsets.shape[-1]
-        shapes = {"numbers": (count, d, 6), "offsets": (count, d), "weights": (count,), "forces": (count, 3)}
+        shapes = {
+            "numbers": (count, d, len(NUMBERS)),
+            "offsets": (count, d),
+            "weights": (count,),
+            "forces": (count, 3),
+        }
         for name, shape in shapes.items():
             values = getattr(self, name)
             if values.shape != shape or not count or not np.isfinite(values).all():
@@ -71,7 +77,7 @@ class Scenarios:
 class Guards:
     """Robots that need only not be lost: K of them in every one of T frames, others in each.
 
-    numbers (T, K, d, 6), offsets (T, K, d), forces (T, K, 3): as of Scenarios.
+    numbers (T, K, d, 7), offsets (T, K, d), forces (T, K, 3): as of Scenarios.
     """
 
     numbers: Array

@@ -35,6 +35,7 @@ UNITS = {
     "curvature": "1/mm; [root, tip] of the curved part, linear between them",
     "outer_diameter": "mm",
     "inner_diameter": "mm",
+    "pre_torsion": "rad/mm, by how much the direction of a helix's curvature turns along it",
 }
 """What a robot file says beside numbers of its tubes."""
 
@@ -108,7 +109,7 @@ class Robot:
 
     @cached_property
     def numbers(self) -> Array:
-        """What models need to know of the tubes, (d, 6), in the order of structure.NUMBERS."""
+        """What models need to know of the tubes, (d, 7), in the order of structure.NUMBERS."""
         return frozen(np.array(numbers_of(self.tubes)))
 
     @cached_property

@@ -8,8 +8,9 @@ from typing import Any, Literal, NamedTuple
 
 from ctr_nlp.robot.tube import Tube
 
-Kind = Literal["straight", "arc", "linear"]
-"""Of a tube's curved part: without curvature, of one curvature, or with one that is linear in arc length."""
+Kind = Literal["straight", "arc", "linear", "helix"]
+"""Of a tube's curved part: without curvature, of one curvature, with one that is linear in arc length, or of one
+curvature whose direction turns."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class TubeNumbers(NamedTuple):
     """One tube as models take it: numbers, columns of numbers (T, 1) for T robots at once, or symbols.
 
     length, curved_length: mm. root_curvature, tip_curvature: 1/mm, equal unless kind is linear.
-    bending_stiffness: EI, in any unit. torsional_ratio: EI / GJ = 1 + Poisson's ratio.
+    bending_stiffness: EI, in any unit. torsional_ratio: EI / GJ = 1 + Poisson's ratio. pre_torsion: rad/mm.
     """
 
     kind: Kind
@@ -45,11 +46,17 @@ class TubeNumbers(NamedTuple):
     tip_curvature: Any
     bending_stiffness: Any
     torsional_ratio: Any
+    pre_torsion: Any
 
     @property
     def slope(self) -> Any:
         """Growth of the pre-curvature from the tip to the root, 1/mm^2."""
         return (self.root_curvature - self.tip_curvature) / self.curved_length if self.kind == "linear" else 0.0
+
+    @property
+    def spin(self) -> Any:
+        """By how much the direction of the pre-curvature turns along the tube, rad/mm."""
+        return self.pre_torsion if self.kind == "helix" else 0.0
 
 
 Tubes = Sequence[TubeNumbers]
@@ -66,17 +73,17 @@ def tubes_of(structure: Structure, numbers: Sequence[Sequence[Any]]) -> tuple[Tu
 
 
 def tubes_in_columns(structure: Structure, numbers: Any) -> tuple[TubeNumbers, ...]:
-    """The tubes of robots that differ in numbers (T, d, 6), as columns (T, 1)."""
+    """The tubes of robots that differ in numbers (T, d, 7), as columns (T, 1)."""
     return tubes_of(structure, [list(tube) for tube in numbers.transpose(1, 2, 0)[..., None]])
 
 
 def freed_places(structure: Structure, freed: Sequence[str]) -> tuple[tuple[int, tuple[int, ...]], ...]:
     """What tubes have of numbers that are free: for each unknown its tube, from 0, and its columns in NUMBERS.
 
-    freed: of NUMBERS, or curvature: one number of an arc, the two of a part with a linear one.
+    freed: of NUMBERS, or curvature: one number of an arc or a helix, the two of a part with a linear one.
     """
     root, tip = NUMBERS.index("root_curvature"), NUMBERS.index("tip_curvature")
-    curvatures = {"straight": (), "arc": ((root, tip),), "linear": ((root,), (tip,))}
+    curvatures = {"straight": (), "arc": ((root, tip),), "linear": ((root,), (tip,)), "helix": ((root, tip),)}
     found = list[tuple[int, tuple[int, ...]]]()
     for name in freed:
         for i, kind in enumerate(structure.kinds):
@@ -95,6 +102,7 @@ def numbers_of(tubes: Iterable[Tube]) -> list[list[float]]:
             tube.tip_curvature,
             tube.bending_stiffness,
             1 + tube.poisson_ratio,
+            tube.pre_torsion,
         ]
         for tube in tubes
     ]
@@ -104,4 +112,6 @@ def kind_of(tube: Tube) -> Kind:
     """That of a tube's curved part."""
     if tube.largest_curvature == 0:
         return "straight"
+    if tube.pre_torsion != 0:
+        return "helix"
     return "linear" if tube.root_curvature != tube.tip_curvature and tube.curved_length else "arc"

@@ -16,6 +16,10 @@ CURVATURE = 0.5
 """Largest curvature of any tube, 1/mm: a radius of 2 mm, which nitinol bears up to 0.32 mm thick."""
 LENGTHS = (1.0, 10_000.0)
 """Shortest and longest tube, mm. What is shorter was likely written in metres, what is longer in micrometres."""
+TURNED = 2.0
+"""rad that the direction of a helix's curvature may turn along its curved part: sections are integrated in a few
+steps.
+"""
 DIAMETERS = (0.1, 100.0)
 """Least and largest outer diameter, mm."""
 
@@ -27,8 +31,10 @@ class Tube:
 
     length, curved_length: mm. curvature: 1/mm, constant, or (root, tip) of the curved part and linear in
     the distance from the tip between them; not negative, but at the root of a tube that is shaped like an S, bent
-    there to the other side than at its tip. Diameters: mm. youngs_modulus: MPa; for a robot that bears no load any
-    unit will do, since only ratios between tubes matter then. Raises RobotError.
+    there to the other side than at its tip. pre_torsion: rad/mm, by how much the direction in which the curved
+    part bends turns along it: one curvature and a torsion make a helix, right-handed where it is positive.
+    Diameters: mm. youngs_modulus: MPa; for a robot that bears no load any unit will do, since only ratios between
+    tubes matter then. Raises RobotError.
 
     Bent into its pre-curvature, a straight tube is strained by curvature * outer_diameter / 2 at its outer fibre;
     so it is again wherever the tubes around it or its own carriage hold it straight. More than 8 % is refused, the
@@ -45,6 +51,7 @@ class Tube:
     inner_diameter: float
     poisson_ratio: float = 0.3
     youngs_modulus: float = 1.0
+    pre_torsion: float = 0.0
 
     def __post_init__(self) -> None:
         for f in fields(self):
@@ -57,6 +64,7 @@ class Tube:
         self._check_lengths()
         self._check_diameters()
         self._check_curvature()
+        self._check_torsion()
         if not -1 < self.poisson_ratio <= 0.5:
             raise RobotError(f"tube poisson_ratio is {self.poisson_ratio:g}; it must lie in (-1, 0.5]")
         if self.youngs_modulus <= 0:
@@ -102,6 +110,22 @@ class Tube:
                 f"tube curvature is {largest:g} per mm, a radius of {1 / largest:.3g} mm, and outer_diameter "
                 f"{self.outer_diameter:g} mm: made so, the tube is strained by {100 * strain:.3g} %, and nitinol "
                 f"bears {100 * STRAIN_MADE:g} %; the curvature must be at most {most:.3g} per mm"
+            )
+
+    def _check_torsion(self) -> None:
+        if self.pre_torsion == 0:
+            return
+        if isinstance(self.curvature, tuple) or self.curvature == 0 or self.curved_length == 0:
+            raise RobotError(
+                f"tube pre_torsion is {self.pre_torsion:g} rad/mm, and curvature {self.curvature} along "
+                f"{self.curved_length:g} mm; a helix has one curvature, and neither is 0"
+            )
+        most = TURNED / self.curved_length
+        if not abs(self.pre_torsion) <= most:
+            raise RobotError(
+                f"tube pre_torsion is {self.pre_torsion:g} rad/mm, and the curved part is "
+                f"{self.curved_length:g} mm long; it must lie in [{-most:.3g}, {most:.3g}] rad/mm, so that the "
+                f"curvature turns by {TURNED:g} rad along it at most"
             )
 
     @property

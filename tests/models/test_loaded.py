@@ -318,7 +318,7 @@ def test_robots_side_by_side_go_where_each_goes_alone(monkeypatch):
     """
     turned = np.linspace(0.0, 3.4, 12)
     q = np.column_stack([turned, 0 * turned, 0 * turned, *np.tile([[20], [40], [75]], 12), 0 * turned, 0 * turned])
-    numbers = NITINOL.numbers[None] * np.linspace(1.0, 2.6, 5)[:, None, None] ** np.array([0, 0, 1, 1, 0, 0])
+    numbers = NITINOL.numbers[None] * np.linspace(1.0, 2.6, 5)[:, None, None] ** np.array([0, 0, 1, 1, 0, 0, 0])
     model, way = Loaded(Load(force=(0, 0.1, 0))), passage(q, 4)
     ways = np.repeat(way.q[None], 5, axis=0) + 0.05 * np.arange(5)[:, None, None] * (np.arange(8) == 1)
     monkeypatch.setattr("ctr_nlp.models.loaded.model.TOGETHER", 3)

@@ -96,7 +96,7 @@ def test_numbers_are_those_of_the_tubes():
     assert robot.numbers.shape == (3, len(NUMBERS))
     for row, tube, numbers in zip(robot.numbers, robot.tubes, robot.tube_numbers, strict=True):
         expected = tube.length, tube.curved_length, tube.tip_curvature, tube.tip_curvature, tube.bending_stiffness
-        np.testing.assert_array_equal(row, [*expected, 1.3])
+        np.testing.assert_array_equal(row, [*expected, 1.3, 0.0])
         assert numbers.curved_length == tube.curved_length
 
 

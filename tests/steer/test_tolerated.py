@@ -31,7 +31,7 @@ TUBES = Tube(150, 90, 0.012, 3, 2), Tube(300, 140, 0.015, 1.8, 1.2)
 
 def deviations(robot, scenarios):
     """By what part (S, d) curvature and bending stiffness of scenarios differ from a robot's, and offsets."""
-    parts = scenarios.numbers / robot.numbers - 1
+    parts = scenarios.numbers / np.where(robot.numbers == 0, 1.0, robot.numbers) - 1
     names = NUMBERS.index("root_curvature"), NUMBERS.index("bending_stiffness")
     return np.concatenate([*(parts[..., name] for name in names), scenarios.offsets], axis=1)
 

@@ -52,9 +52,9 @@ class Dominant(Model):
         q = ca.vertsplit(x)
         beta = q[d : 2 * d]
         lengths, turns = list[ca.SX](), list[ca.SX]()
-        for side, along, angle in shape.travels(tubes, beta, places(beta), ca):
-            lengths.append(ca.horzcat(side, along))
-            turns += [ca.horzcat(ca.sin(angle), ca.cos(angle) - 1)] if tangents else []
+        for travel in shape.travels(tubes, beta, places(beta), ca):
+            lengths.append(ca.horzcat(*travel.lengths))
+            turns += [ca.horzcat(*travel.gains(ca))] if tangents else []
         planes = [matrix_of(plane) for plane in shape.directions(tubes, q, ca)]
         inner = Inner.of([*lengths, *planes, *turns])
         travelled, directed, turned = (inner.symbols[k * d : (k + 1) * d] for k in range(3))
@@ -87,7 +87,7 @@ def _points(tubes: Tubes, q: Array, sigma: Array) -> Array:
     columns, d = shape.columns_of(q), len(tubes)
     travelled = shape.travels(tubes, columns[d : 2 * d], sigma * columns[2 * d - 1], np)
     planes = shape.directions(tubes, columns, np)
-    lengths = np.stack([part for travel in travelled for part in travel[:2]], axis=1)
+    lengths = np.stack([part for travel in travelled for part in travel.lengths], axis=1)
     vectors = np.stack([_stacked(vector)[:, 0] for plane in planes for vector in plane], axis=1)
     return np.asarray(lengths.swapaxes(1, 2) @ vectors)
 

@@ -32,6 +32,55 @@ class Travel(NamedTuple):
     along: Any
     angle: Any
 
+    @property
+    def lengths(self) -> tuple[Any, ...]:
+        """Along where the tube bends to and along the tangent, at the beginning, mm."""
+        return self.side, self.along
+
+    def gains(self, xp: Any) -> tuple[Any, ...]:
+        """What the tangent gains in the same directions."""
+        return xp.sin(self.angle), xp.cos(self.angle) - 1
+
+
+class Winding(NamedTuple):
+    """Travel on a helix of a curvature k and a torsion, 1/mm: mm `straight`, then `length` of its curved part.
+
+    Its frame of Frenet turns about one axis (Darboux vector) by w = sqrt(k^2 + torsion^2) a mm.
+    """
+
+    k: Any
+    torsion: Any
+    length: Any
+    straight: Any
+    xp: Any
+
+    @property
+    def _turned(self) -> tuple[Any, Any, Any]:
+        """w, sin(w length) and 1 - cos(w length)."""
+        w = self.xp.sqrt(self.k**2 + self.torsion**2)
+        sin, half = self.xp.sin(w * self.length), self.xp.sin(w * self.length / 2)
+        return w, sin, 2 * half * half
+
+    @property
+    def lengths(self) -> tuple[Any, ...]:
+        """Along where the tube bends to, along the tangent and across both, at the beginning, mm."""
+        (w, sin, rest), k, torsion = self._turned, self.k, self.torsion
+        late = (self.length - sin / w) / w**2
+        return k * rest / w**2, self.straight + self.length - k**2 * late, k * torsion * late
+
+    def gains(self, xp: Any) -> tuple[Any, ...]:
+        """What the tangent gains in the same directions."""
+        (w, sin, rest), k = self._turned, self.k
+        return k * sin / w, -(k**2) * rest / w**2, k * self.torsion * rest / w**2
+
+    def after(self, bend: Vector, across: Vector, t: Vector) -> tuple[Vector, Vector, Vector]:
+        """The frame of Frenet at the end."""
+        (w, sin, rest), k, torsion = self._turned, self.k, self.torsion
+        about = combined(k / w, across, torsion / w, t)
+        outwards = combined(torsion / w, across, -k / w, t)
+        side, turned = combined(1 - rest, bend, sin, outwards), combined(1 - rest, outwards, -sin, bend)
+        return side, combined(k / w, about, torsion / w, turned), combined(torsion / w, about, -k / w, turned)
+
 
 def columns_of(q: Any) -> list[Any]:
     """The entries (T, 1) of configurations or unknowns (T, n), as numpy takes them here."""
@@ -43,19 +92,19 @@ def backbone(tubes: Tubes, q: Sequence[Any], sigma: Any, xp: Any) -> Backbone:
     travelled = travels(tubes, q[len(tubes) : 2 * len(tubes)], sigma * q[2 * len(tubes) - 1], xp)
     planes = directions(tubes, q, xp)
     point, tangent = (0.0, 0.0, 0.0), planes[0][1]
-    for (side, along, angle), (bend, t) in zip(travelled, planes, strict=True):
-        point = _plus(point, side, bend, along, t)
-        tangent = _plus(tangent, xp.sin(angle), bend, xp.cos(angle) - 1, t)
+    for travel, plane in zip(travelled, planes, strict=True):
+        for length, gain, vector in zip(travel.lengths, travel.gains(xp), plane, strict=True):
+            point, tangent = combined(1.0, point, length, vector), combined(1.0, tangent, gain, vector)
     return Backbone(point, tangent)
 
 
-def travels(tubes: Tubes, beta: Sequence[Any], s: Any, xp: Any) -> list[Travel]:
+def travels(tubes: Tubes, beta: Sequence[Any], s: Any, xp: Any) -> list[Travel | Winding]:
     """What is travelled on every tube to arc lengths s, mm.
 
     The expression has the same structure whichever tube a sample lies on; positions are C1 in beta, also where
     rounding has put a tube's end before that of the tube around it.
     """
-    start, before, travelled = 0 * beta[0], 0 * beta[0], list[Travel]()
+    start, before, travelled = 0 * beta[0], 0 * beta[0], list[Travel | Winding]()
     for i in range(len(tubes)):
         here = xp.fmin(s, beta[i])
         travelled.append(_on_tube(tubes, i, beta[i] - start, beta[i] - start - (here - before), xp))
@@ -63,26 +112,38 @@ def travels(tubes: Tubes, beta: Sequence[Any], s: Any, xp: Any) -> list[Travel]:
     return travelled
 
 
-def directions(tubes: Tubes, q: Sequence[Any], xp: Any) -> list[tuple[Vector, Vector]]:
-    """Where every tube bends to, and the tangent, at the beginning of its segment."""
+def directions(tubes: Tubes, q: Sequence[Any], xp: Any) -> list[tuple[Vector, ...]]:
+    """Where every tube bends to, the tangent and, of a helix, across both, at the beginning of its segment."""
     alpha, beta, (theta_x, theta_y) = q[: len(tubes)], q[len(tubes) : 2 * len(tubes)], q[2 * len(tubes) :]
     d1, d2, t = base_frame(theta_x, theta_y, xp)
-    start, planes = 0 * beta[0], []
+    start, planes = 0 * beta[0], list[tuple[Vector, ...]]()
     for i in range(len(tubes)):
-        cos, sin = xp.cos(alpha[i]), xp.sin(alpha[i])
+        travel, turn = _on_tube(tubes, i, beta[i] - start, 0 * start, xp), alpha[i]
+        if isinstance(travel, Winding):
+            turn = turn + tubes[i].spin * (tubes[i].curved_length - travel.length)
+        cos, sin = xp.cos(turn), xp.sin(turn)
         bend, normal = combined(cos, d1, sin, d2), combined(-sin, d1, cos, d2)
-        planes.append((bend, t))
-        angle = _on_tube(tubes, i, beta[i] - start, 0 * start, xp).angle
-        c, z = xp.cos(angle), xp.sin(angle)
-        turned, t = combined(c, bend, -z, t), combined(z, bend, c, t)
-        d1, d2 = combined(cos, turned, -sin, normal), combined(sin, turned, cos, normal)
+        if isinstance(travel, Winding):
+            planes.append((bend, t, normal))
+            bend, normal, t = travel.after(bend, normal, t)
+            turn = alpha[i] + tubes[i].spin * tubes[i].curved_length
+            cos, sin = xp.cos(turn), xp.sin(turn)
+        else:
+            planes.append((bend, t))
+            c, z = xp.cos(travel.angle), xp.sin(travel.angle)
+            bend, t = combined(c, bend, -z, t), combined(z, bend, c, t)
+        d1, d2 = combined(cos, bend, -sin, normal), combined(sin, bend, cos, normal)
         start = beta[i]
     return planes
 
 
-def _on_tube(tubes: Tubes, i: int, x_from: Any, x_to: Any, xp: Any) -> Travel:
+def _on_tube(tubes: Tubes, i: int, x_from: Any, x_to: Any, xp: Any) -> Travel | Winding:
     """Travel on tube i between distances from its tip."""
     tube = tubes[i]
+    if tube.kind == "helix":
+        curved_from, curved_to = (xp.fmin(x, tube.curved_length) for x in (x_from, x_to))
+        length = curved_from - curved_to
+        return Winding(tube.tip_curvature, tube.spin, length, x_from - x_to - length, xp)
     if not tubes[i].shown:
         return planar(tube, x_from, x_to, xp)
     end = tube.curved_length
@@ -122,11 +183,6 @@ def base_frame(theta_x: Any, theta_y: Any, xp: Any) -> tuple[Vector, Vector, Vec
 def combined(a: Any, u: Vector, b: Any, v: Vector) -> Vector:
     """A u + b v."""
     return a * u[0] + b * v[0], a * u[1] + b * v[1], a * u[2] + b * v[2]
-
-
-def _plus(start: Vector, a: Any, u: Vector, b: Any, v: Vector) -> Vector:
-    change = combined(a, u, b, v)
-    return start[0] + change[0], start[1] + change[1], start[2] + change[2]
 
 
 def curvature(tubes: Tubes, beta: Sequence[Any], s: Any, step: Any, xp: Any) -> Any:

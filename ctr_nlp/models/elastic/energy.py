@@ -15,7 +15,7 @@ import numpy as np
 from numpy.polynomial import Legendre
 
 from ctr_nlp.models.dominant.shape import columns_of
-from ctr_nlp.models.elastic.torsion import STEPS, Section, curvatures_at, sections, twist
+from ctr_nlp.models.elastic.torsion import STEPS, Section, curvatures_at, sections, turned_untwisted, twist
 from ctr_nlp.robot.structure import Tubes
 from ctr_nlp.typing import Array, Index
 
@@ -30,14 +30,16 @@ ANGLES = [np.sqrt(2 * n + 1) * Legendre.basis(n, domain=(0, 1)).integ(lbnd=0)(NO
 class Energy(NamedTuple):
     """E(a) = |a|^2 / 2 - sum strength cos(angle), with the tubes' twist a combination of n unit twists by a (n,).
 
-    Angles (rows,), rad, are those between two tubes at a node: couples (rows, d) alpha + turns (rows, n) a. Those
-    of the tips are alpha + ends (d, n) a. strength (rows,): EI_i EI_j k_i k_j / sum EI times the node's weight.
+    Angles (rows,), rad, are those between two tubes at a node: couples (rows, d) alpha + made + turns (rows, n) a.
+    Those of the tips are alpha + made + ends (d, n) a. made (rows + d,): what helices turn by of themselves, first
+    of the rows, then of the tips. strength (rows,): EI_i EI_j k_i k_j / sum EI times the node's weight.
     """
 
     strength: Array
     couples: Array
     turns: Array
     ends: Array
+    made: Array
 
     def height(self, a: Array, angles: Array) -> float:
         """E(a)."""
@@ -74,22 +76,25 @@ def energies(tubes: Tubes, x: Array) -> Iterator[Energy]:
     strength = [
         np.broadcast_to(_strength(tubes, columns, parts[k], i, j, np), (len(x), len(NODES))) for k, i, j in couples
     ]
-    for of_rows, of_twists in zip(np.hstack(strength or [none]), scale, strict=True):
+    made = np.hstack(_made(tubes, columns, parts, np))
+    for of_rows, of_twists, of_tubes in zip(np.hstack(strength or [none]), scale, made, strict=True):
         there = of_twists > 0
-        yield Energy(of_rows, signs, *(each[:, there] * of_twists[there] for each in (turns, ends)))
+        scaled = (each[:, there] * of_twists[there] for each in (turns, ends))
+        yield Energy(of_rows, signs, *scaled, made=of_tubes)
 
 
 class Symbols(NamedTuple):
     """The Energy in symbols for any beta, of m twists that turn tubes against each other: others stay zero.
 
-    strength, angles (rows, 1), turns (rows, m), ends (d, m). couples (2, rows): the tubes of an angle.
-    second (m, m): K + V, whose eigenvalues below 1 are those of all twists.
+    strength, angles (rows, 1), turns (rows, m), ends (d, m), made (rows + d, 1): as of Energy. couples (2, rows):
+    the tubes of an angle. second (m, m): K + V, whose eigenvalues below 1 are those of all twists.
     """
 
     strength: ca.SX
     angles: ca.SX
     turns: ca.SX
     ends: ca.SX
+    made: ca.SX
     couples: Index
     second: ca.SX
 
@@ -108,7 +113,8 @@ def in_symbols(tubes: Tubes, x: Sequence[Any]) -> Symbols:
     weights = [pulls * ca.cos(turned) for pulls, turned in zip(strength[1:], angles[1:], strict=True)]
     second = _second(tubes, parts, twists, against, weights)
     turns, ends = (ca.sparsify(ca.DM(each)) @ scaled for each in (_pattern(parts, twists), _ends(tubes, twists)))
-    return Symbols(ca.horzcat(*strength).T, ca.horzcat(*angles).T, turns, ends, couples, second)
+    made = ca.vertcat(*(ca.vec(ca.SX(each)) for each in _made(tubes, x, parts, ca)))
+    return Symbols(ca.horzcat(*strength).T, ca.horzcat(*angles).T, turns, ends, made, couples, second)
 
 
 def _second(
@@ -170,7 +176,7 @@ class _Twist(NamedTuple):
 
 def _twists(tubes: Tubes, columns: Sequence[Any], parts: Sequence[Section], xp: Any) -> list[_Twist]:
     """Of the transmissions, and up to DEGREE of every tube where others act on it."""
-    acting = {k: part.active for k, part in enumerate(parts) if not part.plane}
+    acting = {k: part.active for k, part in enumerate(parts) if len(part.active) > 1}
     found = []
     for i in sorted({i for active in acting.values() for i in active}):
         tube = tubes[i]
@@ -185,12 +191,7 @@ def _twists(tubes: Tubes, columns: Sequence[Any], parts: Sequence[Section], xp: 
 
 def _couples(parts: Sequence[Section]) -> list[tuple[int, int, int]]:
     """Sections, and two tubes in each that act on each other there."""
-    return [
-        (k, i, j)
-        for k, part in enumerate(parts)
-        if not part.plane
-        for i, j in itertools.combinations(part.active, 2)
-    ]
+    return [(k, i, j) for k, part in enumerate(parts) for i, j in itertools.combinations(part.active, 2)]
 
 
 def _pattern(parts: Sequence[Section], twists: Sequence[_Twist]) -> Array:
@@ -203,6 +204,17 @@ def _pattern(parts: Sequence[Section], twists: Sequence[_Twist]) -> Array:
 def _ends(tubes: Tubes, twists: Sequence[_Twist]) -> Array:
     """By what twists (columns) turn the tubes' tips (rows), but for the scales."""
     return np.reshape([[one.end * (one.tube == i) for one in twists] for i in range(len(tubes))], (len(tubes), -1))
+
+
+def _made(tubes: Tubes, columns: Sequence[Any], parts: Sequence[Section], xp: Any) -> list[Any]:
+    """What helices turn by of themselves: couples at nodes, (T, nodes) each, then tips, (T, 1) each."""
+    nodes = ca.DM(NODES).T if xp is ca else NODES
+    none = 0 * columns[0]
+    found = []
+    for k, i, j in _couples(parts):
+        s = parts[k].start + parts[k].length * nodes
+        found.append(turned_untwisted(tubes, columns, i, s) - turned_untwisted(tubes, columns, j, s) + 0 * s)
+    return [*found, *(none + tube.spin * tube.curved_length for tube in tubes)]
 
 
 def _strength(tubes: Tubes, columns: Sequence[Any], part: Section, i: int, j: int, xp: Any) -> Any:

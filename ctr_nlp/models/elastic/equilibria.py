@@ -64,7 +64,7 @@ class Equilibria:
     """Follows a robot's equilibria; one object a thread."""
 
     def __init__(self, structure: Structure, numbers: Array) -> None:
-        """Numbers (d, 6) of the tubes, in the order of structure.NUMBERS."""
+        """Numbers (d, 7) of the tubes, in the order of structure.NUMBERS."""
         self._d, self._tubes = structure.d, tubes_of(structure, numbers.tolist())
         self._numbers, self._compiled = numbers.ravel(order="F")[None], compiled(structure)
         self._structure = structure
@@ -77,14 +77,13 @@ class Equilibria:
         return found
 
     def settled(self, q: Array) -> State | None:
-        """The equilibrium at q that all tubes are turned to from alpha_d."""
+        """The equilibrium at q that all tubes are turned to from where their tips bend alike, towards alpha_d."""
         if self._compiled is not None:
             states, found = self._compiled.settle(self._numbers, q[None])
             return _read(states[0], self._d, q) if found[0] else None
-        d, aligned = self._d, np.array(q, dtype=float)
-        aligned[:d] = q[d - 1]
-        x = aligned.copy()
+        d, x = self._d, np.array(q, dtype=float)
         x[: d - 1] = 0.0
+        aligned = np.concatenate([self._turned(x)[0], q[d:]])
         state = self._solved(aligned, x, True)
         most = STRIDE / max(abs(q - aligned).max(), TINY)
         return state and self._onwards(self._along(state, q, most), q)[0]
@@ -203,10 +202,11 @@ class Equilibria:
         (of,) = energy.energies(self._tubes, past[None])
         step = on * min(1e-4 / max(abs(on[:d]).max(), TINY), 1e-2 / max(abs(on).max(), TINY))
         here, ahead = energy.differences(self._tubes, np.stack([state.x, state.x + step]))
-        a = _fall(of, of.couples @ past[:d], here, ahead - here)
+        rows = len(of.strength)
+        a = _fall(of, of.couples @ past[:d] + of.made[:rows], here, ahead - here)
         if a is None:
             return None
-        tips = past[:d] + of.ends @ a
+        tips = past[:d] + of.made[rows:] + of.ends @ a
         return np.concatenate([tips[:-1] - tips[-1], tips[-1:], past[d:]])
 
 
@@ -258,7 +258,7 @@ def _step_down(energy: Energy, motors: Array, a: Array, time: float) -> tuple[Ar
 
 
 def walked_abreast(structure: Structure, numbers: Array, goals: Array) -> list[tuple[Array, State] | None]:
-    """The equilibria (k, 2d + 2) of up to LANES robots of numbers (n, d, 6) that settle at the first of goals
+    """The equilibria (k, 2d + 2) of up to LANES robots of numbers (n, d, 7) that settle at the first of goals
     (n, T, 2d + 2) and reach the next ones in whole steps, and the last of them.
 
     What is found of a robot does not depend on those beside it. None for one that does not settle, and for all

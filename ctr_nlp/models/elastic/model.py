@@ -111,8 +111,9 @@ class Elastic(Model):
         return settled(robot, q)
 
     def guess(self, robot: Robot, q: Array) -> Array:
-        """As if tubes had their motors' angles all along."""
+        """As if no tube were twisted."""
         x = np.array(q, dtype=float)
+        x[..., : robot.d] += [tube.spin * tube.curved_length for tube in robot.tube_numbers]
         x[..., : robot.d - 1] -= x[..., robot.d - 1 : robot.d]
         return x
 
@@ -142,7 +143,7 @@ class Elastic(Model):
 
 
 def _points(structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
-    """Points (T, n, 3) in mm of robots of numbers (T or 1, d, 6) at unknowns x (T, 2d + 2)."""
+    """Points (T, n, 3) in mm of robots of numbers (T or 1, d, 7) at unknowns x (T, 2d + 2)."""
     if (code := compiled(structure)) is not None:
         return code.shapes(numbers.swapaxes(1, 2).reshape(len(numbers), -1), x, sigma)[0]
     tubes, columns, d = tubes_in_columns(structure, numbers), columns_of(x), structure.d

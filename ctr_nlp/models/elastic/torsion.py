@@ -9,6 +9,9 @@ is integrated to the base, and on through the straight transmissions to the moto
 function of x, every x is an equilibrium, and there is no equation to solve. alpha alone does not determine x:
 where d alpha / d phi is singular, the robot snaps.
 
+The pre-curvature of a helix turns along the tube, by tau a mm. Its psi is the direction in which it bends, so that
+psi_i' = tau_i where it is untwisted; alpha is that direction where its curved part begins, if it is untwisted.
+
 Angles within are relative to phi_d, since turning all tubes turns the whole robot. One source for symbols and
 numbers, as in dominant.py: `xp` is casadi or numpy.
 """
@@ -35,7 +38,7 @@ class Section(NamedTuple):
 
     shares: of every tube in the bending stiffness of those present. curved: 0 or 1 for every tube. present: the
     tubes that are there; active: those of them that may be curved. plane: whether these are at most one, with a
-    known share: it bends in a plane.
+    known share, and no helix: it bends in a plane.
     """
 
     start: Any
@@ -78,10 +81,10 @@ def sections(tubes: Tubes, beta: Sequence[Any], xp: Any, planes: bool = True) ->
     """Between neighbouring ends of tubes, and within these of straight parts that can be pushed out.
 
     planes: whether tubes that are alone bend in a plane, as without a load; then the last one, its straight part
-    included, needs no division.
+    included, needs no division, unless it is a helix.
     """
     d, found = len(tubes), list[Section]()
-    divided = d - 1 if planes else d
+    divided = d - 1 if planes and tubes[-1].kind != "helix" else d
     starts = [
         xp.fmax(beta[i] - tube.curved_length, 0.0) if tubes[i].shown else None for i, tube in enumerate(tubes)
     ]
@@ -106,7 +109,8 @@ def _section(tubes: Tubes, a: Any, b: Any, present: Sequence[float], curved: Seq
     shares = tuple(EI / sum(stiffness) for EI in stiffness)
     there = tuple(i for i, here in enumerate(present) if here)
     active = tuple(i for i in there if tubes[i].kind != "straight")
-    return Section(a, b - a, shares, tuple(curved), there, active, len(active) <= 1)
+    plane = len(active) <= 1 and all(tubes[i].kind != "helix" for i in active)
+    return Section(a, b - a, shares, tuple(curved), there, active, plane)
 
 
 def twist(tubes: Tubes, x: Sequence[Any], parts: Sequence[Section], xp: Any, steps: int = STEPS) -> Twist:
@@ -115,7 +119,9 @@ def twist(tubes: Tubes, x: Sequence[Any], parts: Sequence[Section], xp: Any, ste
     (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, section II.14, table 14.1.)
     """
     d = len(tubes)
-    angles, rates, nodes = [*x[: d - 1], 0.0], [0.0] * d, []
+    rates, nodes = [tube.spin for tube in tubes], list[list[Node]]()
+    ahead = ((rate, x[2 * d - 1] - beta) for rate, beta in zip(rates, x[d : 2 * d], strict=True))
+    angles = [phi + rate * beyond for phi, (rate, beyond) in zip([*x[: d - 1], 0.0], ahead, strict=True)]
     for part in reversed(parts):
         if part.plane:
             angles = moved(angles, (-part.length, rates))
@@ -141,10 +147,18 @@ def twist(tubes: Tubes, x: Sequence[Any], parts: Sequence[Section], xp: Any, ste
 
 
 def motors(tubes: Tubes, x: Sequence[Any], twisted: Twist) -> list[Any]:
-    """alpha_i = psi_i(0) - psi_i'(0) (L_i - beta_i), rad."""
+    """alpha_i = psi_i(0) - psi_i'(0) (L_i - beta_i), rad; a helix does not turn by itself on its straight part."""
     d = len(tubes)
     ends = zip(twisted.angles, twisted.rates, tubes, x[d : 2 * d], strict=True)
-    return [x[d - 1] + angle - rate * (tube.length - beta) for angle, rate, tube, beta in ends]
+    return [
+        x[d - 1] + angle - rate * (tube.length - beta) + tube.spin * (tube.length - tube.curved_length)
+        for angle, rate, tube, beta in ends
+    ]
+
+
+def turned_untwisted(tubes: Tubes, x: Sequence[Any], i: int, s: Any) -> Any:
+    """The direction in which tube i bends at s, rad, where it is untwisted and its motor is at 0."""
+    return tubes[i].spin * (tubes[i].curved_length - x[len(tubes) + i] + s)
 
 
 def bending(part: Section, node: Node, xp: Any) -> tuple[Any, Any]:

@@ -8,11 +8,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ctr_nlp.exceptions import LoadError
 from ctr_nlp.loads import Load, LoadOverTime
 from ctr_nlp.loads.load import BEFORE_WEIGHTS, BETWEEN
 from ctr_nlp.models.elastic.torsion import Section
 from ctr_nlp.models.loaded.vectors import vectors
-from ctr_nlp.robot.structure import Structure
+from ctr_nlp.robot.structure import Kind, Structure
 from ctr_nlp.typing import Array, Vector
 
 STEPS = 18
@@ -34,6 +35,15 @@ class Loading(NamedTuple):
     distributed: Vector
     between: tuple[Any, Any]
     weights: Sequence[Vector]
+
+
+def check_kinds(kinds: Sequence[Kind]) -> None:
+    """Raise LoadError of a helix: the equations of a loaded rod are written for tubes that bend in a plane."""
+    for i, kind in enumerate(kinds, start=1):
+        if kind == "helix":
+            raise LoadError(
+                f"tube {i} is a helix, which bears no load here; plan for it without one, or without pre_torsion"
+            )
 
 
 def loading(values: Sequence[Any]) -> Loading:

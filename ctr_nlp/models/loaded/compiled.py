@@ -45,7 +45,7 @@ class Ends(NamedTuple):
 
 @functools.lru_cache(maxsize=64)
 def symbolic(structure: Structure, kind: RodKind) -> ca.Function:
-    """(row, numbers (6 d,)) -> what Ends holds; row: psi and axes of the tip, beta, the load, softnesses."""
+    """(row, numbers (7 d,)) -> what Ends holds; row: psi and axes of the tip, beta, the load, softnesses."""
     d = structure.d
     numbers = ca.SX.sym("numbers", d, len(NUMBERS))
     tip, beta = ca.SX.sym("tip", d + 9), ca.SX.sym("beta", d)
@@ -103,13 +103,13 @@ class Rods:
         self._mapped: dict[int, Mapped] = {}
 
     def __call__(self, numbers: Array, angles: Array, axes: Array, beta: Array, load: Array, soft: Array) -> Ends:
-        """The Ends of T robots of numbers (T, d, 6), as of structure.NUMBERS.
+        """The Ends of T robots of numbers (T, d, 7), as of structure.NUMBERS.
 
         Their tips have angles (T, d) and axes (T, 3, 3); beta (T, d) mm, loads (T, size), soft (T, 2).
         """
         rows, d = len(angles), self.d
         given = np.hstack([angles, axes.reshape(rows, 9), beta, load, soft])
-        of_tubes = numbers.swapaxes(1, 2).reshape(rows, 6 * d)
+        of_tubes = numbers.swapaxes(1, 2).reshape(rows, len(NUMBERS) * d)
         blocks = [slice(k, k + BLOCK) for k in range(0, max(rows, 1), BLOCK)]
         each = (self._block(given[block], of_tubes[block]) for block in blocks)
         ends, responses, tangents = map(np.concatenate, zip(*each, strict=True))

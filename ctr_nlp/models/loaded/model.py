@@ -11,7 +11,7 @@ from ctr_nlp.loads import Load, LoadOverTime
 from ctr_nlp.models.dominant.shape import columns_of
 from ctr_nlp.models.elastic import shape
 from ctr_nlp.models.elastic.torsion import sections
-from ctr_nlp.models.loaded.acting import RodKind, loading
+from ctr_nlp.models.loaded.acting import RodKind, check_kinds, loading
 from ctr_nlp.models.loaded.compiled import Rods
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.following.follower import Follower
@@ -59,7 +59,8 @@ class Loaded(Model):
         return RodKind.of(self.load)
 
     def check(self, robot: Robot) -> None:
-        """Raise LoadError unless the robot tells its moduli, and the load fits it."""
+        """Raise LoadError unless the robot tells its moduli, has no helix, and the load fits it."""
+        check_kinds(robot.structure.kinds)
         self._over(robot, 1)
 
     def frame(
@@ -215,7 +216,7 @@ FORMS = {
 def curves(
     structure: Structure, numbers: Array, acting: Array, x: Array, sigma: Array, kind: RodKind
 ) -> tuple[Array, Array]:
-    """Points and tangents (T, n, 3) of robots of numbers (T or 1, d, 6) under loads (T or 1, l) of such rods."""
+    """Points and tangents (T, n, 3) of robots of numbers (T or 1, d, 7) under loads (T or 1, l) of such rods."""
     d, rows = structure.d, len(x)
     of_robots = np.broadcast_to(numbers, (rows, *numbers.shape[1:]))
     beta, load = x[:, d : 2 * d], np.broadcast_to(acting, (rows, acting.shape[1]))

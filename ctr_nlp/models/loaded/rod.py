@@ -26,7 +26,7 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.models.elastic.torsion import Node, Section, curvatures_at, moved
-from ctr_nlp.models.loaded.acting import Along, Loading
+from ctr_nlp.models.loaded.acting import Along, Loading, check_kinds
 from ctr_nlp.models.loaded.vectors import cross, dot, plus, scaled, total, vectors
 from ctr_nlp.robot.structure import Tubes
 from ctr_nlp.typing import Vector
@@ -160,8 +160,9 @@ def integrated(
 
     soft: of the responses; None for none. follows: whether tool_force counts; distributed: whether the load's
     distributed force does. pressed: forces per length, N/mm,
-    that act along each of the parts beside the tubes' weights; none by default.
+    that act along each of the parts beside the tubes' weights; none by default. Raises LoadError of a helix.
     """
+    check_kinds([tube.kind for tube in tubes])
     d, force = len(tubes), load.force
     if follows:
         force = plus(force, 1.0, _held(tip, load.tool_force, xp))

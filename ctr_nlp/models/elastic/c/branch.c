@@ -9,7 +9,7 @@ typedef int (*Function)(const double **, double **, long long *, double *, int);
 
 /* d tubes of NUMBERS numbers each; motors: (x, numbers) -> alpha, slopes (d, d - 1) over phi, column by column. energy: (x, numbers) -> the
    strengths and angles of rows, between the tubes `first` and `other`, and what unit twists of tubes against each other
-   turn these angles (rows, against) and tips (d, against) by, row by row. second: (x, numbers) -> the energy's second
+   turn these angles (rows, against) and tips (d, against) by, row by row, and what helices turn both by of themselves. second: (x, numbers) -> the energy's second
    variation (against, against) for these twists.
    shape: -> vectors (3, vectors) and the tip's direction; points: (arc lengths, vectors, extensions, numbers) -> the
    points there, for LANES arc lengths at once. motors_beside: motors, of LANES robots at once.
@@ -26,7 +26,7 @@ typedef struct {
     long iterations;
 } Elastic;
 
-enum { MOST_TUBES = 8, NUMBERS = 6, SIDE = 2 * MOST_TUBES + 2, LANES = 8 };
+enum { MOST_TUBES = 8, NUMBERS = 7, SIDE = 2 * MOST_TUBES + 2, LANES = 8 };
 
 /* An equilibrium x at q, with d alpha / d phi, column by column, and its determinant; stable: whether it is. */
 typedef struct {

@@ -27,27 +27,27 @@ static inline void added(double part, const double *restrict row, long n, double
 }
 
 /* The energy at one beta, of a robot whose twists of tubes against each other are a (n,): |a|^2 / 2 less the strengths
-   times the cosines of angles, which a turns by turns (rows, n); tips are turned by ends (d, n). sines, cosines
+   times the cosines of angles, which a turns by turns (rows, n); tips are turned by ends (d, n). made (rows + d,): what helices turn rows and tips by of themselves. sines, cosines
    (rows,), matrix (n, n) and work: room. */
 typedef struct {
     long n, rows;
-    double *strengths, *angles, *turns, *ends, *sines, *cosines, *matrix, *work;
+    double *strengths, *angles, *turns, *ends, *made, *sines, *cosines, *matrix, *work;
 } Energy;
 
 static Energy energy_for(const Elastic *e) {
-    long rows = e->rows, n = e->against, work = n * n + 4 * n + 5 * rows;
+    long rows = e->rows, n = e->against, work = n * n + 4 * n + 5 * rows, made = rows + e->d;
     Energy of = {n, rows};
-    of.strengths = malloc((4 * rows + (rows + e->d) * n + n * n + work) * sizeof(double));
+    of.strengths = malloc((4 * rows + made + (rows + e->d) * n + n * n + work) * sizeof(double));
     of.angles = of.strengths + rows, of.sines = of.angles + rows, of.cosines = of.sines + rows;
     of.turns = of.cosines + rows, of.ends = of.turns + rows * n, of.matrix = of.ends + e->d * n;
-    of.work = of.matrix + n * n;
+    of.work = of.matrix + n * n, of.made = of.work + work;
     return of;
 }
 
 /* The strengths and turns at the beta of x, and the angles there. */
 static void described(const Elastic *e, const double *numbers, const double *x, Energy *of) {
     const double *arg[] = {x, numbers};
-    double *res[] = {of->strengths, of->angles, of->turns, of->ends};
+    double *res[] = {of->strengths, of->angles, of->turns, of->ends, of->made};
     e->energy(arg, res, 0, 0, 0);
 }
 

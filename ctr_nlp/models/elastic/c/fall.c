@@ -114,10 +114,10 @@ static int settling(const Elastic *e, const double *numbers, const State *from, 
     described(e, numbers, past, of);
     for (long r = 0; r < e->rows; ++r) {
         towards[r] -= angles[r];
-        motors[r] = past[e->first[r]] - past[e->other[r]];
+        motors[r] = past[e->first[r]] - past[e->other[r]] + of->made[r];
     }
     if (of->n == 0 || !fall(e, of, motors, angles, towards, a)) return 0;
-    for (long i = 0; i < d; ++i) tips[i] = past[i] + product(of->ends + of->n * i, a, of->n);
+    for (long i = 0; i < d; ++i) tips[i] = past[i] + of->made[e->rows + i] + product(of->ends + of->n * i, a, of->n);
     memcpy(x, past, side * sizeof *x);
     for (long i = 0; i < d; ++i) x[i] = tips[i] - (i < d - 1 ? tips[d - 1] : 0);
     return 1;

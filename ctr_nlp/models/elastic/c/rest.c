@@ -3,7 +3,7 @@
 
 enum { NONE = -1 };
 
-/* A robot on its way from where all tubes are aligned at alpha_d: the row that it is, the way, the equilibrium that is
+/* A robot on its way from where all tubes' tips bend alike, towards alpha_d: the row that it is, the way, the equilibrium that is
    looked for at a place, where it is predicted, and steps of Newton's method and falls until now. on_way: whether the aligned
    one is found. */
 typedef struct {
@@ -20,7 +20,6 @@ static void aligned(const Elastic *e, Turned *robot, const double *q, long row) 
     memset(robot, 0, sizeof *robot);
     robot->row = row, robot->goal = q;
     memcpy(robot->place, q, n * sizeof *q);
-    for (long i = 0; i < d; ++i) robot->place[i] = q[d - 1];
     robot->to.x[d - 1] = q[d - 1], robot->to.stable = 1;
     memcpy(robot->to.x + d, q + d, (d + 2) * sizeof *q);
 }
@@ -35,9 +34,10 @@ static int looks_on(const Elastic *e, Turned *robot) {
 }
 
 /* What becomes of a robot by a step of Newton's method from motors' angles alpha: whether it is on its way still. At
-   its end way.done is 1. */
+   its end way.done is 1. The aligned robot is one from the beginning, wherever its motors are. */
 static int turned_on(const Elastic *e, Turned *robot, const double *alpha) {
     Way *way = &robot->way;
+    if (!robot->on_way) memcpy(robot->place, alpha, e->d * sizeof *alpha);
     double size = improved(e, robot->place, alpha, &robot->to), most = 0;
     int found = size < (robot->on_way && !at_end(way) ? e->near : e->converged);
     if (!found && size <= 1 && ++robot->steps < e->iterations) return 1;

@@ -26,7 +26,7 @@ TURNING = 0.3
 
 
 class Follower:
-    """Follows robots of numbers (N, d, 6), each under a load of its own, side by side; one object a thread."""
+    """Follows robots of numbers (N, d, 7), each under a load of its own, side by side; one object a thread."""
 
     def __init__(self, structure: Structure, numbers: Array, load: Load | LoadOverTime, acting: Array) -> None:
         """load: of which kind they all are; acting: the numbers of each, (N, 12 + 3d), or (N, M, 12 + 3d) at every
