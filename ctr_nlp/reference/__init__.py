@@ -12,6 +12,7 @@ from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import MODELS
 from ctr_nlp.reference.descent import Method, ReferenceFrames
 from ctr_nlp.reference.euclidean import euclidean
+from ctr_nlp.reference.follow_the_leader import follow_the_leader
 from ctr_nlp.reference.paper_two_stage import paper_two_stage
 from ctr_nlp.reference.tip_jacobian import tip_jacobian
 from ctr_nlp.reference.tip_resolved import tip_resolved
@@ -20,10 +21,14 @@ from ctr_nlp.target.problem import Problem
 
 
 class Reference(NamedTuple):
-    """A method of others: made of a problem and lambda / dt^2, and the model that it knows."""
+    """A method of others: made of a problem and lambda / dt^2, and the model that it knows.
+
+    every: whether it serves every problem; another one says why it does not serve one, and is run by name only.
+    """
 
     method: Callable[[Problem, float], Method]
     model: str = "dominant"
+    every: bool = True
 
 
 METHODS = {
@@ -31,12 +36,13 @@ METHODS = {
     "euclidean": Reference(euclidean),
     "tip-jacobian": Reference(tip_jacobian),
     "tip-resolved": Reference(tip_resolved, "elastic"),
+    "follow-the-leader": Reference(follow_the_leader, "elastic", every=False),
 }
 """Every reference method by the name that options use."""
 
 
 def reference_frames(problem: Problem, name: str, settings: Settings) -> ReferenceFrames:
-    """A reference method as a FrameSolver; raises OptionError where the name is unknown."""
+    """A reference method as a FrameSolver; raises OptionError of an unknown name or a problem not served."""
     check_choice("reference method", name, METHODS)
     found = METHODS[name]
     MODELS[found.model].check(problem.robot)

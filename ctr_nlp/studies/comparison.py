@@ -52,9 +52,9 @@ class Variant:
 VARIANTS = (
     *(f"horizon:{solver}" for solver in CHAIN_SOLVERS),
     *(f"{formulation}:{solver}" for formulation in FORMULATIONS for solver in SOLVERS),
-    *METHODS,
+    *(name for name, method in METHODS.items() if method.every),
 )
-"""Every variant on the default model."""
+"""Every variant on the default model, and the reference methods that serve every problem."""
 ROBUST: Mapping[str, Callable[..., Plan]] = {
     "robust-horizon": solve_robust,
     "robust-joint": solve_robust_per_frame,
@@ -62,6 +62,8 @@ ROBUST: Mapping[str, Callable[..., Plan]] = {
 """Variants that plan for the robot's tolerances, on the elastic model; they take long: by name only."""
 PATHS: Mapping[str, Callable[..., Plan]] = {"rrt-connect": rrt_connect}
 """Methods that lead through a lumen to the last frame, whatever lies between; by name only."""
+BY_NAME = *ROBUST, *(name for name, method in METHODS.items() if not method.every), *PATHS
+"""Variants that are run by name only."""
 
 
 RENAMED = {"seed-two-stage": "paper-two-stage"}
@@ -105,7 +107,7 @@ def parse_variant(name: str) -> Variant:
         return Variant(name, name, "elastic", path)
     parts = name.split(":")
     if len(parts) not in (2, 3):
-        raise OptionError(f"variant is {name!r}; it must be one of {', '.join([*VARIANTS, *ROBUST, *PATHS])}")
+        raise OptionError(f"variant is {name!r}; it must be one of {', '.join([*VARIANTS, *BY_NAME])}")
     formulation, solver, model = (*parts, "dominant")[:3]
     for kind, value, allowed in (
         ("formulation", formulation, ("horizon", *FORMULATIONS)),

@@ -412,9 +412,10 @@ def test_formulations_that_need_curvatures_without_alpha_refuse_the_model(name):
         NlpFrames.of(named("arc", 2), name, model="elastic")
 
 
-def test_reference_methods_plan_on_the_dominant_model_but_one():
+def test_reference_methods_plan_on_the_dominant_model_but_those_of_twisted_tubes():
     models = {name: parse_variant(name).model for name in METHODS}
-    assert models.pop("tip-resolved") == "elastic"
+    for name in ("tip-resolved", "follow-the-leader"):
+        assert models.pop(name) == "elastic"
     assert set(models.values()) == {"dominant"}
 
 

@@ -21,9 +21,8 @@ from ctr_nlp.problems import NAMES
 from ctr_nlp.reference import METHODS
 from ctr_nlp.reference.published import BASELINE, BASELINE_ELASTIC, SEED, SEED_ELASTIC
 from ctr_nlp.studies.comparison import (
-    PATHS,
+    BY_NAME,
     RENAMED,
-    ROBUST,
     VARIANTS,
     Comparison,
     compare,
@@ -83,9 +82,10 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "--variants",
         metavar="NAME",
         nargs="+",
-        help=f"(default all that work here, of {', '.join(VARIANTS)}; by name only {', '.join(ROBUST)}, which "
-        f"plan for the robot's tolerances and take seconds to a minute a problem, and {', '.join(PATHS)}, which "
-        "leads through a lumen to the last frame, whatever lies between, and needs the extra `sampling`)",
+        help=f"(default all that work here, of {', '.join(VARIANTS)}; by name only {', '.join(BY_NAME)}: robust "
+        "ones plan for the robot's tolerances and take seconds to a minute a problem, follow-the-leader needs a "
+        "path that grows, and the exact one tubes that can follow it; rrt-connect leads through a lumen to the "
+        "last frame, whatever lies between, and needs the extra `sampling`)",
     )
     parser.add_argument(
         "--all",

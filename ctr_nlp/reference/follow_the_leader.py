@@ -1,0 +1,196 @@
+"""Exact follow-the-leader deployment: the body stays on the path of the tip at every depth, in closed form.
+
+Conditions: Gilbert, Neimat, Webster, Concentric Tube Robots as Steerable Needles: Achieving Follow-the-Leader
+Deployment, IEEE Transactions on Robotics 31(2), 2015; Garriga-Casanovas, Rodriguez y Baena, Complete
+Follow-the-Leader Kinematics Using Concentric Tube Robots, International Journal of Robotics Research 37(1), 2018.
+Tubes of constant bending stiffness follow circles and helices, piece by piece. (The deformed helices of the latter
+paper, whose curvature changes exponentially, need tubes that are not described here.)
+
+Tubes do not twist each other where all bend in one direction, or in opposite ones, wherever they overlap: then
+u x e(psi_i) = 0 in the balance of moments (models.elastic.torsion). Thus all helices have the same torsion. Tube
+i goes with the tip as far as a depth b_i and stays there, the outermost first. A helix turns by its torsion for
+each mm that it slides, and so passes every place in the same direction. Then the body keeps, between b_{i-1} and
+b_i, the curvature sum EI_j k_j / sum EI_j of the tubes from i to d, with negative k of those turned by pi.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from ctr_nlp.exceptions import OptionError, RobotError
+from ctr_nlp.formulations.frames import FrameResult
+from ctr_nlp.models import MODELS
+from ctr_nlp.models.dominant.shape import backbone
+from ctr_nlp.reference.descent import Method, extensions
+from ctr_nlp.robot import Robot, Tube
+from ctr_nlp.robot.structure import Kind, Tubes
+from ctr_nlp.target.problem import Problem
+from ctr_nlp.target.target import SIGMA, Frame
+from ctr_nlp.typing import Array
+
+ELASTIC = MODELS["elastic"]
+EXACT = 0.02
+"""mm that a path may be away from the one that tubes follow."""
+GRID = 11
+"""Parts of the room of a depth b_i that are tried, and as many of every other one."""
+SAME = 1e-9
+"""rad/mm by which torsions may differ."""
+
+
+class Deployment(NamedTuple):
+    """Where tubes stop, b (d,) mm; whether each is turned by pi (d,); how all is turned about the opening."""
+
+    depths: Array
+    opposed: Array
+    turned: Rotation
+
+    def at(self, robot: Robot, depth: float) -> Array:
+        """The configuration (2d + 2,) in which the tip is at a depth, mm."""
+        theta_y, theta_x, turn = self.turned.as_euler("YXZ")
+        beta = np.minimum(self.depths, depth)
+        spins, curved = (
+            np.array([getattr(tube, name) for tube in robot.tube_numbers]) for name in ("spin", "curved_length")
+        )
+        alpha = turn + np.pi * self.opposed - spins * (curved - beta)
+        return np.concatenate([alpha, beta, [theta_x, theta_y]])
+
+
+def follow_the_leader(problem: Problem, motion_weight: float) -> Method:
+    """The method for a problem; motion_weight has no part in it.
+
+    Raises OptionError, which names the condition that the problem's robot or path does not fulfil.
+    """
+    del motion_weight
+    robot = problem.robot
+    found = deployment(problem)
+
+    def solve(frame: Frame, guess: Array, before: FrameResult | None) -> FrameResult:
+        q = found.at(robot, frame.length)
+        x = ELASTIC.guess(robot, q)
+        away = np.linalg.norm(ELASTIC.points(robot, x[None], SIGMA)[0] - frame.points, axis=1)
+        return FrameResult(q, True, float((away**2).mean()), np.nan, 1, f"within {away.max():.2g} mm", x=x)
+
+    return solve
+
+
+def deployment(problem: Problem) -> Deployment:
+    """The one that follows a problem's path; raises as follow_the_leader."""
+    robot, name = problem.robot, problem.name or "the problem"
+    torsion = _torsion(robot)
+    path = growing_path(problem, "follow-the-leader")
+    known = [best for signs in _signs(robot) if (best := _nearest(robot, torsion, signs, path)) is not None]
+    if not known:
+        raise OptionError(
+            f"follow-the-leader keeps straight parts inside, and {name} is {path.length:.4g} mm long: the curved "
+            f"part and the limits of beta of the innermost tube do not reach so far"
+        )
+    found, away = min(known, key=lambda each: each[1])
+    if away > EXACT:
+        raise OptionError(
+            f"follow-the-leader needs pieces of the curvatures that tubes together have, of torsion {torsion:g} "
+            f"rad/mm, one after the other: {name} is up to {away:.3g} mm away from the nearest such path"
+        )
+    for frame in problem.samples:
+        q = found.at(robot, frame.length)
+        try:
+            robot.check(q, f"follow-the-leader in frame {frame.number + 1}")
+        except RobotError as error:
+            raise OptionError(str(error)) from error
+        if ELASTIC.margins(robot, ELASTIC.guess(robot, q)[None])[0] <= 0:
+            raise OptionError(
+                f"follow-the-leader is not stable in frame {frame.number + 1} of {name}: tubes snap round"
+            )
+    return found
+
+
+def growing_path(problem: Problem, method: str) -> Frame:
+    """The last frame's target, of which those of all frames are parts; raises OptionError where they are not."""
+    curves, lengths = problem.target.curves, np.array(problem.target.lengths)
+    if any(curve is not curves[0] for curve in curves) or (np.diff(lengths) < 0).any():
+        raise OptionError(f"{method} follows one path that grows, and the target of {problem.name} is none")
+    return problem.samples[-1]
+
+
+def _torsion(robot: Robot) -> float:
+    """That of all curved tubes, rad/mm; raises OptionError where there is none."""
+    kinds, spins = robot.structure.kinds, [tube.pre_torsion for tube in robot.tubes]
+    curved = [i for i, kind in enumerate(kinds) if kind != "straight"]
+    for i in curved:
+        if kinds[i] == "linear":
+            raise OptionError(f"follow-the-leader needs constant curvatures, and that of tube {i + 1} changes")
+        if abs(spins[i] - spins[curved[0]]) > SAME:
+            raise OptionError(
+                f"follow-the-leader needs one torsion, and those of tubes {curved[0] + 1} and {i + 1} are "
+                f"{spins[curved[0]]:g} and {spins[i]:g} rad/mm"
+            )
+    return spins[curved[0]] if curved else 0.0
+
+
+def _signs(robot: Robot) -> Iterator[Array]:
+    """Which tubes (d,) are turned by pi against the outermost curved one, in every way there is."""
+    free = [i for i, kind in enumerate(robot.structure.kinds) if kind != "straight"][1:]
+    for turned in itertools.product((False, True), repeat=len(free)):
+        found = np.zeros(robot.d, dtype=bool)
+        found[free] = turned
+        yield found
+
+
+def _nearest(robot: Robot, torsion: float, opposed: Array, path: Frame) -> tuple[Deployment, float] | None:
+    """The deployment whose path is nearest, and how far that is away at most, mm; None of too short tubes."""
+    beta = [(low, min(high, tube.curved_length)) for tube, low, high in _reach(robot)]
+    low, high = beta[-1]
+    if not low <= path.length <= high * (1 + SAME):
+        return None
+    within, last = robot.with_limits(beta=beta), np.array(path.length)
+    tubes = _together(robot, torsion, opposed)
+
+    def away(parts: Array) -> tuple[Rotation, Array]:
+        shape = _shape(tubes, extensions(within, parts, last))
+        turned, _ = Rotation.align_vectors(path.points, shape)
+        return turned, path.points - turned.apply(shape)
+
+    tried = itertools.product(np.linspace(0.0, 1.0, GRID), repeat=robot.d - 1)
+    parts = min((np.array(each) for each in tried), key=lambda each: (away(each)[1] ** 2).sum())
+    if robot.d > 1:
+        parts = least_squares(lambda each: away(each)[1].ravel(), parts, bounds=(0.0, 1.0), xtol=1e-12).x
+    turned, rest = away(parts)
+    largest = float(np.linalg.norm(rest, axis=1).max())
+    return Deployment(extensions(within, parts, last), opposed, turned), largest
+
+
+def _reach(robot: Robot) -> Iterator[tuple[Tube, float, float]]:
+    """Every tube with its least and its largest beta, mm."""
+    low, high = (robot.split(ends)[1].tolist() for ends in (robot.lower, robot.upper))
+    return zip(robot.tubes, low, high, strict=True)
+
+
+def _together(robot: Robot, torsion: float, opposed: Array) -> Tubes:
+    """Tubes that alone have the curvature that each and those within it have together."""
+    stiffness = np.array([tube.bending_stiffness for tube in robot.tubes])
+    pull = stiffness * [tube.largest_curvature for tube in robot.tubes] * np.where(opposed, -1, 1)
+    inwards = slice(None, None, -1)
+    curvature = (np.cumsum(pull[inwards]) / np.cumsum(stiffness[inwards]))[inwards].tolist()
+    numbers = zip(robot.tube_numbers, curvature, strict=True)
+    return tuple(
+        tube._replace(kind=_kind(k, torsion), root_curvature=k, tip_curvature=k, pre_torsion=torsion)
+        for tube, k in numbers
+    )
+
+
+def _kind(curvature: float, torsion: float) -> Kind:
+    """Of a tube that alone has what several have together, which may be no curvature."""
+    if torsion:
+        return "helix"
+    return "arc" if curvature else "straight"
+
+
+def _shape(tubes: Tubes, beta: Array) -> Array:
+    """Points (101, 3) of tubes that stop at beta (d,) and bend towards x at the opening."""
+    turns = [-tube.spin * (tube.curved_length - out) for tube, out in zip(tubes, beta, strict=True)]
+    return np.stack(np.broadcast_arrays(*backbone(tubes, [*turns, *beta, 0.0, 0.0], SIGMA, np).points), axis=-1)
