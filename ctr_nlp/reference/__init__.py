@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import MODELS
+from ctr_nlp.reference.approximate_leader import approximate_leader
 from ctr_nlp.reference.descent import Method, ReferenceFrames
 from ctr_nlp.reference.euclidean import euclidean
 from ctr_nlp.reference.follow_the_leader import follow_the_leader
@@ -37,6 +38,7 @@ METHODS = {
     "tip-jacobian": Reference(tip_jacobian),
     "tip-resolved": Reference(tip_resolved, "elastic"),
     "follow-the-leader": Reference(follow_the_leader, "elastic", every=False),
+    "follow-the-leader-approximate": Reference(approximate_leader, "elastic", every=False),
 }
 """Every reference method by the name that options use."""
 

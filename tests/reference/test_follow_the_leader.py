@@ -1,12 +1,14 @@
 """Follow-the-leader deployment: which tubes follow which paths, and how near the others come."""
 
 import dataclasses
+import itertools
 
 import leaders
 import numpy as np
 import pytest
 import shooting
 from problems import named
+from scipy.spatial import cKDTree
 
 from ctr_nlp import Limits, Problem, Robot, Settings, Tube, curve_from_points, growing, solve_per_frame, summary
 from ctr_nlp.exceptions import OptionError
@@ -115,9 +117,29 @@ def test_what_does_not_fulfil_a_condition_is_refused_by_its_name(robot, message)
         planned(problem)
 
 
-@pytest.mark.parametrize("method", ["follow-the-leader"])
+@pytest.mark.parametrize("method", ["follow-the-leader", "follow-the-leader-approximate"])
 def test_a_target_that_is_no_growing_path_is_refused(method):
     with pytest.raises(OptionError, match="one path that grows"):
         planned(named("synthesis", 3), method)
     assert method not in VARIANTS
     assert parse_variant(method).model == "elastic"
+
+
+@pytest.mark.slow
+def test_the_approximate_method_keeps_to_an_exact_path():
+    found = summary(planned(leaders.problem("two tubes", 20), "follow-the-leader-approximate"))
+    assert found["failed"] == 0
+    assert found["e_max"] < 0.1
+
+
+@pytest.mark.slow
+def test_the_approximate_method_keeps_nearer_to_the_path_of_its_tip_than_a_plan_of_tips_alone():
+    """Measured at every depth as the distance of the body from the polyline through all tips so far."""
+    problem = named("arc", 20)
+    away = {}
+    for method in ("follow-the-leader-approximate", "tip-resolved"):
+        plan = planned(problem, method)
+        tips = np.vstack([np.zeros(3), plan.shape[:, -1]])
+        dense = np.concatenate([np.linspace(a, b, 50) for a, b in itertools.pairwise(tips)])
+        away[method] = cKDTree(dense).query(plan.shape[5:].reshape(-1, 3))[0].max()
+    assert away["follow-the-leader-approximate"] < 0.5 * away["tip-resolved"]

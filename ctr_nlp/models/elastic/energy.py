@@ -79,8 +79,8 @@ def energies(tubes: Tubes, x: Array) -> Iterator[Energy]:
     made = np.hstack(_made(tubes, columns, parts, np))
     for of_rows, of_twists, of_tubes in zip(np.hstack(strength or [none]), scale, made, strict=True):
         there = of_twists > 0
-        scaled = (each[:, there] * of_twists[there] for each in (turns, ends))
-        yield Energy(of_rows, signs, *scaled, made=of_tubes)
+        turned, ended = (each[:, there] * of_twists[there] for each in (turns, ends))
+        yield Energy(of_rows, signs, turned, ended, of_tubes)
 
 
 class Symbols(NamedTuple):

@@ -1,0 +1,86 @@
+"""Approximate follow-the-leader deployment: the body stays near to the path of the tip at every depth.
+
+Gilbert, Neimat, Webster, Concentric Tube Robots as Steerable Needles: Achieving Follow-the-Leader Deployment, IEEE
+Transactions on Robotics 31(2), 2015, tell by a metric how similar a deployment is to an exact one. Their formula
+is not taken over; what follows is ours. At each depth, tubes are rotated and translated so that the mean square of
+the distance, at equal arc length, between the body and the path that the tip has travelled is least, and with the
+same weight the square of that between the tip and where it is to go. Torsion counts, the base stands still, in the
+direction in which the path leaves the opening, and the innermost tube is out by the depth. The search is L-BFGS-B;
+what the stability margin lacks is penalised.
+
+A depth is answered from the one before alone, so that what has gone astray stays so. A frame is solved where the
+search ends at a stable minimum, however far the tip is from where it is to go.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.formulations.frames import FrameResult
+from ctr_nlp.models import MODELS
+from ctr_nlp.reference.descent import Method, descend, extensions, fractions, shape_error
+from ctr_nlp.reference.follow_the_leader import growing_path
+from ctr_nlp.robot import Robot
+from ctr_nlp.target.problem import Problem
+from ctr_nlp.target.target import QUADRATURE, SIGMA, Frame
+from ctr_nlp.typing import Array
+
+ELASTIC = MODELS["elastic"]
+STABLE, PENALTY = 0.1, 1e4
+"""The margin from which on nothing is penalised, and mm^2 that the square of what it lacks costs."""
+NAME = "follow-the-leader-approximate"
+
+
+def approximate_leader(problem: Problem, motion_weight: float) -> Method:
+    """The method for a problem; motion_weight has no part in it.
+
+    Raises OptionError where the target is not one path that grows, or motors' angles have limits.
+    """
+    del motion_weight
+    robot, d = problem.robot, problem.robot.d
+    if np.isfinite([robot.lower[:d], robot.upper[:d]]).any():
+        raise OptionError(f"{NAME} turns tubes as far as it takes, and alpha of the robot has limits")
+    theta = _leaving(robot, growing_path(problem, NAME))
+    bounds = np.concatenate([np.tile([-np.inf, np.inf], (d, 1)), np.tile([0.0, 1.0], (d - 1, 1))])
+
+    def solve(frame: Frame, guess: Array, before: FrameResult | None) -> FrameResult:
+        depth = np.array(np.clip(frame.length, robot.lower[2 * d - 1], robot.reach))
+        travelled = np.zeros((1, 4)) if before is None or before.warm is None else before.warm
+        leader = _path(np.vstack([travelled, [depth, *frame.points[-1]]]), SIGMA * depth)
+
+        def unknowns(variables: Array) -> Array:
+            rows = len(variables)
+            beta = extensions(robot, variables[:, d:], np.full(rows, depth))
+            return np.concatenate([variables[:, :d], beta, np.tile(theta, (rows, 1))], axis=1)
+
+        def cost(variables: Array) -> Array:
+            x = unknowns(variables)
+            points = ELASTIC.points(robot, x, SIGMA).transpose(2, 0, 1)
+            tips = ((points[:, :, -1].T - leader[-1]) ** 2).sum(axis=1)
+            lacking = PENALTY * np.maximum(STABLE - ELASTIC.margins(robot, x), 0.0) ** 2
+            return tips + shape_error((points[0], points[1], points[2]), leader, QUADRATURE) + lacking
+
+        known = ELASTIC.guess(robot, guess) if before is None or before.x is None else before.x
+        start = np.concatenate([known[:d], fractions(robot, np.append(known[d : 2 * d - 1], depth))[:-1]])
+        variables, objective, ok, evaluations, status = descend(cost, start, bounds)
+        x = unknowns(variables[None])
+        stable = bool(ELASTIC.margins(robot, x)[0] > 0)
+        tip = ELASTIC.points(robot, x, np.ones(1))[0, 0]
+        warm = np.vstack([travelled[travelled[:, 0] < depth], [depth, *tip]])
+        q, status = ELASTIC.configuration(robot, x)[0], status if stable else "not stable"
+        return FrameResult(q, ok and stable, objective, np.nan, evaluations, status, warm, x[0])
+
+    return solve
+
+
+def _path(travelled: Array, s: Array) -> Array:
+    """Points (n, 3) at depths s (n,) of a path of the tip, told by its depth and place (k, 4), mm."""
+    return np.stack([np.interp(s, travelled[:, 0], travelled[:, k]) for k in (1, 2, 3)], axis=1)
+
+
+def _leaving(robot: Robot, path: Frame) -> Array:
+    """The tilt (2,) in which the base looks along a path at the opening, as far as its limits allow."""
+    x, y, z = path.tangents[0]
+    tilt = np.array([-np.arcsin(np.clip(y, -1, 1)), np.arctan2(x, z)])
+    return np.clip(tilt, robot.lower[-2:], robot.upper[-2:])
