@@ -81,6 +81,25 @@ def fractions(robot: Robot, beta: Array) -> Array:
     return np.clip((beta - lower) / np.where(room > 0, room, 1.0), 0.0, 1.0)
 
 
+def ordered(robot: Robot, beta: Array) -> Array:
+    """The nearest extensions (.., d) entry by entry that keep limits, order and gap; outer tubes give way.
+
+    Keeping them twice changes nothing more.
+    """
+    low = np.maximum.accumulate(robot.split(robot.lower)[1])
+    kept = np.clip(beta, low, robot.deployed)
+    for i in reversed(range(robot.d - 1)):
+        inner = kept[..., i + 1]
+        kept[..., i] = np.clip(kept[..., i], np.maximum(low[i], inner - robot.most_growth[i]), inner)
+    return kept
+
+
+def within_limits(robot: Robot, q: Array) -> Array:
+    """The nearest configurations (.., 2d + 2) entry by entry that keep all limits of position."""
+    alpha, beta, theta = robot.split(np.clip(q, robot.lower, robot.upper))
+    return np.concatenate([alpha, ordered(robot, beta), theta], axis=-1)
+
+
 def descend(cost: Callable[[Array], Array], start: Array, bounds: Array) -> tuple[Array, float, bool, int, str]:
     """L-BFGS-B on cost: (B, n) -> (B,), whose gradient is one batch of forward differences.
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ctr_nlp.formulations.frames import FrameResult
-from ctr_nlp.reference.descent import STEP, Method
-from ctr_nlp.robot import Robot
+from ctr_nlp.reference.descent import STEP, Method, within_limits
 from ctr_nlp.simulation.forward import shapes
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import Frame
@@ -25,7 +24,7 @@ def tip_jacobian(problem: Problem, motion_weight: float) -> Method:
     robot = problem.robot
 
     def solve(frame: Frame, guess: Array, before: FrameResult | None) -> FrameResult:
-        q = _within_limits(robot, guess)
+        q = within_limits(robot, guess)
         evaluations = 0
         for _ in range(ITERATIONS):
             batch = np.vstack([q, q + np.eye(len(q)) * STEP])
@@ -36,16 +35,8 @@ def tip_jacobian(problem: Problem, motion_weight: float) -> Method:
                 break
             jacobian = (tips[1:] - tips[0]).T / STEP / robot.mm_per_unit
             step = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + DAMPING**2 * np.eye(3), error)
-            q = _within_limits(robot, q + step / robot.mm_per_unit)
+            q = within_limits(robot, q + step / robot.mm_per_unit)
         distance = float(np.linalg.norm(error))
         return FrameResult(q, distance < 1.0, distance**2, np.nan, evaluations, f"tip within {distance:.3g} mm")
 
     return solve
-
-
-def _within_limits(robot: Robot, q: Array) -> Array:
-    """The nearest configuration entry by entry; an outer tube gives way to the inner one."""
-    q = np.clip(q, robot.lower, robot.upper)
-    beta = robot.split(q)[1]
-    beta[:] = np.maximum(np.minimum.accumulate(beta[::-1])[::-1], robot.split(robot.lower)[1])
-    return q
