@@ -38,6 +38,7 @@ COMMANDS = {
     "play": Entry("commands.play", "main", "check a plan for some hardware and play it there"),
     "commission": Entry("commands.commission", "main", "read a controller, try its axes and keep its settings"),
     "compare": Entry("studies.compare", "main", "solve problems by several methods, side by side"),
+    "learn": Entry("studies.learn", "main", "train a network that gives configurations for shapes"),
     "study": Entry("studies.study", "main", "make thousands of plans, on this machine or on a cluster"),
     "trade": Entry("studies.trade", "main", "study what robustness costs and brings"),
     "baselines": Entry("studies.baselines", "main", "design tubes beside general optimisers"),

@@ -6,6 +6,7 @@ None of them knows the robot's speed limits; largest steps are part of every com
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 from ctr_nlp.formulations.settings import Settings
@@ -14,6 +15,7 @@ from ctr_nlp.reference.approximate_leader import approximate_leader
 from ctr_nlp.reference.descent import Method, ReferenceFrames
 from ctr_nlp.reference.euclidean import euclidean
 from ctr_nlp.reference.follow_the_leader import follow_the_leader
+from ctr_nlp.reference.learned.s2j import s2j
 from ctr_nlp.reference.paper_two_stage import paper_two_stage
 from ctr_nlp.reference.tip_jacobian import tip_jacobian
 from ctr_nlp.reference.tip_resolved import tip_resolved
@@ -32,13 +34,19 @@ class Reference(NamedTuple):
     every: bool = True
 
 
-METHODS = {
+METHODS: dict[str, Reference] = {
     "paper-two-stage": Reference(paper_two_stage),
     "euclidean": Reference(euclidean),
     "tip-jacobian": Reference(tip_jacobian),
     "tip-resolved": Reference(tip_resolved, "elastic"),
     "follow-the-leader": Reference(follow_the_leader, "elastic", every=False),
     "follow-the-leader-approximate": Reference(approximate_leader, "elastic", every=False),
+} | {
+    f"s2j{'-projected' * projected}{suffix}": Reference(
+        partial(s2j, model=model, projected=projected), model, every=False
+    )
+    for model, suffix in (("dominant", ""), ("elastic", "-elastic"))
+    for projected in (False, True)
 }
 """Every reference method by the name that options use."""
 

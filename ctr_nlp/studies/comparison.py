@@ -62,7 +62,9 @@ ROBUST: Mapping[str, Callable[..., Plan]] = {
 """Variants that plan for the robot's tolerances, on the elastic model; they take long: by name only."""
 PATHS: Mapping[str, Callable[..., Plan]] = {"rrt-connect": rrt_connect}
 """Methods that lead through a lumen to the last frame, whatever lies between; by name only."""
-BY_NAME = *ROBUST, *(name for name, method in METHODS.items() if not method.every), *PATHS
+WARM: Mapping[str, str] = {"s2j-horizon": "s2j-projected", "s2j-horizon-elastic": "s2j-projected-elastic"}
+"""Our own horizons that start from nothing but the motion of a trained method; by name only, as these are."""
+BY_NAME = *ROBUST, *(name for name, method in METHODS.items() if not method.every), *PATHS, *WARM
 """Variants that are run by name only."""
 
 
@@ -98,9 +100,16 @@ def parse_variant(name: str) -> Variant:
     def path(problem: Problem, settings: Settings, _: Sequence[Array], __: Progress | None) -> Plan:
         return PATHS[name](problem, settings)
 
+    def warm(problem: Problem, settings: Settings, _: Sequence[Array], progress: Progress | None) -> Plan:
+        begun = march(problem, reference_frames(problem, WARM[name], settings), "forward")
+        made = Horizon(problem, METHODS[WARM[name]].model, settings=settings)
+        return made.solve([begun.q], progress=progress)
+
     name = RENAMED.get(name, name)
     if name in METHODS:
         return Variant(name, name, METHODS[name].model, reference)
+    if name in WARM:
+        return Variant(name, name, METHODS[WARM[name]].model, warm)
     if name in ROBUST:
         return Variant(name, name, "elastic", robust)
     if name in PATHS:

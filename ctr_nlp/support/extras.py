@@ -16,6 +16,7 @@ EXTRAS = {
     "report": ("k3d", "bokeh", "jinja2"),
     "completion": ("shtab",),
     "sampling": ("ompl",),
+    "learning": ("torch",),
     "study": ("dask", "distributed", "pyarrow", "pandas"),
 }
 """The modules that each extra of this package brings."""

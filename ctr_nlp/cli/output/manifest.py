@@ -45,6 +45,7 @@ STANDARD: Mapping[str, tuple[str, ...]] = {
     ),
     "design": ("robot.toml", "design.json", "sheet.svg", "sheet.pdf"),
     "baselines": ("baselines.md", "baselines.csv", "baselines.png", "baselines.pdf"),
+    "learn": ("learn.csv", "learn.png"),
     "trade": ("trade.md", "trade.csv", "trade.json"),
     "study": ("study.toml",),
     "by": ("by.png", "worst.html"),

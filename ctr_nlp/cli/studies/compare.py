@@ -85,7 +85,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         help=f"(default all that work here, of {', '.join(VARIANTS)}; by name only {', '.join(BY_NAME)}: robust "
         "ones plan for the robot's tolerances and take seconds to a minute a problem, follow-the-leader needs a "
         "path that grows, and the exact one tubes that can follow it; rrt-connect leads through a lumen to the "
-        "last frame, whatever lies between, and needs the extra `sampling`)",
+        "last frame, whatever lies between, and needs the extra `sampling`; s2j ones need networks that "
+        "`ctr-nlp learn` trains)",
     )
     parser.add_argument(
         "--all",

@@ -1,0 +1,75 @@
+"""What a network is trained on: how far the shape that the model makes of its output is from the one given."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ctr_nlp.codegen.mapped import Mapped
+from ctr_nlp.models.protocol import Model, samples
+from ctr_nlp.reference.descent import ordered
+from ctr_nlp.reference.learned.samples import PLACES, Shapes
+from ctr_nlp.robot import Robot
+from ctr_nlp.typing import Array
+
+PENALTY = 1.0
+"""mm of loss for a mm by which an extension leaves its limits. The root mean square distance changes by less than
+that, so that leaving them never pays."""
+SOFT = 1e-3
+"""mm whose square is added to the mean square distance, for a gradient where that is 0."""
+
+
+class Loss:
+    """The mean over shapes of the root mean square distance, mm, plus what leaving limits of extensions costs."""
+
+    def __init__(self, torch: Any, robot: Robot, model: Model, count: int) -> None:
+        """For count shapes at once; torch: the module."""
+        self._torch, self._robot = torch, robot
+        self._distances = _differentiable(torch, Mapped(distance(robot, model), count, 1))
+        self._unknowns = torch.tensor(model.guess(robot, np.eye(2 * robot.d + 2)))  # a guess is linear in q
+
+    def __call__(self, output: Any, shapes: Shapes) -> Any:
+        """Of a network's output (count, 3d - 1) for as many shapes.
+
+        Extensions are brought within limits before the model sees them, and their gradient passes unchanged.
+        """
+        torch, d = self._torch, self._robot.d
+        cos, sin, parts = output.double().split([d, d, d - 1], dim=1)
+        length = torch.from_numpy(shapes.length)[:, None]
+        beta = torch.cat([parts * length, length], dim=1)
+        kept = torch.from_numpy(ordered(self._robot, beta.detach().numpy()))
+        away = beta - kept
+        upright = torch.zeros(len(beta), 2, dtype=beta.dtype)
+        tips = torch.cat([torch.atan2(sin, cos), beta - away.detach(), upright], dim=1)
+        distances = self._distances(tips @ self._unknowns, shapes.points)
+        return distances.mean() + PENALTY * away.abs().sum(dim=1).mean()
+
+
+def distance(robot: Robot, model: Model) -> ca.Function:
+    """(x (2d + 2,), points (60,)) -> root mean square distance of the shape at x in mm, its gradient over x."""
+    x, points = ca.SX.sym("x", 2 * robot.d + 2), ca.SX.sym("points", 3 * len(PLACES))
+    found = samples(model, robot.structure, len(PLACES))(x, PLACES, robot.numbers)[0]
+    squares = ca.sumsqr(ca.reshape(points, 3, len(PLACES)).T - found) / len(PLACES)
+    value = ca.sqrt(squares + SOFT**2)
+    return ca.Function("distance", [x, points], [value, ca.gradient(value, x)], {"cse": True})
+
+
+def _differentiable(torch: Any, distances: Mapped) -> Any:
+    """(x (count, 2d + 2), points (count, 20, 3)) -> distances (count,), which torch can differentiate by x."""
+
+    class Distance(torch.autograd.Function):
+        @staticmethod
+        def forward(context: Any, x: Any, points: Array) -> Any:
+            distances.inputs[1][:] = points.reshape(len(points), -1)
+            value, gradient = distances(x.detach().numpy().ravel())
+            context.save_for_backward(torch.from_numpy(gradient.copy()))
+            return torch.from_numpy(value[:, 0].copy())
+
+        @staticmethod
+        def backward(context: Any, weights: Any) -> tuple[Any, None]:
+            (gradient,) = context.saved_tensors
+            return weights[:, None] * gradient, None
+
+    return Distance.apply

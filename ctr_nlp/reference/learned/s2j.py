@@ -1,0 +1,99 @@
+"""S2J-IK: configurations from the points of a shape, by a network that has been trained on shapes of a model.
+
+Liang et al., 2022, the paper's [7], as far as the paper tells of it: the kinematics of a robot are learned by a
+network, the whole shape is the input of the inverse kinematics, the residual of the shape is propagated back
+through a differentiable forward model, every frame is solved by itself, and nothing keeps limits. The publication
+itself was not at hand. So these are guesses: that the residual is propagated back in training, through our own
+model in place of one learned from measurements; the network's sizes (network.py, training.py); and that angles
+leave it as cosine and sine, as in Grassmann, Modes, Burgner-Kahrs, Learning the Forward and Inverse Kinematics of
+a 6-DOF Concentric Tube Continuum Robot in SE(3), IROS 2018. The tilt is no part of [7]; here it turns the robot to
+the direction in which the target begins. Angles are chosen nearest to those of the frame before.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ctr_nlp.formulations.frames import FrameResult
+from ctr_nlp.models import MODELS, Model
+from ctr_nlp.models.dominant.shape import base_frame
+from ctr_nlp.reference.descent import Method, ordered, within_limits
+from ctr_nlp.reference.learned.network import Network, trained
+from ctr_nlp.reference.learned.samples import PLACES, Shapes, nearer
+from ctr_nlp.robot import Robot
+from ctr_nlp.target.problem import Problem
+from ctr_nlp.target.target import QUADRATURE, SIGMA, Frame
+from ctr_nlp.typing import Array
+
+PLACED = np.searchsorted(SIGMA, PLACES)
+"""Which of the points at SIGMA are those at PLACES."""
+WITHIN = 1e-6
+"""rad or mm by which a configuration may leave limits and still count."""
+
+
+def s2j(problem: Problem, motion_weight: float, model: str = "dominant", projected: bool = False) -> Method:
+    """The method for a problem; motion_weight has no part in it.
+
+    projected: whether what leaves the limits is brought to the nearest that keeps them. It always is before the
+    robot moves; where this is not asked for, frames for which it makes a difference do not count as solved.
+    Raises OptionError, which says how to train a network, where none is known for the problem's robot.
+    """
+    del motion_weight
+    robot, on = problem.robot, MODELS[model]
+    network = trained(robot, model)
+
+    def solve(frame: Frame, guess: Array, before: FrameResult | None) -> FrameResult:
+        near = guess if before is None else before.q
+        x, q, beyond = answer(network, robot, on, frame.points, near)
+        shape = on.points(robot, x[None], SIGMA)[0]
+        objective = float(((shape - frame.points) ** 2).sum(axis=1) @ QUADRATURE)
+        success = projected or beyond <= WITHIN
+        told = f"limits left by {beyond:.3g} rad or mm"
+        return FrameResult(q, success, objective, np.nan, 1, told, x=x if on.several_equilibria else None)
+
+    return solve
+
+
+class Answer(NamedTuple):
+    """Unknowns x and configuration q, (2d + 2,) each, that keep all limits of position.
+
+    beyond: by how much what the network gave would have left them, rad or mm.
+    """
+
+    x: Array
+    q: Array
+    beyond: float
+
+
+def answer(network: Network, robot: Robot, model: Model, points: Array, near: Array) -> Answer:
+    """What a network gives for a shape (101, 3) at SIGMA, mm.
+
+    near: q (2d + 2,); of angles that are the same, those nearest to its are taken. On a model with several
+    equilibria only a full turn of all tubes together leaves the robot as it is, on others one of each tube does.
+    """
+    d = robot.d
+    theta = np.clip(tilt(points), *(robot.split(limit)[2] for limit in (robot.lower, robot.upper)))
+    upright = points[PLACED] @ np.array(base_frame(theta[0], theta[1], np)).T
+    length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+    found = network.tips(Shapes(upright[None], np.array([length])))[0]
+    beta = ordered(robot, found[d:])
+    tips = nearer(np.concatenate([found[:d], beta, theta])[None], d)[0]
+    turns = np.round((near - model.configuration(robot, model.guess(robot, tips)[None])[0])[:d] / (2 * np.pi))
+    tips[:d] += 2 * np.pi * (turns[d - 1] if model.several_equilibria else turns)
+    x = model.guess(robot, tips)
+    q = model.configuration(robot, x[None])[0]
+    kept = within_limits(robot, q)
+    if (kept != q).any():
+        x = model.rest(robot, kept)
+    return Answer(x, kept, float(max(np.abs(found[d:] - beta).max(), np.abs(q - kept).max())))
+
+
+def tilt(points: Array) -> Array:
+    """The theta (2,) rad at which a robot leaves the insertion point in the direction of points (101, 3) at SIGMA.
+
+    Ry(theta_y) Rx(theta_x) turns +z there, eq. (4). The direction is that of the parabola through the first three.
+    """
+    x, y, z = -3 * points[0] + 4 * points[1] - points[2]
+    return np.array([-np.arctan2(y, np.hypot(x, z)), np.arctan2(x, z)])

@@ -1,0 +1,74 @@
+"""Shapes that a robot can take, and the pose in which a network sees them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ctr_nlp.models import Model
+from ctr_nlp.reference.descent import extensions, ordered
+from ctr_nlp.robot import Robot
+from ctr_nlp.target.target import SIGMA
+from ctr_nlp.typing import Array
+
+PLACES = SIGMA[5::5]
+"""Normalised arc lengths of the points that a network is given, 20 of them."""
+MARGIN = 0.1
+"""Least stability margin of the robots whose shapes are drawn."""
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """Shapes without tilt: points (n, 20, 3) at PLACES and lengths (n,), mm."""
+
+    points: Array
+    length: Array
+
+    def __getitem__(self, rows: Any) -> Shapes:
+        return Shapes(self.points[rows], self.length[rows])
+
+    def turned_back(self) -> tuple[Shapes, Array]:
+        """The same, turned about +z so that the means of their points lie towards +x; the angles before, rad.
+
+        A robot that turns all its tubes turns its shape: a network that sees shapes turned back need not learn it.
+        """
+        x, y, z = np.moveaxis(self.points, -1, 0)
+        angle = np.arctan2(y.mean(axis=1), x.mean(axis=1))
+        c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+        return Shapes(np.stack([c * x + s * y, c * y - s * x, z], axis=-1), self.length), angle
+
+    def inputs(self) -> Array:
+        """What a network is given of them, (n, 61): coordinates as parts of the length, and the length in mm."""
+        parts = self.points / self.length[:, None, None]
+        return np.column_stack([parts.reshape(len(parts), -1), self.length])
+
+
+def drawn(robot: Robot, model: Model, count: int, seed: int) -> Array:
+    """Unknowns (count, 2d + 2) of robots without tilt, all of them stable.
+
+    Their angles at the tips and the fractions of their extensions are uniform.
+    """
+    rng, d = np.random.default_rng(seed), robot.d
+    found = np.empty((0, 2 * d + 2))
+    while len(found) < count:
+        tips = np.zeros((count, 2 * d + 2))
+        tips[:, :d] = rng.uniform(-np.pi, np.pi, (count, d))
+        tips[:, d : 2 * d] = ordered(robot, extensions(robot, rng.random((count, d))))
+        x = model.guess(robot, nearer(tips, d))
+        found = np.vstack([found, x[~(model.margins(robot, x) < MARGIN)]])
+    return found[:count]
+
+
+def shapes_of(robot: Robot, model: Model, x: Array) -> Shapes:
+    """The shapes at unknowns x (n, 2d + 2)."""
+    return Shapes(model.points(robot, x, PLACES), model.extensions(robot, x)[:, -1])
+
+
+def nearer(tips: Array, d: int) -> Array:
+    """Angles at the tips, in the first d columns, with none more than half a turn from the innermost tube's."""
+    near = tips.copy()
+    apart = tips[:, :d] - tips[:, d - 1 : d]
+    near[:, :d] = tips[:, d - 1 : d] + apart - 2 * np.pi * np.round(apart / (2 * np.pi))
+    return near
