@@ -29,6 +29,8 @@ HORIZON, JOINT, ELASTIC = "horizon", "joint", "elastic"
 """Ours: all frames at once, frame by frame, all frames at once on the elastic model."""
 SEED, BASELINE, TIP = "paper-two-stage", "euclidean", "tip-jacobian"
 """Re-implemented: the paper's method, its Euclidean baseline, its control of the tip alone."""
+S2J = "s2j-projected"
+"""The paper's [7], answers brought within limits; only where `ctr-nlp learn` has trained a network."""
 OURS = HORIZON, JOINT, ELASTIC
 LONGEST = {ELASTIC: 0, HORIZON: 1}
 """What has to be compiled comes first, that nothing long is begun last."""
@@ -39,6 +41,7 @@ NAMES = {
     SEED: "the paper's method (re-implemented)",
     BASELINE: "its baseline (re-implemented)",
     TIP: "tip only (re-implemented)",
+    S2J: "S2J-IK (re-implemented)",
 }
 """What methods are called in pictures and on the page."""
 SETTINGS = Settings(contact_weight=0.0)

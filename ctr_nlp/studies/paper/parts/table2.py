@@ -8,11 +8,15 @@ from typing import Any
 from ctr_nlp.models import model_named
 from ctr_nlp.plan.account import shown
 from ctr_nlp.reference import published
+from ctr_nlp.reference.learned.network import place
+from ctr_nlp.robot.paper import table_i_robot
 from ctr_nlp.studies.paper.checks import Check, listed, named, number, order, orders
-from ctr_nlp.studies.paper.runs import BASELINE, ELASTIC, HORIZON, JOINT, NAMES, OURS, SEED, Found
+from ctr_nlp.studies.paper.runs import BASELINE, ELASTIC, HORIZON, JOINT, NAMES, OURS, S2J, SEED, Found
 from ctr_nlp.studies.paper.section import ALL, COMPARABLE, Section, Table, mm, motions
 
-METHODS = SEED, BASELINE, JOINT, HORIZON, ELASTIC
+LEARNED = (S2J,) if place(table_i_robot(), "dominant").exists() else ()
+"""Whether there is a network for the paper's robot, when this is loaded."""
+METHODS = SEED, BASELINE, *LEARNED, JOINT, HORIZON, ELASTIC
 MODELS = {"dominant": "stiffness", "elastic": "compliant"}
 """What the paper calls the models, by what they are called here."""
 PRINTED: dict[tuple[str, str], Mapping[str, tuple[float, ...]]] = {
@@ -158,7 +162,8 @@ SECTION = Section(
     "Table II: errors on both models, and times",
     motions(ALL, METHODS),
     "All but the last row of each part plan on the stiffness-dominant model; the compliant part shows what the "
-    "same motions come to on that model, and in its last row what a plan made on it does. Bold: ours, lower "
+    "same motions come to on that model, and in its last row what a plan made on it does. S2J-IK, the paper's "
+    "[7], has a row where `ctr-nlp learn` has trained a network for the paper's robot. Bold: ours, lower "
     f"than the paper's own published figure (not for {listed([f'`{p}`' for p in ALL if p not in COMPARABLE])}, "
     "where targets differ; statements on published numbers leave it out too). A star: some frames not solved. "
     "An exclamation mark: the robot snaps on the way. t_c is the time of a frame, on average, without the "
