@@ -12,7 +12,7 @@ from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.reference import METHODS
 from ctr_nlp.solvers import default_chain_solver, default_solver
-from ctr_nlp.studies.comparison import PATHS, ROBUST, variants_here
+from ctr_nlp.studies.comparison import PATHS, ROBUST, WARM, variants_here
 from ctr_nlp.typing import Array
 
 BOTH = "e3", "e_max", "tip_max"
@@ -23,7 +23,7 @@ def every_method() -> list[str]:
     """Each method once: ours by the solvers that are taken by default, robust ones, and all those of others."""
     solvers = {default_chain_solver(), default_solver()}
     ours = [name for name in variants_here() if ":" in name and name.split(":")[1] in solvers]
-    return [*ours, *ROBUST, *METHODS, *PATHS]
+    return [*ours, *ROBUST, *METHODS, *PATHS, *WARM]
 
 
 def measured(problem: str, variant: str, plan: Plan, draws: int = DRAWS) -> dict[str, Any]:

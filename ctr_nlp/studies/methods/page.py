@@ -14,11 +14,16 @@ from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.horizon import horizon
 from ctr_nlp.plan.account import shown
 from ctr_nlp.reference import METHODS
-from ctr_nlp.studies.comparison import PATHS, ROBUST, Comparison
+from ctr_nlp.studies.comparison import PATHS, ROBUST, WARM, Comparison
 from ctr_nlp.support.tables import markdown
 
 Row = Mapping[str, Any]
-OURS: Mapping[str, Callable[..., Any]] = {"horizon": horizon, **FORMULATIONS, **ROBUST}
+OURS: Mapping[str, Callable[..., Any]] = {
+    "horizon": horizon,
+    **dict.fromkeys(WARM, horizon),
+    **FORMULATIONS,
+    **ROBUST,
+}
 """Our own methods by what their names begin with."""
 
 
@@ -114,8 +119,8 @@ def table(found: Comparison, problem: str) -> str:
 
 def made_for(kind: str) -> str:
     """What a method is, in the words that its file begins with; empty of one that is in no registry."""
-    others = PATHS | {name: reference.method for name, reference in METHODS.items()}
-    made = (OURS | others).get(kind)
+    others = {**PATHS, **{name: reference.method for name, reference in METHODS.items()}}
+    made = {**OURS, **others}.get(kind)
     if made is None:
         return ""
     file = sys.modules[getattr(made, "func", made).__module__]  # a part of a function is as its whole

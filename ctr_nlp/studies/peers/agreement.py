@@ -87,6 +87,7 @@ def agreement(
     same = [k for k, distances in enumerate(away) if len(distances) and distances[-1] < ELSEWHERE]
     tips = np.array([away[k][-1] for k in same] or [np.nan])
     shapes = np.array([away[k].max() for k in same] or [np.nan])
+    median, most, largest = np.quantile(tips, (0.5, 0.95, 1.0)).tolist()
     judged = [said[k].stability for k in same if np.isfinite(said[k].stability)]
     return Agreement(
         name,
@@ -95,8 +96,11 @@ def agreement(
         sum(not len(answer.points) for answer in said),
         sum(not np.isfinite(points).all() for points, _ in ours),
         sum(len(distances) > 0 for distances in away) - len(same),
-        *(float(np.quantile(tips, share)) for share in (0.5, 0.95, 1.0)),
-        *(float(np.quantile(shapes, share)) for share in (0.5, 1.0)),
+        median,
+        most,
+        largest,
+        float(np.median(shapes)),
+        float(shapes.max()),
         sum(each <= 0 for each in judged) if judged else None,
         1e3 * float(np.median([answer.seconds for answer in said])),
         1e3 * float(np.median([seconds for _, seconds in ours])),

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import os
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -47,13 +47,13 @@ class Answer(NamedTuple):
 def question(robot: Robot, q: Array, force: Sequence[float] = (0.0, 0.0, 0.0)) -> str:
     """What a program is given for configurations q (n, 2d + 2) without a tilt, under a force (3,) at the tip, N.
 
-    Raises OptionError of tubes whose pre-curvature varies, which other models do not know, and of a tilt.
+    Raises OptionError of tubes whose pre-curvature varies or turns, which other models do not know, and of a tilt.
     """
-    if not all(isinstance(tube.curvature, float) for tube in robot.tubes):
-        raise OptionError("a tube's curvature varies along it; models of others know constant ones only")
+    if not all(isinstance(tube.curvature, float) and not tube.pre_torsion for tube in robot.tubes):
+        raise OptionError("a tube's curvature varies or turns along it; models of others know constant ones only")
     if q[:, 2 * robot.d :].any():
         raise OptionError("theta is not 0 in all configurations; models of others know no tilt of the base")
-    tubes = [
+    tubes: list[Iterable[float]] = [
         (
             t.length,
             t.curved_length,
