@@ -21,9 +21,9 @@ from __future__ import annotations
 
 import os
 import subprocess
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -53,7 +53,7 @@ def question(robot: Robot, q: Array, force: Sequence[float] = (0.0, 0.0, 0.0)) -
         raise OptionError("a tube's curvature varies or turns along it; models of others know constant ones only")
     if q[:, 2 * robot.d :].any():
         raise OptionError("theta is not 0 in all configurations; models of others know no tilt of the base")
-    tubes: list[Iterable[float]] = [
+    tubes = [
         (
             t.length,
             t.curved_length,
@@ -65,7 +65,7 @@ def question(robot: Robot, q: Array, force: Sequence[float] = (0.0, 0.0, 0.0)) -
         )
         for t in robot.tubes
     ]
-    rows = [*tubes, *(np.append(each, force) for each in q[:, : 2 * robot.d])]
+    rows: list[Any] = [*tubes, *(np.append(each, force) for each in q[:, : 2 * robot.d])]
     lines = [" ".join(f"{value:.17g}" for value in row) for row in rows]
     return "\n".join([f"{robot.d} {len(q)}", *lines]) + "\n"
 
