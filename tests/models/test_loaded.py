@@ -305,7 +305,7 @@ def test_a_robot_near_its_fork_snaps_under_half_a_newton_from_one_side(shared_da
 
 def test_robots_that_differ_bear_a_tip_force_and_have_no_known_weight():
     q = np.array([[0.5, -0.8, 0.9, 30, 70, 120, 0, 0]])
-    way, numbers = passage(q, 4), NITINOL.numbers[None] * [1, 1, 1.01, 1.01, 0.99, 1]
+    way, numbers = passage(q, 4), NITINOL.numbers[None] * [1, 1, 1.01, 1.01, 0.99, 1, 1]
     (found,) = Loaded(Load(force=(0, 0.1, 0))).follow_apart(NITINOL.structure, numbers, way, way.q[None])
     assert np.isfinite(found.x).all()
     with pytest.raises(LoadError, match="densities weighs on described tubes alone"):

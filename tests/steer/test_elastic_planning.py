@@ -414,7 +414,8 @@ def test_formulations_that_need_curvatures_without_alpha_refuse_the_model(name):
 
 def test_reference_methods_plan_on_the_dominant_model_but_those_of_twisted_tubes():
     models = {name: parse_variant(name).model for name in METHODS}
-    for name in ("tip-resolved", "follow-the-leader", "follow-the-leader-approximate"):
+    twisted = ("tip-resolved", "follow-the-leader", "follow-the-leader-approximate")
+    for name in (*twisted, "s2j-elastic", "s2j-projected-elastic"):
         assert models.pop(name) == "elastic"
     assert set(models.values()) == {"dominant"}
 
