@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -31,6 +31,16 @@ GIVEN, MOST = 0.1, 0.9
 """What is added to margins where the robot loses its way; frames are given no more than that."""
 TURNS = 2
 """Whole turns of a tube that are tried to find the robot where its motion begins."""
+
+
+T = TypeVar("T")
+
+
+class Missed(NamedTuple):
+    """What the margin is missed by on the way to every frame, by_frame (T,); lost: the robot is elsewhere."""
+
+    by_frame: Array
+    lost: bool
 
 
 class Made(NamedTuple):
@@ -82,21 +92,48 @@ def _made(
 
     least: an objective from which on a change is not worth following, as it only grows with margins.
     """
-    margins, best = np.full(chain.frames, np.nan if margin is None else margin), None
     robot = simulator.robot
-    one = _found(robot, simulator.model, chain, one)
+
+    def missed(tried: Attempt) -> Missed:
+        q = tried.solution.q.reshape(chain.frames, -1)[:, : len(robot.axes)]
+        return missing(simulator(q), tried.motion, margin, robot.d)
+
+    def again(tried: Attempt, margins: Array) -> Attempt | None:
+        firmer = chain.with_parameters({"margin": margins})
+        found = attempt(firmer, solver, tried.motion, None, stop, CLOSE)
+        return found if found.solution.success and found.solution.objective < least else None
+
+    asked = None if margin is None else np.full(chain.frames, margin)
+    found = held_between(_found(robot, simulator.model, chain, one), asked, missed, again, stop)
+    return None if found is None else Made(*found)
+
+
+def held_between(
+    first: T,
+    margins: Array | None,
+    missed: Callable[[T], Missed],
+    again: Callable[[T, Array], T | None],
+    stop: Callable[[], bool],
+) -> tuple[T, float] | None:
+    """A motion that the robot makes, and what its margin is missed by at most; None where none is found.
+
+    margins (T,): of the frames of the first motion, None where none are asked for; they are raised where more
+    is missed between frames than SHORT. missed: what a motion misses; again: a motion solved again with other
+    margins, None where that fails.
+    """
+    tried, best = first, None
     for _ in range(ROUNDS + 1):
-        q = one.solution.q.reshape(chain.frames, -1)[:, : len(robot.axes)]
-        missing, lost = _missing(simulator(q), one.motion, margin, robot.d)
-        if not lost and (best is None or missing.max() < best.missing):
-            best = Made(one, float(missing.max()))
-        if margin is None or stop() or not (lost or missing.max() > SHORT):
+        by_frame, lost = missed(tried)
+        short = float(by_frame.max())
+        if not lost and (best is None or short < best[1]):
+            best = tried, short
+        if margins is None or stop() or not (lost or short > SHORT):
             break
-        margins = _raised(margins, missing)
-        chain = chain.with_parameters({"margin": margins})
-        one = attempt(chain, solver, one.motion, None, stop, CLOSE)
-        if not one.solution.success or one.solution.objective >= least:
+        margins = raised(margins, by_frame)
+        solved = again(tried, margins)
+        if solved is None:
             break
+        tried = solved
     return best
 
 
@@ -115,31 +152,51 @@ def _found(robot: Robot, model: Model, chain: Chain, one: Attempt) -> Attempt:
 
 
 def held(frames: NlpFrames, one: Pass, simulator: Simulator, stop: Callable[[], bool]) -> tuple[Pass, NlpFrames]:
-    """A run through all frames, repeated until the margin is held between frames too; frames with their margins.
+    """A run through all frames, repeated until the margin is held between frames too; frames with its margins.
 
-    As it is on models of which nothing can be unstable.
+    As it is on models of which nothing can be unstable, and where no run is found that the robot makes.
     """
     if not frames.model.can_snap:
         return one, frames
-    problem, margin = frames.problem, None if np.isnan(frames.margins[0]) else float(frames.margins[0])
-    best, least = one, np.inf
-    for _ in range(ROUNDS + 1):
-        if any(j not in one.results or not one.results[j].success for j in one.order):
-            break
-        one = _found_pass(frames, one)
-        q, x = one.motion(problem), one.unknowns(problem)
-        missing, lost = _missing(simulator(q), x, margin, problem.robot.d)
-        if not lost and missing.max() < least:
-            best, least = one, float(missing.max())
-        if margin is None or stop() or not (lost or missing.max() > SHORT):
-            break
-        frames = replace(frames, margins=_raised(frames.margins, missing))
-        first = one.order[0]
-        known = {} if one.before else {first: one.results[first]}
-        one = Pass(one.direction, one.order, one.before, known, {first: one.seconds[first]})
+    margin = None if np.isnan(frames.margins[0]) else float(frames.margins[0])
+
+    def missed(tried: _Run) -> Missed:
+        made, problem = tried.made, tried.frames.problem
+        return missing(simulator(made.motion(problem)), made.unknowns(problem), margin, problem.robot.d)
+
+    def again(tried: _Run, margins: Array) -> _Run | None:
+        made, first = tried.made, tried.made.order[0]
+        known = {} if made.before else {first: made.results[first]}
+        return _Run.through(
+            replace(frames, margins=margins),
+            Pass(made.direction, made.order, made.before, known, {first: made.seconds[first]}),
+        )
+
+    first = _Run.found(frames, one)
+    asked = None if margin is None else frames.margins
+    best = None if first is None else held_between(first, asked, missed, again, stop)
+    return (one, frames) if best is None else (best[0].made, best[0].frames)
+
+
+class _Run(NamedTuple):
+    """A run all of whose frames are solved, with tubes turned so that the robot is found where it begins."""
+
+    frames: NlpFrames
+    made: Pass
+
+    @classmethod
+    def through(cls, frames: NlpFrames, one: Pass) -> _Run | None:
+        """A run that is gone through now."""
         for _ in one.run(frames):
             pass
-    return best, frames
+        return cls.found(frames, one)
+
+    @classmethod
+    def found(cls, frames: NlpFrames, one: Pass) -> _Run | None:
+        """None where a frame is not solved."""
+        if any(j not in one.results or not one.results[j].success for j in one.order):
+            return None
+        return cls(frames, _found_pass(frames, one))
 
 
 def _found_pass(frames: NlpFrames, one: Pass) -> Pass:
@@ -155,21 +212,21 @@ def _found_pass(frames: NlpFrames, one: Pass) -> Pass:
     return replace(one, results=turned)
 
 
-def _raised(margins: Array, missing: Array) -> Array:
+def raised(margins: Array, missing: Array) -> Array:
     """Margins of frames (T,), raised by what is missing on the way to them and from them."""
     more = np.maximum(missing, np.append(missing[1:], 0.0))
     return np.where(more > SHORT, np.maximum(margins, np.minimum(margins + more, MOST)), margins)
 
 
-def _missing(moved: Simulation, x: Array, margin: float | None, d: int) -> tuple[Array, bool]:
-    """What the margin is missed by on the way to every frame (T,); whether the robot, when moved, is not at x.
+def missing(moved: Simulation, x: Array, margin: float | None, d: int) -> Missed:
+    """What a motion misses whose unknowns are meant to be x (T, n), as the robot is moved through it.
 
     After a snap that leads nobody knows where, nothing is missed: that the robot is elsewhere is what counts.
     """
     away = elsewhere(moved.x, x, moved.snaps, d)
-    missing = np.maximum(np.nan_to_num((margin or 0.0) - moved.stability_between), 0.0)
-    missing[away.argmax()] += GIVEN * away.any()
-    return missing, bool(away.any())
+    by_frame = np.maximum(np.nan_to_num((margin or 0.0) - moved.stability_between), 0.0)
+    by_frame[away.argmax()] += GIVEN * away.any()
+    return Missed(by_frame, bool(away.any()))
 
 
 def _turns(robot: Robot, model: Model, q: Array, x: Array) -> Array:

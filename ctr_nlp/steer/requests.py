@@ -38,8 +38,9 @@ def check_model(problem: Problem, model: Model) -> None:
     """Raise LoadError or RobotError where the robot does not suit the model, and ProblemError where the target
     leads a loaded robot's base to the pole of its tilt.
 
-    Programs of loaded robots have the tip's direction as unknown, and tell theta from where the base points. At
-    theta_x = 90 deg theta_y can be anything then, and would have to turn by half a turn in one frame.
+    Programs of a single frame, and those within a wall, have a loaded robot's tip's direction as unknown, and tell
+    theta from where the base points. At theta_x = 90 deg theta_y can be anything then, and would have to turn by
+    half a turn in one frame.
     """
     model.check(problem.robot)
     if model.bears is None:
@@ -50,8 +51,9 @@ def check_model(problem: Problem, model: Model) -> None:
     if away[frame] < NEAR_POLE:
         raise ProblemError(
             f"the target of {problem.name} begins {away[frame]:.2f} rad from the y axis of the base in frame "
-            f"{frame + 1}, where theta_x is 90 deg; under a load it must stay {NEAR_POLE:g} rad away. Turn the "
-            "problem about the z axis of the base, or plan without the load and look at plan.under(load)"
+            f"{frame + 1}, where theta_x is 90 deg; under a load it must stay {NEAR_POLE:g} rad away where frames are "
+            "planned one by one, or within a wall. Plan over a horizon and free of the wall, or turn the problem "
+            "about the z axis of the base"
         )
 
 

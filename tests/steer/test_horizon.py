@@ -304,7 +304,9 @@ def test_what_a_point_exceeds_is_said_by_limit_frame_and_amount(problem):
     ],
 )
 def test_bad_input_is_refused_before_solving(problem, options, error, words, monkeypatch):
-    monkeypatch.setattr("ctr_nlp.steer.horizon.per_frame_motions", lambda *_: pytest.fail("began to solve"))
+    monkeypatch.setattr(
+        "ctr_nlp.steer.horizon.chained.per_frame_motions", lambda *_: pytest.fail("began to solve")
+    )
     with pytest.raises(error, match=words):
         solve_horizon(problem, **options)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from dataclasses import replace
 
 import casadi as ca
@@ -199,12 +200,54 @@ def test_what_cannot_be_planned_under_a_load_is_refused(tmp_path, monkeypatch, c
     assert "does not go with the dominant model" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("solve", [solve_per_frame, solve_horizon])
-def test_a_base_that_is_led_through_the_pole_of_its_tilt_is_refused_under_a_load_at_once(solve):
+def test_a_base_that_is_led_through_the_pole_of_its_tilt_is_refused_under_a_load_frame_by_frame_at_once():
     """In the middle of synthesis the base points along -y."""
     problem = named("synthesis", 100, robot=NITINOL)
     with pytest.raises(ProblemError, match=r"begins 0\.\d+ rad from the y axis of the base in frame (49|5\d)"):
-        solve(problem, model=Loaded(PULL))
+        solve_per_frame(problem, model=Loaded(PULL))
+    wall = curve_from_points([(0.0, 0.0, 50.0 * k) for k in range(4)], radius=4 * [10.0])
+    walled = replace(problem, lumen=wall)
+    with pytest.raises(ProblemError, match=r"begins 0\.\d+ rad from the y axis"):
+        solve_horizon(walled, model=Loaded(PULL))
+
+
+def through_the_pole():
+    """A problem of shapes of two tubes that nothing pulls at, whose base goes through theta_x = 90 deg."""
+    robot = with_modulus(TWO, 60_000)
+    q = np.zeros((5, 6))
+    q[:, 0], q[:, 2], q[:, 3] = np.linspace(0, 0.4, 5), np.linspace(20, 60, 5), np.linspace(40, 80, 5)
+    q[:, 4], q[:, 5] = np.pi / 2 + np.linspace(-0.3, 0.3, 5), np.linspace(-0.2, 0.2, 5)
+    free = made(robot, q)
+    return Problem("pole", robot, sequence([curve_from_points(shape) for shape in free.shape])), free
+
+
+def test_a_motion_under_a_load_may_lead_the_base_through_the_pole_of_its_tilt():
+    problem, free = through_the_pole()
+    load = Load(force=(0.0, 0.0, -0.1))
+    found = solve_horizon(problem, model=Loaded(load), initial=[free.q])
+    blind = np.sqrt((np.linalg.norm(free.under(load).shape - found.target, axis=-1) ** 2).mean())
+    left = np.sqrt((np.linalg.norm(found.shape - found.target, axis=-1) ** 2).mean())
+    assert found.complete
+    assert found.as_planned
+    assert left < 0.1 * blind
+    assert found.q[0, 4] < np.pi / 2 - 0.2
+    assert found.q[-1, 4] > np.pi / 2 + 0.2
+
+
+def test_a_motion_under_a_load_keeps_a_given_start_and_end(reachable):
+    problem, free = reachable
+    start, end = free.q[0] + 0.01, free.q[-1] + 0.02
+    found = solve_horizon(problem, model=Loaded(CHANGING), start=start, end=end)
+    assert found.complete
+    np.testing.assert_allclose(found.q[-1], end, atol=1e-9)
+    assert (abs(found.q[0] - start) <= problem.robot.speed * problem.dt + 1e-6).all()
+
+
+def test_a_motion_under_a_load_that_is_interrupted_is_no_solution(reachable):
+    problem, _ = reachable
+    found = solve_horizon(problem, model=Loaded(CONSTANT), seen=lambda _: signal.raise_signal(signal.SIGINT))
+    assert found.meta["interrupted"]
+    assert not found.success.any()
 
 
 def test_a_steerer_bears_no_load_that_changes():

@@ -1,4 +1,4 @@
-"""Steering over a whole motion at once: what is asked for, and the plan that comes of it."""
+"""All frames of a problem as one chain, solved from motions frame by frame or given ones, and the plan of it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,6 @@ from ctr_nlp.steer.motions import per_frame_motions
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.requests import (
-    check_described,
     check_ends,
     check_growth,
     check_model,
@@ -42,44 +41,6 @@ from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.values import check_choice
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
-
-
-def solve_horizon(
-    problem: Problem,
-    *,
-    model: str | Model = "dominant",
-    solver: str | None = None,
-    start: npt.ArrayLike | None = None,
-    end: npt.ArrayLike | None = None,
-    motion_weight: float | None = None,
-    initial: Sequence[npt.ArrayLike] = (),
-    starts: int | None = None,
-    jobs: int = 1,
-    settings: Settings = DEFAULTS,
-    terms: Sequence[Term] = (),
-    progress: Progress | None = None,
-    seen: Report | None = None,
-    exhaustive: bool = False,
-) -> Plan:
-    """The plan that follows a problem's target over all frames at once, eq. (9) over a horizon.
-
-    solver: banded, or ipopt; None takes banded where there is a C compiler. start: q (2d + 2,) at time 0; end: q
-    of the last frame; free where None. motion_weight: lambda in s^2; None takes the one at which the motion of
-    the start costs a tenth of its shape errors. initial: motions (T, 2d + 2) to start from; without any, those of
-    per_frame_motions, all of which are solved for some of the frames, and the best of these for all frames.
-    starts: how many are solved for all frames instead: the best of those, then smooth random changes of the best
-    (settings.seed). exhaustive: all of those are, and no others. jobs: in how many processes. settings: of the
-    frames run one by one. terms: further ones of the objective (formulations.terms). seen: told of every iterate
-    of all frames, or where processes are several of every attempt that is the best until then.
-    The plan is never worse than the best motion it started from, and marked where it is no solution. Ctrl-C ends
-    the work; the plan is then the best feasible one so far, marked as interrupted. Raises OptionError,
-    ProblemError, RobotError.
-    """
-    check_described(problem, settings)
-    check_search(motion_weight, starts, jobs)
-    motions = checked_motions(problem, initial)
-    whole = Horizon(problem, model, solver, start, end, settings, terms)
-    return whole.solve(motions, motion_weight, starts, jobs, progress, seen, exhaustive)
 
 
 class Horizon:
