@@ -51,9 +51,9 @@ def check_model(problem: Problem, model: Model) -> None:
     if away[frame] < NEAR_POLE:
         raise ProblemError(
             f"the target of {problem.name} begins {away[frame]:.2f} rad from the y axis of the base in frame "
-            f"{frame + 1}, where theta_x is 90 deg; under a load it must stay {NEAR_POLE:g} rad away where frames are "
-            "planned one by one, or within a wall. Plan over a horizon and free of the wall, or turn the problem "
-            "about the z axis of the base"
+            f"{frame + 1}, where theta_x is 90 deg; under a load it must stay {NEAR_POLE:g} rad away where frames "
+            "are planned one by one, or within a wall. Plan over a horizon and free of the wall, or turn the "
+            "problem about the z axis of the base"
         )
 
 
