@@ -7,6 +7,7 @@ beside the turn of the tip, two equations say that the base points there, and no
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -127,18 +128,18 @@ class LoadedHorizon:
         return shared_motion(*at, fastest, margins, self._terms)
 
     def _from(self, q: Array, motion: SharedMotion, stop: Callable[[], bool]) -> SharedSolution:
-        """The first solution that is found from q (T, 2d + 2), where the robot bears nothing yet or all of it."""
+        """The first solution that is found from q (T, 2d + 2): where the robot comes to be under the load, which
+        is feasible but for margins; where it snaps on the way, from where it is without the load.
+        """
         robot, model = self._problem.robot, self._model
         tips = MODELS[model.name].follow(robot, q).x[:, : robot.d]
         bare = model.unloaded(robot, q, np.where(np.isfinite(tips), tips, q[:, : robot.d]))
-        solve = SharedSolver(motion)
-        found = solve(q, bare[:, None, motion.own], CLOSE, stop)
-        if not (found.success or stop()):
-            found = solve(q, bare[:, None, motion.own], WIDE, stop)
-        if not (found.success or stop()):
-            borne = self._simulator(q).x
-            if np.isfinite(borne).all():
-                found = solve(q, borne[:, None, motion.own], WIDE, stop)
+        borne, solve = self._simulator(q).x, SharedSolver(motion)
+        starts = [borne, bare] if np.isfinite(borne).all() else [bare]
+        for x, barrier in itertools.product(starts, (CLOSE, WIDE)):
+            found = solve(q, x[:, None, motion.own], barrier, stop)
+            if found.success or stop():
+                break
         return found
 
     def _plan(self, plain: Plan, found: SharedSolution | None, weight: float, meta: dict[str, Any]) -> Plan:
