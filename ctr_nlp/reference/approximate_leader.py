@@ -8,8 +8,10 @@ same weight the square of that between the tip and where it is to go. Torsion co
 direction in which the path leaves the opening, and the innermost tube is out by the depth. The search is L-BFGS-B;
 what the stability margin lacks is penalised.
 
-A depth is answered from the one before alone, so that what has gone astray stays so. A frame is solved where the
-search ends at a stable minimum, however far the tip is from where it is to go.
+A depth is answered from the one before. Tubes that lie in the plane of a path are at a saddle, from which descent
+does not find aside: where the body or the tip is far from where they should be, the search begins again with each
+tube turned aside, either way, and the least answer counts. A frame is solved where the search ends at a stable
+minimum, however far the tip is from where it is to go.
 """
 
 from __future__ import annotations
@@ -29,6 +31,8 @@ from ctr_nlp.typing import Array
 ELASTIC = MODELS["elastic"]
 STABLE, PENALTY = 0.1, 1e4
 """The margin from which on nothing is penalised, and mm^2 that the square of what it lacks costs."""
+FAR, ASIDE = 1.0, 0.3
+"""mm^2 of an answer from which on tubes are turned aside, and by how much, rad."""
 NAME = "follow-the-leader-approximate"
 
 
@@ -63,13 +67,18 @@ def approximate_leader(problem: Problem, motion_weight: float) -> Method:
 
         known = ELASTIC.guess(robot, guess) if before is None or before.x is None else before.x
         start = np.concatenate([known[:d], fractions(robot, np.append(known[d : 2 * d - 1], depth))[:-1]])
-        variables, objective, ok, evaluations, status = descend(cost, start, bounds)
-        x = unknowns(variables[None])
+        found = descend(cost, start, bounds)
+        if found.objective > FAR:
+            aside = start + ASIDE * np.pad(np.vstack([np.eye(d), -np.eye(d)]), ((0, 0), (0, d - 1)))
+            tried = [found, *(descend(cost, each, bounds) for each in aside)]
+            found = min(tried, key=lambda one: (not one.success, one.objective))
+        x = unknowns(found.variables[None])
         stable = bool(ELASTIC.margins(robot, x)[0] > 0)
         tip = ELASTIC.points(robot, x, np.ones(1))[0, 0]
         warm = np.vstack([travelled[travelled[:, 0] < depth], [depth, *tip]])
-        q, status = ELASTIC.configuration(robot, x)[0], status if stable else "not stable"
-        return FrameResult(q, ok and stable, objective, np.nan, evaluations, status, warm, x[0])
+        q, status = ELASTIC.configuration(robot, x)[0], found.status if stable else "not stable"
+        solved = found.success and stable
+        return FrameResult(q, solved, found.objective, np.nan, found.evaluations, status, warm, x[0])
 
     return solve
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
@@ -100,12 +100,23 @@ def within_limits(robot: Robot, q: Array) -> Array:
     return np.concatenate([alpha, ordered(robot, beta), theta], axis=-1)
 
 
-def descend(cost: Callable[[Array], Array], start: Array, bounds: Array) -> tuple[Array, float, bool, int, str]:
+class Descent(NamedTuple):
+    """Where a search ended: at variables (n,), of which the objective is the cost.
+
+    success: scipy's word, or a projected gradient within FLAT of the cost; evaluations: of single points.
+    """
+
+    variables: Array
+    objective: float
+    success: bool
+    evaluations: int
+    status: str
+
+
+def descend(cost: Callable[[Array], Array], start: Array, bounds: Array) -> Descent:
     """L-BFGS-B on cost: (B, n) -> (B,), whose gradient is one batch of forward differences.
 
-    Where its line search gives up on them, once more with central differences. bounds (n, 2). Returns x,
-    cost, success (scipy's word, or a projected gradient within FLAT of the cost), evaluations of single
-    points, status.
+    Where its line search gives up on them, once more with central differences. bounds (n, 2).
     """
 
     def forward(x: Array) -> tuple[float, Array]:
@@ -129,7 +140,7 @@ def descend(cost: Callable[[Array], Array], start: Array, bounds: Array) -> tupl
             break
     flat = np.abs(x - np.clip(x - result.jac, bounds[:, 0], bounds[:, 1])).max(initial=0.0)
     success = bool(result.success or flat <= FLAT * max(1.0, result.fun))
-    return x, float(result.fun), success, evaluations, str(result.message)
+    return Descent(x, float(result.fun), success, evaluations, str(result.message))
 
 
 def shape_error(shape: tuple[Any, Any, Any], target: Array, weights: Array) -> Array:
