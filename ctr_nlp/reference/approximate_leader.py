@@ -31,7 +31,7 @@ from ctr_nlp.typing import Array
 ELASTIC = MODELS["elastic"]
 STABLE, PENALTY = 0.1, 1e4
 """The margin from which on nothing is penalised, and mm^2 that the square of what it lacks costs."""
-FAR, ASIDE = 1.0, 0.3
+FAR, ASIDE = 1.0, 0.05
 """mm^2 of an answer from which on tubes are turned aside, and by how much, rad."""
 NAME = "follow-the-leader-approximate"
 
