@@ -1,7 +1,12 @@
 """The errors this library raises on bad input; each names the field, its value and what is allowed."""
 
+import difflib
 import warnings
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
+
+LIKELY, NEAR = 2, 0.7
+"""Words that a message offers at most, and how alike they must be to what was given (difflib)."""
 
 
 class CtrError(Exception):
@@ -69,6 +74,13 @@ class Stopped(DeviceFault):
 
 class JournalError(CtrError):
     """A journal that cannot be written, or cannot be read back."""
+
+
+def meant(given: object, allowed: Iterable[str]) -> str:
+    """A sentence for the end of a message: what of that allowed is nearly what was given; "" where nothing is."""
+    bare = {word.lstrip("-"): word for word in allowed}  # dashes would make all options alike
+    near = [bare[word] for word in difflib.get_close_matches(str(given).lstrip("-"), bare, LIKELY, NEAR)]
+    return f". Did you mean {' or '.join(map(repr, near))}?" if near else ""
 
 
 if not TYPE_CHECKING:

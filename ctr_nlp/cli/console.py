@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from ctr_nlp.exceptions import CtrError
+from ctr_nlp.exceptions import CtrError, meant
 from ctr_nlp.support.interrupt import deferred_interrupt
 
 SOLVED, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -81,7 +81,16 @@ class Command(NamedTuple):
 
     def __call__(self, argv: list[str] | None = None, prog: str | None = None) -> int:
         """Run with argv, or with what the process was given; prog: another name for usage."""
-        return guarded(lambda: self.run(self.parser(prog or self.name).parse_args(argv)))
+        return guarded(lambda: self.run(parsed(self.parser(prog or self.name), argv)))
+
+
+def parsed(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> argparse.Namespace:
+    """What a parser makes of argv; where an option is unknown, its error tells what was probably meant."""
+    found, unknown = parser.parse_known_args(argv)
+    if unknown:
+        options = [option for option in parser._option_string_actions if option.startswith("--")]
+        parser.error(f"unrecognized arguments: {' '.join(unknown)}{meant(unknown[0].partition('=')[0], options)}")
+    return found
 
 
 def guarded(program: Callable[[], int]) -> int:

@@ -8,6 +8,7 @@ import sys
 from typing import TYPE_CHECKING, NamedTuple
 
 import ctr_nlp
+from ctr_nlp.exceptions import meant
 
 if TYPE_CHECKING:
     import argparse
@@ -62,7 +63,10 @@ def main(argv: list[str] | None = None) -> int:
     given = sys.argv[1:] if argv is None else argv
     if given and given[0] in COMMANDS:
         return load(COMMANDS[given[0]])(given[1:])
-    parser().parse_args(given)
+    top = parser()
+    if given and not given[0].startswith("-"):
+        top.error(f"no command is called {given[0]!r}; there are {', '.join(COMMANDS)}{meant(given[0], COMMANDS)}")
+    top.parse_args(given)
     return 0
 
 

@@ -13,12 +13,15 @@ from typing import Any
 
 from ctr_nlp.anatomy.files import CENTRELINES, MASKS, centrelines_in
 from ctr_nlp.anatomy.problem_files import problem_from_file
-from ctr_nlp.exceptions import CtrError, OptionError, ProblemError
+from ctr_nlp.exceptions import CtrError, OptionError, ProblemError, meant
 from ctr_nlp.models import model_named
 from ctr_nlp.problems import NAMES, named
 from ctr_nlp.robot import Robot
 from ctr_nlp.target.fit import notes
 from ctr_nlp.target.problem import Problem
+
+READ = (*CENTRELINES, *MASKS, ".py")
+"""How names of files that problems are read from end."""
 
 PACKAGE = Path(__file__).parents[1]
 FILE_OPTIONS = ("branch", "entry", "target", "insertion", "tilt", "reverse", "smoothing", "trim")
@@ -70,9 +73,11 @@ def _problem(name: str, arguments: argparse.Namespace, options: Mapping[str, Any
     if name in NAMES:
         return named(name, arguments.frames, arguments.duration, robot)
     if not Path(name).is_file():
+        beside = [str(path) for path in Path(name).parent.glob("*") if path.name.endswith(READ)]
         raise OptionError(
             f"problem is {name!r}; it must be one of {', '.join(NAMES)} or an existing centreline file "
             f"({', '.join(CENTRELINES)}), mask ({', '.join(MASKS)}) or problem file (.py)"
+            f"{meant(name, [*NAMES, *beside])}"
         )
     if name.endswith(".py"):
         return from_python(name, arguments.frames, arguments.duration, robot)

@@ -16,14 +16,14 @@ from ctr_nlp.hardware.axis import Axis, check_fit, tightened
 from ctr_nlp.hardware.sensing.description import Sensing
 from ctr_nlp.robot import Robot
 from ctr_nlp.simulation.lag import Lag
-from ctr_nlp.support.values import described, number, read_toml
+from ctr_nlp.support.values import check_keys, described, number, read_toml
 from ctr_nlp.typing import Array
 
 DEVICES = ("simulated", "grbl", "ros2")
 HOMING = ("manual", "cycle")
 FLOW = ("count", "wait")
 
-KEYS = "name, robot, axes, arm, connection, sensing, lag, approach, late"
+KEYS = ("name", "robot", "axes", "arm", "connection", "sensing", "lag", "approach", "late")
 """Of a hardware file."""
 
 
@@ -178,9 +178,7 @@ class Hardware:
         """The hardware of a TOML file; raises HardwareError, also where it cannot move the robot that it names."""
         try:
             data = read_toml(path)
-            unknown = set(data) - set(KEYS.split(", "))
-            if unknown:
-                raise HardwareError(f"unknown key {min(unknown)!r}; use {KEYS}")
+            check_keys(HardwareError, "hardware", data, KEYS)
             if not isinstance(data.get("axes"), list):
                 raise HardwareError("hardware needs a list of axes, [[axes]] in TOML")
             if not isinstance(data.get("robot", ""), str):

@@ -13,7 +13,7 @@ from ctr_nlp.loads.modulus import check_moduli
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.units import between, did_you_mean
 from ctr_nlp.support.packing import packable
-from ctr_nlp.support.values import floats, number, strict_json, unchanging
+from ctr_nlp.support.values import check_keys, floats, number, strict_json, unchanging
 from ctr_nlp.typing import Array
 
 AXES = "base", "tool"
@@ -170,9 +170,7 @@ class Load:
         allowed = [f.name for f in fields(cls)]
         if not isinstance(data, dict):
             raise LoadError(f"a load is {data!r:.60}; it must be a table with the keys {', '.join(allowed)}")
-        unknown = sorted(set(map(str, data)) - set(allowed))
-        if unknown:
-            raise LoadError(f"unknown key {unknown[0]!r} in a load; allowed are {', '.join(allowed)}")
+        check_keys(LoadError, "a load", data, allowed)
         return cls(**data)
 
     def __str__(self) -> str:

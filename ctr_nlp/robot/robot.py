@@ -22,7 +22,16 @@ from ctr_nlp.robot.tube import Tube
 from ctr_nlp.robot.units import angle_meant, between, did_you_mean
 from ctr_nlp.support.packing import packable
 from ctr_nlp.support.tables import toml_text
-from ctr_nlp.support.values import described, frozen, numbers, pairs, plain_floats, read_toml, strict_json
+from ctr_nlp.support.values import (
+    check_keys,
+    described,
+    frozen,
+    numbers,
+    pairs,
+    plain_floats,
+    read_toml,
+    strict_json,
+)
 from ctr_nlp.typing import Array
 
 MM_PER_RAD = 10.0
@@ -246,9 +255,7 @@ class Robot:
         """The robot that to_dict or a robot file describes; raises RobotError."""
         if not isinstance(data, dict):
             raise RobotError(f"a robot is {data!r}; it must be a table with the keys {', '.join(KEYS)}")
-        unknown = sorted(set(map(str, data)) - set(KEYS))
-        if unknown:
-            raise RobotError(f"unknown key {unknown[0]!r} in a robot; allowed are {', '.join(KEYS)}")
+        check_keys(RobotError, "a robot", data, KEYS)
         tubes = data.get("tubes")
         if not isinstance(tubes, list | tuple) or not all(isinstance(t, dict) for t in tubes):
             raise RobotError("a robot needs a list of tubes, [[tubes]] in TOML")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ctr_nlp.exceptions import CtrError, OptionError, RobotError
+from ctr_nlp.exceptions import CtrError, OptionError, RobotError, meant
 from ctr_nlp.typing import Array
 
 if sys.version_info >= (3, 11):
@@ -36,14 +36,20 @@ def read_toml(path: str | Path) -> dict[str, Any]:
 
 def described(cls: type, data: Any) -> Any:
     """The dataclass that a table of a file describes."""
-    allowed = [f.name for f in fields(cls)]
-    if not isinstance(data, dict) or set(data) - set(allowed):
-        wrong = sorted(set(data) - set(allowed))[0] if isinstance(data, dict) else data
-        raise RobotError(f"unknown key {wrong!r} in {cls.__name__.lower()}; allowed are {', '.join(allowed)}")
+    allowed, of = [f.name for f in fields(cls)], cls.__name__.lower()
+    check_keys(RobotError, of, data if isinstance(data, dict) else [data], allowed)
     try:
         return cls(**data)
     except TypeError as error:
-        raise RobotError(f"{cls.__name__.lower()}: {error}; keys are {', '.join(allowed)}") from error
+        raise RobotError(f"{of}: {error}; keys are {', '.join(allowed)}") from error
+
+
+def check_keys(error: type[CtrError], of: str, given: Iterable[Any], allowed: Sequence[str]) -> None:
+    """Raise error where keys of a table are not allowed, with what was probably meant; of: the table's name."""
+    unknown = sorted(set(map(str, given)) - set(allowed))
+    if unknown:
+        near = meant(unknown[0], allowed)
+        raise error(f"unknown key {unknown[0]!r} in {of}; allowed are {', '.join(allowed)}{near}")
 
 
 def number(
@@ -155,7 +161,7 @@ def unchanging(value: Any) -> Any:
     return tuple(unchanging(item) for item in value) if isinstance(value, list | tuple) else value
 
 
-def check_choice(name: str, value: str, allowed: Iterable[str]) -> None:
+def check_choice(name: str, value: str, allowed: Collection[str]) -> None:
     """Raise OptionError, with the valid ones, unless a value is one of those allowed."""
     if not isinstance(value, str) or value not in allowed:
-        raise OptionError(f"{name} is {value!r}; it must be one of {', '.join(allowed)}")
+        raise OptionError(f"{name} is {value!r}; it must be one of {', '.join(allowed)}{meant(value, allowed)}")

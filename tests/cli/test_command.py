@@ -105,6 +105,13 @@ def test_what_is_no_subcommand_is_refused_with_those_that_are(arguments, capsys)
     assert "COMMAND" in capsys.readouterr().err
 
 
+def test_what_is_nearly_a_subcommand_is_told_which(capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(["exprot"])
+    assert "no command is called 'exprot'" in (told := capsys.readouterr().err)
+    assert told.endswith("Did you mean 'export'?\n")
+
+
 def test_every_script_is_a_subcommand():
     names = {path.name: path.read_text() for path in (ROOT / "scripts").glob("*.py")}
     called = {text.partition("script(")[2].partition(")")[0] for text in names.values()}

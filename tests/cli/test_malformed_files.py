@@ -60,7 +60,7 @@ ROBOT_FILES = [
      r"youngs_modulus of tubes 1 and 2 are 1000 and 1.*in the same unit: is one in GPa and the other in MPa"),
     ("youngs_modulus = 1.0", "youngs_modulus = 1e-6", "youngs_modulus of tubes 1 and 2 are 1e-06 and 1"),
     ("[[tubes]]", "[[tube]]", "unknown key 'tube' in a robot; allowed are name, tubes, limits"),
-    ("poisson_ratio", "poison_ratio", "unknown key 'poison_ratio' in tube"),
+    ("poisson_ratio", "poison_ratio", "unknown key 'poison_ratio' in tube; .*Did you mean 'poisson_ratio'"),
     ("alpha = [-inf, inf]", "alpha = [-180, 180]",
      r"limits of alpha_1.*did you mean -3\.142 rad \(-180 degrees\)"),
     ("alpha = [-inf, inf]", "alpha = [1, -1]", "limits of alpha_1 are .1, -1.; the lower must not exceed"),

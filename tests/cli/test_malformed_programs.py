@@ -34,6 +34,8 @@ BOTH = [
     ("", "the following arguments are required: PROBLEM"),
     ("arc cos", "unrecognized arguments: cos"),
     ("arc --speling 3", "unrecognized arguments: --speling"),
+    ("arc --fraems=5", r"unrecognized arguments: --fraems=5\. Did you mean '--frames'\?"),
+    ("bronchsu", r"problem file \(\.py\)\. Did you mean 'bronchus'\?"),
     ("arc --robot nowhere.toml", "robot file nowhere.toml"),
     ("arc --robot {folder}", "robot file .*directory"),
     ("arc --robot {path}", "robot file .*path.csv"),

@@ -303,7 +303,7 @@ def test_the_commented_lines_of_the_example_are_a_controller(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("approach = 0.2", "aproach = 0.2", "unknown key 'aproach'; use name, robot, axes, arm, connection, "),
+        ("approach = 0.2", "aproach = 0.2", "unknown key 'aproach' in hardware; allowed are name, robot, axes, "),
         ("approach = 0.2", "approach = 2", r"approach is 2; it must lie in \(0, 1\]"),
         ('letter = "Y"', 'leter = "Y"', "unknown key 'leter' in axis; allowed are joint, letter, unit, range"),
         ('letter = "Y"', "", "axis: .*letter"),

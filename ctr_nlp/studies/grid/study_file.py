@@ -19,7 +19,7 @@ from ctr_nlp.robot.draws import drawn, known_robot
 from ctr_nlp.studies.airways import SYNTHETIC
 from ctr_nlp.studies.grid.case import Case, content_of
 from ctr_nlp.studies.grid.reports import REPORTS
-from ctr_nlp.studies.grid.ways import OF_WAYS, check_keys, ways
+from ctr_nlp.studies.grid.ways import OF_WAYS, check_table, ways
 from ctr_nlp.support.values import check_choice, instance, read_toml, whole_number
 
 KEYS = ("name", "problems", "robots", *OF_WAYS, "ways", "frames", "walls", "draws", "seed", "report")
@@ -62,7 +62,7 @@ class Study:
     @classmethod
     def from_dict(cls, told: Mapping[str, Any], folder: Path) -> Study:
         """The study that a mapping describes, as of a file in a folder. Raises CtrError."""
-        check_keys(told, KEYS, "a study")
+        check_table(told, KEYS, "a study")
         problems = tuple(_problems(told.get("problems", {}), folder))
         robots, every_way = tuple(_robots(told.get("robots", {}), folder)), tuple(ways(told))
         draws, seed = (
@@ -99,7 +99,7 @@ class Study:
 
 def _problems(told: Any, folder: Path) -> Iterator[tuple[str, str]]:
     """Names, and digests of files."""
-    check_keys(told, OF_PROBLEMS, "problems of a study")
+    check_table(told, OF_PROBLEMS, "problems of a study")
     for name in told.get("names", ()):
         check_choice("a problem of a study", name, NAMES)
         yield name, ""
@@ -114,14 +114,14 @@ def _problems(told: Any, folder: Path) -> Iterator[tuple[str, str]]:
 
 def _robots(told: Any, folder: Path) -> Iterator[tuple[str, str | None]]:
     """Names, and robots as JSON; the problems' own where none are told."""
-    check_keys(told, OF_ROBOTS, "robots of a study")
+    check_table(told, OF_ROBOTS, "robots of a study")
     if not told:
         yield OWN, None
     for name in told.get("files", ()):
         yield Path(name).stem, _as_json(Robot.from_toml(folder / name))
     if "drawn" in told:
         asked = told["drawn"]
-        check_keys(asked, OF_DRAWN, "drawn robots of a study")
+        check_table(asked, OF_DRAWN, "drawn robots of a study")
         if not {"of", "count"} <= asked.keys():
             raise OptionError("drawn robots of a study need of, a robot file, and count")
         base = Robot.from_toml(folder / asked["of"])

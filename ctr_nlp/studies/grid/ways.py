@@ -15,7 +15,7 @@ from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import MODELS
 from ctr_nlp.studies.grid.case import METHODS
 from ctr_nlp.studies.grid.measures import MEASURES
-from ctr_nlp.support.values import check_choice, whole_number
+from ctr_nlp.support.values import check_choice, check_keys, whole_number
 
 OF_WAYS = ("models", "methods", "settings", "sample", "measures")
 OF_SAMPLE = ("method", "count", "seed", "ranges")
@@ -41,7 +41,7 @@ def ways(told: Mapping[str, Any]) -> Iterator[Way]:
     elif both := sorted(set(OF_WAYS) & told.keys()):
         raise OptionError(f"{both[0]} of a study stands beside its tables [[ways]]; write it into each of these")
     for table in tables:
-        check_keys(table, OF_WAYS, "ways of a study")
+        check_table(table, OF_WAYS, "ways of a study")
         measures = tuple(_listed(table.get("measures", [])))
         for name in measures:
             check_choice("a measure of a study", name, MEASURES)
@@ -52,19 +52,17 @@ def ways(told: Mapping[str, Any]) -> Iterator[Way]:
             yield Way(model, method, settings, measures)
 
 
-def check_keys(told: Any, allowed: Sequence[str], of: str) -> None:
+def check_table(told: Any, allowed: Sequence[str], of: str) -> None:
     """Raise OptionError unless something is a mapping whose keys are all allowed."""
     if not isinstance(told, Mapping):
         raise OptionError(f"{of} is {told!r:.60}; it must be a table with the keys {', '.join(allowed)}")
-    unknown = sorted(set(map(str, told)) - set(allowed))
-    if unknown:
-        raise OptionError(f"unknown key {unknown[0]!r} of {of}; allowed are {', '.join(allowed)}")
+    check_keys(OptionError, of, told, allowed)
 
 
 def _settings(told: Mapping[str, Any]) -> Iterator[tuple[tuple[str, Any], ...]]:
     """Every combination of the settings that are listed, each with every sample of those that are sampled."""
     listed = told.get("settings", {})
-    check_keys(listed, tuple(Settings.__dataclass_fields__), "settings of a study")
+    check_table(listed, tuple(Settings.__dataclass_fields__), "settings of a study")
     grid = itertools.product(*([(name, value) for value in _listed(values)] for name, values in listed.items()))
     for chosen, sampled in itertools.product(grid, _sampled(told.get("sample"))):
         if both := {name for name, _ in chosen} & {name for name, _ in sampled}:
@@ -78,9 +76,9 @@ def _sampled(told: Any) -> list[tuple[tuple[str, Any], ...]]:
     """Settings sampled evenly within their ranges; one empty sample where none are."""
     if told is None:
         return [()]
-    check_keys(told, OF_SAMPLE, "sample of a study")
+    check_table(told, OF_SAMPLE, "sample of a study")
     ranges = told.get("ranges", {})
-    check_keys(ranges, tuple(Settings.__dataclass_fields__), "ranges of a sample")
+    check_table(ranges, tuple(Settings.__dataclass_fields__), "ranges of a sample")
     check_choice("method of a sample", told.get("method", "sobol"), SAMPLERS)
     count = whole_number(OptionError, "count of a sample", told.get("count", 0), 1)
     seed = whole_number(OptionError, "seed of a sample", told.get("seed", 0), 0)
