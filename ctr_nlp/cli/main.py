@@ -89,8 +89,9 @@ def parser(every_option: bool = False) -> argparse.ArgumentParser:
     made = argparse.ArgumentParser(
         prog="ctr-nlp",
         description="Steer concentric tube robots so that their whole shape follows a target.",
-        epilog="`ctr-nlp COMMAND --help` tells the options of a command. Exit status of every command: 0 all is "
-        "well, 1 something is not, 2 bad input (nothing written), 130 interrupted.",
+        epilog="`ctr-nlp COMMAND --help` tells the options of a command. Exit status of every command: 0 where "
+        "all is well, 1 where something is not, 2 where input is bad and nothing is written, 130 after "
+        "an interruption.",
     )
     made.add_argument("--version", action="version", version=f"ctr-nlp {ctr_nlp.__version__}")
     commands = made.add_subparsers(metavar="COMMAND", required=True, title="commands")

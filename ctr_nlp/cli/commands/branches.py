@@ -34,9 +34,9 @@ WIDENS = 1.2
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
-        description="List the branches of a centreline file, in mm, so that one can be chosen by its number, its "
-        "name or a point that it passes; and draw them.",
-        epilog="Exit status: 0 listed, 2 bad input, nothing written.",
+        description="List the branches of a centreline file, in mm, so that one can be chosen by its number, "
+        "its name or a point that it passes; and draw them.",
+        epilog="Exit status: 0 where branches were listed, 2 where input is bad and nothing is written.",
     )
     parser.add_argument("file", metavar="FILE", help=f"centreline file ({', '.join(CENTRELINES)})")
     parser.add_argument("--reverse", action="store_true", help="take each branch from its last point to its first")

@@ -110,8 +110,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         description="Read a Grbl controller, tell which settings are wrong and what to set, move single axes "
         "by a small step where asked to, and keep its settings beside the hardware file, to be compared at every "
         "start.",
-        epilog="Exit status: 0 settings kept, 1 a setting is wrong or the controller fails, 2 bad input, 130 "
-        "interrupted.",
+        epilog="Exit status: 0 where settings were kept, 1 where a setting is wrong or the controller fails, 2 "
+        "where input is bad, 130 after an interruption.",
     )
     parser.add_argument("hardware", metavar="FILE.toml", help="hardware file")
     add_out_option(parser, OUT)

@@ -32,7 +32,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         description="Print what makes a shell complete subcommands, options, their values, names of problems and "
         'files. For bash, put this into ~/.bashrc: eval "$(ctr-nlp completion bash)"; for zsh, write it into a '
         "file _ctr-nlp in a folder of fpath; for fish, into ~/.config/fish/completions/ctr-nlp.fish.",
-        epilog="Exit status: 0 printed, 2 bad input.",
+        epilog="Exit status: 0 where the text was printed, 2 where input is bad.",
     )
     parser.add_argument("shell", choices=SHELLS)
     return parser

@@ -40,7 +40,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     return argparse.ArgumentParser(
         prog=prog,
         description="Tell what is installed and works, what is missing, and the command that brings it.",
-        epilog="Exit status: 0 planning works, 1 it does not. What is optional may be missing.",
+        epilog="Exit status: 0 where planning works, 1 where it does not. What is optional may be missing.",
     )
 
 

@@ -25,7 +25,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         description="Check a plan for some hardware, time it, and write it as commands that other machines play: "
         "csv, a table; gcode, for Grbl and grblHAL, without the tilt; urscript, for the arm that tilts; rosbag2, "
         "a folder with a joint trajectory and joint states.",
-        epilog="Exit status: 0 written, 2 bad input, nothing written.",
+        epilog="Exit status: 0 where the commands were written, 2 where input is bad and nothing is written.",
     )
     parser.add_argument("plan", metavar="PLAN.npz")
     parser.add_argument("--to", choices=FORMATS, required=True, metavar="FORMAT", help=", ".join(FORMATS))

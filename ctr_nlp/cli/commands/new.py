@@ -26,10 +26,12 @@ KINDS = {Path(name).stem: name for name in NEXT}
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
-        description="Write a file with comments to start from: a problem (.py), a robot, its hardware, a load or "
-        "a study of many plans (.toml). clearance and survival are studies that end with a page: what clearance "
-        "costs and brings, and how plans survive robots that are not quite known.",
-        epilog="Exit status: 0 written, 2 bad input, nothing written; a file that is there is never replaced.",
+        description="Write a file with comments to start from: a problem (.py), a robot, its hardware, a load "
+        "or a study of many plans (.toml). Two of the studies end with a page: `clearance` tells "
+        "what clearance costs and brings, and `survival` tells how plans survive robots that are "
+        "not quite known.",
+        epilog="Exit status: 0 where the file was written, 2 where input is bad and nothing is written. A file "
+        "that is there is never replaced.",
     )
     parser.add_argument("kind", choices=KINDS)
     parser.add_argument("file", metavar="FILE", help="to write; its name ends in .py or .toml")

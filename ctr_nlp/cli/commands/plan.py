@@ -61,9 +61,10 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
         prog=prog,
         description=f"Follow a target with the whole shape of the robot, {how}; write plan.npz, errors.csv, "
         "summary.json and pictures.",
-        epilog="Exit status: 0 no verdict is no, 1 one is, 2 bad input, 130 interrupted (the best motion so far "
-        "goes into DIR/interrupted, and DIR's own files stay). Draws of the robot, on which an elastic plan "
-        "without a load is tried, count with --robust only.",
+        epilog="Exit status: 0 where no verdict is `no`, 1 where one is, 2 where input is bad, 130 after an "
+        "interruption (the best motion so far goes into DIR/interrupted, and DIR's own files stay). An "
+        "elastic plan without a load is also tried on draws of the robot; the verdict on these counts "
+        "with --robust only.",
     )
     parser.add_argument("problem", metavar="PROBLEM", help=problems.KINDS)
     options.add_problem_options(parser)

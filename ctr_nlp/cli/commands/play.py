@@ -43,7 +43,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         prog=prog,
         description="Check a plan for some hardware, go slowly to its first frame, and play it. While it plays, "
         "lines on standard input are obeyed: p pauses, r resumes, a aborts; Ctrl-C aborts too.",
-        epilog="Exit status: 0 played to the end, 1 not, 2 bad input (nothing was sent), 130 interrupted.",
+        epilog="Exit status: 0 where the plan was played to the end, 1 where it was not, 2 where input is bad "
+        "and nothing was sent, 130 after an interruption.",
     )
     parser.add_argument("plan", metavar="PLAN.npz", nargs="?", help="not with --commission")
     parser.add_argument("--hardware", metavar="FILE.toml", help="(default: a simulated bench rig)")

@@ -21,7 +21,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         prog=prog,
         description=f"Write {PAGE}: the moving robot in three dimensions, plots and numbers of a plan, or of "
         "several side by side in step. It is one file, which opens in a browser without a network.",
-        epilog="Exit status: 0 written, 2 bad input, nothing written.",
+        epilog="Exit status: 0 where the page was written, 2 where input is bad and nothing is written.",
     )
     parser.add_argument("plans", metavar="PLAN.npz", nargs="+")
     add_out_option(parser, "runs/report")

@@ -19,10 +19,11 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
         description="Move robots that differ from the one described, within its tolerances, open loop through a "
-        "plan: how many are lost, where, how large errors are, which tolerance costs most. Write the plan with "
-        "all of it, errors.csv, summary.json and a picture.",
-        epilog="Exit status: 0 no verdict is no, 1 one is, 2 bad input, nothing written. A plan survives its "
-        "draws where at most 1 % of them are lost: snap, or end on another branch of equilibria.",
+        "plan. Tell how many of them are lost and where, how large errors are, and which tolerance "
+        "costs most. Write the plan with all of this, errors.csv, summary.json and a picture.",
+        epilog="Exit status: 0 where no verdict is `no`, 1 where one is, 2 where input is bad and nothing is "
+        "written. A plan survives its draws where at most 1 % of them are lost, that is, snap or come to "
+        "another branch of equilibria.",
     )
     parser.add_argument("plan", metavar="PLAN.npz")
     what = f"robots drawn within the tolerances of the robot file (default {DRAWS})"

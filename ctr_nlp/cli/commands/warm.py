@@ -31,10 +31,10 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
         description="Compile what problems are solved with, frame by frame and over a horizon, so that their "
-        "first plans need not wait. What is in the cache already stays. Under a load the same "
+        "first plans need not wait. What is in the cache already stays there. Under a load the same "
         "programs serve all loads that keep their direction.",
-        epilog="Exit status: 0 all compiled, 2 bad input or no C compiler, 130 interrupted (what was compiled "
-        "stays).",
+        epilog="Exit status: 0 where all was compiled, 2 where input is bad or there is no C compiler, 130 "
+        "after an interruption (what was compiled stays).",
     )
     parser.add_argument("problems", metavar="PROBLEM", nargs="*", help=f"{problems.KINDS} (default all names)")
     parser.add_argument("--models", nargs="+", choices=MODELS, default=list(MODELS), help="(default all)")

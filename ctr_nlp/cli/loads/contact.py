@@ -25,12 +25,13 @@ SHOWN = 5
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
-        description="The forces with which a plan's robot and the wall of its lumen press on each other, on the "
-        "elastic model, where the wall gives in like an elastic foundation: how large they are in every frame, "
-        "where along the robot, how deep it is in the wall, and what of it another shape could avoid. Write "
-        "contact.json, contact.csv and a picture.",
-        epilog="Exit status: 0 done, 2 bad input, nothing written. The wall acts beside the load that the plan is "
-        "evaluated under (`ctr-nlp under`).",
+        description="Find the forces with which a plan's robot and the wall of its lumen press on each other, "
+        "on the elastic model, where the wall gives in like an elastic foundation. Tell how large "
+        "they are in every frame, where along the robot they act, how deep it is in the wall, and "
+        "how much of each force another shape could avoid. Write contact.json, contact.csv and a "
+        "picture.",
+        epilog="Exit status: 0 where forces were found, 2 where input is bad and nothing is written. The wall "
+        "acts beside the load that the plan is evaluated under (`ctr-nlp under`).",
     )
     parser.add_argument("plan", metavar="PLAN.npz")
     told = f"of the wall, in N/mm for every mm of length (default {STIFFNESS:g}, of an airway)"

@@ -27,11 +27,12 @@ WEAKEST = 5
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
-        description="The largest force at its tip that every frame of a plan bears before the robot snaps, or "
-        "leaves its lumen, in many directions of the base frame, on the elastic model; and by how much the tip "
-        "gives in to a small force. Write forces.json, forces.csv and a picture.",
-        epilog="Exit status: 0 done, 2 bad input, nothing written. Forces act beside the load that the plan is "
-        "evaluated under (`ctr-nlp under`).",
+        description="Find the largest force at its tip that every frame of a plan bears before the robot snaps, "
+        "or leaves its lumen, in many directions of the base frame, on the elastic model; and tell "
+        "by how much the tip gives in to a small force. Write forces.json, forces.csv and a "
+        "picture.",
+        epilog="Exit status: 0 where forces were found, 2 where input is bad and nothing is written. Forces act "
+        "beside the load that the plan is evaluated under (`ctr-nlp under`).",
     )
     parser.add_argument("plan", metavar="PLAN.npz")
     parser.add_argument("--every", metavar="N", type=whole, default=1, help="look at every Nth frame (default 1)")

@@ -21,11 +21,13 @@ SAME = 1e-3
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
-        description="Move the robot of a plan through its motion while it bears a load: shapes, errors, stability "
-        "margins and snaps on the elastic model. The load comes in the first frame and is taken away in the last "
-        "one. Write the plan under its load, errors.csv, summary.json and pictures; `ctr-nlp robust` and "
-        "`ctr-nlp report` take that plan as any other.",
-        epilog="Exit status: 0 no verdict is no, 1 one is, 2 bad input, nothing written.",
+        description="Move the robot of a plan through its motion while it bears a load, and tell its shapes, "
+        "errors, stability margins and snaps on the elastic model. The load comes in the first "
+        "frame and is taken away in the last one. Write the plan under its load, errors.csv, "
+        "summary.json and pictures; `ctr-nlp robust` and `ctr-nlp report` take that plan as any "
+        "other.",
+        epilog="Exit status: 0 where no verdict is `no`, 1 where one is, 2 where input is bad and nothing is "
+        "written.",
     )
     parser.add_argument("plan", metavar="PLAN.npz")
     add_load_options(parser)

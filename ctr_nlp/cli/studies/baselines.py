@@ -36,7 +36,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "them with CMA-ES and Nelder-Mead, which plan the motions of every robot that they try, for as long. Draw "
         "the least root mean square of the targets' e3 over process time. Write baselines.md, .csv, .png and "
         ".pdf. CMA-ES needs the package cma (pip install ctr_nlp[studies]).",
-        epilog="Exit status: 0 all is done, 2 bad input, 130 interrupted.",
+        epilog="Exit status: 0 where all is done, 2 where input is bad, 130 after an interruption.",
     )
     parser.add_argument("problems", metavar="PROBLEM", nargs="+", help=problems.KINDS)
     what = f"tubes that the design is started from (default {STARTS})"

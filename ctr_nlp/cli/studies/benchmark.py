@@ -32,10 +32,12 @@ SECONDS = 5.0
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
-        description="What time of the thread steps, frames, motions and whole programs take, each in a process of "
-        "its own; how they grow, what other methods take, what is spent outside compiled code. With --against "
-        "the rows of another commit of this clone, in turns with this one's. Needs a C compiler.",
-        epilog="Exit status: 0 measured, 1 a row is slower, or faster without --explained, 2 bad input.",
+        description="Measure what time of the thread steps, frames, motions and whole programs take, each in a "
+        "process of its own; how these times grow, what other methods take, and what is spent "
+        "outside compiled code. With --against, compare the rows with those of another commit of "
+        "this clone, in turns. A C compiler is needed.",
+        epilog="Exit status: 0 where all was measured, 1 where a row is slower, or faster without --explained, "
+        "2 where input is bad.",
     )
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="(default all)")
     parser.add_argument("--rows", nargs="+", metavar="ROW", choices=ROWS, default=list(ROWS), help=", ".join(ROWS))

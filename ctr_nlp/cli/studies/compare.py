@@ -71,11 +71,12 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
         description="Solve problems with every variant, one after the other, and print errors, steps and times "
-        f"beside the paper's Table II; for plans on the elastic model also e3 over {DRAWS} draws of the "
-        "robot's tolerances and the share that is lost; write comparison.md, .csv and .json. A variant that does "
-        "not serve a problem says why.",
-        epilog="Exit status: 0 no verdict on a plan of ours is no, 1 one is, 2 bad input, or no variant serves "
-        "any problem, 130 interrupted (what was done goes into DIR/interrupted, and DIR's own files stay).",
+        f"beside the paper's Table II; of plans on the elastic model also print e3 over {DRAWS} "
+        "draws of the robot's tolerances and the share that is lost. Write comparison.md, .csv and "
+        ".json. Where a variant does not serve a problem, its row says why.",
+        epilog="Exit status: 0 where no verdict on a plan of ours is `no`, 1 where one is, 2 where input is bad "
+        "or no variant serves any problem, 130 after an interruption (what was done goes into "
+        "DIR/interrupted, and DIR's own files stay).",
     )
     parser.add_argument("problems", metavar="PROBLEM", nargs="*", help=f"{problems.KINDS} (default all names)")
     parser.add_argument(

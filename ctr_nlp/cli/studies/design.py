@@ -64,8 +64,9 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "default for all robots within the tolerances of the robot file, so that plans survive on robots as "
         "built. Write robot.toml, a plan of every problem, design.json and a drawing sheet (sheet.svg, "
         "sheet.pdf), with several robots in a folder for each, robot_1 and so on.",
-        epilog="Exit status: 0 no verdict on a plan is no, 1 one is, 2 bad input, 130 interrupted. `ctr-nlp plan "
-        "PROBLEM --robot DIR/robot.toml --model elastic` plans further problems on the robot.",
+        epilog="Exit status: 0 where no verdict on a plan is `no`, 1 where one is, 2 where input is bad, 130 "
+        "after an interruption. `ctr-nlp plan PROBLEM --robot DIR/robot.toml --model elastic` plans "
+        "further problems on the robot.",
     )
     kinds = f"{problems.KINDS}, or a folder of centreline files"
     parser.add_argument("problems", metavar="PROBLEM", nargs="+", help=kinds)

@@ -38,7 +38,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         f"compare` find it. Tell its errors on {HELD_OUT} shapes that were not trained on. Write learn.csv and "
         "the learning curve, learn.png. Training needs PyTorch (pip install ctr_nlp[learning]); what is trained "
         "is used without.",
-        epilog="Exit status: 0 trained, 2 bad input, 130 interrupted (nothing is kept).",
+        epilog="Exit status: 0 where the network was trained, 2 where input is bad, 130 after an interruption "
+        "(nothing is kept then).",
     )
     parser.add_argument("--robot", metavar="FILE.toml", help="robot file (default: the paper's robot)")
     parser.add_argument("--model", choices=("dominant", "elastic"), default=DEFAULT, help=f"(default {DEFAULT})")

@@ -23,8 +23,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         prog=prog,
         description="Remake the paper's Figs. 3 to 8, 9 (d) and 10 and its Table II beside what it printed, and "
         "write seed.md with pictures and the numbers behind them.",
-        epilog="Exit status: 0 every frame of our methods solved, 1 some not, 2 bad input, 130 interrupted "
-        "(nothing written).",
+        epilog="Exit status: 0 where every frame of our methods was solved, 1 where some were not, 2 where "
+        "input is bad, 130 after an interruption (nothing is written then).",
     )
     parser.add_argument(
         "--only", metavar="NAME", nargs="+", choices=SECTIONS, help=f"of {', '.join(SECTIONS)} (default all)"

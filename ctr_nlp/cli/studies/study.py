@@ -41,8 +41,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "cores of this machine or on a Dask cluster. A row of every plan goes into DIR/rows (Parquet) as it is "
         "made; a study that was stopped, or whose machine died, goes on where it was, and a changed study does "
         "only what is new in it.",
-        epilog="Exit status: 0 every plan was made and solved, 1 some not, 2 bad input, 130 interrupted. It needs "
-        'the extra `study`: pip install "ctr_nlp[study]".',
+        epilog="Exit status: 0 where every plan was made and solved, 1 where some were not, 2 where input is bad, "
+        'and 130 after an interruption. The extra `study` is needed: pip install "ctr_nlp[study]".',
     )
     parser.add_argument("study", metavar="STUDY.toml")
     told = "scheduler of a Dask cluster to work on, as tcp://HOST:PORT or tls://HOST:PORT (default: processes of "

@@ -37,10 +37,12 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
         description="Plan motions for more and less of the robot's tolerances, and judge them on the same draws "
-        "of all of these, which planning does not see: e3 as planned, its mean over draws, and how many are lost. "
-        "Of plans that lose few, the one with the least mean is chosen. No wall counts. Write trade.md, .csv, "
-        ".json, and for every problem a picture (.png, .pdf). It takes some minutes a problem.",
-        epilog="Exit status: 0 a plan is chosen for every problem, 1 not for one, 2 bad input, 130 interrupted.",
+        "of all of these, which planning does not see: tell e3 as planned, its mean over draws, and "
+        "how many draws are lost. Of plans that lose few, the one with the least mean is chosen. "
+        "Walls do not count. Write trade.md, .csv, .json, and for every problem a picture (.png, "
+        ".pdf). A problem takes some minutes.",
+        epilog="Exit status: 0 where a plan is chosen for every problem, 1 where none is for one of them, 2 "
+        "where input is bad, 130 after an interruption.",
     )
     parser.add_argument("problems", metavar="PROBLEM", nargs="*", help=f"{problems.KINDS} (default all names)")
     shown = ", ".join(f"{amount:g}" for amount in AMOUNTS)
