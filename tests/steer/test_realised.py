@@ -17,7 +17,7 @@ from ctr_nlp.plan.plan import plan_from_configurations
 from ctr_nlp.simulation.forward import Simulator
 from ctr_nlp.solvers import CHAIN_SOLVERS
 from ctr_nlp.steer.attempts import attempt
-from ctr_nlp.steer.realised import GIVEN, SHORT, _missing, realised
+from ctr_nlp.steer.realised import GIVEN, SHORT, missing, realised
 
 ROBOT = Robot((Tube(90, 70, 0.02, 4.0, 3.2), Tube(150, 90, 0.02, 2.6, 1.6)))
 SIMULATOR = Simulator(ROBOT, "elastic")
@@ -138,9 +138,9 @@ def test_a_robot_that_snaps_nobody_knows_where_is_given_more_of_a_margin_there()
     x, between, snap = moved.x.copy(), np.full(FRAMES, 0.2), Snap(6, (1,), None)
     x[5:], between[5:] = np.nan, [0.0, np.nan, np.nan]
     lost = moved._replace(x=x, stability_between=between, snaps=(snap,))
-    missing, elsewhere = _missing(lost, moved.x, 0.1, ROBOT.d)
+    by_frame, elsewhere = missing(lost, moved.x, 0.1, ROBOT.d)
     assert elsewhere
-    np.testing.assert_allclose(missing, [0, 0, 0, 0, 0, 0.1 + GIVEN, 0, 0])
+    np.testing.assert_allclose(by_frame, [0, 0, 0, 0, 0, 0.1 + GIVEN, 0, 0])
 
 
 def test_without_a_margin_frames_that_the_robot_does_not_reach_are_named():
