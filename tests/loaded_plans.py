@@ -23,6 +23,14 @@ def made(robot: Robot, q: np.ndarray, path: Curve | None = None) -> Plan:
     return plan_from_configurations(problem, q, told, success=np.full(len(q), True), **each)
 
 
+def through_the_pole() -> np.ndarray:
+    """Configurations (5, 6) of two tubes whose base goes through theta_x = 90 deg."""
+    q = np.zeros((5, 6))
+    q[:, 0], q[:, 2], q[:, 3] = np.linspace(0, 0.4, 5), np.linspace(20, 60, 5), np.linspace(40, 80, 5)
+    q[:, 4], q[:, 5] = np.pi / 2 + np.linspace(-0.3, 0.3, 5), np.linspace(-0.2, 0.2, 5)
+    return q
+
+
 def turned() -> Plan:
     """Two tubes that turn against each other a little."""
     q = np.zeros((FRAMES, 6))

@@ -8,7 +8,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from loaded_plans import TWO, made
+from loaded_plans import TWO, made, through_the_pole
 from problems import named
 from rows import central
 from test_elastic_planning import TIES
@@ -211,18 +211,11 @@ def test_a_base_that_is_led_through_the_pole_of_its_tilt_is_refused_under_a_load
         solve_horizon(walled, model=Loaded(PULL))
 
 
-def through_the_pole():
-    """A problem of shapes of two tubes that nothing pulls at, whose base goes through theta_x = 90 deg."""
-    robot = with_modulus(TWO, 60_000)
-    q = np.zeros((5, 6))
-    q[:, 0], q[:, 2], q[:, 3] = np.linspace(0, 0.4, 5), np.linspace(20, 60, 5), np.linspace(40, 80, 5)
-    q[:, 4], q[:, 5] = np.pi / 2 + np.linspace(-0.3, 0.3, 5), np.linspace(-0.2, 0.2, 5)
-    free = made(robot, q)
-    return Problem("pole", robot, sequence([curve_from_points(shape) for shape in free.shape])), free
-
-
 def test_a_motion_under_a_load_may_lead_the_base_through_the_pole_of_its_tilt():
-    problem, free = through_the_pole()
+    """Its targets are shapes of two tubes that nothing pulls at."""
+    robot = with_modulus(TWO, 60_000)
+    free = made(robot, through_the_pole())
+    problem = Problem("pole", robot, sequence([curve_from_points(shape) for shape in free.shape]))
     load = Load(force=(0.0, 0.0, -0.1))
     found = solve_horizon(problem, model=Loaded(load), initial=[free.q])
     blind = np.sqrt((np.linalg.norm(free.under(load).shape - found.target, axis=-1) ** 2).mean())

@@ -8,7 +8,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from loaded_plans import TWO, made
+from loaded_plans import TWO, made, through_the_pole
 
 from ctr_nlp import Load, Loaded, Plan, Problem, Robot, Tolerances, Tube, growing
 from ctr_nlp.cli.main import main
@@ -121,9 +121,7 @@ def test_a_robust_plan_may_bear_a_load_all_the_time():
 def test_a_base_may_be_led_through_the_pole_of_its_tilt():
     """At theta_x = 90 deg theta_y does not follow from where the base points."""
     robot = tolerant(0.05, **ONE)
-    q = np.zeros((5, 6))
-    q[:, 0], q[:, 2], q[:, 3] = np.linspace(0, 0.4, 5), np.linspace(20, 60, 5), np.linspace(40, 80, 5)
-    q[:, 4], q[:, 5] = np.pi / 2 + np.linspace(-0.3, 0.3, 5), np.linspace(-0.2, 0.2, 5)
+    q = through_the_pole()
     reached = made(robot, q).shape
     problem = Problem("pole", robot, growing(curve_from_formula(lambda u: (0.0 * u, 0.0 * u, u), 0, 80), 5))
     target = replace(problem.target, curves=_through(reached), lengths=tuple(q[:, 3]))

@@ -65,7 +65,8 @@ class LoadedHorizon:
         free = replace(settings, contact_weight=0.0)
         self._without = Horizon(problem, MODELS[model.name], *asked, free, terms)
         self._problem, self._model, self._settings, self._terms = problem, model, settings, tuple(terms)
-        self._ends = self._without.ends
+        self._ends, margin = self._without.ends, settings.stability_margin
+        self._margins = None if margin is None else np.full(problem.frames, margin)
         self._simulator = Simulator(problem.robot, model)
         self.build_seconds = time.perf_counter() - begin
 
@@ -86,7 +87,7 @@ class LoadedHorizon:
             begin = time.perf_counter()
             found = None if interrupted() else self._borne(plain.q, weight, interrupted)
             if found is not None and found.success and self._inside is not None and not interrupted():
-                return self._inside.solve([found.q], weight)
+                return self._inside.solve([found.q], weight, progress=progress)
             stopped = interrupted()
         searched = plain.meta["search_s"] + plain.meta["solve_s"]
         meta = {
@@ -104,20 +105,19 @@ class LoadedHorizon:
 
     def _borne(self, q: Array, weight: float, stop: Callable[[], bool]) -> SharedSolution:
         """The motion under the load, from that without it, q (T, 2d + 2), with margins held between frames too."""
-        robot, margin = self._problem.robot, self._settings.stability_margin
-        margins = None if margin is None else np.full(self._problem.frames, margin)
-        first = self._from(q, self._motion(weight, margins), stop)
+        d, margin = self._problem.robot.d, self._settings.stability_margin
+        first = self._from(q, self._motion(weight, self._margins), stop)
         if not first.success:
             return first
 
         def missed(found: SharedSolution) -> Missed:
-            return missing(self._simulator(found.q), found.x, margin, robot.d)
+            return missing(self._simulator(found.q), found.x, margin, d)
 
         def again(found: SharedSolution, raised: Array) -> SharedSolution | None:
             solved = SharedSolver(self._motion(weight, raised))(found.q, found.phi, CLOSE, stop)
             return solved if solved.success else None
 
-        made = held_between(first, margins, missed, again, stop)
+        made = held_between(first, self._margins, missed, again, stop)
         return first if made is None else made[0]
 
     def _motion(self, weight: float, margins: Array | None) -> SharedMotion:
@@ -150,7 +150,7 @@ class LoadedHorizon:
             known: dict[str, Any] = {"objective": unknown, "kkt": unknown}
             q, solved, planned = plain.q, False, None
         else:
-            condensed = Condensed(self._motion(weight, None))
+            condensed = Condensed(self._motion(weight, self._margins))
             condensed.look(found.q, found.phi)
             known = {"objective": condensed.by_frame(found.q, found.phi), "kkt": np.full(frames, found.kkt)}
             why = {} if found.success else {"all": f"{found.status}, KKT residual {found.kkt:.1e}"}
