@@ -63,6 +63,10 @@ def toml(hardware: Hardware, path: Path) -> Path:
     return path
 
 
+PATIENCE = 120
+"""Seconds that a program in a process of its own may take to begin, to move and to end, on a machine at work."""
+
+
 def rig(tmp_path: Path, url: str) -> Path:
     hardware = homing_hardware()
     return toml(replace(hardware, connection=replace(hardware.connection, url=url)), tmp_path / "rig.toml")
@@ -87,7 +91,7 @@ def playing(*arguments: Any) -> Iterator[subprocess.Popen[str]]:
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str, str]:
     """Exit status and what was said. Standard input stays open, as a terminal does."""
-    status = process.wait(30)
+    status = process.wait(PATIENCE)
     assert process.stdout is not None
     assert process.stderr is not None
     return status, process.stdout.read(), process.stderr.read().strip()
@@ -95,14 +99,15 @@ def ended(process: subprocess.Popen[str]) -> tuple[int, str, str]:
 
 def recorded(folder: Path, kind: str, more: int = 0) -> list[dict[str, Any]]:
     """Records of a kind, once there are more than so many."""
-    end = time.monotonic() + 20
+    end, records = time.monotonic() + PATIENCE, []
     while time.monotonic() < end:
         if (folder / JOURNAL).exists() and (folder / JOURNAL).stat().st_size:
-            found = [record for record in read_journal(folder / JOURNAL) if record["kind"] == kind]
-            if len(found) > more:
-                return found
+            records = read_journal(folder / JOURNAL)
+            of_kind = [record for record in records if record["kind"] == kind]
+            if len(of_kind) > more:
+                return of_kind
         time.sleep(0.01)
-    raise AssertionError(f"no more than {more} records of {kind}")
+    raise AssertionError(f"no more than {more} records of {kind} in {PATIENCE} s, after {records[-3:]}")
 
 
 def moves(folder: Path) -> list[str]:
