@@ -1,7 +1,7 @@
 """What MkDocs makes of the pages of docs/, which are written so that GitHub shows them as they are.
 
-README.md becomes the first page. Formulas become MathML, which browsers draw without a script. A link to a file that
-is no page leads to a page which shows that file. The pages of the Python interface are made from docstrings.
+README.md becomes the first page. Formulas become MathML, which browsers draw without a script. A link to a file
+that is no page leads to a page which shows that file. The pages of the Python interface are made from docstrings.
 """
 
 from __future__ import annotations
