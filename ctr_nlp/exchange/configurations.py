@@ -74,9 +74,9 @@ def imported(problem: Problem, q: Array, model: str | Model = "dominant", source
     simulator, unknown = Simulator(robot, described), np.full(problem.frames, np.nan)
     known = np.asarray(np.isfinite(simulator(q).shape).all(axis=(1, 2)))
     meta = {
-        "formulation": "imported",
+        "formulation": "configurations",
         "model": described.name,
-        "solver": "none",
+        "solver": "another program",
         "options": {"source": source},
         "interrupted": False,
         "contact_weight": None,

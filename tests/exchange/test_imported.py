@@ -54,7 +54,11 @@ def test_both_kinds_of_file_are_read_whatever_the_order_of_columns(q, tmp_path):
 def test_a_plan_is_that_of_the_robot_moved_through_them(problem, q, model, tmp_path):
     plan = imported(problem, q, model, "q.mat")
     assert np.array_equal(plan.q, q)
-    assert (plan.meta["formulation"], plan.meta["model"], plan.options["source"]) == ("imported", model, "q.mat")
+    assert (plan.meta["formulation"], plan.meta["model"], plan.options["source"]) == (
+        "configurations",
+        model,
+        "q.mat",
+    )
     assert np.abs(imported(problem, q).shape - shapes(problem.robot, q)).max() < 1e-9
     assert np.isfinite(plan.stability).all() == (model == "elastic")
     plan.save(tmp_path / "plan.npz")
