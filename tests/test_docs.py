@@ -267,18 +267,6 @@ def test_every_file_that_contributors_are_sent_to_exists():
     ] == []
 
 
-@pytest.mark.parametrize("rooms", ["robot", pytest.param("all", marks=pytest.mark.slow)])
-def test_the_pages_of_the_api_are_built(tmp_path, rooms):
-    pytest.importorskip("pdoc", reason='needs pdoc: pip install -e ".[dev]"')
-    (command,) = (block.text for block in Page.read(ROOT / "CONTRIBUTING.md").blocks if "pdoc" in block.text)
-    command = command.replace(".venv/bin/python", sys.executable).replace("runs/api", str(tmp_path))
-    if rooms != "all":
-        command = re.sub(r"\{.+\}", rooms, command)
-    subprocess.run(["bash", "-c", command], cwd=ROOT, capture_output=True, check=True)
-    assert "solve_horizon" in (tmp_path / "ctr_nlp.html").read_text(encoding="utf-8")
-    assert "from_toml" in (tmp_path / "ctr_nlp" / "robot.html").read_text(encoding="utf-8")
-
-
 @pytest.fixture(scope="module")
 def helps() -> dict[str, str]:
     """The --help of every program."""

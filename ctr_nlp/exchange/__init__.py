@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ctr_nlp.exchange.configurations import Configurations, imported, read_configurations
+from ctr_nlp.exchange.configurations import Configurations, plan_through, read_configurations
 from ctr_nlp.exchange.gltf import OPENING as GLTF_OPENING
 from ctr_nlp.exchange.gltf import OPENING_AT, gltf
 from ctr_nlp.exchange.mat import OPENING as MAT_OPENING
@@ -46,8 +46,8 @@ __all__ = [
     "Configurations",
     "File",
     "gltf",
-    "imported",
     "mat",
+    "plan_through",
     "read_configurations",
     "shapes_csv",
     "slicer_files",

@@ -5,8 +5,9 @@ from __future__ import annotations
 import csv
 import math
 import re
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.io import loadmat
@@ -32,7 +33,8 @@ SLACK = 1e-6
 NO_SHAPE = "the model finds no shape for the configuration"
 
 
-class Configurations(NamedTuple):
+@dataclass(frozen=True)
+class Configurations:
     """Configurations q (T, 2d + 2), rad and mm, a row a frame, and the duration of all frames in s, where told."""
 
     q: Array
@@ -60,7 +62,7 @@ def read_configurations(path: str | Path) -> Configurations:
         raise OptionError(f"configurations {path}: {error}") from error
 
 
-def imported(problem: Problem, q: Array, model: str | Model = "dominant", source: str = "") -> Plan:
+def plan_through(problem: Problem, q: Array, model: str | Model = "dominant", source: str = "") -> Plan:
     """The plan that moves a problem's robot through q (T, 2d + 2), one row for each frame of the problem.
 
     model: the one that its shapes and margins are those of. source: where q comes from; meta keeps it. Nothing is

@@ -51,7 +51,8 @@ def save(figure: Figure, path: Path) -> Path:
             with rc_context({"svg.hashsalt": "ctr-nlp"}):
                 FigureCanvasSVG(figure).print_svg(path, metadata={"Date": None})
         else:
-            FigureCanvasAgg(figure).print_png(path)  # Figure.savefig draws a laid-out figure twice
+            canvas = FigureCanvasAgg(figure)  # Figure.savefig draws a laid-out figure twice
+            canvas.print_png(path, pil_kwargs={"optimize": True})
     except OSError as error:
         raise OutputError(f"{path} cannot be written: {error}") from error
     return path

@@ -9,14 +9,20 @@ from typing import Any
 import matplotlib
 import numpy as np
 import numpy.typing as npt
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from scipy.spatial import ConvexHull
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.figures.parts.page import STYLE, head
-from ctr_nlp.figures.parts.palette import BLACK, tube_colour, tube_width
+from ctr_nlp.figures.parts.palette import BLACK, LUMEN, WALL, tube_colour, tube_width
+from ctr_nlp.plan.measures import e1, rms_over_sigma
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.target.lumen import rings
 from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
 
@@ -36,19 +42,25 @@ NARROWEST, ENTRY = 5.0, 0.95
 TARGET: dict[str, Any] = {"color": BLACK, "lw": 0.8, "ls": (0, (4, 2))}
 GAP, BELOW, BELOW_CAPTION = 0.2, 0.55, 1.05
 """Inches between columns, between the views of a frame, and between rows of frames."""
+AROUND = np.linspace(0.0, 2 * np.pi, 32)
+"""Angles of the points of a ring of the lumen's wall."""
 
 
 @matplotlib.rc_context(STYLE)
 def shapes(plan: Plan, frames: Sequence[int] | None = None) -> Figure:
-    """Shapes, tube by tube, over their targets, to scale, in mm.
+    """Shapes, tube by tube, over their targets, to scale, in mm, within the lumen where the plan has one.
 
-    frames: their numbers from 1, as in errors.csv; by default six, evenly spread, the last one included.
-    The z-axis, along which the robot is inserted, points up. A motion near the zx- or the yz-plane is seen
-    from one side, any other from two. Raises OptionError for a frame that the plan does not have.
+    frames: their numbers from 1, as in errors.csv; by default six, evenly spread, the last one included, and the
+    one with the largest error. The z-axis, along which the robot is inserted, points up. A motion near the zx- or
+    the yz-plane is seen from one side, any other from two. Raises OptionError for a frame that the plan does not
+    have.
     """
-    shown = frames_shown(plan, frames)
+    worst = _worst(plan)
+    shown = sorted({*frames_shown(plan, frames), *(worst if frames is None else ())})
     index = np.array(shown) - 1
     points = np.concatenate([plan.target[index], plan.shape[index]]).reshape(-1, 3)
+    if plan.lumen is not None:
+        points = np.concatenate([points, rings(plan.lumen, AROUND).reshape(-1, 3)])
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     extent, margin = high - low, 0.05 * (high - low).max()
     views = [axis for axis in (0, 1) if extent[axis] > FLAT * extent.max()] or [int(extent[1] > extent[0])]
@@ -61,10 +73,13 @@ def shapes(plan: Plan, frames: Sequence[int] | None = None) -> Figure:
             draw(axes, plan, number - 1, sideways)
             to_scale(axes, (low + high) / 2, panel, sideways)
             if view == 0:
-                axes.set_title(_caption(plan, number))
+                axes.set_title(_caption(plan, number, number in worst))
     for axes in grid[:, 0]:
         axes.set_ylabel("z (mm)")
-    figure.legend(handles=key(plan.robot.d), loc="lower center", ncols=int(figure.get_figwidth() / ENTRY))
+    entries: list[Artist] = [*key(plan.robot.d)]
+    if plan.lumen is not None:
+        entries.append(Patch(facecolor=LUMEN, edgecolor=WALL, label="lumen"))
+    figure.legend(handles=entries, loc="lower center", ncols=int(figure.get_figwidth() / ENTRY))
     head(figure, plan, "Shapes and targets")
     return figure
 
@@ -113,12 +128,29 @@ def _grid(count: int, views: int, panel: Array) -> tuple[Figure, npt.NDArray[np.
 def draw(axes: Axes, plan: Plan, frame: int, sideways: int) -> None:
     """Frame 0 .. T - 1: each tube where it is the outermost one, and the target as a thin dashed line upon it.
 
-    sideways: the horizontal axis, 0 for x and 1 for y; mm.
+    They lie upon the lumen where the plan has one. sideways: the horizontal axis, 0 for x and 1 for y; mm.
     """
+    if plan.lumen is not None:
+        _draw_lumen(axes, plan.lumen, sideways)
     for i, part in enumerate(parts(plan.shape[frame], plan.beta[frame])):
         width = tube_width(i, plan.robot.d)
         axes.plot(part[:, sideways], part[:, 2], color=tube_colour(i), lw=width, solid_capstyle="butt")
     axes.plot(plan.target[frame, :, sideways], plan.target[frame, :, 2], **TARGET)
+
+
+def _draw_lumen(axes: Axes, lumen: Array, sideways: int) -> None:
+    """The lumen (N, 4), x, y, z and radius in mm, as a filled outline, seen as draw says.
+
+    Every stretch between two rings of the wall is seen as the convex hull of both. What is drawn second covers the
+    edges between hulls.
+    """
+    seen = rings(lumen, AROUND)[..., [sideways, 2]]
+    stretches = np.concatenate([seen[:-1], seen[1:]], axis=1)
+    hulls = [stretch[ConvexHull(stretch).vertices] for stretch in stretches]
+    axes.add_collection(PolyCollection(hulls, color=WALL, linewidth=2.0, zorder=0.6), autolim=False)
+    axes.add_collection(
+        PolyCollection(hulls, color=LUMEN, linewidth=0.3, antialiased=False, zorder=0.7), autolim=False
+    )
 
 
 def parts(shape: Array, beta: Array) -> list[Array]:
@@ -147,11 +179,17 @@ def to_scale(axes: Axes, middle: Array, panel: Array, sideways: int) -> None:
     axes.locator_params(axis="x", nbins=3)
 
 
-def _caption(plan: Plan, number: int) -> str:
+def _worst(plan: Plan) -> set[int]:
+    """The number, from 1, of the frame with the largest root mean square distance; empty where none is known."""
+    distances = rms_over_sigma(e1(plan))
+    return {int(np.nanargmax(distances)) + 1} if np.isfinite(distances).any() else set()
+
+
+def _caption(plan: Plan, number: int, worst: bool) -> str:
     state = "" if plan.success[number - 1] else "\nfailed"
     if np.isnan(plan.shape[number - 1]).any():
         state = "\nnot reached"
-    return f"frame {number}\n{plan.time[number - 1]:.3g} s{state}"
+    return f"frame {number}\n{plan.time[number - 1]:.3g} s{', worst' if worst else ''}{state}"
 
 
 def key(d: int) -> list[Line2D]:

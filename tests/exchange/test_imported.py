@@ -12,7 +12,7 @@ from scipy.io import savemat
 from ctr_nlp import Plan, Problem, curve_from_formula, growing, shapes, table_i_robot
 from ctr_nlp.cli.exchange.configurations import main
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.exchange import imported, mat, read_configurations
+from ctr_nlp.exchange import mat, plan_through, read_configurations
 
 FRAMES = 4
 HEADER = [
@@ -52,14 +52,14 @@ def test_both_kinds_of_file_are_read_whatever_the_order_of_columns(q, tmp_path):
 @pytest.mark.interpreted
 @pytest.mark.parametrize("model", ["dominant", "elastic"])
 def test_a_plan_is_that_of_the_robot_moved_through_them(problem, q, model, tmp_path):
-    plan = imported(problem, q, model, "q.mat")
+    plan = plan_through(problem, q, model, "q.mat")
     assert np.array_equal(plan.q, q)
     assert (plan.meta["formulation"], plan.meta["model"], plan.options["source"]) == (
         "configurations",
         model,
         "q.mat",
     )
-    assert np.abs(imported(problem, q).shape - shapes(problem.robot, q)).max() < 1e-9
+    assert np.abs(plan_through(problem, q).shape - shapes(problem.robot, q)).max() < 1e-9
     assert np.isfinite(plan.stability).all() == (model == "elastic")
     plan.save(tmp_path / "plan.npz")
     assert Plan.load(tmp_path / "plan.npz").verdicts == plan.verdicts
@@ -68,8 +68,8 @@ def test_a_plan_is_that_of_the_robot_moved_through_them(problem, q, model, tmp_p
 def test_limits_are_left_to_the_verdicts(problem, q):
     beyond = q + np.array([0, 0, 0, 40.0, 0, 0, 0, 0]) * (np.arange(FRAMES) == FRAMES - 1)[:, None]
     beyond[-1, 4] = 65.0
-    assert imported(problem, beyond).verdicts.within_limits.word == "no"
-    assert imported(problem, q).verdicts.within_limits.word == "yes"
+    assert plan_through(problem, beyond).verdicts.within_limits.word == "no"
+    assert plan_through(problem, q).verdicts.within_limits.word == "yes"
 
 
 def changed(q, frame, column, value):
@@ -107,7 +107,7 @@ def changed(q, frame, column, value):
 )
 def test_configurations_that_cannot_be_are_refused(problem, q, change, told):
     with pytest.raises(OptionError, match=told):
-        imported(problem, change(q))
+        plan_through(problem, change(q))
 
 
 @pytest.mark.parametrize(
@@ -172,7 +172,7 @@ def test_a_file_that_is_not_there_is_named(tmp_path):
 def test_an_exported_plan_comes_back(problem, q, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "robot.toml").write_text(table_i_robot().to_toml())
-    first = imported(problem, q)
+    first = plan_through(problem, q)
     (tmp_path / "plan.mat").write_bytes(mat(first))
     call = ["plan.mat", "--problem", "line", "--robot", "robot.toml", "--no-figures", "--out", "again"]
     assert main(call) in (0, 1)

@@ -17,7 +17,7 @@ from ctr_nlp.anatomy.files import read_branches
 from ctr_nlp.anatomy.problem_files import problem_from_file
 from ctr_nlp.cli.commands.export import main
 from ctr_nlp.exceptions import OptionError, OutputError
-from ctr_nlp.exchange import FILES, FORMATS, gltf, imported, mat, shapes_csv, slicer_files
+from ctr_nlp.exchange import FILES, FORMATS, gltf, mat, plan_through, shapes_csv, slicer_files
 from ctr_nlp.exchange.surface import tube_surfaces, wall_surface
 from ctr_nlp.plan.metrics import by_frame, summary
 
@@ -40,7 +40,7 @@ def moved_through(problem):
     q = np.column_stack(
         [0.3 * t, -0.2 * t, 1 + t, 0 * t + 20 * (t > 0.5), 20 + 30 * t, 40 + 60 * t, 0.1 * t, -0.2 * t]
     )
-    return imported(problem, q)
+    return plan_through(problem, q)
 
 
 @pytest.fixture(scope="module", params=["LPS", "RAS"])

@@ -14,6 +14,8 @@ from ctr_nlp.loads import load_from_dict, with_modulus
 from ctr_nlp.loops.anew.replanner import problem_of
 from ctr_nlp.models.loaded.model import Loaded
 
+pytestmark = pytest.mark.interpreted
+
 NITINOL = with_modulus(table_i_robot(), 60_000)
 NONE, SIDE = Load(), Load(force=(0.0, 0.5, 0.0))
 LEANING = Load((0.0, 0.0, -0.2), distributed_force=(0.02, 0.0, 0.0), between=(20.0, 60.0))

@@ -12,7 +12,7 @@ from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.plan_options import add_file_options
 from ctr_nlp.cli.report import draw, exit_status, print_report, write
-from ctr_nlp.exchange import imported, read_configurations
+from ctr_nlp.exchange import plan_through, read_configurations
 from ctr_nlp.models import MODELS
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
@@ -49,7 +49,7 @@ def _run(arguments: argparse.Namespace) -> int:
     problem, q = _read(arguments)
     out = Path(arguments.out or f"runs/{path_component(problem.name)}-import")
     check_folder(out, "import")
-    plan = imported(problem, q, arguments.model, Path(arguments.configurations).name)
+    plan = plan_through(problem, q, arguments.model, Path(arguments.configurations).name)
     print_report(plan)
     with published(out, "import") as staging:
         write(plan, staging)
@@ -62,10 +62,10 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _read(arguments: argparse.Namespace) -> tuple[Problem, Array]:
     """The problem, in as many frames as there are configurations, and these; raises a CtrError."""
-    q, told = read_configurations(arguments.configurations)
-    duration = next(each for each in (arguments.duration, told, DURATION) if each is not None)
-    asked = argparse.Namespace(**vars(arguments) | {"frames": len(q), "duration": duration})
-    return problems.load(arguments.problem, asked), q
+    found = read_configurations(arguments.configurations)
+    duration = next(each for each in (arguments.duration, found.duration, DURATION) if each is not None)
+    asked = argparse.Namespace(**vars(arguments) | {"frames": len(found.q), "duration": duration})
+    return problems.load(arguments.problem, asked), found.q
 
 
 main = Command("ctr-nlp import", _parser, _run)

@@ -17,6 +17,8 @@ TUBES = (BLUE, ORANGE, GREEN, SKY, VERMILLION, BLACK, PURPLE)
 TILT = (BLACK, VERMILLION)
 FAILED, UNREACHED = "0.80", "0.93"
 AMBIGUOUS = "#CBE6F6"
+LUMEN, WALL = "#F3E4DC", "0.55"
+"""The inside of a lumen, light enough for all tubes to stand out from it, and its wall."""
 
 CONTACT = "#A33400"
 """A darker vermillion, which stands out from the blues in grey too."""
