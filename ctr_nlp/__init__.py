@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from ctr_nlp.codesign.stock import StockTube, read_stock
     from ctr_nlp.codesign.together import Design, design
     from ctr_nlp.exceptions import CtrError
+    from ctr_nlp.exchange.configurations import plan_through, read_configurations
     from ctr_nlp.formulations.settings import Settings
     from ctr_nlp.formulations.shared.manufacture import Manufacture
     from ctr_nlp.loads import Load, LoadOverTime, read_load
@@ -71,7 +72,9 @@ __all__ = [
     "divided",
     "forces",
     "growing",
+    "plan_through",
     "problem_from_file",
+    "read_configurations",
     "read_csv",
     "read_load",
     "read_measurements",
@@ -100,6 +103,7 @@ _HOMES = {
     "codesign.stock": ("StockTube", "read_stock"),
     "codesign.together": ("Design", "design"),
     "exceptions": ("CtrError",),
+    "exchange.configurations": ("plan_through", "read_configurations"),
     "formulations.settings": ("Settings",),
     "loads": ("Load", "LoadOverTime", "read_load"),
     "models.loaded.model": ("Loaded",),

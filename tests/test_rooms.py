@@ -18,6 +18,7 @@ ROOMS = (
         "studies",
         "codesign",
         "calibration",
+        "exchange",
         "report",
         "figures",
         "hardware",

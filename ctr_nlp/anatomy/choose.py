@@ -25,12 +25,16 @@ LISTED = 20
 
 @dataclass(frozen=True)
 class Passage:
-    """A whole branch in LPS, from where to where along it, in mm, and to_lps (4, 4) from the file's own."""
+    """A whole branch in LPS, from where to where along it, in mm, and to_lps (4, 4) from the file's own.
+
+    space: the name of the file's own coordinates, as in Branches.
+    """
 
     branch: Curve
     start: float
     stop: float
     to_lps: Array
+    space: str
 
     @property
     def path(self) -> Curve:
@@ -72,7 +76,7 @@ def passage(
                 f"from entry to target the path is {stop - start:.3g} mm long; it must be at least "
                 f"{SHORTEST_MM:g} mm"
             )
-    return Passage(curve, start, stop, branches.to_lps)
+    return Passage(curve, start, stop, branches.to_lps, branches.space)
 
 
 def chosen(

@@ -62,7 +62,13 @@ def problem_from_file(
         followed, to_robot = placed(followed, None if along is None else found.to_lps[:3, :3] @ along)
     lumen = None if found.branch.radius is None else found.branch.moved(to_robot)
     return Problem(
-        title(path), robot, growing(followed, frames), duration, to_robot=to_robot @ found.to_lps, lumen=lumen
+        title(path),
+        robot,
+        growing(followed, frames),
+        duration,
+        to_robot=to_robot @ found.to_lps,
+        lumen=lumen,
+        space=found.space,
     )
 
 

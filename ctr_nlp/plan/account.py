@@ -182,11 +182,14 @@ def _robustness(found: dict[str, Any]) -> list[Row]:
 
 
 def _effort(found: dict[str, Any]) -> list[Row]:
-    """What the plan took: a time a frame, or the times of a start and a horizon."""
+    """What the plan took: a time a frame, or the times of a start and a horizon, if anything was solved."""
     times = found["solve_ms"]
     if times["median"] is not None:
         return [("time a frame, median and 99 %", f"{shown(times['median'])} / {shown(times['p99'])}", "ms")]
-    rough = f"{found['roughness']:.0f} / {found['weights']['motion_s2']:.2g}"
+    weight = found["weights"]["motion_s2"]
+    if weight is None:
+        return [("roughness", f"{found['roughness']:.0f}", "mm²/s")]
+    rough = f"{found['roughness']:.0f} / {weight:.2g}"
     seconds = f"{shown(found['search_s'])} / {shown(times['total'] / 1e3)}"
     return [
         ("roughness, and its weight in the objective", rough, "mm²/s / s²"),

@@ -32,7 +32,7 @@ from ctr_nlp.support.whole_file import whole_file
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Flags
 
-DESCRIBED = "name", "frames", "duration", "deviation", "deviation_share"
+DESCRIBED = "name", "frames", "duration", "deviation", "deviation_share", "space"
 """What meta tells of the problem."""
 SHOWN = 5
 """Frames in a notebook's picture."""

@@ -39,9 +39,11 @@ class Problem(Value):
     """A robot that is to follow a target of T frames within a duration in s.
 
     to_robot: transform (4, 4) from the target's file, in its own coordinates, to the robot's frame; None where the
-    target was given in the robot's frame. truth: q (T, 2d + 2) where it is known. lumen: the path with the lumen's
-    radius along it, in the robot's frame, longer than the target where more of it is known, or None: no wall is
-    known. By default (OF_TARGET) the target where all frames share a curve with a radius, else None.
+    target was given in the robot's frame. space: the patient coordinates of that file, LPS, RAS or LAS, or xyz
+    where it does not say; None where there is no file. truth: q (T, 2d + 2) where it is known. lumen: the path
+    with the lumen's radius along it, in the robot's frame, longer than the target where more of it is known, or
+    None: no wall is known. By default (OF_TARGET) the target where all frames share a curve with a radius, else
+    None.
     problem[first:stop] are some of its frames, counted from 0, at the same pace. Raises ProblemError.
     """
 
@@ -52,10 +54,13 @@ class Problem(Value):
     to_robot: Array | None = None
     truth: Array | None = None
     lumen: Curve | None = OF_TARGET
+    space: str | None = None
 
     def __post_init__(self) -> None:
         for name, kind in (("name", str), ("robot", Robot), ("target", Target)):
             instance(ProblemError, f"{name} of a problem", getattr(self, name), kind)
+        if self.space is not None:
+            instance(ProblemError, "space of a problem", self.space, str)
         number(ProblemError, "duration", self.duration, lambda x: 0 < x < math.inf, "be a finite number > 0", " s")
         for name, shape in (("to_robot", (4, 4)), ("truth", (self.frames, 2 * self.robot.d + 2))):
             if getattr(self, name) is not None:  # a read-only copy is kept

@@ -1,11 +1,13 @@
-"""`ctr-nlp export`: a plan as commands that other machines play."""
+"""`ctr-nlp export`: a plan as commands that other machines play, or as shapes for other programs."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
+from ctr_nlp import exchange
 from ctr_nlp.cli.console import SOLVED, Command, console
+from ctr_nlp.cli.exchange.shapes import write_shapes
 from ctr_nlp.cli.output.file import check_file, write_text
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.play_report import print_trajectory
@@ -20,23 +22,32 @@ from ctr_nlp.support.interrupt import deferred_interrupt
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
+    every = (*FORMATS, *exchange.FORMATS)
     parser = argparse.ArgumentParser(
         prog=prog,
         description="Check a plan for some hardware, time it, and write it as commands that other machines play: "
         "csv, a table; gcode, for Grbl and grblHAL, without the tilt; urscript, for the arm that tilts; rosbag2, "
-        "a folder with a joint trajectory and joint states.",
-        epilog="Exit status: 0 where the commands were written, 2 where input is bad and nothing is written.",
+        "a folder with a joint trajectory and joint states. Or write its shapes for other programs: slicer, a "
+        "folder for 3D Slicer, in the coordinates of the scan; gltf, an animated scene for viewers, .glb; mat, a "
+        "file of MATLAB, version 7, which explains itself; shapes-csv, a table of the points in every frame.",
+        epilog="Exit status: 0 where the file or folder was written, 2 where input is bad and nothing is written.",
     )
     parser.add_argument("plan", metavar="PLAN.npz")
-    parser.add_argument("--to", choices=FORMATS, required=True, metavar="FORMAT", help=", ".join(FORMATS))
-    parser.add_argument("--hardware", metavar="FILE.toml", help="what it is for (default: a bench rig)")
+    parser.add_argument("--to", choices=every, required=True, metavar="FORMAT", help=", ".join(every))
+    parser.add_argument("--hardware", metavar="FILE.toml", help="what commands are for (default: a bench rig)")
     parser.add_argument(
-        "--tempo", metavar="X", type=float, default=1.0, help="part of the plan's own pace, in (0, 1] (default 1)"
+        "--tempo", metavar="X", type=float, help="of commands: part of the plan's own pace, in (0, 1] (default 1)"
     )
     parser.add_argument(
         "--storage",
         choices=STORAGES,
         help=f"of a bag (default {STORAGES[0]}; Humble reads sqlite3 without a plugin)",
+    )
+    parser.add_argument(
+        "--space",
+        choices=exchange.SPACES,
+        help=f"with --to {exchange.SLICER}, for a plan whose path comes from a file that does not tell its "
+        "patient coordinates: those of that file",
     )
     parser.add_argument(
         "--out",
@@ -48,8 +59,10 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 def _run(arguments: argparse.Namespace) -> int:
     to, source = arguments.to, Path(arguments.plan)
-    if arguments.storage and to != BAG:
-        raise OptionError(f"--storage goes with --to {BAG}; a {to} file has none")
+    _check_fit(arguments)
+    if to in exchange.FORMATS:
+        write_shapes(source, to, None if arguments.out is None else Path(arguments.out), arguments.space)
+        return SOLVED
     beside = source.with_name(f"{source.stem}_bag") if to == BAG else source.with_suffix(TEXTS[to].suffix)
     out = Path(arguments.out or beside)
     _check_out(out, to)
@@ -57,7 +70,7 @@ def _run(arguments: argparse.Namespace) -> int:
     title = str(plan.meta["problem"]["name"])
     hardware = Hardware.from_toml(arguments.hardware) if arguments.hardware else bench(plan.robot)
     with deferred_interrupt() as interrupted:
-        trajectory, found = prepared(plan, hardware, arguments.tempo)
+        trajectory, found = prepared(plan, hardware, 1.0 if arguments.tempo is None else arguments.tempo)
         if interrupted():
             raise KeyboardInterrupt
     if to == BAG:
@@ -67,6 +80,20 @@ def _run(arguments: argparse.Namespace) -> int:
     print_trajectory(f"{title} for {len(trajectory.hardware.axes)} axes", trajectory, found)
     console().print(f"wrote {out}")
     return SOLVED
+
+
+def _check_fit(arguments: argparse.Namespace) -> None:
+    """Raise OptionError for an option that does not go with the format."""
+    to = arguments.to
+    if arguments.storage and to != BAG:
+        raise OptionError(f"--storage goes with --to {BAG}; a {to} file has none")
+    if arguments.space and to != exchange.SLICER:
+        raise OptionError(f"--space goes with --to {exchange.SLICER}; a {to} file is in the robot's base frame")
+    for option in ("hardware", "tempo"):
+        if to in exchange.FORMATS and getattr(arguments, option) is not None:
+            raise OptionError(
+                f"--{option} goes with commands of machines ({', '.join(FORMATS)}); --to {to} writes shapes"
+            )
 
 
 def _check_out(out: Path, to: str) -> None:

@@ -17,14 +17,15 @@ from ctr_nlp.exceptions import OutputError
 from ctr_nlp.support.whole_file import whole_file
 
 
-def check_file(file: Path, opening: str) -> None:
-    """Raise OutputError unless a file can be written and is new, empty or ours: it begins with opening."""
+def check_file(file: Path, opening: str, at: int = 0) -> None:
+    """Raise OutputError unless a file can be written and is new, empty or ours: it has opening at byte `at`."""
     try:
         if file.is_symlink() or (file.exists() and not file.is_file()):
             raise OutputError(f"output file {file} is a folder or a link; it must be new or one of ours")
         if file.exists():
             with open(file, "rb") as known:
-                if not opening.encode().startswith(known.read(len(opening))):
+                held = known.read(at + len(opening))
+                if held and (len(held) <= at or not opening.encode().startswith(held[at:])):
                     raise OutputError(f"output file {file} exists and is not one of ours; name another with --out")
         try_beside(file)
     except OSError as error:
@@ -55,9 +56,14 @@ def output_file(file: Path) -> Iterator[Path]:
 
 
 def write_text(file: Path, text: str) -> None:
+    """Write a file in UTF-8, whole or not at all; raises OutputError."""
+    write_bytes(file, text.encode())
+
+
+def write_bytes(file: Path, content: bytes) -> None:
     """Write a file whole or not at all; raises OutputError."""
     with output_file(file) as partial:
-        partial.write_text(text, encoding="utf-8", newline="")
+        partial.write_bytes(content)
 
 
 try:

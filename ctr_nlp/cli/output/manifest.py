@@ -36,6 +36,11 @@ STANDARD: Mapping[str, tuple[str, ...]] = {
     "contact": ("contact.json", "contact.csv", "contact.png"),
     "play": ("tracking.csv", "tracking.png"),
     "report": ("report.html",),
+    "slicer": ("load_in_slicer.py", "tubes.pvd", "wall.vtp"),
+    "import": (
+        *("plan.npz", "errors.csv", "summary.json", "shapes.png", "errors.png", "by_frame.png"),
+        *("configuration.png", "stability.png", "clearance.png"),
+    ),
     "bag": ("metadata.yaml", "{folder}.mcap", "{folder}.db3"),
     "comparison": ("comparison.md", "comparison.csv", "comparison.json", "agreement.json"),
     "clearance": ("clearance.md", "clearance.csv", "clearance.png"),

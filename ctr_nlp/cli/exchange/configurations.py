@@ -1,0 +1,71 @@
+"""`ctr-nlp import`: configurations that another program has found, as a plan."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ctr_nlp.cli import problems
+from ctr_nlp.cli.arguments import add_figures_option, add_out_option
+from ctr_nlp.cli.console import Command, console
+from ctr_nlp.cli.output.file import path_component
+from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.cli.plan_options import add_file_options
+from ctr_nlp.cli.report import draw, exit_status, print_report, write
+from ctr_nlp.exchange import plan_through, read_configurations
+from ctr_nlp.models import MODELS
+from ctr_nlp.target.problem import Problem
+from ctr_nlp.typing import Array
+
+DURATION = 10.0
+"""s, where neither the file nor an option tells it."""
+
+
+def _parser(prog: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=prog,
+        description="Make a plan of configurations that another program has found: move the robot of a problem "
+        "through them, and judge the motion as any plan. Write plan.npz, errors.csv, summary.json and pictures; "
+        "`ctr-nlp report`, `robust`, `under`, `export` and `play` take that plan as any other.",
+        epilog="A .mat file (up to version 7) has q, of size T x (2d + 2), a row a frame: alpha_1.. in rad, "
+        "beta_1.. in mm, theta_x and theta_y in rad, and may have time in s. A .csv file has the columns "
+        "alpha_1_rad.., beta_1_mm.., theta_x_rad, theta_y_rad, and may have time_s. Exit status: 0 where no "
+        "verdict is `no`, 1 where one is, 2 where input is bad and nothing is written.",
+    )
+    parser.add_argument("configurations", metavar="Q.mat|Q.csv")
+    what = f"what they are to follow, in as many frames as there are configurations: {problems.KINDS}"
+    parser.add_argument("--problem", metavar="PROBLEM", required=True, help=what)
+    parser.add_argument("--robot", metavar="FILE.toml", help="robot file (default: the problem's own robot)")
+    parser.add_argument("--model", choices=sorted(MODELS), default="dominant", help="default: dominant")
+    what = f"of the motion, in seconds (default: as the file's times tell, else {DURATION:g})"
+    parser.add_argument("--duration", metavar="S", type=float, help=what)
+    add_out_option(parser, "runs/PROBLEM-import")
+    add_figures_option(parser)
+    add_file_options(parser)
+    return parser
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    problem, q = _read(arguments)
+    out = Path(arguments.out or f"runs/{path_component(problem.name)}-import")
+    check_folder(out, "import")
+    plan = plan_through(problem, q, arguments.model, Path(arguments.configurations).name)
+    print_report(plan)
+    with published(out, "import") as staging:
+        write(plan, staging)
+        if not arguments.no_figures:
+            draw(plan, (), staging)
+        files = sorted(path.name for path in staging.iterdir())
+    console().print(f"wrote {out}: {', '.join(files)}")
+    return exit_status(plan)
+
+
+def _read(arguments: argparse.Namespace) -> tuple[Problem, Array]:
+    """The problem, in as many frames as there are configurations, and these; raises a CtrError."""
+    found = read_configurations(arguments.configurations)
+    duration = next(each for each in (arguments.duration, found.duration, DURATION) if each is not None)
+    asked = argparse.Namespace(**vars(arguments) | {"frames": len(found.q), "duration": duration})
+    return problems.load(arguments.problem, asked), found.q
+
+
+main = Command("ctr-nlp import", _parser, _run)

@@ -1,0 +1,39 @@
+"""`ctr-nlp export --to slicer|gltf|mat|shapes-csv`: the shapes of a plan for other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ctr_nlp.cli.console import console
+from ctr_nlp.cli.output.file import check_file, write_bytes, write_text
+from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.exchange import FILES, SLICER, slicer_files
+from ctr_nlp.plan.plan import Plan
+
+
+def write_shapes(source: Path, to: str, out: Path | None, space: str | None) -> None:
+    """Write the plan in a file for another program, by default beside it, and tell where; raises a CtrError."""
+    if to == SLICER:
+        _write_folder(source, out or source.with_name(f"{source.stem}_slicer"), space)
+        return
+    format = FILES[to]
+    out = out or source.with_name(source.stem + format.suffix)
+    check_file(out, format.opening, format.at)
+    content = format.of(Plan.load(source))
+    write_bytes(out, content)
+    console().print(f"wrote {out} ({len(content) / 1e6:.1f} MB)")
+
+
+def _write_folder(source: Path, out: Path, space: str | None) -> None:
+    if out.suffix in (".json", ".vtp", ".py"):
+        raise OptionError(f"--out is {out}, but --to {SLICER} writes a folder of files; name a folder")
+    check_folder(out, "slicer")
+    files = slicer_files(Plan.load(source), space)
+    with published(out, "slicer") as staging:
+        for name, text in files.items():
+            write_text(staging / name, text)
+    told = console()
+    told.print(f"wrote {out}: {len(files)} files in LPS coordinates, in mm. In the Python console of 3D Slicer:")
+    where = out.absolute()
+    told.print(f'import sys; sys.path.insert(0, r"{where}"); import load_in_slicer as plan; browser = plan.load()')
