@@ -197,7 +197,7 @@ def _path(x: Array, y: Array) -> str:
 
 def _ticks(low: float, high: float) -> tuple[tuple[float, str], ...]:
     """Round numbers between two, with how far along they are in percent."""
-    values = MaxNLocator(MOST_TICKS, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
+    values = np.array(MaxNLocator(MOST_TICKS, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
     inside = values[(values >= low) & (values <= high)]
     told = [f"{value:.6g}".replace("-", "\N{MINUS SIGN}") for value in inside]
     return tuple(zip((100 * (inside - low) / (high - low)).tolist(), told, strict=True))
