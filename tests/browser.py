@@ -27,9 +27,9 @@ def launcher():
 
 
 @contextmanager
-def opened(browser, file, width, height=900):
-    """A page without a network; it must ask for nothing and complain of nothing."""
-    context = browser.new_context(viewport={"width": width, "height": height}, offline=True)
+def opened(browser, file, width, height=900, **options):
+    """A page without a network; it must ask for nothing and complain of nothing. options: those of a context."""
+    context = browser.new_context(viewport={"width": width, "height": height}, offline=True, **options)
     page, trouble = context.new_page(), []
     page.on(
         "console", lambda message: trouble.append(message.text) if message.type in ("error", "warning") else None

@@ -19,10 +19,12 @@ KEPT, LOST = SKY, VERMILLION
 """Colours of draws, and of draws from the frame on in which they are lost."""
 WIDTH = 0.35
 """mm."""
+DRAWS = "drawn robots"
+"""The part of a scene that they are."""
 
 
 def ghosts(k3d: Any, plan: Plan) -> list[Any]:
-    """One hidden object of the first draws of a plan that was tried on some; its time is the index of the frame.
+    """One object of the first draws of a plan that was tried on some; its time is the index of the frame.
 
     They are moved again as they were when the plan was tried: the plan holds their numbers. In frames in which
     a draw has no shape it is a point at the insertion point.
@@ -43,9 +45,8 @@ def ghosts(k3d: Any, plan: Plan) -> list[Any]:
         color_range=[0.0, 1.0],
         width=WIDTH,
         shader="thick",
-        visible=False,
         name="drawn robots",
-        custom_data={"drawn": True},
+        custom_data={"part": DRAWS},
     )
     return [told]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Sequence
 from importlib import resources
 from typing import Any
@@ -14,13 +15,21 @@ from ctr_nlp.figures.parts.palette import tube_colour
 from ctr_nlp.plan import account, drawn_account
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.report.ghosts import KEPT, LOST, SHOWN
-from ctr_nlp.report.plots import cursors, figures
-from ctr_nlp.report.scene import BY_TUBE, DATA, Scale, box, frame, quantities, scales, scene
+from ctr_nlp.report.camera import EYE_FIELD, FIELD, cameras, eyes
+from ctr_nlp.report.ghosts import DRAWS, KEPT, LOST, SHOWN
+from ctr_nlp.report.plots import EXTENT, Plot, plots
+from ctr_nlp.report.scene import BY_TUBE, DATA, ROBOT, TARGET, WALLS, Scale, box, frame, quantities, scales, scene
 from ctr_nlp.support.extras import needed
+from ctr_nlp.typing import Array
 
 READOUT = {"e2": "mm", "max": "mm", "clearance": "mm", "stability": ""}
 """Columns of errors.csv that are told of the frame that is shown, with their units."""
+CODE = ("scenes.js", "camera.js", "player.js", "page.js")
+"""The script of the page, in the order in which its parts need each other."""
+SIGNS = {"yes": "\N{CHECK MARK}", "no": "\N{BALLOT X}"}
+"""Beside the word of a verdict, as a colour does not tell it to everyone."""
+SPEEDS = ("0.25", "0.5", "1", "2", "4")
+"""Of playing, as multiples of the plan's own."""
 
 
 def page(plans: Sequence[Plan], names: Sequence[str] | None = None) -> str:
@@ -31,43 +40,44 @@ def page(plans: Sequence[Plan], names: Sequence[str] | None = None) -> str:
     """
     if not plans:
         raise OptionError("plans is empty; give at least one")
-    embed, inline = needed("bokeh.embed"), needed("bokeh.resources").Resources(mode="inline", components=["bokeh"])
-    coloured = scales(plans)
-    low, high = box(plans)
-    scenes = [scene(plan, coloured, low, high) for plan in plans]
-    plotted = figures(plans)
-    script, divs = embed.components([figure for some in plotted for figure in some.values() if figure])
-    rest = iter(divs)
-    shown = [
-        _told(plan, name) | {"plots": [(panel, next(rest) if figure else None) for panel, figure in some.items()]}
+    coloured, (low, high), plotted = scales(plans), box(plans), plots(plans)
+    told = [
+        _told(plan, name) | {"plots": some.items()}
         for plan, name, some in zip(plans, names or [""] * len(plans), plotted, strict=True)
     ]
     data = {
         "template": frame(),
         "placeholder": DATA,
+        "cameras": cameras(low, high),
+        "fields": {"outside": FIELD, "eye": EYE_FIELD},
         "plans": [
-            _moving(plan, packed, cursors(filter(None, some.values())))
-            for plan, packed, some in zip(plans, scenes, plotted, strict=True)
+            _moving(plan, scene(plan, coloured, low, high), [plot for plot in some.values() if plot])
+            for plan, some in zip(plans, plotted, strict=True)
         ],
     }
+    parts = [ROBOT, *([WALLS] if any(plan.lumen is not None for plan in plans) else []), TARGET]
+    drawn = any(plan.drawn for plan in plans)
+    return _rendered(
+        plans=told,
+        compared=_compared(told),
+        data=data,
+        frames=max(len(plan.time) for plan in plans),
+        scales=[_legend(scale) for scale in coloured],
+        tubes=[tube_colour(i) for i in range(max(plan.robot.d for plan in plans))],
+        parts=[*parts, DRAWS] if drawn else parts,
+        ghosts={"kept": KEPT, "lost": LOST, "part": DRAWS} if drawn else None,
+        by_tube=BY_TUBE,
+    )
+
+
+def _rendered(**values: Any) -> str:
+    """The page's template with its values, style and script."""
     jinja2 = needed("jinja2")
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
-    environment.policies["json.dumps_kwargs"] = {"allow_nan": False}
-    return str(
-        environment.from_string(_text("page.html")).render(
-            plans=shown,
-            data=data,
-            frames=max(len(plan.time) for plan in plans),
-            scales=[_legend(scale) for scale in coloured],
-            tubes=[tube_colour(i) for i in range(max(plan.robot.d for plan in plans))],
-            ghosts={"kept": KEPT, "lost": LOST} if any(plan.drawn for plan in plans) else None,
-            by_tube=BY_TUBE,
-            style=_text("page.css"),
-            code=_text("page.js"),
-            bokeh=inline.render_js(),
-            plots=script,
-        )
-    )
+    environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
+    code = "\n".join(_text(name) for name in CODE)
+    fixed = {"style": _text("page.css"), "code": code, "signs": SIGNS, "speeds": SPEEDS, "extent": EXTENT}
+    return str(environment.from_string(_text("page.html")).render(**fixed, **values))
 
 
 def _told(plan: Plan, name: str) -> dict[str, Any]:
@@ -76,12 +86,35 @@ def _told(plan: Plan, name: str) -> dict[str, Any]:
     return {
         "title": account.title(found),
         "name": name,
+        "lead": _lead(plan),
         "verdicts": account.verdict_rows(found),
         "rows": [(row, account.shown(value), unit) for row, value, unit in account.rows(found)],
         "remarks": account.remarks(plan, found),
         "drawn": _drawn(plan),
         "summary": json.dumps(found, indent=2, allow_nan=False, ensure_ascii=False),
     }
+
+
+def _lead(plan: Plan) -> str:
+    """All verdicts on a plan in one sentence."""
+    words, failed = Counter(verdict.word for verdict in plan.verdicts), plan.verdicts.failed
+    asked, every = words["yes"] + words["no"], len(plan.verdicts)
+    lead = f"This plan passes all {asked} checks that were made"
+    if failed:
+        lead = f"This plan fails {len(failed)} of the {asked} checks that were made: {', '.join(failed)}"
+    rest = f"; {every - asked} of {every} were not asked or are not known" if asked < every else ""
+    return f"{lead}{rest}."
+
+
+def _compared(told: Sequence[dict[str, Any]]) -> list[tuple[str, list[str], str]]:
+    """Rows of what several plans have in common or only some have: a name, a cell for each plan, and a unit."""
+    tables = [{row: (value, unit) for row, value, unit in some["rows"]} for some in told]
+    named = {row: unit for table in tables for row, (_, unit) in table.items()}
+    words = [{matter: word for matter, word, *_ in some["verdicts"]} for some in told]
+    return [
+        *((matter, [some[matter] for some in words], "") for matter in words[0]),
+        *((row, [table.get(row, ("", ""))[0] for table in tables], unit) for row, unit in named.items()),
+    ]
 
 
 def _drawn(plan: Plan) -> dict[str, Any] | None:
@@ -92,7 +125,7 @@ def _drawn(plan: Plan) -> dict[str, Any] | None:
     shown = f"the first {SHOWN} of them" if count > SHOWN else "them"
     lead = (
         f"{count} robots within the tolerances were drawn at random (seed {plan.drawn.seed}) and moved open loop "
-        f"through this plan; “drawn robots” above shows {shown}."
+        f"through this plan; “drawn robots” in the list of what is shown switches {shown} on and off."
     )
     return {
         "matter": plan.verdicts.survives_draws.matter,
@@ -104,7 +137,7 @@ def _drawn(plan: Plan) -> dict[str, Any] | None:
     }
 
 
-def _moving(plan: Plan, packed: str, spans: list[str]) -> dict[str, Any]:
+def _moving(plan: Plan, packed: str, shown: Sequence[Plot]) -> dict[str, Any]:
     """What the script needs to show a plan's frames."""
     columns = by_frame(plan)
     return {
@@ -112,17 +145,20 @@ def _moving(plan: Plan, packed: str, spans: list[str]) -> dict[str, Any]:
         "time": plan.time.tolist(),
         "reached": plan.reached.tolist(),
         "solved": plan.success.tolist(),
-        "cursors": spans,
+        "eyes": eyes(plan),
         "colourings": [BY_TUBE, *quantities(plan)],
+        "plots": [{"end": plot.end, "lines": [_rounded(values) for values in plot.values]} for plot in shown],
         "readout": {
-            name: {
-                "unit": unit,
-                "values": [float(f"{value:.4g}") if np.isfinite(value) else None for value in columns[name]],
-            }
+            name: {"unit": unit, "values": _rounded(columns[name])}
             for name, unit in READOUT.items()
             if name in columns
         },
     }
+
+
+def _rounded(values: Array) -> list[float | None]:
+    """Numbers with four digits that count; None where there is none."""
+    return [float(f"{value:.4g}") if np.isfinite(value) else None for value in values]
 
 
 def _legend(scale: Scale) -> dict[str, Any]:

@@ -1,19 +1,18 @@
-"""Errors, clearance, stability, configuration and speeds over time, with a cursor at the frame that is shown."""
+"""Errors, clearance, stability, configuration and speeds over time, as paths that any browser draws by itself."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 
-from ctr_nlp.figures.parts.page import alone
 from ctr_nlp.figures.parts.palette import BLACK, BLUE, ORANGE, SKY, TILT, VERMILLION, tube_colour
 from ctr_nlp.plan.metrics import DRAWN, by_frame
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.robustness import Robustness
-from ctr_nlp.support.extras import needed
+from ctr_nlp.support.runs import runs
 from ctr_nlp.typing import Array, Index
 
 ERROR, DRAWS, CLEARANCE, STABILITY = "error (mm)", "e2 of draws (mm)", "clearance (mm)", "stability margin"
@@ -22,13 +21,13 @@ SPEEDS = ("dα/dt (rad/s)", "dβ/dt (mm/s)", "dθ/dt (rad/s)")
 ORDER = (ERROR, DRAWS, CLEARANCE, STABILITY, *CONFIGURATION, *SPEEDS)
 """Names of panels from top to bottom."""
 
-HEIGHT = 190
-"""Of a plot in pixels."""
-LEFT = 64
-"""Pixels left of all plots, so that their time axes lie below one another."""
-WIDTH, LIMIT = 1.8, "#777777"
-"""Of lines, and the colour of limits."""
-DASHES = ("solid", "dashed", "dotdash", "dotted")
+EXTENT = 1000
+"""Of a plot's two axes, in units of its drawing; the page stretches it to the room that there is."""
+DASHES = ("", "6 4", "8 3 2 3", "2 3")
+"""Lengths in pixels that are drawn and left out in turn; "" is a solid line."""
+LIMIT = "#777777"
+"""The colour of limits."""
+MOST_TICKS = 5
 MARGIN = 0.06
 """Above and below what is shown, as a part of it."""
 LEAST_SPAN = 0.1
@@ -37,12 +36,12 @@ LEAST_SPAN = 0.1
 
 @dataclass(frozen=True)
 class Line:
-    """A named line of a plot over time: y (T,), colour, and how it is dashed."""
+    """A named line of a plot over time: y (T,), colour, and how it is dashed (one of DASHES)."""
 
     name: str
     y: Array
     colour: str
-    dash: str = "solid"
+    dash: str = ""
 
 
 @dataclass(frozen=True)
@@ -64,7 +63,7 @@ class Panel:
 def panels(plan: Plan) -> Iterator[Panel]:
     """What there is to plot of a plan, from top to bottom."""
     columns = by_frame(plan)
-    errors = Line("RMSE e2", columns["e2"], BLUE), Line("maximum of e1", columns["max"], VERMILLION, "dashed")
+    errors = Line("RMSE e2", columns["e2"], BLUE), Line("maximum of e1", columns["max"], VERMILLION, DASHES[1])
     yield Panel(ERROR, errors, (0.0,))
     if plan.drawn is not None:
         yield _draws(plan, plan.drawn, columns)
@@ -73,7 +72,7 @@ def panels(plan: Plan) -> Iterator[Panel]:
     if "stability" in columns:
         margins = (
             Line("at the frame", columns["stability"], BLUE),
-            Line("on the way to it", columns["stability_between"], ORANGE, "dashed"),
+            Line("on the way to it", columns["stability_between"], ORANGE, DASHES[1]),
         )
         yield Panel(STABILITY, margins, (0.0, 1.0))
     robot = plan.robot
@@ -85,7 +84,7 @@ def panels(plan: Plan) -> Iterator[Panel]:
 def _draws(plan: Plan, found: Robustness, columns: Mapping[str, Array]) -> Panel:
     """e2 over the draws of a plan beside its own, and where draws are lost."""
     low, high = found.e2_quantiles(0.05, 0.95)
-    lines = Line("median", columns[DRAWN[0]], BLUE), Line("the plan", columns["e2"], BLACK, "dotted")
+    lines = Line("median", columns[DRAWN[0]], BLUE), Line("the plan", columns["e2"], BLACK, DASHES[3])
     lost = np.array([loss.frame for loss in found.when], dtype=int)
     marks = ("lost here", lost) if len(lost) else None
     return Panel(DRAWS, lines, (0.0,), band=("5 % to 95 %", low, high), marks=marks)
@@ -103,22 +102,47 @@ def _motion(plan: Plan, values: Array, names: Sequence[str], limits: tuple[Array
         yield Panel(name, lines, limits=tuple(value for value in np.unique(sides).tolist() if np.isfinite(value)))
 
 
-def figures(plans: Sequence[Plan]) -> list[dict[str, Any]]:
-    """Bokeh figures of each plan by their names, in one order for all plans; None where a plan has no such panel.
+@dataclass(frozen=True)
+class Mark:
+    """What is drawn under one name: a path in units of EXTENT, y downward, its colour, and how it is dashed.
 
-    Panels of one name have one vertical range; each plan has its own time axis. Spans named "cursor" mark the
-    frame.
+    kind: "line", "limit", "band" or "dots", by which the page styles it.
     """
-    models = needed("bokeh.models")
+
+    name: str
+    path: str
+    colour: str
+    kind: str = "line"
+    dash: str = ""
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A panel as the page draws it: its marks from the back to the front, and ticks (percent, text) of both axes.
+
+    values: of each mark of kind "line" over the frames, (T,). end: the time in s at the right edge.
+    """
+
+    name: str
+    marks: tuple[Mark, ...]
+    across: tuple[tuple[float, str], ...]
+    up: tuple[tuple[float, str], ...]
+    values: tuple[Array, ...]
+    end: float
+
+
+def plots(plans: Sequence[Plan]) -> list[dict[str, Plot | None]]:
+    """The plots of each plan by their names, in one order for all plans; None where a plan has no such panel.
+
+    Panels of one name have one vertical range; each plan has its own time axis.
+    """
     shown = [{panel.name: panel for panel in panels(plan)} for plan in plans]
     names = sorted({name for some in shown for name in some}, key=ORDER.index)
-    ranges = {name: models.Range1d(*_range([some[name] for some in shown if name in some])) for name in names}
-    found = []
-    for plan, some in zip(plans, shown, strict=True):
-        times = models.Range1d(0.0, float(plan.time[-1] + plan.dt / 2), bounds="auto")
-        drawn = {name: _figure(plan, panel, times, ranges[name]) for name, panel in some.items()}
-        found.append({name: drawn.get(name) for name in names})
-    return found
+    ranges = {name: _range([some[name] for some in shown if name in some]) for name in names}
+    return [
+        {name: _plot(plan, some[name], *ranges[name]) if name in some else None for name in names}
+        for plan, some in zip(plans, shown, strict=True)
+    ]
 
 
 def _range(some: Sequence[Panel]) -> tuple[float, float]:
@@ -137,53 +161,43 @@ def _range(some: Sequence[Panel]) -> tuple[float, float]:
     return float(low - margin), float(high + margin)
 
 
-def _figure(plan: Plan, panel: Panel, times: Any, values: Any) -> Any:
-    """One plot; a tap moves all plans to that moment."""
-    models, plotting = needed("bokeh.models"), needed("bokeh.plotting")
-    frames = np.arange(1, len(plan.time) + 1)
-    data = {"time": plan.time, "frame": frames} | {line.name: line.y for line in panel.lines}
-    source = models.ColumnDataSource(data)
-    figure = plotting.figure(
-        height=HEIGHT,
-        min_border_left=LEFT,
-        sizing_mode="stretch_width",
-        x_range=times,
-        y_range=values,
-        x_axis_label="time (s)",
-        y_axis_label=panel.name,
-        tools="xbox_zoom,xpan,reset",
-        active_drag=None,
-        toolbar_location="right",
-    )
+def _plot(plan: Plan, panel: Panel, low: float, high: float) -> Plot:
+    end = float(plan.time[-1] + plan.dt / 2)
+
+    def path(x: Array, y: Array) -> str:
+        return _path(EXTENT * x / end, EXTENT * (high - y) / (high - low))
+
+    marks = []
     if panel.band is not None:
-        name, low, high = panel.band
-        figure.varea(plan.time, low, high, fill_color=SKY, fill_alpha=0.4, legend_label=name)
-    drawn = []
-    for line in panel.lines:
-        look = {"color": line.colour, "legend_label": line.name}
-        drawn.append(figure.line("time", line.name, source=source, line_dash=line.dash, line_width=WIDTH, **look))
-        if len(single := alone(line.y)):
-            figure.scatter(plan.time[single], line.y[single], **look)
-    for limit in (limit for limit in panel.limits if values.start < limit < values.end):
-        figure.line([0.0, plan.time[-1]], limit, color=LIMIT, line_dash="dotted", legend_label="limit")
+        name, *sides = panel.band
+        known = np.isfinite(sides[0]) & np.isfinite(sides[1])
+        around = [np.concatenate([part[known], other[known][::-1]]) for part, other in ((plan.time,) * 2, sides)]
+        marks.append(Mark(name, path(*around), SKY, "band"))
+    both = np.array([0.0, end])
+    limits = [path(both, np.full(2, limit)) for limit in panel.limits if low < limit < high]
+    marks += [Mark("limit", "".join(limits), LIMIT, "limit", DASHES[3])] if limits else []
+    lines = [Mark(line.name, path(plan.time, line.y), line.colour, dash=line.dash) for line in panel.lines]
+    marks += lines
     if panel.marks is not None:
         name, at = panel.marks
-        place = plan.time[at - 1], np.zeros(len(at))
-        figure.scatter(*place, marker="triangle", size=9, color=VERMILLION, legend_label=name)
-    tips = [("frame", "@frame"), ("time", "@time{0.00} s")]
-    tips += [(line.name, f"@{{{line.name}}}{{0.000}}") for line in panel.lines]
-    figure.add_tools(models.HoverTool(tooltips=tips, mode="vline", renderers=drawn[:1]))
-    begin = float(plan.time[0])
-    figure.add_layout(models.Span(location=begin, dimension="height", line_color=BLACK, name="cursor"))
-    figure.toolbar.update(autohide=True, logo=None)
-    figure.add_layout(figure.legend[0], "above")
-    figure.legend.update(orientation="horizontal", border_line_color=None, padding=0, spacing=12, margin=2)
-    code = "seek(cb_obj.x / duration)"
-    figure.js_on_event("tap", models.CustomJS(code=code, args={"duration": float(plan.time[-1])}))
-    return figure
+        dots = "".join(path(plan.time[j - 1 : j], np.zeros(1)) for j in at)
+        marks.append(Mark(name, dots, VERMILLION, "dots"))
+    values = tuple(line.y for line in panel.lines)
+    return Plot(panel.name, tuple(marks), _ticks(0.0, end), _ticks(low, high), values, end)
 
 
-def cursors(some: Iterable[Any]) -> list[str]:
-    """Ids of the cursors of figures."""
-    models = needed("bokeh.models")
-    return [span.id for figure in some for span in figure.select({"type": models.Span, "name": "cursor"})]
+def _path(x: Array, y: Array) -> str:
+    """Lines through points (n,) in order, broken where y is not finite; a point by itself is a dot."""
+    told = []
+    for first, stop in runs(np.isfinite(y)):
+        points = [f"{a:.1f} {b:.1f}" for a, b in zip(x[first:stop], y[first:stop], strict=True)]
+        told.append("M" + "L".join(points) + ("h0" if len(points) == 1 else ""))
+    return "".join(told)
+
+
+def _ticks(low: float, high: float) -> tuple[tuple[float, str], ...]:
+    """Round numbers between two, with how far along they are in percent."""
+    values = np.array(MaxNLocator(MOST_TICKS, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
+    inside = values[(values >= low) & (values <= high)]
+    told = [f"{value:.6g}".replace("-", "\N{MINUS SIGN}") for value in inside]
+    return tuple(zip((100 * (inside - low) / (high - low)).tolist(), told, strict=True))

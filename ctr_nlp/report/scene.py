@@ -19,9 +19,11 @@ from ctr_nlp.figures.parts.palette import BLACK, CONTACT, ERROR, tube_colour
 from ctr_nlp.figures.parts.space import points_of_all
 from ctr_nlp.plan.metrics import e1
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.report.camera import FIELD, cameras
 from ctr_nlp.report.ghosts import ghosts
 from ctr_nlp.support.extras import needed
 from ctr_nlp.target.lumen import outer_radius, rings
+from ctr_nlp.target.points import walked
 from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
 
@@ -87,19 +89,22 @@ BY_TUBE = "tube"
 """Colouring that is always there: every tube in its own colour."""
 SAMPLES = 31
 """Points of a tube's visible part."""
-AROUND = 24
-"""Points around the wall."""
+AROUND, APART = 24, 10.0
+"""Points around the wall, and mm between its rings."""
 HOLDER = 12.0
 """Length in mm of what is drawn of the robot before the insertion point."""
 TARGET_RADIUS, AXIS_RADIUS, POINT_SIZE = 0.25, 0.12, 2.6
 """Of the target's line and the insertion axis, mm; diameter of the insertion point in radii of tube 1."""
-WALL, OPACITY = 0x8A8A8A, 0.2
+SHADE, OPACITY = 0x8A8A8A, 0.2
 HELD, AXIS = 0x777777, 0x888888
-FIELD = 30.0
-"""Of view, degrees."""
+ROBOT, WALLS, TARGET = "robot", "wall", "target"
+"""Parts of a scene that are switched on and off, in the custom_data of its objects."""
 DATA = "@DATA@"
 """Stands in k3d's page for the data."""
-READY = "console.log = () => {}; window.parent.ready(window.frameElement, K3DInstance);"
+READY = (
+    "console.log = () => {}; document.documentElement.lang = 'en'; document.title = 'Scene'; "
+    "window.parent.ready(window.frameElement, K3DInstance);"
+)
 """Run in each scene once it is drawn; k3d would write a line for every tube of every frame."""
 
 
@@ -113,8 +118,8 @@ def frame() -> str:
 def scene(plan: Plan, scales: Sequence[Scale], low: Array, high: Array) -> str:
     """The data of a scene in base64.
 
-    low, high: corners (3,) mm of what is seen at first. The scene's time is the index of the frame. Objects that
-    show under one colouring only name it in their custom_data.
+    low, high: corners (3,) mm of what is seen at first. The scene's time is the index of the frame. Objects name
+    the part that they belong to in their custom_data, and their colouring where they show under one only.
     """
     k3d = needed("k3d")
     plot = k3d.plot(
@@ -122,13 +127,12 @@ def scene(plan: Plan, scales: Sequence[Scale], low: Array, high: Array) -> str:
         camera_auto_fit=False,
         grid_auto_fit=False,
         grid=[*low, *high],
-        axes=[rf"{name}\text{{ (mm)}}" for name in "xyz"],
+        grid_visible=False,
         axes_helper=0.0,
         camera_fov=FIELD,
-        camera_up_axis="z",
         colorbar_object_id=0,
     )
-    plot.camera = _camera(low, high)
+    plot.camera = cameras(low, high)["side"]
     for drawn in [*_tubes(k3d, plan, scales), *_surroundings(k3d, plan), *ghosts(k3d, plan)]:
         plot += drawn
     return base64.b64encode(plot.get_binary_snapshot()).decode()
@@ -141,7 +145,7 @@ def _tubes(k3d: Any, plan: Plan, scales: Sequence[Scale]) -> list[Any]:
     for i in range(plan.robot.d):
         vertices = _over_time(_at(sigma[:, i], plan.shape))
         tube = partial(k3d.line, vertices, width=float(radius[i]), shader="mesh", radial_segments=16)
-        named = {"name": f"tube {i + 1}", "custom_data": {"colouring": BY_TUBE}}
+        named = {"name": f"tube {i + 1}", "custom_data": {"part": ROBOT, "colouring": BY_TUBE}}
         found.append(tube(color=_packed(tube_colour(i)), **named))
         for scale in (scale for scale in scales if scale.key in known):
             values = np.clip(np.nan_to_num(known[scale.key], nan=scale.low), scale.low, scale.high)
@@ -150,8 +154,8 @@ def _tubes(k3d: Any, plan: Plan, scales: Sequence[Scale]) -> list[Any]:
                 "color_map": [part for at, colour in scale.stops for part in (at, *to_rgb(colour))],
                 "color_range": [scale.low, scale.high],
             }
-            named = {"name": f"tube {i + 1} by {scale.key}", "custom_data": {"colouring": scale.key}}
-            found.append(tube(visible=False, **coloured, **named))
+            told = {"part": ROBOT, "colouring": scale.key}
+            found.append(tube(visible=False, name=f"tube {i + 1} by {scale.key}", custom_data=told, **coloured))
     return found
 
 
@@ -161,15 +165,20 @@ def _surroundings(k3d: Any, plan: Plan) -> list[Any]:
     radius = float(outer_radius(plan.robot)[0])
     line, black = partial(k3d.line, shader="mesh"), _packed(BLACK)
     axis, holder = [[0.0, 0.0, -1.5 * HOLDER], [0.0, 0.0, HOLDER]], np.stack([tilted, 0 * tilted], axis=1)
+    held = {"name": "holder, tilted", "custom_data": {"part": ROBOT}}
+    aim = {"name": "target", "custom_data": {"part": TARGET}}
     found = [
-        line(_over_time(plan.target), color=black, width=TARGET_RADIUS, name="target"),
+        line(_over_time(plan.target), color=black, width=TARGET_RADIUS, **aim),
         k3d.points([[0.0, 0.0, 0.0]], point_size=POINT_SIZE * radius, color=black, name="insertion point"),
         line(axis, color=AXIS, width=AXIS_RADIUS, name="insertion axis"),
-        line(_over_time(holder), color=HELD, width=1.5 * radius, name="holder, tilted"),
+        line(_over_time(holder), color=HELD, width=1.5 * radius, **held),
     ]
     if plan.lumen is not None:
-        look = {"color": WALL, "opacity": OPACITY, "flat_shading": False, "side": "double"}
-        found.append(k3d.mesh(*_wall(plan.lumen), name="lumen", **look))
+        look = {"color": SHADE, "opacity": OPACITY, "flat_shading": False, "side": "double"}
+        part = {"custom_data": {"part": WALLS}}
+        found.append(k3d.mesh(*_wall(plan.lumen), name="lumen", **part, **look))
+        hoops = {"indices_type": "segment", "color": SHADE, "width": AXIS_RADIUS, "shader": "thick"}
+        found.append(k3d.lines(*_hoops(plan.lumen), name="lumen, rings", **part, **hoops))
     return found
 
 
@@ -181,6 +190,16 @@ def _wall(lumen: Array) -> tuple[Array, npt.NDArray[np.uint32]]:
     across = np.roll(here, -1, axis=1)[1:]
     triangles = np.stack([here[:-1], beside, ahead, beside, across, ahead], axis=-1)
     return surface.reshape(-1, 3).astype(np.float32), triangles.reshape(-1, 3).astype(np.uint32)
+
+
+def _hoops(lumen: Array) -> tuple[Array, npt.NDArray[np.uint32]]:
+    """Rings of the wall every APART mm, which show its depth to an eye within it: points and pairs of them."""
+    along = walked(lumen[:, :3])
+    stations = np.unique(np.searchsorted(along, np.arange(0.0, along[-1], APART)))
+    surface = rings(lumen, np.linspace(0.0, 2 * np.pi, AROUND, endpoint=False))[stations]
+    here = np.arange(surface[..., 0].size).reshape(-1, AROUND)
+    pairs = np.stack([here, np.roll(here, -1, axis=1)], axis=-1)
+    return surface.reshape(-1, 3).astype(np.float32), pairs.reshape(-1, 2).astype(np.uint32)
 
 
 def _visible(plan: Plan) -> Array:
@@ -208,14 +227,6 @@ def box(plans: Sequence[Plan]) -> tuple[Array, Array]:
     seen = [points_of_all([plan.target, plan.shape], plan.lumen) for plan in plans]
     points = np.concatenate([[[0.0, 0.0, -HOLDER], [0.0, 0.0, HOLDER]], *seen])
     return np.nanmin(points, axis=0), np.nanmax(points, axis=0)
-
-
-def _camera(low: Array, high: Array) -> list[float]:
-    """Position, point looked at and upward direction: from where most is seen, a little from above."""
-    middle, size = (low + high) / 2, high - low
-    away = np.array([0.25, -1.0, 0.2]) if size[0] >= size[1] else np.array([1.0, 0.25, 0.2])
-    far = 0.6 * np.linalg.norm(size) / np.tan(np.radians(FIELD / 2))
-    return [*(middle + far * away / np.linalg.norm(away)), *middle, 0.0, 0.0, 1.0]
 
 
 def _packed(colour: str) -> int:

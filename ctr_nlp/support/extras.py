@@ -13,7 +13,7 @@ EXTRAS = {
     "ros2": ("cyclonedds",),
     "igtl": ("pyigtl",),
     "anatomy": ("nibabel", "nrrd", "networkx", "pyvista", "vtkmodules"),
-    "report": ("k3d", "bokeh", "jinja2"),
+    "report": ("k3d", "jinja2"),
     "completion": ("shtab",),
     "sampling": ("ompl",),
     "learning": ("torch",),

@@ -11,8 +11,9 @@ from near_fold import near_the_fold, plan_through
 
 from ctr_nlp.plan import account, drawn_account
 from ctr_nlp.report import page
-from ctr_nlp.report.ghosts import LOST, SHOWN, STRIDE, ghosts
-from ctr_nlp.report.plots import DRAWS, panels
+from ctr_nlp.report.ghosts import DRAWS, LOST, SHOWN, STRIDE, ghosts
+from ctr_nlp.report.plots import DRAWS as PANEL
+from ctr_nlp.report.plots import panels
 
 
 @pytest.fixture(scope="module")
@@ -30,8 +31,7 @@ class Kept:
 
 def test_the_scene_holds_the_first_draws_as_they_were_tried(plan):
     (told,) = ghosts(Kept, plan)
-    assert told["custom_data"] == {"drawn": True}
-    assert not told["visible"]
+    assert told["custom_data"] == {"part": DRAWS}
     frame = plan.drawn.cloud_frames[-1]
     shapes = told["vertices"][str(frame - 1)].reshape(SHOWN, -1, 3)
     both = np.arange(0, 101, STRIDE * 4) // STRIDE, np.arange(0, 101, STRIDE * 4) // 4
@@ -69,7 +69,7 @@ def test_sentences_name_the_worst_tolerance_and_where_draws_are_lost(plan):
 
 
 def test_errors_of_draws_have_their_band_and_marks_where_draws_are_lost(plan):
-    (panel,) = [panel for panel in panels(plan) if panel.name == DRAWS]
+    (panel,) = [panel for panel in panels(plan) if panel.name == PANEL]
     _, low, high = panel.band
     median = panel.lines[0].y
     assert ((low <= median) & (median <= high)).all()
@@ -77,21 +77,22 @@ def test_errors_of_draws_have_their_band_and_marks_where_draws_are_lost(plan):
 
 
 @pytest.mark.parametrize("width", [1280, 390])
-def test_drawn_robots_are_shown_where_they_are_asked_for(plan, tmp_path, width):
+def test_drawn_robots_are_shown_until_they_are_switched_off(plan, tmp_path, width):
     file = tmp_path / "report.html"
     file.write_text(page([plan]), encoding="utf-8")
     with launcher() as launch, opened(launch(SOFTWARE), file, width) as view:
         view.wait_for_function("scenes.every((scene) => scene)")
         view.locator("#frame").fill(str(len(plan.time)))
+        view.evaluate("document.getElementById('looks').open = true")
         shares = []
         for _ in range(2):
             view.wait_for_timeout(600)
             shares.append(share_of_hue(pixels(view.locator(".scene").screenshot()), to_rgb(LOST), 0.01))
-            assert view.locator(".legend.drawn").is_visible() == (len(shares) == 2)
+            assert view.locator(".legend[data-of]").is_visible() == (len(shares) == 1)
             box = view.get_by_label("drawn robots")
             box.focus()
             box.press("Space")
-        assert shares[0] < 1e-5 < shares[1]
+        assert shares[1] < 1e-5 < shares[0]
         view.get_by_role("link", name="survives its draws").click()
         assert view.get_by_role("region", name="Robots within the tolerances").is_visible()
         assert view.evaluate("document.documentElement.scrollWidth") <= width
