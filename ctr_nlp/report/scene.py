@@ -21,7 +21,7 @@ from ctr_nlp.plan.metrics import e1
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.report.ghosts import ghosts
 from ctr_nlp.support.extras import needed
-from ctr_nlp.target.lumen import outer_radius, rings
+from ctr_nlp.target.lumen import outer_radius, surface
 from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
 
@@ -169,18 +169,8 @@ def _surroundings(k3d: Any, plan: Plan) -> list[Any]:
     ]
     if plan.lumen is not None:
         look = {"color": WALL, "opacity": OPACITY, "flat_shading": False, "side": "double"}
-        found.append(k3d.mesh(*_wall(plan.lumen), name="lumen", **look))
+        found.append(k3d.mesh(*surface(plan.lumen, AROUND), name="lumen", **look))
     return found
-
-
-def _wall(lumen: Array) -> tuple[Array, npt.NDArray[np.uint32]]:
-    """Triangles of the wall around a path and its radius (N, 4) mm."""
-    surface = rings(lumen, np.linspace(0.0, 2 * np.pi, AROUND, endpoint=False))
-    here = np.arange(surface[..., 0].size).reshape(-1, AROUND)
-    beside, ahead = np.roll(here, -1, axis=1)[:-1], here[1:]
-    across = np.roll(here, -1, axis=1)[1:]
-    triangles = np.stack([here[:-1], beside, ahead, beside, across, ahead], axis=-1)
-    return surface.reshape(-1, 3).astype(np.float32), triangles.reshape(-1, 3).astype(np.uint32)
 
 
 def _visible(plan: Plan) -> Array:
