@@ -12,13 +12,13 @@ from typing import Any
 
 from ctr_nlp.exceptions import CtrError, OptionError
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.live.drive import fit
-from ctr_nlp.live.news import told
-from ctr_nlp.live.panel import Panel
-from ctr_nlp.live.recording import Recording
-from ctr_nlp.live.scene import Scene
-from ctr_nlp.live.server import HOST, PORT, served, stopped
-from ctr_nlp.live.session import Seen, Session
+from ctr_nlp.live.page.news import told
+from ctr_nlp.live.page.panel import Panel
+from ctr_nlp.live.page.scene import Scene
+from ctr_nlp.live.page.server import HOST, PORT, served, stopped
+from ctr_nlp.live.steered.drive import fit
+from ctr_nlp.live.steered.recording import Recording
+from ctr_nlp.live.steered.session import Seen, Session
 from ctr_nlp.models import DEFAULT
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
@@ -56,8 +56,8 @@ class Live:
     ) -> None:
         """Serve; raises OptionError where a port is in use, nothing can be compiled, or viser is not installed.
 
-        robots: others to choose from, by name. host, port: where; port 0 takes any that is free. keep: what is done
-        with a recorded plan, in a thread of its own; what it returns tells where the plan went.
+        robots: others to choose from, by name. host, port: where; port 0 takes any that is free. keep: what is
+        done with a recorded plan, in a thread of its own; what it returns tells where the plan went.
         """
         instance(OptionError, "problem", problem, Problem)
         self.plan: Plan | None = None

@@ -101,7 +101,7 @@ class Steerer:
         model: str | Model = "dominant",
         lumen: Curve | None = None,
     ) -> Steerer | None:
-        """The same, or None while it is compiled in the background, which the first call begins; raises as that."""
+        """The same, or None while it is compiled in the background, which the first call begins."""
         described = model_named(model)
         wall = wall_of(robot, None if lumen is None else Lumen.around(lumen), described, settings)
         (stage,) = joint(robot, settings, described, walled=wall is not None)
@@ -121,7 +121,7 @@ class Steerer:
         self._run.stand(np.append(q, x[: len(self._run.here) - len(q)]), x)
 
     def weigh(self, distance: ShapeDistance) -> None:
-        """From now on, distances along the robot count as this term says; raises OptionError for another stride."""
+        """From now on, distances along the robot count as this term says; raises OptionError for other strides."""
         if distance.stride != STRIDE:
             raise OptionError(f"stride of a Steerer's distance is {distance.stride}; it must be {STRIDE}")
         self._run.p[0, self._run.program.nlp.place("shape_roots")] = distance.roots

@@ -1,4 +1,4 @@
-"""The scene: a tree of named things in the browser, changed to what is seen. Reads no mouse but that on handles."""
+"""The scene: a tree of named things in the browser, changed to what is seen, with handles to be dragged."""
 
 from __future__ import annotations
 
@@ -8,26 +8,25 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import to_rgb
 
-from ctr_nlp.figures.parts.palette import BLACK, SKY, VERMILLION
-from ctr_nlp.live.colours import MIDDLES, pieces
-from ctr_nlp.live.ghosts import STRIDE
-from ctr_nlp.live.goal import HANDLES
-from ctr_nlp.live.session import MOST_DRAWS, Seen
-from ctr_nlp.robot import Robot
-from ctr_nlp.target.lumen import outer_radii, outer_radius, surface
+from ctr_nlp.figures.parts.palette import BLACK, ORANGE, SKY, VERMILLION
+from ctr_nlp.live.page.colours import MIDDLES, pieces
+from ctr_nlp.live.steered.ghosts import STRIDE
+from ctr_nlp.live.steered.goal import HANDLES
+from ctr_nlp.live.steered.session import MOST_DRAWS, Seen
+from ctr_nlp.target.lumen import Lumen, outer_radii, outer_radius, surface
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
 
 Pulled = Callable[[int, Array], None]
 """What is told of a handle, from 0, and where it is pulled to, (3,) mm."""
-SIDES, AROUND = 14, 20
-"""Corners of a tube's cross-section, and of the lumen's."""
+SIDES, AROUND, RING_MM = 12, 20, 3.0
+"""Corners of a tube's cross-section, and of the lumen's; mm between two rings of the lumen."""
 OVERLAP = 1.08
 """By what factor the pieces of a robot are longer than their share: no gaps where it bends."""
 WALL, OPACITY = (140, 140, 140), 0.22
-TARGET_MM, GHOST_MM, HANDLE_MM, TIP_MM = 0.5, 0.35, 1.8, 2.6
-"""Widths of lines, and radii of handles."""
+TARGET_MM, GHOST_MM, HANDLE_MM, TIP_MM = 0.6, 0.35, 0.8, 1.6
+"""Widths of lines, and by how much handles, and that of the tip, are larger in radius than the outermost tube."""
 AXES_MM = 12.0
 """Of the base frame's axes."""
 VIEW = (0.25, -1.0, 0.2)
@@ -44,13 +43,14 @@ class Scene:
         self._server, self._robot = server, problem.robot
         scene = server.scene
         scene.configure_environment_map(None)
-        scene.configure_default_lights(cast_shadow=False)
+        scene.configure_default_lights(False)
+        scene.add_light_ambient("/light/all around", intensity=1.1)
+        scene.add_light_directional("/light/above", intensity=1.8, cast_shadow=False, position=(0.3, -1.0, 0.8))
         scene.add_frame("/base", axes_length=AXES_MM, axes_radius=0.3)
         lumen = problem.sampled_lumen
         if lumen is not None:
-            vertices, triangles = surface(lumen.table, AROUND)
-            look = {"color": WALL, "opacity": OPACITY, "side": "double", "cast_shadow": False}
-            scene.add_mesh_simple("/lumen", vertices, triangles, receive_shadow=False, **look)
+            look = {"color": WALL, "opacity": OPACITY, "cast_shadow": False, "receive_shadow": False}
+            scene.add_mesh_simple("/lumen", *surface(_coarse(lumen), AROUND), **look)
         place = np.zeros((len(MIDDLES), 3))
         self._body = scene.add_batched_meshes_simple(
             "/robot",
@@ -102,11 +102,10 @@ class Scene:
     def _handle(self, k: int, pulled: Pulled) -> Any:
         """A ball that can be dragged; the last one is the target's tip."""
         tip = k == HANDLES - 1
-        name, radius = ("/tip", TIP_MM) if tip else (f"/handle {k + 1}", HANDLE_MM)
-        colour = to_rgb(VERMILLION if tip else BLACK)
-        ball = self._server.scene.add_icosphere(
-            name, radius, color=colour, opacity=0.75, cast_shadow=False, receive_shadow=False
-        )
+        name, colour = ("/tip", VERMILLION) if tip else (f"/handle {k + 1}", ORANGE)
+        radius = float(outer_radius(self._robot)[0]) + (TIP_MM if tip else HANDLE_MM)
+        look = {"color": to_rgb(colour), "subdivisions": 2, "cast_shadow": False, "receive_shadow": False}
+        ball = self._server.scene.add_icosphere(name, radius, **look)
         grabbed = np.zeros(3)
 
         @ball.on_drag
@@ -138,12 +137,21 @@ def _joined(points: Array) -> Array:
     return np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
 
 
+def _coarse(lumen: Lumen) -> Array:
+    """A lumen's table (N, 4) with its ends and few rings between: each triangle is drawn thirty times a second."""
+    count = max(2, round(lumen.along[-1] / RING_MM) + 1)
+    chosen = np.searchsorted(lumen.along, np.linspace(0.0, lumen.along[-1], count))
+    return np.asarray(lumen.table[np.unique(chosen)])
+
+
 def _rod() -> tuple[Array, Array]:
     """Vertices and triangles of a closed rod along z, of radius and length 1, around the origin."""
     angle = np.linspace(0.0, 2 * np.pi, SIDES, endpoint=False)
     ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(SIDES)], axis=1)
-    ends = [ring + [0.0, 0.0, side] for side in (-0.5, 0.5)]
-    vertices = np.concatenate([*ends, *ends, [[0.0, 0.0, -0.5], [0.0, 0.0, 0.5]]])  # ends of their own: sharp edges
+    ends = [ring + np.array([0.0, 0.0, side]) for side in (-0.5, 0.5)]
+    vertices = np.concatenate(
+        [*ends, *ends, [[0.0, 0.0, -0.5], [0.0, 0.0, 0.5]]]
+    )  # ends of their own: sharp edges
     k = np.arange(SIDES)
     beside = (k + 1) % SIDES
     sides = [[k, beside, k + SIDES], [beside, beside + SIDES, k + SIDES]]

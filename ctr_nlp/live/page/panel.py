@@ -8,10 +8,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ctr_nlp.live.colours import BY_CLEARANCE, BY_ERROR, BY_TUBE, Judged, judged, legend, table
-from ctr_nlp.live.drive import fit
-from ctr_nlp.live.joints import spans
-from ctr_nlp.live.session import HAND, METHODS, MOST_DRAWS, Seen, Session
+from ctr_nlp.live.page.colours import BY_CLEARANCE, BY_ERROR, BY_TUBE, Judged, judged, legend, table
+from ctr_nlp.live.steered.drive import fit
+from ctr_nlp.live.steered.joints import spans
+from ctr_nlp.live.steered.session import HAND, METHODS, MOST_DRAWS, Seen, Session
 
 OFTEN = 0.15
 """s between two changes of numbers and sliders: faster ones cannot be read."""
@@ -73,8 +73,8 @@ class Panel:
             return
         self._last, session = time.monotonic(), self._session
         rows = judged(seen, session.settings.stability_margin)
-        work = f"{1e3 * seen.seconds:.1f} ms, {busy:.0%} of the time"
-        self._numbers.content = table([*rows, Judged("a step takes", work, "", "")])
+        work = Judged("time for a step", f"{1e3 * seen.seconds:.1f} ms", f"busy {busy:.0%}", "")
+        self._numbers.content = table([*rows, work])
         self._news.content = news
         self._method.value = session.method
         self._progress.value = round(session.goal.progress, 3)
@@ -90,7 +90,9 @@ class Panel:
         self._all.append(folder)
         return folder
 
-    def _chosen(self, gui: Any, name: str, names: Sequence[str], now: str, do: Callable[[Session, str], None]) -> Any:
+    def _chosen(
+        self, gui: Any, name: str, names: Sequence[str], now: str, do: Callable[[Session, str], None]
+    ) -> Any:
         """A choice that does something to the session."""
         found = gui.add_dropdown(name, tuple(names), initial_value=now)
 
@@ -152,4 +154,3 @@ class Panel:
         def _(_: Any) -> None:
             count = int(draws.value)
             self._asked.ask(lambda session: session.draw(count))
-

@@ -33,13 +33,14 @@ def served(host: str, port: int) -> Any:
             f"port {port} of {host} cannot be served ({why.lower()}); give another, or 0 for any that is free"
         ) from error
 
-    class Unshared(viser.ViserServer):  # type: ignore[misc, name-defined]
+    class Unshared(viser.ViserServer):  # type: ignore[name-defined]
         def request_share_url(self, verbose: bool = True) -> None:
             """Nobody is let in from outside."""
 
     with contextlib.redirect_stdout(io.StringIO()):
         server = Unshared(host, port, LABEL, verbose=False)
-    server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+    server.gui.configure_theme(show_logo=False, show_share_button=False)
+    server.gui.main_panel.dock_right()
     return server
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ctr_nlp.live.session import HAND, Session
+from ctr_nlp.live.steered.session import HAND, Session
 
 HINT = "Drag a ball to pull the target, or a slider to move a joint. The mouse turns the view elsewhere."
 
@@ -27,7 +27,7 @@ def _compiling(session: Session) -> list[str]:
     if awaited.found is not None:
         return [f"The programs of {wanted} are ready, and are taken when the recording ends."]
     return [
-        f"The programs of {wanted} are being compiled in the background, once for all robots of this kind. That takes "
-        f"up to some minutes. Until then the robot is steered on the {session.model} model without regard to a "
-        "wall; the change comes by itself."
+        f"The programs of {wanted} are being compiled in the background, once for all robots of this kind. That "
+        f"takes up to some minutes. Until then the robot is steered on the {session.model} model, without regard "
+        "to a wall; the change comes by itself."
     ]

@@ -59,11 +59,18 @@ def spans(robot: Robot) -> list[tuple[float, float]]:
     """What a slider of each joint of q offers, (2d + 2): its limits, or where it has none some whole turns."""
     wide = TURNS * 2 * math.pi
     return [
-        (max(low, -wide), min(high, wide)) for low, high in zip(robot.lower.tolist(), robot.upper.tolist(), strict=True)
+        (max(low, -wide), min(high, wide))
+        for low, high in zip(robot.lower.tolist(), robot.upper.tolist(), strict=True)
     ]
 
 
-def retracted(robot: Robot) -> Array:
-    """The configuration (2d + 2,) with all angles as near to 0 and all tubes as far in as limits allow."""
-    q = np.clip(np.zeros(2 * robot.d + 2), robot.lower, robot.upper)
+def retracted(robot: Robot, path: Array) -> Array:
+    """The configuration (2d + 2,) with all tubes as far in as limits allow, turned to where a path bends.
+
+    path (n, 3) mm: from the insertion point. The tubes' curves lie then towards the side on which most of it is.
+    """
+    aside = path.mean(axis=0)
+    q = np.zeros(2 * robot.d + 2)
+    q[: robot.d] = math.atan2(aside[1], aside[0])
+    q = np.clip(q, robot.lower, robot.upper)
     return slid(robot, q, robot.d, q[robot.d])

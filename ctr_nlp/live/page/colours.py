@@ -10,7 +10,7 @@ from matplotlib import colormaps
 from matplotlib.colors import to_hex, to_rgb
 
 from ctr_nlp.figures.parts.palette import CONTACT, ERROR, ORANGE, SKY, VERMILLION, tube_colour
-from ctr_nlp.live.session import Seen
+from ctr_nlp.live.steered.session import Seen
 from ctr_nlp.robot import Robot
 from ctr_nlp.target.lumen import outermost
 from ctr_nlp.target.target import SIGMA
@@ -72,9 +72,9 @@ def judged(seen: Seen, asked: float | None) -> list[Judged]:
     """The numbers of a moment; asked: the least stability margin that steering keeps, None for any."""
     e2, tip = seen.e2, float(seen.error[-1])
     how = ("close", GOOD) if e2 <= CLOSE else ("near", NEAR) if e2 <= FAR else ("far", BAD)
-    found = [Judged("error e2, whole shape", f"{e2:.2f} mm", *how), Judged("error of the tip", f"{tip:.2f} mm", "", "")]
+    found = [Judged("shape error e2", f"{e2:.2f} mm", *how), Judged("tip error", f"{tip:.2f} mm", "", "")]
     if np.isfinite(seen.e3):
-        found.append(Judged("error e3, recorded", f"{seen.e3:.2f} mm", "", ""))
+        found.append(Judged("recorded, e3", f"{seen.e3:.2f} mm", "", ""))
     found.append(_margin(seen, asked or 0.0))
     if seen.clearance is not None:
         least = float(seen.clearance.min())
@@ -89,16 +89,22 @@ def judged(seen: Seen, asked: float | None) -> list[Judged]:
 
 def _margin(seen: Seen, asked: float) -> Judged:
     if not np.isfinite(seen.margin):
-        return Judged("stability margin", "none", "this model cannot snap", "")
-    how = ("stable", GOOD) if seen.margin > 2 * asked else ("little", NEAR) if seen.margin > 0 else ("unstable", BAD)
+        return Judged("stability margin", "none", "cannot snap", "")
+    how = (
+        ("stable", GOOD) if seen.margin > 2 * asked else ("little", NEAR) if seen.margin > 0 else ("unstable", BAD)
+    )
     return Judged("stability margin", f"{seen.margin:.3f}", *how)
+
+
+FIGURES = "text-align:right;font-variant-numeric:tabular-nums"
+"""How numbers stand below each other."""
 
 
 def table(rows: list[Judged]) -> str:
     """Judged numbers as a piece of HTML."""
     lines = [
-        f'<tr><td>{row.name}</td><td style="text-align:right;font-variant-numeric:tabular-nums"><b>{row.number}</b>'
-        f"</td><td>{_patch(row.colour, row.word) if row.colour else row.word}</td></tr>"
+        f'<tr><td>{row.name}</td><td style="{FIGURES}"><b>{row.number}</b></td>'
+        f"<td>{_patch(row.colour, row.word) if row.colour else row.word}</td></tr>"
         for row in rows
     ]
     return f'<table style="width:100%;font-size:0.85em">{"".join(lines)}</table>'

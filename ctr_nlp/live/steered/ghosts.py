@@ -38,7 +38,9 @@ class Ghosts:
     def _own(self, q: Array) -> Array:
         """Where the motors of every draw take its tubes, (n, 2d + 2)."""
         self._alpha = dragged(self._alpha, q[: self._d], self._draws.lags)
-        return np.hstack([self._alpha + self._draws.offsets, np.repeat(q[None, self._d :], len(self._alpha), axis=0)])
+        return np.hstack(
+            [self._alpha + self._draws.offsets, np.repeat(q[None, self._d :], len(self._alpha), axis=0)]
+        )
 
     def go(self, q: Array, x: Array) -> None:
         """Move all motors to q (2d + 2,), where the robot described has unknowns x (n_x,)."""

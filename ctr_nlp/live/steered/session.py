@@ -11,11 +11,11 @@ from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.around import Beside
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import ShapeDistance
-from ctr_nlp.live.drive import Awaited, Drive, fit
-from ctr_nlp.live.ghosts import STRIDE, Ghosts
-from ctr_nlp.live.goal import Goal
-from ctr_nlp.live.joints import retracted, slid, towards
-from ctr_nlp.live.recording import Moment, Recording
+from ctr_nlp.live.steered.drive import Awaited, Drive, fit
+from ctr_nlp.live.steered.ghosts import STRIDE, Ghosts
+from ctr_nlp.live.steered.goal import Goal
+from ctr_nlp.live.steered.joints import retracted, slid, towards
+from ctr_nlp.live.steered.recording import Moment, Recording
 from ctr_nlp.models import DEFAULT
 from ctr_nlp.models.walker import Walker
 from ctr_nlp.plan.measures import rms_over_sigma
@@ -33,17 +33,19 @@ MOST_DRAWS = 20
 NOBODY = np.zeros((0, len(SIGMA[::STRIDE]), 3))
 EMPTY = "nothing has been recorded; begin to record, and steer"
 SHAPE, TIP, HAND = "whole shape", "tip alone", "by hand"
-"""Methods: the shape follows the target at every arc length, its tip alone does, or joints go where sliders say."""
+"""Methods: the whole shape follows the target, its tip alone does, or joints go where sliders say."""
 DISTANCES = {SHAPE: ShapeDistance(), TIP: ShapeDistance(depth_weights=np.asarray(SIGMA == 1.0, dtype=float))}
 METHODS = (*DISTANCES, HAND)
 
 
 class Seen(NamedTuple):
-    """One moment. target, shape (101, 3) mm; shape is NaN where no equilibrium is found; q (2d + 2,).
+    """One moment.
 
-    error (101,) mm: distance at equal sigma; e2 mm: its root mean square over sigma; e3 mm: that of e2 over what
-    has been recorded, NaN where nothing has. margin: of stability, NaN where the model has none. clearance (101,) mm, None where no wall is known. ghosts (n, 26, 3) mm, and lost
-    (n,). snapped: whether the robot snapped in this step. seconds: that the step took.
+    target, shape (101, 3) mm; shape is NaN where no equilibrium is found. q (2d + 2,). error (101,) mm: distance
+    at equal sigma; e2 mm: its root mean square over sigma; e3 mm: that of e2 over what has been recorded, NaN
+    where nothing has. margin: of stability, NaN where the model has none. clearance (101,) mm, None where no wall
+    is known. ghosts (n, 26, 3) mm, and lost (n,): drawn robots. snapped: whether the robot snapped in this step.
+    seconds: that the step took.
     """
 
     target: Array
@@ -72,7 +74,11 @@ class Session:
         """
         number(OptionError, "rate", rate, lambda x: 0 < x < np.inf, "be a finite number > 0", " 1/s")
         self.problem, self.settings, self.dt = problem, settings, 1.0 / rate
-        self.goal, self.method, self.hand = Goal(problem.samples, problem.robot.reach), SHAPE, retracted(problem.robot)
+        self.goal, self.method, self.hand = (
+            Goal(problem.samples, problem.robot.reach),
+            SHAPE,
+            retracted(problem.robot, problem.samples[-1].points),
+        )
         self._beside = None if problem.sampled_lumen is None else Beside(problem.sampled_lumen)
         self._count, self._ghosts, self._recording = 0, None, None
         self._drive = Drive.at_once(problem, self.hand, self.dt, settings)

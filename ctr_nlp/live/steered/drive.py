@@ -1,4 +1,4 @@
-"""What moves the robot: a model on which it is seen, and a steerer, of which the wanted one may still be compiled."""
+"""What moves the robot: a model on which it is seen, and a steerer. Those wanted may still be being compiled."""
 
 from __future__ import annotations
 
