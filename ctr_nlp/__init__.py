@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from ctr_nlp.exceptions import CtrError
     from ctr_nlp.formulations.settings import Settings
     from ctr_nlp.formulations.shared.manufacture import Manufacture
+    from ctr_nlp.live import Live
     from ctr_nlp.loads import Load, LoadOverTime, read_load
     from ctr_nlp.models.loaded.model import Loaded
     from ctr_nlp.plan.metrics import by_frame, summary
@@ -45,6 +46,7 @@ __all__ = [
     "Design",
     "Forces",
     "Limits",
+    "Live",
     "Load",
     "LoadOverTime",
     "Loaded",
@@ -101,6 +103,7 @@ _HOMES = {
     "codesign.together": ("Design", "design"),
     "exceptions": ("CtrError",),
     "formulations.settings": ("Settings",),
+    "live": ("Live",),
     "loads": ("Load", "LoadOverTime", "read_load"),
     "models.loaded.model": ("Loaded",),
     "plan.metrics": ("by_frame", "summary"),

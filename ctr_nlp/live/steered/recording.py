@@ -15,7 +15,7 @@ from ctr_nlp.target.curve import Curve
 from ctr_nlp.target.points import walked
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import sequence
-from ctr_nlp.typing import Array
+from ctr_nlp.typing import Array, Index
 
 FORMULATION = "live"
 """What a plan's meta calls the way in which it was found."""
@@ -86,7 +86,7 @@ class Recording:
             lumen=problem.lumen,
         )
 
-    def _meta(self, snapped: Array) -> dict[str, Any]:
+    def _meta(self, snapped: Index) -> dict[str, Any]:
         return {
             "formulation": FORMULATION,
             "model": self.model,

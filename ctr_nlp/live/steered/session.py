@@ -74,13 +74,12 @@ class Session:
         """
         number(OptionError, "rate", rate, lambda x: 0 < x < np.inf, "be a finite number > 0", " 1/s")
         self.problem, self.settings, self.dt = problem, settings, 1.0 / rate
-        self.goal, self.method, self.hand = (
-            Goal(problem.samples, problem.robot.reach),
-            SHAPE,
-            retracted(problem.robot, problem.samples[-1].points),
-        )
+        self.goal, self.method = Goal(problem.samples, problem.robot.reach), SHAPE
+        self.hand = retracted(problem.robot, problem.samples[-1].points)
         self._beside = None if problem.sampled_lumen is None else Beside(problem.sampled_lumen)
-        self._count, self._ghosts, self._recording = 0, None, None
+        self._count = 0
+        self._ghosts: Ghosts | None = None
+        self._recording: Recording | None = None
         self._drive = Drive.at_once(problem, self.hand, self.dt, settings)
         self._robot = self._resting(self.hand)
         self._awaited: Awaited | None = None
@@ -121,7 +120,6 @@ class Session:
         check_choice("model", model, fit(self.problem))
         if self._awaited is not None:
             self._awaited.drop()
-            self._awaited = None
         self._awaited = Awaited(self.problem, model, self.q, self.dt, self.settings)
 
     def follow(self, method: str) -> None:
