@@ -57,7 +57,7 @@ FOREIGN = {
     "total": "rich tells a task's total so",
     **dict.fromkeys(
         (
-            *("visible", "position", "points", "colors", "value", "content", "label"),
+            *("visible", "opacity", "position", "points", "colors", "value", "content", "label"),
             *("batched_positions", "batched_wxyzs", "batched_scales", "batched_colors"),
             *("up", "fov", "look_at"),
         ),

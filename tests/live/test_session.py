@@ -255,3 +255,10 @@ def test_a_steerer_that_is_put_elsewhere_is_one_that_was_built_there(arc_problem
     np.testing.assert_allclose(moved.step(target), built.step(target), atol=1e-9)
     with pytest.raises(OptionError, match="stride"):
         moved.weigh(ShapeDistance(stride=10))
+
+
+def test_sliders_reach_every_limit():
+    robot = table_i_robot().with_limits(alpha=(-3.0, 3.0))
+    found = spans(robot)
+    np.testing.assert_array_equal(found[:6], np.stack([robot.lower, robot.upper], axis=1)[:6])
+    np.testing.assert_allclose(spans(table_i_robot())[:3], [[-2 * math.pi, 2 * math.pi]] * 3)

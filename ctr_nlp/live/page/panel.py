@@ -12,6 +12,7 @@ from ctr_nlp.live.page.colours import BY_CLEARANCE, BY_ERROR, BY_TUBE, Judged, j
 from ctr_nlp.live.steered.drive import fit
 from ctr_nlp.live.steered.joints import spans
 from ctr_nlp.live.steered.session import HAND, METHODS, MOST_DRAWS, Seen, Session
+from ctr_nlp.typing import Array
 
 OFTEN = 0.15
 """s between two changes of numbers and sliders: faster ones cannot be read."""
@@ -50,7 +51,8 @@ class Panel:
         with self._kept(gui.add_folder("Target")):
             self._target(gui)
         with self._kept(gui.add_folder("Joints (sliders steer by hand)", expand_by_default=False)):
-            self._joints = [self._joint(gui, j, span) for j, span in enumerate(spans(session.problem.robot))]
+            offered = np.round(spans(session.problem.robot), 2)
+            self._joints = [self._joint(gui, j, span) for j, span in enumerate(offered)]
         with self._kept(gui.add_folder("What is seen")):
             self._colouring(gui)
         with self._kept(gui.add_folder("Recording")):
@@ -79,6 +81,7 @@ class Panel:
         self._method.value = session.method
         self._progress.value = round(session.goal.progress, 3)
         self._play.label = "Stop following" if playing else "Follow the path"
+        self._draws.value = session.draws
         recorded = session.recorded
         told = "Record" if recorded is None else f"Stop, and keep {recorded * session.dt:.1f} s as a plan"
         self._record.label = told
@@ -123,13 +126,11 @@ class Panel:
                 self._asked.play(False)
                 ask(lambda session: session.goal.advance(value))
 
-    def _joint(self, gui: Any, joint: int, span: tuple[float, float]) -> Any:
-        session = self._session
-        name, now = session.problem.robot.axes[joint], float(np.clip(session.q[joint], *span))
-        unit = "mm" if name.startswith("beta") else "rad"
-        wide = span[1] > span[0]  # a locked joint has a slider that shows it and does not move
-        high = span[1] if wide else span[0] + FINE
-        found = gui.add_slider(f"{name}, {unit}", span[0], high, FINE, now, disabled=not wide)
+    def _joint(self, gui: Any, joint: int, span: Array) -> Any:
+        name, (low, high) = self._session.problem.robot.axes[joint], span.tolist()
+        now, unit = float(np.clip(self._session.q[joint], low, high)), "mm" if name.startswith("beta") else "rad"
+        locked = low == high  # such a joint has a slider that shows it and does not move
+        found = gui.add_slider(f"{name}, {unit}", low, high + FINE * locked, FINE, now, disabled=locked)
 
         @found.on_update
         def _(event: Any) -> None:
@@ -144,13 +145,14 @@ class Panel:
         known = (BY_ERROR, BY_TUBE) if session.problem.sampled_lumen is None else (BY_ERROR, BY_CLEARANCE, BY_TUBE)
         self._by = gui.add_dropdown("robot coloured by", known, initial_value=BY_ERROR)
         scale = gui.add_html(legend(session.problem.robot, BY_ERROR))
-        draws = gui.add_slider("drawn robots", 0, MOST_DRAWS, 1, session.draws)
+        self._draws = gui.add_slider("drawn robots", 0, MOST_DRAWS, 1, session.draws)
 
         @self._by.on_update
         def _(_: Any) -> None:
             scale.content = legend(session.problem.robot, str(self._by.value))
 
-        @draws.on_update
-        def _(_: Any) -> None:
-            count = int(draws.value)
-            self._asked.ask(lambda session: session.draw(count))
+        @self._draws.on_update
+        def _(event: Any) -> None:
+            if event.client_id is not None:
+                count = int(self._draws.value)
+                self._asked.ask(lambda session: session.draw(count))

@@ -27,6 +27,8 @@ OVERLAP = 1.08
 WALL, OPACITY = (140, 140, 140), 0.22
 TARGET_MM, GHOST_MM, HANDLE_MM, TIP_MM = 0.6, 0.35, 0.8, 1.6
 """Widths of lines, and by how much handles, and that of the tip, are larger in radius than the outermost tube."""
+SEEN_THROUGH = 0.5
+"""Opacity of the robot while drawn ones are seen, which often lie within its tubes."""
 AXES_MM = 12.0
 """Of the base frame's axes."""
 VIEW = (0.25, -1.0, 0.2)
@@ -49,7 +51,13 @@ class Scene:
         scene.add_frame("/base", axes_length=AXES_MM, axes_radius=0.3)
         lumen = problem.sampled_lumen
         if lumen is not None:
-            look = {"color": WALL, "opacity": OPACITY, "cast_shadow": False, "receive_shadow": False}
+            look = {
+                "color": WALL,
+                "opacity": OPACITY,
+                "side": "back",
+                "cast_shadow": False,
+                "receive_shadow": False,
+            }
             scene.add_mesh_simple("/lumen", *surface(_coarse(lumen), AROUND), **look)
         place = np.zeros((len(MIDDLES), 3))
         self._body = scene.add_batched_meshes_simple(
@@ -77,14 +85,15 @@ class Scene:
         self._target.points = _joined(seen.target)
         for handle, point in zip(self._handles, handles, strict=True):
             handle.position = point
-        count = len(seen.ghosts)
-        self._ghosts.visible = count > 0
-        if count:
-            lines = np.nan_to_num(np.concatenate([_joined(shape) for shape in seen.ghosts]))
-            colour = np.where(seen.lost[:, None], to_rgb(VERMILLION), to_rgb(SKY))
-            each = np.repeat(colour, len(lines) // count, axis=0)
-            self._ghosts.points = lines.astype(np.float32)
-            self._ghosts.colors = np.round(255 * np.stack([each, each], axis=1)).astype(np.uint8)
+        self._ghosts.visible = len(seen.ghosts) > 0
+        self._body.opacity = SEEN_THROUGH if len(seen.ghosts) else 1.0
+        if len(seen.ghosts):
+            # Always as many lines; those of no robot lie at the insertion point.
+            lines, colours = np.zeros((2, MOST_DRAWS, len(SIGMA[::STRIDE]) - 1, 2, 3), dtype=np.float32)
+            for k, (shape, lost) in enumerate(zip(seen.ghosts, seen.lost, strict=True)):
+                lines[k], colours[k] = np.nan_to_num(_joined(shape)), to_rgb(VERMILLION if lost else SKY)
+            self._ghosts.points = lines.reshape(-1, 2, 3)
+            self._ghosts.colors = colours.reshape(-1, 2, 3)
 
     def _show_robot(self, seen: Seen, by: str) -> None:
         known = bool(np.isfinite(seen.shape).all())

@@ -55,13 +55,13 @@ def towards(robot: Robot, q: Array, goal: Array, dt: float) -> Array:
     return np.asarray(q + min(1.0, float(parts.min())) * away)
 
 
-def spans(robot: Robot) -> list[tuple[float, float]]:
-    """What a slider of each joint of q offers, (2d + 2): its limits, or where it has none some whole turns."""
+def spans(robot: Robot) -> Array:
+    """What a slider of each joint of q offers, (2d + 2, 2): its limits, or whole turns of unlimited angles."""
+    ends, angles = np.stack([robot.lower, robot.upper], axis=1), np.ones(2 * robot.d + 2, dtype=bool)
+    angles[robot.d : 2 * robot.d] = False
     wide = TURNS * 2 * math.pi
-    return [
-        (max(low, -wide), min(high, wide))
-        for low, high in zip(robot.lower.tolist(), robot.upper.tolist(), strict=True)
-    ]
+    ends[angles] = np.clip(ends[angles], -wide, wide)
+    return ends
 
 
 def retracted(robot: Robot, path: Array) -> Array:
