@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from ctr_nlp.exchange.configurations import plan_through, read_configurations
     from ctr_nlp.formulations.settings import Settings
     from ctr_nlp.formulations.shared.manufacture import Manufacture
+    from ctr_nlp.live import Live
     from ctr_nlp.loads import Load, LoadOverTime, read_load
     from ctr_nlp.models.loaded.model import Loaded
     from ctr_nlp.plan.metrics import by_frame, summary
@@ -46,6 +47,7 @@ __all__ = [
     "Design",
     "Forces",
     "Limits",
+    "Live",
     "Load",
     "LoadOverTime",
     "Loaded",
@@ -105,6 +107,7 @@ _HOMES = {
     "exceptions": ("CtrError",),
     "exchange.configurations": ("plan_through", "read_configurations"),
     "formulations.settings": ("Settings",),
+    "live": ("Live",),
     "loads": ("Load", "LoadOverTime", "read_load"),
     "models.loaded.model": ("Loaded",),
     "plan.metrics": ("by_frame", "summary"),

@@ -19,6 +19,7 @@ ROOMS = (
         "codesign",
         "calibration",
         "exchange",
+        "live",
         "report",
         "figures",
         "hardware",
@@ -55,6 +56,14 @@ FOREIGN = {
     "choices": "argparse offers no other way to add to what an option may be",
     "complete": "shtab reads how an option is completed from its action",
     "total": "rich tells a task's total so",
+    **dict.fromkeys(
+        (
+            *("visible", "opacity", "position", "points", "colors", "value", "content", "label"),
+            *("batched_positions", "batched_wxyzs", "batched_scales", "batched_colors"),
+            *("up", "fov", "look_at"),
+        ),
+        "viser's handles are changed by their attributes alone",
+    ),
 }
 """Attributes of other libraries' objects that may be set from outside, and why."""
 

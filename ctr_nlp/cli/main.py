@@ -27,6 +27,7 @@ class Entry(NamedTuple):
 COMMANDS = {
     "plan": Entry("commands.plan", "plan", "plan a motion whose whole shape follows a target"),
     "steer": Entry("commands.plan", "steer", "plan frame by frame, as a robot must while its target moves"),
+    "live": Entry("steering.live", "main", "steer a robot in the browser, and record what it does"),
     "branches": Entry("commands.branches", "main", "list the branches of a centreline file"),
     "robust": Entry("commands.robust", "main", "try a plan on robots that are not quite the one described"),
     "under": Entry("loads.under", "main", "move the robot of a plan while it bears a load"),

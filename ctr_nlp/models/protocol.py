@@ -147,6 +147,13 @@ class Model(ABC):
     def check(self, robot: Robot) -> None:  # noqa: B027 - most models describe any robot
         """Raise OptionError unless the model describes a robot."""
 
+    def fast(self, structure: Structure) -> bool:
+        """Whether shapes and margins of such robots take microseconds, not milliseconds, by now.
+
+        Where that needs compiled code, the first call begins to compile it in the background.
+        """
+        return True
+
     @abstractmethod
     def frame(
         self,

@@ -22,7 +22,7 @@ from ctr_nlp.plan.plan import Plan
 from ctr_nlp.report.camera import FIELD, cameras
 from ctr_nlp.report.ghosts import ghosts
 from ctr_nlp.support.extras import needed
-from ctr_nlp.target.lumen import outer_radius, rings
+from ctr_nlp.target.lumen import outer_radius, rings, surface
 from ctr_nlp.target.points import walked
 from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
@@ -176,30 +176,20 @@ def _surroundings(k3d: Any, plan: Plan) -> list[Any]:
     if plan.lumen is not None:
         look = {"color": SHADE, "opacity": OPACITY, "flat_shading": False, "side": "double"}
         part = {"custom_data": {"part": WALLS}}
-        found.append(k3d.mesh(*_wall(plan.lumen), name="lumen", **part, **look))
+        found.append(k3d.mesh(*surface(plan.lumen, AROUND), name="lumen", **part, **look))
         hoops = {"indices_type": "segment", "color": SHADE, "width": AXIS_RADIUS, "shader": "thick"}
         found.append(k3d.lines(*_hoops(plan.lumen), name="lumen, rings", **part, **hoops))
     return found
-
-
-def _wall(lumen: Array) -> tuple[Array, npt.NDArray[np.uint32]]:
-    """Triangles of the wall around a path and its radius (N, 4) mm."""
-    surface = rings(lumen, np.linspace(0.0, 2 * np.pi, AROUND, endpoint=False))
-    here = np.arange(surface[..., 0].size).reshape(-1, AROUND)
-    beside, ahead = np.roll(here, -1, axis=1)[:-1], here[1:]
-    across = np.roll(here, -1, axis=1)[1:]
-    triangles = np.stack([here[:-1], beside, ahead, beside, across, ahead], axis=-1)
-    return surface.reshape(-1, 3).astype(np.float32), triangles.reshape(-1, 3).astype(np.uint32)
 
 
 def _hoops(lumen: Array) -> tuple[Array, npt.NDArray[np.uint32]]:
     """Rings of the wall every APART mm, which show its depth to an eye within it: points and pairs of them."""
     along = walked(lumen[:, :3])
     stations = np.unique(np.searchsorted(along, np.arange(0.0, along[-1], APART)))
-    surface = rings(lumen, np.linspace(0.0, 2 * np.pi, AROUND, endpoint=False))[stations]
-    here = np.arange(surface[..., 0].size).reshape(-1, AROUND)
+    hoops = rings(lumen, np.linspace(0.0, 2 * np.pi, AROUND, endpoint=False))[stations]
+    here = np.arange(hoops[..., 0].size).reshape(-1, AROUND)
     pairs = np.stack([here, np.roll(here, -1, axis=1)], axis=-1)
-    return surface.reshape(-1, 3).astype(np.float32), pairs.reshape(-1, 2).astype(np.uint32)
+    return hoops.reshape(-1, 3).astype(np.float32), pairs.reshape(-1, 2).astype(np.uint32)
 
 
 def _visible(plan: Plan) -> Array:

@@ -11,11 +11,12 @@ from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError, RobotError
 from ctr_nlp.formulations.joint import joint
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.formulations.terms.shape import STRIDE
+from ctr_nlp.formulations.terms.shape import STRIDE, ShapeDistance
 from ctr_nlp.formulations.wall import ROUNDS, SETTLED, Wall, wall_of
 from ctr_nlp.loads import steady
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.robot import Robot
+from ctr_nlp.solvers.compiled import library
 from ctr_nlp.solvers.frame.adapter import OPTIMAL, Surroundings
 from ctr_nlp.solvers.frame.program import Program
 from ctr_nlp.solvers.frame.run import Run
@@ -47,12 +48,15 @@ class Steerer:
         settings: Settings = DEFAULTS,
         model: str | Model = "dominant",
         lumen: Curve | None = None,
+        wait: bool = True,
     ) -> None:
         """Build for a robot that stands at q and moves every dt s; raises OptionError, RobotError.
 
         OptionError also where nothing can be compiled, and for a lumen under a load. On the elastic model the
         robot is taken to have been turned to q from where all its tubes were aligned. lumen: the path with a
         radius whose wall it is kept within, at the settings' clearance and weight of contact; None for no wall.
+        wait: whether to wait until the program has been compiled; else its steps are interpreted until that has
+        been done in the background, and take a millisecond or more. What describes a wall is always waited for.
         """
         instance(RobotError, "robot", robot, Robot)
         instance(OptionError, "settings", settings, Settings)
@@ -70,23 +74,57 @@ class Steerer:
             )
         self._wall = wall_of(robot, None if lumen is None else Lumen.around(lumen), described, settings)
         (stage,) = joint(robot, settings, described, walled=self._wall is not None)
-        x, reach = described.rest(robot, q), reach_of(robot, dt, described.several_equilibria)
+        reach = reach_of(robot, dt, described.several_equilibria)
         straight = growing(curve_from_formula(lambda u: (0.0, 0.0, u), 0.0, 1.0), 1).sample()[0]
         root = math.sqrt(settings.motion_weight) / dt
-        self._run = run = Run(Program(stage.nlp, wait=True, most=MOST_ITERATIONS), 1, math.inf, goes_on=True)
+        self._run = run = Run(Program(stage.nlp, wait, MOST_ITERATIONS), 1, math.inf, goes_on=True)
         values = {**stage.fill(straight, q), "motion_root": root}
         if self._wall is not None:
             run.keep_near(_described(self._wall))
             values["contact_weight"] = self._wall.weight
         run.p[0] = stage.nlp.pack(values)
         run.low[:], run.high[:], run.most[:] = reach
-        self._size = len(q)
-        run.here[:] = np.append(q, x[: len(run.here) - len(q)])
-        run.program.x[:] = np.append(x, np.zeros(stage.nlp.slacks))
+        self._size, self._robot, self._model = len(q), robot, described
+        self.stand(q)
         self._target = run.p[0, stage.nlp.place("target")].reshape(3, -1)
         self._whole, self._none = np.zeros((2, len(SIGMA), 3))
         self._sampled = self._whole[::STRIDE].T
         self._done, run.objective[:], run.kkt[:] = False, math.nan, math.nan
+
+    @classmethod
+    def soon(
+        cls,
+        robot: Robot,
+        q: npt.ArrayLike,
+        dt: float,
+        settings: Settings = DEFAULTS,
+        model: str | Model = "dominant",
+        lumen: Curve | None = None,
+    ) -> Steerer | None:
+        """The same, or None while it is compiled in the background, which the first call begins."""
+        described = model_named(model)
+        wall = wall_of(robot, None if lumen is None else Lumen.around(lumen), described, settings)
+        (stage,) = joint(robot, settings, described, walled=wall is not None)
+        begun = [described.fast(robot.structure), library(stage.nlp, 1).soon() is not None]
+        if wall is not None and wall.around is not None:
+            begun.append(wall.around.ready())
+        return cls(robot, q, dt, settings, model, lumen) if all(begun) else None
+
+    def stand(self, q: npt.ArrayLike, x: Array | None = None) -> None:
+        """From now on, the robot stands at q (2d + 2,), wherever it was before.
+
+        x (n_x,): the unknowns of its equilibrium there; None for that to which it is turned from where all tubes
+        are aligned. Raises RobotError.
+        """
+        q = self._robot.check(q)
+        x = self._model.rest(self._robot, q) if x is None else x
+        self._run.stand(np.append(q, x[: len(self._run.here) - len(q)]), x)
+
+    def weigh(self, distance: ShapeDistance) -> None:
+        """From now on, distances along the robot count as this term says; raises OptionError for other strides."""
+        if distance.stride != STRIDE:
+            raise OptionError(f"stride of a Steerer's distance is {distance.stride}; it must be {STRIDE}")
+        self._run.p[0, self._run.program.nlp.place("shape_roots")] = distance.roots
 
     @property
     def q(self) -> Array:

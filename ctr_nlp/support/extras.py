@@ -13,6 +13,7 @@ EXTRAS = {
     "ros2": ("cyclonedds",),
     "igtl": ("pyigtl",),
     "anatomy": ("nibabel", "nrrd", "networkx", "pyvista", "vtkmodules"),
+    "live": ("viser",),
     "report": ("k3d", "jinja2"),
     "completion": ("shtab",),
     "sampling": ("ompl",),

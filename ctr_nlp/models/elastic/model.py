@@ -43,6 +43,10 @@ class Elastic(Model):
     several_equilibria = True
     can_snap = True
 
+    def fast(self, structure: Structure) -> bool:
+        """As Model.fast."""
+        return compiled(structure) is not None
+
     def frame(
         self,
         structure: Structure,

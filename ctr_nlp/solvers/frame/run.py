@@ -9,6 +9,7 @@ import numpy as np
 from ctr_nlp.codegen import cache
 from ctr_nlp.solvers.frame.adapter import FEASIBLE, Surroundings
 from ctr_nlp.solvers.frame.program import Program
+from ctr_nlp.typing import Array
 
 
 class _Given(ctypes.Structure):
@@ -87,6 +88,11 @@ class Run:
             of_near = near.call, near.of, *sizes, near.firm, near.settled, self._found.ctypes.data
         self._given = _Given(*of_near, *self._fixed)
         self._reference = ctypes.byref(self._given)
+
+    def stand(self, here: Array, x: Array) -> None:
+        """Begin the next call at configuration here (k,) and at unknowns x, slacks of 0 after them, at rest."""
+        self.here[:], self._moved[:], self.program.x[:] = here, 0.0, 0.0
+        self.program.x[: len(x)] = x
 
     def __call__(self, frames: int, from_starts: bool = False) -> int:
         """Solve the first so many frames from the program's x and multipliers; how many were solved.

@@ -1,0 +1,111 @@
+"""`ctr-nlp live`: a robot that is steered in the browser."""
+
+from __future__ import annotations
+
+import argparse
+import ipaddress
+import itertools
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+from ctr_nlp.cli import problems
+from ctr_nlp.cli.arguments import add_compile_option, add_out_option, add_problem_options, whole
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command, console
+from ctr_nlp.cli.output.file import path_component
+from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.cli.plan_options import add_file_options
+from ctr_nlp.cli.report import write
+from ctr_nlp.live import Live
+from ctr_nlp.live.page.server import HOST, PORT
+from ctr_nlp.live.steered.free import free_problem
+from ctr_nlp.models import MODELS
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.robot import Robot, table_i_robot
+from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.target.problem import Problem
+
+USUAL = "bronchus"
+"""The problem where none is named."""
+
+
+def _parser(prog: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=prog,
+        description="Steer a robot in the browser. Drag the target's tip or its handles, or slide single joints, "
+        "and watch the robot follow within the lumen, with its error, stability margin and clearance. A recorded "
+        "motion becomes a plan, which `ctr-nlp play` and `ctr-nlp robust` take. The page needs no network.",
+        epilog="Ctrl-C ends it. Exit status: 130 after Ctrl-C, 2 where input is bad, a port is in use or there is "
+        f"no C compiler. Examples: `{prog} arc`; `{prog} airway.csv --branch 3 --model elastic`; "
+        f"`{prog} robot.toml --port 0`.",
+    )
+    kinds = f"{problems.KINDS}, or a robot file (.toml), whose robot then follows a path of its own shape"
+    parser.add_argument("problem", metavar="PROBLEM", nargs="?", default=USUAL, help=f"{kinds} (default {USUAL})")
+    parser.add_argument("--model", choices=MODELS, default="dominant", help="(default dominant)")
+    add_problem_options(parser)
+    parser.add_argument(
+        "--more-robots", metavar="FILE.toml", nargs="+", default=[], help="robots that can be chosen on the page"
+    )
+    add_compile_option(parser)
+    add_out_option(parser, "runs/PROBLEM-live")
+    group = parser.add_argument_group("where the page is served")
+    group.add_argument("--host", metavar="ADDRESS", default=HOST, help=f"(default {HOST}: for this machine alone)")
+    group.add_argument(
+        "--port", metavar="N", type=whole, default=PORT, help=f"0: any that is free (default {PORT})"
+    )
+    add_file_options(parser)
+    return parser
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    problem = _problem(arguments)
+    out = Path(arguments.out or f"runs/{path_component(problem.name)}-live")
+    check_folder(_next(out), "plan")
+    robots = {"Table I": table_i_robot()} | {
+        Path(file).stem: Robot.from_toml(file) for file in arguments.more_robots
+    }
+    problems.tell(problem)
+    with deferred_interrupt() as interrupted:
+        live = Live(
+            problem,
+            arguments.model,
+            robots=robots,
+            host=arguments.host,
+            port=arguments.port,
+            keep=lambda plan: _kept(plan, _next(out)),
+        )
+        if not _loopback(arguments.host):
+            sys.stderr.write(
+                f"note: whoever reaches {live.url} can steer; nothing is encrypted, nobody is asked\n"
+            )
+        console().print(f"steer {problem.name} at {live.url}; Ctrl-C ends it", markup=False, soft_wrap=True)
+        live.wait(interrupted)
+        return INTERRUPTED if interrupted() else SOLVED
+
+
+def _problem(arguments: argparse.Namespace) -> Problem:
+    """The problem that is named, or that of a robot file alone."""
+    if arguments.problem.endswith(".toml"):
+        return free_problem(Path(arguments.problem).stem, Robot.from_toml(arguments.problem), arguments.frames)
+    return problems.load(arguments.problem, arguments)
+
+
+def _next(out: Path) -> Path:
+    """A new folder within out, numbered from 1: no recording takes the place of another."""
+    return next(folder for n in itertools.count(1) if not (folder := out / str(n)).exists())
+
+
+def _kept(plan: Plan, folder: Path) -> str:
+    """Write a plan into a folder; where it is, in a sentence without its stop."""
+    with published(folder, "plan") as staging:
+        write(plan, staging)
+    return f"It is in {folder / 'plan.npz'}, for `ctr-nlp play` and `ctr-nlp robust`"
+
+
+def _loopback(host: str) -> bool:
+    with suppress(ValueError):
+        return ipaddress.ip_address(host).is_loopback
+    return host == "localhost"
+
+
+main = Command("ctr-nlp live", _parser, _run)

@@ -1,0 +1,204 @@
+"""Live steering served to browsers: a session that is moved thirty times a second, its scene and its panel."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+from ctr_nlp.exceptions import CtrError, OptionError
+from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.live.page.news import told
+from ctr_nlp.live.page.panel import Panel
+from ctr_nlp.live.page.scene import Scene
+from ctr_nlp.live.page.server import HOST, PORT, served, stopped
+from ctr_nlp.live.steered.drive import fit
+from ctr_nlp.live.steered.recording import Recording
+from ctr_nlp.live.steered.session import Seen, Session
+from ctr_nlp.models import DEFAULT
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.robot import Robot
+from ctr_nlp.steer.nlp_frames import DEFAULTS
+from ctr_nlp.support.values import instance
+from ctr_nlp.target.problem import Problem
+
+OWN = "the problem's own"
+"""The name of the robot that the problem comes with."""
+HIGH = 640
+"""Pixels of the frame in a notebook."""
+LOOK = 0.05
+"""s between two looks at whether waiting has ended."""
+RECENT = 60
+"""Steps over which it is told what part of the time they take."""
+NOTICED = 4.0
+"""s for which it is told that the robot snapped."""
+
+
+class Live:
+    """A page on which a problem's robot is steered, served from construction until stop().
+
+    url: where the page is. plan: the last motion that was recorded; None before the first.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        model: str = DEFAULT,
+        settings: Settings = DEFAULTS,
+        robots: Mapping[str, Robot] | None = None,
+        host: str = HOST,
+        port: int = PORT,
+        keep: Callable[[Plan], str] | None = None,
+    ) -> None:
+        """Serve; raises OptionError where a port is in use, nothing can be compiled, or viser is not installed.
+
+        robots: others to choose from, by name. host, port: where; port 0 takes any that is free. keep: what is
+        done with a recorded plan, in a thread of its own; what it returns tells where the plan went.
+        """
+        instance(OptionError, "problem", problem, Problem)
+        self.plan: Plan | None = None
+        self._problem, self._settings, self._keep = problem, settings, keep
+        self._robots = {OWN: problem.robot, **(robots or {})}
+        self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._spent: deque[float] = deque(maxlen=RECENT)
+        self._news, self._snapped = "", -NOTICED
+        self._course = 0.0
+        self._writing: threading.Thread | None = None
+        self._ending, self._failures = threading.Event(), list[Exception]()
+        self._session = Session(problem, model, settings)
+        self._server = served(host, port)
+        self.url = f"http://{host}:{self._server.get_port()}"
+        self._draw(OWN)
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def show(self, height: int = HIGH) -> Any:
+        """The page within a notebook, as an IFrame so many pixels high; raises OptionError outside of IPython."""
+        try:
+            from IPython.display import IFrame
+        except ImportError as error:
+            raise OptionError(f"show() is for notebooks, and IPython is not installed; open {self.url}") from error
+        return IFrame(self.url, width="100%", height=height)
+
+    def wait(self, ended: Callable[[], bool]) -> None:
+        """Serve until ended() is true, in the main thread; raises what has made steering fail."""
+        while not ended() and self._thread.is_alive():
+            time.sleep(LOOK)
+        self.stop()
+
+    def stop(self) -> None:
+        """End serving; a plan that is being kept is kept first. Raises what has made steering fail."""
+        self._ending.set()
+        self._thread.join()
+        if self._writing is not None:
+            self._writing.join()
+        stopped(self._server)
+        if self._failures:
+            raise self._failures[0]
+
+    # What the panel and the scene ask for, in any thread: panel.Asked
+
+    def ask(self, act: Callable[[Session], None]) -> None:
+        """Do something to the session between two steps."""
+        self._inbox.put(lambda: act(self._session))
+
+    def play(self, on: bool) -> None:
+        """Follow the path to its end and back, again and again, or stop that."""
+        self._inbox.put(lambda: self._set_off(on))
+
+    def use_robot(self, name: str) -> None:
+        """Go on with another robot from the beginning of the path."""
+        self._inbox.put(lambda: self._replace(name))
+
+    def record(self) -> None:
+        """Begin to record, or end it and keep the plan."""
+        self._inbox.put(self._record)
+
+    # The loop
+
+    def _run(self) -> None:
+        """Step after step, each begun when it is due; one that is late is not made up for."""
+        try:
+            due = time.perf_counter()
+            while not self._ending.is_set():
+                begin = time.perf_counter()
+                self._answer()
+                self._show(self._step())
+                self._spent.append(time.perf_counter() - begin)
+                due = max(due + self._session.dt, time.perf_counter())
+                self._ending.wait(due - time.perf_counter())
+        except Exception as error:
+            self._failures.append(error)
+
+    def _answer(self) -> None:
+        """Do what was asked for since the last step; what cannot be done is told, and changes nothing."""
+        while not self._inbox.empty():
+            try:
+                self._inbox.get()()
+            except CtrError as error:
+                self._news = f"{error}."
+
+    def _step(self) -> Seen:
+        session = self._session
+        if self._course:
+            progress = session.goal.progress + self._course * session.dt / session.problem.duration
+            self._course *= 1.0 if 0.0 < progress < 1.0 else -1.0
+            session.goal.advance(min(max(progress, 0.0), 1.0))
+        seen = session.step()
+        if seen.snapped:
+            self._snapped = time.monotonic()
+        return seen
+
+    def _show(self, seen: Seen) -> None:
+        session, busy = self._session, sum(self._spent) / max(len(self._spent), 1) / self._session.dt
+        snapped = time.monotonic() - self._snapped < NOTICED
+        with self._server.atomic():
+            self._scene.show(seen, session.goal.handles, self._panel.by)
+            self._panel.show(seen, bool(self._course), told(session, snapped, self._news), busy)
+        self._server.flush()
+
+    def _draw(self, robot: str) -> None:
+        """Draw the session anew, which has this robot."""
+        self._scene = Scene(self._server, self._session.problem, self._pulled)
+        self._panel = Panel(self._server.gui, self._session, tuple(self._robots), robot, self)
+
+    def _pulled(self, handle: int, point: Any) -> None:
+        self.ask(lambda session: session.pull(handle, point))
+
+    def _set_off(self, on: bool) -> None:
+        self._course = (1.0 if self._session.goal.progress < 1.0 else -1.0) if on else 0.0
+
+    def _replace(self, name: str) -> None:
+        problem = replace(self._problem, robot=self._robots[name])
+        models = fit(problem)
+        if not models:
+            raise OptionError(f"no model describes the robot {name!r}")
+        before, self._course = self._session, 0.0
+        model = before.wanted if before.wanted in models else models[0]
+        self._session = Session(problem, model, self._settings)
+        self._panel.remove()
+        self._server.scene.reset()
+        self._draw(name)
+
+    def _record(self) -> None:
+        if self._session.recorded is None:
+            self._session.record()
+            self._news = "Everything that the robot does is recorded."
+        else:
+            self._writing = threading.Thread(target=self._kept, args=(self._session.recording(),))
+            self._writing.start()
+            self._news = "The plan is being made of what was recorded."
+
+    def _kept(self, recording: Recording) -> None:
+        """Make a plan and keep it, beside the steps that go on."""
+        try:
+            plan = recording.plan()
+            self.plan = plan
+            told = "It is this object's `plan`" if self._keep is None else self._keep(plan)
+            self._news = f"The plan of {len(plan.time)} frames was made. {told}."
+        except CtrError as error:
+            self._news = f"{error}."

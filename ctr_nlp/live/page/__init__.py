@@ -1,0 +1,1 @@
+"""What the browser shows of live steering: scene, panel, colours, and the server behind them."""

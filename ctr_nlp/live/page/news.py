@@ -1,0 +1,33 @@
+"""What is told beside the numbers, in sentences."""
+
+from __future__ import annotations
+
+from ctr_nlp.live.steered.session import HAND, Session
+
+HINT = "Drag a ball to pull the target, or a slider to move a joint. The mouse turns the view elsewhere."
+
+
+def told(session: Session, snapped: bool, news: str) -> str:
+    """What is being compiled, what the wall has to do with it, whether the robot snapped, and the latest news."""
+    found = [*_compiling(session)]
+    if session.problem.lumen is not None and session.method == HAND:
+        found.append("By hand, the robot goes where the sliders say, also into the wall.")
+    if snapped:
+        found.append("**The robot snapped.** It goes on from where it came to rest.")
+    return "\n\n".join([*found, news or HINT])
+
+
+def _compiling(session: Session) -> list[str]:
+    awaited = session.awaited
+    if awaited is None:
+        return []
+    wanted = f"the {awaited.model} model{' within the wall' if awaited.walled else ''}"
+    if awaited.failed is not None:
+        return [f"The programs of {wanted} cannot be made: {awaited.failed}."]
+    if awaited.found is not None:
+        return [f"The programs of {wanted} are ready, and are taken when the recording ends."]
+    return [
+        f"The programs of {wanted} are being compiled in the background, once for all robots of this kind. That "
+        f"takes up to some minutes. Until then the robot is steered on the {session.model} model, without regard "
+        "to a wall; the change comes by itself."
+    ]

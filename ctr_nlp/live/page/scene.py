@@ -1,0 +1,179 @@
+"""The scene: a tree of named things in the browser, changed to what is seen, with handles to be dragged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from matplotlib.colors import to_rgb
+
+from ctr_nlp.figures.parts.palette import BLACK, ORANGE, SKY, VERMILLION
+from ctr_nlp.live.page.colours import MIDDLES, pieces
+from ctr_nlp.live.steered.ghosts import STRIDE
+from ctr_nlp.live.steered.goal import HANDLES
+from ctr_nlp.live.steered.session import MOST_DRAWS, Seen
+from ctr_nlp.target.lumen import Lumen, outer_radii, outer_radius, surface
+from ctr_nlp.target.problem import Problem
+from ctr_nlp.target.target import SIGMA
+from ctr_nlp.typing import Array
+
+Pulled = Callable[[int, Array], None]
+"""What is told of a handle, from 0, and where it is pulled to, (3,) mm."""
+SIDES, AROUND, RING_MM = 12, 20, 3.0
+"""Corners of a tube's cross-section, and of the lumen's; mm between two rings of the lumen."""
+OVERLAP = 1.08
+"""By what factor the pieces of a robot are longer than their share: no gaps where it bends."""
+WALL, OPACITY = (140, 140, 140), 0.22
+TARGET_MM, GHOST_MM, HANDLE_MM, TIP_MM = 0.6, 0.35, 0.8, 1.6
+"""Widths of lines, and by how much handles, and that of the tip, are larger in radius than the outermost tube."""
+SEEN_THROUGH = 0.5
+"""Opacity of the robot while drawn ones are seen, which often lie within its tubes."""
+AXES_MM = 12.0
+"""Of the base frame's axes."""
+VIEW = (0.25, -1.0, 0.2)
+"""From where the scene is seen at first."""
+FIELD = 35.0
+"""Of view, degrees."""
+
+
+class Scene:
+    """What is drawn of one problem on a server's scene."""
+
+    def __init__(self, server: Any, problem: Problem, pulled: Pulled) -> None:
+        """Draw what stays; pulled: called in the server's own thread, and must return at once."""
+        self._server, self._robot = server, problem.robot
+        scene = server.scene
+        scene.configure_environment_map(None)
+        scene.configure_default_lights(False)
+        scene.add_light_ambient("/light/all around", intensity=1.1)
+        scene.add_light_directional("/light/above", intensity=1.8, cast_shadow=False, position=(0.3, -1.0, 0.8))
+        scene.add_frame("/base", axes_length=AXES_MM, axes_radius=0.3)
+        lumen = problem.sampled_lumen
+        if lumen is not None:
+            look = {
+                "color": WALL,
+                "opacity": OPACITY,
+                "side": "back",
+                "cast_shadow": False,
+                "receive_shadow": False,
+            }
+            scene.add_mesh_simple("/lumen", *surface(_coarse(lumen), AROUND), **look)
+        place = np.zeros((len(MIDDLES), 3))
+        self._body = scene.add_batched_meshes_simple(
+            "/robot",
+            *_rod(),
+            np.tile([1.0, 0.0, 0.0, 0.0], (len(MIDDLES), 1)),
+            place,
+            batched_scales=place + 1.0,
+            batched_colors=np.zeros((len(MIDDLES), 3), dtype=np.uint8),
+            lod="off",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        black = np.array(to_rgb(BLACK))
+        line = np.zeros((len(SIGMA) - 1, 2, 3))
+        self._target = scene.add_line_segments("/target", line, black, thickness=TARGET_MM)
+        parts = np.zeros((MOST_DRAWS * (len(SIGMA[::STRIDE]) - 1), 2, 3))
+        self._ghosts = scene.add_line_segments("/draws", parts, parts, thickness=GHOST_MM, visible=False)
+        self._handles = [self._handle(k, pulled) for k in range(HANDLES)]
+        self._look(problem)
+
+    def show(self, seen: Seen, handles: Array, by: str) -> None:
+        """Change to a moment; handles (HANDLES, 3) mm; by: what the robot is coloured by."""
+        self._show_robot(seen, by)
+        self._target.points = _joined(seen.target)
+        for handle, point in zip(self._handles, handles, strict=True):
+            handle.position = point
+        self._ghosts.visible = len(seen.ghosts) > 0
+        self._body.opacity = SEEN_THROUGH if len(seen.ghosts) else 1.0
+        if len(seen.ghosts):
+            # Always as many lines; those of no robot lie at the insertion point.
+            lines, colours = np.zeros((2, MOST_DRAWS, len(SIGMA[::STRIDE]) - 1, 2, 3), dtype=np.float32)
+            for k, (shape, lost) in enumerate(zip(seen.ghosts, seen.lost, strict=True)):
+                lines[k], colours[k] = np.nan_to_num(_joined(shape)), to_rgb(VERMILLION if lost else SKY)
+            self._ghosts.points = lines.reshape(-1, 2, 3)
+            self._ghosts.colors = colours.reshape(-1, 2, 3)
+
+    def _show_robot(self, seen: Seen, by: str) -> None:
+        known = bool(np.isfinite(seen.shape).all())
+        self._body.visible = known
+        if known:
+            ahead = np.diff(seen.shape, axis=0)
+            length = np.linalg.norm(ahead, axis=1)
+            beta = self._robot.split(seen.q)[1]
+            radius = outer_radii(self._robot, beta[None], MIDDLES)[0]
+            self._body.batched_positions = ((seen.shape[1:] + seen.shape[:-1]) / 2).astype(np.float32)
+            self._body.batched_wxyzs = _turned(ahead / np.maximum(length, 1e-9)[:, None]).astype(np.float32)
+            self._body.batched_scales = np.stack([radius, radius, OVERLAP * length], axis=1).astype(np.float32)
+            self._body.batched_colors = pieces(self._robot, seen, by)
+
+    def _handle(self, k: int, pulled: Pulled) -> Any:
+        """A ball that can be dragged; the last one is the target's tip."""
+        tip = k == HANDLES - 1
+        name, colour = ("/tip", VERMILLION) if tip else (f"/handle {k + 1}", ORANGE)
+        radius = float(outer_radius(self._robot)[0]) + (TIP_MM if tip else HANDLE_MM)
+        look = {"color": to_rgb(colour), "subdivisions": 2, "cast_shadow": False, "receive_shadow": False}
+        ball = self._server.scene.add_icosphere(name, radius, **look)
+        grabbed = np.zeros(3)
+
+        @ball.on_drag
+        async def _(event: Any) -> None:
+            if event.phase == "start":
+                grabbed[:] = np.array(event.start_position) - ball.position
+            pulled(k, np.array(event.end_position) - grabbed)
+
+        return ball
+
+    def _look(self, problem: Problem) -> None:
+        """Where the camera stands at first: from the side, so that all of path and lumen is seen."""
+        points = np.concatenate([frame.points for frame in problem.samples[-1:]])
+        if problem.sampled_lumen is not None:
+            points = np.concatenate([points, problem.sampled_lumen.table[:, :3]])
+        low, high = points.min(axis=0), points.max(axis=0)
+        middle, away = (low + high) / 2, np.array(VIEW)
+        if high[1] - low[1] > high[0] - low[0]:
+            away = away[[1, 0, 2]] * [-1.0, 1.0, 1.0]
+        far = 0.6 * np.linalg.norm(high - low) / np.tan(np.radians(FIELD / 2))
+        camera = self._server.initial_camera
+        camera.up, camera.fov = (0.0, 0.0, 1.0), float(np.radians(FIELD))
+        camera.look_at = tuple(middle)
+        camera.position = tuple(middle + far * away / np.linalg.norm(away))
+
+
+def _joined(points: Array) -> Array:
+    """Lines (n - 1, 2, 3) between neighbours of points (n, 3)."""
+    return np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+
+
+def _coarse(lumen: Lumen) -> Array:
+    """A lumen's table (N, 4) with its ends and few rings between: each triangle is drawn thirty times a second."""
+    count = max(2, round(lumen.along[-1] / RING_MM) + 1)
+    chosen = np.searchsorted(lumen.along, np.linspace(0.0, lumen.along[-1], count))
+    return np.asarray(lumen.table[np.unique(chosen)])
+
+
+def _rod() -> tuple[Array, Array]:
+    """Vertices and triangles of a closed rod along z, of radius and length 1, around the origin."""
+    angle = np.linspace(0.0, 2 * np.pi, SIDES, endpoint=False)
+    ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(SIDES)], axis=1)
+    ends = [ring + np.array([0.0, 0.0, side]) for side in (-0.5, 0.5)]
+    vertices = np.concatenate(
+        [*ends, *ends, [[0.0, 0.0, -0.5], [0.0, 0.0, 0.5]]]
+    )  # ends of their own: sharp edges
+    k = np.arange(SIDES)
+    beside = (k + 1) % SIDES
+    sides = [[k, beside, k + SIDES], [beside, beside + SIDES, k + SIDES]]
+    below, above = 2 * SIDES, 3 * SIDES
+    caps = [
+        [beside + below, k + below, np.full(SIDES, 4 * SIDES)],
+        [k + above, beside + above, np.full(SIDES, 4 * SIDES + 1)],
+    ]
+    return vertices, np.concatenate([np.transpose(each) for each in (*sides, *caps)])
+
+
+def _turned(ahead: Array) -> Array:
+    """Quaternions (n, 4) wxyz that turn z to unit vectors (n, 3) by the smallest rotation."""
+    found = np.stack([1.0 + ahead[:, 2], -ahead[:, 1], ahead[:, 0], 0.0 * ahead[:, 2]], axis=1)
+    found[found[:, 0] < 1e-9] = [0.0, 1.0, 0.0, 0.0]
+    return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))

@@ -1,0 +1,50 @@
+"""The server of the page: on a port that is free, to this machine alone, and never by way of somebody else's."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import socket
+from typing import Any
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.support.extras import needed
+from ctr_nlp.support.values import whole_number
+
+HOST, PORT = "127.0.0.1", 8080
+"""Where the page is served unless told otherwise."""
+LABEL = "ctr-nlp live"
+
+
+def served(host: str, port: int) -> Any:
+    """A viser server; raises OptionError where it cannot be had on this port, or viser is not installed.
+
+    Viser would take the next port that is free, tell on standard output what it does, and on request of a page let
+    the world in through a server of its makers. None of this happens here.
+    """
+    viser = needed("viser")
+    if whole_number(OptionError, "port", port, 0) > 65535:
+        raise OptionError(f"port is {port}; it must be a whole number from 0 to 65535")
+    try:
+        socket.create_server((host, port)).close()
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise OptionError(
+            f"port {port} of {host} cannot be served ({why.lower()}); give another, or 0 for any that is free"
+        ) from error
+
+    class Unshared(viser.ViserServer):  # type: ignore[name-defined]
+        def request_share_url(self, verbose: bool = True) -> None:
+            """Nobody is let in from outside."""
+
+    with contextlib.redirect_stdout(io.StringIO()):
+        server = Unshared(host, port, LABEL, verbose=False)
+    server.gui.configure_theme(show_logo=False, show_share_button=False)
+    server.gui.main_panel.dock_right()
+    return server
+
+
+def stopped(server: Any) -> None:
+    """End a server, without its words on that."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()

@@ -1,0 +1,20 @@
+"""A problem for a robot that has none: a path of its own shape."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ctr_nlp.robot import Robot
+from ctr_nlp.simulation.forward import shape_curve
+from ctr_nlp.target.problem import Problem
+from ctr_nlp.target.target import growing
+
+
+def free_problem(name: str, robot: Robot, frames: int = 100) -> Problem:
+    """Along the shape that a robot has with all tubes deployed and turned alike, without a lumen.
+
+    Raises OptionError where the dominant model does not describe the robot, and ProblemError.
+    """
+    turned, tilted = np.zeros(robot.d), np.zeros(2)
+    q = np.clip(np.concatenate([turned, robot.deployed, tilted]), robot.lower, robot.upper)
+    return Problem(name, robot, growing(shape_curve(robot, q), frames))

@@ -1,0 +1,233 @@
+"""Live steering without a screen: what is asked of the robot, and after every step what there is to be seen."""
+
+from __future__ import annotations
+
+import time
+from typing import NamedTuple
+
+import numpy as np
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.formulations.around import Beside
+from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.formulations.terms import ShapeDistance
+from ctr_nlp.live.steered.drive import Awaited, Drive, fit
+from ctr_nlp.live.steered.ghosts import STRIDE, Ghosts
+from ctr_nlp.live.steered.goal import Goal
+from ctr_nlp.live.steered.joints import retracted, slid, towards
+from ctr_nlp.live.steered.recording import Moment, Recording
+from ctr_nlp.models import DEFAULT
+from ctr_nlp.models.walker import Walker
+from ctr_nlp.plan.measures import rms_over_sigma
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.steer.nlp_frames import DEFAULTS
+from ctr_nlp.support.values import check_choice, number, whole_number
+from ctr_nlp.target.problem import Problem
+from ctr_nlp.target.target import SIGMA
+from ctr_nlp.typing import Array, Flags
+
+RATE = 30.0
+"""Steps a second."""
+MOST_DRAWS = 20
+"""Robots that are moved beside the one described, at most."""
+NOBODY = np.zeros((0, len(SIGMA[::STRIDE]), 3))
+EMPTY = "nothing has been recorded; begin to record, and steer"
+SHAPE, TIP, HAND = "whole shape", "tip alone", "by hand"
+"""Methods: the whole shape follows the target, its tip alone does, or joints go where sliders say."""
+DISTANCES = {SHAPE: ShapeDistance(), TIP: ShapeDistance(depth_weights=np.asarray(SIGMA == 1.0, dtype=float))}
+METHODS = (*DISTANCES, HAND)
+
+
+class Seen(NamedTuple):
+    """One moment.
+
+    target, shape (101, 3) mm; shape is NaN where no equilibrium is found. q (2d + 2,). error (101,) mm: distance
+    at equal sigma; e2 mm: its root mean square over sigma; e3 mm: that of e2 over what has been recorded, NaN
+    where nothing has. margin: of stability, NaN where the model has none. clearance (101,) mm, None where no wall
+    is known. ghosts (n, 26, 3) mm, and lost (n,): drawn robots. snapped: whether the robot snapped in this step.
+    seconds: that the step took.
+    """
+
+    target: Array
+    shape: Array
+    q: Array
+    error: Array
+    e2: float
+    e3: float
+    margin: float
+    clearance: Array | None
+    ghosts: Array
+    lost: Flags
+    snapped: bool
+    seconds: float
+
+
+class Session:
+    """A robot that is steered step by step. Not for two threads at once."""
+
+    def __init__(
+        self, problem: Problem, model: str = DEFAULT, settings: Settings = DEFAULTS, rate: float = RATE
+    ) -> None:
+        """At the beginning of a problem's path, retracted. rate: steps a second.
+
+        Raises OptionError where nothing can be compiled, or the model does not describe the robot.
+        """
+        number(OptionError, "rate", rate, lambda x: 0 < x < np.inf, "be a finite number > 0", " 1/s")
+        self.problem, self.settings, self.dt = problem, settings, 1.0 / rate
+        self.goal, self.method = Goal(problem.samples, problem.robot.reach), SHAPE
+        self.hand = retracted(problem.robot, problem.samples[-1].points)
+        self._beside = None if problem.sampled_lumen is None else Beside(problem.sampled_lumen)
+        self._count = 0
+        self._ghosts: Ghosts | None = None
+        self._recording: Recording | None = None
+        self._drive = Drive.at_once(problem, self.hand, self.dt, settings)
+        self._robot = self._resting(self.hand)
+        self._awaited: Awaited | None = None
+        self.use(model)
+
+    @property
+    def q(self) -> Array:
+        """Where the motors stand, (2d + 2,)."""
+        return self._robot.q
+
+    @property
+    def model(self) -> str:
+        """The name of the model on which the robot is seen and steered now."""
+        return self._drive.model.name
+
+    @property
+    def wanted(self) -> str:
+        """The name of the model that was asked for last."""
+        return self.model if self._awaited is None else self._awaited.model
+
+    @property
+    def draws(self) -> int:
+        """How many robots are moved beside the one described."""
+        return self._count
+
+    @property
+    def awaited(self) -> Awaited | None:
+        """The drive that is being compiled, or could not be; None where the one that is wanted is there."""
+        return self._awaited
+
+    @property
+    def walled(self) -> bool:
+        """Whether steps keep the robot within the lumen."""
+        return self._drive.walled and self.method != HAND
+
+    def use(self, model: str) -> None:
+        """See and steer the robot on another model, as soon as its programs are compiled; raises OptionError."""
+        check_choice("model", model, fit(self.problem))
+        if self._awaited is not None:
+            self._awaited.drop()
+        self._awaited = Awaited(self.problem, model, self.q, self.dt, self.settings)
+
+    def follow(self, method: str) -> None:
+        """Steer by another method, one of METHODS; raises OptionError."""
+        check_choice("method", method, METHODS)
+        if self.method == HAND and method != HAND:
+            self._drive.steerer.stand(self.q, self._robot.x)
+        self.method, self.hand = method, self.q
+        if method != HAND:
+            self._drive.steerer.weigh(DISTANCES[method])
+
+    def pull(self, handle: int, point: Array) -> None:
+        """Take a handle of the target to a point (3,) mm; steering takes over from a hand. Raises OptionError."""
+        self.goal.pull(handle, point)
+        if self.method == HAND:
+            self.follow(SHAPE)
+
+    def slide(self, joint: int, value: float) -> None:
+        """Take a joint of q, from 0, by hand towards a value, rad or mm; raises OptionError."""
+        if whole_number(OptionError, "joint", joint, 0) >= len(self.q):
+            raise OptionError(f"joint is {joint}; it must be a whole number from 0 to {len(self.q) - 1}")
+        number(OptionError, f"the value of joint {joint}", value, np.isfinite, "be a finite number")
+        if self.method != HAND:
+            self.follow(HAND)
+        self.hand = slid(self.problem.robot, self.hand, joint, value)
+
+    def draw(self, count: int) -> None:
+        """Move so many draws of the robot beside it, from rest where it stands; raises OptionError."""
+        if whole_number(OptionError, "draws", count, 0) > MOST_DRAWS:
+            raise OptionError(f"draws are {count}; there can be {MOST_DRAWS} at most")
+        self._count = count
+        self._ghosts = Ghosts(self.problem.robot, self._drive.model, self.q, count) if count else None
+
+    def record(self) -> None:
+        """Begin to record, and forget what was recorded before; until it ends, the model stays what it is."""
+        self._recording = Recording(self.problem, self.model, self.settings, self.dt)
+
+    @property
+    def recorded(self) -> int | None:
+        """How many moments have been recorded; None where nobody records."""
+        return None if self._recording is None else len(self._recording.moments)
+
+    def recording(self) -> Recording:
+        """What was recorded, which ends here; raises OptionError where nothing was."""
+        found, self._recording = self._recording, None
+        if found is None or not found.moments:
+            raise OptionError(EMPTY)
+        return found
+
+    def plan(self) -> Plan:
+        """What was recorded as a plan; raises OptionError where nothing was."""
+        return self.recording().plan()
+
+    def step(self) -> Seen:
+        """Move the robot by dt s, and tell what is seen then."""
+        begin = time.perf_counter()
+        if self._awaited is not None and self._awaited.found is not None and self._recording is None:
+            self._take(self._awaited.found)
+        moment = self._moved(self.goal.points)
+        robot, q = self.problem.robot, self.q
+        shape, ghosts = self._drive.model.points(robot, self._robot.x[None], SIGMA)[0], self._ghosts
+        if ghosts is not None:
+            ghosts.go(q, self._robot.x)
+        error, clearance = np.linalg.norm(shape - moment.target, axis=1), None
+        if self._beside is not None:
+            clearance = self._beside.clearances(robot, robot.split(q)[1][None], shape[None], SIGMA)[0]
+        e2 = float(rms_over_sigma(error))
+        if self._recording is not None:
+            self._recording.add(moment, e2)
+        return Seen(
+            target=moment.target,
+            shape=shape,
+            q=q,
+            error=error,
+            e2=e2,
+            e3=np.nan if self._recording is None else self._recording.e3,
+            margin=self._robot.margin(),
+            clearance=clearance,
+            ghosts=NOBODY if ghosts is None else ghosts.shapes,
+            lost=np.zeros(0, dtype=bool) if ghosts is None else ghosts.lost.copy(),
+            snapped=moment.snapped,
+            seconds=time.perf_counter() - begin,
+        )
+
+    def _take(self, drive: Drive) -> None:
+        """Go on with another drive from where the robot stands."""
+        q, self._drive, self._awaited = self.q, drive, None
+        self._robot = self._resting(q)
+        drive.steerer.stand(q, self._robot.x)
+        self.follow(self.method)
+        self.draw(self._count)
+
+    def _resting(self, q: Array) -> Walker:
+        """The robot at q (2d + 2,), without a history."""
+        robot = self.problem.robot
+        return self._drive.model.walker(robot.structure, robot.numbers, q)
+
+    def _moved(self, target: Array) -> Moment:
+        """The robot after one step; where it has no equilibrium, it comes to rest anew, and has snapped."""
+        steerer, begin = self._drive.steerer, time.perf_counter()
+        if self.method == HAND:
+            q, solved = towards(self.problem.robot, self.q, self.hand, self.dt), (np.nan, np.nan, np.nan)
+        else:
+            q = steerer.step(target)
+            solved = steerer.objective, steerer.kkt, time.perf_counter() - begin
+        snapped = bool(self._robot.go(q))
+        if not np.isfinite(self._robot.x).all():
+            self._robot, snapped = self._resting(q), True
+        if snapped:
+            steerer.stand(q, self._robot.x)
+        return Moment(q, target, snapped, *solved)
