@@ -1,16 +1,19 @@
 """What MkDocs makes of the pages of docs/, which are written so that GitHub shows them as they are.
 
-README.md becomes the first page. Formulas become MathML, which browsers draw without a script. A link to a file
-that is no page leads to a page which shows that file. The pages of the Python interface are made from docstrings.
+README.md becomes the first page, and a notebook a page with what it shows. Formulas become MathML, which browsers
+draw without a script. A link to another file leads to a page which shows that file. The pages of the Python interface
+are made from docstrings.
 """
 
 from __future__ import annotations
 
 import inspect
+import json
 import posixpath
 import re
 from collections import defaultdict
 from pathlib import Path
+from typing import Any
 
 from latex2mathml.converter import convert
 from mkdocs.config.defaults import MkDocsConfig
@@ -95,9 +98,30 @@ def _shown(path: str) -> str:
     if place.is_dir():
         names = sorted(item.name for item in place.iterdir() if not item.name.startswith(("_", ".")))
         text = "\n".join(f"- `{name}`" for name in names)
+    elif place.suffix == ".ipynb":
+        return "\n\n".join(map(_cell, json.loads(place.read_text(encoding="utf-8"))["cells"]))
     else:
         text = f"````{LANGUAGES.get(place.suffix, 'text')}\n{place.read_text(encoding='utf-8')}\n````"
     return f"---\nsearch:\n  exclude: true\n---\n# {path}\n\n{text}\n"
+
+
+def _cell(cell: dict[str, Any]) -> str:
+    """A cell of a notebook, with what it shows."""
+    source = "".join(cell["source"])
+    if cell["cell_type"] == "markdown":
+        return source
+    parts = [f"```python\n{source}\n```"]
+    for output in cell["outputs"]:
+        shown = output.get("data", {"text/plain": output.get("text", "")})
+        if "image/png" in shown:
+            parts.append(
+                f'<img alt="What the cell shows" src="data:image/png;base64,{"".join(shown["image/png"])}">'
+            )
+        elif "text/html" in shown:
+            parts.append(f"<div>{''.join(shown['text/html'])}</div>")
+        else:
+            parts.append(f"```text\n{''.join(shown['text/plain']).rstrip()}\n```")
+    return "\n\n".join(parts)
 
 
 def _interface() -> dict[str, str]:
