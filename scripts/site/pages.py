@@ -1,8 +1,8 @@
 """What MkDocs makes of the pages of docs/, which are written so that GitHub shows them as they are.
 
 README.md becomes the first page, and a notebook a page with what it shows. Formulas become MathML, which browsers
-draw without a script. A link to another file leads to a page which shows that file. The pages of the Python interface
-are made from docstrings.
+draw without a script. A link to another file leads to a page which shows that file. The pages of the Python
+interface are made from docstrings.
 """
 
 from __future__ import annotations
