@@ -11,7 +11,7 @@ from ctr_nlp.problems import named
 from ctr_nlp.steer import solve_horizon
 from ctr_nlp.studies.comparison import ROBUST, variants_here
 
-BEND = '''"""A bend in space that two tubes cannot follow exactly, and on the best plan for which many draws snap."""
+BEND = '''"""A bend in space that two tubes cannot follow exactly; many draws snap on the best plan for it."""
 
 import casadi as ca
 
