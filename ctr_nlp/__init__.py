@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from ctr_nlp.exchange.configurations import plan_through, read_configurations
     from ctr_nlp.formulations.settings import Settings
     from ctr_nlp.formulations.shared.manufacture import Manufacture
-    from ctr_nlp.live import Live
     from ctr_nlp.loads import Load, LoadOverTime, read_load
     from ctr_nlp.models.loaded.model import Loaded
     from ctr_nlp.plan.metrics import by_frame, summary
@@ -47,7 +46,6 @@ __all__ = [
     "Design",
     "Forces",
     "Limits",
-    "Live",
     "Load",
     "LoadOverTime",
     "Loaded",
@@ -107,7 +105,6 @@ _HOMES = {
     "exceptions": ("CtrError",),
     "exchange.configurations": ("plan_through", "read_configurations"),
     "formulations.settings": ("Settings",),
-    "live": ("Live",),
     "loads": ("Load", "LoadOverTime", "read_load"),
     "models.loaded.model": ("Loaded",),
     "plan.metrics": ("by_frame", "summary"),

@@ -12,7 +12,8 @@ from scipy.io import savemat
 from ctr_nlp import Plan, Problem, curve_from_formula, growing, shapes, table_i_robot
 from ctr_nlp.cli.exchange.configurations import main
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.exchange import mat, plan_through, read_configurations
+from ctr_nlp.exchange.configurations import plan_through, read_configurations
+from ctr_nlp.exchange.mat import mat
 
 FRAMES = 4
 HEADER = [

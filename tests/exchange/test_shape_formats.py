@@ -17,8 +17,13 @@ from ctr_nlp.anatomy.files import read_branches
 from ctr_nlp.anatomy.problem_files import problem_from_file
 from ctr_nlp.cli.commands.export import main
 from ctr_nlp.exceptions import OptionError, OutputError
-from ctr_nlp.exchange import FILES, FORMATS, gltf, mat, plan_through, shapes_csv, slicer_files
+from ctr_nlp.exchange.configurations import plan_through
+from ctr_nlp.exchange.formats import FILES, FORMATS
+from ctr_nlp.exchange.gltf import gltf
+from ctr_nlp.exchange.mat import mat
+from ctr_nlp.exchange.slicer import slicer_files
 from ctr_nlp.exchange.surface import tube_surfaces, wall_surface
+from ctr_nlp.exchange.table import shapes_csv
 from ctr_nlp.plan.metrics import by_frame, summary
 
 FRAMES = 5

@@ -5,13 +5,15 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ctr_nlp import exchange
 from ctr_nlp.cli.console import SOLVED, Command, console
 from ctr_nlp.cli.exchange.shapes import write_shapes
 from ctr_nlp.cli.output.file import check_file, write_text
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.play_report import print_trajectory
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.exchange import formats
+from ctr_nlp.exchange.formats import SLICER
+from ctr_nlp.exchange.slicer import SPACES
 from ctr_nlp.hardware.description import Hardware, bench
 from ctr_nlp.hardware.exports import BAG, FORMATS, TEXTS
 from ctr_nlp.hardware.exports.rosbag2 import STORAGES, write_bag
@@ -22,7 +24,7 @@ from ctr_nlp.support.interrupt import deferred_interrupt
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
-    every = (*FORMATS, *exchange.FORMATS)
+    every = (*FORMATS, *formats.FORMATS)
     parser = argparse.ArgumentParser(
         prog=prog,
         description="Check a plan for some hardware, time it, and write it as commands that other machines play: "
@@ -45,8 +47,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--space",
-        choices=exchange.SPACES,
-        help=f"with --to {exchange.SLICER}, for a plan whose path comes from a file that does not tell its "
+        choices=SPACES,
+        help=f"with --to {SLICER}, for a plan whose path comes from a file that does not tell its "
         "patient coordinates: those of that file",
     )
     parser.add_argument(
@@ -60,7 +62,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 def _run(arguments: argparse.Namespace) -> int:
     to, source = arguments.to, Path(arguments.plan)
     _check_fit(arguments)
-    if to in exchange.FORMATS:
+    if to in formats.FORMATS:
         write_shapes(source, to, None if arguments.out is None else Path(arguments.out), arguments.space)
         return SOLVED
     beside = source.with_name(f"{source.stem}_bag") if to == BAG else source.with_suffix(TEXTS[to].suffix)
@@ -87,10 +89,10 @@ def _check_fit(arguments: argparse.Namespace) -> None:
     to = arguments.to
     if arguments.storage and to != BAG:
         raise OptionError(f"--storage goes with --to {BAG}; a {to} file has none")
-    if arguments.space and to != exchange.SLICER:
-        raise OptionError(f"--space goes with --to {exchange.SLICER}; a {to} file is in the robot's base frame")
+    if arguments.space and to != SLICER:
+        raise OptionError(f"--space goes with --to {SLICER}; a {to} file is in the robot's base frame")
     for option in ("hardware", "tempo"):
-        if to in exchange.FORMATS and getattr(arguments, option) is not None:
+        if to in formats.FORMATS and getattr(arguments, option) is not None:
             raise OptionError(
                 f"--{option} goes with commands of machines ({', '.join(FORMATS)}); --to {to} writes shapes"
             )

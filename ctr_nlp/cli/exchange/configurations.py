@@ -12,7 +12,7 @@ from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.plan_options import add_file_options
 from ctr_nlp.cli.report import draw, exit_status, print_report, write
-from ctr_nlp.exchange import plan_through, read_configurations
+from ctr_nlp.exchange.configurations import plan_through, read_configurations
 from ctr_nlp.models import MODELS
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array

@@ -8,7 +8,8 @@ from ctr_nlp.cli.console import console
 from ctr_nlp.cli.output.file import check_file, write_bytes, write_text
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.exchange import FILES, SLICER, slicer_files
+from ctr_nlp.exchange.formats import FILES, SLICER
+from ctr_nlp.exchange.slicer import slicer_files
 from ctr_nlp.plan.plan import Plan
 
 
