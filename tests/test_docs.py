@@ -43,6 +43,7 @@ ENVIRONMENT = "python3 -m venv"
 """What commands begin with that make an environment: .ci/run runs these."""
 THIN = {
     ("plan * --robust*",): "--robot two.toml --frames 12 --no-compile",
+    ("plan *airway* --model elastic*",): "--frames 40",
     ("plan *", "steer *"): "--frames 40 --no-compile",
     ("scripts/compare_solvers.py*", "compare *"): "--frames 2 --variants joint:sqp horizon:banded",
     ("scripts/benchmark.py*", "benchmark *"): "--parts rows --rows frame",
@@ -51,8 +52,8 @@ THIN = {
 }
 """What command lines look like, of one program as a script or a subcommand -> further arguments; the first counts.
 
-Compiling takes longer than so few frames do without. Programs of a design are the largest of all, those of two
-tubes a third as large as those of three.
+Compiling takes longer than so few frames do without, but what is played later is planned as users plan it.
+Programs of a design are the largest of all, those of two tubes a third as large as those of three.
 """
 
 PIP = '''#!{python}
