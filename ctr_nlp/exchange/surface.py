@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from ctr_nlp.exceptions import OutputError
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.target.lumen import outer_radius, rings
+from ctr_nlp.target.lumen import outer_radius, surface
 from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
 
@@ -60,13 +60,9 @@ def wall_surface(plan: Plan) -> Surface | None:
 
 def _swept(table: Array, sides: int) -> Surface:
     """The surface around a path with a radius, a table (n, 4), mm."""
-    around = rings(table, np.linspace(0.0, 2 * np.pi, sides, endpoint=False))
-    outwards = around - table[:, None, :3]
-    first = np.arange((len(table) - 1) * sides).reshape(-1, sides)
-    beside = np.roll(first, -1, axis=1)
-    triangles = np.stack([first, beside, first + sides, beside, beside + sides, first + sides], axis=-1)
-    normals = outwards / np.linalg.norm(outwards, axis=-1, keepdims=True)
-    return Surface(around.reshape(-1, 3), normals.reshape(-1, 3), triangles.reshape(-1, 3))
+    points, triangles = surface(table, sides)
+    outwards = points - np.repeat(table[:, :3], sides, axis=0)
+    return Surface(points, outwards / np.linalg.norm(outwards, axis=-1, keepdims=True), triangles)
 
 
 def _closed(table: Array) -> Surface:

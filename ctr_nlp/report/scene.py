@@ -176,7 +176,8 @@ def _surroundings(k3d: Any, plan: Plan) -> list[Any]:
     if plan.lumen is not None:
         look = {"color": SHADE, "opacity": OPACITY, "flat_shading": False, "side": "double"}
         part = {"custom_data": {"part": WALLS}}
-        found.append(k3d.mesh(*surface(plan.lumen, AROUND), name="lumen", **part, **look))
+        vertices, triangles = surface(plan.lumen, AROUND)
+        found.append(k3d.mesh(vertices.astype(np.float32), triangles, name="lumen", **part, **look))
         hoops = {"indices_type": "segment", "color": SHADE, "width": AXIS_RADIUS, "shader": "thick"}
         found.append(k3d.lines(*_hoops(plan.lumen), name="lumen, rings", **part, **hoops))
     return found

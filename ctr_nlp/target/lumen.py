@@ -127,17 +127,17 @@ def rings(table: Array, angle: Array) -> Array:
     return np.asarray(centre[:, None] + radius[:, None, None] * across)
 
 
-def surface(table: Array, around: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint32]]:
+def surface(table: Array, around: int) -> tuple[Array, npt.NDArray[np.uint32]]:
     """Vertices (N around, 3) mm of the wall around a table (N, 4), and its triangles, (2 (N - 1) around, 3).
 
-    around: how many vertices each ring has.
+    around: how many vertices each ring has. Triangles turn left seen from outside.
     """
     vertices = rings(table, np.linspace(0.0, 2 * np.pi, around, endpoint=False))
     here = np.arange(vertices[..., 0].size).reshape(-1, around)
     beside, ahead = np.roll(here, -1, axis=1)[:-1], here[1:]
     across = np.roll(here, -1, axis=1)[1:]
     triangles = np.stack([here[:-1], beside, ahead, beside, across, ahead], axis=-1)
-    return vertices.reshape(-1, 3).astype(np.float32), triangles.reshape(-1, 3).astype(np.uint32)
+    return vertices.reshape(-1, 3), triangles.reshape(-1, 3).astype(np.uint32)
 
 
 def outer_radius(robot: Robot) -> Array:

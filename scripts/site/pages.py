@@ -7,6 +7,7 @@ interface are made from docstrings.
 
 from __future__ import annotations
 
+import importlib
 import inspect
 import json
 import posixpath
@@ -134,5 +135,5 @@ def _interface() -> dict[str, str]:
 
 
 def _page(room: str, names: list[str]) -> str:
-    about = inspect.getdoc(getattr(__import__(f"ctr_nlp.{room}"), room)) or ""
+    about = inspect.getdoc(importlib.import_module(f"ctr_nlp.{room}")) or ""
     return "\n\n".join([f"# ctr_nlp.{room}", about, *names]) + "\n"

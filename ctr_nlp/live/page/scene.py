@@ -58,7 +58,8 @@ class Scene:
                 "cast_shadow": False,
                 "receive_shadow": False,
             }
-            scene.add_mesh_simple("/lumen", *surface(_coarse(lumen), AROUND), **look)
+            vertices, triangles = surface(_coarse(lumen), AROUND)
+            scene.add_mesh_simple("/lumen", vertices.astype(np.float32), triangles, **look)
         place = np.zeros((len(MIDDLES), 3))
         self._body = scene.add_batched_meshes_simple(
             "/robot",
