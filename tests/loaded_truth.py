@@ -14,13 +14,14 @@ the innermost, and no moment bends the last one. Loads are raised in steps from 
 from __future__ import annotations
 
 import itertools
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
 import scipy.linalg
-from scipy.integrate import quad, solve_ivp
+from scipy.integrate import ODEintWarning, odeint, quad, solve_ivp
 from scipy.optimize import fsolve
 from scipy.spatial.transform import Rotation
 
@@ -79,27 +80,57 @@ class LoadedShot:
         ends = [s for s in self.pull.between if s < self.beta[-1]]
         return np.array(sorted({0.0, *self.beta, *(s for s in [*starts, *ends] if s > 0)}))
 
-    def pulls(self, s):
-        """EI_i k_i at s, and which tubes are there."""
-        found, there = np.zeros(self.robot.d), s < self.beta
+    def pulls(self, s, middle=None):
+        """EI_i k_i at s, and which tubes are there; middle: of the piece that s is in, where s is a symbol."""
+        middle = s if middle is None else middle
+        pulls = [0.0] * self.robot.d
         for i, tube in enumerate(self.robot.tubes):
             part = (self.beta[i] - s) / tube.curved_length
-            if 0 <= part < 1:
+            if 0 <= (self.beta[i] - middle) / tube.curved_length < 1:
                 root, tip = np.broadcast_to(tube.curvature, 2)
-                found[i] = self.numbers[0][i] * (tip + part * (root - tip))
-        return found, there
+                pulls[i] = self.numbers[0][i] * (tip + part * (root - tip))
+        return pulls, middle < self.beta
 
-    def force(self, s, part):
+    def force(self, s, part, middle=None):
         """n at s, of a part of the load."""
+        middle = s if middle is None else middle
         down = np.array(self.pull.down) / np.linalg.norm(self.pull.down)
-        beyond = (self.numbers[2] * np.maximum(self.beta - s, 0)).sum()
-        begin, end = self.pull.between
-        pushed = max(min(end, self.beta[-1]) - max(begin, s), 0.0) * np.array(self.pull.along)
-        return part * (np.array(self.pull.force) + beyond * down + pushed)
+        there, (begin, end) = middle < self.beta, np.minimum(self.pull.between, self.beta[-1])
+        weight = sum(w * (b - s) for w, b in zip(self.numbers[2][there], self.beta[there], strict=True))
+        pushed = end - begin if middle < begin else end - s if middle < end else 0.0
+        terms = zip(self.pull.force, down, self.pull.along, strict=True)
+        return [part * (force + weight * axis + pushed * along) for force, axis, along in terms]
+
+    @cached_property
+    def slopes(self):
+        """Of each piece between places, the right-hand side of its equations: a function of s, y and the part."""
+        return [self._slope((low + high) / 2) for low, high in itertools.pairwise(self.places)]
+
+    def _slope(self, middle):
+        d, (bending, torsion, _) = self.robot.d, self.numbers
+        s, y, part = ca.SX.sym("s"), ca.SX.sym("y", 2 * d + 15), ca.SX.sym("part")
+        theta, u, axes, m = (
+            y[:d],
+            y[d : 2 * d],
+            ca.reshape(y[2 * d : 2 * d + 9], 3, 3).T,
+            y[2 * d + 9 : 2 * d + 12],
+        )
+        pulls, there = self.pulls(s, middle)
+        pull, stiff = ca.vertcat(*pulls), bending[there].sum()
+        inside = axes.T @ m
+        wx = (inside[0] - ca.dot(pull, ca.sin(theta))) / stiff
+        wy = (inside[1] + ca.dot(pull, ca.cos(theta))) / stiff
+        du = pull * (wx * ca.cos(theta) + wy * ca.sin(theta)) / torsion
+        w = ca.skew(ca.vertcat(wx, wy, u[-1]))
+        t, n = axes[:, 2], ca.vertcat(*self.force(s, part, middle))
+        there = ca.DM(there.astype(float))
+        turned = ca.reshape((axes @ w).T, 9, 1)
+        right = ca.vertcat(there * (u - u[-1]), du, turned, ca.cross(n, t), t)
+        return ca.Function("slope", [s, y, part], [right])
 
     def shoot(self, unknown, q, part, tolerance=1e-9, dense=False):
         """What tips lack, (d + 2,), and the pieces of the solution."""
-        d, (bending, torsion, _) = self.robot.d, self.numbers
+        d, torsion = self.robot.d, self.numbers[1]
         rates, moments = unknown[:d] * UNITS[0], unknown[d:] * UNITS[1]
         reach = np.array([t.length for t in self.robot.tubes]) - self.beta
         turned = q[:d] + rates * reach
@@ -107,32 +138,18 @@ class LoadedShot:
         axes = (base * Rotation.from_rotvec([0, 0, turned[-1]])).as_matrix()
         moment = base.as_matrix() @ [*moments, torsion @ rates]
         y, lacks, pieces = np.concatenate([turned - turned[-1], rates, axes.ravel(), moment, np.zeros(3)]), [], []
-        for low, high in itertools.pairwise(self.places):
-            middle = (low + high) / 2
-            there = middle < self.beta
-            stiff = bending[there].sum()
+        for (low, high), slope in zip(itertools.pairwise(self.places), self.slopes, strict=True):
 
-            def slope(s, y, middle=middle, there=there, stiff=stiff):
-                theta, u, axes, m = (
-                    y[:d],
-                    y[d : 2 * d],
-                    y[2 * d : 2 * d + 9].reshape(3, 3),
-                    y[2 * d + 9 : 2 * d + 12],
-                )
-                pull = self.pulls(np.nextafter(s, middle))[0]
-                inside = axes.T @ m
-                wx = (inside[0] - pull @ np.sin(theta)) / stiff
-                wy = (inside[1] + pull @ np.cos(theta)) / stiff
-                du = pull * (wx * np.cos(theta) + wy * np.sin(theta)) / torsion
-                w = np.array([[0, -u[-1], wy], [u[-1], 0, -wx], [-wy, wx, 0]])
-                t = axes[:, 2]
-                return np.concatenate(
-                    [np.where(there, u - u[-1], 0), du, (axes @ w).ravel(), np.cross(self.force(s, part), t), t]
-                )
+            def right(s, y, slope=slope):
+                return slope(s, y, part).full().ravel()
 
-            run = solve_ivp(slope, (low, high), y, method="DOP853", rtol=tolerance, atol=1e-11, dense_output=dense)
-            y = run.y[:, -1]
-            pieces.append(run.sol)
+            accuracy = {"rtol": tolerance, "atol": 1e-11}
+            if dense:
+                run = solve_ivp(right, (low, high), y, method="DOP853", dense_output=True, **accuracy)
+                y = run.y[:, -1]
+                pieces.append(run.sol)
+            else:
+                y = _ended(right, y, low, high, accuracy)
             lacks += [y[d + i] / UNITS[0] for i in np.flatnonzero(self.beta[:-1] == high)]
         inside = y[2 * d : 2 * d + 9].reshape(3, 3).T @ y[2 * d + 9 : 2 * d + 12]
         last = y[2 * d - 1] - part * self.pull.axial_moment / torsion[-1]
@@ -264,11 +281,22 @@ class AnyShot(LoadedShot):
             lambda z: self.shoot(z, self.q, 1.0, 1e-6)[0], guess, full_output=True, maxfev=100
         )
         if ended == 1:
-            unknown = fsolve(lambda z: self.shoot(z, self.q, 1.0)[0], unknown, xtol=1e-10, epsfcn=1e-8)
+            near = {"xtol": 1e-10, "epsfcn": 1e-8, "full_output": True}
+            unknown = fsolve(lambda z: self.shoot(z, self.q, 1.0)[0], unknown, **near)[0]
             lacks, pieces = self.shoot(unknown, self.q, 1.0, 1e-11, dense=True)
             if abs(lacks).max() < 1e-7:
                 return pieces
         raise Unsolved
+
+
+def _ended(right, y, low, high, accuracy):
+    """Where y is led from low to high, by LSODA, which is the fastest; raises Unsolved where it gives up."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ODEintWarning)
+        try:
+            return odeint(right, y, (low, high), tfirst=True, **accuracy)[-1]
+        except ODEintWarning:
+            raise Unsolved from None
 
 
 def _turn(v):

@@ -7,9 +7,10 @@ beside the turn of the tip, two equations say that the base points there, and no
 
 from __future__ import annotations
 
+import functools
 import itertools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -29,14 +30,25 @@ from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.solvers.motion.judged import CLOSE, WIDE
 from ctr_nlp.solvers.scenarios import SharedSolution, SharedSolver
 from ctr_nlp.solvers.scenarios.condensed import Condensed
-from ctr_nlp.steer.attempts import Report
+from ctr_nlp.steer.attempts import SAME, Report
 from ctr_nlp.steer.horizon.chained import Horizon
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
-from ctr_nlp.steer.realised import Missed, held_between, missing
+from ctr_nlp.steer.realised import SHORT, Missed, held_between, missing
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
+
+_Asked = tuple[str | None, npt.ArrayLike | None, npt.ArrayLike | None]
+"""The solver's name, and q at the first and the last frame."""
+FIRMER = 0.2, 0.1, 0.0
+"""By how much more margin than asked the motions without the load have that the search begins with, in this order.
+
+A motion that keeps just the margin that is asked ends beside the snap, and from there the search under the load
+comes to a branch of equilibria that the robot does not reach.
+"""
+WORTH = 1.2
+"""A motion under the load is taken at once where its objective is at most so many times that without the load."""
 
 
 class LoadedHorizon:
@@ -60,13 +72,15 @@ class LoadedHorizon:
         model.check(problem.robot)
         begin = time.perf_counter()
         asked = solver, start, end
+        self._problem, self._model, self._settings, self._terms = problem, model, settings, tuple(terms)
         wall = wall_of(problem.robot, problem.sampled_lumen, model, settings)
         self._inside = None if wall is None else Horizon(problem, model, *asked, settings, terms)
-        free = replace(settings, contact_weight=0.0)
-        self._without = Horizon(problem, MODELS[model.name], *asked, free, terms)
-        self._problem, self._model, self._settings, self._terms = problem, model, settings, tuple(terms)
-        self._ends, margin = self._without.ends, settings.stability_margin
+        margin = settings.stability_margin
         self._margins = None if margin is None else np.full(problem.frames, margin)
+        self._without = self._unloaded(asked, margin)
+        self._ends = self._without.ends
+        firmer = () if margin is None else [margin + more for more in FIRMER if more and margin + more < 1]
+        self._firmer = [functools.partial(self._unloaded, asked, more) for more in firmer]
         self._simulator = Simulator(problem.robot, model)
         self.build_seconds = time.perf_counter() - begin
 
@@ -85,7 +99,7 @@ class LoadedHorizon:
             plain = self._without.solve(initial, motion_weight, starts, jobs, progress, seen, exhaustive)
             weight = plain.meta["options"]["motion_weight"]
             begin = time.perf_counter()
-            found = None if interrupted() else self._borne(plain.q, weight, interrupted)
+            found = None if interrupted() else self._borne(plain, initial, interrupted)
             if found is not None and found.success and self._inside is not None and not interrupted():
                 return self._inside.solve([found.q], weight, progress=progress)
             stopped = interrupted()
@@ -103,22 +117,61 @@ class LoadedHorizon:
         }
         return self._plan(plain, found, weight, meta)
 
-    def _borne(self, q: Array, weight: float, stop: Callable[[], bool]) -> SharedSolution:
-        """The motion under the load, from that without it, q (T, 2d + 2), with margins held between frames too."""
+    def _unloaded(self, asked: _Asked, margin: float | None) -> Horizon:
+        """All frames of the robot without the load, and without a wall."""
+        free = replace(self._settings, contact_weight=0.0, stability_margin=margin)
+        return Horizon(self._problem, MODELS[self._model.name], *asked, free, self._terms)
+
+    def _borne(self, plain: Plan, initial: Sequence[npt.ArrayLike], stop: Callable[[], bool]) -> SharedSolution:
+        """The motion under the load, from plans without it, with margins held between frames too.
+
+        plain: the plan without the load; initial: motions that it was begun from, if any. The first motion is
+        taken that costs about as much as the plan, else the best; where the robot makes none, the first that was
+        solved, else what came of the last search.
+        """
+        weight = plain.meta["options"]["motion_weight"]
+        motion, limit = self._motion(weight, self._margins), WORTH * float(plain.objective.sum())
+        solved: list[SharedSolution] = []
+        made: list[tuple[SharedSolution, float]] = []
+        for q in self._starts(plain, initial, weight):
+            found = self._from(q, motion, stop)
+            if stop() or not found.success or _known(found, solved):
+                continue
+            solved.append(found)
+            made += self._held(found, weight, limit, stop) if found.objective <= limit else []
+            if made and made[-1][1] <= SHORT:
+                return made[-1][0]
+        for first in sorted(solved, key=lambda one: one.objective):
+            made += self._held(first, weight, np.inf, stop) if not made else []
+        if made:
+            return min(made, key=lambda one: (max(one[1], SHORT), one[0].objective))[0]
+        return solved[0] if solved else found
+
+    def _starts(self, plain: Plan, initial: Sequence[npt.ArrayLike], weight: float) -> Iterator[Array]:
+        """Motions q (T, 2d + 2) without the load: of more margin first, at last that of the plan itself."""
+        for unloaded in self._firmer:
+            firmer = unloaded().solve(initial, weight)
+            if firmer.success.all():
+                yield firmer.q
+        yield plain.q
+
+    def _held(
+        self, first: SharedSolution, weight: float, limit: float, stop: Callable[[], bool]
+    ) -> list[tuple[SharedSolution, float]]:
+        """The same motion with its margin held between frames, as far as the objective does not pass a limit, and
+        what the margin is missed by; nothing where the robot does not make it.
+        """
         d, margin = self._problem.robot.d, self._settings.stability_margin
-        first = self._from(q, self._motion(weight, self._margins), stop)
-        if not first.success:
-            return first
 
         def missed(found: SharedSolution) -> Missed:
             return missing(self._simulator(found.q), found.x, margin, d)
 
         def again(found: SharedSolution, raised: Array) -> SharedSolution | None:
             solved = SharedSolver(self._motion(weight, raised))(found.q, found.phi, CLOSE, stop)
-            return solved if solved.success else None
+            return solved if solved.success and solved.objective <= limit else None
 
         made = held_between(first, self._margins, missed, again, stop)
-        return first if made is None else made[0]
+        return [] if made is None else [made]
 
     def _motion(self, weight: float, margins: Array | None) -> SharedMotion:
         """The program of the robot alone; weight: lambda in s^2; margins (T,): of each frame."""
@@ -165,3 +218,8 @@ class LoadedHorizon:
             simulator=self._simulator,
             **known,
         )
+
+
+def _known(found: SharedSolution, solved: Sequence[SharedSolution]) -> bool:
+    """Whether another start came to the same solution."""
+    return any(abs(found.objective - one.objective) <= SAME * (1 + abs(one.objective)) for one in solved)
