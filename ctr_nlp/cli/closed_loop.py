@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.cli.console import SOLVED, SOME_FAILED, console, print_table
+from ctr_nlp.cli.console import SOLVED, SOME_FAILED
+from ctr_nlp.cli.telling import console, print_table
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.guiding.loop import ClosedLoop, begun_with, known_of

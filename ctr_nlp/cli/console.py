@@ -1,73 +1,23 @@
-"""What every program shares: how it is called and ends, its progress, its tables."""
+"""What every program shares: how it is called, helps and ends."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
 
-from rich import box
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
-
+import ctr_nlp
+from ctr_nlp.cli.telling import telling
 from ctr_nlp.exceptions import CtrError, meant
 from ctr_nlp.support.interrupt import deferred_interrupt
 
 SOLVED, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 """Exit codes of every program."""
-
-PIPED_WIDTH = 160
-"""Columns assumed where output does not go to a terminal."""
-
-
-def console(stderr: bool = False) -> Console:
-    """A console on stdout or stderr, wide enough for tables where it is not a terminal."""
-    found = Console(stderr=stderr, highlight=False)
-    return found if found.is_terminal else Console(stderr=stderr, highlight=False, width=PIPED_WIDTH)
-
-
-@contextmanager
-def progress_bar() -> Iterator[Callable[[str], Callable[[int, int, str], None]]]:
-    """A bar on stderr; what it yields turns a label into a callback (done, total, note)."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=None)
-
-        def labelled(label: str) -> Callable[[int, int, str], None]:
-            bar.reset(task, description=label, total=None)
-
-            def report(done: int, total: int, note: str) -> None:
-                if done < bar.tasks[0].completed:
-                    bar.reset(task)
-                bar.tasks[0].total = total  # update(total=...) would forget how fast it went
-                bar.update(task, description=f"{label} ({note})", completed=done)
-
-            return report
-
-        yield labelled
-
-
-def print_table(
-    title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]], text: Collection[str] = ()
-) -> None:
-    """A table with a left-aligned first column and columns of text; numbers are cut to what is worth reading."""
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for i, column in enumerate(columns):
-        table.add_column(
-            column, justify="left" if i == 0 or column in text else "right", no_wrap=i == 0, overflow="fold"
-        )
-    for row in rows:
-        table.add_row(*(cell if isinstance(cell, str) else _text(cell) for cell in row))
-    console().print(table)
-
-
-def _text(cell: Any) -> str:
-    from ctr_nlp.plan.account import shown  # brings numerics, without which `doctor` must work
-
-    return shown(cell)
+EXAMPLES = Path(__file__).parent / "templates" / "examples.txt"
+"""Calls of programs: after a line `[NAME]`, what each of its examples does, and in the next line its arguments."""
+INDENT = "  "
 
 
 class Command(NamedTuple):
@@ -75,13 +25,69 @@ class Command(NamedTuple):
 
     name: str
     """What usage calls it."""
-    parser: Callable[[str], argparse.ArgumentParser]
-    """From that name."""
+    options: Callable[[str], argparse.ArgumentParser]
+    """Its own options, for a parser of that name."""
     run: Callable[[argparse.Namespace], int]
+
+    def parser(self, prog: str) -> argparse.ArgumentParser:
+        """Its own options and those of every program, with examples in the help."""
+        own, told = self.options(prog), [""]
+        given = examples(self.name.rpartition(" ")[2])
+        if given:
+            told += ["examples:", *(f"{INDENT}{what}\n{2 * INDENT}{prog} {call}".rstrip() for what, call in given)]
+        parser = argparse.ArgumentParser(
+            prog=prog,
+            description=own.description,
+            epilog=f"{own.epilog}\n" + "\n".join(told),
+            parents=[own],
+            add_help=False,
+            formatter_class=_Formatter,
+        )
+        group = parser.add_argument_group("what is told")
+        if "--json" not in own._option_string_actions:  # benchmark's names a file
+            what = "print tables, lines and the names of files that were written as one JSON object on stdout"
+            group.add_argument("--json", action="store_true", dest="as_json", help=what)
+        what = "tell on stderr, line by line, what is being done, how far it is and how long it will still take"
+        group.add_argument("-v", "--verbose", action="store_true", help=what)
+        return parser
 
     def __call__(self, argv: list[str] | None = None, prog: str | None = None) -> int:
         """Run with argv, or with what the process was given; prog: another name for usage."""
-        return guarded(lambda: self.run(parsed(self.parser(prog or self.name), argv)))
+        return guarded(lambda: self._told(parsed(self.parser(prog or self.name), argv)))
+
+    def _told(self, arguments: argparse.Namespace) -> int:
+        """Run; with --json, print what was told, and an error as a part of it."""
+        with telling(getattr(arguments, "as_json", False), arguments.verbose) as told:
+            if told is None:
+                return self.run(arguments)
+            error: str | None = None
+            try:
+                status = self.run(arguments)
+            except CtrError as exception:
+                status, error = BAD_INPUT, str(exception)
+            known = {"command": self.name, "version": ctr_nlp.__version__, "exit_status": status, "error": error}
+            sys.stdout.write(told.as_json(**known) + "\n")
+            if error is not None:
+                sys.stderr.write(f"error: {error}\n")
+            return status
+
+
+def examples(name: str) -> list[tuple[str, str]]:
+    """What a subcommand's examples do, and their arguments."""
+    blocks = dict(block.split("]\n", 1) for block in EXAMPLES.read_text(encoding="utf-8").split("[")[1:])
+    lines = blocks.get(name, "").splitlines()
+    return [(what, call.strip()) for what, call in zip(lines[::2], lines[1::2], strict=True)]
+
+
+class _Formatter(argparse.HelpFormatter):
+    """Fills paragraphs, and leaves those with indented lines as they are."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        filled = []
+        for paragraph in text.split("\n\n"):
+            as_it_is = f"\n{INDENT}" in paragraph
+            filled.append(paragraph if as_it_is else super()._fill_text(paragraph, width, indent))
+        return "\n\n".join(filled)
 
 
 def parsed(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> argparse.Namespace:

@@ -91,9 +91,10 @@ def parser(every_option: bool = False) -> argparse.ArgumentParser:
     made = argparse.ArgumentParser(
         prog="ctr-nlp",
         description="Steer concentric tube robots so that their whole shape follows a target.",
-        epilog="`ctr-nlp COMMAND --help` tells the options of a command. Exit status of every command: 0 where "
-        "all is well, 1 where something is not, 2 where input is bad and nothing is written, 130 after "
-        "an interruption.",
+        epilog="`ctr-nlp COMMAND --help` tells the options of a command, with examples. With --json, a command "
+        "prints what it tells as one JSON object; with --verbose, it tells what it is doing. Exit status of every "
+        "command: 0 where all is well, 1 where something is not, 2 where input is bad and nothing is written, 130 "
+        "after an interruption.",
     )
     made.add_argument("--version", action="version", version=f"ctr-nlp {ctr_nlp.__version__}")
     commands = made.add_subparsers(metavar="COMMAND", required=True, title="commands")

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.cli import closed_loop
-from ctr_nlp.cli.console import console, print_table
 from ctr_nlp.cli.output.file import check_file
 from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.cli.telling import console, print_table, wrote
 from ctr_nlp.exceptions import OutputError
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.guiding.loop import ClosedLoop
@@ -78,7 +78,7 @@ def report(
     console().print(result.message, markup=False)
     if not result.trusted:
         console().print("Home the axes, or see that they are where the controller says, before they are used.")
-    console().print(f"wrote {out}: {', '.join(files)}", markup=False)
+    wrote(out, files)
 
 
 def _written(title: str, seen: Tracking, names: list[str], out: Path, loop: ClosedLoop | None) -> list[str]:

@@ -10,8 +10,9 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, console, print_table, progress_bar
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED
 from ctr_nlp.cli.output.folder import name_within
+from ctr_nlp.cli.telling import console, print_table, progress_bar
 from ctr_nlp.plan import account, drawn_account
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.plan.plan import Plan

@@ -11,8 +11,9 @@ import numpy as np
 from ctr_nlp.anatomy.branch import Branch, Branches, blamed, moved
 from ctr_nlp.anatomy.files import CENTRELINES, read_branches
 from ctr_nlp.cli.arguments import add_entry_option
-from ctr_nlp.cli.console import SOLVED, Command, console, print_table, progress_bar
+from ctr_nlp.cli.console import SOLVED, Command
 from ctr_nlp.cli.output.file import check_file, output_file
+from ctr_nlp.cli.telling import print_table, progress_bar, wrote
 from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.figures import save
 from ctr_nlp.figures.branches import tree
@@ -60,7 +61,7 @@ def _run(arguments: argparse.Namespace) -> int:
     print_table(f"{arguments.file}, in mm; coordinates {branches.space}", COLUMNS, rows)
     if arguments.out:
         _draw(branches, Path(arguments.file).name, Path(arguments.out))
-        console().print(f"wrote {arguments.out}")
+        wrote(arguments.out)
     return SOLVED
 
 

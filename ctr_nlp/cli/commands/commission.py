@@ -7,9 +7,10 @@ import sys
 from pathlib import Path
 
 from ctr_nlp.cli.arguments import add_out_option
-from ctr_nlp.cli.console import SOLVED, SOME_FAILED, Command, console, print_table
+from ctr_nlp.cli.console import SOLVED, SOME_FAILED, Command
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.cli.play_report import JOURNAL, claim
+from ctr_nlp.cli.telling import console, print_table, wrote
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.clock import RealClock
 from ctr_nlp.hardware.commission import STEP, Commissioning, Controller
@@ -54,7 +55,7 @@ def commission(hardware_file: Path, out: str | None) -> int:
         journal.close()
     kept = commissioned_file(hardware_file)
     write_text(kept, commissioned_text(controller.identity.settings, controller.identity.told))
-    console().print(f"wrote {kept}: `ctr-nlp play` compares the controller with it at every start", markup=False)
+    wrote(kept, more=": `ctr-nlp play` compares the controller with it at every start")
     return SOLVED
 
 

@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import ctr_nlp
-from ctr_nlp.cli.console import SOLVED, SOME_FAILED, Command, console, print_table
+from ctr_nlp.cli.console import SOLVED, SOME_FAILED, Command
+from ctr_nlp.cli.telling import console, print_table
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import CtrError
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ctr_nlp.cli.console import SOLVED, Command, console
+from ctr_nlp.cli.console import SOLVED, Command
 from ctr_nlp.cli.exchange.shapes import write_shapes
 from ctr_nlp.cli.output.file import check_file, write_text
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.play_report import print_trajectory
+from ctr_nlp.cli.telling import wrote
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.exchange import formats
 from ctr_nlp.exchange.formats import SLICER
@@ -80,7 +81,7 @@ def _run(arguments: argparse.Namespace) -> int:
     else:
         write_text(out, TEXTS[to].of(trajectory, title))
     print_trajectory(f"{title} for {len(trajectory.hardware.axes)} axes", trajectory, found)
-    console().print(f"wrote {out}")
+    wrote(out)
     return SOLVED
 
 

@@ -6,8 +6,9 @@ import argparse
 from importlib.resources import files
 from pathlib import Path
 
-from ctr_nlp.cli.console import SOLVED, Command, console
+from ctr_nlp.cli.console import SOLVED, Command
 from ctr_nlp.cli.output.file import check_file, write_text
+from ctr_nlp.cli.telling import wrote
 from ctr_nlp.exceptions import OptionError, OutputError
 
 NEXT = {
@@ -51,7 +52,7 @@ def _run(arguments: argparse.Namespace) -> int:
         raise OutputError(f"{file} exists and is left as it is; name another file")
     check_file(file, "")
     write_text(file, template(name))
-    console().print(f"wrote {file}; next: {NEXT[name].format(file=file)}", markup=False, soft_wrap=True)
+    wrote(file, more=f"; next: {NEXT[name].format(file=file)}")
     return SOLVED
 
 

@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, Any
 from ctr_nlp.cli import arguments as options
 from ctr_nlp.cli import plan_options, problems
 from ctr_nlp.cli.arguments import DEFAULTS, FRAME_SETTINGS, film_file, read_start, settings_from
-from ctr_nlp.cli.console import INTERRUPTED, Command, console, progress_bar
+from ctr_nlp.cli.console import INTERRUPTED, Command
 from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, asked_model, with_asked_modulus
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.cli.plan_options import HORIZON
 from ctr_nlp.cli.report import draw, exit_status, print_front, print_report, write, write_film, write_front
+from ctr_nlp.cli.telling import progress_bar, wrote
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.settings import Settings, check_motion_weight
@@ -141,9 +142,9 @@ def _run(arguments: argparse.Namespace) -> int:
         files = sorted(path.name for path in staging.iterdir())
         if film is not None:
             film = write_film([plan], film, out, place, staging)
-    console().print(f"wrote {place}: {', '.join(files)}")
+    wrote(place, files)
     if film is not None:
-        console().print(f"wrote {film}")
+        wrote(film)
     return INTERRUPTED if interrupted else exit_status(plan, tried=robust)
 
 

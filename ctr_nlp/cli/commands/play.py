@@ -14,10 +14,11 @@ import numpy as np
 from ctr_nlp.cli import closed_loop, live
 from ctr_nlp.cli.arguments import add_live_option
 from ctr_nlp.cli.commands.commission import commission
-from ctr_nlp.cli.console import BAD_INPUT, INTERRUPTED, SOLVED, SOME_FAILED, Command, progress_bar
+from ctr_nlp.cli.console import BAD_INPUT, INTERRUPTED, SOLVED, SOME_FAILED, Command
 from ctr_nlp.cli.obeying import obeying
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.play_report import JOURNAL, claim, print_trajectory, report
+from ctr_nlp.cli.telling import progress_bar
 from ctr_nlp.exceptions import DeviceFault, OptionError
 from ctr_nlp.hardware.clock import RealClock
 from ctr_nlp.hardware.description import Hardware, bench

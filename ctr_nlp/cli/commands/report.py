@@ -6,10 +6,11 @@ import argparse
 from pathlib import Path
 
 from ctr_nlp.cli.arguments import add_film_option, add_out_option, film_file
-from ctr_nlp.cli.console import SOLVED, Command, console
+from ctr_nlp.cli.console import SOLVED, Command
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.report import write_film
+from ctr_nlp.cli.telling import wrote
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.report import page
 
@@ -39,9 +40,9 @@ def _run(arguments: argparse.Namespace) -> int:
         write_text(staging / PAGE, text)
         if film is not None:
             write_film(plans, film, out, out, staging)
-    console().print(f"wrote {out / PAGE} ({len(text) / 1e6:.1f} MB); open it in a browser")
+    wrote(out / PAGE, more=f" ({len(text) / 1e6:.1f} MB); open it in a browser")
     if film is not None:
-        console().print(f"wrote {film}")
+        wrote(film)
     return SOLVED
 
 

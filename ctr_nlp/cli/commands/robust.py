@@ -6,11 +6,12 @@ import argparse
 from pathlib import Path
 
 from ctr_nlp.cli.arguments import add_figures_option, add_out_option, whole
-from ctr_nlp.cli.console import Command, console
+from ctr_nlp.cli.console import Command
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.plan_options import add_evaluate_option
 from ctr_nlp.cli.report import exit_status, print_robustness, write
+from ctr_nlp.cli.telling import wrote
 from ctr_nlp.plan.draws import DRAWS, SEED
 from ctr_nlp.plan.plan import Plan
 
@@ -51,7 +52,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
             save(robustness(plan), staging / "robustness.png")
         files = sorted(path.name for path in staging.iterdir())
-    console().print(f"wrote {out}: {', '.join(files)}")
+    wrote(out, files)
     return exit_status(plan, tried=True)
 
 

@@ -9,8 +9,9 @@ import time
 
 from ctr_nlp.cli import problems
 from ctr_nlp.cli.arguments import add_problem_options
-from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command, console, print_table, progress_bar
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command
 from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, asked_model, with_asked_modulus
+from ctr_nlp.cli.telling import console, print_table, progress_bar
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import MODELS, suits

@@ -7,11 +7,12 @@ from pathlib import Path
 
 from ctr_nlp.cli import problems
 from ctr_nlp.cli.arguments import add_figures_option, add_out_option
-from ctr_nlp.cli.console import Command, console
+from ctr_nlp.cli.console import Command
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.plan_options import add_file_options
 from ctr_nlp.cli.report import draw, exit_status, print_report, write
+from ctr_nlp.cli.telling import wrote
 from ctr_nlp.exchange.configurations import plan_through, read_configurations
 from ctr_nlp.models import MODELS
 from ctr_nlp.target.problem import Problem
@@ -56,7 +57,7 @@ def _run(arguments: argparse.Namespace) -> int:
         if not arguments.no_figures:
             draw(plan, (), staging)
         files = sorted(path.name for path in staging.iterdir())
-    console().print(f"wrote {out}: {', '.join(files)}")
+    wrote(out, files)
     return exit_status(plan)
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ctr_nlp.cli.console import console
 from ctr_nlp.cli.output.file import check_file, write_bytes, write_text
 from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.cli.telling import console, wrote
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.exchange.formats import FILES, SLICER
 from ctr_nlp.exchange.slicer import slicer_files
@@ -23,7 +23,7 @@ def write_shapes(source: Path, to: str, out: Path | None, space: str | None) -> 
     check_file(out, format.opening, format.at)
     content = format.of(Plan.load(source))
     write_bytes(out, content)
-    console().print(f"wrote {out} ({len(content) / 1e6:.1f} MB)")
+    wrote(out, more=f" ({len(content) / 1e6:.1f} MB)")
 
 
 def _write_folder(source: Path, out: Path, space: str | None) -> None:
@@ -34,7 +34,6 @@ def _write_folder(source: Path, out: Path, space: str | None) -> None:
     with published(out, "slicer") as staging:
         for name, text in files.items():
             write_text(staging / name, text)
-    told = console()
-    told.print(f"wrote {out}: {len(files)} files in LPS coordinates, in mm. In the Python console of 3D Slicer:")
-    where = out.absolute()
-    told.print(f'import sys; sys.path.insert(0, r"{where}"); import load_in_slicer as plan; browser = plan.load()')
+    wrote(out, more=f": {len(files)} files in LPS coordinates, in mm. In the Python console of 3D Slicer:")
+    brought = f'import sys; sys.path.insert(0, r"{out.absolute()}"); import load_in_slicer as plan'
+    console().print(f"{brought}; browser = plan.load()", markup=False, soft_wrap=True)

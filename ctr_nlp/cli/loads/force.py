@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ctr_nlp.cli.arguments import add_figures_option, add_out_option, whole
-from ctr_nlp.cli.console import SOLVED, Command, console, print_table
+from ctr_nlp.cli.console import SOLVED, Command
 from ctr_nlp.cli.loads.options import add_modulus_option, read_plan
 from ctr_nlp.cli.loads.written import write_found
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder
+from ctr_nlp.cli.telling import console, print_table
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.studies.borne.tip import COUNTS, MOST, Forces, Worst, forces
 

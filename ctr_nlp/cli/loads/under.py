@@ -6,11 +6,12 @@ import argparse
 from pathlib import Path
 
 from ctr_nlp.cli.arguments import add_figures_option, add_out_option
-from ctr_nlp.cli.console import Command, console
+from ctr_nlp.cli.console import Command
 from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, asked_load, read_plan
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.report import draw, exit_status, print_report, write
+from ctr_nlp.cli.telling import wrote
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.plan import Plan
 
@@ -55,7 +56,7 @@ def _run(arguments: argparse.Namespace) -> int:
             draw(found, (), staging)
             _draw_beside({"without the load": plan.on("elastic"), "under the load": found} | planned, staging)
         files = sorted(path.name for path in staging.iterdir())
-    console().print(f"wrote {out}: {', '.join(files)}")
+    wrote(out, files)
     return exit_status(found)
 
 

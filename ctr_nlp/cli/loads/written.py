@@ -7,9 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ctr_nlp.cli.console import console
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.cli.output.folder import published
+from ctr_nlp.cli.telling import wrote
 from ctr_nlp.studies.borne.tip import Forces
 from ctr_nlp.studies.borne.wall import WallForces
 from ctr_nlp.support.tables import write_csv
@@ -30,4 +30,4 @@ def write_found(
 
             save(picture(), staging / f"{stem}.png")
         files = sorted(path.name for path in staging.iterdir())
-    console().print(f"wrote {out}: {', '.join(files)}")
+    wrote(out, files)

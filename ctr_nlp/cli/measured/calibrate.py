@@ -12,9 +12,10 @@ from ctr_nlp.calibration.folds import BLOCK
 from ctr_nlp.calibration.parameters import BASE, KINDS
 from ctr_nlp.calibration.reading import read_measurements
 from ctr_nlp.cli.arguments import add_figures_option, add_out_option, whole
-from ctr_nlp.cli.console import SOLVED, Command, console, print_table, progress_bar
+from ctr_nlp.cli.console import SOLVED, Command
 from ctr_nlp.cli.measured.files import account, as_json, head, table, write_next, write_residuals
 from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.cli.telling import console, print_table, progress_bar, wrote
 from ctr_nlp.models import MODELS
 from ctr_nlp.robot import Robot
 
@@ -80,7 +81,7 @@ def _run(arguments: argparse.Namespace) -> int:
     with published(out, "calibration") as staging:
         _write(found, staging, not arguments.no_figures)
         files = sorted(path.name for path in staging.iterdir())
-    console().print(f"wrote {out}: {', '.join(files)}")
+    wrote(out, files)
     return SOLVED
 
 

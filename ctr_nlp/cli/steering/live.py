@@ -11,11 +11,12 @@ from pathlib import Path
 
 from ctr_nlp.cli import problems
 from ctr_nlp.cli.arguments import add_compile_option, add_out_option, add_problem_options, whole
-from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command, console
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.plan_options import add_file_options
 from ctr_nlp.cli.report import write
+from ctr_nlp.cli.telling import console
 from ctr_nlp.live import Live
 from ctr_nlp.live.page.server import HOST, PORT
 from ctr_nlp.live.steered.free import free_problem

@@ -16,10 +16,11 @@ from ctr_nlp.cli.arguments import (
     settings_from,
     whole,
 )
-from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command, console, print_table
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.cli.studies.design import add_rules, rules_from
+from ctr_nlp.cli.telling import print_table, wrote
 from ctr_nlp.codesign.request import draft, search_for
 from ctr_nlp.codesign.together import STARTS
 from ctr_nlp.studies.baselines.race import METHODS, Run, race, rows, seconds_to
@@ -66,7 +67,7 @@ def _run(arguments: argparse.Namespace) -> int:
     with published(place, "baselines") as staging:
         _write(runs, names, staging)
     print_table(f"one robot for {', '.join(names)}", list(COLUMNS), _rows(runs))
-    console().print(f"wrote {place}")
+    wrote(place)
     return INTERRUPTED if interrupted else SOLVED
 
 

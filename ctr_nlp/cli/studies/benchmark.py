@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.cli.arguments import whole
-from ctr_nlp.cli.console import SOLVED, SOME_FAILED, Command, console, print_table
+from ctr_nlp.cli.console import SOLVED, SOME_FAILED, Command
 from ctr_nlp.cli.output.file import write_text
+from ctr_nlp.cli.telling import console, print_table, wrote
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.problems import named
@@ -81,7 +82,7 @@ def _run(arguments: argparse.Namespace) -> int:
         status = SOME_FAILED if unexplained(rows, arguments.explained) else SOLVED
     if targets["json"] is not None:
         write_text(targets["json"], json.dumps(found, indent=1) + "\n")
-        console().print(f"wrote {targets['json']}")
+        wrote(targets["json"])
     return status
 
 
@@ -160,7 +161,7 @@ def _growth(arguments: argparse.Namespace, picture: Path | None) -> Entries:
     ]
     print_table("growth", ("", "exponent", "times"), rows, text=("times",))
     if picture is not None:
-        console().print(f"wrote {draw(found, picture)}")
+        wrote(draw(found, picture))
     return [
         {"row": g.what, "exponent": g.exponent, "error": g.error, "seconds": g.seconds.tolist()} for g in found
     ]

@@ -11,9 +11,10 @@ from typing import Any
 
 from ctr_nlp.cli import arguments as options
 from ctr_nlp.cli import problems
-from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, Command, console, print_table, progress_bar
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, Command
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.cli.plan_options import add_file_options
+from ctr_nlp.cli.telling import console, print_table, progress_bar, wrote
 from ctr_nlp.models import MODELS, model_named
 from ctr_nlp.plan.account import shown
 from ctr_nlp.plan.draws import DRAWS
@@ -128,7 +129,7 @@ def _run(arguments: argparse.Namespace) -> int:
         _print(found)
     for refusal in found.refusals:
         console().print(f"{refusal.problem}, {refusal.variant}: {refusal.why}")
-    console().print(f"wrote {place}: comparison.md, comparison.csv, comparison.json")
+    wrote(place, ("comparison.md", "comparison.csv", "comparison.json"))
     if interrupted:
         return INTERRUPTED
     return SOME_FAILED if any(row["no"] for row in rows if row["variant"] not in METHODS) else SOLVED

@@ -22,11 +22,12 @@ from ctr_nlp.cli.arguments import (
     settings_from,
     whole,
 )
-from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command, console, progress_bar
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.cli.report import exit_status
 from ctr_nlp.cli.studies.designed import Made, Tried, show, write
+from ctr_nlp.cli.telling import progress_bar, wrote
 from ctr_nlp.codesign.groups import divided, suited
 from ctr_nlp.codesign.plans import on_tubing_as_sold, planned_on
 from ctr_nlp.codesign.stock import read_stock
@@ -160,7 +161,7 @@ def _run(arguments: argparse.Namespace) -> int:
     with published(place, "design") as staging:
         write(made, staging, nominal=arguments.nominal, figures=not arguments.no_figures)
     show(made)
-    console().print(f"wrote {place}")
+    wrote(place)
     if interrupted:
         return INTERRUPTED
     plans = [tried.plan for one in made for tried in one.tried]

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ctr_nlp.cli.console import console, print_table
 from ctr_nlp.cli.output.file import write_text
+from ctr_nlp.cli.telling import console, print_table
 from ctr_nlp.codesign.rounding import Stocked
 from ctr_nlp.codesign.together import Design
 from ctr_nlp.plan.account import shown

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from ctr_nlp.cli.arguments import add_out_option, whole
-from ctr_nlp.cli.console import SOLVED, Command, console, print_table, progress_bar
+from ctr_nlp.cli.console import SOLVED, Command
 from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.cli.telling import console, print_table, progress_bar, wrote
 from ctr_nlp.models import DEFAULT, MODELS
 from ctr_nlp.reference.learned.network import Network, place
 from ctr_nlp.reference.learned.samples import drawn
@@ -66,7 +67,8 @@ def _run(arguments: argparse.Namespace) -> int:
     print_table(f"{HELD_OUT} shapes that were not trained on", list(COLUMNS), _rows(found))
     share = 1 - found.kept.mean()
     console().print(f"answers that left the limits before they were projected: {share:.1%}")
-    console().print(f"kept in {path}\nwrote {out}: learn.csv, learn.png", markup=False)
+    console().print(f"kept in {path}", markup=False)
+    wrote(out, ("learn.csv", "learn.png"))
     return SOLVED
 
 

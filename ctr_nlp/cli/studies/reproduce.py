@@ -8,8 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ctr_nlp.cli.arguments import add_frames_option, add_out_option, whole
-from ctr_nlp.cli.console import SOLVED, SOME_FAILED, Command, console, print_table, progress_bar
+from ctr_nlp.cli.console import SOLVED, SOME_FAILED, Command
 from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.cli.telling import console, print_table, progress_bar, wrote
 from ctr_nlp.problems import named
 from ctr_nlp.studies.paper import SECTIONS, Found, study
 from ctr_nlp.studies.paper.page import part_seconds, write
@@ -56,7 +57,7 @@ def _run(arguments: argparse.Namespace) -> int:
         console().print(f"not solved: {failure}")
     times = ", ".join(f"{section.name} {part_seconds(found, section):.0f}" for section in sections)
     console().print(f"runs took {found.seconds:.0f} s; by part, in s of one process: {times}")
-    console().print(f"wrote {out}: {', '.join(files)}")
+    wrote(out, files)
     return SOME_FAILED if found.failures() else SOLVED
 
 

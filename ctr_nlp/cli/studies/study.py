@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from ctr_nlp.cli.arguments import add_out_option, whole
-from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, Command, console, print_table, progress_bar
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, Command
 from ctr_nlp.cli.output.file import path_component, write_text
 from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.cli.telling import console, print_table, progress_bar, wrote
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
@@ -103,8 +104,7 @@ def _run(arguments: argparse.Namespace) -> int:
     found = _found(study, out, "problem")
     _print(found, arguments.study)
     done = "all" if progress.done == progress.total else f"{progress.done} of {progress.total}"
-    told = f"wrote {out}: rows of {done} plans; {progress.known} of them were known, and {progress.failed} failed"
-    console().print(told)
+    wrote(out, more=f": rows of {done} plans; {progress.known} of them were known, and {progress.failed} failed")
     if stopped:
         return INTERRUPTED
     if study.report is not None:
@@ -134,7 +134,7 @@ def _by(study: Study, out: Path, arguments: argparse.Namespace) -> int:
         if arguments.page:
             write_text(staging / WORST, _page(study, out, found))
         files = sorted(path.name for path in staging.iterdir())
-    console().print(f"wrote {out}: {', '.join(files)}")
+    wrote(out, files)
     return SOLVED
 
 
@@ -163,7 +163,7 @@ def _report(study: Study, out: Path) -> None:
         files = sorted(path.name for path in staging.iterdir())
     for sentence in sentences:
         console().print(f"- {sentence}")
-    console().print(f"wrote {out}: {', '.join(files)}")
+    wrote(out, files)
 
 
 def _alone(study: Study, digest: str, keep: Path | None) -> int:

@@ -9,9 +9,10 @@ from pathlib import Path
 
 from ctr_nlp.cli import problems
 from ctr_nlp.cli.arguments import add_compile_option, add_out_option, add_problem_options, whole
-from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, Command, console, print_table, progress_bar
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, Command
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
+from ctr_nlp.cli.telling import console, print_table, progress_bar, wrote
 from ctr_nlp.plan.account import shown
 from ctr_nlp.plan.verdicts import MOST_LOST
 from ctr_nlp.problems import NAMES
@@ -83,7 +84,7 @@ def _run(arguments: argparse.Namespace) -> int:
     for points in filter(None, found):
         print_table(points[0].problem, list(COLUMNS), _rows(points, arguments.most_lost))
         console().print(sentence(points, arguments.most_lost))
-    console().print(f"wrote {place}: {', '.join(files)}")
+    wrote(place, files)
     if interrupted:
         return INTERRUPTED
     return SOLVED if all(chosen(points, arguments.most_lost) for points in found) else SOME_FAILED

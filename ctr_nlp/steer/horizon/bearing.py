@@ -47,7 +47,7 @@ FIRMER = 0.2, 0.1, 0.0
 A motion that keeps just the margin that is asked ends beside the snap, and from there the search under the load
 comes to a branch of equilibria that the robot does not reach.
 """
-WORTH = 1.2
+WORTH = 1.1
 """A motion under the load is taken at once where its objective is at most so many times that without the load."""
 
 
@@ -138,11 +138,11 @@ class LoadedHorizon:
             if stop() or not found.success or _known(found, solved):
                 continue
             solved.append(found)
-            made += self._held(found, weight, limit, stop) if found.objective <= limit else []
-            if made and made[-1][1] <= SHORT:
-                return made[-1][0]
-        for first in sorted(solved, key=lambda one: one.objective):
-            made += self._held(first, weight, np.inf, stop) if not made else []
+            held = self._held(found, weight, stop)
+            if held is not None:
+                made.append(held)
+                if held[1] <= SHORT and held[0].objective <= limit:
+                    break
         if made:
             return min(made, key=lambda one: (max(one[1], SHORT), one[0].objective))[0]
         return solved[0] if solved else found
@@ -156,10 +156,10 @@ class LoadedHorizon:
         yield plain.q
 
     def _held(
-        self, first: SharedSolution, weight: float, limit: float, stop: Callable[[], bool]
-    ) -> list[tuple[SharedSolution, float]]:
-        """The same motion with its margin held between frames, as far as the objective does not pass a limit, and
-        what the margin is missed by; nothing where the robot does not make it.
+        self, first: SharedSolution, weight: float, stop: Callable[[], bool]
+    ) -> tuple[SharedSolution, float] | None:
+        """The same motion with its margin held between frames, and what the margin is missed by; None where the
+        robot does not make it.
         """
         d, margin = self._problem.robot.d, self._settings.stability_margin
 
@@ -168,10 +168,9 @@ class LoadedHorizon:
 
         def again(found: SharedSolution, raised: Array) -> SharedSolution | None:
             solved = SharedSolver(self._motion(weight, raised))(found.q, found.phi, CLOSE, stop)
-            return solved if solved.success and solved.objective <= limit else None
+            return solved if solved.success else None
 
-        made = held_between(first, self._margins, missed, again, stop)
-        return [] if made is None else [made]
+        return held_between(first, self._margins, missed, again, stop)
 
     def _motion(self, weight: float, margins: Array | None) -> SharedMotion:
         """The program of the robot alone; weight: lambda in s^2; margins (T,): of each frame."""

@@ -1,0 +1,141 @@
+"""What programs tell: tables, lines and files on stdout, or with --json as one object; progress on stderr."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import time
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+PIPED_WIDTH = 160
+"""Columns assumed where output does not go to a terminal."""
+OFTEN = 1.0
+"""Seconds between lines of progress with --verbose."""
+Labelled = Callable[[str], Callable[[int, int, str], None]]
+"""Turns a label into a callback (done, total, note)."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a program has told that is called with --json."""
+
+    tables: list[dict[str, Any]] = field(default_factory=list)
+    files: list[str] = field(default_factory=list)
+    text: io.StringIO = field(default_factory=io.StringIO)
+
+    def as_json(self, **more: Any) -> str:
+        """As one JSON object, after what else is known of the program; numbers that are not finite are null."""
+        lines = self.text.getvalue().splitlines()
+        return json.dumps(_plain({**more, "tables": self.tables, "lines": lines, "files": self.files}), indent=2)
+
+
+_told: ContextVar[Told | None] = ContextVar("told", default=None)
+_verbose: ContextVar[bool] = ContextVar("verbose", default=False)
+
+
+@contextmanager
+def telling(as_json: bool, verbose: bool) -> Iterator[Told | None]:
+    """While a program runs, gather what it tells for JSON, which is yielded, or tell on stderr what it does."""
+    told, before = Told() if as_json else None, (_told.get(), _verbose.get())
+    _told.set(told)
+    _verbose.set(verbose)
+    try:
+        yield told
+    finally:
+        _told.set(before[0])
+        _verbose.set(before[1])
+
+
+def console(stderr: bool = False) -> Console:
+    """A console on stdout or stderr, wide enough for tables where it is not a terminal."""
+    told = _told.get()
+    if told is not None and not stderr:
+        return Console(file=told.text, highlight=False, width=1_000_000)
+    found = Console(stderr=stderr, highlight=False)
+    return found if found.is_terminal else Console(stderr=stderr, highlight=False, width=PIPED_WIDTH)
+
+
+def wrote(place: str | Path, files: Sequence[str] = (), more: str = "") -> None:
+    """Tell that a file was written, or files of a folder; more: what else is to be said of it."""
+    told = _told.get()
+    if told is not None:
+        told.files.extend([str(Path(place) / name) for name in files] or [str(place)])
+    else:
+        named = f": {', '.join(files)}" if files else ""
+        console().print(f"wrote {place}{named}{more}", markup=False, soft_wrap=True)
+
+
+def print_table(
+    title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]], text: Collection[str] = ()
+) -> None:
+    """A table with a left-aligned first column and columns of text; numbers are cut to what is worth reading."""
+    told = _told.get()
+    if told is not None:
+        told.tables.append({"title": title, "columns": list(columns), "rows": [list(row) for row in rows]})
+        return
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for i, column in enumerate(columns):
+        table.add_column(
+            column, justify="left" if i == 0 or column in text else "right", no_wrap=i == 0, overflow="fold"
+        )
+    for row in rows:
+        table.add_row(*(cell if isinstance(cell, str) else _text(cell) for cell in row))
+    console().print(table)
+
+
+@contextmanager
+def progress_bar() -> Iterator[Labelled]:
+    """A bar on stderr, and with --verbose lines beside it; yields what turns a label into a callback."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console(stderr=True), transient=True) as bar:
+        task, begin = bar.add_task("", total=None), time.monotonic()
+
+        def labelled(label: str) -> Callable[[int, int, str], None]:
+            bar.reset(task, description=label, total=None)
+            last = -math.inf
+
+            def report(done: int, total: int, note: str) -> None:
+                nonlocal last
+                if done < bar.tasks[0].completed:
+                    bar.reset(task)
+                bar.tasks[0].total = total  # update(total=...) would forget how fast it went
+                bar.update(task, description=f"{label} ({note})", completed=done)
+                now = time.monotonic() - begin
+                if _verbose.get() and (now - last >= OFTEN or done == total):
+                    last, left = now, bar.tasks[0].time_remaining
+                    until = "" if left is None or done == total else f", about {left:.0f} s left"
+                    bar.console.print(f"{now:8.1f} s  {label}: {note}, {done} of {total}{until}", markup=False)
+
+            return report
+
+        yield labelled
+
+
+def _text(cell: Any) -> str:
+    from ctr_nlp.plan.account import shown  # brings numerics, without which `doctor` must work
+
+    return shown(cell)
+
+
+def _plain(value: Any) -> Any:
+    """A value as JSON has it."""
+    if isinstance(value, dict):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    if hasattr(value, "tolist"):  # of numpy, which `doctor` must work without
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, bool | int | str) else str(value)

@@ -1,0 +1,80 @@
+"""What programs tell, for people and as JSON, and the examples in their help."""
+
+import json
+import re
+import shlex
+
+import numpy as np
+import pytest
+
+from ctr_nlp.cli.console import examples
+from ctr_nlp.cli.main import COMMANDS, load, main
+from ctr_nlp.cli.telling import console, print_table, telling, wrote
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_help_ends_with_two_examples_that_the_command_takes(name):
+    parser, given = load(COMMANDS[name]).parser(f"ctr-nlp {name}"), examples(name)
+    assert len(given) >= 2
+    lines = parser.format_help().splitlines()
+    for what, call in given:
+        assert what.endswith(":")
+        assert lines[lines.index(f"  {what}") + 1] == f"    ctr-nlp {name} {call}".rstrip()
+        parser.parse_args(shlex.split(call))  # ends the program where an argument is wrong
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_tells_what_it_does_and_tells_it_as_json(name):
+    options = load(COMMANDS[name]).parser(f"ctr-nlp {name}").format_help()
+    assert "--json" in options
+    assert "--verbose" in options
+
+
+def test_a_plan_tells_as_json_what_it_wrote_and_found(tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["plan", "arc", "--frames", "3", "--no-figures", "--out", str(out), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["command"], told["exit_status"], told["error"]) == ("ctr-nlp plan", 0, None)
+    assert sorted(told["files"]) == sorted(str(path) for path in out.iterdir() if not path.name.startswith("."))
+    assert told["tables"]
+    for table in told["tables"]:
+        assert {len(row) for row in table["rows"]} == {len(table["columns"])}
+
+
+def test_without_it_the_same_is_told_in_words(tmp_path, capsys):
+    assert main(["plan", "arc", "--frames", "3", "--no-figures", "--out", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr().out
+    assert told.splitlines()[-1] == f"wrote {tmp_path / 'out'}: errors.csv, plan.npz, summary.json"
+    assert "{" not in told
+
+
+def test_an_error_is_told_as_json_and_on_stderr(capsys):
+    assert main(["branches", "nothing.csv", "--json"]) == 2
+    told = capsys.readouterr()
+    found = json.loads(told.out)
+    assert found["exit_status"] == 2
+    assert "nothing.csv" in found["error"]
+    assert told.err == f"error: {found['error']}\n"
+    assert found["files"] == found["tables"] == found["lines"] == []
+
+
+def test_numbers_stay_numbers_and_what_is_not_finite_is_null():
+    with telling(as_json=True, verbose=False) as told:
+        print_table("numbers", ("", "value"), [("one", np.float64(1.25)), ("none", float("nan")), ("all", True)])
+        console().print("a line that is " + "long " * 100)
+        wrote("folder", ["a.csv", "b.csv"])
+        wrote("c.csv", more="; open it")
+    assert told is not None
+    found = json.loads(told.as_json(command="x"))
+    assert found["tables"][0]["rows"] == [["one", 1.25], ["none", None], ["all", True]]
+    assert len(found["lines"]) == 1
+    assert found["files"] == ["folder/a.csv", "folder/b.csv", "c.csv"]
+
+
+def test_verbose_tells_on_stderr_how_far_the_work_is(tmp_path, capsys):
+    arguments = ["steer", "arc", "--frames", "4", "--no-figures", "--out", str(tmp_path / "out")]
+    assert main([*arguments, "--verbose"]) == 0
+    told = re.compile(r"^ +\d+\.\d s  arc: \w.*, \d+ of \d+(, about \d+ s left)?$", re.MULTILINE)
+    assert told.search(capsys.readouterr().err)
+    assert main(arguments) == 0
+    assert not told.search(capsys.readouterr().err)
