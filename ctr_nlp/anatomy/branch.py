@@ -104,7 +104,10 @@ def checked(path: str | Path, branches: Branches) -> Branches:
         with blamed(where):
             check_points(branch.points)
             if len(branch.points) < LEAST_POINTS:
-                raise CurveError(f"{len(branch.points)} points; a centreline needs at least {LEAST_POINTS}")
+                raise CurveError(
+                    f"the number of points of a centreline is {len(branch.points)}; "
+                    f"it must be at least {LEAST_POINTS}"
+                )
             radius = np.ones(0) if branch.radius is None else branch.radius
             bad = np.flatnonzero(~(np.isfinite(radius) & (radius > 0)))
             if bad.size:

@@ -98,5 +98,5 @@ def _row(path: str | Path, number: int, line: str, width: int) -> list[float]:
     except ValueError as error:
         raise CurveError(f"{path} is not a centreline: row {number} is {line[:60]!r}; {EXPECTED}") from error
     if len(row) != width:
-        raise CurveError(f"{path}: row {number} has {len(row)} cells, the header {width}")
+        raise CurveError(f"{path}: row {number} has {len(row)} cells, but the header has {width}")
     return row

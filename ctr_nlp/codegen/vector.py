@@ -38,7 +38,7 @@ def vector_code(functions: tuple[ca.Function, ...], lanes: int = LANES) -> str:
     used = {function.instruction_id(k) for function in functions for k in range(function.n_instructions())}
     if unknown := used - OPERATIONS.keys() - BY_LANE.keys() - {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT}:
         names = ", ".join(function.name() for function in functions)
-        raise NotImplementedError(f"{names}: operations (numbers {sorted(unknown)}) without C")
+        raise NotImplementedError(f"{names} uses operations (numbers {sorted(unknown)}) that are not written in C")
     return head(used, lanes) + "".join(_function(function, lanes) for function in functions)
 
 

@@ -41,7 +41,7 @@ def _checked(problems: Sequence[Problem], settings: Settings) -> tuple[Problem, 
     """Problems whose robots are one."""
     tasks = tuple(problems)
     if not tasks:
-        raise ProblemError("a design without problems; give at least one")
+        raise ProblemError("problems of a design is empty; give at least one")
     instance(OptionError, "settings", settings, Settings)
     for task in tasks:
         instance(ProblemError, "problem", task, Problem)

@@ -96,7 +96,7 @@ def read_journal(path: str | Path) -> list[dict[str, Any]]:
         except (ValueError, TypeError, KeyError) as exception:
             if number == len(lines) or b'"kind": "session"' in lines[number]:
                 continue
-            raise JournalError(f"journal {path}, line {number}: not a record ({exception})") from exception
+            raise JournalError(f"journal {path}: line {number} is not a record ({exception})") from exception
         if kind == "session":
             sessions.append([])
         if not sessions:

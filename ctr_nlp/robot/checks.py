@@ -19,7 +19,7 @@ def sequence_of_tubes(tubes: Any) -> tuple[Tube, ...]:
     if found is None or not all(isinstance(tube, Tube) for tube in found):
         raise RobotError(f"tubes of a robot are {tubes!r}; give a sequence of Tube(...), the outermost first")
     if not found:
-        raise RobotError("a robot without tubes; give at least one")
+        raise RobotError("a robot has no tubes; give at least one")
     return found
 
 

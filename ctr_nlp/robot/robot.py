@@ -204,7 +204,7 @@ class Robot:
         allowed = [f.name for f in fields(Limits)]
         unknown = sorted(set(limits) - set(allowed))
         if unknown:
-            raise RobotError(f"unknown limit {unknown[0]!r}; allowed are {', '.join(allowed)}")
+            raise RobotError(f"limit {unknown[0]!r} is unknown; allowed are {', '.join(allowed)}")
         return replace(self, limits=replace(self.limits, **limits))
 
     def with_locked_tilt(self) -> Robot:

@@ -49,7 +49,7 @@ def check_keys(error: type[CtrError], of: str, given: Iterable[Any], allowed: Se
     unknown = sorted(set(map(str, given)) - set(allowed))
     if unknown:
         near = meant(unknown[0], allowed)
-        raise error(f"unknown key {unknown[0]!r} in {of}; allowed are {', '.join(allowed)}{near}")
+        raise error(f"key {unknown[0]!r} is unknown in {of}; allowed are {', '.join(allowed)}{near}")
 
 
 def number(

@@ -75,7 +75,10 @@ class Curve(Value):
         for name, end in (("start", start), ("stop", stop)):
             number(CurveError, f"{name} of a piece", end, math.isfinite, "be a finite number of mm")
         if not 0 <= start < stop <= self.length:
-            raise CurveError(f"piece [{start:g}, {stop:g}] mm of a curve: it must lie within [0, {self.length:g}]")
+            raise CurveError(
+                f"the piece [{start:g}, {stop:g}] mm of a curve ends beyond it; "
+                f"it must lie within [0, {self.length:g}]"
+            )
         return self._through(Piece(self, start, 1.0), stop - start)
 
     def reversed(self) -> Curve:

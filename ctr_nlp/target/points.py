@@ -37,7 +37,9 @@ def checked_points(points: npt.ArrayLike) -> Array:
     if given.ndim != 2 or given.shape[1] != 3:
         raise CurveError(f"points have shape {given.shape}; a centreline is (n, 3)")
     if len(given) < LEAST_POINTS:
-        raise CurveError(f"{len(given)} points; a centreline needs at least {LEAST_POINTS}")
+        raise CurveError(
+            f"the number of points of a centreline is {len(given)}; it must be at least {LEAST_POINTS}"
+        )
     check_coordinates(given)
     steps = np.linalg.norm(np.diff(given, axis=0), axis=1)
     if steps.sum() < SHORTEST_MM:

@@ -75,9 +75,12 @@ class Target(Value):
         for name in ("curves", "lengths"):
             object.__setattr__(self, name, _listed(name, getattr(self, name)))
         if not self.curves:
-            raise ProblemError("a target with 0 frames; give at least 1")
+            raise ProblemError("a target has no frames; give at least one")
         if len(self.curves) != len(self.lengths):
-            raise ProblemError(f"a target has {len(self.curves)} curves and {len(self.lengths)} lengths; one each")
+            raise ProblemError(
+                f"the number of curves of a target is {len(self.curves)} and that of its lengths "
+                f"{len(self.lengths)}; they must be equal"
+            )
         for frame, (curve, length) in enumerate(zip(self.curves, self.lengths, strict=True), start=1):
             instance(ProblemError, f"curve {frame} of a target", curve, Curve)
             allowed = f"be a number of mm in (0, {curve.length:g}], the length of its curve"
@@ -127,7 +130,7 @@ def check_frames(frames: int) -> None:
 
 def _listed(name: str, given: Any) -> tuple[Any, ...]:
     if not isinstance(given, Sequence) or isinstance(given, str):
-        raise ProblemError(f"{name} of a target is {given!r:.80}; give a sequence, one a frame")
+        raise ProblemError(f"{name} of a target is {given!r:.80}; give a sequence with one entry for each frame")
     return tuple(given)
 
 

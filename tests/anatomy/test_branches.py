@@ -164,8 +164,8 @@ def test_a_table_is_a_single_branch_in_its_own_coordinates(shared_data):
         ("", "first line is ''; expected a header"),
         ("a,b\n1,2\n", "first line is 'a,b'; expected a header"),
         ("x_mm,y_mm,z_mm\n1,2,three\n", "row 2 is '1,2,three'"),
-        ("x_mm,y_mm,z_mm\n1,2\n", "row 2 has 2 cells, the header 3"),
-        ("x_mm,y_mm,z_mm\n0,0,0\n0,0,9\n0,0,20\n", "3 points; a centreline needs at least 4"),
+        ("x_mm,y_mm,z_mm\n1,2\n", "row 2 has 2 cells, but the header has 3"),
+        ("x_mm,y_mm,z_mm\n0,0,0\n0,0,9\n0,0,20\n", "points of a centreline is 3; it must be at least 4"),
         ("x_mm,y_mm,z_mm\n0,0,0\n0,0,.1\n0,0,.2\n0,0,.3\n", "these look like metres"),
     ],
 )

@@ -312,7 +312,7 @@ BAD = {
     "not finite": ((LINE * [1, np.nan, 1], WHOLE), {}, r"point 1 is .*must be finite"),
     "no lines": ((LINE, []), {}, r"holds no lines"),
     "a line of one point": ((LINE, [np.arange(1)]), {}, r"no line of two or more points"),
-    "three points": ((LINE[:3], [np.arange(3)]), {}, r"3 points; a centreline needs at least 4"),
+    "three points": ((LINE[:3], [np.arange(3)]), {}, r"points of a centreline is 3; it must be at least 4"),
     "a loop": ((LINE, [LOOP]), {}, r"lines form a loop"),
     "a loop on a line": ((LINE, [np.arange(37), np.array([5, 20])]), {}, r"lines form a loop"),
     "a line beyond": ((LINE, [np.arange(38)]), {}, r"passes point 38 of 37"),

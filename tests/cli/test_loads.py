@@ -103,7 +103,7 @@ def test_forces_are_told_and_written(saved, capsys):
         ),
         (
             ["under", "plan.npz", "--load", "mine.toml", *NITINOL],
-            "load file mine.toml: unknown key 'tube' in a load",
+            "load file mine.toml: key 'tube' is unknown in a load",
         ),
         (["under", "plan.npz", "--load", "heavy.toml", *NITINOL], "densities of a load has 3 numbers"),
     ],

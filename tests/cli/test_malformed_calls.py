@@ -42,7 +42,7 @@ def balanced():
 
 
 ROBOTS = [
-    (lambda: Robot([]), RobotError, "a robot without tubes"),
+    (lambda: Robot([]), RobotError, "a robot has no tubes"),
     (lambda: Robot("tubes"), RobotError, "tubes of a robot are 'tubes'; give a sequence of Tube"),
     (lambda: Robot(None), RobotError, "tubes of a robot are None"),
     (lambda: Robot(SEED.tubes[0]), RobotError, "tubes of a robot are Tube"),
@@ -60,7 +60,7 @@ ROBOTS = [
     (balanced, None, "balanced tubes are a robot"),
     (lambda: Robot.from_dict(3), RobotError, "a robot is 3; it must be a table"),
     (lambda: Robot.from_dict({"tubes": {}}), RobotError, "a robot needs a list of tubes"),
-    (lambda: Robot.from_dict({3: 4}), RobotError, "unknown key '3' in a robot"),
+    (lambda: Robot.from_dict({3: 4}), RobotError, "key '3' is unknown in a robot"),
     (lambda: Robot.from_toml(None), RobotError, "path is None"),
     (lambda: Robot.from_toml(0), RobotError, "path is 0; it must be the path of a file"),
     (lambda: SEED.check("q"), RobotError, "q is 'q'; it must be numbers"),
@@ -70,7 +70,7 @@ ROBOTS = [
      "theta_x .*did you mean 0.5236 rad .30 degrees"),
     (lambda: SEED.check([0, 0, 0, 20, 10, 30, 0, 0]), RobotError,
      "beta_1 of q is 20 mm and exceeds beta_2, 10 mm"),
-    (lambda: SEED.with_limits(gamma=3), RobotError, "unknown limit 'gamma'; allowed are alpha, beta"),
+    (lambda: SEED.with_limits(gamma=3), RobotError, "limit 'gamma' is unknown; allowed are alpha, beta"),
     (lambda: SEED.with_limits(theta=(-45, 45)), RobotError, "-45 degrees"),
     (lambda: SEED.with_limits(beta_speed="fast"), RobotError, "beta_speed is 'fast'"),
     (lambda: SEED.with_limits(beta_speed="90"), None, "text that reads as a number is one"),

@@ -174,7 +174,7 @@ def test_bad_input_is_refused(tasks, given, told):
 
 
 def test_no_problems_and_equal_names_are_refused(tasks):
-    with pytest.raises(ProblemError, match="without problems"):
+    with pytest.raises(ProblemError, match="problems of a design is empty"):
         design([])
     with pytest.raises(ProblemError, match="the same name"):
         design([tasks[0], tasks[0]])

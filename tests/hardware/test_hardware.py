@@ -303,9 +303,9 @@ def test_the_commented_lines_of_the_example_are_a_controller(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("approach = 0.2", "aproach = 0.2", "unknown key 'aproach' in hardware; allowed are name, robot, axes, "),
+        ("approach = 0.2", "aproach = 0.2", "key 'aproach' is unknown in hardware; allowed are name, robot, "),
         ("approach = 0.2", "approach = 2", r"approach is 2; it must lie in \(0, 1\]"),
-        ('letter = "Y"', 'leter = "Y"', "unknown key 'leter' in axis; allowed are joint, letter, unit, range"),
+        ('letter = "Y"', 'leter = "Y"', "key 'leter' is unknown in axis; allowed are joint, letter, unit, range"),
         ('letter = "Y"', "", "axis: .*letter"),
         ('letter = "Y"', 'letter = "X"', "letter X is given to 2 axes"),
         ('joint = "alpha_1"\nletter = "A"\nunit = "deg"', 'joint = "alpha_1"\nletter = "A"\nunit = "mm"',
@@ -313,12 +313,12 @@ def test_the_commented_lines_of_the_example_are_a_controller(tmp_path):
         ("range = [0, 107]", "range = [107]", r"range of beta_2 is \[107\]; it must be 2 numbers"),
         ("speed = 600 ", "speed = inf ", "speed of alpha_1 is inf"),
         ('device = "simulated"  ', 'device = "grbl"', "url of the connection is ''"),
-        ('device = "simulated"  ', 'devise = "grbl"', "unknown key 'devise' in connection"),
-        ("[connection]", "connection = 3\n[bad]", "unknown key 'bad'"),
+        ('device = "simulated"  ', 'devise = "grbl"', "key 'devise' is unknown in connection"),
+        ("[connection]", "connection = 3\n[bad]", "key 'bad' is unknown"),
         ('model = "ur3e"', 'model = "ur1"', "model of the arm is 'ur1'; it must be one of"),
-        ("[arm]", "[arm]\ncolour = 1", "unknown key 'colour' in arm"),
+        ("[arm]", "[arm]\ncolour = 1", "key 'colour' is unknown in arm"),
         ("[arm]", "[lag]\nplay = -0.1\n[arm]", "play of a lag is -0.1; it must be at least 0"),
-        ("[arm]", "[lag]\nplay = [0, 0]\ndarg = 1\n[arm]", "unknown key 'darg' in lag; allowed are play"),
+        ("[arm]", "[lag]\nplay = [0, 0]\ndarg = 1\n[arm]", "key 'darg' is unknown in lag; allowed are play"),
         ("range = [0, 107]", "range = ", "line \\d+"),
     ],
 )  # fmt: skip

@@ -122,9 +122,9 @@ def test_the_last_session_that_played_counts(tmp_path: Path) -> None:
     [
         (b"", "holds no session"),
         (b'{"t": 0, "kind": "frame"}\n', "holds no session"),
-        (b"what is this\nand this\n", "line 1: not a record"),
-        (b'{"kind": "session"}\n[1]\n{"kind": "frame"}\n', "line 2: not a record"),
-        (b'{"kind": "session"}\n\xff\xfe\n{"kind": "frame"}\n', "line 2: not a record"),
+        (b"what is this\nand this\n", "line 1 is not a record"),
+        (b'{"kind": "session"}\n[1]\n{"kind": "frame"}\n', "line 2 is not a record"),
+        (b'{"kind": "session"}\n\xff\xfe\n{"kind": "frame"}\n', "line 2 is not a record"),
         (b"PK\x03\x04", "holds no session"),
     ],
 )

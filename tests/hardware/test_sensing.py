@@ -116,7 +116,7 @@ def test_a_hardware_file_describes_it(tmp_path: Path) -> None:
     sensing = Hardware.from_toml(tmp_path / "rig.toml").sensing
     assert sensing == Sensing("tcp://127.0.0.1:9", "points", (0.5, 1), translation=(1.0, 2.0, 3.0))
     (tmp_path / "rig.toml").write_text(text + table.replace("places", "sigma"))
-    with pytest.raises(HardwareError, match=r"rig\.toml: unknown key 'sigma' in sensing"):
+    with pytest.raises(HardwareError, match=r"rig\.toml: key 'sigma' is unknown in sensing"):
         Hardware.from_toml(tmp_path / "rig.toml")
 
 

@@ -82,7 +82,7 @@ def test_a_load_is_the_same_after_a_file():
         ),
         ({"densities": math.nan, "down": (0, 0, 1)}, r"densities of a load is nan g/cm³; it must lie in"),
         ({"densities": 6.45, "down": (0, 0, 0)}, r"down of a load is \(0, 0, 0\); it must be a direction"),
-        ({"weight": 1.0}, r"unknown key 'weight' in a load; allowed are force, axes"),
+        ({"weight": 1.0}, r"key 'weight' is unknown in a load; allowed are force, axes"),
     ],
 )
 def test_what_no_robot_bears_is_refused_in_one_line(fields, message):

@@ -57,7 +57,7 @@ def test_files_hold_loads_over_time(tmp_path):
         ({"over_time": [{"at": 0}, {"force": [0, 1, 0]}]}, r"over_time of a load is .*tables, each with at"),
         ({"over_time": 3}, r"over_time of a load is 3; it must be tables"),
         ({"over_time": [], "force": [0, 0, 1]}, r"over_time and other keys"),
-        ({"over_time": [{"at": 0}, {"at": 1, "colour": 1}]}, r"unknown key 'colour' in a load"),
+        ({"over_time": [{"at": 0}, {"at": 1, "colour": 1}]}, r"key 'colour' is unknown in a load"),
     ],
 )
 def test_what_is_no_load_over_time_is_refused(data, message):

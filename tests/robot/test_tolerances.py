@@ -184,7 +184,7 @@ def test_a_robot_file_without_tolerances_has_the_usual_ones():
 @pytest.mark.parametrize(
     ("line", "complaint"),
     [
-        ("curvatures = 0.02", "unknown key 'curvatures' in tolerances; allowed are curvature, "),
+        ("curvatures = 0.02", "key 'curvatures' is unknown in tolerances; allowed are curvature, "),
         ("curvature = -0.1", r"curvature of tolerances is -0.1; it must lie in \[0, 0.5\]"),
         (
             "curvature = [0.02, 0.02]",

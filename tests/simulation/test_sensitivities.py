@@ -8,6 +8,8 @@ from ctr_nlp.models import MODELS
 from ctr_nlp.robot.structure import NUMBERS
 from ctr_nlp.simulation.sensitivities import sensitivities
 
+pytestmark = pytest.mark.interpreted
+
 SIGMA = np.array([0.3, 0.7, 1.0])
 TAPERED = Robot(
     (

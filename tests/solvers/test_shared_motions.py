@@ -24,6 +24,8 @@ from ctr_nlp.solvers.scenarios.twists import TwistSteps
 from ctr_nlp.target.curve import curve_from_formula
 from ctr_nlp.target.target import SIGMA
 
+pytestmark = pytest.mark.interpreted
+
 FRAMES, WEIGHT, MARGIN = 4, 1e-4, 0.3
 OFFSETS = np.array([[0.0, 0.0], [0.1, -0.05], [-0.15, 0.1]])
 SHARES = np.array([0.5, 1.0, 2.0])

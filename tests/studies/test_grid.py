@@ -141,13 +141,13 @@ def test_a_digest_changes_with_all_that_a_row_depends_on(tmp_path):
     ("told", "message"),
     [
         ({}, "has no cases"),
-        ({"problem": {}}, "unknown key 'problem'"),
+        ({"problem": {}}, "key 'problem' is unknown"),
         ({"problems": {"names": ["cosine"]}}, "cosine"),
         ({"problems": {"folder": "nowhere"}}, "no centreline files"),
         ({"problems": {"files": ["nowhere.csv"]}}, "cannot be read"),
         (SMALL | {"models": "rigid"}, "rigid"),
         (SMALL | {"methods": ["fast"]}, "fast"),
-        (SMALL | {"settings": {"margin": [1]}}, "unknown key 'margin'"),
+        (SMALL | {"settings": {"margin": [1]}}, "key 'margin' is unknown"),
         (SMALL | {"settings": {"stability_margin": [2.0]}}, "stability_margin"),
         (SMALL | {"sample": {"count": 2, "ranges": {"seed": [3, 1]}}}, "range of seed"),
         (SMALL | {"sample": {"count": 2, "ranges": {"seed": [1, 3]}}}, "both listed and sampled"),
@@ -158,7 +158,7 @@ def test_a_digest_changes_with_all_that_a_row_depends_on(tmp_path):
         (SMALL | {"report": "fate"}, "fate"),
         (SMALL | {"measures": ["weight"]}, "weight"),
         (SMALL | {"ways": [{}]}, "settings of a study stands beside"),
-        ({"problems": {"names": ["arc"]}, "ways": [{"method": "joint"}]}, "unknown key 'method'"),
+        ({"problems": {"names": ["arc"]}, "ways": [{"method": "joint"}]}, "key 'method' is unknown"),
     ],
 )
 def test_what_a_study_cannot_be_is_refused(told, message, tmp_path):

@@ -110,7 +110,9 @@ def _radius(name: str, markup: dict[str, Any], count: int) -> Array | None:
         values = _numbers(measurement["controlPointValues"])
         if values is None or values.size != count:
             held = "no numbers" if values is None else f"{values.size} values"
-            raise CurveError(f"measurement {label!r} of {name!r} has {held} for {count} control points; one each")
+            raise CurveError(
+                f"measurement {label!r} of {name!r} has {held} for {count} control points; it needs one for each"
+            )
         _check_unit(f"the unit of measurement {label!r} of {name!r}", measurement.get("units", "mm"))
         return values.reshape(count) * share
     return None

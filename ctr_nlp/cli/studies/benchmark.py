@@ -65,7 +65,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 def _run(arguments: argparse.Namespace) -> int:
     if why := cache.missing():
-        raise OptionError(f"nothing to compare: {why}")
+        raise OptionError(f"there is nothing to compare: {why}")
     targets = {option: _target(option, getattr(arguments, option)) for option in ("json", "picture")}
     if arguments.blocks < LEAST_BLOCKS:
         raise OptionError(f"--blocks is {arguments.blocks}; it must be at least {LEAST_BLOCKS}")

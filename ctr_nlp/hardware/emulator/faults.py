@@ -199,5 +199,5 @@ state. noise: printable characters without sense.
 def fault(name: str, **options: Any) -> Fault:
     """The fault of that name; raises OptionError for a name that there is not."""
     if name not in FAULTS:
-        raise OptionError(f"no fault {name!r}; there are {', '.join(FAULTS)}")
+        raise OptionError(f"no fault is called {name!r}; there are {', '.join(FAULTS)}")
     return FAULTS[name](**options)

@@ -126,7 +126,7 @@ class Firmware(Commands):
     def press(self, button: str) -> None:
         """Push a button and keep it down: estop, reset or limit_x .. limit_c; raises OptionError for others."""
         if button not in BUTTONS:
-            raise OptionError(f"no button {button!r}; there are {', '.join(BUTTONS)}")
+            raise OptionError(f"no button is called {button!r}; there are {', '.join(BUTTONS)}")
         self.pressed.add(button)
         if button == "reset":
             self.reset()

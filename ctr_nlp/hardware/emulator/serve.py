@@ -101,7 +101,7 @@ Port = TcpPort | PtyPort
 def open_port(kind: str, number: int = 0) -> Port:
     """A "tcp" port of a number, 0 for a free one, or a "pty"."""
     if kind not in ("tcp", "pty"):
-        raise OptionError(f"no port of kind {kind!r}; there are tcp, pty")
+        raise OptionError(f"no kind of port is called {kind!r}; there are tcp, pty")
     if kind == "pty" and not hasattr(os, "openpty"):
         raise OptionError("this system has no pseudo-terminals; use tcp")
     return PtyPort() if kind == "pty" else TcpPort(number)
