@@ -42,18 +42,21 @@ SCRIPTS = sorted(path.name for path in (ROOT / "scripts").glob("*.py"))
 ENVIRONMENT = "python3 -m venv"
 """What commands begin with that make an environment: .ci/run runs these."""
 THIN = {
-    ("plan * --robust*",): "--robot two.toml --frames 12 --no-compile",
-    ("plan *airway* --model elastic*",): "--frames 40",
-    ("plan *", "steer *"): "--frames 40 --no-compile",
+    ("plan * --robust*",): "--robot two.toml --frames 12",
+    ("plan *", "steer *"): "--frames 40",
     ("scripts/compare_solvers.py*", "compare *"): "--frames 2 --variants joint:sqp horizon:banded",
     ("scripts/benchmark.py*", "benchmark *"): "--parts rows --rows frame",
     ("scripts/design_tubes.py*", "design *"): "--nominal --frames 4 --starts 1 --robot two.toml",
     ("scripts/reproduce_seed.py*", "reproduce *"): "--only fig10 --frames 3 --jobs 1",
 }
-"""What command lines look like, of one program as a script or a subcommand -> further arguments; the first counts.
+"""What command lines look like, as a script or a subcommand -> further arguments; the first that fits is taken."""
+COMPILED = (
+    *("plan *airway* --model elastic*", "play *", "live *", "warm *", "benchmark *", "scripts/benchmark.py*"),
+    "-*",
+)
+"""Command lines whose programs are compiled, as users' are: of what is played later, and Python that is shown.
 
-Compiling takes longer than so few frames do without, but what is played later is planned as users plan it.
-Programs of a design are the largest of all, those of two tubes a third as large as those of three.
+The others are interpreted: for so few frames, compiling takes longer than it spares.
 """
 
 PIP = '''#!{python}
@@ -87,6 +90,8 @@ def clone_of(folder: Path, thin: bool) -> Path:
     (folder / "two.toml").write_text(Robot(table_i_robot().tubes[1:]).to_toml(), encoding="utf-8")
     (folder / ".venv" / "bin").mkdir(parents=True)
     cases = [f'{"|".join(map(_as_shell, lines))}) set -- "$@" {more} ;;' for lines, more in THIN.items() if thin]
+    compiled = "|".join(map(_as_shell, COMPILED if thin else ("*",)))
+    cases += ["esac", 'case "$* " in', f"{compiled}) ;;", "*) export CTR_NLP_COMPILE=0 ;;"]
     head = "\n".join(["#!/bin/sh", 'case "$* " in', *cases, "esac", f'exec "{sys.executable}"'])
     programs = {"python": f'{head} "$@"\n', "ctr-nlp": f'{head} -m ctr_nlp "$@"\n'}
     for name, text in (programs | {"pip": PIP.format(python=sys.executable)}).items():
