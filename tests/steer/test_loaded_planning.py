@@ -170,6 +170,21 @@ def test_a_plan_that_knows_the_load_makes_up_for_it(reachable, solve, load):
     assert found.under(Load()).bears == Load()
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("force", [(0.0, 0.1, 0.0), (-0.1, 0.0, 0.0)])
+@pytest.mark.parametrize("name", ["cos", "line_arc"])
+def test_a_load_costs_about_nothing_where_the_robot_can_bear_it(name, force):
+    """From the motion without it alone, no plan, or one of a quarter more, was found in three of these cases."""
+    problem = named(name)
+    problem = replace(problem, robot=with_modulus(problem.robot, 60_000))
+    free = solve_horizon(problem, model="elastic")
+    found = solve_horizon(problem, model=Loaded(Load(force)), motion_weight=free.options["motion_weight"])
+    assert found.success.all()
+    assert not found.meta["snaps"]
+    assert found.verdicts.stable.word == "yes"
+    assert found.objective.sum() < 1.2 * free.objective.sum()
+
+
 def test_a_locked_tilt_stays(reachable):
     problem, _ = reachable
     robot = problem.robot.with_locked_tilt()
