@@ -223,6 +223,7 @@ def test_alpha_is_that_of_the_configuration(kind):
     np.testing.assert_allclose(alpha, tracking.configuration(robot, x)[:, :d], atol=0.02)
 
 
+@pytest.mark.interpreted
 @pytest.mark.parametrize("margin", [0.0, 0.1, 0.5])
 @pytest.mark.parametrize("kind", COUPLED)
 def test_determinants_are_allowed_where_the_margin_is_held(kind, margin):
