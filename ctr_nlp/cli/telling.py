@@ -104,6 +104,8 @@ def progress_bar() -> Iterator[Labelled]:
         def labelled(label: str) -> Callable[[int, int, str], None]:
             bar.reset(task, description=label, total=None)
             last = -math.inf
+            if _verbose.get():
+                bar.console.print(f"{time.monotonic() - begin:8.1f} s  {label}", markup=False)
 
             def report(done: int, total: int, note: str) -> None:
                 nonlocal last
