@@ -24,7 +24,7 @@ ALIKE = {column.key: 1.0 for column in COLUMNS} | {column.planned: 1.0 for colum
 
 
 def row(variant, **numbers):
-    whole = {"problem": "bend", "variant": variant, "solved": 9, "frames": 9, "draws": 40}
+    whole = {"problem": "bend", "variant": variant, "solved": 9, "frames": 9, "draws": 40, "interrupted": False}
     return whole | ALIKE | numbers
 
 
@@ -94,7 +94,7 @@ def test_what_is_least_is_bold_and_so_is_all_of_others_that_beats_ours():
     assert [bold[name][e3] for name in bold] == [True, False, False, False, False]
     assert [bold[name][tip] for name in bold] == [False, False, True, True, False]
     assert cells(text, "tip-jacobian")[-1] == "8 of 9"
-    assert "it needs a lumen" in cells(text, "rrt-connect")
+    assert text.splitlines()[-1] == "- `rrt-connect` does not serve it: it needs a lumen"
     assert cells(text, "euclidean")[e3].startswith("1 / 2.5") or "1.00 / 2.50" in cells(text, "euclidean")[e3]
 
 
@@ -107,7 +107,9 @@ def test_every_method_is_told_of_in_the_words_of_its_file():
 
 
 def test_the_page_tells_how_it_is_made_and_nothing_of_where(tmp_path):
-    text = page(Comparison([row("joint:sqp")], [], []), "ctr-nlp compare bend --all")
+    rows = [row("joint:sqp"), row("tip-jacobian", e3=0.1, solved=1, interrupted=True)]
+    text = page(Comparison(rows, [], []), "ctr-nlp compare bend --all")
+    assert "tip-jacobian" not in text
     assert "    ctr-nlp compare bend --all\n" in text
     assert "cores of" in text
     assert not re.search(r"/(home|tmp|work|root)/", text)

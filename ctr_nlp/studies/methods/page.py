@@ -75,21 +75,22 @@ were planned on; where two numbers stand in a cell, the first is on the model pl
 - *Solved*: frames that are solved in the method's own sense; for methods of the tip that it is within 1 mm.
 
 **Bold** is the least of a column among methods that solved all frames, and, of others, all that is less than the
-least of ours. A method that does not serve a problem says why.
+least of ours. Below each table stand the methods that do not serve its problem, and why.
 """
 REMAKING = """
 ## How to remake it
 
     {command}
 
-writes this page as `comparison.md` into its folder, with all rows as `comparison.csv` and `.json`. It was made
+This command writes this page as `comparison.md` into its folder, with all rows as `comparison.csv` and `.json`. It was made
 with {frames} frames on {machine}, one method after the other; times differ from machine to machine and with what
 else runs there.
 """
 
 
 def page(found: Comparison, command: str) -> str:
-    """The text of the page; command: with which it is made."""
+    """The text of the page, without methods that were interrupted; command: with which it is made."""
+    found = found._replace(rows=[row for row in found.rows if not row["interrupted"]])
     asked = [(row["problem"], row["variant"]) for row in found.rows]
     asked += [(refusal.problem, refusal.variant) for refusal in found.refusals]
     problems = list(dict.fromkeys(problem for problem, _ in asked))
@@ -105,16 +106,13 @@ def page(found: Comparison, command: str) -> str:
 
 
 def table(found: Comparison, problem: str) -> str:
-    """A row a method; the methods that do not serve the problem last, each with its reason."""
+    """A row a method; then a line for each method that does not serve the problem, with the reason."""
     rows = [row for row in found.rows if row["problem"] == problem]
     body = [
         [f"`{row['variant']}`", *(_cell(row, rows, column) for column in COLUMNS), _solved(row)] for row in rows
     ]
-    empty = [""] * (len(COLUMNS) - 1)
-    body += [
-        [f"`{r.variant}`", *empty, r.why.replace("|", "\\|"), ""] for r in found.refusals if r.problem == problem
-    ]
-    return markdown(["method", *_titles(), "solved"], body)
+    refused = [f"- `{r.variant}` does not serve it: {r.why}" for r in found.refusals if r.problem == problem]
+    return "\n".join([markdown(["method", *_titles(), "solved"], body), *refused, *([""] if refused else [])])
 
 
 def made_for(kind: str) -> str:
