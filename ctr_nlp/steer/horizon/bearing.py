@@ -99,7 +99,8 @@ class LoadedHorizon:
             plain = self._without.solve(initial, motion_weight, starts, jobs, progress, seen, exhaustive)
             weight = plain.meta["options"]["motion_weight"]
             begin = time.perf_counter()
-            found = None if interrupted() else self._borne(plain, initial, interrupted)
+            search = functools.partial(Horizon.solve, initial=initial, motion_weight=weight, progress=progress)
+            found = None if interrupted() else self._borne(plain, search, interrupted)
             if found is not None and found.success and self._inside is not None and not interrupted():
                 return self._inside.solve([found.q], weight, progress=progress)
             stopped = interrupted()
@@ -122,20 +123,22 @@ class LoadedHorizon:
         free = replace(self._settings, contact_weight=0.0, stability_margin=margin)
         return Horizon(self._problem, MODELS[self._model.name], *asked, free, self._terms)
 
-    def _borne(self, plain: Plan, initial: Sequence[npt.ArrayLike], stop: Callable[[], bool]) -> SharedSolution:
+    def _borne(self, plain: Plan, search: Callable[[Horizon], Plan], stop: Callable[[], bool]) -> SharedSolution:
         """The motion under the load, from plans without it, with margins held between frames too.
 
-        plain: the plan without the load; initial: motions that it was begun from, if any. The first motion is
-        taken that costs about as much as the plan, else the best; where the robot makes none, the first that was
-        solved, else what came of the last search.
+        plain: the plan without the load; search: how it was found. The first motion is taken that costs about as
+        much as the plan, else the best; where the robot makes none, the first that was solved, else what came of
+        the last search.
         """
         weight = plain.meta["options"]["motion_weight"]
         motion, limit = self._motion(weight, self._margins), WORTH * float(plain.objective.sum())
         solved: list[SharedSolution] = []
         made: list[tuple[SharedSolution, float]] = []
-        for q in self._starts(plain, initial, weight):
+        for q in self._starts(plain, search):
             found = self._from(q, motion, stop)
-            if stop() or not found.success or _known(found, solved):
+            if stop():
+                break
+            if not found.success or _known(found, solved):
                 continue
             solved.append(found)
             held = self._held(found, weight, stop)
@@ -147,10 +150,10 @@ class LoadedHorizon:
             return min(made, key=lambda one: (max(one[1], SHORT), one[0].objective))[0]
         return solved[0] if solved else found
 
-    def _starts(self, plain: Plan, initial: Sequence[npt.ArrayLike], weight: float) -> Iterator[Array]:
+    def _starts(self, plain: Plan, search: Callable[[Horizon], Plan]) -> Iterator[Array]:
         """Motions q (T, 2d + 2) without the load: of more margin first, at last that of the plan itself."""
         for unloaded in self._firmer:
-            firmer = unloaded().solve(initial, weight)
+            firmer = search(unloaded())
             if firmer.success.all():
                 yield firmer.q
         yield plain.q

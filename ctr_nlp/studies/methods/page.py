@@ -82,9 +82,9 @@ REMAKING = """
 
     {command}
 
-This command writes this page as `comparison.md` into its folder, with all rows as `comparison.csv` and `.json`. It was made
-with {frames} frames on {machine}, one method after the other; times differ from machine to machine and with what
-else runs there.
+This command writes this page as `comparison.md` into its folder, with all rows as `comparison.csv` and `.json`.
+It was made with {frames} frames on {machine}, one method after the other; times differ from
+machine to machine and with what else runs there.
 """
 
 
