@@ -76,8 +76,8 @@ class Curve(Value):
             number(CurveError, f"{name} of a piece", end, math.isfinite, "be a finite number of mm")
         if not 0 <= start < stop <= self.length:
             raise CurveError(
-                f"the piece [{start:g}, {stop:g}] mm of a curve ends beyond it; "
-                f"it must lie within [0, {self.length:g}]"
+                f"start and stop of a piece of a curve are {start:g} and {stop:g} mm; "
+                f"they must grow and lie within [0, {self.length:g}]"
             )
         return self._through(Piece(self, start, 1.0), stop - start)
 
