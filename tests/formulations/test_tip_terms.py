@@ -12,8 +12,6 @@ from ctr_nlp.models import MODELS
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.target.target import SIGMA
 
-pytestmark = pytest.mark.interpreted
-
 ROBOT = Robot(table_i_robot().tubes[1:])
 X = np.array([0.4, -0.9, 55.0, 120.0, 0.2, -0.3])
 EVERY_MODEL = pytest.mark.parametrize("model", ["dominant", "elastic"])

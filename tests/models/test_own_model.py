@@ -32,8 +32,6 @@ from ctr_nlp.models import MODELS, Model, Shape, register
 from ctr_nlp.nlp.nlp import Inner, Residual
 from ctr_nlp.plan.metrics import by_frame, summary
 
-pytestmark = pytest.mark.interpreted
-
 matplotlib.use("Agg")
 ROBOT = Robot((Tube(200, 150, 0.008, 2, 1),), Limits(alpha=(-1.5, 1.5)))
 
