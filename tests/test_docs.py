@@ -50,14 +50,10 @@ THIN = {
     ("scripts/reproduce_seed.py*", "reproduce *"): "--only fig10 --frames 3 --jobs 1",
 }
 """What command lines look like, as a script or a subcommand -> further arguments; the first that fits is taken."""
-COMPILED = (
-    *("plan *airway* --model elastic*", "play *", "live *", "warm *", "benchmark *", "scripts/benchmark.py*"),
-    "-*",
-)
-"""Command lines whose programs are compiled, as users' are: of what is played later, and Python that is shown.
-
-The others are interpreted: for so few frames, compiling takes longer than it spares.
-"""
+PLAYED = "plan *airway* --model elastic*"
+"""Command lines of plans that are played later, whose programs are compiled, as users' are."""
+INTERPRETED = "plan *", "steer *", "design *", "force *"
+"""Other command lines whose programs are not compiled: for so few frames, that takes longer than it spares."""
 
 PIP = '''#!{python}
 """Instead of pip, which needs a network: whether what is to be installed could be."""
@@ -90,8 +86,14 @@ def clone_of(folder: Path, thin: bool) -> Path:
     (folder / "two.toml").write_text(Robot(table_i_robot().tubes[1:]).to_toml(), encoding="utf-8")
     (folder / ".venv" / "bin").mkdir(parents=True)
     cases = [f'{"|".join(map(_as_shell, lines))}) set -- "$@" {more} ;;' for lines, more in THIN.items() if thin]
-    compiled = "|".join(map(_as_shell, COMPILED if thin else ("*",)))
-    cases += ["esac", 'case "$* " in', f"{compiled}) ;;", "*) export CTR_NLP_COMPILE=0 ;;"]
+    interpreted = "|".join(map(_as_shell, INTERPRETED))
+    if thin:
+        cases += [
+            "esac",
+            'case "$* " in',
+            f"{_as_shell(PLAYED)}) ;;",
+            f"{interpreted}) export CTR_NLP_COMPILE=0 ;;",
+        ]
     head = "\n".join(["#!/bin/sh", 'case "$* " in', *cases, "esac", f'exec "{sys.executable}"'])
     programs = {"python": f'{head} "$@"\n', "ctr-nlp": f'{head} -m ctr_nlp "$@"\n'}
     for name, text in (programs | {"pip": PIP.format(python=sys.executable)}).items():
