@@ -60,15 +60,13 @@ class Command(NamedTuple):
         with telling(getattr(arguments, "as_json", False), arguments.verbose) as told:
             if told is None:
                 return self.run(arguments)
-            error: str | None = None
+            known = {"command": self.name, "version": ctr_nlp.__version__}
             try:
                 status = self.run(arguments)
-            except CtrError as exception:
-                status, error = BAD_INPUT, str(exception)
-            known = {"command": self.name, "version": ctr_nlp.__version__, "exit_status": status, "error": error}
-            sys.stdout.write(told.as_json(**known) + "\n")
-            if error is not None:
-                sys.stderr.write(f"error: {error}\n")
+            except CtrError as error:
+                sys.stdout.write(told.as_json(**known, exit_status=BAD_INPUT, error=str(error)) + "\n")
+                raise
+            sys.stdout.write(told.as_json(**known, exit_status=status, error=None) + "\n")
             return status
 
 

@@ -41,8 +41,8 @@ from ctr_nlp.typing import Array
 
 _Asked = tuple[str | None, npt.ArrayLike | None, npt.ArrayLike | None]
 """The solver's name, and q at the first and the last frame."""
-FIRMER = 0.2, 0.1, 0.0
-"""By how much more margin than asked the motions without the load have that the search begins with, in this order.
+FIRMER = 0.2, 0.1
+"""By how much more margin than asked motions without the load have that the search begins with, before the plan.
 
 A motion that keeps just the margin that is asked ends beside the snap, and from there the search under the load
 comes to a branch of equilibria that the robot does not reach.
@@ -79,7 +79,7 @@ class LoadedHorizon:
         self._margins = None if margin is None else np.full(problem.frames, margin)
         self._without = self._unloaded(asked, margin)
         self._ends = self._without.ends
-        firmer = () if margin is None else [margin + more for more in FIRMER if more and margin + more < 1]
+        firmer = () if margin is None else [margin + more for more in FIRMER if margin + more < 1]
         self._firmer = [functools.partial(self._unloaded, asked, more) for more in firmer]
         self._simulator = Simulator(problem.robot, model)
         self.build_seconds = time.perf_counter() - begin
