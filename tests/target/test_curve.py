@@ -301,8 +301,8 @@ def edited(index, value):
 @pytest.mark.parametrize(
     ("points", "message"),
     [
-        (helix_points(ARC_LENGTHS[:3]), "3 points.*at least 4"),
-        (np.zeros((0, 3)), "0 points"),
+        (helix_points(ARC_LENGTHS[:3]), "number of points.* is 3; it must be at least 4"),
+        (np.zeros((0, 3)), "number of points.* is 0; it must be at least 4"),
         (edited(7, math.nan), "point 8 .*finite"),
         (edited((4, 1), math.inf), "point 5 .*finite"),
         (edited(8, helix_points(ARC_LENGTHS)[7]), "points 8 and 9 are the same"),
@@ -344,7 +344,7 @@ ROWS = "\n".join(f"{x},{y},{z}" for x, y, z in helix_points(ARC_LENGTHS))
         (f"x_mm,y_mm\n{ROWS}".encode(), "expected a header"),
         (f"x_mm,y_mm,z_mm,z_mm\n{ROWS}".encode(), "expected a header"),
         (f"x_mm;y_mm;z_mm\n{ROWS}".encode(), "expected a header"),
-        (b"x_mm,y_mm,z_mm\n", "0 points"),
+        (b"x_mm,y_mm,z_mm\n", "number of points.* is 0; it must be at least 4"),
         (f"x_mm,y_mm,z_mm\n{ROWS}\n1,2".encode(), "row 153 has 2 cells"),
         (f"x_mm,y_mm,z_mm\n{ROWS}\n1,2,3,4".encode(), "row 153 has 4 cells"),
         (f"x_mm,y_mm,z_mm\n1,two,3\n{ROWS}".encode(), "row 2 is '1,two,3'"),

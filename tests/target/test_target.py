@@ -116,7 +116,7 @@ def test_a_number_of_frames_that_is_not_positive_and_whole_is_refused(frames):
 
 
 def test_a_target_without_frames_is_refused():
-    with pytest.raises(ProblemError, match="0 frames"):
+    with pytest.raises(ProblemError, match="a target has no frames; give at least one"):
         Target((), ())
 
 
