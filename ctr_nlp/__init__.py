@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from ctr_nlp.codesign.together import Design, design
     from ctr_nlp.exceptions import CtrError
     from ctr_nlp.exchange.configurations import plan_through, read_configurations
+    from ctr_nlp.exchange.robots import read_robot
     from ctr_nlp.formulations.settings import Settings
     from ctr_nlp.formulations.shared.manufacture import Manufacture
     from ctr_nlp.loads import Load, LoadOverTime, read_load
@@ -78,6 +79,7 @@ __all__ = [
     "read_csv",
     "read_load",
     "read_measurements",
+    "read_robot",
     "read_stock",
     "run_study",
     "seed_robot",
@@ -104,6 +106,7 @@ _HOMES = {
     "codesign.together": ("Design", "design"),
     "exceptions": ("CtrError",),
     "exchange.configurations": ("plan_through", "read_configurations"),
+    "exchange.robots": ("read_robot",),
     "formulations.settings": ("Settings",),
     "loads": ("Load", "LoadOverTime", "read_load"),
     "models.loaded.model": ("Loaded",),

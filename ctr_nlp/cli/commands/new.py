@@ -10,6 +10,7 @@ from ctr_nlp.cli.console import SOLVED, Command
 from ctr_nlp.cli.output.file import check_file, write_text
 from ctr_nlp.cli.telling import wrote
 from ctr_nlp.exceptions import OptionError, OutputError
+from ctr_nlp.exchange.robots import read_robot
 
 NEXT = {
     "problem.py": "ctr-nlp plan {file}",
@@ -30,18 +31,37 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         description="Write a file with comments to start from: a problem (.py), a robot, its hardware, a load "
         "or a study of many plans (.toml). Two of the studies end with a page: `clearance` tells "
         "what clearance costs and brings, and `survival` tells how plans survive robots that are "
-        "not quite known.",
+        "not quite known. A robot may come from a file of another program, too.",
         epilog="Exit status: 0 where the file was written, 2 where input is bad and nothing is written. A file "
         "that is there is never replaced.",
     )
     parser.add_argument("kind", choices=KINDS)
     parser.add_argument("file", metavar="FILE", help="to write; its name ends in .py or .toml")
+    peers = parser.add_argument_group("a robot of another program")
+    what = "tubes in SI units, as MexLib (OD, ID, k, L, Lt, E, G) or gym-ctr (length, length_curved, ..) have them"
+    peers.add_argument("--from", metavar="TUBES.json|TUBES.mat", dest="source", help=what)
+    peers.add_argument("--name", help="which robot, where that file holds several")
+    what = "of every tube, in place of what Young's and shear modulus give, e.g. 0.3"
+    peers.add_argument("--poisson-ratio", metavar="NU", type=float, help=what)
     return parser
 
 
 def template(name: str) -> str:
     """The text of a template, a key of NEXT."""
     return files("ctr_nlp.cli").joinpath("templates", name).read_text(encoding="utf-8")
+
+
+def _text(arguments: argparse.Namespace, name: str) -> str:
+    """What is to be written: a template, or the robot of another program; raises a CtrError."""
+    given = {f"--{key.replace('_', '-')}": getattr(arguments, key) for key in ("name", "poisson_ratio")}
+    if arguments.source is None:
+        for option in (option for option, value in given.items() if value is not None):
+            raise OptionError(f"{option} says what to take from another program's file; name that with --from")
+        return template(name)
+    if arguments.kind != "robot":
+        raise OptionError(f"--from is given for a {arguments.kind} file; only a robot is read from other programs")
+    imported = read_robot(arguments.source, arguments.name, arguments.poisson_ratio)
+    return imported.to_toml(Path(arguments.source).name)
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -51,7 +71,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if file.exists() or file.is_symlink():
         raise OutputError(f"{file} exists and is left as it is; name another file")
     check_file(file, "")
-    write_text(file, template(name))
+    write_text(file, _text(arguments, name))
     wrote(file, more=f"; next: {NEXT[name].format(file=file)}")
     return SOLVED
 

@@ -1,0 +1,215 @@
+"""Robots from files of other programs: tubes in SI units, in the words of two families of codes."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from scipy.io import loadmat
+
+from ctr_nlp.exceptions import OptionError, RobotError
+from ctr_nlp.robot import Robot, Tube
+from ctr_nlp.support.values import check_choice, checked_path, number
+
+SUFFIXES = (".json", ".mat")
+MM, PER_MM, MPA = 1e3, 1e-3, 1e-6
+"""What lengths in m, curvatures in 1/m and moduli in Pa are multiplied by."""
+DEEPEST = 20
+"""How many tables within tables are looked through."""
+
+
+@dataclass(frozen=True)
+class Words:
+    """What a family of codes calls the numbers of a tube.
+
+    program: where it is used. curved, straight: the pre-curved length, or the straight one before it; one of the
+    two. curvatures: the pre-curvature about x, and about y where there is one.
+    """
+
+    program: str
+    outer_diameter: str
+    inner_diameter: str
+    length: str
+    youngs_modulus: str
+    shear_modulus: str
+    curvatures: tuple[str, ...]
+    curved: str = ""
+    straight: str = ""
+
+    @property
+    def all(self) -> tuple[str, ...]:
+        """Every word that a tube must have."""
+        sizes = (self.outer_diameter, self.inner_diameter, self.length, self.curved or self.straight)
+        return (*sizes, *self.curvatures, self.youngs_modulus, self.shear_modulus)
+
+
+WORDS = (
+    Words("MexLib", "OD", "ID", "L", "E", "G", ("k",), straight="Lt"),
+    Words(
+        "gym-ctr",
+        "diameter_outer",
+        "diameter_inner",
+        "length",
+        "stiffness",
+        "torsional_stiffness",
+        ("x_curvature", "y_curvature"),
+        curved="length_curved",
+    ),
+)
+"""MexLib is the concentric tube library of Gilbert, Rucker and Webster (Vanderbilt, for MATLAB); gym-ctr is the
+environment of Iyengar and Stoyanov (Deep reinforcement learning for concentric tube robot control, ICRA 2021).
+"""
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A robot, and what its file calls its tubes, the outermost first.
+
+    turned (d,): rad by which alpha here exceeds the angle there, since a lone tube with alpha = 0 bends towards +x
+    here, and there about x or about the axis that its two curvatures give.
+    """
+
+    robot: Robot
+    names: tuple[str, ...]
+    turned: tuple[float, ...]
+
+    def to_toml(self, source: str) -> str:
+        """The text of a robot file, with how configurations there become such here; source: where it is from."""
+        rows = [
+            f"Tube {i} is called {name} there. Its angle there {angle:+.4f} rad is alpha_{i}, and the position of "
+            f"its base there (negative) + {tube.length:g} mm is beta_{i}."
+            for i, (name, angle, tube) in enumerate(
+                zip(self.names, self.turned, self.robot.tubes, strict=True), start=1
+            )
+        ]
+        return self.robot.to_toml("\n".join([f"A robot from {source}. Lengths in mm, moduli in MPa.", *rows]))
+
+
+def read_robot(path: str | Path, name: str | None = None, poisson_ratio: float | None = None) -> Imported:
+    """The robot in a file of another program, .json or .mat; its limits and tolerances are those of Robot.
+
+    A tube is a table with the words of one of WORDS: lengths and diameters in m, curvatures in 1/m, moduli in Pa.
+    A robot is a table or a list of such tubes, in any order. name: which one, where the file holds several.
+    poisson_ratio: of every tube, in place of E / 2G - 1, which no isotropic tube has in some published tables.
+    Raises OptionError for a file that cannot be read or holds no robot, and RobotError for tubes that cannot be.
+    """
+    path = checked_path(OptionError, path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise OptionError(f"robot file {path} is in no known kind of file; its name must end in .json or .mat")
+    try:
+        robots = dict(_robots(_read(path), path.stem))
+        return _imported(_chosen(robots, name), poisson_ratio)
+    except OSError as error:
+        raise OptionError(f"robot file {path} cannot be read: {error}") from error
+    except (OptionError, RobotError) as error:
+        raise type(error)(f"robot file {path}: {error}") from error
+
+
+def _read(path: Path) -> Any:
+    try:
+        if path.suffix.lower() == ".json":
+            return json.loads(path.read_text(encoding="utf-8"))
+        held = loadmat(path, simplify_cells=True)
+        return {key: value for key, value in held.items() if not key.startswith("__")}
+    except NotImplementedError as error:
+        raise OptionError("it is of MATLAB's version 7.3; save it with save(file, '-v7')") from error
+    except OSError:
+        raise
+    except Exception as error:  # whatever a reader meets in a damaged file
+        raise OptionError(f"it is damaged, or of another kind: {error}") from error
+
+
+def _robots(data: Any, name: str, depth: int = 0) -> Iterator[tuple[str, dict[str, Mapping[str, Any]]]]:
+    """Each robot in what a file holds, as its name and its tubes by name."""
+    if depth > DEEPEST:
+        raise OptionError(f"it holds tables within tables, more than {DEEPEST} deep")
+    if not isinstance(data, Mapping):
+        data = {str(i): each for i, each in enumerate(data, start=1)} if _is_list(data) else {}
+    tubes = {str(key): each for key, each in data.items() if isinstance(each, Mapping) and _words(each)}
+    if tubes:
+        yield name, tubes
+    for key, each in data.items():
+        if key not in tubes:
+            yield from _robots(each, str(key), depth + 1)
+
+
+def _is_list(data: Any) -> bool:
+    """Whether something is a list of a file, of Python or of MATLAB."""
+    return isinstance(data, list) or (hasattr(data, "dtype") and data.dtype == object and data.ndim == 1)
+
+
+def _words(tube: Mapping[str, Any]) -> Words | None:
+    """The words that a table speaks in, if it is a tube: those that it has most of, and at least half."""
+    shares = [sum(word in tube for word in words.all) / len(words.all) for words in WORDS]
+    return WORDS[shares.index(max(shares))] if max(shares) >= 0.5 else None
+
+
+def _chosen(robots: dict[str, dict[str, Mapping[str, Any]]], name: str | None) -> dict[str, Mapping[str, Any]]:
+    if not robots:
+        known = "; or ".join(f"{', '.join(words.all)} ({words.program})" for words in WORDS)
+        raise OptionError(f"it holds no tubes; a tube is a table with {known}")
+    if name is None and len(robots) > 1:
+        raise OptionError(f"it holds several robots, {', '.join(robots)}; give the name of one")
+    name = next(iter(robots)) if name is None else name
+    check_choice("name of a robot", name, robots)
+    return robots[name]
+
+
+def _imported(tubes: dict[str, Mapping[str, Any]], poisson_ratio: float | None) -> Imported:
+    made = {name: _tube(name, tube, poisson_ratio) for name, tube in tubes.items()}
+    names = sorted(made, key=lambda name: -made[name][0].outer_diameter)
+    return Imported(
+        Robot(tuple(made[name][0] for name in names)), tuple(names), tuple(made[name][1] for name in names)
+    )
+
+
+def _tube(name: str, given: Mapping[str, Any], poisson_ratio: float | None) -> tuple[Tube, float]:
+    """The tube of a table, and by how much alpha exceeds the angle there, rad."""
+    words = _words(given)
+    assert words is not None
+
+    def value(word: str) -> float:
+        if word not in given:
+            raise OptionError(f"{word} of tube {name!r} is missing; needed are {', '.join(words.all)}")
+        return number(OptionError, f"{word} of tube {name!r}", given[word], math.isfinite, "be a finite number")
+
+    about_x, about_y = (*map(value, words.curvatures), 0.0)[:2]
+    modulus, length = value(words.youngs_modulus), value(words.length)
+    curved = value(words.curved) if words.curved else length - value(words.straight)
+    if poisson_ratio is None:
+        poisson_ratio = _poisson_ratio(name, modulus, value(words.shear_modulus))
+    curvature = math.hypot(about_x, about_y)
+    try:
+        tube = Tube(
+            length=_rounded(MM * length),
+            curved_length=_rounded(MM * curved),
+            curvature=_rounded(PER_MM * curvature),
+            outer_diameter=_rounded(MM * value(words.outer_diameter)),
+            inner_diameter=_rounded(MM * value(words.inner_diameter)),
+            poisson_ratio=poisson_ratio,
+            youngs_modulus=_rounded(MPA * modulus),
+        )
+    except RobotError as error:
+        raise RobotError(f"tube {name!r}, in {words.program}'s m, 1/m and Pa: {error}") from error
+    turned = math.atan2(about_y, about_x) - math.pi / 2 if curvature else 0.0
+    return tube, math.remainder(turned, 2 * math.pi)
+
+
+def _poisson_ratio(name: str, modulus: float, shear: float) -> float:
+    """E / 2G - 1; raises OptionError where no isotropic tube has it."""
+    ratio = modulus / (2 * shear) - 1 if shear > 0 else math.inf
+    if not -1 < ratio <= 0.5 + 1e-9:
+        raise OptionError(
+            f"tube {name!r} has a Young's modulus of {modulus:g} Pa and a shear modulus of {shear:g} Pa, which is "
+            f"a Poisson ratio of {ratio:.3g}; it must lie in (-1, 0.5]; give a Poisson ratio in place of it"
+        )
+    return min(_rounded(ratio), 0.5)
+
+
+def _rounded(value: float) -> float:
+    """A number without what conversion of its unit has left behind its twelfth digit."""
+    return float(f"{value:.12g}")
