@@ -247,11 +247,12 @@ def test_a_compiler_that_cannot_link_is_said_once_in_its_own_words(place, tools,
     assert default_chain_solver() == "ipopt"
 
 
-@pytest.mark.parametrize("refused", ["-march=native", "-lmvec"])
+@pytest.mark.parametrize("refused", ["-march=native", "-lmvec", cache.BRIEF[0]])
 def test_what_a_compiler_does_not_know_is_left_out(refused, tools, tmp_path):
     program(tools, f'case " $* " in *" {refused} "*) exit 1;; esac\nexec {REAL} "$@"')
     assert shutil.which(cache.compiler().command[0]) == str(tools / "cc")
     assert ("-march=native" in cache.compiler().command) == (refused != "-march=native")
+    assert (cache.BRIEF[0] in cache.compiler().command) == (refused == "-lmvec")
     assert answer(made("one", 1), tmp_path) == 1
 
 
