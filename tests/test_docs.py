@@ -46,7 +46,7 @@ THIN = {
     ("plan *", "steer *"): "--frames 40",
     ("scripts/compare_solvers.py*", "compare *"): "--frames 2 --variants joint:sqp horizon:banded",
     ("scripts/benchmark.py*", "benchmark *"): "--parts rows --rows frame",
-    ("scripts/design_tubes.py*", "design *"): "--nominal --frames 3 --starts 1 --robot two.toml",
+    ("scripts/design_tubes.py*", "design *"): "--nominal --model dominant --frames 3 --starts 1 --robot two.toml",
     ("scripts/reproduce_seed.py*", "reproduce *"): "--only fig10 --frames 3 --jobs 1",
 }
 """What command lines look like, as a script or a subcommand -> further arguments; the first that fits is taken."""

@@ -27,8 +27,8 @@ SWITCH, FOLDER = "CTR_NLP_COMPILE", "CTR_NLP_CACHE"
 FLAGS = ("-O2", "-fPIC", "-shared", "-fno-math-errno", "-Wno-psabi")
 """Higher levels take longer to compile and gain a tenth at most."""
 BRIEF = ("--param=max-cselib-memory-locations=10", "--param=max-cse-insns=50")
-"""How far GCC looks back for values that are in registers already: without these, its defaults of 500 and 1000 take
-half of the time over long straight code of vectors, and hardly change what comes of it.
+"""How far GCC looks back for values that are in registers already: its defaults of 500 and 1000 take half of the
+time that long straight code of vectors needs, and hardly change what comes of it.
 """
 LIBRARIES = (
     ("-DLIBMVEC", "-mprefer-vector-width=512", "-fopenmp-simd", "-Wl,--no-undefined", "-lmvec", "-lm"),

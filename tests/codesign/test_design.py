@@ -43,6 +43,12 @@ def nominal(tasks):
     return design(tasks, nominal=True, rules=RULES, starts=2)
 
 
+@pytest.fixture(scope="module")
+def tolerant(tasks):
+    """A design for the first task and the robot's tolerances."""
+    return design(tasks[:1], rules=RULES, starts=1)
+
+
 def _rms(plans):
     return float(np.sqrt(np.mean([summary(plan)["e3"] ** 2 for plan in plans])))
 
@@ -83,7 +89,7 @@ def test_no_tubes_nearby_are_better(tasks):
 
     Arcs: with curvatures that vary, errors are so small that the cost of motion decides.
     """
-    arcs = design(tasks, nominal=True, rules=RULES, starts=2, constant_curvature=True)
+    arcs = design(tasks, nominal=True, rules=RULES, starts=1, constant_curvature=True)
     tubes = DesignedTubes(arcs.robot, RULES)
     far, least = Settings(contact_weight=0.0), _rms(arcs.plans)
     assert least > 0.02
@@ -129,10 +135,9 @@ def test_a_design_for_tolerances_survives_its_draws(tasks):
         assert plan.robustness(200, 7).losses <= 2
 
 
-def test_a_design_for_tolerances_carries_robust_plans(tasks):
-    found = design(tasks[:1], rules=RULES, starts=1)
-    assert found.plans[0].meta["formulation"] == "robust-horizon"
-    assert found.plans[0].meta["certificate"]["held"]
+def test_a_design_for_tolerances_carries_robust_plans(tolerant):
+    assert tolerant.plans[0].meta["formulation"] == "robust-horizon"
+    assert tolerant.plans[0].meta["certificate"]["held"]
 
 
 def test_two_processes_find_what_one_alone_finds(tasks):
@@ -143,13 +148,14 @@ def test_two_processes_find_what_one_alone_finds(tasks):
     np.testing.assert_array_equal(alone.plans[0].q, several.plans[0].q)
 
 
-@pytest.mark.parametrize("nominal", [True, False])
-def test_a_cluster_finds_what_one_process_finds(tasks, nominal):
+@pytest.mark.parametrize(
+    ("kind", "asked"), [("nominal", {"nominal": True, "starts": 2}), ("tolerant", {"starts": 1})]
+)
+def test_a_cluster_finds_what_one_process_finds(tasks, kind, asked, request):
     pytest.importorskip("distributed", reason="the extra `study` is not installed")
-    asked = {"nominal": nominal, "rules": RULES, "starts": 1}
-    alone = design(tasks[:1] if not nominal else tasks, **asked)
+    alone = request.getfixturevalue(kind)
     with local_client(2) as client:
-        several = design(tasks[:1] if not nominal else tasks, **asked, jobs=client)
+        several = design(tasks[: len(alone.plans)], rules=RULES, jobs=client, **asked)
     assert alone.robot == several.robot
     assert alone.tried == several.tried
     np.testing.assert_array_equal(alone.plans[0].q, several.plans[0].q)
@@ -236,10 +242,9 @@ def test_the_script_is_the_command():
     assert "--hold-out" in done.stdout
 
 
-def test_plans_on_designed_tubes_are_where_equations_say(tasks):
+def test_plans_on_designed_tubes_are_where_equations_say(nominal):
     """The shapes of a model of other make, which shoots, and no snap on the way; as near to a fold as may be."""
-    found = design(tasks, nominal=True, rules=RULES, starts=1)
-    for plan in found.plans:
+    for plan in nominal.plans:
         shot = shooting.followed(shooting.tubes(plan.robot, np.zeros((1, 2, 5))), plan.q, np.linspace(0, 1, 21))
         away = np.linalg.norm(shot.shapes[0] - plan.shape[:, ::5], axis=-1)
         assert shot.snapped[0] == 0
