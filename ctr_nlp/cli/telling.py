@@ -124,6 +124,14 @@ def progress_bar() -> Iterator[Labelled]:
         yield labelled
 
 
+@contextmanager
+def busy(label: str) -> Iterator[None]:
+    """A bar that says what is being done while nothing tells how far it is."""
+    with progress_bar() as labelled:
+        labelled(label)
+        yield
+
+
 def _text(cell: Any) -> str:
     from ctr_nlp.plan.account import shown  # brings numerics, without which `doctor` must work
 

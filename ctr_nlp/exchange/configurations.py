@@ -98,7 +98,8 @@ def plan_through(problem: Problem, q: Array, model: str | Model = "dominant", so
 
 def _of_mat(path: Path) -> tuple[Array, Array | None]:
     try:
-        held = loadmat(path)
+        with open(path, "rb") as file:
+            held = loadmat(file)
     except NotImplementedError as error:
         raise OptionError("it is of MATLAB's version 7.3; save it with save(file, 'q', '-v7')") from error
     except OSError:

@@ -113,7 +113,8 @@ def _read(path: Path) -> Any:
     try:
         if path.suffix.lower() == ".json":
             return json.loads(path.read_text(encoding="utf-8"))
-        held = loadmat(path, simplify_cells=True)
+        with open(path, "rb") as file:
+            held = loadmat(file, simplify_cells=True)
         return {key: value for key, value in held.items() if not key.startswith("__")}
     except NotImplementedError as error:
         raise OptionError("it is of MATLAB's version 7.3; save it with save(file, '-v7')") from error

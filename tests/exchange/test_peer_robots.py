@@ -121,8 +121,9 @@ def test_what_holds_no_robot_is_refused_by_name(written, held, told):
 def test_other_kinds_of_files_are_refused(tmp_path):
     with pytest.raises(CtrError, match=r"no known kind of file; its name must end in \.json or \.mat"):
         ctr.read_robot(tmp_path / "tubes.yaml")
-    with pytest.raises(CtrError, match="cannot be read"):
-        ctr.read_robot(tmp_path / "none.json")
+    for name in ("none.json", "none.mat"):
+        with pytest.raises(CtrError, match=r"cannot be read: .*No such file"):
+            ctr.read_robot(tmp_path / name)
     (tmp_path / "tubes.mat").write_bytes(b"MATLAB 5.0 MAT-file" + bytes(200))
     with pytest.raises(CtrError, match="damaged"):
         ctr.read_robot(tmp_path / "tubes.mat")

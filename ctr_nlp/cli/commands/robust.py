@@ -11,7 +11,7 @@ from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.plan_options import add_evaluate_option
 from ctr_nlp.cli.report import exit_status, print_robustness, write
-from ctr_nlp.cli.telling import progress_bar, wrote
+from ctr_nlp.cli.telling import busy, wrote
 from ctr_nlp.plan.draws import DRAWS, SEED
 from ctr_nlp.plan.plan import Plan
 
@@ -42,8 +42,7 @@ def _run(arguments: argparse.Namespace) -> int:
     check_folder(out, "robust")
     if arguments.evaluate is not None:
         plan = plan.on(arguments.evaluate)
-    with progress_bar() as labelled:
-        labelled(f"{plan.meta['problem']['name']}: {arguments.draws} robots are moved")
+    with busy(f"{plan.meta['problem']['name']}: {arguments.draws} robots are moved"):
         plan = plan.with_draws(arguments.draws, arguments.seed)
     print_robustness(plan)
     with published(out, "robust") as staging:

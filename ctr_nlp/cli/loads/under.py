@@ -11,7 +11,7 @@ from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, aske
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.report import draw, exit_status, print_report, write
-from ctr_nlp.cli.telling import progress_bar, wrote
+from ctr_nlp.cli.telling import busy, wrote
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.plan import Plan
 
@@ -48,8 +48,7 @@ def _run(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out or f"runs/{path_component(str(plan.meta['problem']['name']))}-under")
     planned = _planned(plan, arguments.beside)
     check_folder(out, "under")
-    with progress_bar() as labelled:
-        labelled(f"{plan.meta['problem']['name']}: the robot is moved under the load")
+    with busy(f"{plan.meta['problem']['name']}: the robot is moved under the load"):
         found = plan.under(load)
     print_report(found)
     with published(out, "under") as staging:

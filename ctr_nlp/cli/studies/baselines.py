@@ -20,7 +20,7 @@ from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.cli.studies.design import add_rules, rules_from
-from ctr_nlp.cli.telling import print_table, progress_bar, wrote
+from ctr_nlp.cli.telling import busy, print_table, wrote
 from ctr_nlp.codesign.request import draft, search_for
 from ctr_nlp.codesign.together import STARTS
 from ctr_nlp.studies.baselines.race import METHODS, Run, race, rows, seconds_to
@@ -60,8 +60,7 @@ def _run(arguments: argparse.Namespace) -> int:
     search = replace(search, tasks=tuple(draft(task) for task in search.tasks))
     check_folder(out, "baselines")
     end_if_interrupted()
-    with progress_bar() as labelled:
-        labelled("tubes are designed by each method in turn")
+    with busy("tubes are designed by each method in turn"):
         runs = race(search, arguments.starts, settings.seed, arguments.times)
     names = [task.name for task in tasks]
     interrupted = len(runs) < len(METHODS)
