@@ -134,7 +134,7 @@ class Plan(Record):
 
     @classmethod
     def load(cls, path: str | Path) -> Plan:
-        """Read plan.npz without pickle; raises OutputError where it is not a plan."""
+        """Read plan.npz without pickle; raises OutputError where it cannot be read or is not a plan."""
         path = checked_path(OutputError, path)
         try:
             arrays, meta = stored(path)
@@ -145,6 +145,8 @@ class Plan(Record):
                 seed = whole_number(OutputError, "seed of meta's draws", meta.pop("draws", {}).get("seed"), 0)
                 drawn = stored_robustness({name: arrays.pop(name) for name in OF_DRAWS}, seed)
             return cls(meta=meta, drawn=drawn, **arrays)
+        except OSError as error:
+            raise OutputError(f"plan {path} cannot be read: {error.strerror}") from error
         except CtrError as error:
             raise OutputError(f"{path} is not a plan: {error}") from error
 

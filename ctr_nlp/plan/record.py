@@ -168,17 +168,20 @@ TOLD: dict[str, type] = {"options": dict, "formulation": str, "solver": str, "dr
 
 
 def stored(path: Path) -> tuple[dict[str, npt.NDArray[Any]], Any]:
-    """The arrays of a plan.npz that belong to a plan, and its meta; raises OutputError."""
-    try:
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as data:
-            if "meta" not in data.files:
-                raise OutputError("it has no meta")
-            arrays = {name: data[name] for name in data.files if name in SHAPES}
-            return arrays, json.loads(str(data["meta"]))
-    except OutputError:
-        raise
-    except Exception as error:  # whatever the readers of zip archives, arrays and JSON meet in a damaged file
-        raise OutputError(f"it is damaged, or another file: {error}") from error
+    """The arrays of a plan.npz that belong to a plan, and its meta; raises OSError where it cannot be opened, and
+    OutputError where it holds no plan.
+    """
+    with open(path, "rb") as file:
+        try:
+            with np.load(file, allow_pickle=False) as data:
+                if "meta" not in data.files:
+                    raise OutputError("it has no meta")
+                arrays = {name: data[name] for name in data.files if name in SHAPES}
+                return arrays, json.loads(str(data["meta"]))
+        except OutputError:
+            raise
+        except Exception as error:  # whatever the readers of zip archives, arrays and JSON meet in a damaged file
+            raise OutputError(f"it is damaged, or another file: {error}") from error
 
 
 def check_meta(meta: Any) -> None:

@@ -30,8 +30,10 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     """What a TOML file holds."""
     try:
         return tomllib.loads(checked_path(RobotError, path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, RecursionError, tomllib.TOMLDecodeError) as error:
-        raise RobotError(str(error)) from error
+    except OSError as error:
+        raise RobotError(f"it cannot be read: {error.strerror}") from error
+    except (UnicodeDecodeError, RecursionError, tomllib.TOMLDecodeError) as error:
+        raise RobotError(f"it is no TOML: {error}") from error
 
 
 def described(cls: type, data: Any) -> Any:

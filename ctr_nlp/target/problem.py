@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 from dataclasses import dataclass, replace
@@ -160,10 +161,14 @@ class Problem(Value):
 
     @classmethod
     def load(cls, path: str | Path) -> Problem:
-        """Read what save wrote; raises OutputError where it is no problem."""
+        """Read what save wrote; raises OutputError where it cannot be read or is no problem."""
         path = checked_path(OutputError, path)
         try:
-            with open(path, "rb") as file, np.load(file, allow_pickle=False) as data:
+            content = path.read_bytes()
+        except OSError as error:
+            raise OutputError(f"problem {path} cannot be read: {error.strerror}") from error
+        try:
+            with np.load(io.BytesIO(content), allow_pickle=False) as data:
                 told = json.loads(str(data["meta"]))
                 if told["format"] != FORMAT:
                     raise OutputError(f"it has format {told['format']!r}; this version reads {FORMAT}")
