@@ -36,7 +36,7 @@ from ctr_nlp.hardware.description import Connection, Hardware
 from ctr_nlp.support.values import described, read_toml
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 LANGUAGES = {"bash", "python", "toml", "text", "mermaid", "math"}
 SCRIPTS = sorted(path.name for path in (ROOT / "scripts").glob("*.py"))
 ENVIRONMENT = "python3 -m venv"
@@ -413,6 +413,6 @@ def test_the_example_of_slicer_is_what_the_tutorial_makes(tmp_path, monkeypatch)
 
 
 def test_pictures_are_small():
-    pictures = [path for path in (ROOT / "docs").iterdir() if path.suffix == ".png"]
+    pictures = [path for path in (ROOT / "docs").rglob("*.png")]
     assert pictures
     assert all(path.stat().st_size < 150e3 for path in pictures)

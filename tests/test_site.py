@@ -71,3 +71,13 @@ def test_formulas_are_drawn_without_a_script(site: Path) -> None:
 @pytest.mark.parametrize("name", ["Plan", "Robot", "solve_horizon", "Steerer"])
 def test_public_names_have_a_page(site: Path, name: str) -> None:
     assert any(f'.{name}"' in page.read_text(encoding="utf-8") for page in (site / "api").glob("*.html"))
+
+
+def test_pictures_of_concepts_are_drawn_by_their_script_and_shown(tmp_path):
+    subprocess.run([sys.executable, "scripts/site/concepts.py", str(tmp_path)], cwd=ROOT, check=True)
+    drawn, kept = (
+        {path.name for path in folder.glob("*.png")} for folder in (tmp_path, ROOT / "docs" / "concepts")
+    )
+    assert drawn == kept
+    text = "".join(path.read_text() for path in (ROOT / "docs" / "concepts").glob("*.md"))
+    assert [name for name in sorted(drawn) if f"]({name})" not in text] == []
