@@ -413,6 +413,6 @@ def test_the_example_of_slicer_is_what_the_tutorial_makes(tmp_path, monkeypatch)
 
 
 def test_pictures_are_small():
-    pictures = [path for path in (ROOT / "docs").rglob("*.png")]
+    pictures = list((ROOT / "docs").rglob("*.png"))
     assert pictures
     assert all(path.stat().st_size < 150e3 for path in pictures)
