@@ -60,7 +60,7 @@ def tubes(axes: Axes) -> None:
         tip = points[part][-1]
         axes.annotate(f"$\\beta_{i + 1}$ = {end:g} mm", tip[[0, 2]], (8, -12), textcoords="offset points")
     axes.annotate("insertion point", (0, 0), (10, 0), textcoords="offset points")
-    axes.margins(x=0.4)
+    axes.set_xlim(-30, 150)
     view(axes, "Each tube shows where it is the outermost one")
 
 
