@@ -1,5 +1,6 @@
 """The page of live steering in a real browser, and the command that serves it."""
 
+import json
 import os
 import re
 import signal
@@ -131,3 +132,24 @@ def test_ctrl_c_ends_the_command_with_130(tmp_path):
     process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
     assert not (tmp_path / "out").exists()
+
+
+def test_with_json_the_address_is_told_at_once_and_the_object_at_the_end(tmp_path):
+    command = [
+        sys.executable,
+        "-m",
+        "ctr_nlp",
+        "live",
+        "arc",
+        "--port",
+        "0",
+        "--json",
+        "--out",
+        str(tmp_path / "out"),
+    ]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen(command, cwd=ROOT, env=os.environ | {"PYTHONUNBUFFERED": "1"}, **pipes)
+    line = next(line for line in process.stderr if line.startswith("steer arc at http://127.0.0.1:"))
+    process.send_signal(signal.SIGINT)
+    told, _ = process.communicate(timeout=PATIENCE)
+    assert line.strip() in json.loads(told)["lines"]

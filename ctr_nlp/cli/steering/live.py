@@ -79,7 +79,10 @@ def _run(arguments: argparse.Namespace) -> int:
             sys.stderr.write(
                 f"note: whoever reaches {live.url} can steer; nothing is encrypted, nobody is asked\n"
             )
-        console().print(f"steer {problem.name} at {live.url}; Ctrl-C ends it", markup=False, soft_wrap=True)
+        where = f"steer {problem.name} at {live.url}; Ctrl-C ends it"
+        console().print(where, markup=False, soft_wrap=True)
+        if arguments.json:  # stdout is written at the end
+            sys.stderr.write(f"{where}\n")
         live.wait(interrupted)
         return INTERRUPTED if interrupted() else SOLVED
 
