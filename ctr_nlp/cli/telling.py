@@ -66,6 +66,13 @@ def console(stderr: bool = False) -> Console:
     return found if found.is_terminal else Console(stderr=stderr, highlight=False, width=PIPED_WIDTH)
 
 
+def announce(line: str) -> None:
+    """Tell at once what somebody waits for: with --json, whose object comes at the end, on stderr as well."""
+    console().print(line, markup=False, soft_wrap=True)
+    if _told.get() is not None:
+        console(stderr=True).print(line, markup=False, soft_wrap=True)
+
+
 def wrote(place: str | Path, files: Sequence[str] = (), more: str = "") -> None:
     """Tell that a file was written, or files of a folder; more: what else is to be said of it."""
     told = _told.get()

@@ -16,7 +16,7 @@ from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.plan_options import add_file_options
 from ctr_nlp.cli.report import write
-from ctr_nlp.cli.telling import console
+from ctr_nlp.cli.telling import announce
 from ctr_nlp.live import Live
 from ctr_nlp.live.page.server import HOST, PORT
 from ctr_nlp.live.steered.free import free_problem
@@ -79,10 +79,7 @@ def _run(arguments: argparse.Namespace) -> int:
             sys.stderr.write(
                 f"note: whoever reaches {live.url} can steer; nothing is encrypted, nobody is asked\n"
             )
-        where = f"steer {problem.name} at {live.url}; Ctrl-C ends it"
-        console().print(where, markup=False, soft_wrap=True)
-        if arguments.json:  # stdout is written at the end
-            sys.stderr.write(f"{where}\n")
+        announce(f"steer {problem.name} at {live.url}; Ctrl-C ends it")
         live.wait(interrupted)
         return INTERRUPTED if interrupted() else SOLVED
 
