@@ -43,8 +43,10 @@ ENVIRONMENT = "python3 -m venv"
 """What commands begin with that make an environment: .ci/run runs these."""
 THIN = {
     ("plan * --robust*",): "--robot two.toml --frames 12",
+    ("plan bronchus --model elastic*",): "--frames 12",
     ("plan *", "steer *"): "--frames 40",
-    ("scripts/compare_solvers.py*", "compare *"): "--frames 2 --variants joint:sqp horizon:banded",
+    ("force *",): "--every 20 --directions 14",
+    ("scripts/compare_solvers.py*", "compare *"): "arc bronchus --frames 2 --variants joint:sqp horizon:banded",
     ("scripts/benchmark.py*", "benchmark *"): "--parts rows --rows frame",
     ("scripts/design_tubes.py*", "design *"): "--nominal --model dominant --frames 3 --starts 1 --robot two.toml",
     ("scripts/reproduce_seed.py*", "reproduce *"): "--only fig10 --frames 3 --jobs 1",
