@@ -44,6 +44,7 @@ ENVIRONMENT = "python3 -m venv"
 THIN = {
     ("plan * --robust*",): "--robot two.toml --frames 12",
     ("plan bronchus --model elastic*",): "--frames 12",
+    ("plan *airway* --model elastic*",): "--frames 40 --stability-margin 0.2",
     ("plan *", "steer *"): "--frames 40",
     ("force *",): "--every 20 --directions 14",
     ("scripts/compare_solvers.py*", "compare *"): "arc bronchus --frames 2 --variants joint:sqp horizon:banded",
@@ -52,10 +53,8 @@ THIN = {
     ("scripts/reproduce_seed.py*", "reproduce *"): "--only fig10 --frames 3 --jobs 1",
 }
 """What command lines look like, as a script or a subcommand -> further arguments; the first that fits is taken."""
-PLAYED = "plan *airway* --model elastic*"
-"""Command lines of plans that are played later, whose programs are compiled, as users' are."""
-INTERPRETED = "plan *", "steer *", "design *", "force *"
-"""Other command lines whose programs are not compiled: for so few frames, that takes longer than it spares."""
+INTERPRETED = "plan *", "steer *", "design *", "force *", "under *"
+"""Command lines whose programs are not compiled: for so few frames, that takes longer than it spares."""
 
 PIP = '''#!{python}
 """Instead of pip, which needs a network: whether what is to be installed could be."""
@@ -90,12 +89,7 @@ def clone_of(folder: Path, thin: bool) -> Path:
     cases = [f'{"|".join(map(_as_shell, lines))}) set -- "$@" {more} ;;' for lines, more in THIN.items() if thin]
     interpreted = "|".join(map(_as_shell, INTERPRETED))
     if thin:
-        cases += [
-            "esac",
-            'case "$* " in',
-            f"{_as_shell(PLAYED)}) ;;",
-            f"{interpreted}) export CTR_NLP_COMPILE=0 ;;",
-        ]
+        cases += ["esac", 'case "$* " in', f"{interpreted}) export CTR_NLP_COMPILE=0 ;;"]
     head = "\n".join(["#!/bin/sh", 'case "$* " in', *cases, "esac", f'exec "{sys.executable}"'])
     programs = {"python": f'{head} "$@"\n', "ctr-nlp": f'{head} -m ctr_nlp "$@"\n'}
     for name, text in (programs | {"pip": PIP.format(python=sys.executable)}).items():
