@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import loadmat
 
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.exchange.mat import variables
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
 from ctr_nlp.robot import Robot
@@ -97,18 +97,9 @@ def plan_through(problem: Problem, q: Array, model: str | Model = "dominant", so
 
 
 def _of_mat(path: Path) -> tuple[Array, Array | None]:
-    try:
-        with open(path, "rb") as file:
-            held = loadmat(file)
-    except NotImplementedError as error:
-        raise OptionError("it is of MATLAB's version 7.3; save it with save(file, 'q', '-v7')") from error
-    except OSError:
-        raise
-    except Exception as error:  # whatever scipy's reader meets in a damaged file
-        raise OptionError(f"it is damaged, or no file of MATLAB: {error}") from error
+    held = variables(path, "q")
     if "q" not in held:
-        names = ", ".join(name for name in held if not name.startswith("__"))
-        raise OptionError(f"it has no variable q, only {names or 'nothing'}; it must have q, {ROWS}")
+        raise OptionError(f"it has no variable q, only {', '.join(held) or 'nothing'}; it must have q, {ROWS}")
     q = _numbers("q", held["q"])
     if q.ndim != 2 or not len(q) or q.shape[1] < 4 or q.shape[1] % 2:
         raise OptionError(f"q has shape {q.shape}; it must be {ROWS}")

@@ -1,14 +1,16 @@
-"""A plan as a MATLAB file of version 7, which MATLAB, Octave, Julia and scipy read."""
+"""MATLAB files of version 7, which MATLAB, Octave, Julia and scipy read: a plan as one, and what others hold."""
 
 from __future__ import annotations
 
 import io
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import savemat
+from scipy.io import loadmat, savemat
 
+from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.metrics import by_frame
 from ctr_nlp.plan.plan import Plan
@@ -79,3 +81,21 @@ def _contents(plan: Plan) -> dict[str, Any]:
         "problem": problem["name"],
         "model": plan.evaluated,
     }
+
+
+def variables(path: Path, wanted: str, structs: bool = False) -> dict[str, Any]:
+    """The variables of a .mat file; wanted: the one that is asked for.
+
+    structs: whether structs become tables, and arrays lose axes of one entry.
+    Raises OSError where the file cannot be opened, and OptionError where it is none that can be read.
+    """
+    with open(path, "rb") as file:
+        try:
+            held = loadmat(file, simplify_cells=structs)
+        except NotImplementedError as error:
+            raise OptionError(
+                f"it is of MATLAB's version 7.3; save it with save(file, '{wanted}', '-v7')"
+            ) from error
+        except Exception as error:  # whatever scipy's reader meets in a damaged file
+            raise OptionError(f"it is damaged, or no file of MATLAB: {error}") from error
+    return {name: value for name, value in held.items() if not name.startswith("__")}

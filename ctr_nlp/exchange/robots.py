@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from scipy.io import loadmat
-
 from ctr_nlp.exceptions import OptionError, RobotError
+from ctr_nlp.exchange.mat import variables
 from ctr_nlp.robot import Robot, Tube
 from ctr_nlp.support.values import check_choice, checked_path, number
 
@@ -110,17 +109,11 @@ def read_robot(path: str | Path, name: str | None = None, poisson_ratio: float |
 
 
 def _read(path: Path) -> Any:
+    if path.suffix.lower() == ".mat":
+        return variables(path, "tubes", structs=True)
     try:
-        if path.suffix.lower() == ".json":
-            return json.loads(path.read_text(encoding="utf-8"))
-        with open(path, "rb") as file:
-            held = loadmat(file, simplify_cells=True)
-        return {key: value for key, value in held.items() if not key.startswith("__")}
-    except NotImplementedError as error:
-        raise OptionError("it is of MATLAB's version 7.3; save it with save(file, '-v7')") from error
-    except OSError:
-        raise
-    except Exception as error:  # whatever a reader meets in a damaged file
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
         raise OptionError(f"it is damaged, or of another kind: {error}") from error
 
 

@@ -10,7 +10,6 @@ from ctr_nlp.cli.console import SOLVED, Command
 from ctr_nlp.cli.output.file import check_file, write_text
 from ctr_nlp.cli.telling import wrote
 from ctr_nlp.exceptions import OptionError, OutputError
-from ctr_nlp.exchange.robots import read_robot
 
 NEXT = {
     "problem.py": "ctr-nlp plan {file}",
@@ -60,6 +59,8 @@ def _text(arguments: argparse.Namespace, name: str) -> str:
         return template(name)
     if arguments.kind != "robot":
         raise OptionError(f"--from is given for a {arguments.kind} file; only a robot is read from other programs")
+    from ctr_nlp.exchange.robots import read_robot  # brings numerics, which templates do without
+
     imported = read_robot(arguments.source, arguments.name, arguments.poisson_ratio)
     return imported.to_toml(Path(arguments.source).name)
 
