@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 import ctr_nlp as ctr
+from ctr_nlp.figures.parts.palette import BLUE, GREEN, ORANGE, VERMILLION
 from ctr_nlp.models import model_named
 from ctr_nlp.models.protocol import passage
 from ctr_nlp.robot.draws import drawn
@@ -23,9 +24,9 @@ from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
 
 FOLDER = Path(__file__).parents[2] / "docs" / "concepts"
-COLOURS = ("#0072b2", "#e69f00", "#009e73")
-"""Of tubes, the outermost first: all people can tell them apart."""
-RED, GREY = "#d55e00", "#888888"
+COLOURS = BLUE, ORANGE, GREEN
+"""Of tubes, the outermost first."""
+GREY = "#888888"
 NITINOL = 60000.0
 """Young's modulus of the picture of loads, MPa."""
 PAIR = ctr.Robot(
@@ -72,7 +73,7 @@ def whole_shape(axes: Axes) -> None:
     axes.plot(*target.T[::-1], color=GREY, ls="--", label="target")
     axes.plot(*one.T[::-1], color=COLOURS[0], lw=3, label="robot")
     for a, b in zip(one[::8], target[::8], strict=True):
-        axes.plot(*np.array([a, b]).T[::-1], color=RED, lw=1)
+        axes.plot(*np.array([a, b]).T[::-1], color=VERMILLION, lw=1)
     error = np.sqrt(np.mean(np.sum((one - target) ** 2, axis=1)))
     axes.legend(loc="upper left", bbox_to_anchor=(0, -0.8), ncols=2)
     view(axes, f"The tip is where it should be; the body is not: {error:.1f} mm")
@@ -100,9 +101,12 @@ def snap(axes: Axes) -> None:
     edge = np.flatnonzero(~stable)[0] - 1
     landing = tips[stable & (tips > np.pi)][np.argmin(abs(motors[stable & (tips > np.pi)] - motors[edge]))]
     axes.annotate(
-        "", (motors[edge], landing), (motors[edge], tips[edge]), arrowprops={"arrowstyle": "->", "color": RED}
+        "",
+        (motors[edge], landing),
+        (motors[edge], tips[edge]),
+        arrowprops={"arrowstyle": "->", "color": VERMILLION},
     )
-    axes.text(motors[edge] + 0.15, np.pi, "snap", color=RED)
+    axes.text(motors[edge] + 0.15, np.pi, "snap", color=VERMILLION)
     axes.set(title="Two tubes turned against each other", xlabel="motors apart (rad)", ylabel="tips apart (rad)")
     axes.legend(loc="lower right")
 
@@ -117,7 +121,9 @@ def draws(axes: Axes) -> None:
     x = np.concatenate([each.x for each in moved])
     for points in model.points_apart(robots.structure, robots.numbers, x, SIGMA):
         axes.plot(*points[:, [0, 2]].T, color=COLOURS[0], lw=1, alpha=0.4)
-    axes.plot(*simulated(robot, q, model).shape[0][:, [0, 2]].T, color=RED, lw=2, label="the robot described")
+    axes.plot(
+        *simulated(robot, q, model).shape[0][:, [0, 2]].T, color=VERMILLION, lw=2, label="the robot described"
+    )
     axes.margins(x=0.8)
     axes.legend()
     view(axes, "Forty robots within the tolerances")
@@ -126,7 +132,7 @@ def draws(axes: Axes) -> None:
 def loads(axes: Axes) -> None:
     """A robot under a force at its tip."""
     q = configuration((0.0, 0.4), (60.0, 100.0))
-    for force, colour in ((0.0, GREY), (0.3, COLOURS[0]), (0.6, RED)):
+    for force, colour in ((0.0, GREY), (0.3, COLOURS[0]), (0.6, VERMILLION)):
         model = ctr.Loaded(ctr.Load(force=(0.0, 0.0, force)))
         points = model.points(PAIR, model.rest(PAIR, q[0])[None], SIGMA)[0]
         axes.plot(*points[:, [0, 2]].T, color=colour, lw=2, label=f"{force:g} N")
