@@ -22,7 +22,7 @@ from pathlib import Path
 
 import casadi as ca
 
-from ctr_nlp.codegen import cache, language, places, vector
+from ctr_nlp.codegen import cache, language, places, tape, vector
 from ctr_nlp.support.pool import Lasting
 
 NOTE = (
@@ -44,12 +44,12 @@ CLAIMED = 900.0
 
 
 class Library:
-    """Functions as a shared library for so many frames at once, made when somebody first asks for it."""
+    """Functions as a shared library, made when somebody first asks for it."""
 
     def __init__(
-        self, described: str, functions: Callable[[], Sequence[ca.Function | places.Whole]], lanes: int
+        self, described: str, functions: Callable[[], Sequence[ca.Function | places.Whole]], lanes: int | None
     ) -> None:
-        """described: text that changes whenever the functions do.
+        """described: text that changes whenever the functions do. lanes: of frames at once, None for any number.
 
         functions: called only where code is written, perhaps in another process, and so pickled. key: under which
         the cache keeps the library.
@@ -104,7 +104,7 @@ def _hash(key: str) -> str:
 
 @functools.cache
 def _writer() -> str:
-    return "".join(map(inspect.getsource, (language, vector, places)))
+    return "".join(map(inspect.getsource, (language, vector, tape, places)))
 
 
 def _claimed(key: str) -> bool:
@@ -119,7 +119,7 @@ def _claimed(key: str) -> bool:
     return False
 
 
-def _begin(key: str, functions: Callable[[], Sequence[ca.Function | places.Whole]], lanes: int) -> None:
+def _begin(key: str, functions: Callable[[], Sequence[ca.Function | places.Whole]], lanes: int | None) -> None:
     """Begin to make a library: whoever waits for a solution need not even derive what is compiled."""
     work = Path(tempfile.mkdtemp(prefix="ctr_nlp-build-"))
     (work / TASK).write_bytes(pickle.dumps((key, functions, lanes)))

@@ -13,6 +13,8 @@ QUICK = "CTR_NLP_QUICK"
 """Environment variable: 1 compiles long straight code of numbers as that of vectors, in half of the time."""
 _QUICK = '#pragma GCC optimize("Og")\n'
 """Long straight code of vectors gains a tenth at most from more, that of numbers a fifth."""
+_FULL = '#pragma GCC optimize("O3")\n'
+"""Short loops over frames gain all that there is."""
 _LEAN = "".join(f'#pragma GCC optimize("no-tree-{name}")\n' for name in ("slp-vectorize", "slsr", "pre", "dse"))
 """Long straight code of numbers gains nothing from these, and compiles in 65 % of the time without them."""
 _OPTIMIZED = '#pragma GCC push_options\n#pragma GCC optimize("O2")\n{}#pragma GCC pop_options\n'
@@ -28,7 +30,7 @@ static inline V masked(M m, V a) { return m ? a : 0.0; }
 static inline V choose(M m, V a, V b) { return m ? a : b; }
 static inline V one_where(M m) { return m; }
 """
-_VECTOR = """\
+_SINES = """\
 #include <math.h>
 #ifdef LIBMVEC
 #define SIMD _Pragma("omp simd simdlen(LANES)")
@@ -37,6 +39,8 @@ __attribute__((simd("notinbranch"))) double cos(double);
 #else
 #define SIMD
 #endif
+"""
+_VECTOR = """\
 #define EACH for (int l = 0; l < LANES; ++l)
 typedef double V __attribute__((vector_size(8 * LANES)));
 typedef long long M __attribute__((vector_size(8 * LANES)));
@@ -95,6 +99,8 @@ BY_LANE = {
     ca.OP_COPYSIGN: "copysign",
 }
 """What the C library has for numbers."""
+TWO = "atan2", "pow", "copysign"
+"""Those of them that take two."""
 DEFINED = (
     *("V", "M", "gathered", "scattered", "all", "masked", "choose", "one_where"),
     *(f"by_lane_{called}" for called in sorted(set(BY_LANE.values()))),
@@ -102,13 +108,15 @@ DEFINED = (
 """Names that code for numbers and code for vectors both define."""
 
 
-def head(operations: Iterable[int], lanes: int) -> str:
-    """What a file begins with that has such operations."""
-    helpers = {_by_lane(BY_LANE[operation], lanes) for operation in set(operations) & BY_LANE.keys()}
-    if lanes > 1:
+def head(operations: Iterable[int], lanes: int | None) -> str:
+    """What a file begins with that has such operations; lanes: None for numbers in loops over frames."""
+    width = lanes or 1
+    helpers = {_by_lane(BY_LANE[operation], width) for operation in set(operations) & BY_LANE.keys()}
+    if width > 1:
         helpers = {_OPTIMIZED.format(helper) for helper in helpers}
-    begin = _SCALAR if lanes == 1 else f"#define LANES {lanes}\n{_VECTOR % _each(lanes)}"
-    return "".join([effort(lanes), begin, *sorted(helpers)])
+    sines = "" if lanes == 1 else f"#define LANES {lanes or LANES}\n{_SINES}"
+    begin = _SCALAR if width == 1 else _VECTOR % _each(width)
+    return "".join([effort(lanes), sines, begin, *sorted(helpers)])
 
 
 def _each(lanes: int) -> dict[str, str]:
@@ -119,14 +127,22 @@ def _each(lanes: int) -> dict[str, str]:
     }
 
 
-def effort(lanes: int) -> str:
-    """How hard the compiler is to try, as C."""
+def number_in_c(number: float) -> str:
+    """A number as C has it."""
+    written = repr(number)
+    return {"inf": "INFINITY", "-inf": "-INFINITY", "nan": "NAN"}.get(written, written)
+
+
+def effort(lanes: int | None) -> str:
+    """How hard the compiler is to try, as C; lanes: None for loops over any number of frames."""
+    if lanes is None:
+        return _FULL
     return _LEAN if lanes == 1 and os.environ.get(QUICK) != "1" else _QUICK
 
 
 def _by_lane(called: str, lanes: int) -> str:
     """A function of the C library for vectors; all lanes in one call where a library offers that."""
-    names = "ab" if called in ("atan2", "pow", "copysign") else "a"
+    names = "ab" if called in TWO else "a"
     parameters = ", ".join(f"V {name}" for name in names)
     if lanes == 1:
         return f"static inline V by_lane_{called}({parameters}) {{ return {called}({', '.join(names)}); }}\n"

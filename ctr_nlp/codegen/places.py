@@ -8,6 +8,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from ctr_nlp.codegen.language import DEFINED, LANES
+from ctr_nlp.codegen.tape import tape_code
 from ctr_nlp.codegen.vector import vector_code
 from ctr_nlp.typing import Array
 
@@ -78,10 +79,12 @@ class Whole(NamedTuple):
     at_places: tuple[AtPlaces, ...]
 
 
-def code(functions: Sequence[ca.Function | Whole], lanes: int) -> str:
-    """A file of C for functions, of so many frames at once; those with places are of one."""
+def code(functions: Sequence[ca.Function | Whole], lanes: int | None) -> str:
+    """A file of C for functions, of so many frames at once, None for any number; those with places are of one."""
     wholes = [each for each in functions if isinstance(each, Whole)]
     plain = tuple(each.function if isinstance(each, Whole) else each for each in functions)
+    if lanes is None:
+        return tape_code(plain)
     if not wholes:
         return vector_code(plain, lanes)
     each = tuple(at.function for whole in wholes for at in whole.at_places)

@@ -10,7 +10,7 @@ import bisect
 
 import casadi as ca
 
-from ctr_nlp.codegen.language import BY_LANE, LANES, OPERATIONS, head
+from ctr_nlp.codegen.language import BY_LANE, LANES, OPERATIONS, head, number_in_c
 
 SAME = "same_"
 """How the names of inputs begin that all frames share."""
@@ -34,15 +34,20 @@ def vector_code(functions: tuple[ca.Function, ...], lanes: int = LANES) -> str:
     have `lanes` times the columns, as those of `function.map(lanes)`, but for inputs whose names begin with SAME.
     With one lane numbers are numbers. Raises NotImplementedError for operations without C.
     """
-    functions = tuple(_without_repetition(function) for function in functions)
+    functions = tuple(without_repetition(function) for function in functions)
+    return head(known_operations(functions), lanes) + "".join(_function(each, lanes) for each in functions)
+
+
+def known_operations(functions: tuple[ca.Function, ...]) -> set[int]:
+    """The operations of functions; raises NotImplementedError for those without C."""
     used = {function.instruction_id(k) for function in functions for k in range(function.n_instructions())}
     if unknown := used - OPERATIONS.keys() - BY_LANE.keys() - {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT}:
         names = ", ".join(function.name() for function in functions)
         raise NotImplementedError(f"{names} uses operations (numbers {sorted(unknown)}) that are not written in C")
-    return head(used, lanes) + "".join(_function(function, lanes) for function in functions)
+    return used
 
 
-def _without_repetition(function: ca.Function) -> ca.Function:
+def without_repetition(function: ca.Function) -> ca.Function:
     """The same function with each operation on the same numbers done once."""
     inputs = [ca.SX.sym(function.name_in(i), *function.size_in(i)) for i in range(function.n_in())]
     names = function.name_in(), function.name_out()
@@ -60,7 +65,8 @@ def _function(function: ca.Function, lanes: int) -> str:
     calls = [f"    {name}_{k}(arg, res, v);\n" for k in range(len(parts))]
     if pause:
         calls.insert(-(-pause // PART), f"    {name}_pause(arg, res);\n")
-    return bodies + _interface(function, "".join(calls), lanes)
+    body = "".join([f"    V v[{function.sz_w()}];\n", *calls, "    return 0;\n"])
+    return bodies + interface(function, body, lanes)
 
 
 def _pause(function: ca.Function) -> int:
@@ -134,8 +140,7 @@ def _name(slot: int, here: dict[int, str]) -> str:
 def _value(function: ca.Function, k: int, here: dict[int, str]) -> str:
     operation, _, of = _instruction(function, k)
     if operation == ca.OP_CONST:
-        number = repr(function.instruction_constant(k))
-        return f"all({ {'inf': 'INFINITY', '-inf': '-INFINITY', 'nan': 'NAN'}.get(number, number) })"
+        return f"all({number_in_c(function.instruction_constant(k))})"
     if operation == ca.OP_INPUT and _shared(function, of[0]):
         return f"all(arg[{of[0]}][{of[1]}])"
     if operation == ca.OP_INPUT and function.name_in(of[0]).startswith(BESIDE):
@@ -148,16 +153,14 @@ def _value(function: ca.Function, k: int, here: dict[int, str]) -> str:
     return f"by_lane_{BY_LANE[operation]}({', '.join(names)})"
 
 
-def _interface(function: ca.Function, calls: str, lanes: int) -> str:
-    """The functions that casadi.external looks for, around the calls."""
+def interface(function: ca.Function, body: str, lanes: int) -> str:
+    """The functions that casadi.external looks for, around the body of that which evaluates."""
     name, of_lanes = function.name(), [1 if _shared(function, i) else lanes for i in range(function.n_in())]
     sizes_in = [(*function.size_in(i), times) for i, times in enumerate(of_lanes)]
     sizes_out = [(*function.size_out(i), lanes) for i in range(function.n_out())]
     return f"""\
 int {name}(const double **arg, double **res, long long *iw, double *w, int mem) {{
-    V v[{function.sz_w()}];
-{calls}    return 0;
-}}
+{body}}}
 long long {name}_n_in(void) {{ return {len(sizes_in)}; }}
 long long {name}_n_out(void) {{ return {len(sizes_out)}; }}
 {_sparsities(f"{name}_sparsity_in", sizes_in)}{_sparsities(f"{name}_sparsity_out", sizes_out)}"""

@@ -65,7 +65,7 @@ class Predictor:
         freed: tubes, from 0, and their parts, of TUBE_PARTS, over which slopes are wanted.
         """
         each = -(-len(sigma) // LANES)
-        self._call = Mapped(_code(model, structure, each, freed), 1, 1)
+        self._call = Mapped(_code(model, structure, each, freed), 1)
         self._call.inputs[1][0] = np.append(sigma, np.zeros(LANES * each - len(sigma)))
         self._d, self._n, self._k = structure.d, len(sigma), 2 * structure.d + 2 + len(freed)
 

@@ -57,7 +57,7 @@ class _Evaluators:
         if found is not self._of:
             self._of, self._mapped = found, {}
         if which not in self._mapped:
-            mapped = Mapped(found[:3][which], self._parameters.shape[1], found.lanes)
+            mapped = Mapped(found[:3][which], self._parameters.shape[1])
             mapped.inputs[1][:] = self._parameters.T
             self._mapped[which] = mapped
         return self._mapped[which]

@@ -22,7 +22,7 @@ class FrameFunctions(NamedTuple):
 
     value: (x, p) -> (objective, g). slopes: (x, p) -> (objective, its gradient, g, the dense Jacobian of g).
     expansion: (x, p, lam_f, lam_g) -> slopes and the dense exact Hessian of lam_f objective + lam_g g.
-    lanes: for how many frames at once, side by side as `map` lays them out.
+    lanes: for how many frames at once, side by side as `map` lays them out; codegen.mapped takes any number.
     """
 
     value: ca.Function

@@ -99,7 +99,7 @@ class TipSteering:
         return new[0].copy(), float(told[0, 0]), float(told[0, 1])
 
     def _filled(self) -> Mapped:
-        found, robot = Mapped(self._function, 1, 1), self._robot
+        found, robot = Mapped(self._function, 1), self._robot
         found.inputs[1][0] = np.concatenate([robot.numbers.ravel(order="F"), robot.lower, robot.upper])
         return found
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import functools
 import inspect
 from collections.abc import Callable
@@ -11,6 +10,7 @@ import casadi as ca
 
 from ctr_nlp.codegen import cache, vector
 from ctr_nlp.codegen.background import Library
+from ctr_nlp.codegen.mapped import external
 from ctr_nlp.nlp import alike, at_place, parted, written
 from ctr_nlp.nlp.nlp import Nlp
 from ctr_nlp.nlp.written import FrameFunctions
@@ -19,15 +19,18 @@ KEPT = 64
 """Programs whose libraries a process remembers."""
 
 
-def compiled(nlp: Nlp, lanes: int = vector.LANES) -> FrameFunctions:
-    """A program's functions for so many frames at once; raises OptionError where nothing can be compiled."""
+def compiled(nlp: Nlp, lanes: int | None = None) -> FrameFunctions:
+    """A program's functions for one frame, or for any number (None) of them at once, as Library.
+
+    Raises OptionError where nothing can be compiled.
+    """
     return _external(str(library(nlp, lanes).now()), lanes)
 
 
 @functools.lru_cache(maxsize=KEPT)
-def library(nlp: Nlp, lanes: int) -> Library:
+def library(nlp: Nlp, lanes: int | None) -> Library:
     """The shared library of a program's functions, which depend on the program and on what derives it."""
-    derived = nlp.written.derived if lanes > 1 else functools.partial(parted.parted, nlp.written)
+    derived = nlp.written.derived if lanes is None else functools.partial(parted.parted, nlp.written)
     return Library(f"{_deriver()}\n{nlp.written.function.serialize()}", derived, lanes)
 
 
@@ -43,29 +46,17 @@ def fastest(nlp: Nlp) -> Callable[[], FrameFunctions]:
 
 class _Fastest:
     def __init__(self, nlp: Nlp) -> None:
-        self._nlp, self._library = nlp, library(nlp, vector.LANES)
+        self._nlp, self._library = nlp, library(nlp, None)
         self._found: FrameFunctions | None = None
 
     def __call__(self) -> FrameFunctions:
         if self._found is None and (path := self._library.soon()) is not None:
-            self._found = _external(str(path), vector.LANES)
+            self._found = _external(str(path), None)
         return self._found or self._nlp.functions
 
 
 @functools.lru_cache(maxsize=KEPT)
-def _external(path: str, lanes: int) -> FrameFunctions:
-    names = FrameFunctions._fields[:3]
-    value, slopes, expansion = functions = [ca.external(name, path) for name in names]
-    library = ctypes.CDLL(path)
-    for name, function in zip(names, functions, strict=True):
-        _addresses[function] = ctypes.cast(library[name], ctypes.c_void_p).value or 0
-    return FrameFunctions(value, slopes, expansion, lanes)
-
-
-_addresses: dict[ca.Function, int] = {}
-"""Of functions that have been loaded."""
-
-
-def address(function: ca.Function) -> int | None:
-    """Where a compiled function is in memory, to be called by C as CasADi calls it; None of an interpreted one."""
-    return _addresses.get(function)
+def _external(path: str, lanes: int | None) -> FrameFunctions:
+    load = external if lanes is None else ca.external
+    value, slopes, expansion = (load(name, path) for name in FrameFunctions._fields[:3])
+    return FrameFunctions(value, slopes, expansion, lanes or vector.LANES)

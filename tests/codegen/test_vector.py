@@ -1,4 +1,4 @@
-"""C that evaluates several frames at once, against CasADi's own evaluation, and chains and solvers that use it."""
+"""C and tapes that evaluate several frames at once, against CasADi's own evaluation, and chains and solvers."""
 
 import functools
 from dataclasses import replace
@@ -9,7 +9,8 @@ import pytest
 from frames import alone, horizon
 
 from ctr_nlp import Limits, Robot, curve_from_formula, growing, table_i_robot
-from ctr_nlp.codegen import background, cache, language, vector
+from ctr_nlp.codegen import background, cache, language, places, vector
+from ctr_nlp.codegen.tape import tape_code
 from ctr_nlp.codegen.vector import LANES, vector_code
 from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.nlp.nlp import Nlp, Residual
@@ -69,8 +70,8 @@ SPECIAL = [-INF, -1e300, -2.5, -1.0, -0.5, 0.0, 1e-300, 0.5, 1.0, 2.0, 3.0, 1e30
 
 
 def loaded(*functions, lanes=LANES):
-    """Functions from a library made of all of them, by name."""
-    code = vector_code(functions, lanes)
+    """Functions from a library made of all of them, by name; lanes: None for tapes, whose functions have LANES."""
+    code = tape_code(functions) if lanes is None else vector_code(functions, lanes)
     path = str(cache.library(code, lambda: code))
     return {function.name(): ca.external(function.name(), path) for function in functions}
 
@@ -83,7 +84,7 @@ def evaluated(function, *inputs):
 def random_inputs(function, rng, draw, lanes=LANES):
     """Inputs of so many evaluations side by side."""
     shapes = [function.size_in(i) for i in range(function.n_in())]
-    return [draw(rng, (rows, lanes * columns)) for rows, columns in shapes]
+    return [draw(rng, (rows, (lanes or LANES) * columns)) for rows, columns in shapes]
 
 
 def whole_numbers(rng, shape):
@@ -103,7 +104,7 @@ def assert_the_same(function, library, inputs, ulps=0):
         assert (away <= ulps * np.spacing(np.abs(one[finite]))).all(), (away.max(), function.name())
 
 
-EVERY_WIDTH = pytest.mark.parametrize("lanes", [1, 4, LANES])
+EVERY_WIDTH = pytest.mark.parametrize("lanes", [1, 4, LANES, None])
 
 
 # Operations
@@ -159,7 +160,7 @@ def test_an_operation_is_that_of_casadi_at_special_numbers(name, lanes):
 @EVERY_WIDTH
 def test_an_operation_is_that_of_casadi_where_something_is_not_a_number(name, lanes):
     function, library = operations(lanes)[name]
-    x, y = np.repeat([[NAN, NAN, 1.0, -2.0], [NAN, 1.0, NAN, NAN]], lanes, axis=1)
+    x, y = np.repeat([[NAN, NAN, 1.0, -2.0], [NAN, 1.0, NAN, NAN]], lanes or LANES, axis=1)
     assert_the_same(function, library, (x[None], y[None]), 4 if name in ROUNDED else 0)
 
 
@@ -189,10 +190,11 @@ def test_without_sines_of_whole_vectors_functions_are_the_same(tmp_path, monkeyp
         assert_the_same(function, library, rng.normal(size=(2, 1, LANES)), 4)
 
 
-def test_an_operation_without_c_is_named_with_its_function():
+@pytest.mark.parametrize("code", [vector_code, tape_code])
+def test_an_operation_without_c_is_named_with_its_function(code):
     function = ca.Function("with_erf", [X], [ca.erf(X)])
     with pytest.raises(NotImplementedError, match=rf"with_erf uses operations .*\b{ca.OP_ERF}\b"):
-        vector_code((function,))
+        code((function,))
 
 
 def test_assignments_need_no_c_as_casadi_keeps_none():
@@ -280,11 +282,12 @@ def test_a_part_more_or_less_by_one_instruction_loses_nothing(monkeypatch):
 # Inputs and outputs
 
 
-def test_outputs_that_are_constants():
+@pytest.mark.parametrize("lanes", [LANES, None])
+def test_outputs_that_are_constants(lanes):
     """The values of one evaluation once a lane; whole numbers, extremes, and what is no number."""
     values = [1.5, 0.0, -7.0, 1e22, 1 / 3, 1.7976931348623157e308, 5e-324, INF, -INF, NAN]
     function = ca.Function("constants", [X], [ca.SX(ca.DM(values)), ca.SX(2)])
-    library = loaded(function)["constants"]
+    library = loaded(function, lanes=lanes)["constants"]
     first, second = evaluated(library, np.zeros((1, LANES)))
     np.testing.assert_array_equal(first, np.tile(np.array(values)[:, None], LANES))
     np.testing.assert_array_equal(second, np.full((1, LANES), 2.0))
@@ -305,6 +308,7 @@ def test_matrices_lie_by_columns_as_those_of_mapped_functions(lanes):
     function = ca.Function("matrices", [a, unused, b], [a @ b, a.T, ca.vec(b) - 1, ca.SX(0, 1)])
     library, rng = loaded(function, lanes=lanes)["matrices"], np.random.default_rng(2)
     assert (library.n_in(), library.n_out()) == (3, 4)
+    lanes = lanes or LANES
     assert [library.size_in(i) for i in range(3)] == [(3, 2 * lanes), (2, 3 * lanes), (2, 4 * lanes)]
     inputs = random_inputs(function, rng, whole_numbers, lanes)
     assert_the_same(function, library, inputs)
@@ -318,10 +322,11 @@ def test_matrices_lie_by_columns_as_those_of_mapped_functions(lanes):
     assert nothing.size == 0
 
 
-def test_lanes_do_not_mix():
+@pytest.mark.parametrize("lanes", [LANES, None])
+def test_lanes_do_not_mix(lanes):
     """What is not a number in one frame stays there."""
     function = ca.Function("alone", [X, Y], [ca.sin(X) * Y + ca.if_else(X < Y, ca.sqrt(X), Y)])
-    library, rng = loaded(function)["alone"], np.random.default_rng(3)
+    library, rng = loaded(function, lanes=lanes)["alone"], np.random.default_rng(3)
     x, y = rng.uniform(1, 2, (2, 1, LANES))
     (before,) = evaluated(library, x, y)
     for lane in range(LANES):
@@ -406,19 +411,19 @@ def toy(factor):
 
 
 def test_frames_of_equal_robots_share_a_library(monkeypatch):
-    first = compiled.library(alone(robot()), LANES).now()
-    monkeypatch.setattr(vector, "vector_code", lambda *arguments: pytest.fail("written again"))
-    assert compiled.library(alone(robot()), LANES).now().read_bytes() == first.read_bytes()
+    first = compiled.library(alone(robot()), None).now()
+    monkeypatch.setattr(places, "code", lambda *arguments: pytest.fail("written again"))
+    assert compiled.library(alone(robot()), None).now().read_bytes() == first.read_bytes()
 
 
 def test_another_number_of_lanes_is_another_library():
     paths = []
-    for lanes in (1, 2):
-        functions = compiled.compiled(toy(2), lanes)
+    for asked, lanes in ((1, 1), (None, LANES)):
+        functions = compiled.compiled(toy(2), asked)
         assert functions.lanes == lanes
         (found, _) = evaluated(functions.value, np.full((1, lanes), 5.0), np.full((1, lanes), 2.0))
         np.testing.assert_array_equal(found, np.ones((1, lanes)))
-        paths.append(compiled.library(toy(2), lanes).now())
+        paths.append(compiled.library(toy(2), asked).now())
     assert len(set(paths)) == 2
 
 

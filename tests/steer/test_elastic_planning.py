@@ -173,7 +173,7 @@ def test_compiled_code_is_what_is_interpreted(lanes):
     }
     p = nlp.pack({name: known[name] for name in nlp.parameters})
     inputs = [x.T, np.tile(p, (lanes, 1)).T, np.ones((1, lanes)), rng.normal(size=(nlp.g.numel(), lanes))]
-    functions, fast = nlp.functions, compiled.compiled(nlp, lanes)
+    functions, fast = nlp.functions, compiled.compiled(nlp, 1 if lanes == 1 else None)
     for name in ("value", "slopes", "expansion"):
         function = getattr(functions, name)
         given = inputs[: function.n_in()]

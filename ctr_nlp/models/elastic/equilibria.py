@@ -72,7 +72,7 @@ class Equilibria:
     @cached_property
     def _motors(self) -> Mapped:
         code = self._compiled
-        found = Mapped(code.motors if code else symbolic(replace(self._structure, gap=False)).alone[0], 1, 1)
+        found = Mapped(code.motors if code else symbolic(replace(self._structure, gap=False)).alone[0], 1)
         found.inputs[1][0] = self._numbers
         return found
 

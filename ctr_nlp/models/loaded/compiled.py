@@ -9,9 +9,10 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.codegen import cache, vector
+from ctr_nlp.codegen import cache
 from ctr_nlp.codegen.background import Library
-from ctr_nlp.codegen.mapped import Mapped
+from ctr_nlp.codegen.language import LANES
+from ctr_nlp.codegen.mapped import Mapped, external
 from ctr_nlp.loads.load import BEFORE_WEIGHTS
 from ctr_nlp.models.elastic.torsion import sections
 from ctr_nlp.models.loaded.acting import RodKind, loading
@@ -77,18 +78,18 @@ def symbolic(structure: Structure, kind: RodKind) -> ca.Function:
 @functools.lru_cache(maxsize=64)
 def _library(structure: Structure, kind: RodKind) -> Library:
     functions = functools.partial(_functions, structure, kind)  # it is sent to the process that compiles
-    return Library(symbolic(structure, kind).serialize(), functions, vector.LANES)
+    return Library(symbolic(structure, kind).serialize(), functions, None)
 
 
 def _functions(structure: Structure, kind: RodKind) -> tuple[ca.Function]:
     return (symbolic(structure, kind),)
 
 
-def _fastest(structure: Structure, kind: RodKind) -> tuple[ca.Function, int]:
-    """The function, and for how many rows at once: compiled as soon as that has been done."""
+def _fastest(structure: Structure, kind: RodKind) -> ca.Function:
+    """The function, compiled as soon as that has been done."""
     if not cache.missing() and (path := _library(structure, kind).soon()) is not None:
-        return ca.external("rod", str(path)), vector.LANES
-    return symbolic(structure, kind), 1
+        return external("rod", str(path))
+    return symbolic(structure, kind)
 
 
 class Rods:
@@ -99,7 +100,7 @@ class Rods:
         self.d, self.kind = structure.d, kind
         self._which = replace(structure, gap=False), kind
         self.size = kind.numbers(structure)
-        self._function, self._lanes = _fastest(*self._which)
+        self._function = _fastest(*self._which)
         self._mapped: dict[int, Mapped] = {}
 
     def __call__(self, numbers: Array, angles: Array, axes: Array, beta: Array, load: Array, soft: Array) -> Ends:
@@ -132,10 +133,9 @@ class Rods:
 
     def _for(self, rows: int) -> Mapped:
         """The function mapped over at least so many rows, in few sizes; compiled as soon as that has been done."""
-        if self._lanes < vector.LANES:
-            self._function, self._lanes = _fastest(*self._which)
-            self._mapped = {} if self._lanes == vector.LANES else self._mapped
-        size = max(self._lanes, 1 << max(rows - 1, 0).bit_length())
+        if self._function.is_a("SXFunction"):
+            self._function, self._mapped = _fastest(*self._which), {}
+        size = -(-rows // LANES) * LANES if rows > LANES else 1 << max(rows - 1, 0).bit_length()
         if size not in self._mapped:
-            self._mapped[size] = Mapped(self._function, size, self._lanes)
+            self._mapped[size] = Mapped(self._function, size)
         return self._mapped[size]

@@ -27,7 +27,7 @@ class Loss:
     def __init__(self, torch: Any, robot: Robot, model: Model, count: int) -> None:
         """For count shapes at once; torch: the module."""
         self._torch, self._robot = torch, robot
-        self._distances = _differentiable(torch, Mapped(distance(robot, model), count, 1))
+        self._distances = _differentiable(torch, Mapped(distance(robot, model), count))
         self._unknowns = torch.tensor(model.guess(robot, np.eye(2 * robot.d + 2)))  # a guess is linear in q
 
     def __call__(self, output: Any, shapes: Shapes) -> Any:

@@ -2,17 +2,14 @@
 
 #include <string.h>
 
-typedef int (*Function)(const double **, double **, long long *, double *, int);
-
-/* A function of a few frames side by side for all of them: the struct of mapped.py. whole: instead, what evaluates
-   all of them; null where there is none. */
+/* A function of a frame for all of them, each a row: the struct of mapped.py. whole: instead, what evaluates all of
+   them; null where there is none. */
 typedef struct {
-    Function function;
+    int (*of_rows)(const double *const *, double *const *, long);
     void (*whole)(void);
-    long calls, inputs, outputs;
+    long rows;
     const double *in[4];
     double *out[5];
-    long in_steps[4], out_steps[5];
 } Mapped;
 
 /* A barrier method on its way. merits: of this barrier problem, the last of them; told: of an iterate. */
@@ -32,18 +29,12 @@ typedef struct {
 
 enum { GOING, SOLVED, ACCEPTABLE, INFEASIBLE, STUCK, STOPPED };
 
+/* Evaluate; where there is no memory for it, nothing is known there. */
 static void evaluated(const Mapped *m) {
-    if (m->whole) {
+    if (m->whole)
         m->whole();
-        return;
-    }
-    for (long call = 0; call < m->calls; ++call) {
-        const double *in[4];
-        double *out[5];
-        for (long i = 0; i < m->inputs; ++i) in[i] = m->in[i] + call * m->in_steps[i];
-        for (long i = 0; i < m->outputs; ++i) out[i] = m->out[i] + call * m->out_steps[i];
-        m->function(in, out, 0, 0, 0);
-    }
+    else if (m->of_rows(m->in, m->out, m->rows))
+        for (long i = 0; i < m->rows; ++i) m->out[0][i] = NAN;
 }
 
 /* The multipliers of the frames' constraints, with what links that pass through them add; the rows' values are those

@@ -9,7 +9,6 @@ import numpy as np
 from ctr_nlp.codegen import cache
 from ctr_nlp.codegen.mapped import InC
 from ctr_nlp.nlp.chain import Chain
-from ctr_nlp.solvers.compiled import address
 from ctr_nlp.solvers.motion.rows import Rows
 from ctr_nlp.solvers.motion.watch import Iterate
 from ctr_nlp.typing import Array
@@ -62,7 +61,7 @@ class Loop:
         self._chain = chain = chain.as_given_now()
         self.rows, self._told = Rows(chain), np.zeros(chain.lower.size)
         values, expansion = chain.evaluators()
-        self._mapped = [each.in_c(address(each.function)) for each in (values, expansion)]
+        self._mapped = [each.in_c() for each in (values, expansion)]
         inputs = values.inputs[0], expansion.inputs[0], expansion.inputs[3]
         hessian = expansion.outputs[4]
         self._room = np.empty_like(hessian), np.zeros(counts["most_iterations"] + 2)

@@ -104,7 +104,7 @@ class Condensed:
         """Prepare."""
         functions = motion.functions()
         self.motion, self.linking = motion, motion.linking
-        self._maps = [Mapped(each, len(motion.parameters), functions.lanes) for each in functions[:3]]
+        self._maps = [Mapped(each, len(motion.parameters)) for each in functions[:3]]
         for each in self._maps:
             each.inputs[1][:] = motion.parameters
         self._offsets, self._shares = motion.offsets, np.tile(motion.weights, len(motion.lower))

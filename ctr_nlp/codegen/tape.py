@@ -1,0 +1,149 @@
+"""CasADi functions as tapes: lists of instructions that a short loop of C carries out for many frames at once.
+
+Straight code for a large function is millions of bytes, which a processor fetches anew for every few frames, and
+more slowly than it computes; and a compiler needs half a minute for it. A tape is data, an eighth as large, which
+is read once for up to BLOCK frames. It is made in the time that it takes to list the instructions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import casadi as ca
+
+from ctr_nlp.codegen.language import BY_LANE, LANES, OPERATIONS, TWO, head, number_in_c
+from ctr_nlp.codegen.vector import interface, known_operations, without_repetition
+
+BLOCK = 64
+"""Frames that a tape is read for at once, at most: with more, numbers do not stay in the processor's caches."""
+BITS = 19
+"""Of each number in an instruction; the rest of 64 tells the operation."""
+_PLAYER = """\
+#include <stdlib.h>
+#define EACH SIMD for (long l = 0; l < n; ++l)
+
+typedef unsigned long long Instruction; /* an operation, the numbers that it takes, where its result goes */
+
+typedef struct {{
+    const Instruction *instructions;
+    const double *constants;
+    const long *inputs, *outputs; /* how many entries each has of one frame */
+    long count, slots;
+}} Tape;
+
+/* Carry out a tape for n rows from one on, each a frame. If fewer are left, the last one stands for those that
+   are missing. Every slot of the work array has a number for each of the n rows. */
+static inline __attribute__((always_inline)) void played(const Tape *tape, const double *const *arg,
+                                                         double *const *res, long row, long left, long n,
+                                                         double *work) {{
+    for (const Instruction *at = tape->instructions, *end = at + tape->count; at < end; ++at) {{
+        long i = *at >> {bits} & {mask}, j = *at >> 2 * {bits} & {mask}, k = *at & {mask};
+        double *to = work + k * n;
+        const double *a = work + i * n, *b = work + j * n;
+        switch (*at >> 3 * {bits}) {{
+        case {constant}:
+            EACH to[l] = tape->constants[i];
+            break;
+        case {input}:
+            for (long l = 0; l < n; ++l) to[l] = arg[i][(row + (l < left ? l : left - 1)) * tape->inputs[i] + j];
+            break;
+        case {output}:
+            for (long l = 0; res[k] && l < n && l < left; ++l) res[k][(row + l) * tape->outputs[k] + j] = a[l];
+            break;
+{cases}        }}
+    }}
+}}
+
+/* The same for so many rows; 1 where there is no memory for it. */
+static int played_for_all(const Tape *tape, const double *const *arg, double *const *res, long rows) {{
+    long most = rows < {block} ? (rows + LANES - 1) & -LANES : {block};
+    double *work = aligned_alloc(sizeof(double) * LANES, sizeof(double) * most * (tape->slots + 1));
+    if (!work) return 1;
+    for (long row = 0, left = rows; left > 0; row += {block}, left -= {block}) {{
+        if (left > {block} - LANES) /* a loop of which the compiler knows the length */
+            played(tape, arg, res, row, left, {block}, work);
+        else
+            played(tape, arg, res, row, left, (left + LANES - 1) & -LANES, work);
+    }}
+    free(work);
+    return 0;
+}}
+
+"""
+
+
+def tape_code(functions: tuple[ca.Function, ...]) -> str:
+    """A file of C for functions with dense inputs and outputs.
+
+    Each has `int NAME_rows(const double **arg, double **res, long rows)`, whose inputs and outputs have a row for
+    each frame, and can be loaded by casadi.external as that of LANES frames, whose columns are side by side.
+    Raises NotImplementedError for operations without C, and for functions that are too large.
+    """
+    functions = tuple(without_repetition(function) for function in functions)
+    used = known_operations(functions)
+    return head(used, None) + _player(used) + "".join(_tape(function) for function in functions)
+
+
+def _player(used: set[int]) -> str:
+    """The loop, with cases for the operations that are used."""
+    numbers = {"bits": BITS, "mask": (1 << BITS) - 1, "block": BLOCK}
+    moves = {"constant": ca.OP_CONST, "input": ca.OP_INPUT, "output": ca.OP_OUTPUT}
+    cases = "".join(
+        f"        case {operation}:\n            EACH to[l] = {_value(operation)};\n            break;\n"
+        for operation in sorted(used - set(moves.values()))
+    )
+    return _PLAYER.format(cases=cases, **numbers, **moves)
+
+
+def _value(operation: int) -> str:
+    """What an operation finds of one frame."""
+    of = "a[l]", "b[l]"
+    if operation in OPERATIONS:
+        return OPERATIONS[operation].format(*of)
+    called = BY_LANE[operation]
+    return f"by_lane_{called}({', '.join(of[: 2 if called in TWO else 1])})"
+
+
+def _tape(function: ca.Function) -> str:
+    """A function's tape, and what is called from outside."""
+    name, constants = function.name(), list[float]()
+    instructions = [_instruction(function, k, constants) for k in range(function.n_instructions())]
+    sizes_in = [function.numel_in(i) for i in range(function.n_in())]
+    sizes_out = [function.numel_out(i) for i in range(function.n_out())]
+    for_casadi = interface(function, f"    return {name}_rows(arg, res, LANES);\n", LANES)
+    arrays = {
+        "const Instruction": ("instructions", [f"{each}u" for each in instructions]),
+        "const double": ("constants", [number_in_c(each) for each in constants]),
+    }
+    return f"""\
+{"".join(_array(kind, f"{name}_{called}", values) for kind, (called, values) in arrays.items())}\
+{_array("const long", f"{name}_inputs", map(str, sizes_in))}\
+{_array("const long", f"{name}_outputs", map(str, sizes_out))}\
+static const Tape {name}_tape = {{
+    {name}_instructions, {name}_constants, {name}_inputs, {name}_outputs, {len(instructions)}, {function.sz_w()}
+}};
+int {name}_rows(const double **arg, double **res, long rows) {{
+    return played_for_all(&{name}_tape, arg, res, rows);
+}}
+{for_casadi}"""
+
+
+def _instruction(function: ca.Function, k: int, constants: list[float]) -> int:
+    """Instruction k as one number; a constant that it takes is put at the end of those before."""
+    operation, to, of = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
+    if operation == ca.OP_CONST:
+        of = [len(constants), 0]
+        constants.append(function.instruction_constant(k))
+    elif operation == ca.OP_OUTPUT:
+        of, to = [of[0], to[1]], to[:1]
+    numbers = of[0], of[-1], to[0]
+    if max(numbers) >> BITS:
+        raise NotImplementedError(f"{function.name()} has numbers beyond {1 << BITS}, which no instruction tells")
+    found: int = operation
+    for number in numbers[1], numbers[0], numbers[2]:
+        found = found << BITS | number
+    return found
+
+
+def _array(kind: str, name: str, values: Iterable[str]) -> str:
+    return f"static {kind} {name}[] = {{{', '.join(values) or 0}}};\n"
