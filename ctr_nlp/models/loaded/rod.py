@@ -31,6 +31,10 @@ from ctr_nlp.models.loaded.vectors import cross, dot, plus, scaled, total, vecto
 from ctr_nlp.robot.structure import Tubes
 from ctr_nlp.typing import Vector
 
+ANEW = 3
+"""Steps after which responses begin anew. Over longer pieces what gives in much turns so far that pivots become
+negative where nothing has given way.
+"""
 Values = list[Any]
 
 
@@ -184,7 +188,7 @@ def integrated(
         for step in range(steps):
             y, by = _stepped(section, step, steps, y, by)
             nodes.append(y)
-            if by is not None and (step + 1) % (steps // 2) == 0:
+            if by is not None and (step + 1 == steps or (step + 1) % ANEW == 0):
                 by = _anew(by, responses, d, xp)
         states.append(nodes[::-1])
         force = plus(force, part.length, weight)

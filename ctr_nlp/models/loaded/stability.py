@@ -20,7 +20,7 @@ from ctr_nlp.typing import Array, Flags, Index
 
 LEAST = -1023.0
 """The margin of what buckles however stiff in torsion."""
-MOST = 0.9985
+MOST = 0.9992
 """A margin of more counts as 1: steps of integration are too long for torsion that gives in so much."""
 HALVINGS, SECANTS = 8, 8
 """Of the bracket of a margin, and steps of the secant method within it."""
