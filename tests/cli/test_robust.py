@@ -109,7 +109,6 @@ def small(tmp_path):
     return [str(tmp_path / "path.csv"), "--robot", str(tmp_path / "robot.toml"), "--frames", "8", "--no-figures"]
 
 
-@pytest.mark.interpreted
 @pytest.mark.parametrize("formulation", ["horizon", "joint"])
 def test_a_robust_plan_is_tried_on_draws_and_holds_what_came_of_planning(small, tmp_path, capsys, formulation):
     given = ["--formulation", formulation, "--robust", "--most-lost", "0.02"]
@@ -127,7 +126,6 @@ def test_a_robust_plan_is_tried_on_draws_and_holds_what_came_of_planning(small, 
     assert "ctr-nlp plan --robust" not in told
 
 
-@pytest.mark.interpreted
 def test_a_robust_plan_on_the_dominant_model_says_that_no_draw_can_be_lost_there(small, tmp_path, capsys):
     given = ["--model", "dominant", "--robust", "--out", str(tmp_path / "out")]
     assert command(["plan", *small, *given]) == 0

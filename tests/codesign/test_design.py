@@ -61,7 +61,6 @@ def test_designed_tubes_are_better_than_those_they_began_as(tasks, nominal):
     assert all(plan.robot == nominal.robot for plan in nominal.plans)
 
 
-@pytest.mark.interpreted
 def test_tubes_are_designed_on_the_dominant_model_too(tasks):
     own = [solve_horizon(task, settings=Settings(contact_weight=0.0)) for task in tasks]
     found = design(tasks, nominal=True, model="dominant", rules=RULES, starts=1)

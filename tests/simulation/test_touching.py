@@ -14,7 +14,6 @@ from ctr_nlp.simulation.touching import MISSED, Foundation
 from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.target.target import SIGMA
 
-pytestmark = pytest.mark.interpreted
 NITINOL, RADIUS = with_modulus(TWO, 60_000), 4.0
 FRAMES = 5
 

@@ -23,7 +23,6 @@ from ctr_nlp.steer.robust import solve_robust, solve_robust_per_frame
 from ctr_nlp.steer.robust.tolerated import described, scenarios_of, with_forces
 from ctr_nlp.target.curve import curve_from_formula, curve_from_points
 
-pytestmark = pytest.mark.interpreted
 FORCE, FRAMES = 2.0, 4
 SIDES = [np.array(each) for each in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(each)]
 """26 directions."""
