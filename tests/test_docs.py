@@ -53,7 +53,7 @@ THIN = {
     ("scripts/reproduce_seed.py*", "reproduce *"): "--only fig10 --frames 3 --jobs 1",
 }
 """What command lines look like, as a script or a subcommand -> further arguments; the first that fits is taken."""
-INTERPRETED = "plan *", "steer *", "design *", "force *", "under *"
+INTERPRETED = ("under *",)
 """Command lines whose programs are not compiled: for so few frames, that takes longer than it spares."""
 
 PIP = '''#!{python}

@@ -180,6 +180,8 @@ def test_the_command_rounds_to_a_list_and_says_what_is_lost(tmp_path, capsys):
         "design",
         str(tmp_path / "bend.py"),
         "--nominal",
+        "--model",
+        "dominant",
         "--robot",
         str(pair),
         "--frames",
