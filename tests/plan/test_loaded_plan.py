@@ -17,7 +17,6 @@ from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.plan import account
 from ctr_nlp.plan.verdicts import NO, NOT_KNOWN, YES
 
-
 WEAK = Load(force=(0.0, 0.05, 0.0))
 
 

@@ -15,7 +15,6 @@ from ctr_nlp.plan.metrics import summary
 from ctr_nlp.steer.robust import solve_robust
 from ctr_nlp.target.curve import curve_from_formula, curve_from_points
 
-
 FRAMES, SEED, MARGINS = 12, 77, (0.3,)
 """The seed is of draws that judge, which no plan sees."""
 
