@@ -49,21 +49,25 @@ class Mapped:
         lanes = 1 if self._tape is None else LANES
         self.inputs = [np.zeros((frames, function.numel_in(i) // lanes)) for i in range(function.n_in())]
         self.outputs = [np.zeros((frames, function.numel_out(i) // lanes)) for i in range(function.n_out())]
-        self._places = [(ctypes.c_void_p * len(arrays))(*map(_address, arrays)) for arrays in self._arrays]
         self._rows = ctypes.c_long(frames)
-        self._run = self._played if self._tape is not None else self._interpreted(function.map(frames))
+        self._run = self._interpreted(function.map(frames)) if self._tape is None else self._played(self._tape)
 
     @property
     def _arrays(self) -> tuple[list[Array], list[Array]]:
         return self.inputs, self.outputs
 
-    def _played(self) -> None:
-        assert self._tape is not None
-        if self._tape(*self._places, self._rows):
-            raise MemoryError
+    def _played(self, tape: Callable[..., int]) -> Callable[[], None]:
+        """What evaluates a function of all frames, by its tape."""
+        places = [(ctypes.c_void_p * len(arrays))(*map(_address, arrays)) for arrays in self._arrays]
+
+        def run() -> None:
+            if tape(*places, self._rows):
+                raise MemoryError
+
+        return run
 
     def _interpreted(self, function: ca.Function) -> Callable[[], None]:
-        """What evaluates a function of all frames, by CasADi."""
+        """The same, by CasADi; function: mapped over them."""
         self._buffer, run = function.buffer()
         for put, arrays in zip((self._buffer.set_arg, self._buffer.set_res), self._arrays, strict=True):
             for i, array in enumerate(arrays):
