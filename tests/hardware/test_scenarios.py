@@ -135,23 +135,36 @@ def test_a_plan_is_played_to_its_last_step(rig: Rig, plan: Plan) -> None:
     assert passed == sorted(set(passed))
 
 
-@pytest.mark.parametrize("frames", [100, pytest.param(400, marks=pytest.mark.slow)])
-def test_the_pace_is_kept_with_little_in_the_controllers_hands(rig: Rig, frames: int) -> None:
-    """Frames of 0.05 s, within 2 %; that it never runs out of lines is asserted in virtual time."""
-    t = np.linspace(0.0, 1.0, frames)[:, None]
-    smooth = t**2 * (3 - 2 * t)
-    alpha = np.hstack([0.8 * smooth, -0.6 * np.sin(2.5 * smooth), 0.4 * smooth])
-    beta = np.hstack([2 + 10 * smooth, 4 + 16 * smooth, 8 + 20 * smooth])
-    plan = plan_of(np.hstack([alpha, beta, np.zeros((frames, 2))]), 0.05)
+def paced(rig: Rig, plan: Plan) -> tuple[float, int]:
+    """Play a plan: the seconds that it took, and how often the controller ran out of lines."""
     player, recorder = rig.player(), Recorder()
     result = begin(player, plan, rig.hardware, seen=recorder)
     rig.let_go(player)
     assert result.outcome is Outcome.SUCCESS, result.message
     tracking = recorder.tracking()
     assert tracking is not None
-    took = tracking.time[-1] + tracking.late[-1]
+    took, underruns = tracking.time[-1] + tracking.late[-1], player.device.stream.underruns
     off = abs(tracking.error).max(axis=0)
-    print(f"{frames} frames took {took:.2f} s, {off} off when due, {player.device.stream.underruns} underruns")
+    print(f"{len(plan.q)} frames took {took:.2f} s, {off} off when due, {underruns} underruns")
+    return took, underruns
+
+
+@pytest.mark.parametrize("frames", [100, pytest.param(400, marks=pytest.mark.slow)])
+def test_the_pace_is_kept_with_little_in_the_controllers_hands(rig: Rig, frames: int) -> None:
+    """Frames of 0.05 s, within 2 %; that it never runs out of lines is asserted in virtual time.
+
+    Here it may run out where other processes keep this one from running; then it is played again, twice at most.
+    """
+    t = np.linspace(0.0, 1.0, frames)[:, None]
+    smooth = t**2 * (3 - 2 * t)
+    alpha = np.hstack([0.8 * smooth, -0.6 * np.sin(2.5 * smooth), 0.4 * smooth])
+    beta = np.hstack([2 + 10 * smooth, 4 + 16 * smooth, 8 + 20 * smooth])
+    plan = plan_of(np.hstack([alpha, beta, np.zeros((frames, 2))]), 0.05)
+    for _ in range(3):
+        took, underruns = paced(rig, plan)
+        if not underruns:
+            break
+    assert underruns == 0
     assert took == pytest.approx(0.05 * (frames - 1), rel=0.02)
 
 
