@@ -31,6 +31,8 @@ from ctr_nlp.formulations.frame import filled, program
 from ctr_nlp.formulations.joint import terms_of
 from ctr_nlp.loads import with_modulus
 from ctr_nlp.models.protocol import samples
+from ctr_nlp.solvers.scenarios import interior
+from ctr_nlp.steer.horizon import bearing
 from ctr_nlp.target.curve import curve_from_points
 
 pytestmark = pytest.mark.interpreted
@@ -251,11 +253,37 @@ def test_a_motion_under_a_load_keeps_a_given_start_and_end(reachable):
     assert (abs(found.q[0] - start) <= problem.robot.speed * problem.dt + 1e-6).all()
 
 
-def test_a_motion_under_a_load_that_is_interrupted_is_no_solution(reachable):
+def test_a_motion_that_is_interrupted_before_the_load_is_looked_at_is_no_solution(reachable):
     problem, _ = reachable
-    found = solve_horizon(problem, model=Loaded(CONSTANT), seen=lambda _: signal.raise_signal(signal.SIGINT))
+    found = solve_horizon(problem, model=Loaded(CONSTANT), progress=lambda *_: signal.raise_signal(signal.SIGINT))
     assert found.meta["interrupted"]
     assert not found.success.any()
+    assert np.isfinite(found.q).all()
+
+
+def test_a_motion_that_is_interrupted_under_the_load_is_no_solution(reachable, monkeypatch):
+    problem, _ = reachable
+    advance = interior._Run.advance
+
+    def interrupted(run):
+        signal.raise_signal(signal.SIGINT)
+        return advance(run)
+
+    monkeypatch.setattr(interior._Run, "advance", interrupted)
+    found = solve_horizon(problem, model=Loaded(CONSTANT))
+    assert found.meta["interrupted"]
+    assert not found.success.any()
+    assert found.bears == CONSTANT
+
+
+def test_a_motion_that_is_given_is_where_the_search_under_a_load_begins(reachable, monkeypatch):
+    problem, _ = reachable
+    first = solve_horizon(problem, model=Loaded(CONSTANT))
+    monkeypatch.delattr(bearing, "per_frame_motions")
+    weight = first.options["motion_weight"]
+    again = solve_horizon(problem, model=Loaded(CONSTANT), initial=[first.q], motion_weight=weight)
+    assert again.complete
+    assert again.objective.sum() == pytest.approx(first.objective.sum(), abs=1e-4)
 
 
 def test_a_steerer_bears_no_load_that_changes():

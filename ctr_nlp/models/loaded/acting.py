@@ -18,7 +18,7 @@ from ctr_nlp.typing import Array, Vector
 
 STEPS = 18
 """Steps of integration a section where numbers are wanted; twice as many where a force may begin or end in one."""
-GENTLE = 0.5
+GENTLE = 0.25
 """mm to both sides of a place where a force along the body begins or ends, within which it does so."""
 
 

@@ -152,6 +152,15 @@ class Loaded(Model):
         of_robot = np.repeat(robot.numbers[None], len(q), axis=0)
         return unknowns(*self._equilibria(robot).placed(of_robot, q, angles), q)
 
+    def eased(self, robot: Robot, q: Array, angles: Array) -> Array:
+        """The unknowns (T, 2d + 2) after the load has come at each q (T, 2d + 2), as far as the robot bears it.
+
+        angles (T, d): as for unloaded. Where the robot snaps on the way, these are of the equilibrium before that.
+        """
+        equilibria, of_robot = self._equilibria(robot), np.repeat(robot.numbers[None], len(q), axis=0)
+        free = equilibria.unloaded(of_robot, q, angles)
+        return equilibria.along(free, q, self._over(robot, len(q)))[0].unknowns
+
     def configuration(self, robot: Robot, x: Array) -> Array:
         """As Model.configuration; alpha up to whole turns of all tubes together, theta_x within a quarter turn."""
         return self.states(robot, x).q

@@ -14,6 +14,7 @@ place but for a positive factor: one of them is negative for every direction tha
 from __future__ import annotations
 
 import numpy as np
+from scipy.optimize.elementwise import find_root
 
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.typing import Array, Flags, Index
@@ -22,24 +23,32 @@ LEAST = -1023.0
 """The margin of what buckles however stiff in torsion."""
 MOST = 0.9992
 """A margin of more counts as 1: steps of integration are too long for torsion that gives in so much."""
-HALVINGS, SECANTS = 8, 8
-"""Of the bracket of a margin, and steps of the secant method within it."""
+SETTLED = 1e-7
+"""By how much a margin may be off, of those that equilibria and steps of integration have."""
 
 
 def margins(equilibria: LoadedEquilibria, states: States, bending: bool = False) -> Array:
     """The stability margins (T,) of states; bending: those to buckling, where bending gives in as well."""
-    stable, _ = _looked_at(equilibria, states, np.zeros(len(states.q)), bending)
+
+    def held(at: Array, rows: Index) -> Array:
+        """Determinants at margins of rows, but with the sign of what holds: also where two directions give way."""
+        found = _pivots_at(equilibria, states.rows(rows), at, bending)
+        with np.errstate(over="ignore", invalid="ignore"):
+            size = np.nan_to_num(abs(found.prod(axis=(1, 2))), nan=1.0)
+        return np.where(_positive(found), size, -size)
+
+    every = np.arange(len(states.q))
+    stable = held(np.zeros(len(every)), every) > 0
     low, high = np.where(stable, 0.0, -1.0), np.where(stable, MOST, 0.0)
-    falling = np.flatnonzero(~stable)
+    falling, rising = every[~stable], every[stable]
     while len(falling):
-        found, _ = _looked_at(equilibria, states.rows(falling), low[falling], bending)
-        falling = falling[~found & (low[falling] > LEAST)]
+        falling = falling[(held(low[falling], falling) <= 0) & (low[falling] > LEAST)]
         high[falling], low[falling] = low[falling], 2 * low[falling] - 1
-    for _ in range(HALVINGS):
-        middle = (low + high) / 2
-        found, _ = _looked_at(equilibria, states, middle, bending)
-        low, high = np.where(found, middle, low), np.where(found, high, middle)
-    return _refined(equilibria, states, low, high, bending)
+    found = np.where(low <= LEAST, LEAST, 1.0)
+    known = rising[held(high[rising], rising) > 0]
+    left = np.setdiff1d(every[low > LEAST], known)
+    found[left] = find_root(held, (low[left], high[left]), args=(left,), tolerances={"xatol": SETTLED}).x
+    return found
 
 
 def least_margins(equilibria: LoadedEquilibria, states: States, groups: Index, known: Array) -> Array:
@@ -51,8 +60,9 @@ def least_margins(equilibria: LoadedEquilibria, states: States, groups: Index, k
     least, left = known.copy(), np.arange(len(groups))
     while True:
         at = np.clip(least[groups[left]], LEAST, MOST)
-        held, last = _looked_at(equilibria, states.rows(left), at, False)
-        left, last = left[~held], last[~held]
+        found = _pivots_at(equilibria, states.rows(left), at, False)
+        lower = ~_positive(found)
+        left, last = left[lower], found[lower, -1].min(axis=1)
         if not len(left):
             return least
         ranked = left[np.lexsort((last, groups[left]))]
@@ -61,28 +71,16 @@ def least_margins(equilibria: LoadedEquilibria, states: States, groups: Index, k
         left = np.setdiff1d(left, first)
 
 
-def _refined(equilibria: LoadedEquilibria, states: States, low: Array, high: Array, bending: bool) -> Array:
-    """The roots of the last determinant within brackets, by the method of false position (Illinois)."""
-    (_, f_low), (most, f_high) = (_looked_at(equilibria, states, at, bending) for at in (low, high))
-    single = (f_low > 0) & (f_high < 0)  # two roots at once are bracketed alone
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for _ in range(SECANTS):
-            at = np.where(single, high - f_high * (high - low) / (f_high - f_low), (low + high) / 2)
-            held, value = _looked_at(equilibria, states, at, bending)
-            f_low, f_high = np.where(held, value, f_low / 2), np.where(held, f_high / 2, value)
-            low, high = np.where(held, at, low), np.where(held, high, at)
-        root = high - f_high * (high - low) / (f_high - f_low)
-    found = np.where(single & (root >= low) & (root <= high), root, (low + high) / 2)
-    return np.where((high >= MOST) & most, 1.0, np.where(low <= LEAST, LEAST, found))
-
-
-def _looked_at(equilibria: LoadedEquilibria, states: States, margin: Array, bending: bool) -> tuple[Flags, Array]:
-    """Whether no direction gives way at margins (T,), and the last pivot, which is the first to."""
+def _pivots_at(equilibria: LoadedEquilibria, states: States, margin: Array, bending: bool) -> Array:
+    """Those (T, k, d + 2) from place to place at margins (T,)."""
     torsion = 1 / (1 - margin)
     soft = np.stack([torsion, torsion if bending else np.ones_like(torsion)], axis=1)
-    found = pivots(equilibria.ends_of(states, soft).responses)
-    held = np.asarray((found > 0).all(axis=(1, 2)))
-    return held, found[:, -1].min(axis=1)
+    return pivots(equilibria.ends_of(states, soft).responses)
+
+
+def _positive(found: Array) -> Flags:
+    """Whether no direction gives way, (T,), as all pivots (T, k, d + 2) tell; those that are no numbers do not."""
+    return np.asarray((found > 0).all(axis=(1, 2)))
 
 
 def pivots(responses: Array) -> Array:

@@ -1,4 +1,4 @@
-"""A motion under a known load: that of the robot without it, solved again over all frames as the robot bears it.
+"""A motion under a known load: one of the robot without it, solved over all frames as the robot bears it.
 
 Where the base of a loaded robot points tells its theta, but for a pole at theta_x = 90 deg. So the robot is
 solved for as scenarios are, of which it is the only one (formulations/shared/scenarios.py): theta is an unknown
@@ -8,7 +8,7 @@ beside the turn of the tip, two equations say that the base points there, and no
 from __future__ import annotations
 
 import functools
-import itertools
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -23,6 +23,7 @@ from ctr_nlp.formulations.terms import Term
 from ctr_nlp.formulations.wall import wall_of
 from ctr_nlp.models import MODELS, Model
 from ctr_nlp.models.loaded.model import Loaded
+from ctr_nlp.models.loaded.tips import tip_angles
 from ctr_nlp.nlp.scenarios import Scenarios, SharedMotion
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
 from ctr_nlp.simulation.forward import Simulator
@@ -32,9 +33,11 @@ from ctr_nlp.solvers.scenarios import SharedSolution, SharedSolver
 from ctr_nlp.solvers.scenarios.condensed import Condensed
 from ctr_nlp.steer.attempts import SAME, Report
 from ctr_nlp.steer.horizon.chained import Horizon
+from ctr_nlp.steer.motions import per_frame_motions
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.realised import SHORT, Missed, held_between, missing
+from ctr_nlp.steer.requests import check_search, checked_motions
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
@@ -42,13 +45,14 @@ from ctr_nlp.typing import Array
 _Asked = tuple[str | None, npt.ArrayLike | None, npt.ArrayLike | None]
 """The solver's name, and q at the first and the last frame."""
 FIRMER = 0.2, 0.1
-"""By how much more margin than asked motions without the load have that the search begins with, before the plan.
+"""By how much more margin than asked motions frame by frame have that the search begins with.
 
 A motion that keeps just the margin that is asked ends beside the snap, and from there the search under the load
 comes to a branch of equilibria that the robot does not reach.
 """
-WORTH = 1.1
-"""A motion under the load is taken at once where its objective is at most so many times that without the load."""
+WORTH = 1.05
+"""A motion under the load is taken at once where its objective is at most so many times that of the best motion
+frame by frame of the robot without the load."""
 
 
 class LoadedHorizon:
@@ -77,10 +81,8 @@ class LoadedHorizon:
         self._inside = None if wall is None else Horizon(problem, model, *asked, settings, terms)
         margin = settings.stability_margin
         self._margins = None if margin is None else np.full(problem.frames, margin)
-        self._without = self._unloaded(asked, margin)
-        self._ends = self._without.ends
-        firmer = () if margin is None else [margin + more for more in FIRMER if margin + more < 1]
-        self._firmer = [functools.partial(self._unloaded, asked, more) for more in firmer]
+        free = replace(settings, contact_weight=0.0)
+        self._without = Horizon(problem, MODELS[model.name], *asked, free, self._terms)
         self._simulator = Simulator(problem.robot, model)
         self.build_seconds = time.perf_counter() - begin
 
@@ -95,50 +97,64 @@ class LoadedHorizon:
         exhaustive: bool = False,
     ) -> Plan:
         """The plan; as solve_horizon."""
+        check_search(motion_weight, starts, jobs)
+        without, given = self._without, checked_motions(self._problem, initial)
         with deferred_interrupt() as interrupted:
-            plain = self._without.solve(initial, motion_weight, starts, jobs, progress, seen, exhaustive)
-            weight = plain.meta["options"]["motion_weight"]
             begin = time.perf_counter()
-            search = functools.partial(Horizon.solve, initial=initial, motion_weight=weight, progress=progress)
-            found = None if interrupted() else self._borne(plain, search, interrupted)
+            first = without.motions(given, progress)[0]
+            weight = without.balanced_weight(first) if motion_weight is None else motion_weight
+            limit = -math.inf if starts or exhaustive else WORTH * without.objective(first, weight)
+            between = time.perf_counter()
+            search = functools.partial(without.solve, given, weight, starts, jobs, progress, seen, exhaustive)
+            found = self._borne(self._starts(given, progress, search), weight, limit, interrupted)
             if found is not None and found.success and self._inside is not None and not interrupted():
                 return self._inside.solve([found.q], weight, progress=progress)
             stopped = interrupted()
-        searched = plain.meta["search_s"] + plain.meta["solve_s"]
         meta = {
-            **{key: plain.meta[key] for key in ("formulation", "starts", "contact_weight")},
+            "formulation": "horizon",
             **self._model.told,
             "solver": "interior-point",
-            "options": plain.meta["options"] | self._settings.options(),
+            "options": without.options(weight, starts, exhaustive) | self._settings.options(),
             "build_s": self.build_seconds,
-            "search_s": searched,
-            "solve_s": time.perf_counter() - begin,
-            "iterations": plain.meta["iterations"] + (0 if found is None else found.iterations),
+            "search_s": between - begin,
+            "solve_s": time.perf_counter() - between,
+            "iterations": 0 if found is None else found.iterations,
             "interrupted": stopped,
+            "contact_weight": None,
         }
-        return self._plan(plain, found, weight, meta)
+        return self._plan(without.configurations(first), found, weight, meta)
 
-    def _unloaded(self, asked: _Asked, margin: float | None) -> Horizon:
-        """All frames of the robot without the load, and without a wall."""
-        free = replace(self._settings, contact_weight=0.0, stability_margin=margin)
-        return Horizon(self._problem, MODELS[self._model.name], *asked, free, self._terms)
+    def _starts(
+        self, given: Sequence[Array], progress: Progress | None, search: Callable[[], Plan]
+    ) -> Iterator[Array]:
+        """Motions (T, 2d + 2) of the robot without the load: given ones, firmer ones, at last the plan.
 
-    def _borne(self, plain: Plan, search: Callable[[Horizon], Plan], stop: Callable[[], bool]) -> SharedSolution:
-        """The motion under the load, from plans without it, with margins held between frames too.
-
-        plain: the plan without the load; search: how it was found. The first motion is taken that costs about as
-        much as the plan, else the best; where the robot makes none, the first that was solved, else what came of
-        the last search.
+        search: finds that plan.
         """
-        weight = plain.meta["options"]["motion_weight"]
-        motion, limit = self._motion(weight, self._margins), WORTH * float(plain.objective.sum())
+        yield from given
+        margin, without = self._settings.stability_margin, self._without
+        firmer = [] if margin is None else [margin + more for more in FIRMER if margin + more < 1]
+        for more in firmer:
+            settings = replace(self._settings, stability_margin=more)
+            at = self._problem, without.ends, settings, progress, MODELS[self._model.name], self._terms
+            yield without.configurations(per_frame_motions(*at)[0])
+        yield search().q
+
+    def _borne(
+        self, motions: Iterator[Array], weight: float, limit: float, stop: Callable[[], bool]
+    ) -> SharedSolution | None:
+        """The motion under the load, from motions (T, 2d + 2) without it, with margins held between frames too.
+
+        The first is taken whose objective is at most limit, mm^2, else the best; where the robot makes none, the
+        first that was solved, else what came of the last; None where the work was ended before that.
+        """
+        motion = self._motion(weight, self._margins)
+        found: SharedSolution | None = None
         solved: list[SharedSolution] = []
         made: list[tuple[SharedSolution, float]] = []
-        for q in self._starts(plain, search):
+        while not stop() and (q := next(motions, None)) is not None:
             found = self._from(q, motion, stop)
-            if stop():
-                break
-            if not found.success or _known(found, solved):
+            if stop() or not found.success or _known(found, solved):
                 continue
             solved.append(found)
             held = self._held(found, weight, stop)
@@ -149,14 +165,6 @@ class LoadedHorizon:
         if made:
             return min(made, key=lambda one: (max(one[1], SHORT), one[0].objective))[0]
         return solved[0] if solved else found
-
-    def _starts(self, plain: Plan, search: Callable[[Horizon], Plan]) -> Iterator[Array]:
-        """Motions q (T, 2d + 2) without the load: of more margin first, at last that of the plan itself."""
-        for unloaded in self._firmer:
-            firmer = search(unloaded())
-            if firmer.success.all():
-                yield firmer.q
-        yield plain.q
 
     def _held(
         self, first: SharedSolution, weight: float, stop: Callable[[], bool]
@@ -179,31 +187,28 @@ class LoadedHorizon:
         """The program of the robot alone; weight: lambda in s^2; margins (T,): of each frame."""
         problem, robot = self._problem, self._problem.robot
         alone = Scenarios(robot.numbers[None], np.zeros((1, robot.d)), np.ones(1))
-        at = robot, problem.samples, problem.dt, weight, self._ends, self._model, alone
+        at = robot, problem.samples, problem.dt, weight, self._without.ends, self._model, alone
         return shared_motion(*at, fastest, margins, self._terms)
 
     def _from(self, q: Array, motion: SharedMotion, stop: Callable[[], bool]) -> SharedSolution:
-        """The first solution that is found from q (T, 2d + 2): where the robot comes to be under the load, which
-        is feasible but for margins; where it snaps on the way, from where it is without the load.
-        """
+        """The first solution from q (T, 2d + 2), where the load has come in every frame by itself."""
         robot, model = self._problem.robot, self._model
-        tips = MODELS[model.name].follow(robot, q).x[:, : robot.d]
-        bare = model.unloaded(robot, q, np.where(np.isfinite(tips), tips, q[:, : robot.d]))
-        borne, solve = self._simulator(q).x, SharedSolver(motion)
-        starts = [borne, bare] if np.isfinite(borne).all() else [bare]
-        for x, barrier in itertools.product(starts, (CLOSE, WIDE)):
+        tips = tip_angles(MODELS[model.name].follow(robot, q).x, robot.d)
+        x = model.eased(robot, q, np.where(np.isfinite(tips), tips, q[:, : robot.d]))
+        solve = SharedSolver(motion)
+        for barrier in (WIDE, CLOSE):
             found = solve(q, x[:, None, motion.own], barrier, stop)
             if found.success or stop():
                 break
         return found
 
-    def _plan(self, plain: Plan, found: SharedSolution | None, weight: float, meta: dict[str, Any]) -> Plan:
-        """The motion found as a plan; that without the load, not solved, where the search was interrupted."""
+    def _plan(self, q: Array, found: SharedSolution | None, weight: float, meta: dict[str, Any]) -> Plan:
+        """The motion found as a plan; q (T, 2d + 2), not solved, where the search was interrupted before that."""
         frames, unknown = self._problem.frames, np.full(self._problem.frames, np.nan)
         if found is None:
             why = {"all": "interrupted before the load was looked at"}
             known: dict[str, Any] = {"objective": unknown, "kkt": unknown}
-            q, solved, planned = plain.q, False, None
+            solved, planned = False, None
         else:
             condensed = Condensed(self._motion(weight, self._margins))
             condensed.look(found.q, found.phi)

@@ -97,12 +97,11 @@ class Horizon:
         exhaustive: bool = False,
     ) -> Plan:
         """The plan; as solve_horizon."""
-        settings, model = self._settings, self._model
         check_search(motion_weight, starts, jobs)
-        given = [x for motion in checked_motions(self.problem, initial) for x in self._unknowns(motion)]
+        given = checked_motions(self.problem, initial)
         with deferred_interrupt() as interrupted:
             begin = time.perf_counter()
-            found = given or per_frame_motions(self.problem, self.ends, settings, progress, model, self._terms)
+            found = self.motions(given, progress)
             between = time.perf_counter()
             weight = self.balanced_weight(found[0]) if motion_weight is None else motion_weight
             search = replace(
@@ -115,19 +114,28 @@ class Horizon:
                 ranked = search.ranked(found, starts or len(found))
                 attempts = search.attempts(ranked) if every else search.likely(ranked)
             if self._wall is not None and not interrupted():
-                free = self._q(best_of(attempts).motion)
+                free = self.configurations(best_of(attempts).motion)
                 tried = [one.motion for one in distinct(attempts)] if every else [best_of(attempts).motion]
-                wall, attempts = self._kept_inside(self._wall, search, attempts, [*tried, *given])
+                tried += found if given else []
+                wall, attempts = self._kept_inside(self._wall, search, attempts, tried)
             work = {"search_s": between - begin, "solve_s": time.perf_counter() - between}
             stopped = interrupted()
-        options = settings.options() | {"motion_weight": weight, "starts": starts}
-        options["exhaustive"] = exhaustive
-        options["terms"] = [str(term) for term in self._terms]
-        for name, q in (("start", self.ends.start), ("end", self.ends.end)):
-            options[name] = None if q is None else q.tolist()
+        options = self.options(weight, starts, exhaustive)
         meta = {**self._names, **work, "options": options, "build_s": self.build_seconds, "interrupted": stopped}
         meta["contact_weight"] = None if wall is None else wall.weight
         return self._plan(search.near(wall), found[0], attempts, free, meta)
+
+    def motions(self, given: Sequence[Array] = (), progress: Progress | None = None) -> list[Array]:
+        """Unknowns (T, n) to start from: of given motions (T, 2d + 2), else frame by frame, best first."""
+        at = self.problem, self.ends, self._settings, progress, self._model, self._terms
+        return [x for motion in given for x in self._unknowns(motion)] or per_frame_motions(*at)
+
+    def options(self, weight: float, starts: int | None = None, exhaustive: bool = False) -> dict[str, Any]:
+        """What was asked for, as a plan's meta holds it; weight: lambda in s^2."""
+        asked = {"motion_weight": weight, "starts": starts, "exhaustive": exhaustive}
+        ends = (("start", self.ends.start), ("end", self.ends.end))
+        given = {name: None if q is None else q.tolist() for name, q in ends}
+        return {**self._settings.options(), **asked, "terms": [str(term) for term in self._terms], **given}
 
     def _kept_inside(
         self, wall: Wall, search: Search, free: Sequence[Attempt], motions: Sequence[Array]
@@ -138,7 +146,7 @@ class Horizon:
 
         def outcome(one: Attempt) -> Outcome:
             success = np.full(self.problem.frames, one.solution.success)
-            return Outcome.of(self.problem, self._simulator(self._q(one.motion)), one.motion, success)
+            return Outcome.of(self.problem, self._simulator(self.configurations(one.motion)), one.motion, success)
 
         def judge(tried: Wall, attempts: Sequence[Attempt]) -> Tried:
             best = best_of(attempts)
@@ -149,14 +157,19 @@ class Horizon:
         kept = affordable(wall, lambda tried: search.attempts(motions, tried), judge, cost, search.stop)
         return (None, free) if kept is None else kept
 
-    def _q(self, motion: Array) -> Array:
+    def configurations(self, motion: Array) -> Array:
         """The configurations (T, 2d + 2) of a motion's unknowns (T, n)."""
         value = self._free.evaluate(motion.ravel())[1]
         return self._free.configurations(value)[:, : len(self.problem.robot.axes)]
 
     def balanced_weight(self, motion: Array) -> float:
-        """The lambda in s^2 at which a motion costs a tenth of its shape errors."""
+        """The lambda in s^2 at which a motion (T, n) costs a tenth of its shape errors."""
         return self._search.balanced_weight(motion)
+
+    def objective(self, motion: Array, weight: float) -> float:
+        """That of a motion's unknowns (T, n), far from any wall, mm^2; weight: lambda in s^2."""
+        chain, x = self._free.with_cost(weight).around(motion)
+        return chain.evaluate(x)[0]
 
     def _plan(
         self, chain: Chain, motion: Array, attempts: Sequence[Attempt], free: Array | None, meta: dict[str, Any]
@@ -178,7 +191,7 @@ class Horizon:
         meta["iterations"] = sum(one.solution.iterations for one in attempts)
         return plan_from_configurations(
             self.problem,
-            self._q(motion),
+            self.configurations(motion),
             meta | {"failures": why},
             success=np.full(frames, solved),
             solve_time=unknown,
