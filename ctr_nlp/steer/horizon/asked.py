@@ -46,8 +46,9 @@ def solve_horizon(
     (settings.seed). exhaustive: all of those are, and no others. jobs: in how many processes. settings: of the
     frames run one by one. terms: further ones of the objective (formulations.terms). seen: told of every iterate
     of all frames, or where processes are several of every attempt that is the best until then.
-    Under a load, all this is of the robot without it, whose motion is then solved again as the robot bears it
-    (bearing.py).
+    Under a load, all this is of the robot without it. The search begins with motions frame by frame (bearing.py);
+    the robot without the load is solved over all frames only where these lead to no good one, and where starts or
+    exhaustive are given.
     The plan is never worse than the best motion it started from, and marked where it is no solution. Ctrl-C ends
     the work; the plan is then the best feasible one so far, marked as interrupted. Raises OptionError,
     ProblemError, RobotError.
