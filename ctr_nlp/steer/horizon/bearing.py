@@ -8,6 +8,7 @@ beside the turn of the tip, two equations say that the base points there, and no
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -44,15 +45,16 @@ from ctr_nlp.typing import Array
 
 _Asked = tuple[str | None, npt.ArrayLike | None, npt.ArrayLike | None]
 """The solver's name, and q at the first and the last frame."""
-FIRMER = 0.2, 0.1
-"""By how much more margin than asked motions frame by frame have that the search begins with.
+FIRMER = 0.2, 0.0, 0.1
+"""By how much more margin than asked motions frame by frame have that the search begins with, one after the other.
 
-A motion that keeps just the margin that is asked ends beside the snap, and from there the search under the load
+A motion that keeps just the margin that is asked may end beside the snap, and from there the search under the load
 comes to a branch of equilibria that the robot does not reach.
 """
-WORTH = 1.05
-"""A motion under the load is taken at once where its objective is at most so many times that of the best motion
-frame by frame of the robot without the load."""
+KEPT = 1.01
+"""A motion under the load is taken at once where holding its margin between frames has raised its objective to no
+more than so many times what it was: where that costs more, another start may avoid the branch beside it.
+"""
 
 
 class LoadedHorizon:
@@ -103,10 +105,11 @@ class LoadedHorizon:
             begin = time.perf_counter()
             first = without.motions(given, progress)[0]
             weight = without.balanced_weight(first) if motion_weight is None else motion_weight
-            limit = -math.inf if starts or exhaustive else WORTH * without.objective(first, weight)
+            limit = -math.inf if starts or exhaustive else without.objective(first, weight)
             between = time.perf_counter()
             search = functools.partial(without.solve, given, weight, starts, jobs, progress, seen, exhaustive)
-            found = self._borne(self._starts(given, progress, search), weight, limit, interrupted)
+            motions = itertools.chain(given, self._firmer(first, progress), self._plain(search))
+            found = self._borne(motions, weight, limit, interrupted)
             if found is not None and found.success and self._inside is not None and not interrupted():
                 return self._inside.solve([found.q], weight, progress=progress)
             stopped = interrupted()
@@ -124,20 +127,19 @@ class LoadedHorizon:
         }
         return self._plan(without.configurations(first), found, weight, meta)
 
-    def _starts(
-        self, given: Sequence[Array], progress: Progress | None, search: Callable[[], Plan]
-    ) -> Iterator[Array]:
-        """Motions (T, 2d + 2) of the robot without the load: given ones, firmer ones, at last the plan.
+    def _firmer(self, first: Array, progress: Progress | None) -> Iterator[Array]:
+        """Motions (T, 2d + 2) frame by frame without the load; first (T, n): that of no more margin."""
+        asked, without = self._settings.stability_margin, self._without
+        for more in FIRMER:
+            if more == 0.0:
+                yield without.configurations(first)
+            elif asked is not None and asked + more < 1:
+                settings = replace(self._settings, stability_margin=asked + more)
+                at = self._problem, without.ends, settings, progress, MODELS[self._model.name], self._terms
+                yield without.configurations(per_frame_motions(*at)[0])
 
-        search: finds that plan.
-        """
-        yield from given
-        margin, without = self._settings.stability_margin, self._without
-        firmer = [] if margin is None else [margin + more for more in FIRMER if margin + more < 1]
-        for more in firmer:
-            settings = replace(self._settings, stability_margin=more)
-            at = self._problem, without.ends, settings, progress, MODELS[self._model.name], self._terms
-            yield without.configurations(per_frame_motions(*at)[0])
+    def _plain(self, search: Callable[[], Plan]) -> Iterator[Array]:
+        """The motion (T, 2d + 2) of the plan without the load, which is searched for now."""
         yield search().q
 
     def _borne(
@@ -145,32 +147,32 @@ class LoadedHorizon:
     ) -> SharedSolution | None:
         """The motion under the load, from motions (T, 2d + 2) without it, with margins held between frames too.
 
-        The first is taken whose objective is at most limit, mm^2, else the best; where the robot makes none, the
-        first that was solved, else what came of the last; None where the work was ended before that.
+        The first is taken whose objective is at most limit, mm^2, also with its margin held (KEPT), else the best;
+        where the robot makes none, the first that was solved, else what came of the last; None if none was begun.
         """
         motion = self._motion(weight, self._margins)
         found: SharedSolution | None = None
         solved: list[SharedSolution] = []
-        made: list[tuple[SharedSolution, float]] = []
         while not stop() and (q := next(motions, None)) is not None:
             found = self._from(q, motion, stop)
             if stop() or not found.success or _known(found, solved):
                 continue
             solved.append(found)
-            held = self._held(found, weight, stop)
-            if held is not None:
-                made.append(held)
-                if held[1] <= SHORT and held[0].objective <= limit:
-                    break
+            most = min(limit, KEPT * found.objective)
+            held = self._held(found, weight, most, stop)
+            if held is not None and held[1] <= SHORT and held[0].objective <= most:
+                return held[0]
+        every = [self._held(one, weight, math.inf, stop) for one in solved]
+        made = [held for held in every if held is not None]
         if made:
             return min(made, key=lambda one: (max(one[1], SHORT), one[0].objective))[0]
         return solved[0] if solved else found
 
     def _held(
-        self, first: SharedSolution, weight: float, stop: Callable[[], bool]
+        self, first: SharedSolution, weight: float, most: float, stop: Callable[[], bool]
     ) -> tuple[SharedSolution, float] | None:
         """The same motion with its margin held between frames, and what the margin is missed by; None where the
-        robot does not make it.
+        robot does not make it. most: mm^2; motions of a larger objective are not gone on with.
         """
         d, margin = self._problem.robot.d, self._settings.stability_margin
 
@@ -179,7 +181,7 @@ class LoadedHorizon:
 
         def again(found: SharedSolution, raised: Array) -> SharedSolution | None:
             solved = SharedSolver(self._motion(weight, raised))(found.q, found.phi, CLOSE, stop)
-            return solved if solved.success else None
+            return solved if solved.success and solved.objective <= most else None
 
         return held_between(first, self._margins, missed, again, stop)
 
