@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import shutil
 import time
 from collections.abc import Sequence
@@ -58,28 +59,40 @@ def main() -> None:
     parser.add_argument("problem", metavar="PROBLEM", nargs="?", default="arc", help="a named one (default arc)")
     parser.add_argument("--model", choices=sorted(MODELS), default="elastic", help="(default elastic)")
     what = "of the window, pixels (default 900x640 and 600x450)"
-    parser.add_argument("--size", metavar="WxH", nargs="+", default=["900x640", "600x450"], help=what)
+    parser.add_argument(
+        "--size", metavar="WxH", type=_size, nargs="+", default=[(900, 640), (600, 450)], help=what
+    )
     parser.add_argument("--seconds", metavar="S", type=float, default=30.0, help="of motion (default 30)")
     what = "further ones for Chromium, without the two dashes, such as webgl-antialiasing-mode=none"
     parser.add_argument("--flag", metavar="FLAG", nargs="*", default=[], help=what)
     asked = parser.parse_args()
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        parser.error(f"there is no browser: none of {', '.join(BROWSERS)} is on the path")
     flags = [f"--{flag}" for flag in asked.flag]
     os.environ[SWITCH] = "now"
     live = Live(named(asked.problem, 100), port=0, model=asked.model)
     try:
-        rows = [[size, *_measured(live, size, asked.seconds, flags)] for size in asked.size]
+        rows = [_measured(live, browser, size, asked.seconds, flags) for size in asked.size]
     finally:
         live.stop()
     told = "window", "pictures a second", "ms a picture", "server, cores", "hand to picture, ms", "of 95 %, ms"
     print(markdown(told, rows))
 
 
-def _measured(live: Live, size: str, seconds: float, flags: Sequence[str]) -> list[str]:
-    """A row for a window of a size."""
-    wide, high = map(int, size.split("x"))
-    found = next(filter(None, map(shutil.which, BROWSERS)))
+def _size(text: str) -> tuple[int, int]:
+    """Width and height of a window."""
+    found = re.fullmatch(r"([1-9]\d*)x([1-9]\d*)", text)
+    if found is None:
+        raise argparse.ArgumentTypeError(f"size is {text!r}; it must be WIDTHxHEIGHT in pixels, such as 900x640")
+    return int(found[1]), int(found[2])
+
+
+def _measured(live: Live, program: str, size: tuple[int, int], seconds: float, flags: Sequence[str]) -> list[str]:
+    """A row for a window of a size, of a browser's program."""
+    wide, high = size
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=found, args=[*SOFTWARE, *flags])
+        browser = playwright.chromium.launch(executable_path=program, args=[*SOFTWARE, *flags])
         page = browser.new_page(viewport={"width": wide, "height": high})
         page.set_default_timeout(60_000)
         page.add_init_script(WATCHED)
@@ -92,7 +105,7 @@ def _measured(live: Live, size: str, seconds: float, flags: Sequence[str]) -> li
         browser.close()
     between = np.diff(pictures)
     numbers = 1e3 / between.mean(), np.median(between), busy, np.median(waited), np.percentile(waited, 95)
-    return [f"{number:.3g}" for number in numbers]
+    return [f"{wide} x {high}", *(f"{number:.3g}" for number in numbers)]
 
 
 def _motion(page: Page, live: Live, seconds: float) -> tuple[Any, float]:

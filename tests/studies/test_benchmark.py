@@ -22,6 +22,8 @@ from ctr_nlp.studies.benchmarks.trees import tree_of
 
 BUSY = "while True: sum(range(10000))"
 BLOCKS = 12
+MANY = 40
+"""Blocks of a trial, so that other processes of the machine widen its interval little."""
 
 # The two trials: a slowdown that was put in on purpose, and nothing changed
 
@@ -39,12 +41,11 @@ def load():
 def trial(factor):
     """The verdict on this tree's steps beside its own, the later ones so many times as slow, under load."""
     with load(), Worker(ROOT, "step") as before, Worker(ROOT, "step") as after:
-        return compared("step", before, after, BLOCKS, factor=factor)
+        return compared("step", before, after, MANY, factor=factor)
 
 
-@pytest.mark.parametrize(("factor", "verdict"), [(4.0, "slower"), (1.0, "same")])
-def test_a_great_slowdown_is_found_under_load_and_none_where_nothing_changed(factor, verdict):
-    """A slowdown by half is found, too, where no third process shares the processor: see the next test."""
+@pytest.mark.parametrize(("factor", "verdict"), [(1.5, "slower"), (1.0, "same")])
+def test_a_slowdown_by_half_is_found_under_load_and_none_where_nothing_changed(factor, verdict):
     found = trial(factor)
     assert found.verdict == verdict, found
     assert found.low <= found.ratio <= found.high
@@ -52,7 +53,7 @@ def test_a_great_slowdown_is_found_under_load_and_none_where_nothing_changed(fac
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("factor", "verdict"), [(1.5, "slower"), (1.0, "same")])
-def test_a_slowdown_by_half_is_found_under_load_twenty_times_of_twenty(factor, verdict):
+def test_both_trials_end_well_twenty_times_of_twenty(factor, verdict):
     found = [trial(factor) for _ in range(20)]
     assert [one.verdict for one in found] == 20 * [verdict], found
 

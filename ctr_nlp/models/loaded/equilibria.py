@@ -21,7 +21,7 @@ from ctr_nlp.models.loaded.tips import axes_of, turned, unknowns
 from ctr_nlp.robot.structure import Structure
 from ctr_nlp.typing import Array, Flags
 
-CONVERGED, ITERATIONS = 1e-5, 12
+CONVERGED, ITERATIONS = 1e-7, 12
 """rad of the last Newton step, whose error is about its square; steps at most."""
 ON = 1e-2
 """rad: an equilibrium so near to its prediction is the one that Newton's method finds from there."""

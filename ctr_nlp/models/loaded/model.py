@@ -152,7 +152,7 @@ class Loaded(Model):
         of_robot = np.repeat(robot.numbers[None], len(q), axis=0)
         return unknowns(*self._equilibria(robot).placed(of_robot, q, angles), q)
 
-    def eased(self, robot: Robot, q: Array, angles: Array) -> Array:
+    def loaded(self, robot: Robot, q: Array, angles: Array) -> Array:
         """The unknowns (T, 2d + 2) after the load has come at each q (T, 2d + 2), as far as the robot bears it.
 
         angles (T, d): as for unloaded. Where the robot snaps on the way, these are of the equilibrium before that.

@@ -43,8 +43,6 @@ from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
-_Asked = tuple[str | None, npt.ArrayLike | None, npt.ArrayLike | None]
-"""The solver's name, and q at the first and the last frame."""
 FIRMER = 0.2, 0.0, 0.1
 """By how much more margin than asked motions frame by frame have that the search begins with, one after the other.
 
@@ -196,7 +194,7 @@ class LoadedHorizon:
         """The first solution from q (T, 2d + 2), where the load has come in every frame by itself."""
         robot, model = self._problem.robot, self._model
         tips = tip_angles(MODELS[model.name].follow(robot, q).x, robot.d)
-        x = model.eased(robot, q, np.where(np.isfinite(tips), tips, q[:, : robot.d]))
+        x = model.loaded(robot, q, np.where(np.isfinite(tips), tips, q[:, : robot.d]))
         solve = SharedSolver(motion)
         for barrier in (WIDE, CLOSE):
             found = solve(q, x[:, None, motion.own], barrier, stop)
