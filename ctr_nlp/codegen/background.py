@@ -22,7 +22,7 @@ from pathlib import Path
 
 import casadi as ca
 
-from ctr_nlp.codegen import cache, language, places, tape, vector
+from ctr_nlp.codegen import cache, directions, language, places, tape, vector
 from ctr_nlp.support.pool import Lasting
 
 NOTE = (
@@ -104,7 +104,7 @@ def _hash(key: str) -> str:
 
 @functools.cache
 def _writer() -> str:
-    return "".join(map(inspect.getsource, (language, vector, tape, places)))
+    return "".join(map(inspect.getsource, (language, vector, tape, directions, places)))
 
 
 def _claimed(key: str) -> bool:

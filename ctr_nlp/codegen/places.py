@@ -7,29 +7,31 @@ from typing import NamedTuple
 
 import casadi as ca
 
+from ctr_nlp.codegen.directions import Directed, directed_code
 from ctr_nlp.codegen.language import DEFINED, LANES
 from ctr_nlp.codegen.tape import tape_code
-from ctr_nlp.codegen.vector import vector_code
+from ctr_nlp.codegen.vector import EARLY, for_casadi, vector_code
 from ctr_nlp.typing import Array
 
 _AT_PLACES = """\
 typedef int (*Place)(const double **, double **, long long *, double *, int);
 
-/* Call a function for so many places, LANES at once, of which the last may be some that were had before. What is
-   summed over all, and then each thing that is found of every one, go to `to`. */
-static void at_places(Place one, const double **arg, long inputs, double **res, long early,
+/* Call a function for so many places, LANES at once, of which the last may be some that were had before. It is
+   given inputs, what was found early, and constants. What is summed over all, and then each thing that is found of
+   every one, go to `to`. */
+static void at_places(Place one, const double **arg, long inputs, const double **early, long found_early,
                       const double *constants, long places, long sums, long rows, double *to) {
     double part[sums * LANES + 1], found[rows * LANES + 1], total[sums * LANES + 1], fresh[LANES];
-    const double *given[2 * inputs + early + 2];
+    const double *given[2 * inputs + found_early + 2];
     double *into[] = {part, found};
     for (long k = 0; k < inputs; ++k) given[k] = arg[k];
-    for (long k = 0; k < early; ++k) given[inputs + k] = res[k];
-    given[2 * inputs + early + 1] = fresh;
+    for (long k = 0; k < found_early; ++k) given[inputs + k] = early[k];
+    given[2 * inputs + found_early + 1] = fresh;
     memset(total, 0, sizeof total);
     for (long next = 0; next < places; next += LANES) {
         long at = next < places - LANES ? next : places - LANES;
-        for (long k = 0; k < inputs; ++k) given[inputs + early + k] = arg[k] + at;
-        given[2 * inputs + early] = constants + at;
+        for (long k = 0; k < inputs; ++k) given[inputs + found_early + k] = arg[k] + at;
+        given[2 * inputs + found_early] = constants + at;
         for (long l = 0; l < LANES; ++l) fresh[l] = at + l >= next;
         one(given, into, 0, 0, 0);
         for (long k = 0; k < sums; ++k) *(Beside *)(total + k * LANES) += *(Beside *)(part + k * LANES);
@@ -68,21 +70,30 @@ class AtPlaces(NamedTuple):
 
 
 class Whole(NamedTuple):
-    """A function that is called name, whose last input is what is found at places.
+    """A function that is called name: one of the unknowns and others, and then another of all that this one finds.
 
-    Outputs whose names begin with EARLY come first: these are found without that input, and places are given them.
+    directed: its last input is what is found at places, which it gives as inputs and as what it finds early, with
+    slopes: the outputs whose names begin with EARLY come first. joined: of what is found at places and then of the
+    results of directed, in their order (directions.py).
     """
 
     name: str
-    function: ca.Function
-    early: int
+    directed: Directed
     at_places: tuple[AtPlaces, ...]
+    joined: ca.Function
+
+    @property
+    def early(self) -> list[int]:
+        """The results of directed that places are given."""
+        function, slopes = self.directed.function, sorted(self.directed.slopes)
+        early = [k for k in range(function.n_out()) if function.name_out(k).startswith(EARLY)]
+        return early + [function.n_out() + slopes.index(k) for k in early if k in slopes]
 
 
 def code(functions: Sequence[ca.Function | Whole], lanes: int | None) -> str:
     """A file of C for functions, of so many frames at once, None for any number; those with places are of one."""
     wholes = [each for each in functions if isinstance(each, Whole)]
-    plain = tuple(each.function if isinstance(each, Whole) else each for each in functions)
+    plain = tuple(each for each in functions if isinstance(each, ca.Function))
     if lanes is None:
         return tape_code(plain)
     if not wholes:
@@ -96,8 +107,8 @@ def code(functions: Sequence[ca.Function | Whole], lanes: int | None) -> str:
             *(f"#undef {name}\n" for name in DEFINED),
             "#pragma GCC pop_options\n",
             _AT_PLACES,
-            *(_pause(whole) for whole in wholes),
-            vector_code(plain, lanes),
+            *(_pause(whole) for whole in wholes if whole.at_places),
+            directed_code([part for whole in wholes for part in (whole.directed, Directed(whole.joined, {}))]),
             *(_called(whole) for whole in wholes),
         ]
     )
@@ -105,35 +116,41 @@ def code(functions: Sequence[ca.Function | Whole], lanes: int | None) -> str:
 
 def _pause(whole: Whole) -> str:
     """What is called when all early outputs are found."""
-    inputs, lines, to = whole.function.n_in() - 1, list[str](), 0
+    inputs, lines, to = whole.directed.function.n_in() - 1, list[str](), 0
+    early = ", ".join(f"res[{k}]" for k in whole.early)
     for at in whole.at_places:
         sizes = ", ".join(map(str, at.sizes))
         numbers = ", ".join(map(repr, at.constants.ravel().tolist()))
         lines += [
             f"    {{\n        static const double constants[] = {{{numbers}}};\n",
-            f"        at_places({at.function.name()}, arg, {inputs}, res, {whole.early}, constants, {sizes}, "
-            f"(double *)arg[{inputs}] + {to});\n    }}\n",
+            f"        at_places({at.function.name()}, arg, {inputs}, early, {len(whole.early)}, constants, "
+            f"{sizes}, (double *)arg[{inputs}] + {to});\n    }}\n",
         ]
         to += at.numbers
-    return f"static void {whole.function.name()}_pause(const double **arg, double **res) {{\n{''.join(lines)}}}\n"
+    return (
+        f"static void {whole.directed.function.name()}_pause(const double **arg, double **res) {{\n"
+        f"    const double *early[] = {{{early}}};\n{''.join(lines)}}}\n"
+    )
 
 
 def _called(whole: Whole) -> str:
-    """The function as it is called from outside, and by casadi.external, without what is found on the way."""
-    function, early = whole.function, whole.early
-    inputs, outputs = function.n_in() - 1, function.n_out() - early
-    sizes = ", ".join(f"found_{k}[{max(function.numel_out(k), 1)}]" for k in range(early))
+    """The function as it is called from outside, and by casadi.external."""
+    directed, joined = whole.directed.function, whole.joined
+    inputs, results = directed.n_in() - 1, [f"found_{k}" for k in range(joined.n_in() - 1)]
+    sizes = [max(joined.numel_in(k), 1) for k in range(joined.n_in())]
+    room = ", ".join(f"{name}[{size}]" for name, size in zip(["places", *results], sizes, strict=True))
     given = ", ".join([*(f"arg[{k}]" for k in range(inputs)), "places"])
-    found = ", ".join([*(f"found_{k}" for k in range(early)), *(f"res[{k}]" for k in range(outputs))])
-    return f"""\
-int {whole.name}(const double **arg, double **res, long long *iw, double *w, int mem) {{
-    double {sizes}, places[{function.numel_in(inputs)}];
-    const double *given[] = {{{given}}};
-    double *all_found[] = {{{found}}};
-    return {function.name()}(given, all_found, iw, w, mem);
-}}
-long long {whole.name}_n_in(void) {{ return {inputs}; }}
-long long {whole.name}_n_out(void) {{ return {outputs}; }}
-const long long *{whole.name}_sparsity_in(long long i) {{ return {function.name()}_sparsity_in(i); }}
-const long long *{whole.name}_sparsity_out(long long i) {{ return {function.name()}_sparsity_out(i + {early}); }}
+    body = f"""\
+    double {room};
+    const double *given[] = {{{given}}}, *all_found[] = {{places, {", ".join(results)}}};
+    double *found[] = {{{", ".join(results)}}};
+    {directed.name()}(given, found);
+    {joined.name()}(all_found, res);
+    return 0;
 """
+    return for_casadi(
+        whole.name,
+        body,
+        [(*directed.size_in(k), 1) for k in range(inputs)],
+        [(*joined.size_out(k), 1) for k in range(joined.n_out())],
+    )

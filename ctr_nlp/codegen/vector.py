@@ -25,6 +25,8 @@ before: it may read them and fill inputs that are read after.
 """
 PART = 300
 """Instructions in one part of the body."""
+Sizes = list[tuple[int, int, int]]
+"""Rows and columns of inputs or outputs, and how often these columns come, once for each lane."""
 
 
 def vector_code(functions: tuple[ca.Function, ...], lanes: int = LANES) -> str:
@@ -55,7 +57,7 @@ def without_repetition(function: ca.Function) -> ca.Function:
 
 
 def _function(function: ca.Function, lanes: int) -> str:
-    name, pause = function.name(), _pause(function)
+    name, pause = function.name(), pause_after(function)
     parts = _parts(function, pause)
     bodies = "".join(
         f"static __attribute__((noinline)) void {name}_{k}"
@@ -69,34 +71,34 @@ def _function(function: ca.Function, lanes: int) -> str:
     return bodies + interface(function, body, lanes)
 
 
-def _pause(function: ca.Function) -> int:
+def pause_after(function: ca.Function) -> int:
     """How many instructions come until all early outputs have been found; 0 where there are none."""
     early = sum(function.name_out(i).startswith(EARLY) for i in range(function.n_out()))
     outputs = (k for k in range(function.n_instructions()) if function.instruction_id(k) == ca.OP_OUTPUT)
     return max((k + 1 for k in outputs if function.instruction_output(k)[0] < early), default=0)
 
 
-def _starts(function: ca.Function, pause: int) -> list[int]:
-    """The instructions with which parts begin; one of them is that after a pause."""
-    return [*range(0, pause, PART), *range(pause, function.n_instructions(), PART)]
+def starts_of(function: ca.Function, pause: int, part: int) -> list[int]:
+    """The instructions with which parts of that length begin; one of them is that after a pause."""
+    return [*range(0, pause, part), *range(pause, function.n_instructions(), part)]
 
 
 def _parts(function: ca.Function, pause: int) -> list[list[str]]:
     """The body, part by part: numbers have names of their own, and go on to later parts in the work vector w."""
-    starts = _starts(function, pause)
-    needed = _needed_later(function, starts)
+    starts = starts_of(function, pause, PART)
+    needed = needed_later(function, starts)
     parts: list[list[str]] = []
     here: dict[int, str] = {}
     for k in range(function.n_instructions()):
         if k in starts:
             parts.append([])
             here.clear()
-        operation, to, of = _instruction(function, k)
+        operation, to, of = instruction_of(function, k)
         if operation == ca.OP_OUTPUT:
-            line = _found(function, to, _name(of[0], here))
+            line = _found(function, to, name_of(of[0], here))
         else:
             kept = f" w[{to[0]}] = t{k};" if k in needed else ""
-            line = f"V t{k} = {_value(function, k, here)};{kept}\n"
+            line = f"V t{k} = {value_of(function, k, here)};{kept}\n"
             here[to[0]] = f"t{k}"
         parts[-1].append(line)
     return parts
@@ -110,17 +112,17 @@ def _found(function: ca.Function, to: list[int], value: str) -> str:
     return f"if (res[{number}]) scattered({value}, res[{number}] + {entry}, {function.numel_out(number)});\n"
 
 
-def _instruction(function: ca.Function, k: int) -> tuple[int, list[int], list[int]]:
+def instruction_of(function: ca.Function, k: int) -> tuple[int, list[int], list[int]]:
     """Operation, where its result goes and what it takes: slots of the work vector, or which input or output."""
     return function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
 
 
-def _needed_later(function: ca.Function, starts: list[int]) -> set[int]:
+def needed_later(function: ca.Function, starts: list[int]) -> set[int]:
     """Instructions whose results are used in a later part than their own, of parts that begin so."""
     made: dict[int, int] = {}
     needed = set()
     for k in range(function.n_instructions()):
-        operation, to, of = _instruction(function, k)
+        operation, to, of = instruction_of(function, k)
         if operation not in (ca.OP_INPUT, ca.OP_CONST):
             begun = starts[bisect.bisect(starts, k) - 1]
             needed |= {made[slot] for slot in of if made[slot] < begun}
@@ -133,12 +135,14 @@ def _shared(function: ca.Function, number: int) -> bool:
     return bool(function.name_in(number).startswith(SAME))
 
 
-def _name(slot: int, here: dict[int, str]) -> str:
+def name_of(slot: int, here: dict[int, str]) -> str:
+    """Where the number in a slot of the work vector is, in C. here: names of those that this part has made."""
     return here.get(slot, f"w[{slot}]")
 
 
-def _value(function: ca.Function, k: int, here: dict[int, str]) -> str:
-    operation, _, of = _instruction(function, k)
+def value_of(function: ca.Function, k: int, here: dict[int, str]) -> str:
+    """What instruction k finds, in C."""
+    operation, _, of = instruction_of(function, k)
     if operation == ca.OP_CONST:
         return f"all({number_in_c(function.instruction_constant(k))})"
     if operation == ca.OP_INPUT and _shared(function, of[0]):
@@ -147,7 +151,7 @@ def _value(function: ca.Function, k: int, here: dict[int, str]) -> str:
         return f"taken(arg[{of[0]}] + {of[1]})"
     if operation == ca.OP_INPUT:
         return f"gathered(arg[{of[0]}] + {of[1]}, {function.numel_in(of[0])})"
-    names = [_name(slot, here) for slot in of]
+    names = [name_of(slot, here) for slot in of]
     if operation in OPERATIONS:
         return OPERATIONS[operation].format(*names)
     return f"by_lane_{BY_LANE[operation]}({', '.join(names)})"
@@ -155,9 +159,14 @@ def _value(function: ca.Function, k: int, here: dict[int, str]) -> str:
 
 def interface(function: ca.Function, body: str, lanes: int) -> str:
     """The functions that casadi.external looks for, around the body of that which evaluates."""
-    name, of_lanes = function.name(), [1 if _shared(function, i) else lanes for i in range(function.n_in())]
+    of_lanes = [1 if _shared(function, i) else lanes for i in range(function.n_in())]
     sizes_in = [(*function.size_in(i), times) for i, times in enumerate(of_lanes)]
     sizes_out = [(*function.size_out(i), lanes) for i in range(function.n_out())]
+    return for_casadi(function.name(), body, sizes_in, sizes_out)
+
+
+def for_casadi(name: str, body: str, sizes_in: Sizes, sizes_out: Sizes) -> str:
+    """The same of a function of that name and such dense inputs and outputs."""
     return f"""\
 int {name}(const double **arg, double **res, long long *iw, double *w, int mem) {{
 {body}}}
@@ -166,7 +175,7 @@ long long {name}_n_out(void) {{ return {len(sizes_out)}; }}
 {_sparsities(f"{name}_sparsity_in", sizes_in)}{_sparsities(f"{name}_sparsity_out", sizes_out)}"""
 
 
-def _sparsities(name: str, sizes: list[tuple[int, int, int]]) -> str:
+def _sparsities(name: str, sizes: Sizes) -> str:
     rows = ", ".join(f"{{{rows}, {times * columns}, 1}}" for rows, columns, times in sizes)
     return (
         f"const long long *{name}(long long i) {{\n    static const long long dense[][3] = {{{rows}}};\n"

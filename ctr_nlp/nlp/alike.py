@@ -46,7 +46,7 @@ class _Place(NamedTuple):
 
 def alike(written: Written) -> tuple[tuple[Alike, ...], Index]:
     """Groups of places that are alike, and which symbols of the first layer they take as given."""
-    symbols, values = written.inner[0] if written.inner else (ca.SX(0, 1), ca.SX(0, 1))
+    symbols, values = written.first_layer
     later, rows = ca.vertcat(ca.SX(0, 1), *(layer[0] for layer in written.inner[1:])), written.rows
     uses = depends(written.without(written.inner[1:], [rows])[0], symbols)
     own = uses.any(axis=0) & (uses.sum(axis=0) < LANES)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -63,6 +64,13 @@ class Sums(NamedTuple):
     half: ca.SX
     pull: ca.SX
     bend: ca.SX
+
+    @classmethod
+    def of(cls, common: Common, every: Sequence[Sums]) -> Sums:
+        """Those of several."""
+        n, base = common.x.numel(), common.base.numel()
+        none = cls(ca.SX(1, 1), ca.SX(n, 1), ca.SX(n, n), ca.SX(base - n, 1), ca.SX(base, base))
+        return cls(*(sum(parts[1:], parts[0]) for parts in zip(none, *every, strict=True)))
 
 
 class Rows(NamedTuple):

@@ -1,4 +1,7 @@
-"""A program's functions in parts: what places do that are alike is a function of one of them, for many at once."""
+"""A program's functions in parts: what places do that are alike is a function of one of them, for many at once.
+
+All else is found with its slopes over the unknowns (codegen/directions.py), and then joined with what places add.
+"""
 
 from __future__ import annotations
 
@@ -9,22 +12,20 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
+from ctr_nlp.codegen.directions import Directed
 from ctr_nlp.codegen.places import Whole
 from ctr_nlp.codegen.vector import EARLY
-from ctr_nlp.nlp.alike import Alike, alike, depends
+from ctr_nlp.nlp.alike import alike, depends
 from ctr_nlp.nlp.at_place import Common, Place, Rows, Sums
-from ctr_nlp.nlp.written import Beside, FrameFunctions, Written
+from ctr_nlp.nlp.written import FrameFunctions, Written
 
 NAMES = FrameFunctions._fields[:3]
 """Value, slopes and expansion: the number of a name is the order of the derivatives that are found."""
 
 
-def parted(written: Written) -> Sequence[ca.Function | Whole]:
+def parted(written: Written) -> list[Whole]:
     """The three functions of a program for one frame, to be compiled."""
-    groups, shared = alike(written)
-    if not groups:
-        return written.functions[:3]
-    parts = _Parts.of(written, groups, shared.tolist())
+    parts = _Parts.of(written)
     return [parts.whole(order) for order in range(len(NAMES))]
 
 
@@ -32,7 +33,7 @@ def parted(written: Written) -> Sequence[ca.Function | Whole]:
 class _Parts:
     """Places, and the rest: the program without their rows.
 
-    values, slopes: of the quantities that places share, the first of the rest's first layer, and theirs over x.
+    values: of the quantities that places share, the first of the rest's first layer.
     kept: which constraints the rest has; order: where each one is among these and then those of places.
     """
 
@@ -40,77 +41,83 @@ class _Parts:
     rest: Written
     common: Common
     values: ca.SX
-    slopes: ca.SX
     order: list[int]
     kept: list[int]
 
     @classmethod
-    def of(cls, written: Written, groups: Sequence[Alike], shared: list[int]) -> _Parts:
-        """shared: which symbols of the first layer places take as given."""
-        symbols, values = (part[shared] for part in written.inner[0])
-        slopes, residuals = ca.jacobian(values, written.x), written.residual.numel()
-        entries = ca.SX.sym("slopes", slopes.nnz())
+    def of(cls, written: Written) -> _Parts:
+        """Those of a program."""
+        groups, indices = alike(written)
+        shared, (symbols, values) = indices.tolist() if groups else [], written.first_layer
+        residuals, pattern = written.residual.numel(), ca.jacobian_sparsity(values[shared], written.x)
+        entries = ca.SX.sym("slopes", pattern.nnz())
         multipliers = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", written.g.numel())
-        common = Common(written.x, written.p, symbols, entries, slopes.sparsity(), *multipliers)
+        common = Common(written.x, written.p, symbols[shared], entries, pattern, *multipliers)
         firsts = [(group.rows[0] - residuals).tolist() for group in groups]
         places = (
             Place(common, group, first if first[0] >= 0 else None)
             for group, first in zip(groups, firsts, strict=True)
         )
-        taken = np.concatenate([group.rows.ravel(order="F") for group in groups])
+        taken = np.concatenate([np.zeros(0, int), *(group.rows.ravel(order="F") for group in groups)])
         left = np.setdiff1d(np.arange(written.rows.numel()), taken)
         kept = (left[left >= residuals] - residuals).tolist()
         rest = replace(written, residual=written.residual[left[left < residuals].tolist()], g=written.g[kept])
         order = np.argsort([*kept, *(taken[taken >= residuals] - residuals)]).tolist()
-        return cls(tuple(places), _without_unused(rest, shared), common, values, slopes, order, kept)
+        return cls(tuple(places), _without_unused(rest, shared), common, values[shared], order, kept)
 
     def whole(self, order: int) -> Whole:
         """The function with derivatives up to an order."""
-        inputs = self.common.inputs(order)
         functions = [place.function(order, f"{NAMES[order]}_{k}") for k, place in enumerate(self.places)]
         ends = np.cumsum([0, *(each.numbers for each in functions)]).tolist()
         found = ca.SX.sym("found", ends[-1])
         slices = (found[begin:end] for begin, end in itertools.pairwise(ends))
         taken = [place.taken(order, own) for place, own in zip(self.places, slices, strict=True)]
-        early = [self.values, self.slopes.nz[:]][: len(self.common.early(order))]
-        outputs = self._outputs(order, *zip(*taken, strict=True))
-        function = ca.Function(
-            f"{NAMES[order]}_whole",
-            [*inputs, found],
-            [*early, *outputs],
-            [*(f"given_{k}" for k in range(len(inputs))), "found"],
-            [*(f"{EARLY}{k}" for k in range(len(early))), *(f"output_{k}" for k in range(len(outputs)))],
-        )
-        return Whole(NAMES[order], function, len(early), tuple(functions))
+        total = Sums.of(self.common, [sums for sums, _ in taken])
+        directed = self._directed(order, found, total.pull)
+        joined = self._joined(order, directed, found, total, [rows for _, rows in taken])
+        return Whole(NAMES[order], directed, tuple(functions), joined)
 
-    def _outputs(self, order: int, sums: Sequence[Sums], rows: Sequence[Rows]) -> list[ca.SX]:
-        """Of the whole program."""
+    def _directed(self, order: int, found: ca.SX, pull: ca.SX) -> Directed:
+        """What places share, and then objective, constraints and half of the Hessian of the rest.
+
+        That Hessian is of lam_f objective + lam_g g + pull values: the slopes of the gradient, which is told.
+        """
+        n, inputs = self.common.x.numel(), self.common.inputs(order)
         residual, cost, g = self.rest.outright
-        total = Sums(*(sum(parts) for parts in zip(*sums, strict=True)))
-        f = ca.sumsqr(residual) + cost + total.f
-        values = ca.vertcat(g, *(each.value for each in rows))[self.order]
-        if not order:
-            return [f, ca.densify(values)]
-        lam_g = self.common.lam_g[self.kept]
-        gradient, jacobian, hessian = self.rest.derivatives(self.common.lam_f, lam_g, self._beside(total))
-        outputs = [
-            *(f, gradient + total.gradient, values),
-            ca.vertcat(jacobian, *(each.jacobian for each in rows))[self.order, :],
-            *[hessian + ca.triu2symm(total.half)] * (order - 1),
-        ]
-        return [ca.densify(output) for output in outputs]
+        f = ca.sumsqr(residual) + cost
+        outputs = [self.values, f, g]
+        patterns = [self.common.pattern, ca.Sparsity.dense(1, n), ca.Sparsity.dense(len(self.kept), n)]
+        if order == 2:
+            lagrangian = self.common.lam_f * f + ca.dot(self.common.lam_g[self.kept], g)
+            outputs.append(ca.gradient(lagrangian + ca.dot(pull, self.values), self.common.x))
+            patterns.append(ca.Sparsity.upper(n))
+        function = ca.Function(
+            f"{NAMES[order]}_directed",
+            [*inputs, found],
+            [ca.densify(output) for output in outputs],
+            [*(f"given_{k}" for k in range(len(inputs))), "found"],
+            [f"{EARLY}values", *(f"output_{k}" for k in range(1, len(outputs)))],
+        )
+        return Directed(function, dict(enumerate(patterns)) if order else {})
 
-    def _beside(self, total: Sums) -> Beside:
-        """What places add over the rest's first layer, whose first symbols are shared, and x."""
-        symbols, n = self.rest.inner[0][0].numel(), self.common.x.numel()
-        shared = self.common.shared.numel()
-        more = symbols - shared
-        bend = ca.triu2symm(total.bend)
-        parts = (bend[:shared, :shared], bend[:shared, shared:], bend[shared:, :shared], bend[shared:, shared:])
-        first = ca.horzcat(parts[0], ca.SX(shared, more), parts[1])
-        last = ca.horzcat(parts[2], ca.SX(n, more), parts[3])
-        pull = ca.vertcat(total.pull, ca.SX(more + n, 1))
-        return Beside(pull, ca.vertcat(first, ca.SX(more, symbols + n), last))
+    def _joined(
+        self, order: int, directed: Directed, found: ca.SX, total: Sums, rows: Sequence[Rows]
+    ) -> ca.Function:
+        """The whole program, of what was found at places and of the rest."""
+        function, patterns = directed.function, list(directed.slopes.values())
+        results = [ca.SX.sym("result", *function.size_out(k)) for k in range(function.n_out())]
+        entries = [ca.SX.sym("entries", pattern.nnz()) for pattern in patterns]
+        _, f, g, *_ = results
+        outputs = [f + total.f, ca.vertcat(g, *(each.value for each in rows))[self.order]]
+        if order:
+            values_x, f_x, g_x, *half = map(ca.SX, patterns, entries)
+            jacobian = ca.vertcat(g_x, *(each.jacobian for each in rows))[self.order, :]
+            outputs = [outputs[0], f_x.T + total.gradient, outputs[1], jacobian]
+            base_x = ca.vertcat(values_x, ca.SX.eye(self.common.x.numel()))
+            bent = ca.triu(base_x.T @ ca.triu2symm(total.bend) @ base_x)
+            outputs += [ca.triu2symm(each + total.half + bent) for each in half]
+        inputs = [found, *results, *entries]
+        return ca.Function(f"{NAMES[order]}_joined", inputs, [ca.densify(each) for each in outputs])
 
 
 def _without_unused(written: Written, first: list[int]) -> Written:

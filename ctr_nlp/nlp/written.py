@@ -10,13 +10,6 @@ from typing import NamedTuple
 import casadi as ca
 
 
-class Beside(NamedTuple):
-    """A function of the symbols of the first layer, and then x: its gradient there, and its Hessian."""
-
-    pull: ca.SX
-    bend: ca.SX
-
-
 class FrameFunctions(NamedTuple):
     """What a solver of many frames evaluates, as symbols or compiled.
 
@@ -68,6 +61,11 @@ class Written:
         """Residuals, then constraint values, as they are written."""
         return ca.vertcat(self.residual, self.g)
 
+    @property
+    def first_layer(self) -> tuple[ca.SX, ca.SX]:
+        """Symbols and values of the inner quantities that are written in x and p alone."""
+        return self.inner[0] if self.inner else (ca.SX(0, 1), ca.SX(0, 1))
+
     @staticmethod
     def without(layers: Sequence[tuple[ca.SX, ca.SX]], expressions: list[ca.SX]) -> list[ca.SX]:
         """Expressions that are written in symbols of layers, without these."""
@@ -107,10 +105,8 @@ class Written:
         """The same three, to be compiled."""
         return self.functions[:3]
 
-    def derivatives(self, lam_f: ca.SX, lam_g: ca.SX, beside: Beside | None = None) -> tuple[ca.SX, ca.SX, ca.SX]:
+    def derivatives(self, lam_f: ca.SX, lam_g: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """The objective's gradient, the Jacobian of g, and the Hessian of lam_f objective + lam_g g.
-
-        beside: what is added to the last, without standing in the rows.
 
         With L(u) = lam_f (|r(u)|^2 + cost(u)) + lam_g g(u) of u(x), the Hessian is u_x' L_uu u_x + sum L_u u_xx,
         where of L_uu the part 2 r_u' r_u becomes 2 J'J with J = r_u u_x; and so on for u(v(x)), layer by layer.
@@ -130,9 +126,6 @@ class Written:
         stand_ins, given = [pushes], [ca.densify(2 * lam_f * r)]
         force = ca.densify(lam_f * pull + g_u.T @ lam_g)
         for below, below_x, at, step in reversed(layers):
-            if beside is not None and below is self.x:
-                force += beside.pull
-                half += ca.triu(step.T @ beside.bend @ step)
             pulls = ca.SX.sym("pulls", at.numel())
             half += ca.triu(below_x.T @ ca.hessian(ca.dot(pulls, at), below)[0] @ below_x)
             stand_ins, given = [*stand_ins, pulls], [*given, force]

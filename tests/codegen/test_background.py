@@ -76,7 +76,7 @@ def test_processes_that_wait_for_one_library_have_it_made_once(cold, tmp_path, m
     marks = tmp_path / "marks"
     marks.mkdir()
     real, script = shutil.which("cc") or shutil.which("gcc"), tmp_path / "compiler"
-    mark = f"case $(cat code.c) in *expansion_0*) : > {marks}/$$; sleep 2;; esac"
+    mark = f"case $(cat code.c) in *expansion_directed_0*) : > {marks}/$$; sleep 2;; esac"
     script.write_text(f'#!/bin/sh\ncase " $* " in *" -E "*) ;; *) {mark};; esac\nexec {real} "$@"\n')
     script.chmod(0o755)
     monkeypatch.setenv("CC", str(script))

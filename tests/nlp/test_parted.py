@@ -7,7 +7,6 @@ import pytest
 
 from ctr_nlp import Limits, Robot, Tube, table_i_robot
 from ctr_nlp.codegen import cache
-from ctr_nlp.codegen.places import Whole
 from ctr_nlp.codegen.vector import LANES
 from ctr_nlp.formulations.joint import joint
 from ctr_nlp.formulations.settings import Settings
@@ -33,6 +32,7 @@ CASES = {
     "linear curvature and a gap": (BENT, "dominant", True, ()),
     "another term beside": (TABLE_I, "dominant", False, (TipPosition(2.0, [1.0, 2.0, 60.0]),)),
     "as few places as there are lanes": (TABLE_I, "dominant", False, (ShapeDistance(stride=10),)),
+    "too few places": (TABLE_I, "dominant", False, (ShapeDistance(stride=20),)),
 }
 
 
@@ -70,7 +70,6 @@ def test_a_program_in_parts_is_the_program_in_one_piece(case):
     """Values, slopes and second derivatives, to what rounding changes where sums are taken in another order."""
     robot, *form = CASES[case]
     nlp = program(robot, *form)
-    assert any(isinstance(each, Whole) for each in parted(nlp.written))
     compiled, rng = Program(nlp, wait=True), np.random.default_rng(0)
     for _ in range(5):
         x, p = numbers_of(nlp, robot, rng)
@@ -93,8 +92,8 @@ def test_samples_and_places_of_the_wall_are_found():
 
 
 def test_a_group_has_at_least_as_many_places_as_there_are_lanes():
-    written = program(TABLE_I, "dominant", False, (ShapeDistance(stride=20),)).written
+    written = program(*CASES["too few places"]).written
     assert alike(written)[0] == ()
-    assert not any(isinstance(each, Whole) for each in parted(written))
+    assert not any(each.at_places for each in parted(written))
     (group,), _ = alike(program(*CASES["as few places as there are lanes"]).written)
     assert len(group.rows) == LANES + 1

@@ -54,7 +54,7 @@ class Softness(NamedTuple):
 
 class Rod(NamedTuple):
     """states: at the nodes of every section from base to tip, evenly spaced: angles, rates, axes and moment, as
-    _Section.slopes takes them. angles, rates, axes: at the base.
+    _Section.changes takes them. angles, rates, axes: at the base.
 
     responses: from tip to base the matrices, row by row a list, of the turns about d_1 and d_2 of the frame and
     its spin with every tube's angle, over the same at the place before; the last d of one transmission after the
@@ -89,7 +89,7 @@ class Rod(NamedTuple):
 @dataclass(frozen=True)
 class _Section:
     """What holds along a section: the numbers of its tubes, and the force at its end towards the tip, without what
-    acts along the body between two places.
+    acts along the body between two places. steps: in how many of them it is integrated.
     """
 
     tubes: Tubes
@@ -100,29 +100,36 @@ class _Section:
     along: Along | None
     soft: Softness
     xp: Any
+    steps: int
 
     @property
-    def end(self) -> Any:
-        return self.part.start + self.part.length
+    def step(self) -> Any:
+        """The change of s, mm, from the tip towards the base."""
+        return -self.part.length / self.steps
 
-    def slopes(self, s: Any, y: Values, by: Values | None) -> tuple[Values, Values | None]:
-        """Of the state along s, and of its responses where they are wanted."""
-        d, xp, active = len(self.tubes), self.xp, self.part.active
+    def changes(self, fraction: Any, y: Values, by: Values | None) -> tuple[Values, Values | None]:
+        """Of the state, and of its responses where they are wanted: slopes times the step, which is negative.
+
+        They are those at a fraction of the section from its end towards the tip. Curvatures, rates and forces are
+        multiplied by the step; all else follows from these.
+        """
+        d, xp, part, active, h = len(self.tubes), self.xp, self.part, self.part.active, self.step
         psi, rates, (d1, d2, t, m) = y[:d], y[d : 2 * d], vectors(y[2 * d :])
-        k = curvatures_at(self.tubes, [0.0] * d + list(self.beta), self.part, s)
+        s = part.start + part.length * (1 - fraction)
+        k = curvatures_at(self.tubes, [0.0] * d + list(self.beta), part, s)
         cos, sin = {i: xp.cos(psi[i]) for i in active}, {i: xp.sin(psi[i]) for i in active}
-        pull = {i: self.part.shares[i] * k[i] for i in active}
-        flexible = self.part.shares[-1] / self.tubes[-1].bending_stiffness
+        pull = {i: h * part.shares[i] * k[i] for i in active}
+        flexible = h * (part.shares[-1] / self.tubes[-1].bending_stiffness)
         about = [flexible * dot(m, axis) for axis in (d1, d2, t)]
         u1 = about[1] + sum(pull[i] * cos[i] for i in active)
         u2 = -about[0] + sum(pull[i] * sin[i] for i in active)
         twist = {i: self.tubes[i].torsional_ratio * k[i] for i in active}
         turns = [twist[i] * (u1 * sin[i] - u2 * cos[i]) if i in twist else 0.0 for i in range(d)]
-        n = plus(self.force, self.end - s, self.weight)
+        n = plus(scaled(h, self.force), fraction, scaled(h * part.length, self.weight))
         if self.along is not None:
-            n = plus(n, self.along.beyond(s), self.along.force)
+            n = plus(n, h * self.along.beyond(s), self.along.force)
         bends = plus(scaled(u1, d1), u2, d2)
-        found = [*rates, *turns, *scaled(-u1, t), *scaled(-u2, t), *bends, *cross(n, t)]
+        found = [*(h * rate for rate in rates), *turns, *scaled(-u1, t), *scaled(-u2, t), *bends, *cross(n, t)]
         if by is None:
             return found, None
         dpsi, drates, (theta, dm, dn) = by[:d], by[d : 2 * d], vectors(by[2 * d :])
@@ -142,8 +149,8 @@ class _Section:
         ]
         turning = -du2 - u1 * c, du1 - u2 * c, u2 * b + u1 * a
         leaning = plus(scaled(b, d1), -1.0 * a, d2)
-        moments = plus(cross(n, leaning), 1.0, cross(dn, t))
-        return found, [*drates, *sway, *turning, *moments, *[0.0 * a] * 3]
+        moments = plus(cross(n, leaning), h, cross(dn, t))
+        return found, [*(h * rate for rate in drates), *sway, *turning, *moments, *[0.0 * a] * 3]
 
 
 def integrated(
@@ -183,10 +190,10 @@ def integrated(
     along = Along(load.distributed, load.between, beta[-1], xp) if distributed else None
     for k, part in reversed(list(enumerate(parts))):
         weight = total([*(load.weights[i] for i in part.present), *pressed[k : k + 1]])
-        section = _Section(tubes, beta, part, force, weight, along, soft or Softness(), xp)
+        section = _Section(tubes, beta, part, force, weight, along, soft or Softness(), xp, steps)
         nodes = [y]
         for step in range(steps):
-            y, by = _stepped(section, step, steps, y, by)
+            y, by = _stepped(section, step, y, by)
             nodes.append(y)
             if by is not None and (step + 1 == steps or (step + 1) % ANEW == 0):
                 by = _anew(by, responses, d, xp)
@@ -200,21 +207,19 @@ def integrated(
     return Rod(states[::-1], y[:d], y[d : 2 * d], (d1, d2, t), responses)
 
 
-def _stepped(section: _Section, k: int, steps: int, y: Values, by: Values | None) -> tuple[Values, Values | None]:
+def _stepped(section: _Section, k: int, y: Values, by: Values | None) -> tuple[Values, Values | None]:
     """The state, and its responses, after step k from the end of a section."""
-    h = -section.part.length / steps
-    weights, slopes = (1 / 6, 1 / 3, 1 / 3, 1 / 6), list[tuple[Values, Values | None]]()
+    weights, changes = (1 / 6, 1 / 3, 1 / 3, 1 / 6), list[tuple[Values, Values | None]]()
     for place in (0.0, 0.5, 0.5, 1.0):
-        s = section.end - section.part.length * ((k + place) / steps)
         at, by_at = y, by
-        if slopes:
-            slope, by_slope = slopes[-1]
-            at = moved(y, (h * place, slope))
-            by_at = None if by is None or by_slope is None else moved(by, (h * place, by_slope))
-        slopes.append(section.slopes(s, at, by_at))
-    y = moved(y, *((h * weight, slope) for weight, (slope, _) in zip(weights, slopes, strict=True)))
+        if changes:
+            change, by_change = changes[-1]
+            at = moved(y, (place, change))
+            by_at = None if by is None or by_change is None else moved(by, (place, by_change))
+        changes.append(section.changes((k + place) / section.steps, at, by_at))
+    y = moved(y, *((weight, change) for weight, (change, _) in zip(weights, changes, strict=True)))
     if by is not None:
-        by = moved(by, *((h * weight, each) for weight, (_, each) in zip(weights, slopes, strict=True) if each))
+        by = moved(by, *((weight, each) for weight, (_, each) in zip(weights, changes, strict=True) if each))
     return y, by
 
 

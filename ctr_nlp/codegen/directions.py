@@ -1,0 +1,243 @@
+"""CasADi functions as C that finds, beside every number, how it follows the unknowns: its slopes, in vectors.
+
+As straight code of numbers, second derivatives have each operation once more for every unknown. That is longer
+than what a processor keeps at hand, so that it waits for code and not for results. Here a number is followed by
+one vector with its slopes over up to LANES unknowns (forward differentiation in as many directions at once).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import casadi as ca
+
+from ctr_nlp.codegen.language import LANES, head
+from ctr_nlp.codegen.vector import (
+    instruction_of,
+    known_operations,
+    name_of,
+    needed_later,
+    pause_after,
+    starts_of,
+    value_of,
+    without_repetition,
+)
+
+PART = 100
+"""Instructions in one part of the body; with their slopes they are as long as those of vector.py."""
+_NONE, _ONE, _SIGN = "", "1.0", "(one_where({0} > 0.0) - one_where({0} < 0.0))"
+_LESS = "(0.5 * (one_where({{{0}}} < {{{1}}}) + one_where({{{0}}} <= {{{1}}})))"
+"""1 where one number is less than another, 0 where it is more; half where they are equal, as CasADi has it."""
+SLOPES = {
+    ca.OP_ADD: (_ONE, _ONE),
+    ca.OP_SUB: (_ONE, "-1.0"),
+    ca.OP_MUL: ("{1}", "{0}"),
+    ca.OP_DIV: ("(1.0 / {1})", "(-{r} / {1})"),
+    ca.OP_NEG: ("-1.0",),
+    ca.OP_SQ: ("(2.0 * {0})",),
+    ca.OP_TWICE: ("2.0",),
+    ca.OP_INV: ("(-{r} * {r})",),
+    ca.OP_LT: (_NONE, _NONE),
+    ca.OP_LE: (_NONE, _NONE),
+    ca.OP_EQ: (_NONE, _NONE),
+    ca.OP_NE: (_NONE, _NONE),
+    ca.OP_NOT: (_NONE,),
+    ca.OP_AND: (_NONE, _NONE),
+    ca.OP_OR: (_NONE, _NONE),
+    ca.OP_IF_ELSE_ZERO: (_NONE, "one_where({0} != 0.0)"),
+    ca.OP_FMIN: (_LESS.format(0, 1), _LESS.format(1, 0)),
+    ca.OP_FMAX: (_LESS.format(1, 0), _LESS.format(0, 1)),
+    ca.OP_SIGN: (_NONE,),
+    ca.OP_FABS: (_SIGN,),
+    ca.OP_SQRT: ("(0.5 / {r})",),
+    ca.OP_SIN: ("cos({0})",),
+    ca.OP_COS: ("-sin({0})",),
+    ca.OP_TAN: ("(1.0 + {r} * {r})",),
+    ca.OP_ASIN: ("(1.0 / sqrt(1.0 - {0} * {0}))",),
+    ca.OP_ACOS: ("(-1.0 / sqrt(1.0 - {0} * {0}))",),
+    ca.OP_ATAN: ("(1.0 / (1.0 + {0} * {0}))",),
+    ca.OP_SINH: ("cosh({0})",),
+    ca.OP_COSH: ("sinh({0})",),
+    ca.OP_TANH: ("(1.0 - {r} * {r})",),
+    ca.OP_EXP: ("{r}",),
+    ca.OP_LOG: ("(1.0 / {0})",),
+    ca.OP_FLOOR: (_NONE,),
+    ca.OP_CEIL: (_NONE,),
+    ca.OP_ATAN2: ("({1} / ({0} * {0} + {1} * {1}))", "(-{0} / ({0} * {0} + {1} * {1}))"),
+    ca.OP_POW: ("({1} * pow({0}, {1} - 1.0))", "(log({0}) * {r})"),
+    ca.OP_CONSTPOW: ("({1} * pow({0}, {1} - 1.0))", _NONE),
+    ca.OP_COPYSIGN: (f"(copysign(1.0, {{1}}) * {_SIGN})", _NONE),
+}
+"""How the result {r} of an operation follows each number {0}, {1} that it takes; empty where it does not."""
+
+
+class Chunk(NamedTuple):
+    """Unknowns whose slopes are in one vector: the first of them, and how many there are."""
+
+    first: int
+    unknowns: int
+
+    @classmethod
+    def all_of(cls, unknowns: int) -> list[Chunk]:
+        """Those that hold so many unknowns."""
+        return [cls(first, min(LANES, unknowns - first)) for first in range(0, unknowns, LANES)]
+
+    @property
+    def lanes(self) -> int:
+        """Of the vector: a power of two."""
+        return 1 << (self.unknowns - 1).bit_length()
+
+    @property
+    def kind(self) -> str:
+        """The vector's type in C."""
+        return f"D{self.lanes}"
+
+    def unit(self, unknown: int) -> str:
+        """The slopes of one of the unknowns itself, in C."""
+        entries = ", ".join(_ONE if lane == unknown - self.first else "0.0" for lane in range(self.lanes))
+        return f"({self.kind}){{{entries}}}"
+
+
+class Directed(NamedTuple):
+    """A function whose first input are the unknowns, and the outputs whose slopes over these are wanted.
+
+    slopes: by the number of such an output, which entries of its Jacobian are told, column by column.
+    """
+
+    function: ca.Function
+    slopes: Mapping[int, ca.Sparsity]
+
+
+def directed_code(functions: Sequence[Directed]) -> str:
+    """A file of C for functions with dense inputs and outputs, which all have as many unknowns.
+
+    Each becomes `static void NAME(const double **arg, double **res)`. Results are the outputs, and then, in the
+    order of their numbers, the slopes that are wanted. Names of outputs that begin with EARLY mean what they mean
+    in vector.py. Raises NotImplementedError for operations without C.
+    """
+    alone = [each._replace(function=without_repetition(each.function)) for each in functions]
+    used = known_operations(tuple(each.function for each in alone))
+    bodies = [_Body(each) for each in alone]
+    kinds = {chunk.kind: chunk.lanes for body in bodies for chunk in body.chunks}
+    types = "".join(f"typedef double {kind} __attribute__((vector_size({8 * n})));\n" for kind, n in kinds.items())
+    return "".join([head(used, 1), types, *(body.code() for body in bodies)])
+
+
+class _Body:
+    """A function's instructions, of which each takes the results of others: taken; by their numbers.
+
+    sloped: of which chunks the slopes of each result are found.
+    """
+
+    def __init__(self, directed: Directed) -> None:
+        self.function, self.wanted = directed
+        self.chunks = Chunk.all_of(self.function.numel_in(0)) if self.wanted else []
+        self.pause = pause_after(self.function)
+        self.starts = starts_of(self.function, self.pause, PART)
+        self.instructions = [instruction_of(self.function, k) for k in range(self.function.n_instructions())]
+        self.taken = self._taken()
+        self.sloped = self._sloped()
+
+    def _taken(self) -> list[list[int]]:
+        made, taken = dict[int, int](), list[list[int]]()
+        for k, (operation, to, of) in enumerate(self.instructions):
+            slots = [] if operation in (ca.OP_CONST, ca.OP_INPUT) else of[: 1 if operation == ca.OP_OUTPUT else 2]
+            taken.append([made[slot] for slot in slots])
+            if operation != ca.OP_OUTPUT:
+                made[to[0]] = k
+        return taken
+
+    def _follows(self, k: int) -> list[int]:
+        """The instructions whose results the result of k follows with slopes other than 0."""
+        operation = self.instructions[k][0]
+        if operation == ca.OP_OUTPUT:
+            return self.taken[k]
+        return [j for j, slope in zip(self.taken[k], SLOPES.get(operation, ()), strict=False) if slope]
+
+    def _sloped(self) -> list[set[int]]:
+        """Slopes that are not always 0, and that outputs need."""
+        moved, needed = list[set[int]](), [set[int]() for _ in self.instructions]
+        for k, (operation, _, of) in enumerate(self.instructions):
+            own = {of[1] // LANES} if self.chunks and operation == ca.OP_INPUT and of[0] == 0 else set()
+            moved.append(own.union(*(moved[j] for j in self._follows(k))))
+        for k in reversed(range(len(moved))):
+            operation, to, _ = self.instructions[k]
+            if operation == ca.OP_OUTPUT:
+                needed[k] = moved[k] if to[0] in self.wanted else set()
+            needed[k] &= moved[k]
+            for j in self._follows(k):
+                needed[j] |= needed[k]
+        return needed
+
+    def code(self) -> str:
+        """The whole, part by part: what later parts need goes on in the work vectors w and v0, v1, ..."""
+        name, size = self.function.name(), self.function.sz_w()
+        works = [("double", "w"), *((chunk.kind, f"v{c}") for c, chunk in enumerate(self.chunks))]
+        parameters = "".join(f", {kind} *{work}" for kind, work in works)
+        given = "".join(f", {work}" for _, work in works)
+        parts = self._parts()
+        bodies = "".join(
+            f"static __attribute__((noinline)) void {name}_{k}"
+            f"(const double *const *arg, double *const *res{parameters}) {{\n{''.join(part)}}}\n"
+            for k, part in enumerate(parts)
+        )
+        calls = [f"    {name}_{k}(arg, res{given});\n" for k in range(len(parts))]
+        if self.pause:
+            calls.insert(self.starts.index(self.pause), f"    {name}_pause(arg, res);\n")
+        room = "".join(f"    {kind} {work}[{size}];\n" for kind, work in works)
+        return f"{bodies}static void {name}(const double **arg, double **res) {{\n{room}{''.join(calls)}}}\n"
+
+    def _parts(self) -> list[list[str]]:
+        later = needed_later(self.function, self.starts)
+        parts, here = list[list[str]](), dict[int, str]()
+        for k, (operation, to, of) in enumerate(self.instructions):
+            if k in self.starts:
+                parts.append([])
+                here.clear()
+            if operation == ca.OP_OUTPUT:
+                parts[-1] += [self._found(to, name_of(of[0], here)), *self._slopes_found(k, here)]
+                continue
+            sloped = sorted(self.sloped[k])
+            lines = [f"double t{k} = {value_of(self.function, k, here)};"]
+            lines += [f"{self.chunks[c].kind} t{k}_{c} = {self._slopes(k, c, here)};" for c in sloped]
+            if k in later:
+                lines += [f"w[{to[0]}] = t{k};", *(f"v{c}[{to[0]}] = t{k}_{c};" for c in sloped)]
+            here[to[0]] = f"t{k}"
+            parts[-1].append(" ".join(lines) + "\n")
+        return parts
+
+    def _slopes(self, k: int, c: int, here: dict[int, str]) -> str:
+        """Those of a result over a chunk."""
+        operation, _, of = self.instructions[k]
+        if operation == ca.OP_INPUT:
+            return self.chunks[c].unit(of[1])
+        names = [name_of(slot, here) for slot in of]
+        slopes = zip(of, self.taken[k], SLOPES[operation], strict=False)
+        return " + ".join(
+            f"{slope.format(*names, r=f't{k}')} * {_vector(slot, c, here)}"
+            for slot, j, slope in slopes
+            if slope and c in self.sloped[j]
+        )
+
+    def _found(self, to: list[int], value: str) -> str:
+        return f"if (res[{to[0]}]) res[{to[0]}][{to[1]}] = {value};\n"
+
+    def _slopes_found(self, k: int, here: dict[int, str]) -> list[str]:
+        """The entries of a Jacobian's row."""
+        _, (number, row), of = self.instructions[k]
+        if number not in self.wanted:
+            return []
+        result = self.function.n_out() + sorted(self.wanted).index(number)
+        pattern, lines = self.wanted[number], list[str]()
+        for entry, (at, column) in enumerate(zip(*pattern.get_triplet(), strict=True)):
+            if at == row:
+                c = column // LANES
+                slope = f"({_vector(of[0], c, here)})[{column % LANES}]" if c in self.sloped[k] else "0.0"
+                lines.append(f"res[{result}][{entry}] = {slope};\n")
+        return [f"if (res[{result}]) {{\n{''.join(lines)}}}\n"] if lines else []
+
+
+def _vector(slot: int, c: int, here: dict[int, str]) -> str:
+    """Where slopes over chunk c stand of the result in a slot."""
+    return f"{here[slot]}_{c}" if slot in here else f"v{c}[{slot}]"
