@@ -119,6 +119,11 @@ class Load:
         """Whether a force acts along the body, beside the weight."""
         return self.distributed_force is not None and any(self.distributed_force)
 
+    @property
+    def weighs(self) -> bool:
+        """Whether the tubes' own weight counts."""
+        return self.densities is not None
+
     def numbers(self, robot: Robot) -> Array:
         """What models need to know, (12 + 3 d,), all of it 0 without a load.
 

@@ -61,6 +61,11 @@ class LoadOverTime:
         """As Load.distributed, at some time."""
         return any(load.distributed for load in self.loads)
 
+    @property
+    def weighs(self) -> bool:
+        """As Load.weighs, at some time."""
+        return any(load.weighs for load in self.loads)
+
     def over(self, robot: Robot, part: Array) -> Array:
         """As Load.over: numbers (n, 12 + 3 d) at parts (n,) of the motion; raises LoadError."""
         known = np.array([load.numbers(robot) for load in self.loads])

@@ -257,10 +257,10 @@ def test_a_force_that_turns_with_the_tool_is_the_same_force_in_the_base_at_rest(
 
 
 def test_slopes_are_the_derivatives_of_the_base_over_the_tip():
-    equilibria = LoadedEquilibria(NITINOL.structure, RodKind(follows=True))
-    q = np.array([[0.5, -0.8, 0.9, 30, 70, 120, 0.2, -0.3]])
-    load = Load((0.1, 0.1, 0.2), "tool", 3.0, 6.45, (1, 0, 0)).numbers(NITINOL)[None]
     model = Loaded(Load((0.1, 0.1, 0.2), "tool", 3.0, 6.45, (1, 0, 0)))
+    assert model.kind == RodKind(follows=True, weighs=True)
+    equilibria, load = LoadedEquilibria(NITINOL.structure, model.kind), model.load.numbers(NITINOL)[None]
+    q = np.array([[0.5, -0.8, 0.9, 30, 70, 120, 0.2, -0.3]])
     state = model.states(NITINOL, model.rest(NITINOL, q[0])[None])
     ends = equilibria.ends(state.numbers, state.angles, state.axes, q, load)
     h = 1e-5

@@ -117,9 +117,10 @@ def test_straight_tips_have_derivatives():
         assert np.isfinite(part.full()).all()
 
 
-def test_one_program_serves_all_loads_that_keep_their_direction():
+def test_one_program_serves_all_loads_of_a_kind():
     nlp, _ = frame_of(PULL)
-    assert frame_of(LOADS["weight"])[0] is nlp
+    assert frame_of(Load((0, 0, -0.2), axial_moment=1.0))[0] is nlp
+    assert frame_of(LOADS["weight"])[0] is not nlp
     assert frame_of(LOADS["tool force and moment"])[0] is not nlp
 
 

@@ -88,18 +88,19 @@ def eased(acting: Array, part: Array) -> Array:
 
 class RodKind(NamedTuple):
     """What kind of rods: whether a force turns with the tip; whether one acts between two places along the body;
-    into how many pieces every section is divided, along each of which a force per length of its own acts, or 0
-    where none does.
+    whether tubes weigh something; into how many pieces every section is divided, along each of which a force per
+    length of its own acts, or 0 where none does. What a kind leaves out is not looked at in the load's numbers.
     """
 
     follows: bool = False
     distributed: bool = False
+    weighs: bool = False
     pieces: int = 0
 
     @classmethod
     def of(cls, load: Load | LoadOverTime) -> RodKind:
         """That of robots which bear a load."""
-        return cls(load.follows, load.distributed)
+        return cls(load.follows, load.distributed, load.weighs)
 
     def divided(self, parts: Sequence[Section]) -> list[Section]:
         """The sections, or their pieces, from base to tip."""
@@ -118,4 +119,4 @@ class RodKind(NamedTuple):
 
 
 PLAIN = RodKind()
-"""Those of loads that keep their direction, without forces along the robot."""
+"""Those of loads that act at the tip and keep their direction."""

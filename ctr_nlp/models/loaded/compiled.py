@@ -59,11 +59,10 @@ def symbolic(structure: Structure, kind: RodKind) -> ca.Function:
         extensions,
         kind.divided(sections(tubes, extensions, ca, planes=False)),
         loading(ca.vertsplit(load)),
+        kind,
         ca,
         kind.steps,
         soft=Softness(*ca.vertsplit(soft)),
-        follows=kind.follows,
-        distributed=kind.distributed,
         pressed=vectors(ca.vertsplit(load)[BEFORE_WEIGHTS + 3 * d :]),
     )
     reach = zip(rod.angles, rod.rates, tubes, extensions, strict=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import casadi as ca
@@ -210,15 +211,19 @@ class Pushed(Loaded):
 
 
 UNIT = (0.0, 0.0, 1.0)
-FORMS = {
-    RodKind.of(load): Loaded(load)
-    for load in (
-        Load(),
-        Load(UNIT, "tool"),
-        Load(distributed_force=UNIT, between=(0.0, 1.0)),
-        Load(UNIT, "tool", distributed_force=UNIT, between=(0.0, 1.0)),
+_KINDS = itertools.product(("base", "tool"), (None, UNIT), (None, 1.0))
+_LOADS = [
+    Load(
+        UNIT,
+        axes,
+        distributed_force=along,
+        between=None if along is None else (0.0, 1.0),
+        densities=density,
+        down=None if density is None else UNIT,
     )
-}
+    for axes, along, density in _KINDS
+]
+FORMS = {RodKind.of(load): Loaded(load) for load in _LOADS}
 """What programs are made of."""
 
 

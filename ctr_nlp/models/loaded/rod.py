@@ -26,7 +26,7 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.models.elastic.torsion import Node, Section, curvatures_at, moved
-from ctr_nlp.models.loaded.acting import Along, Loading, check_kinds
+from ctr_nlp.models.loaded.acting import Along, Loading, RodKind, check_kinds
 from ctr_nlp.models.loaded.vectors import cross, dot, plus, scaled, total, vectors
 from ctr_nlp.robot.structure import Tubes
 from ctr_nlp.typing import Vector
@@ -159,23 +159,21 @@ def integrated(
     beta: Sequence[Any],
     parts: Sequence[Section],
     load: Loading,
+    kind: RodKind,
     xp: Any,
     steps: int,
     *,
     soft: Softness | None = None,
-    follows: bool = False,
-    distributed: bool = False,
     pressed: Sequence[Vector] = (),
 ) -> Rod:
     """The rod of a tip, in so many steps a section of Runge and Kutta's method of order 4.
 
-    soft: of the responses; None for none. follows: whether tool_force counts; distributed: whether the load's
-    distributed force does. pressed: forces per length, N/mm,
+    kind: tells which of the load counts. soft: of the responses; None for none. pressed: forces per length, N/mm,
     that act along each of the parts beside the tubes' weights; none by default. Raises LoadError of a helix.
     """
     check_kinds([tube.kind for tube in tubes])
     d, force = len(tubes), load.force
-    if follows:
+    if kind.follows:
         force = plus(force, 1.0, _held(tip, load.tool_force, xp))
     rates = [0.0 * tip.angles[0]] * (d - 1)
     rates.append(load.moment * tubes[-1].torsional_ratio / tubes[-1].bending_stiffness)
@@ -185,11 +183,12 @@ def integrated(
         *(entry for axis in tip.axes for entry in axis),
         *scaled(load.moment, tip.axes[2]),
     ]
-    by = None if soft is None else _changes(tip, load, follows, xp)
+    by = None if soft is None else _changes(tip, load, kind.follows, xp)
     states, responses = [], list[list[Any]]()
-    along = Along(load.distributed, load.between, beta[-1], xp) if distributed else None
+    along = Along(load.distributed, load.between, beta[-1], xp) if kind.distributed else None
     for k, part in reversed(list(enumerate(parts))):
-        weight = total([*(load.weights[i] for i in part.present), *pressed[k : k + 1]])
+        weights = [load.weights[i] for i in part.present] if kind.weighs else []
+        weight = total([*weights, *pressed[k : k + 1]])
         section = _Section(tubes, beta, part, force, weight, along, soft or Softness(), xp, steps)
         nodes = [y]
         for step in range(steps):

@@ -45,7 +45,7 @@ def shape_under(
         turned(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (w[0], w[1], 0.0)),
     )
     parts = sections(tubes, beta, ca, planes=False)
-    rod = integrated(tubes, tip, beta, parts, load, ca, STEPS, follows=kind.follows, distributed=kind.distributed)
+    rod = integrated(tubes, tip, beta, parts, load, kind, ca, STEPS)
     lengths, turns = travels(tubes, beta, parts, places(beta), ca, STEPS // 2)
     curves = [vector for at in rod.tangents for vector in powers(at)]
     held = ca.SX.sym("theta", 2 * tilted)
