@@ -16,7 +16,8 @@ from ctr_nlp.codegen.mapped import Mapped, external
 from ctr_nlp.loads.load import BEFORE_WEIGHTS
 from ctr_nlp.models.elastic.torsion import sections
 from ctr_nlp.models.loaded.acting import RodKind, loading
-from ctr_nlp.models.loaded.rod import Softness, Tip, integrated
+from ctr_nlp.models.loaded.equations import Softness
+from ctr_nlp.models.loaded.rod import Tip, integrated
 from ctr_nlp.models.loaded.vectors import vectors
 from ctr_nlp.models.protocol import symbolic_tubes
 from ctr_nlp.robot.structure import NUMBERS, Structure

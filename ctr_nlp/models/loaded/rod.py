@@ -3,12 +3,9 @@
 At the tip force and moment are known. With the tubes' angles there, relative to a frame (d_1, d_2, t) of the tip
 that does not spin along the robot, everything is integrated to the base, and every such start is an equilibrium
 (Rucker, Jones, Webster, A Geometrically Exact Model for Externally Loaded Concentric-Tube Continuum Robots, IEEE
-Transactions on Robotics 26(5), 2010; Antman, Nonlinear Problems of Elasticity). n is the internal force, m the
-moment, w a force per length that acts between two places:
+Transactions on Robotics 26(5), 2010; Antman, Nonlinear Problems of Elasticity): by equations.py from
 
-    n' = -weight - w,   m' = -t x n,   d_1' = -u_1 t,   d_2' = -u_2 t,   t' = u_1 d_1 + u_2 d_2
-    u_1 = (m . d_2 + sum EI_i k_i cos psi_i) / sum EI_i,   u_2 = (-m . d_1 + sum EI_i k_i sin psi_i) / sum EI_i
-    GJ_i psi_i'' = EI_i k_i u x e(psi_i),   psi_i'(beta_i) = 0, but GJ_d psi_d'(beta_d) is the axial moment.
+    psi_i'(beta_i) = 0, but GJ_d psi_d'(beta_d) is the axial moment.
 
 Beside it go responses to d + 2 changes: turns about d_1 and d_2, and of every psi_i. They are told from place to
 place: at each they begin anew with changes of that place, which keeps them of the same size however far the base
@@ -19,7 +16,6 @@ row of d + 2 entries.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -27,6 +23,7 @@ import numpy as np
 
 from ctr_nlp.models.elastic.torsion import Node, Section, curvatures_at, moved
 from ctr_nlp.models.loaded.acting import Along, Loading, RodKind, check_kinds
+from ctr_nlp.models.loaded.equations import Equations, Softness, Values
 from ctr_nlp.models.loaded.vectors import cross, dot, plus, scaled, total, vectors
 from ctr_nlp.robot.structure import Tubes
 from ctr_nlp.typing import Vector
@@ -35,7 +32,6 @@ ANEW = 3
 """Steps after which responses begin anew. Over longer pieces what gives in much turns so far that pivots become
 negative where nothing has given way.
 """
-Values = list[Any]
 
 
 class Tip(NamedTuple):
@@ -45,16 +41,9 @@ class Tip(NamedTuple):
     axes: tuple[Vector, Vector, Vector]
 
 
-class Softness(NamedTuple):
-    """By what factors torsion and bending give in to responses: 1 / (1 - margin), stability.py."""
-
-    torsion: Any = 1.0
-    bending: Any = 1.0
-
-
 class Rod(NamedTuple):
     """states: at the nodes of every section from base to tip, evenly spaced: angles, rates, axes and moment, as
-    _Section.changes takes them. angles, rates, axes: at the base.
+    equations.py has them. angles, rates, axes: at the base.
 
     responses: from tip to base the matrices, row by row a list, of the turns about d_1 and d_2 of the frame and
     its spin with every tube's angle, over the same at the place before; the last d of one transmission after the
@@ -84,73 +73,6 @@ class Rod(NamedTuple):
                 curvatures = curvatures_at(tubes, [0.0] * d + list(beta), part, s)
                 found[-1].append(Node(state[:d], curvatures, (flexible * dot(m, d2), -flexible * dot(m, d1))))
         return found
-
-
-@dataclass(frozen=True)
-class _Section:
-    """What holds along a section: the numbers of its tubes, and the force at its end towards the tip, without what
-    acts along the body between two places. steps: in how many of them it is integrated.
-    """
-
-    tubes: Tubes
-    beta: Sequence[Any]
-    part: Section
-    force: Vector
-    weight: Vector
-    along: Along | None
-    soft: Softness
-    xp: Any
-    steps: int
-
-    @property
-    def step(self) -> Any:
-        """The change of s, mm, from the tip towards the base."""
-        return -self.part.length / self.steps
-
-    def changes(self, fraction: Any, y: Values, by: Values | None) -> tuple[Values, Values | None]:
-        """Of the state, and of its responses where they are wanted: slopes times the step, which is negative.
-
-        They are those at a fraction of the section from its end towards the tip. Curvatures, rates and forces are
-        multiplied by the step; all else follows from these.
-        """
-        d, xp, part, active, h = len(self.tubes), self.xp, self.part, self.part.active, self.step
-        psi, rates, (d1, d2, t, m) = y[:d], y[d : 2 * d], vectors(y[2 * d :])
-        s = part.start + part.length * (1 - fraction)
-        k = curvatures_at(self.tubes, [0.0] * d + list(self.beta), part, s)
-        cos, sin = {i: xp.cos(psi[i]) for i in active}, {i: xp.sin(psi[i]) for i in active}
-        pull = {i: h * part.shares[i] * k[i] for i in active}
-        flexible = h * (part.shares[-1] / self.tubes[-1].bending_stiffness)
-        about = [flexible * dot(m, axis) for axis in (d1, d2, t)]
-        u1 = about[1] + sum(pull[i] * cos[i] for i in active)
-        u2 = -about[0] + sum(pull[i] * sin[i] for i in active)
-        twist = {i: self.tubes[i].torsional_ratio * k[i] for i in active}
-        turns = [twist[i] * (u1 * sin[i] - u2 * cos[i]) if i in twist else 0.0 for i in range(d)]
-        n = plus(scaled(h, self.force), fraction, scaled(h * part.length, self.weight))
-        if self.along is not None:
-            n = plus(n, h * self.along.beyond(s), self.along.force)
-        bends = plus(scaled(u1, d1), u2, d2)
-        found = [*(h * rate for rate in rates), *turns, *scaled(-u1, t), *scaled(-u2, t), *bends, *cross(n, t)]
-        if by is None:
-            return found, None
-        dpsi, drates, (theta, dm, dn) = by[:d], by[d : 2 * d], vectors(by[2 * d :])
-        a, b, c = theta
-        du1 = (
-            flexible * dot(dm, d2) - c * about[0] + a * about[2] - sum(pull[i] * sin[i] * dpsi[i] for i in active)
-        )
-        du2 = (
-            -flexible * dot(dm, d1) - c * about[1] + b * about[2] + sum(pull[i] * cos[i] * dpsi[i] for i in active)
-        )
-        du1, du2 = self.soft.bending * du1, self.soft.bending * du2
-        sway = [
-            self.soft.torsion * twist[i] * (du1 * sin[i] - du2 * cos[i] + (u1 * cos[i] + u2 * sin[i]) * dpsi[i])
-            if i in twist
-            else 0.0 * a
-            for i in range(d)
-        ]
-        turning = -du2 - u1 * c, du1 - u2 * c, u2 * b + u1 * a
-        leaning = plus(scaled(b, d1), -1.0 * a, d2)
-        moments = plus(cross(n, leaning), h, cross(dn, t))
-        return found, [*(h * rate for rate in drates), *sway, *turning, *moments, *[0.0 * a] * 3]
 
 
 def integrated(
@@ -189,7 +111,7 @@ def integrated(
     for k, part in reversed(list(enumerate(parts))):
         weights = [load.weights[i] for i in part.present] if kind.weighs else []
         weight = total([*weights, *pressed[k : k + 1]])
-        section = _Section(tubes, beta, part, force, weight, along, soft or Softness(), xp, steps)
+        section = Equations(tubes, beta, part, force, weight, along, soft or Softness(), xp, steps)
         nodes = [y]
         for step in range(steps):
             y, by = _stepped(section, step, y, by)
@@ -206,9 +128,9 @@ def integrated(
     return Rod(states[::-1], y[:d], y[d : 2 * d], (d1, d2, t), responses)
 
 
-def _stepped(section: _Section, k: int, y: Values, by: Values | None) -> tuple[Values, Values | None]:
+def _stepped(section: Equations, k: int, y: Values, by: Values | None) -> tuple[Values, Values | None]:
     """The state, and its responses, after step k from the end of a section."""
-    weights, changes = (1 / 6, 1 / 3, 1 / 3, 1 / 6), list[tuple[Values, Values | None]]()
+    changes = list[tuple[Values, Values | None]]()
     for place in (0.0, 0.5, 0.5, 1.0):
         at, by_at = y, by
         if changes:
@@ -216,10 +138,15 @@ def _stepped(section: _Section, k: int, y: Values, by: Values | None) -> tuple[V
             at = moved(y, (place, change))
             by_at = None if by is None or by_change is None else moved(by, (place, by_change))
         changes.append(section.changes((k + place) / section.steps, at, by_at))
-    y = moved(y, *((weight, change) for weight, (change, _) in zip(weights, changes, strict=True)))
-    if by is not None:
-        by = moved(by, *((weight, each) for weight, (_, each) in zip(weights, changes, strict=True) if each))
-    return y, by
+    of_state, of_responses = zip(*changes, strict=True)
+    return moved(y, (1 / 6, _weighted(of_state))), None if by is None else moved(
+        by, (1 / 6, _weighted(of_responses))
+    )
+
+
+def _weighted(changes: Sequence[Values]) -> Values:
+    """Six times the mean of the changes at the four stages of a step."""
+    return [first + 2 * (second + third) + last for first, second, third, last in zip(*changes, strict=True)]
 
 
 def _changes(tip: Tip, load: Loading, follows: bool, xp: Any) -> Values:

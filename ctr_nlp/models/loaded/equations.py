@@ -1,0 +1,122 @@
+"""The differential equations of a loaded rod (rod.py) along a section, as changes over a step towards the base.
+
+n is the internal force, m the moment, w a force per length that acts between two places:
+
+    n' = -weight - w,   m' = -t x n,   d_1' = -u_1 t,   d_2' = -u_2 t,   t' = u_1 d_1 + u_2 d_2
+    u_1 = (m . d_2 + sum EI_i k_i cos psi_i) / sum EI_i,   u_2 = (-m . d_1 + sum EI_i k_i sin psi_i) / sum EI_i
+    GJ_i psi_i'' = EI_i k_i u x e(psi_i)
+
+A state is a list of angles psi, of their rates, and of the entries of d_1, d_2, t and m; a response is one of what
+follows of angles and rates, of turns of the frame about d_1, d_2 and t, of moment and force. Changes are slopes
+times the step, which is negative: curvatures, rates and forces are multiplied by it, and the rest follows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from ctr_nlp.models.elastic.torsion import Section, curvatures_at
+from ctr_nlp.models.loaded.acting import Along
+from ctr_nlp.models.loaded.vectors import cross, dot, plus, scaled, vectors
+from ctr_nlp.robot.structure import Tubes
+from ctr_nlp.typing import Vector
+
+Values = list[Any]
+
+
+class Softness(NamedTuple):
+    """By what factors torsion and bending give in to responses: 1 / (1 - margin), stability.py."""
+
+    torsion: Any = 1.0
+    bending: Any = 1.0
+
+
+class _Here(NamedTuple):
+    """A place along a section.
+
+    Of every active tube: twist, its psi'' over the bending; sin and cos of psi. And, times the step: pull, by which
+    it bends the robot; flexible, 1 / sum EI_i; about, the moment over sum EI_i in the axes; u, u_1 and u_2; n.
+    """
+
+    twist: dict[int, Any]
+    sin: dict[int, Any]
+    cos: dict[int, Any]
+    pull: dict[int, Any]
+    flexible: Any
+    about: list[Any]
+    u: tuple[Any, Any]
+    n: Vector
+
+
+@dataclass(frozen=True)
+class Equations:
+    """What holds along a section: the numbers of its tubes, and the force at its end towards the tip, without what
+    acts along the body between two places. steps: in how many of them it is integrated.
+    """
+
+    tubes: Tubes
+    beta: Sequence[Any]
+    part: Section
+    force: Vector
+    weight: Vector
+    along: Along | None
+    soft: Softness
+    xp: Any
+    steps: int
+
+    @property
+    def step(self) -> Any:
+        """The change of s, mm, from the tip towards the base."""
+        return -self.part.length / self.steps
+
+    def changes(self, fraction: Any, y: Values, by: Values | None) -> tuple[Values, Values | None]:
+        """Of a state, and of its responses where they are wanted.
+
+        They are those at a fraction of the section from its end towards the tip.
+        """
+        d, here, h = len(self.tubes), self._here(fraction, y), self.step
+        (u1, u2), (d1, d2, t, _) = here.u, vectors(y[2 * d :])
+        turns = [
+            here.twist[i] * (u1 * here.sin[i] - u2 * here.cos[i]) if i in here.twist else 0.0 for i in range(d)
+        ]
+        rates, bends = [h * rate for rate in y[d : 2 * d]], plus(scaled(u1, d1), u2, d2)
+        found = [*rates, *turns, *scaled(-u1, t), *scaled(-u2, t), *bends, *cross(here.n, t)]
+        return found, None if by is None else self._changes_of_responses(here, y, by)
+
+    def _here(self, fraction: Any, y: Values) -> _Here:
+        d, part, active, xp, h = len(self.tubes), self.part, self.part.active, self.xp, self.step
+        s = part.start + part.length * (1 - fraction)
+        k = curvatures_at(self.tubes, [0.0] * d + list(self.beta), part, s)
+        sin, cos = {i: xp.sin(y[i]) for i in active}, {i: xp.cos(y[i]) for i in active}
+        pull = {i: h * part.shares[i] * k[i] for i in active}
+        twist = {i: self.tubes[i].torsional_ratio * k[i] for i in active}
+        flexible = h * (part.shares[-1] / self.tubes[-1].bending_stiffness)
+        d1, d2, t, m = vectors(y[2 * d :])
+        about = [flexible * dot(m, axis) for axis in (d1, d2, t)]
+        u = about[1] + sum(pull[i] * cos[i] for i in active), sum(pull[i] * sin[i] for i in active) - about[0]
+        n = plus(scaled(h, self.force), fraction, scaled(h * part.length, self.weight))
+        if self.along is not None:
+            n = plus(n, h * self.along.beyond(s), self.along.force)
+        return _Here(twist, sin, cos, pull, flexible, about, u, n)
+
+    def _changes_of_responses(self, here: _Here, y: Values, by: Values) -> Values:
+        d, (u1, u2), (d1, d2, t, _) = len(self.tubes), here.u, vectors(y[2 * len(self.tubes) :])
+        dpsi, drates, ((a, b, c), dm, dn) = by[:d], by[d : 2 * d], vectors(by[2 * d :])
+        soft, sin, cos = self.soft.bending, here.sin, here.cos
+        soft1, soft2 = (scaled(soft * here.flexible, axis) for axis in (d1, d2))
+        about1, about2, about3 = (soft * each for each in here.about)
+        pull, twist = (
+            {i: soft * k for i, k in here.pull.items()},
+            {i: self.soft.torsion * k for i, k in here.twist.items()},
+        )
+        du1 = dot(dm, soft2) - c * about1 + a * about3 - sum(pull[i] * sin[i] * dpsi[i] for i in pull)
+        du2 = sum(pull[i] * cos[i] * dpsi[i] for i in pull) - dot(dm, soft1) - c * about2 + b * about3
+        sway = [0.0 * a] * d
+        for i, k in twist.items():
+            sway[i] = k * sin[i] * du1 - k * cos[i] * du2 + k * (u1 * cos[i] + u2 * sin[i]) * dpsi[i]
+        turning = -du2 - u1 * c, du1 - u2 * c, u2 * b + u1 * a
+        leaning = plus(scaled(b, cross(here.n, d1)), -1.0 * a, cross(here.n, d2))
+        moments = plus(leaning, self.step, cross(dn, t))
+        return [*(self.step * rate for rate in drates), *sway, *turning, *moments, *[0.0 * a] * 3]
