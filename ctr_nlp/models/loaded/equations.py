@@ -36,8 +36,9 @@ class Softness(NamedTuple):
 class _Here(NamedTuple):
     """A place along a section.
 
-    Of every active tube: twist, its psi'' over the bending; sin and cos of psi. And, times the step: pull, by which
-    it bends the robot; flexible, 1 / sum EI_i; about, the moment over sum EI_i in the axes; u, u_1 and u_2; n.
+    Of every active tube: twist, its psi'' over the bending; sin and cos of psi. And, times the step: pull, by
+    which it bends the robot; flexible, 1 / sum EI_i; about, the moment over sum EI_i in the axes; u, which is
+    u_1 and u_2; n.
     """
 
     twist: dict[int, Any]
