@@ -157,7 +157,7 @@ def test_a_motion_played_backwards_is_a_plan(problem, plan):
     back = plan.reversed()
     np.testing.assert_array_equal(back.q, plan.q[::-1])
     np.testing.assert_array_equal(back.time, plan.time)
-    assert summary(back)["e3"] == summary(plan)["e3"]
+    assert summary(back)["e3"] == pytest.approx(summary(plan)["e3"], rel=1e-14)  # squares in another order
     assert back.meta["reversed"]
     assert not back.reversed().meta["reversed"]
 
