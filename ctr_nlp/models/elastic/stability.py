@@ -74,15 +74,16 @@ def _stepped(
 def _stiffness(tubes: Tubes, part: Section, node: Node, factor: float, xp: Any) -> list[list[Any]]:
     """The derivatives [tube][tube] of factor psi'', 1/mm^2."""
     found: list[list[Any]] = [[0.0] * len(tubes) for _ in tubes]
+    cos, sin = ({i: turn(node.angles[i]) for i in part.active} for turn in (xp.cos, xp.sin))
     for i in part.active:
         own = factor * tubes[i].torsional_ratio * node.curvatures[i]
         for j in part.active:
             if j != i:
-                pull = own * part.shares[j] * node.curvatures[j] * xp.cos(node.angles[i] - node.angles[j])
+                pull = own * part.shares[j] * node.curvatures[j] * (cos[i] * cos[j] + sin[i] * sin[j])
                 found[i][i], found[i][j] = found[i][i] + pull, -pull
         if node.outside is not None:
             x, y = node.outside
-            found[i][i] = found[i][i] + own * (x * xp.cos(node.angles[i]) + y * xp.sin(node.angles[i]))
+            found[i][i] = found[i][i] + own * (x * cos[i] + y * sin[i])
     return found
 
 
