@@ -20,6 +20,7 @@ from ctr_nlp.codegen.vector import (
     needed_later,
     pause_after,
     starts_of,
+    told_in,
     value_of,
     without_repetition,
 )
@@ -196,7 +197,8 @@ class _Body:
                 parts.append([])
                 here.clear()
             if operation == ca.OP_OUTPUT:
-                parts[-1] += [self._found(to, name_of(of[0], here)), *self._slopes_found(k, here)]
+                told = told_in(self.function, to, name_of(of[0], here))
+                parts[-1] += [told, *self._slopes_found(k, here)]
                 continue
             sloped = sorted(self.sloped[k])
             lines = [f"double t{k} = {value_of(self.function, k, here)};"]
@@ -219,9 +221,6 @@ class _Body:
             for slot, j, slope in slopes
             if slope and c in self.sloped[j]
         )
-
-    def _found(self, to: list[int], value: str) -> str:
-        return f"if (res[{to[0]}]) res[{to[0]}][{to[1]}] = {value};\n"
 
     def _slopes_found(self, k: int, here: dict[int, str]) -> list[str]:
         """The entries of a Jacobian's row."""

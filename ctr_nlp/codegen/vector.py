@@ -95,7 +95,7 @@ def _parts(function: ca.Function, pause: int) -> list[list[str]]:
             here.clear()
         operation, to, of = instruction_of(function, k)
         if operation == ca.OP_OUTPUT:
-            line = _found(function, to, name_of(of[0], here))
+            line = told_in(function, to, name_of(of[0], here))
         else:
             kept = f" w[{to[0]}] = t{k};" if k in needed else ""
             line = f"V t{k} = {value_of(function, k, here)};{kept}\n"
@@ -104,8 +104,8 @@ def _parts(function: ca.Function, pause: int) -> list[list[str]]:
     return parts
 
 
-def _found(function: ca.Function, to: list[int], value: str) -> str:
-    """An entry of an output takes a value."""
+def told_in(function: ca.Function, to: list[int], value: str) -> str:
+    """An entry of an output takes a value, in C."""
     number, entry = to
     if function.name_out(number).startswith(BESIDE):
         return f"put({value}, res[{number}] + {entry} * LANES);\n"

@@ -139,9 +139,8 @@ def _stepped(section: Equations, k: int, y: Values, by: Values | None) -> tuple[
             by_at = None if by is None or by_change is None else moved(by, (place, by_change))
         changes.append(section.changes((k + place) / section.steps, at, by_at))
     of_state, of_responses = zip(*changes, strict=True)
-    return moved(y, (1 / 6, _weighted(of_state))), None if by is None else moved(
-        by, (1 / 6, _weighted(of_responses))
-    )
+    y = moved(y, (1 / 6, _weighted(of_state)))
+    return y, None if by is None else moved(by, (1 / 6, _weighted(of_responses)))
 
 
 def _weighted(changes: Sequence[Values]) -> Values:
