@@ -15,12 +15,12 @@ from ctr_nlp.cli.main import main
 from ctr_nlp.exceptions import LoadError, OptionError, RobotError
 from ctr_nlp.loads import with_modulus
 from ctr_nlp.loops.plant import Plant
-from ctr_nlp.models import under
+from ctr_nlp.models import MODELS, under
 from ctr_nlp.plan.measures import e3
 from ctr_nlp.robot.draws import corners, drawn, drawn_from
 from ctr_nlp.simulation.drawn import drawn_motion, lost_draws
 from ctr_nlp.steer.robust import solve_robust, solve_robust_per_frame
-from ctr_nlp.steer.robust.tolerated import described, scenarios_of, with_forces
+from ctr_nlp.steer.robust.tolerated import bearing_unknowns, described, scenarios_of, with_forces
 from ctr_nlp.target.curve import curve_from_formula, curve_from_points
 
 FORCE, FRAMES = 2.0, 4
@@ -73,6 +73,20 @@ def test_a_plan_for_forces_loses_no_robot_under_them_that_a_plan_without_does(fo
     assert found.meta["certificate"]["held"]
     assert _lost_in_any(found, SNAPPING) == 0
     assert _lost_in_any(without, SNAPPING) > 1
+
+
+def test_a_tip_turns_without_leaps_where_its_tube_is_twisted_by_more_than_half_a_turn():
+    """A draft has some frames only, and what is read off between two of them must not lie half a turn away."""
+    angles = np.linspace(3.0, 1.5, 31)
+    x = np.column_stack([angles, 0 * angles, np.tile([-150.0, -290.0, 0.0, 0.0], (31, 1))])
+    q = MODELS["elastic"].configuration(LONG, x)
+    assert np.ptp(q[:, 1] - x[:, 1]) > np.pi
+    model = under("elastic", Load())
+    bearing = bearing_unknowns(with_modulus(LONG, 60_000), model, q, x)
+    assert abs(np.diff(bearing[:, 1])).max() < 0.2
+    apart = model.configuration(with_modulus(LONG, 60_000), bearing) - q
+    apart[:, :2] -= 2 * np.pi * np.round(apart[:, 1:2] / (2 * np.pi))
+    assert abs(apart).max() < 0.01
 
 
 def test_what_is_planned_is_told_of_the_robot_without_a_load(found):

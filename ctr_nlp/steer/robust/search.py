@@ -124,11 +124,11 @@ class RobustSearch:
 
     def solve(self, start: Start, scenarios: Scenarios, picked: Index | None = None) -> Tried:
         """All frames, or picked ones, of a start."""
-        x = start.x if picked is None else start.x[picked]
         robot, own = self.problem.robot, self.motion(scenarios, picked).own
-        q = told_on(self.model).configuration(robot, x)
-        tips = np.repeat(bearing_unknowns(robot, self.model, q, x)[:, None, own], len(scenarios), axis=1)
-        return self._solved(start.name, q, tips, scenarios, picked, WIDE)
+        q = told_on(self.model).configuration(robot, start.x)
+        tips = np.repeat(bearing_unknowns(robot, self.model, q, start.x)[:, None, own], len(scenarios), axis=1)
+        of_frames = slice(None) if picked is None else picked
+        return self._solved(start.name, q[of_frames], tips[of_frames], scenarios, picked, WIDE)
 
     def _solved(
         self, name: str, q: Array, tips: Array, scenarios: Scenarios, picked: Index | None, barrier: float

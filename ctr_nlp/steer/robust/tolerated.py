@@ -88,11 +88,15 @@ def told_unknowns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
 
 
 def bearing_unknowns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
-    """The unknowns (T, 2d + 2) of a model, of a robot at q (T, 2d + 2) with the unknowns x of told_on(model)."""
+    """The unknowns (T, 2d + 2) of a model, of a robot that moves through q (T, 2d + 2) with the unknowns x of
+    told_on(model). The turn of its tip is continuous over the frames, where alpha tells of it up to whole turns.
+    """
     if told_on(model) == model:
         return x
     assert isinstance(model, Loaded)
-    return model.unloaded(robot, q, tip_angles(x, robot.d))
+    found, last = model.unloaded(robot, q, tip_angles(x, robot.d)), robot.d - 1
+    found[:, last] = np.unwrap(found[:, last])
+    return found
 
 
 def balanced(count: int) -> Array:
