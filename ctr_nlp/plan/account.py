@@ -138,8 +138,9 @@ def _tolerances(plan: Plan, part: float) -> str:
     for name, band in zip(NAMES, bands.tolist(), strict=True):
         value = f"{band:.2g}{UNITS[name]}" if name in UNITS else f"{band:.2%}"
         told += [f"{name.replace('_', ' ')} {value}"] if band else []
-    lag = part * robot.tolerances.lags(robot.d).max()
-    return ", ".join([*told, *([f"rotation lag {lag:.2g} rad"] if lag else [])])
+    lag, force = part * robot.tolerances.lags(robot.d).max(), part * robot.tolerances.tip_force
+    told += [f"rotation lag {lag:.2g} rad"] if lag else []
+    return ", ".join([*told, *([f"tip force {force:.2g} N"] if force else [])])
 
 
 def _failures(plan: Plan) -> list[str]:

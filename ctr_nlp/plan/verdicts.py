@@ -90,7 +90,7 @@ def _followed(plan: Record) -> Judgement:
     if free is None:
         return NOT_KNOWN, number, "mm", f"{told}; how large e3 would be without the wall is not known."
     here = f"on the {plan.evaluated} one " if plan.evaluated != plan.meta["model"] else ""
-    here = here if plan.bears is None else f"under {plan.bears} "
+    here = here if plan.bears in (None, planned) else f"under {plan.bears} "
     growth = number / free - 1 if number > free > 0 else 0.0
     allowed = "" if math.isinf(cost) else f", {100 * cost:g}% is allowed"
     told += f"; {here}the wall makes e3 {growth:.1%} larger than {free:.3g} mm{allowed}."

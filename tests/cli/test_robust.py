@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from near_fold import near_the_fold, plan_through
 
-from ctr_nlp import Plan
+from ctr_nlp import Plan, Tolerances
 from ctr_nlp.cli.commands import plan as plan_command
 from ctr_nlp.cli.commands.play import main as play
 from ctr_nlp.cli.commands.robust import main as robust
@@ -147,6 +147,14 @@ def test_a_plan_that_loses_too_many_says_what_it_would_bear(saved):
         assert sum(lost in each for each in told) == 1
         assert sum(each.startswith("the plan would hold with tolerances of curvature ") for each in told) == more
         assert not robust_plan.verdicts.survives_draws.why.endswith("plans for them.")
+
+
+def test_what_it_would_bear_includes_the_force_at_the_tip(saved):
+    plan = Plan.load(saved / "near.npz")
+    robot = replace(plan.robot, tolerances=Tolerances(tip_force=0.2, rotation_lag=0.1))
+    certificate = {"held": False, "most_lost": 0.01, "draws": 50, "lost": 7, "lost_in": {"3": 7}, "borne": 0.5}
+    robust_plan = replace(plan, meta=plan.meta | {"robot": robot.to_dict(), "certificate": certificate})
+    assert remarks(robust_plan, summary(robust_plan))[-1].endswith("rotation lag 0.05 rad, tip force 0.1 N")
 
 
 def test_an_elastic_plan_is_not_played_untried_nor_where_draws_fail(saved, tmp_path, capsys):

@@ -48,6 +48,15 @@ def test_a_plan_bears_a_load(nitinol):
     assert found.verdicts.followed.why == "All 4 frames were solved on the elastic model without a load."
 
 
+def test_a_load_that_is_planned_for_is_named_once_beside_what_the_wall_costs(nitinol):
+    meta = nitinol.meta | {"e3_free": 1.0, "options": nitinol.options | {"clearance_cost": 0.1}}
+    free = replace(nitinol, free=nitinol.q, meta=meta)
+    planned = replace(free.under(WEAK), meta=free.under(WEAK).meta | {"planned_load": WEAK.to_dict()})
+    for plan, times in ((planned, 1), (planned.under(Load(force=(0.0, 0.1, 0.0))), 2), (free.under(WEAK), 1)):
+        assert plan.verdicts.followed.why.count("under a tip force") == times
+        assert "the wall makes e3" in plan.verdicts.followed.why
+
+
 def test_without_its_load_it_is_the_plan_of_before(nitinol):
     again = nitinol.under(WEAK).on("elastic")
     assert again.bears is None
