@@ -165,10 +165,12 @@ def _survives(plan: Record) -> Judgement:
     if not plan.can_snap:
         told = f"The {plan.evaluated} model knows no snaps, so that none of its draws can be lost"
         return NOT_KNOWN, None, "", f"{told}; `ctr-nlp robust --evaluate elastic` moves robots that can be."
+    told, force = plan.drawn.told, plan.robot.tolerances.tip_force
+    told += f" A force of {force:g} N acts at the tip of each, in a direction of its own." if force else ""
     if plan.drawn.share <= plan.options.get("most_lost", MOST_LOST):
-        return YES, plan.drawn.share, "of draws", plan.drawn.told
+        return YES, plan.drawn.share, "of draws", told
     hint = "" if "certificate" in plan.meta else " `ctr-nlp plan --robust` plans for them."
-    return NO, plan.drawn.share, "of draws", plan.drawn.told + hint
+    return NO, plan.drawn.share, "of draws", told + hint
 
 
 def _option(plan: Record, name: str) -> Any:
