@@ -6,7 +6,7 @@ const NATIVE = {
   arrows: "input[type=range], select",
 };
 let playing = null;
-let shown = 1 / slider.max;
+let shown = 1; // the page opens with the robots as far out as they come; playing begins with the first frame
 
 /** Place of a moment among the frames of a plan, between two of them where it is between their times. */
 function placeOf(plan, part) {

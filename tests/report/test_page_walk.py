@@ -357,6 +357,28 @@ def test_a_click_on_any_plot_goes_to_its_frame_and_all_plots_follow(wide, plan):
         assert float(lefts.pop().removesuffix("%")) == pytest.approx(100 * part)
 
 
+def test_the_page_opens_at_the_last_frame_and_plays_from_the_first(browser, files):
+    """In the first one there is little to be seen of a robot."""
+    with opened(browser, files["one"], 768) as view:
+        shown(view)
+        assert frame_of(view) == FRAMES
+        assert view.locator("#moment").inner_text() == f"frame {FRAMES} of {FRAMES}"
+        view.locator("#play").click()
+        view.wait_for_function(f"playing && slider.value < {FRAMES // 2}")
+
+
+def test_on_a_phone_what_is_compared_is_named_above_its_numbers(browser, files):
+    with opened(browser, files["both"], 390, 844) as view:
+        view.set_default_timeout(120_000)
+        width = view.locator(".compared table").bounding_box()["width"]
+        for row in view.locator(".compared tbody tr").all():
+            name, *cells = [cell.bounding_box() for cell in row.locator("th, td").all()]
+            assert name["width"] > 0.9 * width
+            assert name["height"] < 60
+            assert all(cell["y"] >= name["y"] + name["height"] - 1 for cell in cells)
+            assert all(cell["width"] > 0.1 * width for cell in cells)
+
+
 def test_touch_plays_taps_and_scrubs(browser, files, plan):
     with opened(browser, files["one"], 390, 844, has_touch=True, is_mobile=True, device_scale_factor=2) as view:
         view.set_default_timeout(120_000)
@@ -366,8 +388,9 @@ def test_touch_plays_taps_and_scrubs(browser, files, plan):
         view.get_by_role("button", name="Top").tap()
         settle(view)
         np.testing.assert_allclose(camera_of(view)[6:], [0, 1, 0], atol=1e-9)
-        view.get_by_role("button", name="Next frame").tap()
-        assert frame_of(view) == 2
+        view.get_by_role("button", name="Previous frame").tap()
+        assert frame_of(view) == FRAMES - 1
+        view.evaluate("show(2 / slider.max)")
         view.locator("#play").tap()
         view.wait_for_function("playing && slider.value > 2")
         view.locator("#play").tap()
