@@ -1,6 +1,7 @@
 """Plans under forces at the tip, known ones and such as may come from any side: two tables a problem.
 
 python scripts/studies/tip_forces.py [PROBLEM ...] [--robot FILE] [--planned N] [--forces N ...] [--known N]
+    [--most-lost SHARE]
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import Any
 
 from ctr_nlp import CtrError, Problem, Robot, problem_from_file
 from ctr_nlp.loads import with_modulus
+from ctr_nlp.plan.verdicts import MOST_LOST
 from ctr_nlp.problems import NAMES, named
 from ctr_nlp.studies.borne.draws import DRAWS, compensated, withstood
 from ctr_nlp.support.tables import markdown
@@ -31,6 +33,8 @@ def main() -> None:
     parser.add_argument(
         "--forces", type=float, nargs="*", default=[0.1], help="with none, no robust plans are made"
     )
+    told = "share of all robots that robust plans may lose, each with a force from one side (default 0.01)"
+    parser.add_argument("--most-lost", type=float, default=MOST_LOST, help=told)
     told = "N of a force across the robot that is known to the plan; 0 for no such plans (default 0.1)"
     parser.add_argument("--known", type=float, default=0.1, help=told)
     asked = parser.parse_args()
@@ -41,7 +45,8 @@ def main() -> None:
             if asked.known:
                 _print([asdict(compensated(problem, asked.known))])
             if asked.forces:
-                _print([asdict(row) for row in withstood(problem, asked.planned, asked.forces, asked.draws)])
+                given = asked.planned, asked.forces, asked.draws, asked.most_lost
+                _print([asdict(row) for row in withstood(problem, *given)])
         except CtrError as error:
             print(f"{problem.name}: {error}", flush=True)
 

@@ -14,6 +14,7 @@ from ctr_nlp.loads import Load
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.verdicts import MOST_LOST
 from ctr_nlp.robot.draws import drawn
 from ctr_nlp.simulation.drawn import lost_draws
 from ctr_nlp.steer import solve_horizon
@@ -65,12 +66,17 @@ def lost_from_any_side(plan: Plan, force: float, draws: int = DRAWS, sides: int 
 
 
 def withstood(
-    problem: Problem, planned_for: float, forces: Sequence[float], draws: int = DRAWS
+    problem: Problem,
+    planned_for: float,
+    forces: Sequence[float],
+    draws: int = DRAWS,
+    most_lost: float = MOST_LOST,
 ) -> list[Withstood]:
-    """One robust plan of a problem, and what it does under each of some forces, N."""
+    """One robust plan of a problem, and what it does under each of some forces, N; most_lost: as solve_robust."""
     tolerances = replace(problem.robot.tolerances, tip_force=planned_for)
     begin = time.process_time()
-    plan = solve_robust(replace(problem, robot=replace(problem.robot, tolerances=tolerances)))
+    tolerant = replace(problem, robot=replace(problem.robot, tolerances=tolerances))
+    plan = solve_robust(tolerant, most_lost=most_lost)
     seconds = time.process_time() - begin
     without = int(lost_from_any_side(plan, 0.0, draws).sum())
     return [
