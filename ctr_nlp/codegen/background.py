@@ -26,8 +26,8 @@ from ctr_nlp.codegen import cache, directions, language, places, tape, vector
 from ctr_nlp.support.pool import Lasting
 
 NOTE = (
-    "the programs of this kind of robot are being compiled in the background, once for all robots of its kind; "
-    "until that is done they are interpreted, several times slower. `ctr-nlp warm` compiles beforehand"
+    "the programs for this kind of robot are being compiled in the background, which happens once; until that is "
+    "done, they run several times slower. `ctr-nlp warm` compiles them beforehand"
 )
 _begun: list[Lasting] = []
 """Processes of this one that have not been seen to end."""
