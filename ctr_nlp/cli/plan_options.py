@@ -104,14 +104,20 @@ def add_robust_options(parser: argparse.ArgumentParser) -> None:
         "frames at once or with the joint formulation, and try the plan on 500 draws of them",
     )
     part = "share of them that may be lost: snap, or end on another branch; certain with 95 percent confidence"
+    add_numbers(group, ("most-lost", "PART", f"{part} (default {MOST_LOST:g})"))
+    add_tip_force(group)
+
+
+def add_tip_force(group: argparse._ActionsContainer) -> None:
+    """The force that tolerances let act at the tip."""
     force = (
         "force that may act at the tip, in any direction, and come and go (default: the robot file's tip_force)"
     )
-    add_numbers(group, ("most-lost", "PART", f"{part} (default {MOST_LOST:g})"), ("tip-force", "N", force))
+    add_numbers(group, ("tip-force", "N", force))
 
 
 def tolerant(problem: Problem, arguments: argparse.Namespace) -> Problem:
-    """The problem with the force at the tip that add_robust_options' arguments ask for; raises RobotError."""
+    """The problem with the force at the tip that add_tip_force's argument asks for; raises RobotError."""
     if arguments.tip_force is None:
         return problem
     tolerances = replace(problem.robot.tolerances, tip_force=arguments.tip_force)

@@ -7,7 +7,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from ctr_nlp.codesign.search import NEAR, Candidate, DesignSearch, error_of
+from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.robot import Robot
 from ctr_nlp.steer.robust.tolerated import scenarios_of
 
 FIRM = 0.3
@@ -15,6 +17,15 @@ FIRM = 0.3
 hardly costs any error, and plans, which need not have as much, have it in hand."""
 ATTEMPTS = 4
 """Tubes for tolerances that are tried, at most, until all plans on them are certified."""
+
+
+def tolerated(robot: Robot) -> Scenarios:
+    """Robots that stand for all within a robot's tolerances, with the forces that may act at its tip.
+
+    Tubes decide how far a force bends them, so that errors under forces count here; motions hardly do, and plans
+    leave them out.
+    """
+    return scenarios_of(robot, pushed=True)
 
 
 def certified(
@@ -42,8 +53,8 @@ def tolerant(found: Sequence[Candidate], search: DesignSearch) -> Iterator[Candi
     for firm, one in _promising(found, search):
         if search.stop():
             return
-        begun = None if one is None else firm.shared(one, scenarios_of)
-        settled = None if begun is None else firm.settled(begun, scenarios_of, NEAR)
+        begun = None if one is None else firm.shared(one, tolerated)
+        settled = None if begun is None else firm.settled(begun, tolerated, NEAR)
         if settled is not None and settled.solved:
             yield settled
 

@@ -27,10 +27,12 @@ def search_for(
     constant_curvature: bool = False,
     settings: Settings = DEFAULTS,
 ) -> DesignSearch:
-    """The search for tubes over all frames of problems; as design."""
+    """The search for tubes over all frames of problems; as design. Raises LoadError, too."""
     tasks = _checked(problems, settings)
     described = model_named(model, "model of a design")
-    steady(described.bears, "a design")
+    described.check(tasks[0].robot)
+    if described.bears is not None:
+        steady(described.bears, "a design").numbers_apart(tasks[0].robot.d)
     robot = tasks[0].robot if constant_curvature else varying(tasks[0].robot)
     tubes = DesignedTubes(robot, rules or Manufacture(), tuple(fixed))
     margin = 0.0 if settings.stability_margin is None else settings.stability_margin

@@ -14,7 +14,7 @@ from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.shared.design import FREED, DesignedTubes
 from ctr_nlp.formulations.shared.scenarios import shared_motion
 from ctr_nlp.formulations.shared.tasks import WithinCurved, shared_tubes
-from ctr_nlp.models import Model
+from ctr_nlp.models import MODELS, Model
 from ctr_nlp.nlp.scenarios import Scenarios, SharedMotion
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
@@ -26,6 +26,7 @@ from ctr_nlp.solvers.scenarios.condensed import Condensed
 from ctr_nlp.steer.horizon import Horizon, solve_horizon
 from ctr_nlp.steer.robust.plan import MOTION_PART
 from ctr_nlp.steer.robust.search import RobustSearch, Start, Tried
+from ctr_nlp.steer.robust.tolerated import bearing
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.pool import Jobs, side_by_side
 from ctr_nlp.target.problem import Problem
@@ -47,7 +48,7 @@ round before, from which a larger one leads away."""
 
 @dataclass(frozen=True)
 class Motions:
-    """Of all tasks, one after the other: q (T, 2d + 2), tips phi (T, S, d), and e3 (n,) of each task over its
+    """Of all tasks, one after the other: q (T, 2d + 2), tips phi (T, S, k), and e3 (n,) of each task over its
     frames and scenarios, mm; NaN where its motion is no solution.
     """
 
@@ -84,6 +85,20 @@ Robots = Callable[[Robot], Scenarios]
 def alone(robot: Robot) -> Scenarios:
     """A robot as described."""
     return Scenarios(robot.numbers[None], np.zeros((1, robot.d)), np.ones(1))
+
+
+def tips_of(model: Model, robot: Robot, x: Array) -> Array:
+    """What of a robot's unknowns x (T, n_x) its q does not say: tips (T, d), under a load (T, d + 2)."""
+    angles, turns = x[:, : robot.d], x[:, 2 * robot.d :]
+    return angles if model.bears is None else np.hstack([angles, turns])
+
+
+def unknowns_of(model: Model, robot: Robot, tips: Array, q: Array) -> Array:
+    """The unknowns (T, n_x) of a robot at q (T, 2d + 2) with tips as of tips_of."""
+    d = robot.d
+    if model.bears is None:
+        return np.hstack([tips, q[:, d:]])
+    return np.hstack([tips[:, :d], q[:, d : 2 * d], tips[:, d:]])
 
 
 def never() -> bool:
@@ -130,7 +145,7 @@ class DesignSearch:
         plan = partial(solve_horizon, model=self.model, settings=self.settings)
         plans = [plan(task) for task in self.on(robot)] if self.jobs == 1 else self._elsewhere(plan, robot)
         q = np.concatenate([plan.q for plan in plans])
-        tips = [self.model.follow(robot, plan.q).x[:, : robot.d] for plan in plans]
+        tips = [tips_of(self.model, robot, self.model.follow(robot, plan.q).x) for plan in plans]
         e3 = [summary(plan)["e3"] if plan.success.all() else np.nan for plan in plans]
         return Motions(q, np.concatenate(tips)[:, None], np.array(e3, dtype=float))
 
@@ -156,7 +171,7 @@ class DesignSearch:
         for task, q in zip(self.on(robot), self.each(motions.q), strict=True):
             weight = MOTION_PART * self._balanced(task, q)
             margins = np.full(task.frames, self.margin)
-            at = robot, task.samples, task.dt, weight, Ends(), self.model, scenarios
+            at = robot, task.samples, task.dt, weight, Ends(), bearing(self.model, scenarios.pushed), scenarios
             one = shared_motion(*at, fastest, margins, (WithinCurved(),), freed=FREED)
             upper = one.upper.copy()
             upper[:, robot.d : 2 * robot.d] = robot.reach
@@ -164,10 +179,10 @@ class DesignSearch:
         return shared_tubes(made, self.tubes.common(scenarios, p, pull * len(motions.q)))
 
     def _balanced(self, task: Problem, q: Array) -> float:
-        """The lambda of a plain horizon from a motion."""
-        horizon = Horizon(task, self.model, settings=self.settings)
-        x = self.model.follow(task.robot, q).x
-        return horizon.balanced_weight(np.nan_to_num(x))
+        """The lambda of a plain horizon from a motion, of robots that bear nothing."""
+        free = self.model if self.model.bears is None else MODELS[self.model.name]
+        horizon = Horizon(task, free, settings=self.settings)
+        return horizon.balanced_weight(np.nan_to_num(free.follow(task.robot, q).x))
 
     def shared(self, known: Candidate, robots: Robots) -> Candidate | None:
         """The same tubes with motions that scenarios share, each task's for itself; None where one has none."""
@@ -187,12 +202,13 @@ class DesignSearch:
         return replace(known, motions=Motions(q, phi, e3))
 
     def shared_of(self, start: str, scenarios: Scenarios, known: tuple[Problem, Array, Array]) -> Tried:
-        """What comes of one task's motion (T, 2d + 2), with tips (T, d), that scenarios are to share."""
+        """What comes of one task's motion (T, 2d + 2), with tips (T, k), that scenarios are to share."""
         task, of_task, tips = known
-        weight = MOTION_PART * self._balanced(task, of_task)
-        x, margins = np.concatenate([tips, of_task[:, task.robot.d :]], axis=1), np.full(task.frames, self.margin)
+        weight, margins = MOTION_PART * self._balanced(task, of_task), np.full(task.frames, self.margin)
+        x = unknowns_of(self.model, task.robot, tips, of_task)
         with deferred_interrupt() as interrupted:
-            search = RobustSearch(task, self.model, Ends(), (), weight, margins, stop=interrupted)
+            own = bearing(self.model, scenarios.pushed), Ends(), (), weight, margins
+            search = RobustSearch(task, *own, stop=interrupted)
             return search.solve(Start(start, x), scenarios)
 
     @property

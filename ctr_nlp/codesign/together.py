@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.codesign.certified import certified, tolerant
+from ctr_nlp.codesign.certified import certified, tolerant, tolerated
 from ctr_nlp.codesign.doubts import doubts
 from ctr_nlp.codesign.plans import planned_on
 from ctr_nlp.codesign.request import draft, search_for
@@ -29,7 +29,7 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.steer.motions import filled
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
-from ctr_nlp.steer.robust.tolerated import scenarios_of
+from ctr_nlp.steer.robust.tolerated import bearing
 from ctr_nlp.steer.starts.search import drafted
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.pool import Jobs, side_by_side
@@ -109,7 +109,9 @@ def design(
     (formulations/shared/design.py). The problems' robots must be equal; theirs are the limits, the tolerances and
     the first tubes.
     nominal: whether the tolerances are left out; otherwise motions are shared by robots that stand for all within
-    them, and each plan is certified on draws (solve_robust). rules: of manufacture. fixed: names of numbers that
+    them, and each plan is certified on draws (solve_robust). Under a load (model=Loaded(load)), tubes and motions
+    are those that follow the targets best while they bear it; a force that may act at the tip (tip_force of the
+    tolerances) counts by how far it bends the robot. rules: of manufacture. fixed: names of numbers that
     stay as they are, such as outer_diameter_1. constant_curvature: whether curved parts are arcs; otherwise their
     curvatures are linear in arc length. starts: tubes that are tried, the robot's own and random ones
     (settings.seed). walls: whether the plans are kept within the lumens; tubes are chosen as if there were no
@@ -119,12 +121,14 @@ def design(
     which tubes are rounded, with lengths and curvatures that can be made; without it diameters are free.
     settings.stability_margin: the least of every robot. On the dominant model stiffness does not count, and
     diameters are found by the rules alone. Ctrl-C ends the work; the design is then the best so far,
-    marked as interrupted, and plans may be missing. Raises OptionError, ProblemError, RobotError.
+    marked as interrupted, and plans may be missing. Raises LoadError, OptionError, ProblemError, RobotError.
     """
     count = whole_number(OptionError, "starts", starts)
     with deferred_interrupt() as interrupted:
         whole = search_for(problems, model, rules, fixed, constant_curvature, settings)
-        whole = replace(whole, stop=interrupted, jobs=jobs)
+        whole, first = replace(whole, stop=interrupted, jobs=jobs), whole.tasks[0].robot
+        if not nominal:
+            bearing(whole.model, first.tolerances.tip_force > 0).check(first)
         if stock is not None:
             nearest(stock, whole.tubes, whole.tubes.own)  # refuses what cannot nest before anything is solved
         search = replace(whole, tasks=tuple(draft(task) for task in whole.tasks))
@@ -194,7 +198,7 @@ def _finished(
 ) -> tuple[Candidate, DesignSearch, Robots]:
     """Tubes for all frames of tasks, or without these for the tolerances; with what they were found by."""
     if tasks is None:
-        return next(tolerant(tried, search), min(tried, key=error_of)), search, scenarios_of
+        return next(tolerant(tried, search), min(tried, key=error_of)), search, tolerated
     search = replace(search, tasks=tasks)
     return _whole(min(tried, key=error_of), search), search, alone
 

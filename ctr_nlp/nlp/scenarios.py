@@ -61,6 +61,11 @@ class Scenarios:
         return Scenarios(*(np.concatenate(pair) for pair in pairs))
 
     @property
+    def pushed(self) -> bool:
+        """Whether a force acts at the tip of any."""
+        return bool(self.forces.any())
+
+    @property
     def each(self) -> tuple[Array, Array, Array, Array]:
         """The arrays, in order."""
         return self.numbers, self.offsets, self.weights, self.forces

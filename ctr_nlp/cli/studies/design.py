@@ -23,8 +23,10 @@ from ctr_nlp.cli.arguments import (
     whole,
 )
 from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command
+from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, asked_model, with_asked_modulus
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
+from ctr_nlp.cli.plan_options import tolerant
 from ctr_nlp.cli.report import exit_status
 from ctr_nlp.cli.studies.designed import Made, Tried, show, write
 from ctr_nlp.cli.telling import progress_bar, wrote
@@ -35,7 +37,7 @@ from ctr_nlp.codesign.together import STARTS, design
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.shared.manufacture import Manufacture
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import MODELS, Model
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.studies.workers.clients import cluster_client
@@ -92,6 +94,9 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     what += "(default elastic)"
     parser.add_argument("--model", choices=MODELS, default="elastic", help=what)
     add_rules(parser)
+    add_load_options(parser, required=False)
+    plan_options.add_tip_force(parser)
+    add_modulus_option(parser)
     parser.add_argument("--jobs", metavar="N", type=whole, default=2, help="processes side by side (default 2)")
     what = "scheduler of a Dask cluster on which problems are worked on instead, as tcp://HOST:PORT (extra "
     what += "study): for cohorts of dozens of problems and more"
@@ -126,18 +131,22 @@ def _run(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out)
     designed_for, held_out = problems.expanded(arguments.problems), problems.expanded(arguments.hold_out)
     names = designed_for + held_out
-    loaded = [_named(*each) for each in zip(names, problems.load_all(names, arguments), strict=True)]
-    tasks, held = loaded[: len(designed_for)], loaded[len(designed_for) :]
+    read = zip(names, problems.load_all(names, arguments), strict=True)
+    asked = [_named(name, tolerant(with_asked_modulus(problem, arguments), arguments)) for name, problem in read]
+    tasks, held = asked[: len(designed_for)], asked[len(designed_for) :]
+    model = asked_model(arguments.model, arguments)
     if twice := [name for name, count in Counter(task.name for task in (*tasks, *held)).items() if count > 1]:
         raise OptionError(
             f"two problems are called {twice[0]}; plans are written under these names, rename a file"
         )
     rules, settings = rules_from(arguments), settings_from(arguments, "seed")
     stock = None if arguments.stock is None else read_stock(arguments.stock or None)
+    if arguments.nominal and arguments.tip_force is not None:
+        raise OptionError("--tip-force goes with tolerances, which --nominal leaves out; leave one of them out")
     check_folder(out, "design")
     end_if_interrupted()
     alike: dict[str, Any] = {
-        "model": arguments.model,
+        "model": model,
         "rules": rules,
         "fixed": arguments.fix,
         "constant_curvature": arguments.constant_curvature,
@@ -156,7 +165,7 @@ def _run(arguments: argparse.Namespace) -> int:
                 break
         interrupted = made[-1].design.interrupted
         if not interrupted:
-            made = _planned(made, held, settings, arguments, jobs, labelled)
+            made = _planned(made, held, settings, model, arguments, jobs, labelled)
     place = place_of(out, interrupted)
     with published(place, "design") as staging:
         write(made, staging, nominal=arguments.nominal, figures=not arguments.no_figures)
@@ -179,15 +188,16 @@ def _planned(
     made: Sequence[Made],
     held: Sequence[Problem],
     settings: Settings,
+    model: Model,
     arguments: argparse.Namespace,
     jobs: Jobs,
     labelled: Callable[[str], Progress],
 ) -> list[Made]:
     """Designs with plans of the problems held out, each on the robot that follows it best, all tried on draws."""
     robots = [one.design.robot for one in made]
-    choice = suited(held, robots, settings, jobs, arguments.model) if held and len(robots) > 1 else [0] * len(held)
+    choice = suited(held, robots, settings, jobs, model) if held and len(robots) > 1 else [0] * len(held)
     on = [replace(task, robot=robots[k]) for task, k in zip(held, choice, strict=True)]
-    asked: dict[str, Any] = {"model": arguments.model, "walls": arguments.walls, "jobs": jobs}
+    asked: dict[str, Any] = {"model": model, "walls": arguments.walls, "jobs": jobs}
     plans = planned_on(on, settings, arguments.nominal, **asked, progress=labelled("held out"))
     whole = [[*one.design.plans, *(plan for plan in plans if plan.robot == one.design.robot)] for one in made]
     tried = dict(side_by_side(_on_draws, [plan for each in whole for plan in each], jobs))

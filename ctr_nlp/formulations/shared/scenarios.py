@@ -42,7 +42,7 @@ TWIST_STEP = 0.7
 
 def check_shared(robot: Robot, model: Model, scenarios: Scenarios) -> None:
     """Raise OptionError unless scenarios are of a robot, and bear forces on a model that knows loads alone."""
-    if model.bears is None and scenarios.forces.any():
+    if model.bears is None and scenarios.pushed:
         raise OptionError(f"scenarios bear forces, which the {model.name} model without a load does not know")
     if scenarios.offsets.shape[1] != robot.d:
         raise OptionError(f"scenarios have {scenarios.offsets.shape[1]} tubes and the robot has {robot.d}")

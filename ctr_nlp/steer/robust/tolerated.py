@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
@@ -18,18 +20,24 @@ from ctr_nlp.support.values import instance
 from ctr_nlp.typing import Array
 
 
-def scenarios_of(robot: Robot) -> Scenarios:
+def scenarios_of(robot: Robot, pushed: bool = False) -> Scenarios:
     """A robot, and robots that have the mean and the covariance of what it may be within its tolerances.
 
-    Lags, and a force at the tip, are left out. Raises OptionError where nothing may differ, and where tubes'
-    curved parts may come to end in their transmissions, which is another structure.
+    Lags are left out. So is a force at the tip, unless these robots are pushed: then each but the first bears one
+    as large as may be, and together these have the mean and the covariance of such forces from all sides. Raises
+    OptionError where nothing may differ, and where tubes' curved parts may come to end in their transmissions,
+    which is another structure.
     """
+    force = robot.tolerances.tip_force
     root = robot.tolerances.root(robot.tubes)
     deviations = root[:, abs(root).max(axis=0) > 0]
-    if not (deviations.size or robot.tolerances.tip_force):
+    if not (deviations.size or force):
         raise OptionError("all tolerances of the robot are 0; give some, or plan without robustness")
-    signs = balanced(deviations.shape[1]) if deviations.size else np.zeros((0, 0))
-    parts = np.vstack([np.zeros(len(root)), signs @ deviations.T]).reshape(-1, robot.d, len(NAMES))
+    sides = 3 * bool(pushed and force)
+    count = deviations.shape[1] if deviations.size else 0
+    signs = balanced(count + sides) if count + sides else np.zeros((0, 0))
+    deviated = signs[:, :count] @ deviations[:, :count].T
+    parts = np.vstack([np.zeros(len(root)), deviated]).reshape(-1, robot.d, len(NAMES))
     made = drawn_from(robot, parts, np.zeros(parts.shape[:2]))
     if made.structure != robot.structure:
         raise OptionError(
@@ -37,7 +45,8 @@ def scenarios_of(robot: Robot) -> Scenarios:
             "a robust plan needs limits of beta below the curved lengths"
         )
     weights = np.append(float(not len(signs)), np.ones(len(signs)))
-    return Scenarios(made.numbers, made.offsets, weights)
+    forces = np.vstack([np.zeros(3), force / math.sqrt(3) * signs[:, count:]]) if sides else np.zeros((0, 3))
+    return Scenarios(made.numbers, made.offsets, weights, forces)
 
 
 def with_forces(scenarios: Scenarios, size: float) -> Scenarios:
@@ -59,13 +68,17 @@ def described(robot: Robot, model: str | Model, scenarios: Scenarios | None) -> 
     if scenarios is None:
         scenarios = with_forces(scenarios_of(robot), robot.tolerances.tip_force)
     instance(OptionError, "scenarios", scenarios, Scenarios)
-    if model.bears is None and (scenarios.forces.any() or robot.tolerances.tip_force):
-        model = under(model, Load())
+    model = bearing(model, scenarios.pushed or robot.tolerances.tip_force > 0)
     model.check(robot)
     if model.bears is not None:
         model.bears.numbers_apart(robot.d)
     check_shared(robot, model, scenarios)
     return model, scenarios
+
+
+def bearing(model: Model, pushed: bool) -> Model:
+    """A model, or where robots are pushed at their tips, that model of loaded robots; raises OptionError."""
+    return under(model, Load()) if pushed and model.bears is None else model
 
 
 def told_on(model: Model) -> Model:

@@ -1,0 +1,125 @@
+"""Designs for robots that something pushes: under a known load, and under forces that may come from any side."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from truth import TWO
+
+from ctr_nlp import Load, Loaded, Manufacture, Problem, Robot, Tolerances, design, growing, solve_horizon
+from ctr_nlp.cli.main import main
+from ctr_nlp.exceptions import LoadError, OptionError
+from ctr_nlp.loads import with_modulus
+from ctr_nlp.plan.measures import e3
+from ctr_nlp.steer.robust.tolerated import scenarios_of
+from ctr_nlp.target.curve import curve_from_formula
+
+FORCE = 0.5
+ACROSS = Load(force=(0.0, FORCE, 0.0))
+RULES = Manufacture(channel=0.3, wall=0.1, outer=4.0)
+NITINOL = with_modulus(Robot(TWO.tubes), 60_000)
+BENDS = {"bend": (12.0, 0.0), "turn": (18.0, 4.0)}
+
+
+def _task(robot, name="bend"):
+    bend, twist = BENDS[name]
+    curve = curve_from_formula(lambda u: (bend * (1 - ca.cos(u / 40)), twist * ca.sin(u / 60), u), 0.0, 70.0)
+    return Problem(name, robot, growing(curve, 6), duration=3.0)
+
+
+def _pushed(**others):
+    return replace(NITINOL, tolerances=Tolerances(tip_force=FORCE, **others))
+
+
+def test_tubes_for_a_load_follow_under_it_better_than_tubes_for_none():
+    tasks, load = [_task(NITINOL, name) for name in BENDS], Loaded(ACROSS)
+    free = design(tasks, nominal=True, rules=RULES, starts=2)
+    found = design(tasks, nominal=True, model=load, rules=RULES, starts=2)
+    for plan in found.plans:
+        assert plan.complete
+        assert plan.bears == ACROSS
+        assert plan.verdicts.stable.word == "yes"
+    assert all(rule.lower <= rule.value <= rule.upper for rule in found.rules)
+    knowing = [solve_horizon(replace(task, robot=free.robot), model=load) for task in tasks]
+    assert _rms(found.plans) < 0.9 * _rms(knowing)
+
+
+def _rms(plans):
+    return float(np.sqrt(np.mean([e3(plan) ** 2 for plan in plans])))
+
+
+def test_a_design_for_tolerances_may_bear_a_load_all_the_time():
+    (plan,) = design([_task(NITINOL)], model=Loaded(ACROSS), rules=RULES, starts=1).plans
+    assert plan.bears == ACROSS
+    assert plan.meta["certificate"]["held"]
+
+
+def test_tubes_for_forces_from_any_side_are_bent_by_them_less():
+    blind, found = (design([_task(robot)], rules=RULES, starts=1) for robot in (NITINOL, _pushed()))
+    assert found.plans[0].meta["certificate"]["held"]
+    errors = []
+    for one in (blind, found):
+        plan = one.plans[0]
+        robot = replace(plan.robot, tolerances=Tolerances(tip_force=FORCE))
+        told = replace(plan, meta=plan.meta | {"robot": robot.to_dict()}).robustness(60, 3)
+        assert told.losses == 0
+        errors.append(told.errors.mean)
+    assert errors[1] < 0.3 * errors[0]
+
+
+@pytest.mark.parametrize("others", [{}, {"curvature": 0.0, "bending_stiffness": 0.0, "motor_zero": 0.0}])
+def test_pushed_scenarios_have_the_mean_and_the_covariance_of_forces_from_all_sides(others):
+    robot = _pushed(**others)
+    found, without = scenarios_of(robot, pushed=True), scenarios_of(_pushed(curvature=0.03))
+    counted = found.weights > 0
+    assert not found.forces[~counted].any()
+    assert not without.pushed
+    forces = found.forces[counted]
+    np.testing.assert_allclose(np.linalg.norm(forces, axis=1), FORCE)
+    np.testing.assert_allclose(forces.mean(axis=0), 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.cov(forces.T, bias=True), FORCE**2 / 3 * np.eye(3), atol=1e-12)
+    for apart in (found.numbers - found.numbers[0], found.offsets):
+        np.testing.assert_allclose(forces.T @ apart[counted].reshape(len(forces), -1), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("robot", "model", "nominal"),
+    [
+        (Robot(TWO.tubes), Loaded(ACROSS), True),
+        (replace(Robot(TWO.tubes), tolerances=Tolerances(tip_force=0.1)), "elastic", False),
+    ],
+)
+def test_moduli_are_asked_for_before_anything_is_solved(robot, model, nominal):
+    with pytest.raises(LoadError, match="modul"):
+        design([_task(robot)], model=model, nominal=nominal, progress=_never)
+
+
+def _never(*_told):
+    raise AssertionError("something was solved")
+
+
+def test_what_a_design_cannot_bear_is_said_first():
+    with pytest.raises(LoadError, match="weigh"):
+        design([_task(NITINOL)], nominal=True, model=Loaded(Load(densities=6.45, down=(0, 0, 1))), progress=_never)
+    with pytest.raises(OptionError, match="dominant"):
+        design([_task(_pushed())], model="dominant", progress=_never)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["--nominal", "--tip-force", "0.1", "--youngs-modulus", "60000"], "--nominal leaves out"),
+        (["--force", "0", "0.1", "0"], "modul"),
+        (["--tip-force", "0.1"], "modul"),
+        (["--model", "dominant", "--force", "0", "0.1", "0", "--youngs-modulus", "60000"], "dominant"),
+    ],
+)
+def test_the_command_says_so_in_one_line(given, said, tmp_path, capsys):
+    assert main(["design", "arc", "--frames", "6", *given, "--out", str(tmp_path / "out")]) == 2
+    told = capsys.readouterr().err.strip()
+    assert said in told
+    assert len(told.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
