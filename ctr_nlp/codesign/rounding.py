@@ -72,7 +72,7 @@ def in_stock(
     the stock nest, ProblemError where none of those tried can follow the tasks.
     """
     drafts = list[tuple[Candidate, DesignSearch, tuple[StockTube, ...]]]()
-    chosen = nearest(stock, search.tubes, best.p)[:TRIED]
+    chosen = nearest(stock, search.tubes, best.p, search.pushed)[:TRIED]
     for tubes in chosen:
         if search.stop():
             break

@@ -122,6 +122,11 @@ class DesignSearch:
     seen: Callable[[Candidate], None] | None = None
     jobs: Jobs = 1
 
+    @property
+    def pushed(self) -> bool:
+        """Whether anything acts on the robots, or may, so that tubes' stiffnesses count beside their ratios."""
+        return self.model.bears is not None or self.tubes.robot.tolerances.tip_force > 0
+
     @cached_property
     def settings(self) -> Settings:
         """Of motions, far from any wall."""

@@ -36,9 +36,9 @@ class StockTube(NamedTuple):
     source: str
 
     @property
-    def stiffness(self) -> float:
-        """The second moment of its section but for a factor, mm^4."""
-        return self.outer**4 - self.inner**4
+    def section(self) -> float:
+        """The second moment of area of its section, mm^4."""
+        return math.pi / 64 * (self.outer**4 - self.inner**4)
 
 
 def read_stock(path: str | Path | None = None) -> tuple[StockTube, ...]:
@@ -88,12 +88,15 @@ def _tube(place: Path, line: int, row: dict[str, str | None], unit: str) -> Stoc
     return StockTube(row["part"] or f"line {line}", outer, inner, row.get("source") or str(place))
 
 
-def nearest(stock: Sequence[StockTube], tubes: DesignedTubes, p: Array) -> list[tuple[StockTube, ...]]:
+def nearest(
+    stock: Sequence[StockTube], tubes: DesignedTubes, p: Array, pushed: bool = False
+) -> list[tuple[StockTube, ...]]:
     """Tubes of stock that nest within the rules, those first that promise to lose least against tubes p (P,).
 
-    Shapes depend on the ratios of tubes' stiffnesses alone, so what counts are the logarithms of these between
-    neighbours, and whether a thicker tube still bears its curvature. A tube with a diameter that is fixed stays as
-    it is. A beam search from the innermost tube outwards. Raises OptionError where none nest.
+    Shapes depend on the ratios of tubes' stiffnesses alone, unless robots are pushed, so what counts are the
+    logarithms of these between neighbours, with that of the innermost tube where they are, and whether a thicker
+    tube still bears its curvature. A tube with a diameter that is fixed stays as it is. A beam search from the
+    innermost tube outwards. Raises OptionError where none nest.
     """
     robot, rules = tubes.robot_of(p), tubes.rules
     moduli = [tube.youngs_modulus for tube in robot.tubes]
@@ -109,9 +112,11 @@ def nearest(stock: Sequence[StockTube], tubes: DesignedTubes, p: Array) -> list[
                     continue
                 bent = tube.largest_curvature * one.outer / 2 / rules.strain_made
                 more = (STRAINED * math.log(bent)) ** 2 if bent > 1 else 0.0
+                stiffer = math.log(moduli[i] * one.section) - wanted[i]
                 if inside:
-                    ratio = math.log(moduli[i] * one.stiffness / (moduli[i + 1] * inside[0].stiffness))
-                    more += (ratio - wanted[i] + wanted[i + 1]) ** 2
+                    more += (stiffer - math.log(moduli[i + 1] * inside[0].section) + wanted[i + 1]) ** 2
+                elif pushed:
+                    more += stiffer**2
                 longer.append((cost + more, (one, *inside)))
         found = sorted(longer, key=lambda state: state[0])[:BEAM]
     if not found:

@@ -130,7 +130,9 @@ def design(
         if not nominal:
             bearing(whole.model, first.tolerances.tip_force > 0).check(first)
         if stock is not None:
-            nearest(stock, whole.tubes, whole.tubes.own)  # refuses what cannot nest before anything is solved
+            nearest(
+                stock, whole.tubes, whole.tubes.own, whole.pushed
+            )  # refuses what cannot nest before anything is solved
         search = replace(whole, tasks=tuple(draft(task) for task in whole.tasks))
         begun, found = _tried(search, count, settings.seed, jobs, progress)
         tried = [one for one in (begun, *found) if one is not None]

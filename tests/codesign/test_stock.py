@@ -92,6 +92,16 @@ def test_tubes_that_nest_are_found_best_ratios_first():
     assert [one.part for one in found[0]] == ["Table I tube 1", "Table I tube 2", "Table I tube 3"]
 
 
+def test_where_something_pushes_stiffness_itself_counts():
+    """Thin tubes of the same ratios have the same shape, as long as nothing acts on them."""
+    tubes = DesignedTubes(table_i_robot(), Manufacture(channel=0.4, wall=0.1, clearance=0.05, outer=6.0))
+    own = [(tube.outer_diameter, tube.inner_diameter) for tube in tubes.robot.tubes]
+    thin = [StockTube("thin", 0.6 * outer, 0.6 * inner, "here") for outer, inner in own]
+    like = [StockTube("alike", 1.01**k * outer, inner, "here") for k, (outer, inner) in enumerate(own)]
+    for pushed, part in ((False, "thin"), (True, "alike")):
+        assert {one.part for one in nearest([*thin, *like], tubes, tubes.own, pushed)[0]} == {part}
+
+
 def test_what_cannot_nest_is_refused_before_anything_is_solved():
     stock = [StockTube("A", 2.0, 1.0, "here")]
     with pytest.raises(OptionError, match="no 2 tubes of the stock nest with walls of at least"):
