@@ -26,7 +26,7 @@ from ctr_nlp.solvers.scenarios.condensed import Condensed
 from ctr_nlp.steer.horizon import Horizon, solve_horizon
 from ctr_nlp.steer.robust.plan import MOTION_PART
 from ctr_nlp.steer.robust.search import RobustSearch, Start, Tried
-from ctr_nlp.steer.robust.tolerated import bearing
+from ctr_nlp.steer.robust.tolerated import bearing, tips_of, unknowns_of
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.pool import Jobs, side_by_side
 from ctr_nlp.target.problem import Problem
@@ -85,20 +85,6 @@ Robots = Callable[[Robot], Scenarios]
 def alone(robot: Robot) -> Scenarios:
     """A robot as described."""
     return Scenarios(robot.numbers[None], np.zeros((1, robot.d)), np.ones(1))
-
-
-def tips_of(model: Model, robot: Robot, x: Array) -> Array:
-    """What of a robot's unknowns x (T, n_x) its q does not say: tips (T, d), under a load (T, d + 2)."""
-    angles, turns = x[:, : robot.d], x[:, 2 * robot.d :]
-    return angles if model.bears is None else np.hstack([angles, turns])
-
-
-def unknowns_of(model: Model, robot: Robot, tips: Array, q: Array) -> Array:
-    """The unknowns (T, n_x) of a robot at q (T, 2d + 2) with tips as of tips_of."""
-    d = robot.d
-    if model.bears is None:
-        return np.hstack([tips, q[:, d:]])
-    return np.hstack([tips[:, :d], q[:, d : 2 * d], tips[:, d:]])
 
 
 def never() -> bool:

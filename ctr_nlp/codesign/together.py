@@ -129,10 +129,8 @@ def design(
         whole, first = replace(whole, stop=interrupted, jobs=jobs), whole.tasks[0].robot
         if not nominal:
             bearing(whole.model, first.tolerances.tip_force > 0).check(first)
-        if stock is not None:
-            nearest(
-                stock, whole.tubes, whole.tubes.own, whole.pushed
-            )  # refuses what cannot nest before anything is solved
+        if stock is not None:  # what cannot nest is refused before anything is solved
+            nearest(stock, whole.tubes, whole.tubes.own, whole.pushed)
         search = replace(whole, tasks=tuple(draft(task) for task in whole.tasks))
         begun, found = _tried(search, count, settings.seed, jobs, progress)
         tried = [one for one in (begun, *found) if one is not None]
@@ -198,9 +196,15 @@ def _settled(search: DesignSearch, start: tuple[str, Array]) -> tuple[Candidate 
 def _finished(
     tried: Sequence[Candidate], search: DesignSearch, tasks: tuple[Problem, ...] | None
 ) -> tuple[Candidate, DesignSearch, Robots]:
-    """Tubes for all frames of tasks, or without these for the tolerances; with what they were found by."""
+    """Tubes for all frames of tasks, or without these for the tolerances; with what they were found by.
+
+    Raises ProblemError where no robots within the tolerances share motions on them.
+    """
     if tasks is None:
-        return next(tolerant(tried, search), min(tried, key=error_of)), search, tolerated
+        found = next(tolerant(tried, search), None)
+        if found is None:
+            raise ProblemError("no motions were found that all robots within the tolerances share")
+        return found, search, tolerated
     search = replace(search, tasks=tasks)
     return _whole(min(tried, key=error_of), search), search, alone
 

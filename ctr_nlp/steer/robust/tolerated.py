@@ -112,6 +112,20 @@ def bearing_unknowns(robot: Robot, model: Model, q: Array, x: Array) -> Array:
     return found
 
 
+def tips_of(model: Model, robot: Robot, x: Array) -> Array:
+    """What of a robot's unknowns x (T, n_x) its q does not say: tips (T, d), under a load (T, d + 2)."""
+    angles, turns = x[:, : robot.d], x[:, 2 * robot.d :]
+    return angles if model.bears is None else np.hstack([angles, turns])
+
+
+def unknowns_of(model: Model, robot: Robot, tips: Array, q: Array) -> Array:
+    """The unknowns (T, n_x) of a robot at q (T, 2d + 2) with tips as of tips_of."""
+    d = robot.d
+    if model.bears is None:
+        return np.hstack([tips, q[:, d:]])
+    return np.hstack([tips[:, :d], q[:, d : 2 * d], tips[:, d:]])
+
+
 def balanced(count: int) -> Array:
     """Deviations (N, count) of so many independent quantities, each of mean 0 and variance 1; N is the next
     prime's successor.
