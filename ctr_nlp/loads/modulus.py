@@ -38,7 +38,8 @@ def check_moduli(robot: Robot) -> None:
 def with_modulus(robot: Robot, modulus: float) -> Robot:
     """The robot with youngs_modulus in MPa, where its tubes have only ratios; shapes without load stay the same.
 
-    modulus: in MPa, of a tube whose ratio is 1; the others keep their ratio to it. Raises LoadError.
+    modulus: in MPa, of a tube whose ratio is 1; the others keep their ratio to it. A robot whose tubes have moduli
+    in MPa, of which this is one, stays as it is. Raises LoadError.
     """
     low, high = MODULI
     value = number(
@@ -48,6 +49,16 @@ def with_modulus(robot: Robot, modulus: float) -> Robot:
         lambda given: low <= given <= high,
         f"be in MPa and lie in [{low:g}, {high:g}]{did_you_mean(_meant(modulus))}",
     )
+    own = [tube.youngs_modulus for tube in robot.tubes]
+    if max(own) > RATIO:
+        check_moduli(robot)
+        if value not in own:
+            raise LoadError(
+                f"youngs_modulus of a robot is given as {value:g} MPa, but its tubes have moduli in MPa already, "
+                f"{', '.join(f'{each:g}' for each in own)}; leave with_modulus (--youngs-modulus) out, or change "
+                "the robot file"
+            )
+        return robot
     scaled = [replace(tube, youngs_modulus=tube.youngs_modulus * value) for tube in robot.tubes]
     found = replace(robot, tubes=tuple(scaled))
     check_moduli(found)

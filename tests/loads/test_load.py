@@ -119,6 +119,19 @@ def test_densities_of_a_tube_that_does_not_exist_are_refused():
         Load(densities=(6, 6, 6, 6), down=(0, 0, 1)).numbers(NITINOL)
 
 
+def test_a_robot_that_tells_its_moduli_needs_none_and_takes_its_own():
+    """As of a designed robot, which a command line is repeated for."""
+    first, *rest = with_modulus(table_i_robot(), 60_000).tubes
+    robot = replace(table_i_robot(), tubes=(replace(first, youngs_modulus=75_000), *rest))
+    assert with_modulus(robot, 60_000) == with_modulus(robot, 75_000) == robot
+    told = "is given as 50000 MPa, but its tubes have moduli in MPa already, 75000, 60000, 60000; leave"
+    with pytest.raises(LoadError, match=told):
+        with_modulus(robot, 50_000)
+    in_gpa = tuple(replace(tube, youngs_modulus=60) for tube in robot.tubes)
+    with pytest.raises(LoadError, match=r"did you mean 60000 MPa \(60 GPa\)"):
+        with_modulus(replace(robot, tubes=in_gpa), 60_000)
+
+
 def test_ratios_between_tubes_stay_where_a_modulus_is_given():
     first, *others = table_i_robot().tubes
     found = with_modulus(Robot((replace(first, youngs_modulus=1.2), *others)), 50_000)
