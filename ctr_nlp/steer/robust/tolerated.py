@@ -33,11 +33,9 @@ def scenarios_of(robot: Robot, pushed: bool = False) -> Scenarios:
     deviations = root[:, abs(root).max(axis=0) > 0]
     if not (deviations.size or force):
         raise OptionError("all tolerances of the robot are 0; give some, or plan without robustness")
-    sides = 3 * bool(pushed and force)
-    count = deviations.shape[1] if deviations.size else 0
+    count, sides = deviations.shape[1], 3 * bool(pushed and force)
     signs = balanced(count + sides) if count + sides else np.zeros((0, 0))
-    deviated = signs[:, :count] @ deviations[:, :count].T
-    parts = np.vstack([np.zeros(len(root)), deviated]).reshape(-1, robot.d, len(NAMES))
+    parts = np.vstack([np.zeros(len(root)), signs[:, :count] @ deviations.T]).reshape(-1, robot.d, len(NAMES))
     made = drawn_from(robot, parts, np.zeros(parts.shape[:2]))
     if made.structure != robot.structure:
         raise OptionError(
