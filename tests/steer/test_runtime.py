@@ -7,7 +7,7 @@ import threading
 import numpy as np
 import pytest
 from frames import joint
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from lumens import bent
 from problems import named
@@ -198,6 +198,7 @@ def test_targets_of_random_points_never_lead_out_of_the_limits(name, seed, scale
 
 
 @EVERY_ROBOT
+@example(seed=42903)  # going on would end at a solution that is worse than to stay
 @given(seed=seeds)
 def test_targets_that_jump_from_shape_to_shape_never_lead_out_of_the_limits(name, seed):
     robot, rng = ROBOTS[name], np.random.default_rng(seed)

@@ -8,7 +8,7 @@ n is the internal force, m the moment, w a force per length that acts between tw
 
 A state is a list of angles psi, of their rates, and of the entries of d_1, d_2, t and m; a response is one of what
 follows of angles and rates, of turns of the frame about d_1, d_2 and t, of moment and force. Changes are slopes
-times the step, which is negative: curvatures, rates and forces are multiplied by it, and the rest follows.
+times a length, which is negative: curvatures, rates and forces are multiplied by it, and the rest follows.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Softness(NamedTuple):
 class _Here(NamedTuple):
     """A place along a section.
 
-    Of every active tube: twist, its psi'' over the bending; sin and cos of psi. And, times the step: pull, by
+    Of every active tube: twist, its psi'' over the bending; sin and cos of psi. And, times the length h: pull, by
     which it bends the robot; flexible, 1 / sum EI_i; about, the moment over sum EI_i in the axes; u, which is
     u_1 and u_2; n.
     """
@@ -67,27 +67,23 @@ class Equations:
     xp: Any
     steps: int
 
-    @property
-    def step(self) -> Any:
-        """The change of s, mm, from the tip towards the base."""
-        return -self.part.length / self.steps
+    def changes(self, steps: float, share: float, y: Values, by: Values) -> tuple[Values, Values]:
+        """Of a state, and of its responses if there are any, over a share of a step towards the base.
 
-    def changes(self, fraction: Any, y: Values, by: Values | None) -> tuple[Values, Values | None]:
-        """Of a state, and of its responses where they are wanted.
-
-        They are those at a fraction of the section from its end towards the tip.
+        They are those at so many steps from the section's end towards the tip.
         """
-        d, here, h = len(self.tubes), self._here(fraction, y), self.step
+        d, h = len(self.tubes), -self.part.length * (share / self.steps)
+        here = self._here(steps / self.steps, h, y)
         (u1, u2), (d1, d2, t, _) = here.u, vectors(y[2 * d :])
         turns = [
             here.twist[i] * (u1 * here.sin[i] - u2 * here.cos[i]) if i in here.twist else 0.0 for i in range(d)
         ]
         rates, bends = [h * rate for rate in y[d : 2 * d]], plus(scaled(u1, d1), u2, d2)
         found = [*rates, *turns, *scaled(-u1, t), *scaled(-u2, t), *bends, *cross(here.n, t)]
-        return found, None if by is None else self._changes_of_responses(here, y, by)
+        return found, self._changes_of_responses(here, h, y, by) if by else []
 
-    def _here(self, fraction: Any, y: Values) -> _Here:
-        d, part, active, xp, h = len(self.tubes), self.part, self.part.active, self.xp, self.step
+    def _here(self, fraction: float, h: Any, y: Values) -> _Here:
+        d, part, active, xp = len(self.tubes), self.part, self.part.active, self.xp
         s = part.start + part.length * (1 - fraction)
         k = curvatures_at(self.tubes, [0.0] * d + list(self.beta), part, s)
         sin, cos = {i: xp.sin(y[i]) for i in active}, {i: xp.cos(y[i]) for i in active}
@@ -102,7 +98,7 @@ class Equations:
             n = plus(n, h * self.along.beyond(s), self.along.force)
         return _Here(twist, sin, cos, pull, flexible, about, u, n)
 
-    def _changes_of_responses(self, here: _Here, y: Values, by: Values) -> Values:
+    def _changes_of_responses(self, here: _Here, h: Any, y: Values, by: Values) -> Values:
         d, (u1, u2), (d1, d2, t, _) = len(self.tubes), here.u, vectors(y[2 * len(self.tubes) :])
         dpsi, drates, ((a, b, c), dm, dn) = by[:d], by[d : 2 * d], vectors(by[2 * d :])
         soft, sin, cos = self.soft.bending, here.sin, here.cos
@@ -119,5 +115,5 @@ class Equations:
             sway[i] = k * sin[i] * du1 - k * cos[i] * du2 + k * (u1 * cos[i] + u2 * sin[i]) * dpsi[i]
         turning = -du2 - u1 * c, du1 - u2 * c, u2 * b + u1 * a
         leaning = plus(scaled(b, cross(here.n, d1)), -1.0 * a, cross(here.n, d2))
-        moments = plus(leaning, self.step, cross(dn, t))
-        return [*(self.step * rate for rate in drates), *sway, *turning, *moments, *[0.0 * a] * 3]
+        moments = plus(leaning, h, cross(dn, t))
+        return [*(h * rate for rate in drates), *sway, *turning, *moments, *[0.0 * a] * 3]

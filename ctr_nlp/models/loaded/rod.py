@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.models.elastic.torsion import Node, Section, curvatures_at, moved
+from ctr_nlp.models.elastic.torsion import Node, Section, curvatures_at
 from ctr_nlp.models.loaded.acting import Along, Loading, RodKind, check_kinds
 from ctr_nlp.models.loaded.equations import Equations, Softness, Values
 from ctr_nlp.models.loaded.vectors import cross, dot, plus, scaled, total, vectors
@@ -105,7 +105,7 @@ def integrated(
         *(entry for axis in tip.axes for entry in axis),
         *scaled(load.moment, tip.axes[2]),
     ]
-    by = None if soft is None else _changes(tip, load, kind.follows, xp)
+    by = [] if soft is None else _changes(tip, load, kind.follows, xp)
     states, responses = [], list[list[Any]]()
     along = Along(load.distributed, load.between, beta[-1], xp) if kind.distributed else None
     for k, part in reversed(list(enumerate(parts))):
@@ -116,11 +116,11 @@ def integrated(
         for step in range(steps):
             y, by = _stepped(section, step, y, by)
             nodes.append(y)
-            if by is not None and (step + 1 == steps or (step + 1) % ANEW == 0):
+            if by and (step + 1 == steps or (step + 1) % ANEW == 0):
                 by = _anew(by, responses, d, xp)
         states.append(nodes[::-1])
         force = plus(force, part.length, weight)
-    if by is not None:
+    if by:
         for i, tube in enumerate(tubes):
             by[i] = by[i] - by[d + i] * (tube.length - beta[i])
             by = _anew(by, responses, d, xp)
@@ -128,24 +128,26 @@ def integrated(
     return Rod(states[::-1], y[:d], y[d : 2 * d], (d1, d2, t), responses)
 
 
-def _stepped(section: Equations, k: int, y: Values, by: Values | None) -> tuple[Values, Values | None]:
-    """The state, and its responses, after step k from the end of a section."""
-    changes = list[tuple[Values, Values | None]]()
-    for place in (0.0, 0.5, 0.5, 1.0):
-        at, by_at = y, by
-        if changes:
-            change, by_change = changes[-1]
-            at = moved(y, (place, change))
-            by_at = None if by is None or by_change is None else moved(by, (place, by_change))
-        changes.append(section.changes((k + place) / section.steps, at, by_at))
-    of_state, of_responses = zip(*changes, strict=True)
-    y = moved(y, (1 / 6, _weighted(of_state)))
-    return y, None if by is None else moved(by, (1 / 6, _weighted(of_responses)))
+def _stepped(section: Equations, k: int, y: Values, by: Values) -> tuple[Values, Values]:
+    """The state, and its responses, after step k from the end of a section.
+
+    The method's four changes are found as parts of those over a step, so that its sums have few terms.
+    """
+    first = _plus((y, by), section.changes(k, 1 / 2, y, by))
+    second = _plus((y, by), section.changes(k + 0.5, 1 / 2, *first))
+    third = section.changes(k + 0.5, 1.0, *second)
+    fourth = section.changes(k + 1.0, 1 / 6, *_plus((y, by), third))
+    y, by = (
+        [(a + 2 * b + c) / 3 + d for a, b, c, d in zip(*stages, strict=True)]
+        for stages in zip(first, second, third, fourth, strict=True)
+    )
+    return y, by
 
 
-def _weighted(changes: Sequence[Values]) -> Values:
-    """Six times the mean of the changes at the four stages of a step."""
-    return [first + 2 * (second + third) + last for first, second, third, last in zip(*changes, strict=True)]
+def _plus(begin: tuple[Values, Values], changes: tuple[Values, Values]) -> tuple[Values, Values]:
+    """A state and its responses after these changes."""
+    y, by = ([a + b for a, b in zip(*both, strict=True)] for both in zip(begin, changes, strict=True))
+    return y, by
 
 
 def _changes(tip: Tip, load: Loading, follows: bool, xp: Any) -> Values:

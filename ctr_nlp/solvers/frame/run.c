@@ -2,12 +2,15 @@
 
 #include <time.h>
 
+#define BY_FAR 0.25 /* parts of an error in which another one is much less */
+
 /* What is given of every frame, and what is found: rows of arrays that are stored frame by frame.
 
    picks: which rows of the program are the configuration and what else may only change so much from frame to frame.
    low, high: their limits; most: by how much they may change. previous: where in p the configuration of the frame
-   before stands; decided: how many of its entries. here: of the frame before, updated. moved: by how much x changed in
-   the frame before, updated: a frame is begun where x would go on so; null where each is begun at x.
+   before stands; decided: how many of its entries. here: of the frame before, updated. course: three rows as long as x,
+   updated: by how much x moved in the frame before, by how much more than in the one before that, and by how much it
+   is expected to move in the next, which is begun there if that is better; null where each is begun at x.
 
    around: where some parameters hold near a robot only, what gives these, described entries from place in p on, and
    then the slack that they need, x's last entry; null where all hold everywhere. A mm of it costs p[weight] mm^2, and
@@ -21,7 +24,7 @@ typedef struct {
     const long *picks;
     const double *p, *low, *high, *most;
     double feasible, optimal;
-    double *here, *moved, *x, *rows, *multipliers, *objective, *kkt, *seconds;
+    double *here, *course, *x, *rows, *multipliers, *objective, *kkt, *seconds;
     long *iterations, *status, *solved;
 } Run;
 
@@ -55,24 +58,41 @@ static void take(const Run *r, Program *o) {
     memcpy((double *)o->p + r->place, r->found, r->described * sizeof *o->p);
 }
 
-static double objective(const Run *r, Program *o, Point *point) {
+/* The objective of x, and the l1 merit by penalties above the multipliers that there are. */
+static double merit(const Run *r, Program *o, double *objective) {
+    double rows[o->n + o->m], penalty[] = {0, 0};
+    Point point = {.value = rows};
     if (r->around) surround(r, o), take(r, o);
-    at(o, o->value, point);
-    return point->f;
+    at(o, o->value, &point);
+    adapt(o, o->multipliers, penalty);
+    *objective = point.f;
+    return point.f + violation(o, rows, penalty);
 }
 
-/* Begin a frame where the motion would go on, if that is better than where the frame before ended. */
-static void go_on(const Run *r, Program *o) {
+/* Begin a frame where x is expected, if the merit is less there than where the frame before ended; whether it is.
+   stay: the objective where that ended. */
+static int go_on(const Run *r, Program *o, double *stay) {
     long n = o->n;
-    double before[n], rows[n + o->m];
-    const double even[] = {1, 1};
-    Point point = {.value = rows};
+    double before[n], there;
+    const double *ahead = r->course + 2 * n;
     memcpy(before, o->x, sizeof before);
-    double stay = objective(r, o, &point);
-    for (long i = 0; i < n; ++i) o->x[i] = before[i] + r->moved[i];
+    double least = merit(r, o, stay);
+    for (long i = 0; i < n; ++i) o->x[i] = before[i] + ahead[i];
     keep_within(o);
-    if (!(objective(r, o, &point) < stay && violation(o, rows, even) <= r->feasible))
-        memcpy(o->x, before, sizeof before);
+    int better = merit(r, o, &there) < least;
+    if (!better) memcpy(o->x, before, sizeof before);
+    return better;
+}
+
+/* What a frame tells of the next: an unknown will move as it did; or by as much more as it moved more this time,
+   where that would have told its movement better this time by far. */
+static void expect(const Run *r, long n, const double *before, const double *x) {
+    double *moved = r->course, *more = moved + n, *ahead = more + n;
+    for (long i = 0; i < n; ++i) {
+        double now = x[i] - before[i], change = now - moved[i];
+        ahead[i] = now + (fabs(change - more[i]) < BY_FAR * fabs(change) ? change : 0);
+        moved[i] = now, more[i] = change;
+    }
 }
 
 /* Solve a frame again around its own solution until that needs the same slack; the best of these is kept. */
@@ -104,6 +124,26 @@ static void settle(const Run *r, Program *o) {
     o->iterations = iterations;
 }
 
+static void attempt(const Run *r, Program *o) {
+    (r->around ? settle(r, o) : sqp(o));
+    keep_within(o);
+}
+
+/* Solve a frame from where it is begun; from where the frame before ended, with the iterations that are left, where
+   this was another place and leads to no solution, or to one that is worse than to stay. */
+static void solve_frame(const Run *r, Program *o, const double *before) {
+    double stay = INFINITY;
+    int elsewhere = r->course && go_on(r, o, &stay);
+    attempt(r, o);
+    long spent = o->iterations, most = o->most;
+    if (!elsewhere || (solved(r, o) && o->objective <= stay)) return;
+    memcpy(o->x, before, o->n * sizeof *before), memset(o->multipliers, 0, (o->n + o->m) * sizeof *before);
+    keep_within(o);
+    o->most = spent < most ? most - spent : 0;
+    attempt(r, o);
+    o->most = most, o->iterations += spent;
+}
+
 /* Solve so many frames; how many were solved. The program's x and multipliers are where the first frame starts, and its
    bounds those of rows that are not picked. Where a frame is not solved, it is the last that is tried, and x is again
    where the frame before ended.
@@ -127,9 +167,7 @@ long run(const Run *r, Program *o, long frames, const double *starts) {
             upper[r->picks[k]] = -most(-r->high[k], -r->here[k] - r->most[k]);
         }
         keep_within(o);
-        if (r->moved) go_on(r, o);
-        (r->around ? settle(r, o) : sqp(o));
-        keep_within(o);
+        solve_frame(r, o, before);
         memcpy(found, o->x, n * sizeof *found);
         memcpy(found + n, o->rows + n, o->m * sizeof *found);
         memcpy(r->x + frame * n, o->x, n * sizeof *found);
@@ -142,14 +180,14 @@ long run(const Run *r, Program *o, long frames, const double *starts) {
         if (starts) continue;
         if (!r->solved[frame]) {
             memcpy(o->x, before, sizeof before), memset(o->multipliers, 0, rows * sizeof *p);
-            if (r->moved) memset(r->moved, 0, sizeof before);
+            if (r->course) memset(r->course, 0, 3 * sizeof before);
             break;
         }
         for (long k = 0; k < r->picked; ++k) {
             long row = r->picks[k];
             r->here[k] = within(found[row], lower[row], upper[row]);
         }
-        for (long i = 0; r->moved && i < n; ++i) r->moved[i] = o->x[i] - before[i];
+        if (r->course) expect(r, n, before, o->x);
     }
     return found_all;
 }

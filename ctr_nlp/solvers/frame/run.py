@@ -25,7 +25,7 @@ class _Given(ctypes.Structure):
         *((name, ctypes.c_double) for name in ("feasible", "optimal")),
         *(
             (name, ctypes.c_void_p)
-            for name in ("here", "moved", "x", "rows", "multipliers", "objective", "kkt", "seconds")
+            for name in ("here", "course", "x", "rows", "multipliers", "objective", "kkt", "seconds")
         ),
         *((name, ctypes.c_void_p) for name in ("iterations", "status", "solved")),
     ]
@@ -48,7 +48,7 @@ class Run:
     def __init__(self, program: Program, frames: int, optimal: float, goes_on: bool = False) -> None:
         """optimal: the KKT residual up to which a frame counts as solved; all of them must be feasible.
 
-        goes_on: whether a frame is begun as much further as x moved in the frame before it, where that is better.
+        goes_on: whether a frame is begun where the movement of x in the frames before leads, where that is better.
         """
         nlp, (n, rows) = program.nlp, (len(program.x), len(program.rows))
         self._picks = np.ascontiguousarray(nlp.configuration, dtype=np.int64)
@@ -56,7 +56,7 @@ class Run:
         self.low, self.high, self.most, self.here = np.zeros((4, len(self._picks)))
         self.x, self.rows, self.multipliers = (np.zeros((frames, width)) for width in (n, rows, rows))
         self.objective, self.kkt, self.seconds = np.zeros((3, frames))
-        self.starts, self._moved = np.zeros((frames, n)), np.zeros(n)
+        self.starts, self._course = np.zeros((frames, n)), np.zeros((3, n))
         self.iterations, self.status, self.solved = np.zeros((3, frames), dtype=np.int64)
         previous = nlp.place("previous") if "previous" in nlp.parameters else slice(0, 0)
         limits = self._picks, self.p, self.low, self.high, self.most
@@ -70,7 +70,7 @@ class Run:
             FEASIBLE,
             optimal,
             self.here.ctypes.data,
-            self._moved.ctypes.data if goes_on else None,
+            self._course.ctypes.data if goes_on else None,
             *(array.ctypes.data for array in (*found, self.iterations, self.status, self.solved)),
         )
         self.keep_near(None)
@@ -91,7 +91,7 @@ class Run:
 
     def stand(self, here: Array, x: Array) -> None:
         """Begin the next call at configuration here (k,) and at unknowns x, slacks of 0 after them, at rest."""
-        self.here[:], self._moved[:], self.program.x[:] = here, 0.0, 0.0
+        self.here[:], self._course[:], self.program.x[:] = here, 0.0, 0.0
         self.program.x[: len(x)] = x
 
     def __call__(self, frames: int, from_starts: bool = False) -> int:
