@@ -30,7 +30,7 @@ def shapes_of(robot, parts, q, sigma, model="elastic"):
     turned[:, : robot.d] += draws.offsets[0]
     way = Passage(turned, np.arange(len(q)), np.ones(len(q), dtype=bool), len(q))
     (found,) = model.follow_apart(draws.structure, draws.numbers, way, turned[None], False)
-    return model.points_apart(draws.structure, np.repeat(draws.numbers, len(q), axis=0), found.x, sigma)
+    return model.points_apart(draws.structure, draws.numbers, found.x[None], sigma)[0]
 
 
 def observations(q, points=None, sigma=(), tip=None, direction=None, time=None, recording=None):

@@ -165,7 +165,7 @@ class Parameters:
         return np.stack([self.of_tubes(values, name) for name in NAMES], axis=-1)
 
     def numbers_over(self, column: int) -> Array:
-        """How the tubes' numbers (d, 7), in the order of NUMBERS, grow with a parameter."""
+        """How the tubes' numbers (d, 8), in the order of NUMBERS, grow with a parameter."""
         one, found = self.each[column], np.zeros((self.robot.d, len(NUMBERS)))
         scaled = {"curvature": ("root_curvature", "tip_curvature")}.get(one.kind, (one.kind,))
         for name in scaled if one.kind in NAMES and one.kind != "motor_zero" else ():

@@ -87,7 +87,7 @@ class Prediction:
         return q
 
     def _equilibria(self, values: Array) -> tuple[Array, Array]:
-        """Unknowns x (T, n_x) of the model, and the tubes' numbers (d, 7)."""
+        """Unknowns x (T, n_x) of the model, and the tubes' numbers (d, 8)."""
         parameters, measured = self.parameters, self.measured
         parts = parameters.parts(values)[None]
         numbers = drawn_from(parameters.robot, parts, np.zeros(parts.shape[:2])).numbers
@@ -98,8 +98,8 @@ class Prediction:
 
     def _in_base(self, values: Array, x: Array, numbers: Array) -> tuple[Seen, Array]:
         """In the axes of the robot's base; and the vectors (T, 3) along its tip, whose length cancels."""
-        repeated = np.broadcast_to(numbers, (len(x), *numbers.shape))
-        points = self._model.points_apart(self.parameters.structure, repeated, x, self._sigma)
+        structure = self.parameters.structure
+        (points,) = self._model.points_apart(structure, numbers[None], x[None], self._sigma)
         ahead = np.einsum("k,tka->ta", STENCIL, points[:, :3])
         direction = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
         offset = sum(values[k] for k in self.parameters.columns(OFFSET))

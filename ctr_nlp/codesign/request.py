@@ -10,7 +10,6 @@ from ctr_nlp.exceptions import OptionError, ProblemError
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.shared.design import DesignedTubes, varying
 from ctr_nlp.formulations.shared.manufacture import Manufacture
-from ctr_nlp.loads import steady
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.steer.motions import at_frames
 from ctr_nlp.steer.nlp_frames import DEFAULTS
@@ -31,10 +30,9 @@ def search_for(
     tasks = _checked(problems, settings)
     described = model_named(model, "model of a design")
     described.check(tasks[0].robot)
-    if described.bears is not None:
-        steady(described.bears, "a design").numbers_apart(tasks[0].robot.d)
+    weighs = described.bears is not None and described.bears.weighs
     robot = tasks[0].robot if constant_curvature else varying(tasks[0].robot)
-    tubes = DesignedTubes(robot, rules or Manufacture(), tuple(fixed))
+    tubes = DesignedTubes(robot, rules or Manufacture(), tuple(fixed), weighs)
     margin = 0.0 if settings.stability_margin is None else settings.stability_margin
     return DesignSearch(tuple(replace(task, robot=robot) for task in tasks), tubes, described, margin)
 

@@ -112,7 +112,7 @@ def _held(search: DesignSearch, p: Array, kinds: Sequence[str]) -> DesignSearch:
     """The search with entries of these kinds as they are in p (P,)."""
     tubes = search.tubes
     names = tuple(name for name in tubes.names if name.startswith(tuple(kinds)) or name in tubes.fixed)
-    return replace(search, tubes=DesignedTubes(tubes.robot_of(p), tubes.rules, names))
+    return replace(search, tubes=replace(tubes, robot=tubes.robot_of(p), fixed=names))
 
 
 def _rounded(known: Candidate, search: DesignSearch, robots: Robots) -> Candidate | None:

@@ -11,7 +11,7 @@ import numpy as np
 from ctr_nlp.exceptions import CtrError, ProblemError
 from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.formulations.shared.design import FREED, DesignedTubes
+from ctr_nlp.formulations.shared.design import DesignedTubes
 from ctr_nlp.formulations.shared.scenarios import shared_motion
 from ctr_nlp.formulations.shared.tasks import WithinCurved, shared_tubes
 from ctr_nlp.models import MODELS, Model
@@ -163,7 +163,7 @@ class DesignSearch:
             weight = MOTION_PART * self._balanced(task, q)
             margins = np.full(task.frames, self.margin)
             at = robot, task.samples, task.dt, weight, Ends(), bearing(self.model, scenarios.pushed), scenarios
-            one = shared_motion(*at, fastest, margins, (WithinCurved(),), freed=FREED)
+            one = shared_motion(*at, fastest, margins, (WithinCurved(),), freed=self.tubes.freed)
             upper = one.upper.copy()
             upper[:, robot.d : 2 * robot.d] = robot.reach
             made.append(replace(one, upper=upper))

@@ -70,7 +70,7 @@ def _arrow(axes: Axes, plan: Plan, frame: int, sideways: int, length: float) -> 
     """A tip force that keeps its direction, as far as it lies in the plane of the picture."""
     if plan.bears is None or plan.bears.follows:
         return
-    force = plan.bears.over(plan.robot, np.array([frame / max(len(plan.time) - 1, 1)]))[0, :3]
+    force = plan.bears.over(plan.robot.d, np.array([frame / max(len(plan.time) - 1, 1)]))[0, :3]
     if not force.any():
         return
     x, z = (force[[sideways, 2]] / np.linalg.norm(force) * length).tolist()

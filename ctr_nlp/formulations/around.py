@@ -92,7 +92,7 @@ class Around:
     def __call__(self, x: Array, numbers: Array | None = None) -> tuple[Array, Array]:
         """What describes the wall, (T, d PLACES, COLUMNS), near unknowns x (T, n), and slacks (T,) needed, mm.
 
-        numbers (d, 7): of the tubes, where they are not the robot's. Raises ValueError for other unknowns than the
+        numbers (d, 8): of the tubes, where they are not the robot's. Raises ValueError for other unknowns than the
         model's.
         """
         if x.shape[1:] != (self._fixed[0],):

@@ -29,7 +29,7 @@ def terms_of(
     own: list[Term] = [] if any(isinstance(term, ShapeDistance) for term in extra) else [ShapeDistance()]
     held: list[Term] = [Margin(margin)] if margin is not None and model.can_snap else []
     wall: list[Term] = [Lumen(robot.d)] if walled else []
-    load: list[Term] = [] if model.bears is None else [Bears(model.bears, robot)]
+    load: list[Term] = [] if model.bears is None else [Bears(model.bears, robot.d)]
     return (*own, *extra, *load, *held, Order(robot.carriage_gap), *wall)
 
 

@@ -75,14 +75,14 @@ class Wall:
     def surroundings(self, x: Array, numbers: Array | None = None) -> tuple[dict[str, Array], Array]:
         """Parameters (T, ..) of frames near to unknowns x (T, n) of the model, and slacks (T,) needed, mm.
 
-        numbers (d, 7): of the tubes, where they are not the robot's.
+        numbers (d, 8): of the tubes, where they are not the robot's.
         """
         found = self.around
         wall, slack = (self.described if found is None or not found.ready() else found)(x, numbers)
         return {"wall": wall, "contact_weight": np.full(len(x), self.weight)}, slack
 
     def of_scenarios(self, x: Array, numbers: Array) -> dict[str, Array]:
-        """Parameters (T, S, ..) near to unknowns x (T, S, n) of robots whose tubes have numbers (S, d, 7)."""
+        """Parameters (T, S, ..) near to unknowns x (T, S, n) of robots whose tubes have numbers (S, d, 8)."""
         found = [self.surroundings(x[:, k], own)[0] for k, own in enumerate(numbers)]
         return {name: np.stack([each[name] for each in found], axis=1) for name in found[0]}
 

@@ -29,7 +29,7 @@ PER_MM3 = 1e-6
 BETWEEN = slice(10, 12)
 """Of a load's numbers, the places between which a force acts along the body."""
 BEFORE_WEIGHTS = 12
-"""Numbers of a load that are the same for every robot; the weights follow, three numbers a tube."""
+"""Numbers of a load before the weights of what tubes are made of, of which there are three a tube."""
 
 
 @packable("load")
@@ -124,45 +124,38 @@ class Load:
         """Whether the tubes' own weight counts."""
         return self.densities is not None
 
-    def numbers(self, robot: Robot) -> Array:
-        """What models need to know, (12 + 3 d,), all of it 0 without a load.
+    def check(self, robot: Robot) -> None:
+        """Raise LoadError where a robot cannot be told to bear the load."""
+        check_moduli(robot)
+        self.numbers(robot.d)
+
+    def numbers(self, d: int) -> Array:
+        """What models need to know of it for robots of d tubes, (12 + 3 d,), all of it 0 without a load.
 
         The force of base axes, that of tool axes, the axial moment, the distributed force, the two places between
-        which it acts, and the weight of every tube, N/mm, as a vector. Raises LoadError where a robot cannot be
-        told to bear the load.
+        which it acts, and the weight of what every tube is made of, N/mm^3, as a vector. Raises LoadError where
+        there are densities of another number of tubes.
         """
-        check_moduli(robot)
-        return np.concatenate([self._of_all(), self._weights(robot).ravel()])
-
-    def over(self, robot: Robot, part: Array) -> Array:
-        """The same (n, 12 + 3 d) at parts (n,) of a motion, from 0, its first frame, to 1; raises as numbers."""
-        return np.repeat(self.numbers(robot)[None], len(part), axis=0)
-
-    def numbers_apart(self, d: int) -> Array:
-        """The same of any robot of d tubes; raises LoadError where their weights count, which are not known."""
-        if self.densities is not None:
-            raise LoadError("a load with densities weighs on described tubes alone; leave them out for other ones")
-        return np.concatenate([self._of_all(), np.zeros(3 * d)])
-
-    def _of_all(self) -> Array:
         none = (0.0, 0.0, 0.0)
         in_base, in_tool = (none, self.force) if self.follows else (self.force, none)
         along = (*self.distributed_force, *self.between) if self.distributed else (*none, 0.0, 0.0)
-        return np.array([*in_base, *in_tool, self.axial_moment, *along])
+        return np.array([*in_base, *in_tool, self.axial_moment, *along, *self._weights(d).flat])
 
-    def _weights(self, robot: Robot) -> Array:
-        """Weight of every tube, (d, 3) N/mm."""
+    def over(self, d: int, part: Array) -> Array:
+        """The same (n, 12 + 3 d) at parts (n,) of a motion, from 0, its first frame, to 1; raises as numbers."""
+        return np.repeat(self.numbers(d)[None], len(part), axis=0)
+
+    def _weights(self, d: int) -> Array:
+        """Of what every tube is made of, (d, 3) N/mm^3."""
         if self.densities is None:
-            return np.zeros((robot.d, 3))
-        if isinstance(self.densities, tuple) and len(self.densities) != robot.d:
+            return np.zeros((d, 3))
+        if isinstance(self.densities, tuple) and len(self.densities) != d:
             raise LoadError(
                 f"densities of a load has {len(self.densities)} numbers; it must be one, or one for each of the "
-                f"robot's {robot.d} tubes"
+                f"robot's {d} tubes"
             )
-        area = [math.pi / 4 * (tube.outer_diameter**2 - tube.inner_diameter**2) for tube in robot.tubes]
-        weight = np.array(area) * np.broadcast_to(self.densities, robot.d) * PER_MM3 * GRAVITY
         down = np.array(self.down, dtype=float)
-        return np.outer(weight, down / np.linalg.norm(down))
+        return np.outer(np.broadcast_to(self.densities, d) * PER_MM3 * GRAVITY, down / np.linalg.norm(down))
 
     def to_dict(self) -> dict[str, Any]:
         """Numbers, strings and lists for strict JSON."""

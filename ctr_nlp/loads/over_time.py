@@ -66,17 +66,18 @@ class LoadOverTime:
         """As Load.weighs, at some time."""
         return any(load.weighs for load in self.loads)
 
-    def over(self, robot: Robot, part: Array) -> Array:
+    def check(self, robot: Robot) -> None:
+        """As Load.check."""
+        for load in self.loads:
+            load.check(robot)
+
+    def over(self, d: int, part: Array) -> Array:
         """As Load.over: numbers (n, 12 + 3 d) at parts (n,) of the motion; raises LoadError."""
-        known = np.array([load.numbers(robot) for load in self.loads])
+        known = np.array([load.numbers(d) for load in self.loads])
         for load, row in zip(self.loads, known, strict=True):
             if self.distributed and not load.distributed:
                 row[BETWEEN] = next(each.between for each in self.loads if each.distributed)
         return np.stack([np.interp(part, self.at, column) for column in known.T], axis=1)
-
-    def numbers_apart(self, d: int) -> Array:
-        """Raises LoadError: robots that differ from the described one bear loads that stay the same."""
-        raise LoadError("draws, scenarios and designs need a load that stays the same; this one changes over time")
 
     def to_dict(self) -> dict[str, Any]:
         """Numbers, strings and lists for strict JSON."""

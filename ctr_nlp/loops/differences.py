@@ -78,7 +78,7 @@ class Differences:
 
     @cached_property
     def _effects(self) -> Array:
-        """How numbers (d, 7) of the tubes change with each of those freed, (freed, 7 d)."""
+        """How numbers (d, 8) of the tubes change with each of those freed, (freed, 8 d)."""
         found = np.zeros((len(self.freed), *self.robot.numbers.shape))
         for k, (tube, name) in enumerate(self.freed):
             for column in CHANGED[name]:
@@ -87,7 +87,7 @@ class Differences:
         return found.reshape(len(self.freed), -1)
 
     def numbers(self, values: Array) -> Array:
-        """Of the tubes (d, 7) at a vector (k,): those of draws, without their bounds."""
+        """Of the tubes (d, 8) at a vector (k,): those of draws, without their bounds."""
         change = values[: len(self.freed)] @ self._effects
         return self.robot.numbers + change.reshape(self.robot.numbers.shape)
 

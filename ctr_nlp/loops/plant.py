@@ -162,7 +162,7 @@ class Plant:
 
 
 def _view(model: Model, structure: Structure) -> Mapped:
-    """(x, sigma (EACH,), numbers (d, 7)) -> points and tangents (EACH, 3) in columns, in each of several lanes."""
+    """(x, sigma (EACH,), numbers (d, 8)) -> points and tangents (EACH, 3) in columns, in each of several lanes."""
     return Mapped(_compiled_view(model, structure), 1)
 
 

@@ -70,7 +70,7 @@ class Predictor:
         self._d, self._n, self._k = structure.d, len(sigma), 2 * structure.d + 2 + len(freed)
 
     def __call__(self, x: Array, numbers: Array, described: Array, margin: float) -> Predicted:
-        """At unknowns x (n_x,) of tubes of numbers (d, 7), with a margin; described (d, 7): of which parts are."""
+        """At unknowns x (n_x,) of tubes of numbers (d, 8), with a margin; described (d, 8): of which parts are."""
         given = np.concatenate([numbers.ravel("F"), described.ravel("F"), [min(margin, LARGEST)]])
         points, tangents, of_points, of_tangents, of_phi, of_margin = (each[0] for each in self._call(x, given))
         d, k = self._d, self._k
@@ -96,7 +96,7 @@ def _code(model: Model, structure: Structure, count: int, freed: tuple[tuple[int
 
 
 def _symbolic(model: Model, structure: Structure, count: int, freed: tuple[tuple[int, str], ...]) -> ca.Function:
-    """(x, sigma (count,), (numbers (d, 7), described (d, 7), margin)) -> Predicted, in columns."""
+    """(x, sigma (count,), (numbers (d, 8), described (d, 8), margin)) -> Predicted, in columns."""
     d, sigma, margin = structure.d, ca.SX.sym("sigma", count), ca.SX.sym("margin")
     numbers, described = (ca.SX.sym(name, d, len(NUMBERS)) for name in ("numbers", "described"))
     parts = ca.SX.sym("parts", len(freed))
@@ -132,7 +132,7 @@ def _symbolic(model: Model, structure: Structure, count: int, freed: tuple[tuple
 
 
 def _changed(numbers: ca.SX, described: ca.SX, parts: ca.SX, freed: tuple[tuple[int, str], ...]) -> ca.SX:
-    """Numbers (d, 7) with parts added of those described, as robot.draws does; lengths in mm."""
+    """Numbers (d, 8) with parts added of those described, as robot.draws does; lengths in mm."""
     found = ca.SX(numbers)
     for k, (tube, name) in enumerate(freed):
         for column in (NUMBERS.index(each) for each in CHANGED[name]):

@@ -117,6 +117,13 @@ class Passage(NamedTuple):
     fresh: Flags
     total: int
 
+    @property
+    def parts(self) -> Array:
+        """Which part of the whole motion has been done at every place, (M,), from 0, its first frame, to 1."""
+        places = np.bincount(self.frames, minlength=self.total)[self.frames]
+        number = 1 + np.arange(len(self.frames)) - np.searchsorted(self.frames, self.frames)
+        return np.asarray((self.frames - 1 + number / places) / max(self.total - 1, 1))
+
 
 def passage(q: Array, substeps: int) -> Passage:
     """The way through frames q (T, 2d + 2), linearly and in so many substeps between them."""
@@ -217,10 +224,14 @@ class Model(ABC):
         return points, tangents
 
     def points_apart(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
-        """Points (T, n, 3) in mm of robots that differ in numbers (T, d, 7), at x (T, n_x); sigma: as points."""
-        sigma = np.broadcast_to(sigma, (len(x), np.shape(sigma)[-1]))
-        function, rows = samples(self, structure, sigma.shape[1]), zip(x, sigma, numbers, strict=True)
-        return np.array([function(*row)[0].full() for row in rows])
+        """Points (n, T, m, 3) in mm of robots that differ in numbers (n, d, 8), each at x (n, T, n_x).
+
+        sigma (m,) or (T, m).
+        """
+        tubes, each, at = of_rows(numbers, x, sigma)
+        rows = zip(each, np.broadcast_to(at, (len(each), np.shape(at)[-1])), tubes, strict=True)
+        function = samples(self, structure, np.shape(sigma)[-1])
+        return np.reshape([function(*row)[0].full() for row in rows], (*x.shape[:2], -1, 3))
 
     def margins(self, robot: Robot, x: Array) -> Array:
         """Stability margins (T,) at unknowns x (T, n_x); NaN where nothing can be unstable."""
@@ -258,7 +269,7 @@ class Model(ABC):
         return Followed(np.array(q, dtype=float), unknown, unknown)
 
     def walker(self, structure: Structure, numbers: Array, q: Array) -> Walker:
-        """A robot of numbers (d, 7) that stands at q (2d + 2,) without a history, to be moved step by step."""
+        """A robot of numbers (d, 8) that stands at q (2d + 2,) without a history, to be moved step by step."""
         if self.several_equilibria:
             raise OptionError(f"model is {self.name!r}, and does not tell how robots move step by step")
         return Rigid(q)
@@ -266,7 +277,7 @@ class Model(ABC):
     def follow_apart(
         self, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True
     ) -> list[Followed]:
-        """The unknowns of robots that differ in numbers (n, d, 7), at their own places q (n, M, 2d + 2) on a way.
+        """The unknowns of robots that differ in numbers (n, d, 8), at their own places q (n, M, 2d + 2) on a way.
 
         margins: whether stability is asked for, which takes longer than the unknowns; it is NaN where not.
         Raises OptionError where the model has several equilibria and does not say which these robots are in.
@@ -281,9 +292,19 @@ class Model(ABC):
         return [Followed(each, unknown, unknown) for each in x]
 
 
+def of_rows(numbers: Array, x: Array, sigma: Array) -> tuple[Array, Array, Array]:
+    """Numbers (n, d, 8), unknowns x (n, T, n_x) and sigma (T, m) of robots apart, as rows (n T, ..).
+
+    Of a sigma (m,) that is the same for all there is none.
+    """
+    count, frames = x.shape[:2]
+    at = sigma if np.ndim(sigma) == 1 else np.tile(sigma, (count, 1))
+    return np.repeat(numbers, frames, axis=0), x.reshape(count * frames, -1), at
+
+
 @functools.lru_cache(maxsize=64)
 def samples(model: Model, structure: Structure, count: int) -> ca.Function:
-    """(x, sigma (count,), numbers (d, 7)) -> points and tangents (count, 3), mm, in the base frame."""
+    """(x, sigma (count,), numbers (d, 8)) -> points and tangents (count, 3), mm, in the base frame."""
     sigma, numbers = ca.SX.sym("sigma", count), ca.SX.sym("numbers", structure.d, len(NUMBERS))
     tubes = symbolic_tubes(structure, numbers)
     shape = model.frame(structure, tubes, lambda beta: sigma * beta[-1], tangents=True)
@@ -295,7 +316,7 @@ def samples(model: Model, structure: Structure, count: int) -> ca.Function:
 
 
 def symbolic_tubes(structure: Structure, numbers: ca.SX) -> Tubes:
-    """Tubes whose numbers are the entries of a symbol (d, 7)."""
+    """Tubes whose numbers are the entries of a symbol (d, 8)."""
     return tubes_of(structure, [[numbers[i, k] for k in range(len(NUMBERS))] for i in range(structure.d)])
 
 

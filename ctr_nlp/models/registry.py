@@ -6,7 +6,7 @@ import importlib.metadata
 from collections.abc import Iterator, Mapping
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.loads import Load, LoadOverTime, steady
+from ctr_nlp.loads import Load, LoadOverTime
 from ctr_nlp.models.dominant import Dominant
 from ctr_nlp.models.elastic import Elastic
 from ctr_nlp.models.loaded.model import Loaded, Pushed
@@ -86,7 +86,7 @@ def pushed(model: str | Model, forces: Array) -> Model:
     described = model_named(model)
     if not forces.any():
         return described
-    load = steady(described.bears, "a robot that bears a force at its tip, too,")
+    load = described.bears or Load()
     under(described, load)
     return Pushed(load, forces)
 

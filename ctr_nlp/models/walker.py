@@ -25,7 +25,7 @@ class Walker(ABC):
 
     @abstractmethod
     def become(self, numbers: Array, x: Array | None = None) -> list[Array]:
-        """Go on as a robot of other numbers (d, 7), at the same q; by what tips jumped (d,) rad, an entry a snap.
+        """Go on as a robot of other numbers (d, 8), at the same q; by what tips jumped (d,) rad, an entry a snap.
 
         x (n_x,): about where it will be, None where it is.
         """

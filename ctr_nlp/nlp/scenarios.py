@@ -22,7 +22,7 @@ from ctr_nlp.typing import Array, Index
 class Scenarios:
     """S robots that are moved alike; the first is the one as described, and others are compared with it.
 
-    numbers (S, d, 7): of the tubes, in the order of structure.NUMBERS. offsets (S, d): of the motors' zeros, added
+    numbers (S, d, 8): of the tubes, in the order of structure.NUMBERS. offsets (S, d): of the motors' zeros, added
     to alpha, rad. weights (S,): how much each one's shape error counts, >= 0 and not all 0. forces (S, 3): at
     their tips, N, in the base's directions; none by default. Raises OptionError.
     """
@@ -82,7 +82,7 @@ class Scenarios:
 class Guards:
     """Robots that need only not be lost: K of them in every one of T frames, others in each.
 
-    numbers (T, K, d, 7), offsets (T, K, d), forces (T, K, 3): as of Scenarios.
+    numbers (T, K, d, 8), offsets (T, K, d), forces (T, K, 3): as of Scenarios.
     """
 
     numbers: Array

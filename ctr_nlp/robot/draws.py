@@ -27,7 +27,7 @@ LEAST = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Draws(Kept):
-    """Robots that differ in numbers (n, d, 7), in the order of structure.NUMBERS, and share a structure.
+    """Robots that differ in numbers (n, d, 8), in the order of structure.NUMBERS, and share a structure.
 
     offsets (n, d): what alpha of a tube exceeds its motor's by, rad. lags (n, d): by which angle a tube may stay
     behind its motor, rad. forces (n, 3): that act at the tips, N, in the directions of the base. parts (n, d, 5):

@@ -118,7 +118,7 @@ class Robot:
 
     @cached_property
     def numbers(self) -> Array:
-        """What models need to know of the tubes, (d, 7), in the order of structure.NUMBERS."""
+        """What models need to know of the tubes, (d, 8), in the order of structure.NUMBERS."""
         return frozen(np.array(numbers_of(self.tubes)))
 
     @cached_property

@@ -36,6 +36,7 @@ class TubeNumbers(NamedTuple):
 
     length, curved_length: mm. root_curvature, tip_curvature: 1/mm, equal unless kind is linear.
     bending_stiffness: EI, in any unit. torsional_ratio: EI / GJ = 1 + Poisson's ratio. pre_torsion: rad/mm.
+    area: of the material in a cross-section, mm^2, by which a tube weighs.
     """
 
     kind: Kind
@@ -47,6 +48,7 @@ class TubeNumbers(NamedTuple):
     bending_stiffness: Any
     torsional_ratio: Any
     pre_torsion: Any
+    area: Any
 
     @property
     def slope(self) -> Any:
@@ -73,7 +75,7 @@ def tubes_of(structure: Structure, numbers: Sequence[Sequence[Any]]) -> tuple[Tu
 
 
 def tubes_in_columns(structure: Structure, numbers: Any) -> tuple[TubeNumbers, ...]:
-    """The tubes of robots that differ in numbers (T, d, 7), as columns (T, 1)."""
+    """The tubes of robots that differ in numbers (T, d, 8), as columns (T, 1)."""
     return tubes_of(structure, [list(tube) for tube in numbers.transpose(1, 2, 0)[..., None]])
 
 
@@ -103,6 +105,7 @@ def numbers_of(tubes: Iterable[Tube]) -> list[list[float]]:
             tube.bending_stiffness,
             1 + tube.poisson_ratio,
             tube.pre_torsion,
+            tube.area,
         ]
         for tube in tubes
     ]

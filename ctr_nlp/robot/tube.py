@@ -144,6 +144,11 @@ class Tube:
         return max(abs(self.root_curvature), self.tip_curvature)
 
     @property
+    def area(self) -> float:
+        """Of the material in a cross-section, mm^2."""
+        return math.pi / 4 * (self.outer_diameter**2 - self.inner_diameter**2)
+
+    @property
     def bending_stiffness(self) -> float:
         """EI, in units of youngs_modulus x mm^4: N mm^2 where that is in MPa."""
         return self.youngs_modulus * math.pi / 64 * (self.outer_diameter**4 - self.inner_diameter**4)

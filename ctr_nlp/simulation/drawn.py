@@ -46,11 +46,8 @@ def drawn_motion(robot: Robot, draws: Draws, q: Array, model: str | Model) -> Dr
     described = pushed(model, draws.forces)
     found, lost = _followed(robot, draws, q, model_named(model))
     x = np.array([each.x for each in found])
-    n, frames = x.shape[:2]
-    numbers = np.repeat(draws.numbers, frames, axis=0)
-    shape = described.points_apart(draws.structure, numbers, x.reshape(n * frames, -1), SIGMA)
     return DrawnMotion(
-        shape.reshape(n, frames, *shape.shape[1:]),
+        described.points_apart(draws.structure, draws.numbers, x, SIGMA),
         x,
         np.array([each.stability for each in found]),
         np.array([each.stability_between for each in found]),

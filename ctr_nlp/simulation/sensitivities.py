@@ -17,12 +17,12 @@ from ctr_nlp.typing import Array
 
 
 class Sensitivities(NamedTuple):
-    """Derivatives over the numbers of tubes, (.., d, 7) in the order of robot.structure.NUMBERS, at T unknowns.
+    """Derivatives over the numbers of tubes, (.., d, 8) in the order of robot.structure.NUMBERS, at T unknowns.
 
-    points (T, n, 3, d, 7): of the shape at uniform sigma, mm per unit, with the model's unknowns held. alpha
-    (T, d, d, 7): of the motors' angles, rad per unit, with the unknowns held; 0 where alpha is an unknown itself.
-    moved (T, n, 3, d, 7): of the shape with the configuration held, as a robot shows it whose motors stand still.
-    margin (T, d, 7): of the stability margin with the unknowns held; NaN where nothing can be unstable.
+    points (T, n, 3, d, 8): of the shape at uniform sigma, mm per unit, with the model's unknowns held. alpha
+    (T, d, d, 8): of the motors' angles, rad per unit, with the unknowns held; 0 where alpha is an unknown itself.
+    moved (T, n, 3, d, 8): of the shape with the configuration held, as a robot shows it whose motors stand still.
+    margin (T, d, 8): of the stability margin with the unknowns held; NaN where nothing can be unstable.
     """
 
     points: Array
@@ -53,17 +53,17 @@ def sensitivities(robot: Robot, x: Array, model: str | Model, sigma: Array = SIG
 
 
 def _shaped(found: Array, rows: tuple[int, ...], size: tuple[int, int]) -> Array:
-    """Derivatives (T, rows, d 7), whose columns run over tubes first, as (T, *rows, d, 7)."""
+    """Derivatives (T, rows, d 8), whose columns run over tubes first, as (T, *rows, d, 8)."""
     split: Array = found.reshape(len(found), *rows, *size[::-1])
     return split.swapaxes(-1, -2)
 
 
 @functools.lru_cache(maxsize=16)
 def derivatives(model: Model, structure: Structure, count: int) -> ca.Function:
-    """(x, sigma (count,), numbers (d, 7), margin) -> derivatives over numbers, as columns of a matrix each.
+    """(x, sigma (count,), numbers (d, 8), margin) -> derivatives over numbers, as columns of a matrix each.
 
-    Of points (3 count, 7 d) with x held, of alpha (d, 7 d), of points with the configuration held, and of the
-    margin (1, 7 d). With D the determinant that vanishes where its margin is the smallest eigenvalue, the margin's
+    Of points (3 count, 8 d) with x held, of alpha (d, 8 d), of points with the configuration held, and of the
+    margin (1, 8 d). With D the determinant that vanishes where its margin is the smallest eigenvalue, the margin's
     derivative is -D_numbers / D_margin. With alpha held, unknowns change by -(alpha_phi)^-1 alpha_numbers.
     """
     d, sigma, margin = structure.d, ca.SX.sym("sigma", count), ca.SX.sym("margin")
@@ -88,10 +88,10 @@ def derivatives(model: Model, structure: Structure, count: int) -> ca.Function:
 
 @functools.lru_cache(maxsize=16)
 def shown_changes(model: Model, structure: Structure, count: int) -> ca.Function:
-    """(x, sigma (count,), numbers (d, 7)) -> how the shape that a robot shows changes, as columns of a matrix
+    """(x, sigma (count,), numbers (d, 8)) -> how the shape that a robot shows changes, as columns of a matrix
     each.
 
-    Of points (3 count,), x of all before y and z: over numbers with the configuration held (3 count, 7 d), and
+    Of points (3 count,), x of all before y and z: over numbers with the configuration held (3 count, 8 d), and
     over the configuration (3 count, 2d + 2). Motors that turn by d alpha turn tips by (alpha_phi)^-1 d alpha.
     """
     d, sigma, numbers = structure.d, ca.SX.sym("sigma", count), ca.SX.sym("numbers", structure.d, len(NUMBERS))

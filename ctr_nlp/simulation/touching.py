@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ctr_nlp.loads import Load
+from ctr_nlp.loads import Load, LoadOverTime
 from ctr_nlp.models import MODELS
 from ctr_nlp.models.elastic.torsion import sections
 from ctr_nlp.models.loaded.acting import RodKind
@@ -84,7 +84,7 @@ class Foundation:
     robot: Robot
     lumen: Lumen
     stiffness: float
-    load: Load
+    load: Load | LoadOverTime
 
     @cached_property
     def kind(self) -> RodKind:
@@ -123,19 +123,19 @@ class Foundation:
         deepest, narrow = (each.reshape(places.shape).max(axis=2) for each in (depth, over > 0))
         return Pressed(deepest, size, towards, narrow)
 
-    def under(self, pushes: Array) -> Array:
-        """Numbers (T, l) of the load and of pushes (T, K, 3) on the pieces, N/mm."""
-        own = np.repeat(self.load.numbers(self.robot)[None], len(pushes), axis=0)
-        return np.hstack([own, pushes.reshape(len(pushes), -1)])
+    def under(self, load: Array, pushes: Array) -> Array:
+        """Numbers (T, l) of a load (12 + 3d,) and of pushes (T, K, 3) on the pieces, N/mm."""
+        return np.hstack([np.tile(load, (len(pushes), 1)), pushes.reshape(len(pushes), -1)])
 
     def along(self, q: Array) -> Touching:
         """The robot moved through frames q (T, 2d + 2), in the first of which the wall closes around it."""
         found, way = self._unknown(q), passage(np.asarray(q, dtype=float), SUBSTEPS)
         states, pushes = self._standing(q[:1]), np.zeros((1, found["along"].shape[1], 3))
-        for place, j, last in zip(way.q[:, None], way.frames, np.diff(way.frames, append=-1) != 0, strict=True):
-            states, done = self.equilibria.along(states, place, self.under(pushes))
+        loads, last_of = self.load.over(self.robot.d, way.parts), np.diff(way.frames, append=-1) != 0
+        for place, load, j, last in zip(way.q[:, None], loads, way.frames, last_of, strict=True):
+            states, done = self.equilibria.along(states, place, self.under(load, pushes))
             length = self.places(self.robot.split(place)[1])[1][0]
-            settled = self._settled(states, pushes, length) if done[0] == 1 else None
+            settled = self._settled(states, load, pushes, length) if done[0] == 1 else None
             if settled is None:
                 break
             states, pushes, missed = settled
@@ -166,17 +166,19 @@ class Foundation:
         x = MODELS[Loaded.name].follow(self.robot, q).x
         return self.equilibria.unloaded(self.robot.numbers[None], q, tip_angles(x, self.robot.d))
 
-    def _settled(self, states: States, pushes: Array, length: Array) -> tuple[States, Array, float] | None:
+    def _settled(
+        self, states: States, load: Array, pushes: Array, length: Array
+    ) -> tuple[States, Array, float] | None:
         """A robot that stands, pushes (1, K, 3) at which it does, and what they miss; None where it is lost."""
         wall = self.pressed(states)
         missed = self._missed(wall, pushes, length)
         for _ in range(ITERATIONS):
             if missed <= MISSED:
                 return states, pushes, missed
-            step = self._newton(states, wall, pushes)
+            step = self._newton(states, load, wall, pushes)
             for part in 2.0 ** -np.arange(HALVINGS):
                 tried = pushes + part * step
-                there, done = self.equilibria.along(states, states.q, self.under(tried))
+                there, done = self.equilibria.along(states, states.q, self.under(load, tried))
                 at = self.pressed(there)
                 less = self._missed(at, tried, length)
                 if done[0] == 1 and less < missed:
@@ -190,7 +192,7 @@ class Foundation:
         apart = wall.push[..., None] * wall.towards - pushes
         return float((np.linalg.norm(apart[0], axis=1) * length).sum())
 
-    def _newton(self, states: States, wall: Pressed, pushes: Array) -> Array:
+    def _newton(self, states: States, load: Array, wall: Pressed, pushes: Array) -> Array:
         """The change (1, K, 3) of pushes after which, to first order, they are what depths say."""
         sizes, towards = wall.push[0], wall.towards[0]
         kept = (pushes[0] * towards).sum(axis=1)
@@ -198,7 +200,7 @@ class Foundation:
         probes = np.repeat(pushes, len(busy), axis=0)
         probes[np.arange(len(busy)), busy] += PROBE * towards[busy]
         many = states.rows(np.zeros(len(busy), dtype=int))
-        there, _ = self.equilibria.along(many, many.q, self.under(probes))
+        there, _ = self.equilibria.along(many, many.q, self.under(load, probes))
         slopes = (self.pressed(there).push[:, busy] - sizes[busy]).T / PROBE
         changed = np.zeros_like(kept)
         changed[busy] = np.linalg.solve(np.eye(len(busy)) - slopes, (sizes - kept)[busy])

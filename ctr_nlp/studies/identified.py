@@ -46,7 +46,7 @@ def measured_apart(
     turned[:, : robot.d] += draw.offsets[0]
     way = Passage(turned, np.arange(poses), np.ones(poses, dtype=bool), poses)
     (found,) = model.follow_apart(draw.structure, draw.numbers, way, turned[None], False)
-    points = model.points_apart(draw.structure, np.repeat(draw.numbers, poses, axis=0), found.x, sigma)
+    (points,) = model.points_apart(draw.structure, draw.numbers, found.x[None], sigma)
     points += noise * np.random.default_rng([seed, 3]).standard_normal(points.shape)
     none = np.full((poses, 3), np.nan)
     places = np.tile(sigma, (poses, 1))

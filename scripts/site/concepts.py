@@ -118,8 +118,8 @@ def draws(axes: Axes) -> None:
     moved = model.follow_apart(
         robots.structure, robots.numbers, way, robots.turned(way.q, way.fresh), margins=False
     )
-    x = np.concatenate([each.x for each in moved])
-    for points in model.points_apart(robots.structure, robots.numbers, x, SIGMA):
+    x = np.array([each.x for each in moved])
+    for (points,) in model.points_apart(robots.structure, robots.numbers, x, SIGMA):
         axes.plot(*points[:, [0, 2]].T, color=COLOURS[0], lw=1, alpha=0.4)
     axes.plot(
         *simulated(robot, q, model).shape[0][:, [0, 2]].T, color=VERMILLION, lw=2, label="the robot described"

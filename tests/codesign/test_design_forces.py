@@ -51,6 +51,17 @@ def _rms(plans):
     return float(np.sqrt(np.mean([e3(plan) ** 2 for plan in plans])))
 
 
+def test_tubes_are_designed_for_their_own_weight():
+    """Of a soft and heavy material: those that were designed without it follow less well, though plans know it."""
+    weight = Loaded(Load(densities=21.0, down=(0, 1, 0)))
+    tasks = [_task(with_modulus(Robot(TWO.tubes), 300), name) for name in BENDS]
+    free = design(tasks, nominal=True, rules=RULES, starts=2)
+    found = design(tasks, nominal=True, model=weight, rules=RULES, starts=2)
+    assert all(plan.complete and plan.bears == weight.load for plan in found.plans)
+    knowing = [solve_horizon(replace(task, robot=free.robot), model=weight) for task in tasks]
+    assert _rms(found.plans) < 0.9 * _rms(knowing)
+
+
 def test_a_design_for_tolerances_may_bear_a_load_all_the_time():
     (plan,) = design([_task(NITINOL)], model=Loaded(ACROSS), rules=RULES, starts=1).plans
     assert plan.bears == ACROSS
@@ -102,8 +113,6 @@ def _never(*_told):
 
 
 def test_what_a_design_cannot_bear_is_said_first():
-    with pytest.raises(LoadError, match="weigh"):
-        design([_task(NITINOL)], nominal=True, model=Loaded(Load(densities=6.45, down=(0, 0, 1))), progress=_never)
     with pytest.raises(OptionError, match="dominant"):
         design([_task(_pushed())], model="dominant", progress=_never)
 

@@ -8,15 +8,12 @@ import numpy as np
 import pytest
 from loaded_plans import turned
 
-from ctr_nlp import Load, LoadOverTime, Plan, Tolerances, design, forces, read_load, solve_robust, table_i_robot
+from ctr_nlp import Load, LoadOverTime, Plan, forces, read_load
 from ctr_nlp.exceptions import LoadError
-from ctr_nlp.loads import load_from_dict, with_modulus
-from ctr_nlp.loops.anew.replanner import problem_of
-from ctr_nlp.models.loaded.model import Loaded
+from ctr_nlp.loads import load_from_dict
 
 pytestmark = pytest.mark.interpreted
 
-NITINOL = with_modulus(table_i_robot(), 60_000)
 NONE, SIDE = Load(), Load(force=(0.0, 0.5, 0.0))
 LEANING = Load((0.0, 0.0, -0.2), distributed_force=(0.02, 0.0, 0.0), between=(20.0, 60.0))
 COMING = LoadOverTime([NONE, SIDE, LEANING], [0.0, 0.5, 1.0])
@@ -28,7 +25,7 @@ def plan():
 
 
 def test_numbers_change_linearly_but_for_the_places_between_which_a_force_acts():
-    found = COMING.over(NITINOL, np.array([0.0, 0.25, 0.5, 0.75, 1.0]))
+    found = COMING.over(3, np.array([0.0, 0.25, 0.5, 0.75, 1.0]))
     np.testing.assert_allclose(found[:, 1], [0, 0.25, 0.5, 0.25, 0], atol=1e-15)
     np.testing.assert_allclose(found[:, 7], [0, 0, 0, 0.01, 0.02], atol=1e-15)
     np.testing.assert_array_equal(found[:, 10:12], np.tile([20.0, 60.0], (5, 1)))
@@ -80,7 +77,7 @@ def test_every_frame_is_that_of_a_robot_under_the_load_of_its_time(plan):
     found = plan.under(COMING)
     assert not found.meta["snaps"]
     parts = np.linspace(0, 1, len(plan.time))
-    for k, numbers in enumerate(COMING.over(plan.robot, parts)):
+    for k, numbers in enumerate(COMING.over(plan.robot.d, parts)):
         here = Load(numbers[:3], distributed_force=numbers[7:10], between=(20.0, 60.0))
         alone = plan.under(here)
         np.testing.assert_allclose(found.shape[k], alone.shape[k], atol=1e-6)
@@ -99,14 +96,17 @@ def test_a_file_of_a_plan_keeps_its_load_over_time(plan, tmp_path):
 
 def test_what_needs_a_constant_load_says_so(plan):
     under, told = plan.under(COMING), "this one changes over time"
-    for refused in (lambda: forces(under), lambda: under[1:], under.reversed, lambda: under + under):
+    for refused in (lambda: under[1:], under.reversed, lambda: under + under):
         with pytest.raises(LoadError, match=told):
             refused()
-    with pytest.raises(LoadError, match=told):
-        under.robustness(2)
-    problem = problem_of(plan)
-    robust = replace(problem, robot=replace(problem.robot, tolerances=Tolerances(curvature=0.01)))
-    with pytest.raises(LoadError, match=told):
-        solve_robust(robust, model=Loaded(COMING))
-    with pytest.raises(LoadError, match=told):
-        design([problem], model=Loaded(COMING))
+
+
+def test_forces_are_borne_beside_the_load_of_the_frame(plan):
+    """As those of a plan under the load that every frame has at its time, all the time."""
+    found = forces(plan.under(COMING), directions=6)
+    parts = np.linspace(0, 1, len(plan.time))
+    for k, numbers in enumerate(COMING.over(plan.robot.d, parts)):
+        here = Load(numbers[:3], distributed_force=numbers[7:10], between=(20.0, 60.0))
+        alone = forces(plan.under(here), directions=6)
+        np.testing.assert_allclose(found.snaps[k], alone.snaps[k], rtol=1e-3)
+        np.testing.assert_allclose(found.compliance[k], alone.compliance[k], rtol=1e-3)

@@ -13,7 +13,7 @@ import truth
 from loaded_truth import AnyShot, LoadedShot, Pull, Unsolved
 from strategies import drawn
 
-from ctr_nlp import Limits, Load, Robot, Tube, table_i_robot
+from ctr_nlp import Limits, Load, LoadOverTime, Robot, Tube, table_i_robot
 from ctr_nlp.exceptions import LoadError, OptionError
 from ctr_nlp.loads import with_modulus
 from ctr_nlp.models import MODELS, under
@@ -71,7 +71,7 @@ def rod_state(force, beta=150.0):
     """The straight rod under a force along itself, and what follows it."""
     equilibria = LoadedEquilibria(ROD.structure)
     q = np.array([[0.0, beta, 0.0, 0.0]])
-    acting = Load(force=(0, 0, -force)).numbers(ROD)[None]
+    acting = Load(force=(0, 0, -force)).numbers(1)[None]
     state = States(
         ROD.numbers[None], q, acting, np.zeros((1, 1)), np.eye(3)[None], np.zeros((1, 3, 3)), np.zeros(1)
     )
@@ -228,7 +228,7 @@ def test_a_rod_bends_as_the_elastica_does():
 def test_a_hanging_rod_bends_by_its_weight():
     """w L^4 / (8 EI), while that is small."""
     load = Load(densities=6.45, down=(0, -1, 0))
-    weight = -load.numbers(ROD)[13]
+    weight = -load.numbers(1)[13] * ROD.tubes[0].area
     model = Loaded(load)
     tip = model.points(ROD, model.rest(ROD, np.array([0.0, 150, 0, 0]))[None], np.ones(1))[0, 0]
     assert tip[1] == pytest.approx(-weight * 150**4 / (8 * ROD.tubes[0].bending_stiffness), rel=1e-3)
@@ -259,7 +259,7 @@ def test_a_force_that_turns_with_the_tool_is_the_same_force_in_the_base_at_rest(
 def test_slopes_are_the_derivatives_of_the_base_over_the_tip():
     model = Loaded(Load((0.1, 0.1, 0.2), "tool", 3.0, 6.45, (1, 0, 0)))
     assert model.kind == RodKind(follows=True, weighs=True)
-    equilibria, load = LoadedEquilibria(NITINOL.structure, model.kind), model.load.numbers(NITINOL)[None]
+    equilibria, load = LoadedEquilibria(NITINOL.structure, model.kind), model.load.numbers(3)[None]
     q = np.array([[0.5, -0.8, 0.9, 30, 70, 120, 0.2, -0.3]])
     state = model.states(NITINOL, model.rest(NITINOL, q[0])[None])
     ends = equilibria.ends(state.numbers, state.angles, state.axes, q, load)
@@ -303,13 +303,24 @@ def test_a_robot_near_its_fork_snaps_under_half_a_newton_from_one_side(shared_da
     assert np.isnan(pushed.x).all()
 
 
-def test_robots_that_differ_bear_a_tip_force_and_have_no_known_weight():
-    q = np.array([[0.5, -0.8, 0.9, 30, 70, 120, 0, 0]])
-    way, numbers = passage(q, 4), NITINOL.numbers[None] * [1, 1, 1.01, 1.01, 0.99, 1, 1]
-    (found,) = Loaded(Load(force=(0, 0.1, 0))).follow_apart(NITINOL.structure, numbers, way, way.q[None])
-    assert np.isfinite(found.x).all()
-    with pytest.raises(LoadError, match="densities weighs on described tubes alone"):
-        Loaded(Load(densities=6.45, down=(0, 0, 1))).follow_apart(NITINOL.structure, numbers, way, way.q[None])
+def test_robots_apart_bear_what_each_would_bear_alone():
+    """A force, tubes that weigh by how much of them there is, and both as they change over a motion."""
+    q = np.array([[0.5, -0.8, 0.9, 30, 70, 120, 0, 0], [0.6, -0.6, 0.7, 32, 70, 110, 0, 0.1]])
+    soft = with_modulus(table_i_robot(), 3000)
+    thick, thin = soft.tubes[2], replace(soft.tubes[2], inner_diameter=1.9)
+    robots = [replace(soft, tubes=(*soft.tubes[:2], tube)) for tube in (thick, thin)]
+    heavy = Load(force=(0, 0.002, 0), densities=21, down=(1, 0, 0))
+    numbers, way, structure = np.array([robot.numbers for robot in robots]), passage(q, 4), NITINOL.structure
+    for load in (heavy, LoadOverTime([Load(), heavy], [0.0, 1.0])):
+        model, ways = Loaded(load), np.repeat(way.q[None], 2, axis=0)
+        found = model.follow_apart(structure, numbers, way, ways)
+        points = model.points_apart(structure, numbers, np.array([each.x for each in found]), SIGMA)
+        for robot, each, shape in zip(robots, found, points, strict=True):
+            alone = model.follow(robot, q, substeps=4)
+            np.testing.assert_allclose(each.x, alone.x, atol=1e-7)
+            np.testing.assert_allclose(each.stability, alone.stability, atol=1e-6)
+            np.testing.assert_allclose(shape, model.points(robot, alone.x, SIGMA), atol=1e-6)
+        assert abs(points[0] - points[1])[1].max() > 0.5
 
 
 def test_robots_side_by_side_go_where_each_goes_alone(monkeypatch):
@@ -318,7 +329,7 @@ def test_robots_side_by_side_go_where_each_goes_alone(monkeypatch):
     """
     turned = np.linspace(0.0, 3.4, 12)
     q = np.column_stack([turned, 0 * turned, 0 * turned, *np.tile([[20], [40], [75]], 12), 0 * turned, 0 * turned])
-    numbers = NITINOL.numbers[None] * np.linspace(1.0, 2.6, 5)[:, None, None] ** np.array([0, 0, 1, 1, 0, 0, 0])
+    numbers = NITINOL.numbers[None] * np.linspace(1.0, 2.6, 5)[:, None, None] ** np.array([0, 0, 1, 1, 0, 0, 0, 0])
     model, way = Loaded(Load(force=(0, 0.1, 0))), passage(q, 4)
     ways = np.repeat(way.q[None], 5, axis=0) + 0.05 * np.arange(5)[:, None, None] * (np.arange(8) == 1)
     monkeypatch.setattr("ctr_nlp.models.loaded.model.TOGETHER", 3)

@@ -40,7 +40,7 @@ class Changed:
 
 
 def differences(robot, of, arcs):
-    """Central differences of of(changed robot) over every number, (.., d, 7); arcs have one curvature."""
+    """Central differences of of(changed robot) over every number, (.., d, 8); arcs have one curvature."""
     found = []
     for tube in range(robot.d):
         row = []

@@ -201,7 +201,7 @@ def test_tips_of_scenarios_on_a_model_without_twist_turn_with_their_motors(probl
         ({"weights": np.zeros(3)}, "all are 0"),
         ({"weights": np.array([1.0, -1.0, 1.0])}, ">= 0"),
         ({"offsets": np.zeros((2, 2))}, "offsets of scenarios have shape"),
-        ({"numbers": np.full((3, 2, 7), np.nan)}, "numbers of scenarios"),
+        ({"numbers": np.full((3, 2, 8), np.nan)}, "numbers of scenarios"),
     ],
 )
 def test_scenarios_that_cannot_be_are_refused(change, message):

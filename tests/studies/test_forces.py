@@ -50,7 +50,7 @@ def at_case(shared_data, number: int) -> Plan:
 def raised_by_hand(plan: Plan, frame: int, directions: np.ndarray, most: float) -> np.ndarray:
     """The forces at which a frame's robot snaps, raised in steps of one per cent; infinity beyond most."""
     robot, q = plan.robot, plan.q[frame]
-    follower = Follower(robot.structure, robot.numbers[None], Load(), Load().numbers(robot)[None])
+    follower = Follower(robot.structure, robot.numbers[None], Load(), Load().numbers(robot.d)[None, None])
     which, alone = follower.settled(q[None])
     assert len(which) == 1
     going, found = np.arange(len(directions)), np.full(len(directions), np.inf)

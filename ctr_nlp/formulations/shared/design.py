@@ -27,7 +27,7 @@ from ctr_nlp.robot.tube import Tube
 from ctr_nlp.typing import Array, Index
 
 FREED = "curvature", "bending_stiffness", "curved_length", "length"
-"""Numbers of tubes that a design decides, in the order in which frames take them."""
+"""Numbers of tubes that a design decides, in the order in which frames take them; area too, where they weigh."""
 HUNDRED_MM = 100.0
 """The unit of lengths of curved parts among p, mm, and of radii."""
 SHORTEST = 10.0
@@ -54,7 +54,9 @@ class Kept(NamedTuple):
 
 @dataclass(frozen=True)
 class DesignedTubes:
-    """The tubes of a robot as unknowns p (P,), within rules. fixed: names of entries that stay as they are.
+    """The tubes of a robot as unknowns p (P,), within rules.
+
+    fixed: names of entries that stay as they are. weighs: whether the tubes' own weight counts.
 
     No curved part becomes longer than the robot's reach. Raises OptionError where a name is unknown, where no
     tubes keep the rules, and where straight parts of tubes can be pushed out, which is another structure.
@@ -63,6 +65,7 @@ class DesignedTubes:
     robot: Robot
     rules: Manufacture
     fixed: tuple[str, ...] = ()
+    weighs: bool = False
 
     def __post_init__(self) -> None:
         self.rules.check_tubes(self.robot.d)
@@ -74,6 +77,11 @@ class DesignedTubes:
         for name in self.fixed:
             if name not in self.names:
                 raise OptionError(f"{name!r} cannot be fixed; what can be is {', '.join(self.names)}")
+
+    @property
+    def freed(self) -> tuple[str, ...]:
+        """The numbers of tubes that are unknowns of a frame."""
+        return FREED + ("area",) * self.weighs
 
     @cached_property
     def _curvatures(self) -> tuple[tuple[int, tuple[int, ...]], ...]:
@@ -162,7 +170,8 @@ class DesignedTubes:
         moduli = ca.DM([tube.youngs_modulus for tube in self.robot.tubes])
         stiffness = moduli * (math.pi / 64) * (outer**4 - inner**4)
         near, pull = ca.SX.sym("near", p.numel()), ca.SX.sym("pull")
-        given = ca.vertcat(curvatures, stiffness, lengths, whole)
+        areas = (math.pi / 4) * (outer**2 - inner**2)
+        given = ca.vertcat(curvatures, stiffness, lengths, whole, *[areas] * self.weighs)
         free = np.full(given.numel(), np.inf)
         return Nlp(
             "tubes",
@@ -218,7 +227,7 @@ class DesignedTubes:
 
     def common(self, scenarios: Scenarios, near: Array, pull: float) -> Common:
         """What frames have in common, pulled to near (P,) by so many mm^2 a squared unit."""
-        places = freed_places(self.robot.structure, FREED)
+        places = freed_places(self.robot.structure, self.freed)
         numbers = scenarios.numbers[:, [i for i, _ in places], [columns[0] for _, columns in places]]
         parameters = self.program.pack({"near": near, "pull": pull})
         return Common(self.program, numbers / numbers[0], parameters, *self.box)

@@ -11,17 +11,16 @@ import numpy as np
 from ctr_nlp.formulations.terms.term import Body, Parts, Symbols, Term
 from ctr_nlp.loads import Load, LoadOverTime
 from ctr_nlp.loads.load import BEFORE_WEIGHTS
-from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import Structure
 from ctr_nlp.target.target import Frame
 
 
 @dataclass(frozen=True, eq=False)
 class Bears(Term):
-    """The numbers (12 + 3d,) of a load (loads.Load.over) that a robot bears in every frame."""
+    """The numbers (12 + 3d,) of a load (loads.Load.over) that a robot bears in every frame, of so many tubes."""
 
     load: Load | LoadOverTime
-    robot: Robot
+    tubes: int
     name = "load"
 
     @property
@@ -39,4 +38,4 @@ class Bears(Term):
 
     def fill(self, frame: Frame) -> Mapping[str, Any]:
         """The numbers in that part of the motion."""
-        return {self.name: self.load.over(self.robot, np.array([frame.part]))[0]}
+        return {self.name: self.load.over(self.tubes, np.array([frame.part]))[0]}

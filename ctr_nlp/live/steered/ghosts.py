@@ -52,5 +52,5 @@ class Ghosts:
         self.shapes = self._seen()
 
     def _seen(self) -> Array:
-        x = np.array([robot.x for robot in self._robots])
-        return self._model.points_apart(self._draws.structure, self._draws.numbers, x, SIGMA[::STRIDE])
+        x, draws = np.array([[robot.x] for robot in self._robots]), self._draws
+        return self._model.points_apart(draws.structure, draws.numbers, x, SIGMA[::STRIDE])[:, 0]

@@ -9,7 +9,7 @@ import numpy as np
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models.dominant import shape
-from ctr_nlp.models.protocol import Model, Places, Shape, combination, matrix_of, vectors_of
+from ctr_nlp.models.protocol import Model, Places, Shape, combination, matrix_of, of_rows, vectors_of
 from ctr_nlp.nlp.nlp import Inner
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import Structure, Tubes, tubes_in_columns
@@ -71,11 +71,12 @@ class Dominant(Model):
 
     def points_apart(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
         """As Model.points_apart."""
-        points = np.empty((len(x), np.shape(sigma)[-1], 3))
-        for at in (slice(first, first + CHUNK) for first in range(0, len(x), CHUNK)):
+        tubes, each, sigma = of_rows(numbers, x, sigma)
+        points = np.empty((len(each), np.shape(sigma)[-1], 3))
+        for at in (slice(first, first + CHUNK) for first in range(0, len(each), CHUNK)):
             own = sigma[at] if np.ndim(sigma) > 1 else sigma
-            points[at] = _points(tubes_in_columns(structure, numbers[at]), x[at], own)
-        return points
+            points[at] = _points(tubes_in_columns(structure, tubes[at]), each[at], own)
+        return points.reshape(*x.shape[:2], *points.shape[1:])
 
     def tangents(self, robot: Robot, x: Array, sigma: Array) -> Array:
         """As Model.tangents."""

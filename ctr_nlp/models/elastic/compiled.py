@@ -76,7 +76,7 @@ class _Elastic(ctypes.Structure):
 
 
 class Compiled:
-    """A structure's equilibria in C; any thread may call. numbers (T or 1, 7d): of the tubes, a row a robot."""
+    """A structure's equilibria in C; any thread may call. numbers (T or 1, 8d): of the tubes, a row a robot."""
 
     def __init__(self, structure: Structure, alone: Path, beside: Path) -> None:
         """Take the functions from their libraries; raises OptionError where nothing can be compiled."""
@@ -147,7 +147,7 @@ class Compiled:
         return points, tips
 
     def rests(self, numbers: Array, q: Array, sigma: Array) -> Rest:
-        """One robot, of numbers (1, 7d), at rest at every q (T, 2d + 2) without history; points at sigma (m,)."""
+        """One robot, of numbers (1, 8d), at rest at every q (T, 2d + 2) without history; points at sigma (m,)."""
         q, sigma = np.ascontiguousarray(q, dtype=float), np.ascontiguousarray(sigma, dtype=float)
         rows, n, m = *q.shape, len(sigma)
         found = np.empty((rows, n + 4 + 3 * m))
@@ -169,7 +169,7 @@ def _stepped(numbers: Array) -> tuple[ctypes.c_void_p, ctypes.c_long]:
 class Symbolic(NamedTuple):
     """Functions of a structure, in the order of FUNCTIONS: alone; the last two, for LANES at once; the energy.
 
-    motors: (x, numbers (d, 7)) -> alpha and slopes over phi but the last. energy: -> strength, angles, turns, ends
+    motors: (x, numbers (d, 8)) -> alpha and slopes over phi but the last. energy: -> strength, angles, turns, ends
     and made of Symbols, turns and ends transposed. second: -> the same in Symbols. shape: -> vectors (3, n) and
     the direction of the tip. points: (arc length, vectors, extensions (d,), numbers) -> the point there (3,), mm.
     """

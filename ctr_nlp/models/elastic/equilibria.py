@@ -64,7 +64,7 @@ class Equilibria:
     """Follows a robot's equilibria; one object a thread."""
 
     def __init__(self, structure: Structure, numbers: Array) -> None:
-        """Numbers (d, 7) of the tubes, in the order of structure.NUMBERS."""
+        """Numbers (d, 8) of the tubes, in the order of structure.NUMBERS."""
         self._d, self._tubes = structure.d, tubes_of(structure, numbers.tolist())
         self._numbers, self._compiled = numbers.ravel(order="F")[None], compiled(structure)
         self._structure = structure
@@ -258,7 +258,7 @@ def _step_down(energy: Energy, motors: Array, a: Array, time: float) -> tuple[Ar
 
 
 def walked_abreast(structure: Structure, numbers: Array, goals: Array) -> list[tuple[Array, State] | None]:
-    """The equilibria (k, 2d + 2) of up to LANES robots of numbers (n, d, 7) that settle at the first of goals
+    """The equilibria (k, 2d + 2) of up to LANES robots of numbers (n, d, 8) that settle at the first of goals
     (n, T, 2d + 2) and reach the next ones in whole steps, and the last of them.
 
     What is found of a robot does not depend on those beside it. None for one that does not settle, and for all

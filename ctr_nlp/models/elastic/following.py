@@ -27,7 +27,7 @@ def settled(robot: Robot, q: Array) -> Array:
 
 
 def settled_apart(structure: Structure, numbers: Array, q: Array) -> tuple[Array, Array]:
-    """Equilibria x (T, 2d + 2) without a history of robots that differ in numbers (T, d, 7), and margins (T,).
+    """Equilibria x (T, 2d + 2) without a history of robots that differ in numbers (T, d, 8), and margins (T,).
 
     q (T, 2d + 2): a configuration for each. numbers: in the order of structure.NUMBERS. NaN where none is found.
     """
@@ -58,7 +58,7 @@ def follow(robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBS
 def followed_apart(
     structure: Structure, numbers: Array, way: Passage, places: Array, margins: bool = True
 ) -> list[Followed]:
-    """The same of robots of numbers (n, d, 7), each at its own places (n, M, 2d + 2) on a way.
+    """The same of robots of numbers (n, d, 8), each at its own places (n, M, 2d + 2) on a way.
 
     Those that walk abreast do so as far as whole steps lead, and go on one by one from there.
     """
@@ -80,7 +80,7 @@ def followed(
     margins: bool = True,
     begun: tuple[Array, State] | None = None,
 ) -> Followed:
-    """The same of a robot of numbers (d, 7) at its own places (M, 2d + 2) on a way, with margins or without.
+    """The same of a robot of numbers (d, 8) at its own places (M, 2d + 2) on a way, with margins or without.
 
     begun: equilibria (k, 2d + 2) at the first places, k > 0, and the last of them; None where none is known.
     """

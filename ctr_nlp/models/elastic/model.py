@@ -20,6 +20,7 @@ from ctr_nlp.models.protocol import (
     Shape,
     combination,
     matrix_of,
+    of_rows,
     vectors_of,
 )
 from ctr_nlp.models.walker import Walker
@@ -92,7 +93,8 @@ class Elastic(Model):
 
     def points_apart(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
         """As Model.points_apart."""
-        return _points(structure, numbers, x, sigma)
+        found = _points(structure, *of_rows(numbers, x, sigma))
+        return found.reshape(*x.shape[:2], *found.shape[1:])
 
     def at_rest(self, robot: Robot, q: Array, sigma: Array) -> Rest:
         """As Model.at_rest."""
@@ -147,7 +149,7 @@ class Elastic(Model):
 
 
 def _points(structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
-    """Points (T, n, 3) in mm of robots of numbers (T or 1, d, 7) at unknowns x (T, 2d + 2)."""
+    """Points (T, n, 3) in mm of robots of numbers (T or 1, d, 8) at unknowns x (T, 2d + 2)."""
     if (code := compiled(structure)) is not None:
         return code.shapes(numbers.swapaxes(1, 2).reshape(len(numbers), -1), x, sigma)[0]
     tubes, columns, d = tubes_in_columns(structure, numbers), columns_of(x), structure.d

@@ -26,7 +26,7 @@ class Loading(NamedTuple):
     """A load's numbers (loads.Load.numbers) as models take them: numbers, columns (T, 1), or symbols.
 
     force: N, in the base's directions. tool_force: N, in those of the tip. moment: N mm. distributed: N/mm, which
-    acts between two places, mm from the opening. weights: of every tube, N/mm.
+    acts between two places, mm from the opening. weights: of what every tube is made of, N/mm^3.
     """
 
     force: Vector

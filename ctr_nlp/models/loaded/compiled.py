@@ -47,7 +47,7 @@ class Ends(NamedTuple):
 
 @functools.lru_cache(maxsize=64)
 def symbolic(structure: Structure, kind: RodKind) -> ca.Function:
-    """(row, numbers (7 d,)) -> what Ends holds; row: psi and axes of the tip, beta, the load, softnesses."""
+    """(row, numbers (8 d,)) -> what Ends holds; row: psi and axes of the tip, beta, the load, softnesses."""
     d = structure.d
     numbers = ca.SX.sym("numbers", d, len(NUMBERS))
     tip, beta = ca.SX.sym("tip", d + 9), ca.SX.sym("beta", d)
@@ -104,7 +104,7 @@ class Rods:
         self._mapped: dict[int, Mapped] = {}
 
     def __call__(self, numbers: Array, angles: Array, axes: Array, beta: Array, load: Array, soft: Array) -> Ends:
-        """The Ends of T robots of numbers (T, d, 7), as of structure.NUMBERS.
+        """The Ends of T robots of numbers (T, d, 8), as of structure.NUMBERS.
 
         Their tips have angles (T, d) and axes (T, 3, 3); beta (T, d) mm, loads (T, size), soft (T, 2).
         """

@@ -32,7 +32,7 @@ WIDEST, SHRINKS = 1.0, 0.7
 
 
 class States(NamedTuple):
-    """T equilibria of robots of numbers (T, d, 7): q (T, 2d + 2); load (T, 12 + 3d); the tip, angles (T, d)
+    """T equilibria of robots of numbers (T, d, 8): q (T, 2d + 2); load (T, 12 + 3d); the tip, angles (T, d)
     relative to its axes (T, 3, 3).
 
     slopes (T, d + 2, d + 2): how tilt and motors follow the tip (rod.Rod); determinant (T,): of these.
@@ -90,7 +90,7 @@ class LoadedEquilibria:
         self.d, self.rods = structure.d, Rods(structure, kind)
 
     def unloaded(self, numbers: Array, q: Array, tips: Array) -> States:
-        """The states of robots of numbers (T, d, 7) at q (T, 2d + 2) without a load.
+        """The states of robots of numbers (T, d, 8) at q (T, 2d + 2) without a load.
 
         tips (T, d): what is known of their angles, against each other.
         """

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.loads import Load, LoadOverTime
+from ctr_nlp.loads import Load, LoadOverTime, steady
 from ctr_nlp.models.dominant.shape import columns_of
 from ctr_nlp.models.elastic import shape
 from ctr_nlp.models.elastic.torsion import sections
@@ -19,7 +19,17 @@ from ctr_nlp.models.loaded.following.follower import Follower
 from ctr_nlp.models.loaded.shape import shape_under
 from ctr_nlp.models.loaded.stability import margins
 from ctr_nlp.models.loaded.tips import tips, unknowns
-from ctr_nlp.models.protocol import SUBSTEPS, Followed, Model, Passage, Places, Shape, combination, passage
+from ctr_nlp.models.protocol import (
+    SUBSTEPS,
+    Followed,
+    Model,
+    Passage,
+    Places,
+    Shape,
+    combination,
+    of_rows,
+    passage,
+)
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import Structure, Tubes, tubes_in_columns
 from ctr_nlp.typing import Array, Vector
@@ -62,7 +72,7 @@ class Loaded(Model):
     def check(self, robot: Robot) -> None:
         """Raise LoadError unless the robot tells its moduli, has no helix, and the load fits it."""
         check_kinds(robot.structure.kinds)
-        self._over(robot, 1)
+        self.load.check(robot)
 
     def frame(
         self,
@@ -72,9 +82,9 @@ class Loaded(Model):
         margin: ca.SX | None = None,
         tangents: bool = False,
     ) -> Shape:
-        """As Model.frame, with the load's numbers in it; raises LoadError where tubes' weights count."""
-        acting = ca.SX(ca.DM(self.load.numbers_apart(structure.d)))
-        return self.frame_under(acting, structure, tubes, places, margin, tangents)
+        """As Model.frame, with the load's numbers in it; raises LoadError where these change over time."""
+        acting = steady(self.load, "a shape without a time").numbers(structure.d)
+        return self.frame_under(ca.SX(ca.DM(acting)), structure, tubes, places, margin, tangents)
 
     def frame_under(
         self,
@@ -98,35 +108,37 @@ class Loaded(Model):
         """As Model.tangents."""
         return self._curves(robot, x, sigma)[1]
 
-    def _over(self, robot: Robot, rows: int) -> Array:
-        """Numbers (rows, 12 + 3d) of what acts in every frame of a motion."""
-        return self.load.over(robot, np.linspace(0.0, 1.0, rows))
+    def _over(self, d: int, rows: int) -> Array:
+        """Numbers (rows, 12 + 3d) of what acts on robots of d tubes in every frame of a motion."""
+        return self.load.over(d, np.linspace(0.0, 1.0, rows))
 
     def _curves(self, robot: Robot, x: Array, sigma: Array) -> tuple[Array, Array]:
-        acting = self._over(robot, len(x))
+        acting = self._over(robot.d, len(x))
         return curves(robot.structure, robot.numbers[None], acting, x, sigma, self.kind)
 
     def points_apart(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
-        """As Model.points_apart; raises LoadError where tubes' weights count."""
-        acting = self.acting_apart(structure.d, len(x))
-        return curves(structure, numbers, acting, x, sigma, self.kind)[0]
+        """As Model.points_apart."""
+        acting = self.acting_apart(len(x), self._over(structure.d, x.shape[1]))
+        tubes, each, sigma = of_rows(numbers, x, sigma)
+        found = curves(structure, tubes, acting.reshape(len(each), -1), each, sigma, self.kind)[0]
+        return found.reshape(*x.shape[:2], *found.shape[1:])
 
-    def acting_apart(self, d: int, rows: int) -> Array:
-        """Numbers (rows, 12 + 3d) of what acts on robots of d tubes, a row each; raises as points_apart."""
-        return np.repeat(self.load.numbers_apart(d)[None], rows, axis=0)
+    def acting_apart(self, count: int, acting: Array) -> Array:
+        """Numbers (count, M, 12 + 3d) of what acts on so many robots; acting (M, 12 + 3d): those of the load."""
+        return np.broadcast_to(acting, (count, *acting.shape))
 
     def margins(self, robot: Robot, x: Array) -> Array:
         """As Model.margins; NaN under a load that has no energy."""
         found, known = np.full(len(x), np.nan), np.isfinite(x).all(axis=1)
         if self.load.conservative and known.any():
             equilibria = self._equilibria(robot)
-            acting = self._over(robot, len(x))
+            acting = self._over(robot.d, len(x))
             found[known] = margins(equilibria, self._states(equilibria, robot, x[known], acting[known]))
         return found
 
     def states(self, robot: Robot, x: Array) -> States:
         """The states of unknowns x (T, 2d + 2), each an equilibrium of its own configuration."""
-        return self._states(self._equilibria(robot), robot, x, self._over(robot, len(x)))
+        return self._states(self._equilibria(robot), robot, x, self._over(robot.d, len(x)))
 
     def _states(self, equilibria: LoadedEquilibria, robot: Robot, x: Array, acting: Array) -> States:
         of_robot = np.repeat(robot.numbers[None], len(x), axis=0)
@@ -137,7 +149,7 @@ class Loaded(Model):
 
     def rest(self, robot: Robot, q: Array) -> Array:
         """Where all tubes are turned to together from alpha_d, and then loaded; NaN where it snaps on the way."""
-        found: Array = self._follower(robot, self._over(robot, 1)).rest(np.asarray(q, dtype=float)[None])[0]
+        found: Array = self._follower(robot, self._over(robot.d, 1)).rest(np.asarray(q, dtype=float)[None])[0]
         return found
 
     def guess(self, robot: Robot, q: Array) -> Array:
@@ -160,7 +172,7 @@ class Loaded(Model):
         """
         equilibria, of_robot = self._equilibria(robot), np.repeat(robot.numbers[None], len(q), axis=0)
         free = equilibria.unloaded(of_robot, q, angles)
-        return equilibria.along(free, q, self._over(robot, len(q)))[0].unknowns
+        return equilibria.along(free, q, self._over(robot.d, len(q)))[0].unknowns
 
     def configuration(self, robot: Robot, x: Array) -> Array:
         """As Model.configuration; alpha up to whole turns of all tubes together, theta_x within a quarter turn."""
@@ -175,23 +187,23 @@ class Loaded(Model):
 
         x0 is not looked at: a robot is where the load has brought it.
         """
-        q = np.asarray(q, dtype=float)
-        way = passage(q, substeps)
-        acting = passage(np.hstack([q, self._over(robot, len(q))]), substeps).q[:, q.shape[1] :]
-        return self._follower(robot, acting[None]).followed(way, way.q[None])[0]
+        way = passage(np.asarray(q, dtype=float), substeps)
+        return self._follower(robot, self.load.over(robot.d, way.parts)).followed(way, way.q[None])[0]
 
     def follow_apart(
         self, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True
     ) -> list[Followed]:
-        """As Model.follow_apart; raises LoadError where tubes' weights count."""
-        acting, found = self.acting_apart(structure.d, len(numbers)), list[Followed]()
+        """As Model.follow_apart."""
+        acting = self.acting_apart(len(numbers), self.load.over(structure.d, way.parts))
+        found = list[Followed]()
         for some in (slice(first, first + TOGETHER) for first in range(0, len(numbers), TOGETHER)):
             follower = Follower(structure, numbers[some], self.load, acting[some])
             found += follower.followed(way, q[some], margins)
         return found
 
     def _follower(self, robot: Robot, acting: Array) -> Follower:
-        return Follower(robot.structure, robot.numbers[None], self.load, acting)
+        """The follower of one robot; acting (M, 12 + 3d): at every place of a way."""
+        return Follower(robot.structure, robot.numbers[None], self.load, acting[None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,10 +215,10 @@ class Pushed(Loaded):
 
     forces: Array
 
-    def acting_apart(self, d: int, rows: int) -> Array:
-        """As Loaded.acting_apart, of the n robots after one another, each with as many of the rows."""
-        found = super().acting_apart(d, rows)
-        found[:, :3] += np.repeat(self.forces, rows // len(self.forces), axis=0)
+    def acting_apart(self, count: int, acting: Array) -> Array:
+        """As Loaded.acting_apart, of the n robots."""
+        found = np.array(super().acting_apart(count, acting))
+        found[..., :3] += self.forces[:, None]
         return found
 
 
@@ -230,7 +242,7 @@ FORMS = {RodKind.of(load): Loaded(load) for load in _LOADS}
 def curves(
     structure: Structure, numbers: Array, acting: Array, x: Array, sigma: Array, kind: RodKind
 ) -> tuple[Array, Array]:
-    """Points and tangents (T, n, 3) of robots of numbers (T or 1, d, 7) under loads (T or 1, l) of such rods."""
+    """Points and tangents (T, n, 3) of robots of numbers (T or 1, d, 8) under loads (T or 1, l) of such rods."""
     d, rows = structure.d, len(x)
     of_robots = np.broadcast_to(numbers, (rows, *numbers.shape[1:]))
     beta, load = x[:, d : 2 * d], np.broadcast_to(acting, (rows, acting.shape[1]))

@@ -109,7 +109,7 @@ def integrated(
     states, responses = [], list[list[Any]]()
     along = Along(load.distributed, load.between, beta[-1], xp) if kind.distributed else None
     for k, part in reversed(list(enumerate(parts))):
-        weights = [load.weights[i] for i in part.present] if kind.weighs else []
+        weights = [scaled(tubes[i].area, load.weights[i]) for i in part.present] if kind.weighs else []
         weight = total([*weights, *pressed[k : k + 1]])
         section = Equations(tubes, beta, part, force, weight, along, soft or Softness(), xp, steps)
         nodes = [y]

@@ -68,8 +68,6 @@ def described(robot: Robot, model: str | Model, scenarios: Scenarios | None) -> 
     instance(OptionError, "scenarios", scenarios, Scenarios)
     model = bearing(model, scenarios.pushed or robot.tolerances.tip_force > 0)
     model.check(robot)
-    if model.bears is not None:
-        model.bears.numbers_apart(robot.d)
     check_shared(robot, model, scenarios)
     return model, scenarios
 

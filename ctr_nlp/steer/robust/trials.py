@@ -30,7 +30,7 @@ HALVINGS = 6
 
 
 class Lost(NamedTuple):
-    """Robots that were lost of those drawn: numbers (L, d, 7) of their tubes, offsets (L, d) of their motors, rad,
+    """Robots that were lost of those drawn: numbers (L, d, 8) of their tubes, offsets (L, d) of their motors, rad,
     and forces (L, 3) at their tips, N; frames (L,): in which each was, from 1. few: whether so few that it is
     certain enough that hardly any is.
     """

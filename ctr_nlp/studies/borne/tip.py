@@ -12,7 +12,7 @@ import numpy as np
 
 from ctr_nlp.exceptions import LoadError, OptionError
 from ctr_nlp.formulations.around import Beside
-from ctr_nlp.loads import steady
+from ctr_nlp.loads import Load, LoadOverTime
 from ctr_nlp.loads.load import FORCE
 from ctr_nlp.models import MODELS
 from ctr_nlp.models.loaded.acting import RodKind
@@ -133,10 +133,10 @@ def forces(
     number(OptionError, "most", most, lambda x: 0 < x <= FORCE, f"lie in (0, {FORCE:g}]", " N")
     if off is not None:
         number(OptionError, "off", off, lambda x: 0 <= x < math.inf, "be a finite number >= 0", " mm")
-    load, way = steady(plan.bears, "a search for the forces that a tip bears"), directions_of(directions)
-    numbers = load.numbers(plan.robot)
+    load, way = plan.bears or Load(), directions_of(directions)
+    load.check(plan.robot)
     equilibria = LoadedEquilibria(plan.robot.structure, RodKind.of(load))
-    which, states = _standing(plan, numbers, equilibria, whole_number(OptionError, "every", every))
+    which, states = _standing(plan, load, equilibria, whole_number(OptionError, "every", every))
     if not len(which):
         raise LoadError("the plan has no frame in which its robot stands under its load; no more can be borne")
     asked = [] if off is None else [_left(plan, off, equilibria.rods.kind)]
@@ -157,14 +157,17 @@ def directions_of(count: int) -> Array:
     return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
 
 
-def _standing(plan: Plan, numbers: Array, equilibria: LoadedEquilibria, every: int) -> tuple[Index, States]:
+def _standing(
+    plan: Plan, load: Load | LoadOverTime, equilibria: LoadedEquilibria, every: int
+) -> tuple[Index, States]:
     """Which frames, from 0, the robot stands in under its load, and its states there."""
     x, d = MODELS[Loaded.name].follow(plan.robot, plan.q).x, plan.robot.d
     which = np.flatnonzero(np.isfinite(x).all(axis=1))
     which = which[which % every == 0]
     of_robot = np.repeat(plan.robot.numbers[None], len(which), axis=0)
     states = equilibria.unloaded(of_robot, plan.q[which], tip_angles(x[which], d))
-    loaded, done = equilibria.along(states, states.q, np.repeat(numbers[None], len(which), axis=0))
+    acting = load.over(d, np.linspace(0.0, 1.0, len(x)))
+    loaded, done = equilibria.along(states, states.q, acting[which])
     return which[done == 1], loaded.rows(done == 1)
 
 

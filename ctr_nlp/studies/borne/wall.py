@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.loads import check_moduli, steady
+from ctr_nlp.loads import Load, check_moduli
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.simulation.touching import Foundation, Touching
 from ctr_nlp.support.values import instance, number
@@ -106,7 +106,7 @@ def wall_forces(plan: Plan, stiffness: float = STIFFNESS) -> WallForces:
         raise OptionError("the plan knows no wall of a lumen, so that nothing can touch it")
     if not np.isfinite(plan.q).all():
         raise OptionError("the plan has frames that were not reached; forces of contact need all of them")
-    load, lumen = steady(plan.bears, "a search for forces of contact"), Lumen(plan.lumen)
+    load, lumen = plan.bears or Load(), Lumen(plan.lumen)
     found = Foundation(plan.robot, lumen, value, load).along(plan.q)
     alone = plan.under(load)
     assert alone.clearance is not None  # a lumen is known

@@ -26,12 +26,10 @@ TURNING = 0.3
 
 
 class Follower:
-    """Follows robots of numbers (N, d, 7), each under a load of its own, side by side; one object a thread."""
+    """Follows robots of numbers (N, d, 8), each under a load of its own, side by side; one object a thread."""
 
     def __init__(self, structure: Structure, numbers: Array, load: Load | LoadOverTime, acting: Array) -> None:
-        """load: of which kind they all are; acting: the numbers of each, (N, 12 + 3d), or (N, M, 12 + 3d) at every
-        place of a way.
-        """
+        """load: of which kind they all are; acting: the numbers of each, (N, M, 12 + 3d), at M places of a way."""
         self._structure, self._numbers, self._acting = structure, numbers, acting
         self._conservative = load.conservative
         self._elastic = [Equilibria(structure, own) for own in numbers]
@@ -48,8 +46,7 @@ class Follower:
     def rest(self, q: Array) -> Array:
         """The unknowns (N, 2d + 2) there after the load has come; NaN of robots that snap on the way."""
         which, states = self.settled(q)
-        acting = self._acting if self._acting.ndim == 2 else self._acting[:, 0]
-        states, done = self.loaded.along(states, q[which], acting[which])
+        states, done = self.loaded.along(states, q[which], self._acting[which, 0])
         found = np.full(q.shape, np.nan)
         found[which[done == 1]] = states.rows(done == 1).unknowns
         return found
@@ -60,8 +57,7 @@ class Follower:
         NaN from a snap to a fresh place.
         """
         places, count, total = course(way), len(q), way.total
-        acting = self._acting[:, None] if self._acting.ndim == 2 else self._acting[:, places.at]
-        load = eased(np.broadcast_to(acting, (count, len(places.at), acting.shape[2])), places.part)
+        load = eased(self._acting[:, places.at], places.part)
         track = Track(places, self._numbers, q[:, places.at], load)
         robots = range(count)
         snaps = self._branches(places, track, robots)

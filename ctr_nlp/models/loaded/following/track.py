@@ -22,7 +22,7 @@ class Track:
     """
 
     def __init__(self, places: Course, numbers: Array, q: Array, load: Array) -> None:
-        """Numbers (N, d, 7), q (N, M, 2d + 2), load (N, M, l)."""
+        """Numbers (N, d, 8), q (N, M, 2d + 2), load (N, M, l)."""
         self._count, self._length, _ = q.shape
         flat = (array.reshape(self._count * self._length, -1) for array in (q, load))
         self.states = States.nowhere(np.repeat(numbers, self._length, axis=0), *flat)
