@@ -10,7 +10,9 @@ import numpy as np
 
 from ctr_nlp.codegen import cache, vector
 from ctr_nlp.codegen.background import Library
+from ctr_nlp.formulations.terms import Bears
 from ctr_nlp.formulations.terms.lumen import CENTRED, COLUMNS, FIRM, PLACES
+from ctr_nlp.loads.load import BEFORE_WEIGHTS
 from ctr_nlp.models import Model
 from ctr_nlp.models.protocol import symbolic_tubes
 from ctr_nlp.robot import Robot
@@ -21,10 +23,10 @@ from ctr_nlp.typing import Array
 
 LANES = vector.LANES
 """Parts of the robot that are looked at side by side."""
-_LONGS = "unknowns", "tubes", "places", "finer", "samples", "lanes", "nodes"
+_LONGS = "unknowns", "loaded", "tubes", "places", "finer", "samples", "lanes", "nodes"
 _GIVEN = "shares", "numbers", "table", "along", "path", "radius", "outer"
 _NUMBERS = "clearance", "centred", "tiny", "spacing", "widest"
-_OWN = "x", "at", "kept_x", "kept"
+_OWN = "x", "load", "at", "kept_x", "kept_load", "kept"
 
 
 class _InC(ctypes.Structure):
@@ -57,8 +59,8 @@ class Around:
         """Prepare; raises OptionError where nothing can be compiled."""
         count, d = robot.d * PLACES * finer, robot.d
         samples = -(-count // LANES)
-        self._points, self._made = _points_in_c(model, robot.structure, samples)
-        unknowns = self._points.numel_in(0)
+        self._points, self._made = _points_in_c(model.form, robot.structure, samples)
+        unknowns, self._loaded = self._points.numel_in(0), 0 if model.bears is None else self._points.numel_in(3)
         rows = d * PLACES
         given = (
             _shares(d, PLACES * finer, samples),
@@ -66,11 +68,12 @@ class Around:
             *(np.ascontiguousarray(each) for each in (lumen.table[:, :3], lumen.along, *lumen.pieces)),
             outer_radius(robot),
         )
-        own = (np.zeros(size) for size in (LANES * unknowns, LANES * samples * 3, unknowns, rows * COLUMNS + 1))
-        self._arrays = [*given, *own]
+        sizes = [LANES * unknowns, LANES * self._loaded, LANES * samples * 3]
+        sizes += [unknowns, self._loaded, rows * COLUMNS + 1]
+        self._arrays = [*given, *map(np.zeros, sizes)]
         addresses = [array.ctypes.data for array in self._arrays]
         self._fixed = (
-            *(unknowns, d, PLACES, finer, samples, LANES, len(lumen.along)),
+            *(unknowns, self._loaded, d, PLACES, finer, samples, LANES, len(lumen.along)),
             *addresses[: len(given)],
             *(clearance, CENTRED, tiny, SPACING, float(np.diff(lumen.along).max())),
             *addresses[len(given) :],
@@ -89,12 +92,15 @@ class Around:
             self._wall = _InC(points, *self._fixed)
         return self._compiled is not None
 
-    def __call__(self, x: Array, numbers: Array | None = None) -> tuple[Array, Array]:
+    def __call__(self, x: Array, numbers: Array | None = None, loads: Array | None = None) -> tuple[Array, Array]:
         """What describes the wall, (T, d PLACES, COLUMNS), near unknowns x (T, n), and slacks (T,) needed, mm.
 
-        numbers (d, 8): of the tubes, where they are not the robot's. Raises ValueError for other unknowns than the
-        model's.
+        numbers (d, 8): of the tubes, where they are not the robot's. loads (T, 12 + 3d): on models that know some.
+        Raises ValueError for other unknowns or loads than the model's.
         """
+        loads = np.zeros((len(x), 0)) if loads is None else np.ascontiguousarray(loads, dtype=float)
+        if loads.shape != (len(x), self._loaded):
+            raise ValueError(f"loads have shape {loads.shape}; it must be {(len(x), self._loaded)}")
         if x.shape[1:] != (self._fixed[0],):
             raise ValueError(f"x has shape {x.shape}; the model has {self._fixed[0]} unknowns")
         x, found = np.ascontiguousarray(x, dtype=float), np.empty((len(x), self._rows * COLUMNS + 1))
@@ -102,13 +108,15 @@ class Around:
         if not np.array_equal(of_tubes, self._numbers):
             self._numbers[:] = of_tubes
             self._wall.forget()
-        self._library.around_all(ctypes.byref(self._wall), ctypes.c_long(len(x)), x.ctypes, found.ctypes)
+        given = ctypes.c_long(len(x)), x.ctypes, loads.ctypes, found.ctypes
+        self._library.around_all(ctypes.byref(self._wall), *given)
         return found[:, :-1].reshape(len(x), COLUMNS, self._rows).transpose(0, 2, 1), found[:, -1].copy()
 
     def surroundings(self, settled: float, rounds: int) -> Surroundings:
         """What run.c calls at every frame; as long as this object lives."""
         call = ctypes.cast(self._library.around, ctypes.c_void_p).value or 0
-        return Surroundings(call, ctypes.addressof(self._wall), "wall", "contact_weight", FIRM, settled, rounds)
+        named = Bears.name, "wall", "contact_weight"
+        return Surroundings(call, ctypes.addressof(self._wall), *named, FIRM, settled, rounds)
 
 
 class Beside:
@@ -162,10 +170,16 @@ def _points_in_c(model: Model, structure: Structure, samples: int) -> tuple[ca.F
 
 @functools.lru_cache(maxsize=64)
 def points_at(model: Model, structure: Structure, samples: int) -> ca.Function:
-    """(x, shares (samples, d) of extensions, numbers) -> points (samples, 3), mm, as a program has them."""
+    """(x, shares (samples, d) of extensions, numbers) -> points (samples, 3), mm, as a program has them.
+
+    Of models that know loads the function is given the numbers of one, too.
+    """
     shares, numbers = ca.SX.sym("shares", samples, structure.d), ca.SX.sym("numbers", structure.d, len(NUMBERS))
     tubes = symbolic_tubes(structure, numbers)
-    shape = model.frame(structure, tubes, lambda beta: shares @ ca.vertcat(*beta))
+    at = structure, tubes, lambda beta: shares @ ca.vertcat(*beta)
+    load = ca.SX.sym("load", BEFORE_WEIGHTS + 3 * structure.d)
+    shape = model.frame(*at) if model.bears is None else model.frame_under(load, *at)
+    given = [shape.x, shares, numbers] + [load] * (model.bears is not None)
     symbols, values = shape.inner.columns
     (found,) = ca.substitute([ca.SX(ca.horzcat(*shape.placed(shape.points)))], [symbols], [values])
-    return ca.Function("points", [shape.x, shares, numbers], [ca.densify(found)])
+    return ca.Function("points", given, [ca.densify(found)])

@@ -81,7 +81,7 @@ def horizon(
         upper,
         motion_links(robot, len(frames), dt, motion_weight, before, after, tips),
         functions(frame),
-        None if wall is None else wall.surroundings,
+        None if wall is None else wall.during(frames),
         (least, most),
     )
 

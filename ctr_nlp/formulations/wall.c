@@ -10,15 +10,16 @@
 
 typedef int (*Function)(const double **, double **, long long *, double *, int);
 
-/* points: of so many samples a lane, from x, shares of the extensions and the tubes' numbers, in every lane.
+/* points: of so many samples a lane, from x, shares of the extensions, the tubes' numbers and those of a load, of which
+   there are so many as loaded, in every lane.
    table: points (nodes, 3), mm; along: their arc lengths; path, radius: cubic pieces between them, by falling powers.
-   widest: the longest step of the table. known: whether what is kept was found, at x kept. */
+   widest: the longest step of the table. known: whether what is kept was found, at x and under the load kept. */
 typedef struct {
     Function points;
-    long unknowns, tubes, places, finer, samples, lanes, nodes;
+    long unknowns, loaded, tubes, places, finer, samples, lanes, nodes;
     const double *shares, *numbers, *table, *along, *path, *radius, *outer;
     double clearance, centred, tiny, spacing, widest;
-    double *x, *at, *kept_x, *kept;
+    double *x, *load, *at, *kept_x, *kept_load, *kept;
     long known;
 } Wall;
 
@@ -106,11 +107,13 @@ static void look(const Wall *w, const double *p, Seen *seen, Near *near) {
 }
 
 /* The samples' points in base axes, lane after lane. */
-static void sample(Wall *w, const double *x) {
-    const double *given[] = {w->x, w->shares, w->numbers};
+static void sample(Wall *w, const double *x, const double *load) {
+    const double *given[] = {w->x, w->shares, w->numbers, w->load};
     double *found[] = {w->at};
-    for (long lane = 0; lane < w->lanes; ++lane)
+    for (long lane = 0; lane < w->lanes; ++lane) {
         memcpy(w->x + lane * w->unknowns, x, w->unknowns * sizeof *x);
+        memcpy(w->load + lane * w->loaded, load, w->loaded * sizeof *load);
+    }
     w->points(given, found, 0, 0, 0);
 }
 
@@ -125,14 +128,15 @@ static void write_row(const Wall *w, const Near *near, double room, long rows, d
     to[9 * rows] = room, to[10 * rows] = near->taper, to[11 * rows] = near->behind, to[12 * rows] = near->ahead;
 }
 
-/* What describes the wall around unknowns x, (places, COLUMNS) by columns, and then the slack needed, mm. */
-void around(Wall *w, const double *x, double *found) {
-    long rows = w->tubes * w->places, size = w->unknowns * sizeof *x;
-    if (!w->known || memcmp(w->kept_x, x, size)) {
+/* What describes the wall around unknowns x under a load, (places, COLUMNS) by columns, and then the slack needed, mm.
+   Where robots bear none, it is not looked at. */
+void around(Wall *w, const double *x, const double *load, double *found) {
+    long rows = w->tubes * w->places, size = w->unknowns * sizeof *x, more = w->loaded * sizeof *load;
+    if (!w->known || memcmp(w->kept_x, x, size) || memcmp(w->kept_load, load, more)) {
         double least = INFINITY;
         Seen seen = {.beyond = -1};
-        memcpy(w->kept_x, x, size);
-        sample(w, x);
+        memcpy(w->kept_x, x, size), memcpy(w->kept_load, load, more);
+        sample(w, x, load);
         for (long row = 0; row < rows; ++row) {
             double narrow = INFINITY, left = 0, room = 0;
             Near near;
@@ -153,9 +157,9 @@ void around(Wall *w, const double *x, double *found) {
 }
 
 /* The same for so many frames, a row each. */
-void around_all(Wall *w, long frames, const double *x, double *found) {
-    for (long j = 0; j < frames; ++j)
-        around(w, x + j * w->unknowns, found + j * (w->tubes * w->places * COLUMNS + 1));
+void around_all(Wall *w, long frames, const double *x, const double *loads, double *found) {
+    long size = w->tubes * w->places * COLUMNS + 1;
+    for (long j = 0; j < frames; ++j) around(w, x + j * w->unknowns, loads + j * w->loaded, found + j * size);
 }
 
 /* What is left of the lumen beside so many points, rows of three: its radius less the distance to its path, mm. */

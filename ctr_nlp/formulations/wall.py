@@ -8,8 +8,9 @@ changes.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from ctr_nlp.models import Model
 from ctr_nlp.models.dominant.shape import columns_of
 from ctr_nlp.robot import Robot
 from ctr_nlp.target.lumen import Lumen, outer_radius
+from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
 FINER = 5
@@ -64,36 +66,50 @@ class Wall:
 
     @cached_property
     def around(self) -> Around | None:
-        """The same in C; None where nothing can be compiled, and under loads."""
-        if cache.missing() or self.model.bears is not None:
+        """The same in C; None where nothing can be compiled."""
+        if cache.missing():
             return None
         return Around(self.robot, self.lumen, self.model, self.clearance, self.finer, TINY)
 
     def __getstate__(self) -> dict[str, Any]:
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
-    def surroundings(self, x: Array, numbers: Array | None = None) -> tuple[dict[str, Array], Array]:
+    def during(self, frames: Sequence[Frame]) -> Callable[[Array], tuple[dict[str, Array], Array]]:
+        """What gives the surroundings of unknowns x (T, n) in these frames, under the load of their time."""
+        bears = self.model.bears
+        acting = None if bears is None else bears.over(self.robot.d, np.array([frame.part for frame in frames]))
+        return partial(self.surroundings, loads=acting)
+
+    def surroundings(
+        self, x: Array, numbers: Array | None = None, loads: Array | None = None
+    ) -> tuple[dict[str, Array], Array]:
         """Parameters (T, ..) of frames near to unknowns x (T, n) of the model, and slacks (T,) needed, mm.
 
-        numbers (d, 8): of the tubes, where they are not the robot's.
+        numbers (d, 8): of the tubes, where they are not the robot's. loads (T, 12 + 3d): on models that know some.
         """
         found = self.around
-        wall, slack = (self.described if found is None or not found.ready() else found)(x, numbers)
+        wall, slack = (self.described if found is None or not found.ready() else found)(x, numbers, loads)
         return {"wall": wall, "contact_weight": np.full(len(x), self.weight)}, slack
 
-    def of_scenarios(self, x: Array, numbers: Array) -> dict[str, Array]:
-        """Parameters (T, S, ..) near to unknowns x (T, S, n) of robots whose tubes have numbers (S, d, 8)."""
-        found = [self.surroundings(x[:, k], own)[0] for k, own in enumerate(numbers)]
+    def of_scenarios(self, x: Array, numbers: Array, loads: Array | None = None) -> dict[str, Array]:
+        """Parameters (T, S, ..) near to unknowns x (T, S, n) of robots whose tubes have numbers (S, d, 8).
+
+        loads (T, S, 12 + 3d): on models that know some.
+        """
+        found = [
+            self.surroundings(x[:, k], own, None if loads is None else loads[:, k])[0]
+            for k, own in enumerate(numbers)
+        ]
         return {name: np.stack([each[name] for each in found], axis=1) for name in found[0]}
 
-    def described(self, x: Array, numbers: Array | None = None) -> tuple[Array, Array]:
+    def described(self, x: Array, numbers: Array | None = None, loads: Array | None = None) -> tuple[Array, Array]:
         """What describes the wall (T, d PLACES, COLUMNS), and slacks (T,), without compiled code.
 
         As surroundings. Bends sharper than the lumen is wide are noise of the path's points.
         """
         beta = columns_of(self.model.extensions(self.robot, x))
         sigma = np.hstack(arc_lengths(beta, PLACES * self.finer)) / np.maximum(beta[-1], TINY)
-        near = self.lumen.near(self._points(x, sigma, numbers))
+        near = self.lumen.near(self._points(x, sigma, numbers, loads))
         room = near.radius - np.repeat(outer_radius(self.robot), PLACES * self.finer) - self.clearance
         left = room - np.hypot(near.distance, CENTRED)
         room -= left - np.repeat(left.reshape(len(x), -1, self.finer).min(axis=-1), self.finer, axis=-1)
@@ -103,7 +119,9 @@ class Wall:
         wall = np.concatenate([near.centre, near.tangent, bend, numbers], axis=-1)
         return wall[:, self.finer - 1 :: self.finer], np.maximum(-left.min(axis=1), 0.0)
 
-    def _points(self, x: Array, sigma: Array, numbers: Array | None) -> Array:
-        if numbers is None:
-            return self.model.points(self.robot, x, sigma)
-        return self.model.points_apart(self.robot.structure, np.repeat(numbers[None], len(x), axis=0), x, sigma)
+    def _points(self, x: Array, sigma: Array, numbers: Array | None, loads: Array | None) -> Array:
+        tubes = (self.robot.numbers if numbers is None else numbers)[None]
+        if loads is not None:
+            return self.model.points_under(loads, self.robot.structure, tubes, x, sigma)
+        found: Array = self.model.points_apart(self.robot.structure, tubes, x[None], sigma)[0]
+        return found

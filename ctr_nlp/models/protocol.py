@@ -233,6 +233,13 @@ class Model(ABC):
         function = samples(self, structure, np.shape(sigma)[-1])
         return np.reshape([function(*row)[0].full() for row in rows], (*x.shape[:2], -1, 3))
 
+    def points_under(self, loads: Array, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
+        """Points (T, m, 3) in mm of robots of numbers (T or 1, d, 8) at x (T, n_x) under loads (T, 12 + 3d).
+
+        sigma (m,) or (T, m). Raises OptionError where no load acts.
+        """
+        raise OptionError(f"model is {self.name!r}, which bears no load")
+
     def margins(self, robot: Robot, x: Array) -> Array:
         """Stability margins (T,) at unknowns x (T, n_x); NaN where nothing can be unstable."""
         return np.full(len(x), np.nan)

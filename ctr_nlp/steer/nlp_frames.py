@@ -228,7 +228,8 @@ class NlpFrames:
         result, tried = self._solved(index, guess, before), list[FrameResult]()
         while self.near is not None and result.success:
             slack = result.warm[0].x[-1]
-            needed = self.near.surroundings((result.q if result.x is None else result.x)[None])[1][0]
+            x = result.q if result.x is None else result.x
+            needed = self.near.during([self.problem.samples[index]])(x[None])[1][0]
             more = float(self.near.cost(needed) - self.near.cost(slack))
             tried.append(replace(result, objective=result.objective + more))
             if abs(needed - slack) <= SETTLED or len(tried) == ROUNDS:
@@ -277,7 +278,7 @@ class NlpFrames:
         x = q[stage.decides] if guess.x is None else guess.x
         x = x if warm is None else warm.x[: stage.nlp.x.numel() - stage.nlp.slacks]
         if self.near is not None:
-            parameters, slack = self.near.surroundings(x[None])
+            parameters, slack = self.near.during([self.problem.samples[index]])(x[None])
             values |= {name: value[0] for name, value in parameters.items()}
             x = np.append(x, slack)
         iterations = 0

@@ -165,11 +165,12 @@ def held(frames: NlpFrames, one: Pass, simulator: Simulator, stop: Callable[[], 
         return missing(simulator(made.motion(problem)), made.unknowns(problem), margin, problem.robot.d)
 
     def again(tried: _Run, margins: Array) -> _Run | None:
-        made, first = tried.made, tried.made.order[0]
+        made, first, within = tried.made, tried.made.order[0], replace(frames, margins=margins)
         known = {} if made.before else {first: made.results[first]}
+        if known and margins[first] > tried.frames.margins[first]:
+            known = {first: within.again(first, made.results[first])}
         return _Run.through(
-            replace(frames, margins=margins),
-            Pass(made.direction, made.order, made.before, known, {first: made.seconds[first]}),
+            within, Pass(made.direction, made.order, made.before, known, {first: made.seconds[first]})
         )
 
     first = _Run.found(frames, one)

@@ -52,9 +52,9 @@ class Steerer:
     ) -> None:
         """Build for a robot that stands at q and moves every dt s; raises OptionError, RobotError.
 
-        OptionError also where nothing can be compiled, and for a lumen under a load. On the elastic model the
-        robot is taken to have been turned to q from where all its tubes were aligned. lumen: the path with a
-        radius whose wall it is kept within, at the settings' clearance and weight of contact; None for no wall.
+        OptionError also where nothing can be compiled. On the elastic model the robot is taken to have been turned
+        to q from where all its tubes were aligned, and then loaded. lumen: the path with a radius whose wall it is
+        kept within, at the settings' clearance and weight of contact; None for no wall.
         wait: whether to wait until the program has been compiled; else its steps are interpreted until that has
         been done in the background, and take a millisecond or more. What describes a wall is always waited for.
         """
@@ -67,11 +67,6 @@ class Steerer:
         q = robot.check(q)
         if lumen is not None and (not isinstance(lumen, Curve) or lumen.radius is None):
             raise OptionError(f"lumen is {lumen!r:.80}; it must be a curve with a radius, or None for no wall")
-        if lumen is not None and described.bears is not None:
-            raise OptionError(
-                "a lumen is given for a robot that bears a load, and a Steerer cannot keep such a robot within "
-                "one; leave either out, or plan with solve_per_frame or solve_horizon, which can"
-            )
         self._wall = wall_of(robot, None if lumen is None else Lumen.around(lumen), described, settings)
         (stage,) = joint(robot, settings, described, walled=self._wall is not None)
         reach = reach_of(robot, dt, described.several_equilibria)

@@ -7,16 +7,18 @@ import numpy as np
 import pytest
 from lumens import bent, straight, wandering
 
-from ctr_nlp import Problem, Robot, Settings, growing, table_i_robot
+from ctr_nlp import Load, Loaded, LoadOverTime, Problem, Robot, Settings, growing, table_i_robot
 from ctr_nlp.codegen import cache
 from ctr_nlp.formulations.around import Beside
 from ctr_nlp.formulations.wall import Wall, wall_of
+from ctr_nlp.loads import with_modulus
 from ctr_nlp.models import MODELS
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.target.lumen import Lumen
 
 ROBOT = table_i_robot()
 TWO = Robot(ROBOT.tubes[1:])
+ACROSS = Load(force=(0.0, 0.2, 0.0))
 WITHIN = {"dominant": 1e-6, "elastic": 2e-2}
 """mm; a program's elastic shapes are integrated in fewer steps than others."""
 
@@ -85,6 +87,29 @@ def test_robots_of_other_tubes_are_described_with_their_own_shapes():
     np.testing.assert_allclose(expected, own, atol=1e-9)
     assert abs(found - before).max() > 1.0
     np.testing.assert_array_equal(wall.around(x)[0], before)
+
+
+@pytest.mark.parametrize(
+    "load", [ACROSS, replace(ACROSS, densities=6.45, down=(0, 0, 1))], ids=["force", "weight"]
+)
+def test_a_loaded_robot_is_described_where_its_load_has_brought_it(load):
+    """In every frame the load of its time, and the same unknowns anew under another load."""
+    robot, curve = with_modulus(ROBOT, 60_000), wandering(2)
+    coming = Loaded(LoadOverTime([Load(), load], [0.0, 1.0]))
+    wall, x = Wall(robot, Lumen.around(curve), coming, 30.0, 0.1), drawn(4)
+    assert wall.around.ready(wait=True)
+    loads = coming.load.over(3, np.linspace(0, 1, len(x)))
+    found, slack = wall.around(x, None, loads)
+    expected, needed = wall.described(x, None, loads)
+    np.testing.assert_allclose(slack, needed, atol=WITHIN["elastic"])
+    np.testing.assert_allclose(found, expected, atol=5 * WITHIN["elastic"])
+    for k, frame in enumerate(growing(curve, len(x)).sample()):
+        values, _ = wall.during([replace(frame, part=k / (len(x) - 1))])(x[k : k + 1])
+        np.testing.assert_array_equal(values["wall"][0], found[k])
+    both, _ = wall.around(x[[1, 1]], None, loads[[0, -1]])
+    assert abs(both[1] - both[0]).max() > 0.1
+    with pytest.raises(ValueError, match="loads have shape"):
+        wall.around(x)
 
 
 @pytest.mark.parametrize("lumen", [coiled(), Lumen.around(wandering(3))])

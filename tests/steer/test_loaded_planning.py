@@ -26,7 +26,7 @@ from ctr_nlp import (
     table_i_robot,
 )
 from ctr_nlp.cli.main import main
-from ctr_nlp.exceptions import LoadError, OptionError, ProblemError
+from ctr_nlp.exceptions import LoadError, ProblemError
 from ctr_nlp.formulations.frame import filled, program
 from ctr_nlp.formulations.joint import terms_of
 from ctr_nlp.loads import with_modulus
@@ -290,11 +290,3 @@ def test_a_motion_that_is_given_is_where_the_search_under_a_load_begins(reachabl
 def test_a_steerer_bears_no_load_that_changes():
     with pytest.raises(LoadError, match="a Steerer needs a load that stays the same; this one changes over time"):
         Steerer(NITINOL, [0, 0, 0, 0, 20, 40, 0, 0], 0.05, model=Loaded(CHANGING))
-
-
-def test_a_steerer_under_a_load_says_that_it_keeps_no_lumen():
-    problem = named("bronchus", 2)
-    with pytest.raises(
-        OptionError, match="a robot that bears a load, and a Steerer cannot keep such a robot within"
-    ):
-        Steerer(NITINOL, [0, 0, 0, 0, 20, 40, 0, 0], 0.05, model=Loaded(PULL), lumen=problem.lumen)

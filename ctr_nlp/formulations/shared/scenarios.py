@@ -91,7 +91,8 @@ def shared_motion(
     before, after = ([] if q is None else [q] for q in (ends.start, ends.end))
     links = motion_links(robot, len(frames), dt, motion_weight, before, after, np.zeros(0))
     flat = parameters.reshape(len(frames) * len(eased), -1)
-    near = None if wall is None else partial(_surroundings, wall, scenarios.numbers)
+    loads = None if model.bears is None else parameters[:, : len(scenarios), frame.place(Bears.name)]
+    near = None if wall is None else partial(_surroundings, wall, scenarios.numbers, loads)
     apart = np.where(eased, FURTHEST, APART)
     twists = np.append(np.inf, np.full(len(frames) - 1, TWIST_STEP))
     rest = flat, lower, upper, links, apart, twists
@@ -105,9 +106,9 @@ def _held(frame: Nlp, robot: Robot) -> Index:
     return frame.configuration[robot.d : len(robot.axes)]
 
 
-def _surroundings(wall: Wall, numbers: Array, x: Array) -> dict[str, Array]:
+def _surroundings(wall: Wall, numbers: Array, loads: Array | None, x: Array) -> dict[str, Array]:
     """What surrounds robots (T, S, m), scenarios and then others, whose cost is 0; these have the first's."""
     n = 2 * numbers.shape[1] + 2  # a tilt that is held beside the model's unknowns comes after them
-    found = wall.of_scenarios(x[:, : len(numbers), :n], numbers)
+    found = wall.of_scenarios(x[:, : len(numbers), :n], numbers, loads)
     others = np.zeros(x.shape[1] - len(numbers), dtype=int)
     return {name: np.concatenate([each, each[:, others]], axis=1) for name, each in found.items()}

@@ -119,9 +119,13 @@ class Loaded(Model):
     def points_apart(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
         """As Model.points_apart."""
         acting = self.acting_apart(len(x), self._over(structure.d, x.shape[1]))
-        tubes, each, sigma = of_rows(numbers, x, sigma)
-        found = curves(structure, tubes, acting.reshape(len(each), -1), each, sigma, self.kind)[0]
+        rows = of_rows(numbers, x, sigma)
+        found = self.points_under(acting.reshape(len(rows[1]), -1), structure, *rows)
         return found.reshape(*x.shape[:2], *found.shape[1:])
+
+    def points_under(self, loads: Array, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
+        """As Model.points_under."""
+        return curves(structure, numbers, loads, x, sigma, self.kind)[0]
 
     def acting_apart(self, count: int, acting: Array) -> Array:
         """Numbers (count, M, 12 + 3d) of what acts on so many robots; acting (M, 12 + 3d): those of the load."""

@@ -54,14 +54,15 @@ class Reach(NamedTuple):
 class Surroundings(NamedTuple):
     """What gives the parameters of a program that hold near a robot only, where a slack is its last unknown.
 
-    call, of: addresses of a function of C and of what it is given first, then x, then room for the parameter named
-    described and, after it, the slack needed there, mm. Slack costs the parameter named weight a mm, mm^2, and
-    firm a mm^2. A frame is solved again around its solution until that needs the same slack within settled mm, or
-    rounds times.
+    call, of: addresses of a function of C and of what it is given first, then x, then the parameter named load
+    where the program has it, then room for the parameter named described and, after it, the slack needed there,
+    mm. Slack costs the parameter named weight a mm, mm^2, and firm a mm^2. A frame is solved again around its
+    solution until that needs the same slack within settled mm, or rounds times.
     """
 
     call: int
     of: int
+    load: str
     described: str
     weight: str
     firm: float

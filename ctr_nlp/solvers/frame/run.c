@@ -12,13 +12,13 @@
    updated: by how much x moved in the frame before, by how much more than in the one before that, and by how much it
    is expected to move in the next, which is begun there if that is better; null where each is begun at x.
 
-   around: where some parameters hold near a robot only, what gives these, described entries from place in p on, and
-   then the slack that they need, x's last entry; null where all hold everywhere. A mm of it costs p[weight] mm^2, and
-   firm mm^2 a mm^2. Rounds around solutions end where the slack needed changes by no more than settled mm. */
+   around: where some parameters hold near a robot only, what gives these from x and the load's numbers, which begin at
+   place load in p: described entries from place in p on, and then the slack that they need, x's last entry; null where
+   all hold everywhere. A mm of it costs p[weight] mm^2, and firm mm^2 a mm^2. Rounds around solutions end where the slack needed changes by no more than settled mm. */
 typedef struct {
-    void (*around)(void *, const double *, double *);
+    void (*around)(void *, const double *, const double *, double *);
     void *of;
-    long place, described, weight, rounds;
+    long load, place, described, weight, rounds;
     double firm, settled, *found;
     long sizes_p, picked, decided, previous;
     const long *picks;
@@ -48,7 +48,7 @@ static double cost(const Run *r, const Program *o, double slack) {
 
 /* What is around the robot as it is; returns the slack that it needs. */
 static double surround(const Run *r, const Program *o) {
-    r->around(r->of, o->x, r->found);
+    r->around(r->of, o->x, o->p + r->load, r->found);
     return r->found[r->described];
 }
 

@@ -77,7 +77,7 @@ class Search:
         """The chain near a wall, or far from any."""
         if wall is None:
             return self._far
-        return replace(self.inside, surroundings=wall.surroundings).with_cost(self.weight)
+        return replace(self.inside, surroundings=wall.during(self.problem.samples)).with_cost(self.weight)
 
     @cached_property
     def _far(self) -> Chain:
