@@ -26,7 +26,7 @@ typedef struct {
     long iterations;
 } Elastic;
 
-enum { MOST_TUBES = 8, NUMBERS = 7, SIDE = 2 * MOST_TUBES + 2, LANES = 8 };
+enum { MOST_TUBES = 8, NUMBERS = 8, SIDE = 2 * MOST_TUBES + 2, LANES = 8 };
 
 /* An equilibrium x at q, with d alpha / d phi, column by column, and its determinant; stable: whether it is. */
 typedef struct {
