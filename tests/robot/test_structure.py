@@ -96,7 +96,9 @@ def test_numbers_are_those_of_the_tubes():
     assert robot.numbers.shape == (3, len(NUMBERS))
     for row, tube, numbers in zip(robot.numbers, robot.tubes, robot.tube_numbers, strict=True):
         expected = tube.length, tube.curved_length, tube.tip_curvature, tube.tip_curvature, tube.bending_stiffness
-        np.testing.assert_array_equal(row, [*expected, 1.3, 0.0])
+        np.testing.assert_array_equal(row, [*expected, 1.3, 0.0, tube.area])
+        hole, whole = (np.pi * diameter**2 / 4 for diameter in (tube.inner_diameter, tube.outer_diameter))
+        assert numbers.area == pytest.approx(whole - hole)
         assert numbers.curved_length == tube.curved_length
 
 

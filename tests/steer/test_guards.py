@@ -51,7 +51,7 @@ def test_guards_keep_less_margin_and_may_be_further_apart():
     parameters = motion.parameters.reshape(2, 15, -1)
     margins = parameters[..., motion.frame.place("margin")][..., 0]
     np.testing.assert_allclose(margins, np.tile(np.r_[np.full(13, 0.1), np.full(2, EASED * 0.1)], (2, 1)))
-    tubes = parameters[..., motion.frame.place("tubes")].reshape(2, 15, 7, -1).swapaxes(2, 3)
+    tubes = parameters[..., motion.frame.place("tubes")].reshape(2, 15, 8, -1).swapaxes(2, 3)
     np.testing.assert_allclose(tubes, np.concatenate([np.tile(scenarios.numbers, (2, 1, 1, 1)), numbers], axis=1))
     np.testing.assert_allclose(motion.offsets[1, 13:], scenarios.offsets[3:5])
     np.testing.assert_allclose(motion.weights, np.r_[0.0, np.full(12, 1 / 12), 0.0, 0.0])
