@@ -19,6 +19,7 @@ from ctr_nlp.live.page.server import HOST, PORT, served, stopped
 from ctr_nlp.live.steered.drive import fit
 from ctr_nlp.live.steered.recording import Recording
 from ctr_nlp.live.steered.session import Seen, Session
+from ctr_nlp.loads import Load
 from ctr_nlp.models import DEFAULT
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
@@ -53,11 +54,13 @@ class Live:
         host: str = HOST,
         port: int = PORT,
         keep: Callable[[Plan], str] | None = None,
+        load: Load | None = None,
     ) -> None:
         """Serve; raises OptionError where a port is in use, nothing can be compiled, or viser is not installed.
 
         robots: others to choose from, by name. host, port: where; port 0 takes any that is free. keep: what is
-        done with a recorded plan, in a thread of its own; what it returns tells where the plan went.
+        done with a recorded plan, in a thread of its own; what it returns tells where the plan went. load: what
+        the robot bears, on the elastic model. Raises as Session, too.
         """
         instance(OptionError, "problem", problem, Problem)
         self.plan: Plan | None = None
@@ -69,7 +72,7 @@ class Live:
         self._course = 0.0
         self._writing: threading.Thread | None = None
         self._ending, self._failures = threading.Event(), list[Exception]()
-        self._session = Session(problem, model, settings)
+        self._session = Session(problem, model, settings, load=load)
         self._server = served(host, port)
         self.url = f"http://{host}:{self._server.get_port()}"
         self._draw(OWN)
@@ -174,12 +177,14 @@ class Live:
 
     def _replace(self, name: str) -> None:
         problem = replace(self._problem, robot=self._robots[name])
-        models = fit(problem)
+        load = self._session.load
+        models = fit(problem, load)
         if not models:
-            raise OptionError(f"no model describes the robot {name!r}")
+            borne = "" if load is None else ", which would have to bear a load"
+            raise OptionError(f"no model describes the robot {name!r}{borne}")
         before, self._course = self._session, 0.0
         model = before.wanted if before.wanted in models else models[0]
-        self._session = Session(problem, model, self._settings)
+        self._session = Session(problem, model, self._settings, load=load)
         self._panel.remove()
         self._server.scene.reset()
         self._draw(name)

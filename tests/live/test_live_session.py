@@ -1,6 +1,7 @@
 """Live steering without a screen: what is asked of the robot is done within its limits, and told as it is."""
 
 import math
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +12,9 @@ from lumens import straight
 from problems import named
 from strategies import numbers, robots_with_q
 
-from ctr_nlp import Plan, Problem, Settings, Steerer, growing, shapes, summary, table_i_robot
+from ctr_nlp import Load, Plan, Problem, Settings, Steerer, growing, shapes, summary, table_i_robot
 from ctr_nlp.cli.main import COMMANDS, load
-from ctr_nlp.exceptions import OptionError
+from ctr_nlp.exceptions import LoadError, OptionError
 from ctr_nlp.formulations.terms import ShapeDistance
 from ctr_nlp.live import Session
 from ctr_nlp.live.page.news import told
@@ -21,6 +22,7 @@ from ctr_nlp.live.steered.free import free_problem
 from ctr_nlp.live.steered.goal import HANDLES, Goal
 from ctr_nlp.live.steered.joints import slid, spans, towards
 from ctr_nlp.live.steered.session import HAND, MOST_DRAWS, SHAPE, TIP
+from ctr_nlp.loads import with_modulus
 from ctr_nlp.robot.tolerances import Tolerances
 from ctr_nlp.target.target import QUADRATURE, SIGMA
 
@@ -28,6 +30,9 @@ STEPS = 90
 ALONG = 0.6
 """Of the path, where most of these sessions stand."""
 GAP = table_i_robot().with_limits(carriage_gap=60.0)
+NITINOL = with_modulus(table_i_robot(), 60_000)
+COMPILED_S = 300.0
+"""Within which programs are compiled."""
 
 
 @pytest.fixture
@@ -217,6 +222,43 @@ def test_the_simplest_model_steers_until_another_one_is_compiled(monkeypatch):
     words = told(session, False, "")
     assert "elastic model within the wall are being compiled" in words
     assert "steered on the dominant model" in words
+
+
+def test_a_robot_that_bears_a_load_is_seen_and_steered_under_it():
+    """Until its programs are compiled it bears none; what is recorded is a plan under the load."""
+    problem, load = named("bronchus", 20), Load(force=(0.0, 0.1, 0.0))
+    problem = replace(problem, robot=with_modulus(problem.robot, 60_000))
+    session = Session(problem, "elastic", load=load)
+    assert session.borne is None
+    assert not session.step().force.any()
+    assert "elastic model under a tip force of (0, 0.1, 0) N within the wall are being" in told(session, False, "")
+    begin = time.monotonic()
+    while session.borne is None and time.monotonic() - begin < COMPILED_S:
+        session.step()
+        time.sleep(0.1)
+    assert session.borne == load
+    assert "The robot bears a tip force of (0, 0.1, 0) N." in told(session, False, "")
+    session.record()
+    seen = settled(session, 0.5)
+    np.testing.assert_array_equal(seen.force, load.force)
+    assert seen.e2 < 2.0
+    assert seen.clearance.min() > 0
+    plan = session.plan()
+    assert plan.bears == load
+    np.testing.assert_allclose(plan.shape[-1], seen.shape, atol=1e-3)
+    assert plan.stability[-1] == pytest.approx(seen.margin, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("robot", "model", "error", "match"),
+    [
+        (NITINOL, "dominant", OptionError, "a load does not go with the dominant model"),
+        (table_i_robot(), "elastic", LoadError, "looks like a ratio"),
+    ],
+)
+def test_what_bears_no_load_is_said_before_anything_is_shown(robot, model, error, match):
+    with pytest.raises(error, match=match):
+        Session(replace(named("arc", 20), robot=robot), model, load=Load(force=(0.0, 0.1, 0.0)))
 
 
 def test_a_robot_file_alone_is_a_problem():

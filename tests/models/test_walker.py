@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from near_fold import LONG, near_the_fold
 
-from ctr_nlp import table_i_robot
+from ctr_nlp import Load, Loaded, LoadOverTime, table_i_robot
+from ctr_nlp.exceptions import LoadError, OptionError
+from ctr_nlp.loads import with_modulus
 from ctr_nlp.models import MODELS
 from ctr_nlp.models.elastic import stability
 from ctr_nlp.robot.draws import drawn_from
@@ -21,9 +23,12 @@ def stepped(model, robot, q):
     return np.array(x), np.array(margins), jumps
 
 
-@pytest.mark.parametrize("name", ["elastic", "dominant"])
+MODELLED = {"elastic": MODELS["elastic"], "dominant": MODELS["dominant"], "loaded": Loaded(Load((0.0, 0.1, 0.05)))}
+
+
+@pytest.mark.parametrize("name", MODELLED)
 def test_step_by_step_a_robot_comes_to_where_the_whole_motion_leads(name):
-    robot, model = table_i_robot(), MODELS[name]
+    robot, model = with_modulus(table_i_robot(), 60_000), MODELLED[name]
     part = np.linspace(0.3, 0.9, 5)[:, None]
     q = np.hstack([(1 - part) * [-0.6, 0.0, 0.6], part * robot.upper[3:6], 0.1 * part, 0.0 * part])
     x, margins, jumps = stepped(model, robot, q)
@@ -39,6 +44,29 @@ def test_a_snap_is_told_as_a_jump_of_the_tips():
     _, _, (*before, jumps) = stepped(MODELS["elastic"], LONG, q)
     assert not any(before)
     assert [abs(jump).max() > 1 for jump in jumps] == [True]
+
+
+def test_where_a_robot_comes_to_rest_that_snaps_under_a_load_is_not_known():
+    model, robot = Loaded(Load((0.0, 0.0, -1e-4))), with_modulus(LONG, 60_000)
+    q = np.vstack([near_the_fold(), near_the_fold()[-1:]])
+    q[-1, 0] += 0.4
+    x, margins, jumps = stepped(model, robot, np.vstack([q, q[:1]]))
+    assert np.isfinite(x[:-2]).all()
+    assert np.isnan(x[-2:]).all()
+    assert np.isnan(margins[-2:]).all()
+    assert not any(jumps)
+
+
+def test_a_load_without_an_energy_has_no_margin_step_by_step():
+    robot = with_modulus(table_i_robot(), 60_000)
+    q = np.array([0.4, -0.3, 0.2, 30.0, 70.0, 100.0, 0.1, 0.0])
+    walker = Loaded(Load(axial_moment=1.0)).walker(robot.structure, robot.numbers, q)
+    assert np.isfinite(walker.x).all()
+    assert np.isnan(walker.margin())
+    with pytest.raises(OptionError, match="keeps its tubes"):
+        walker.become(robot.numbers)
+    with pytest.raises(LoadError, match="this one changes over time"):
+        Loaded(LoadOverTime([Load(), Load()], [0, 1])).walker(robot.structure, robot.numbers, q)
 
 
 def test_a_robot_becomes_another_where_it_stands():

@@ -12,6 +12,7 @@ from pathlib import Path
 from ctr_nlp.cli import problems
 from ctr_nlp.cli.arguments import add_compile_option, add_out_option, add_problem_options, whole
 from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command
+from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, asked_load, with_asked_modulus
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.plan_options import add_file_options
@@ -20,7 +21,9 @@ from ctr_nlp.cli.telling import announce
 from ctr_nlp.live import Live
 from ctr_nlp.live.page.server import HOST, PORT
 from ctr_nlp.live.steered.free import free_problem
-from ctr_nlp.models import MODELS
+from ctr_nlp.loads import Load, steady, with_modulus
+from ctr_nlp.models import DEFAULT, MODELS
+from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot, table_i_robot
 from ctr_nlp.support.interrupt import deferred_interrupt
@@ -38,15 +41,18 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "motion becomes a plan, which `ctr-nlp play` and `ctr-nlp robust` take. The page needs no network.",
         epilog="Ctrl-C ends it. Exit status: 130 after Ctrl-C, 2 where input is bad, a port is in use or there is "
         f"no C compiler. Examples: `{prog} arc`; `{prog} airway.csv --branch 3 --model elastic`; "
-        f"`{prog} robot.toml --port 0`.",
+        f"`{prog} robot.toml --port 0`; `{prog} arc --youngs-modulus 60000 --force 0 0.1 0`.",
     )
     kinds = f"{problems.KINDS}, or a robot file (.toml), whose robot then follows a path of its own shape"
     parser.add_argument("problem", metavar="PROBLEM", nargs="?", default=USUAL, help=f"{kinds} (default {USUAL})")
-    parser.add_argument("--model", choices=MODELS, default="dominant", help="(default dominant)")
+    told = "(default dominant; under a load elastic)"
+    parser.add_argument("--model", choices=MODELS, help=told)
     add_problem_options(parser)
     parser.add_argument(
         "--more-robots", metavar="FILE.toml", nargs="+", default=[], help="robots that can be chosen on the page"
     )
+    add_load_options(parser, required=False)
+    add_modulus_option(parser)
     add_compile_option(parser)
     add_out_option(parser, "runs/PROBLEM-live")
     group = parser.add_argument_group("where the page is served")
@@ -59,21 +65,22 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    problem = _problem(arguments)
+    problem, load = with_asked_modulus(_problem(arguments), arguments), _load(arguments)
     out = Path(arguments.out or f"runs/{path_component(problem.name)}-live")
     check_folder(_next(out), "plan")
-    robots = {"Table I": table_i_robot()} | {
-        Path(file).stem: Robot.from_toml(file) for file in arguments.more_robots
-    }
+    table_i, modulus = table_i_robot(), arguments.youngs_modulus
+    robots = {"Table I": table_i if modulus is None else with_modulus(table_i, modulus)}
+    robots |= {Path(file).stem: Robot.from_toml(file) for file in arguments.more_robots}
     problems.tell(problem)
     with deferred_interrupt() as interrupted:
         live = Live(
             problem,
-            arguments.model,
+            arguments.model or (DEFAULT if load is None else Loaded.name),
             robots=robots,
             host=arguments.host,
             port=arguments.port,
             keep=lambda plan: _kept(plan, _next(out)),
+            load=load,
         )
         if not _loopback(arguments.host):
             sys.stderr.write(
@@ -89,6 +96,12 @@ def _problem(arguments: argparse.Namespace) -> Problem:
     if arguments.problem.endswith(".toml"):
         return free_problem(Path(arguments.problem).stem, Robot.from_toml(arguments.problem), arguments.frames)
     return problems.load(arguments.problem, arguments)
+
+
+def _load(arguments: argparse.Namespace) -> Load | None:
+    """What the robot is to bear, all the time; raises LoadError."""
+    asked = arguments.load is not None or arguments.force is not None
+    return steady(asked_load(arguments), "live steering") if asked else None
 
 
 def _next(out: Path) -> Path:

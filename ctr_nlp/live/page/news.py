@@ -12,6 +12,8 @@ def told(session: Session, snapped: bool, news: str) -> str:
     found = [*_compiling(session)]
     if session.problem.lumen is not None and session.method == HAND:
         found.append("By hand, the robot goes where the sliders say, also into the wall.")
+    if session.borne is not None:
+        found.append(f"The robot bears {session.borne}.")
     if snapped:
         found.append("**The robot snapped.** It goes on from where it came to rest.")
     return "\n\n".join([*found, news or HINT])
@@ -21,7 +23,8 @@ def _compiling(session: Session) -> list[str]:
     awaited = session.awaited
     if awaited is None:
         return []
-    wanted = f"the {awaited.model} model{' within the wall' if awaited.walled else ''}"
+    borne = f" under {session.load}" if session.load is not None else ""
+    wanted = f"the {awaited.model.name} model{borne}{' within the wall' if awaited.walled else ''}"
     if awaited.failed is not None:
         return [f"The programs of {wanted} cannot be made: {awaited.failed}."]
     if awaited.found is not None:
@@ -29,5 +32,5 @@ def _compiling(session: Session) -> list[str]:
     return [
         f"The programs of {wanted} are being compiled in the background, once for all robots of this kind. That "
         f"takes up to some minutes. Until then the robot is steered on the {session.model} model, without regard "
-        "to a wall; the change comes by itself."
+        "to a wall or a load; the change comes by itself."
     ]

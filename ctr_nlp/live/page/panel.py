@@ -46,7 +46,7 @@ class Panel:
         self._all = [self._numbers, self._news]
         with self._kept(gui.add_folder("What steers")):
             self._method = self._chosen(gui, "method", METHODS, session.method, Session.follow)
-            self._chosen(gui, "model", fit(session.problem), session.model, Session.use)
+            self._chosen(gui, "model", fit(session.problem, session.load), session.wanted, Session.use)
             self._robots(gui, robots, robot)
         with self._kept(gui.add_folder("Target")):
             self._target(gui)

@@ -31,6 +31,8 @@ SEEN_THROUGH = 0.5
 """Opacity of the robot while drawn ones are seen, which often lie within its tubes."""
 AXES_MM = 12.0
 """Of the base frame's axes."""
+FORCE_MM, ARROW_MM, HEAD_MM = 0.8, 18.0, 3.0
+"""Width and length of the arrow of a force at the tip, and length and width of its head."""
 VIEW = (0.25, -1.0, 0.2)
 """From where the scene is seen at first."""
 FIELD = 35.0
@@ -77,6 +79,9 @@ class Scene:
         self._target = scene.add_line_segments("/target", line, black, thickness=TARGET_MM)
         parts = np.zeros((MOST_DRAWS * (len(SIGMA[::STRIDE]) - 1), 2, 3))
         self._ghosts = scene.add_line_segments("/draws", parts, parts, thickness=GHOST_MM, visible=False)
+        self._force = scene.add_line_segments(
+            "/force", np.zeros((5, 2, 3)), np.array(to_rgb(VERMILLION)), thickness=FORCE_MM, visible=False
+        )
         self._handles = [self._handle(k, pulled) for k in range(HANDLES)]
         self._look(problem)
 
@@ -84,6 +89,9 @@ class Scene:
         """Change to a moment; handles (HANDLES, 3) mm; by: what the robot is coloured by."""
         self._show_robot(seen, by)
         self._target.points = _joined(seen.target)
+        self._force.visible = bool(seen.force.any() and np.isfinite(seen.shape[-1]).all())
+        if self._force.visible:
+            self._force.points = arrow(seen.shape[-1], seen.force / np.linalg.norm(seen.force))
         for handle, point in zip(self._handles, handles, strict=True):
             handle.position = point
         self._ghosts.visible = len(seen.ghosts) > 0
@@ -140,6 +148,15 @@ class Scene:
         camera.up, camera.fov = (0.0, 0.0, 1.0), float(np.radians(FIELD))
         camera.look_at = tuple(middle)
         camera.position = tuple(middle + far * away / np.linalg.norm(away))
+
+
+def arrow(begin: Array, direction: Array) -> Array:
+    """Five lines (5, 2, 3) mm that begin at a point (3,) and show a direction, a unit vector (3,)."""
+    end, across = begin + ARROW_MM * direction, np.eye(3)[abs(direction).argmin()]
+    side = np.cross(direction, across) / np.linalg.norm(np.cross(direction, across))
+    sides = [side, -side, np.cross(direction, side), -np.cross(direction, side)]
+    heads = [(end, end - HEAD_MM * direction + HEAD_MM / 2 * each) for each in sides]
+    return np.array([(begin, end), *heads], dtype=np.float32)
 
 
 def _joined(points: Array) -> Array:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import threading
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import CtrError, OptionError
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.models import DEFAULT, MODELS, Model, suits
+from ctr_nlp.loads import Load
+from ctr_nlp.models import DEFAULT, MODELS, Model, suits, under
+from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.steer import Steerer
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
@@ -41,10 +44,10 @@ class Drive:
 class Awaited:
     """The drive that is wanted, made in a thread of its own as soon as its programs have been compiled.
 
-    model: its name. found: the drive, None until then. failed: why there will be none, None where nothing failed.
+    found: the drive on the model, None until then. failed: why there will be none, None where nothing failed.
     """
 
-    def __init__(self, problem: Problem, model: str, q: Array, dt: float, settings: Settings) -> None:
+    def __init__(self, problem: Problem, model: Model, q: Array, dt: float, settings: Settings) -> None:
         """Begin; the programs are compiled by a process of their own, which outlives this one."""
         self.model, self.walled = model, problem.lumen is not None and settings.contact_weight > 0
         self.found: Drive | None = None
@@ -62,13 +65,18 @@ class Awaited:
             while not self._dropped.is_set():
                 steerer = Steerer.soon(problem.robot, q, dt, settings, self.model, problem.lumen)
                 if steerer is not None:
-                    self.found = Drive(MODELS[self.model], steerer, self.walled)
+                    self.found = Drive(self.model, steerer, self.walled)
                     return
                 time.sleep(POLL)
         except CtrError as error:
             self.failed = error
 
 
-def fit(problem: Problem) -> list[str]:
-    """The models that describe a problem's robot, by name."""
-    return [name for name in MODELS if suits(problem.robot, name)]
+def fit(problem: Problem, load: Load | None = None) -> list[str]:
+    """The models that describe a problem's robot, which bears a load, by name."""
+    if load is None:
+        return [name for name in MODELS if suits(problem.robot, name)]
+    with suppress(CtrError):
+        under(Loaded.name, load).check(problem.robot)
+        return [Loaded.name]
+    return []

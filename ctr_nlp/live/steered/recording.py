@@ -10,6 +10,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.models import Model
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
 from ctr_nlp.target.curve import Curve
 from ctr_nlp.target.points import walked
@@ -40,7 +41,7 @@ class Recording:
     """Moments that are dt s apart, of a problem's robot on a model."""
 
     problem: Problem
-    model: str
+    model: Model
     settings: Settings
     dt: float
     moments: list[Moment] = field(default_factory=list)
@@ -89,7 +90,7 @@ class Recording:
     def _meta(self, snapped: Index) -> dict[str, Any]:
         return {
             "formulation": FORMULATION,
-            "model": self.model,
+            **self.model.told,
             "solver": "sqp",
             "options": self.settings.options() | {"direction": None},
             "failures": {str(frame): "the robot snapped on the way" for frame in snapped.tolist()},

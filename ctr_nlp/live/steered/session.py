@@ -16,7 +16,8 @@ from ctr_nlp.live.steered.ghosts import STRIDE, Ghosts
 from ctr_nlp.live.steered.goal import Goal
 from ctr_nlp.live.steered.joints import retracted, slid, towards
 from ctr_nlp.live.steered.recording import Moment, Recording
-from ctr_nlp.models import DEFAULT
+from ctr_nlp.loads import Load
+from ctr_nlp.models import DEFAULT, model_named, under
 from ctr_nlp.models.walker import Walker
 from ctr_nlp.plan.measures import rms_over_sigma
 from ctr_nlp.plan.plan import Plan
@@ -45,7 +46,7 @@ class Seen(NamedTuple):
     at equal sigma; e2 mm: its root mean square over sigma; e3 mm: that of e2 over what has been recorded, NaN
     where nothing has. margin: of stability, NaN where the model has none. clearance (101,) mm, None where no wall
     is known. ghosts (n, 26, 3) mm, and lost (n,): drawn robots. snapped: whether the robot snapped in this step.
-    seconds: that the step took.
+    force (3,) N: that keeps its direction and acts at the tip. seconds: that the step took.
     """
 
     target: Array
@@ -59,6 +60,7 @@ class Seen(NamedTuple):
     ghosts: Array
     lost: Flags
     snapped: bool
+    force: Array
     seconds: float
 
 
@@ -66,14 +68,23 @@ class Session:
     """A robot that is steered step by step. Not for two threads at once."""
 
     def __init__(
-        self, problem: Problem, model: str = DEFAULT, settings: Settings = DEFAULTS, rate: float = RATE
+        self,
+        problem: Problem,
+        model: str = DEFAULT,
+        settings: Settings = DEFAULTS,
+        rate: float = RATE,
+        load: Load | None = None,
     ) -> None:
-        """At the beginning of a problem's path, retracted. rate: steps a second.
+        """At the beginning of a problem's path, retracted. rate: steps a second. load: what the robot bears.
 
-        Raises OptionError where nothing can be compiled, or the model does not describe the robot.
+        Until the programs under the load are compiled, the robot bears none. Raises OptionError where nothing can
+        be compiled, or the model does not describe the robot, or knows no load; LoadError where the robot cannot
+        be told to bear it.
         """
         number(OptionError, "rate", rate, lambda x: 0 < x < np.inf, "be a finite number > 0", " 1/s")
-        self.problem, self.settings, self.dt = problem, settings, 1.0 / rate
+        self.problem, self.settings, self.dt, self.load = problem, settings, 1.0 / rate, load
+        if load is not None:
+            under(model, load).check(problem.robot)
         self.goal, self.method = Goal(problem.samples, problem.robot.reach), SHAPE
         self.hand = retracted(problem.robot, problem.samples[-1].points)
         self._beside = None if problem.sampled_lumen is None else Beside(problem.sampled_lumen)
@@ -96,9 +107,14 @@ class Session:
         return self._drive.model.name
 
     @property
+    def borne(self) -> Load | None:
+        """What the robot bears now; None until the model that knows the load has been compiled."""
+        return None if self._drive.model.bears is None else self.load
+
+    @property
     def wanted(self) -> str:
         """The name of the model that was asked for last."""
-        return self.model if self._awaited is None else self._awaited.model
+        return self.model if self._awaited is None else self._awaited.model.name
 
     @property
     def draws(self) -> int:
@@ -117,10 +133,11 @@ class Session:
 
     def use(self, model: str) -> None:
         """See and steer the robot on another model, as soon as its programs are compiled; raises OptionError."""
-        check_choice("model", model, fit(self.problem))
+        check_choice("model", model, fit(self.problem, self.load))
         if self._awaited is not None:
             self._awaited.drop()
-        self._awaited = Awaited(self.problem, model, self.q, self.dt, self.settings)
+        described = model_named(model) if self.load is None else under(model, self.load)
+        self._awaited = Awaited(self.problem, described, self.q, self.dt, self.settings)
 
     def follow(self, method: str) -> None:
         """Steer by another method, one of METHODS; raises OptionError."""
@@ -155,7 +172,7 @@ class Session:
 
     def record(self) -> None:
         """Begin to record, and forget what was recorded before; until it ends, the model stays what it is."""
-        self._recording = Recording(self.problem, self.model, self.settings, self.dt)
+        self._recording = Recording(self.problem, self._drive.model, self.settings, self.dt)
 
     @property
     def recorded(self) -> int | None:
@@ -201,6 +218,7 @@ class Session:
             ghosts=NOBODY if ghosts is None else ghosts.shapes,
             lost=np.zeros(0, dtype=bool) if ghosts is None else ghosts.lost.copy(),
             snapped=moment.snapped,
+            force=np.zeros(3) if self.borne is None else self.borne.numbers(robot.d)[:3],
             seconds=time.perf_counter() - begin,
         )
 

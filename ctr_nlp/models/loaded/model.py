@@ -16,6 +16,7 @@ from ctr_nlp.models.loaded.acting import RodKind, check_kinds, loading
 from ctr_nlp.models.loaded.compiled import Rods
 from ctr_nlp.models.loaded.equilibria import LoadedEquilibria, States
 from ctr_nlp.models.loaded.following.follower import Follower
+from ctr_nlp.models.loaded.following.walking import LoadedWalker
 from ctr_nlp.models.loaded.shape import shape_under
 from ctr_nlp.models.loaded.stability import margins
 from ctr_nlp.models.loaded.tips import tips, unknowns
@@ -30,6 +31,7 @@ from ctr_nlp.models.protocol import (
     of_rows,
     passage,
 )
+from ctr_nlp.models.walker import Walker
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import Structure, Tubes, tubes_in_columns
 from ctr_nlp.typing import Array, Vector
@@ -204,6 +206,10 @@ class Loaded(Model):
             follower = Follower(structure, numbers[some], self.load, acting[some])
             found += follower.followed(way, q[some], margins)
         return found
+
+    def walker(self, structure: Structure, numbers: Array, q: Array) -> Walker:
+        """As Model.walker; raises LoadError under a load that changes over time."""
+        return LoadedWalker(structure, numbers, q, steady(self.load, "a robot that moves step by step"))
 
     def _follower(self, robot: Robot, acting: Array) -> Follower:
         """The follower of one robot; acting (M, 12 + 3d): at every place of a way."""
