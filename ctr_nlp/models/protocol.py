@@ -302,7 +302,7 @@ class Model(ABC):
 def of_rows(numbers: Array, x: Array, sigma: Array) -> tuple[Array, Array, Array]:
     """Numbers (n, d, 8), unknowns x (n, T, n_x) and sigma (T, m) of robots apart, as rows (n T, ..).
 
-    Of a sigma (m,) that is the same for all there is none.
+    A sigma (m,), which is the same for all of them, stays as it is.
     """
     count, frames = x.shape[:2]
     at = sigma if np.ndim(sigma) == 1 else np.tile(sigma, (count, 1))
