@@ -197,6 +197,8 @@ class Foundation:
         sizes, towards = wall.push[0], wall.towards[0]
         kept = (pushes[0] * towards).sum(axis=1)
         busy = np.flatnonzero((sizes > 0) | (kept > 0))
+        if not len(busy):
+            return -pushes  # the robot has left the wall, which pushes no longer
         probes = np.repeat(pushes, len(busy), axis=0)
         probes[np.arange(len(busy)), busy] += PROBE * towards[busy]
         many = states.rows(np.zeros(len(busy), dtype=int))

@@ -157,3 +157,13 @@ def test_a_robot_that_snaps_under_the_wall_is_not_known_from_there_on():
     assert unknown[-1]
     assert (np.diff(unknown.astype(int)) >= 0).all()
     assert np.isnan(found.force[unknown]).all()
+
+
+def test_a_robot_that_leaves_the_wall_is_pushed_no_longer():
+    """As it is drawn back at once to where it touches nothing."""
+    q = aligned()[[-1, 0]]
+    q[1, 2:4] = 4.0, 10.0
+    found = touched(0.1, q=q)
+    assert found.force[0].sum() > MISSED
+    np.testing.assert_array_equal(found.force[1], 0.0)
+    np.testing.assert_allclose(found.shape[1], touched(0.1, q=q[1:]).shape[0], atol=1e-6)
