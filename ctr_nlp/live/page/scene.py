@@ -91,7 +91,7 @@ class Scene:
         self._target.points = _joined(seen.target)
         self._force.visible = bool(seen.force.any() and np.isfinite(seen.shape[-1]).all())
         if self._force.visible:
-            self._force.points = arrow(seen.shape[-1], seen.force / np.linalg.norm(seen.force))
+            self._force.points = _arrow(seen.shape[-1], seen.force / np.linalg.norm(seen.force))
         for handle, point in zip(self._handles, handles, strict=True):
             handle.position = point
         self._ghosts.visible = len(seen.ghosts) > 0
@@ -150,7 +150,7 @@ class Scene:
         camera.position = tuple(middle + far * away / np.linalg.norm(away))
 
 
-def arrow(begin: Array, direction: Array) -> Array:
+def _arrow(begin: Array, direction: Array) -> Array:
     """Five lines (5, 2, 3) mm that begin at a point (3,) and show a direction, a unit vector (3,)."""
     end, across = begin + ARROW_MM * direction, np.eye(3)[abs(direction).argmin()]
     side = np.cross(direction, across) / np.linalg.norm(np.cross(direction, across))
