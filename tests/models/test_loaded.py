@@ -278,6 +278,22 @@ def test_configurations_are_those_that_unknowns_came_from():
     np.testing.assert_allclose(model.configuration(NITINOL, model.rest(NITINOL, q)[None])[0], q, atol=1e-8)
 
 
+def test_configurations_turn_without_leaps_where_their_tips_do():
+    """They are those of the symbols that programs are made of, over several turns of all tubes."""
+    motion = np.tile([0.5, -0.8, 0.9, 30, 70, 120, 0.2, -0.3], (81, 1))
+    motion[:, :3] += np.linspace(-8, 8, 81)[:, None]
+    model = Loaded(Load(force=(0.2, 0.1, 0)))
+    x = model.follow(NITINOL, motion).x
+    q = model.configuration(NITINOL, x)
+    turns = (q - motion)[:, :3] / (2 * np.pi)
+    np.testing.assert_allclose(turns, np.full((81, 3), np.round(turns[0, 0])), atol=1e-6)
+    shape = model.frame(NITINOL.structure, NITINOL.tube_numbers, lambda beta: ca.SX(0))
+    symbols, values = shape.inner.columns
+    alpha = ca.Function("alpha", [shape.x], [ca.substitute(shape.alpha, symbols, values)])
+    told = np.hstack([np.asarray(alpha(row)) for row in x]).T
+    np.testing.assert_allclose(q[:, :3], told, atol=2e-3)
+
+
 def test_a_load_that_goes_leaves_the_shape_of_before():
     """Along frames the load is there; its way there and back is looked at for snaps and margins."""
     q = np.array([[0.5, -0.8, 0.9, 30, 70, 120, 0, 0], [0.6, -0.9, 0.9, 32, 75, 130, 0, 0]])

@@ -212,24 +212,24 @@ class LoadedEquilibria:
 
     def misfit(self, q: Array, ends: Ends) -> Array:
         """By what bases must turn, and motors be turned, to stand at q: (T, d + 2), in the order of responses."""
-        d = self.d
-        between = base_axes(q[:, 2 * d :]) @ np.swapaxes(ends.axes, 1, 2)
+        between = _between(q, ends)
         x, y, z = (between[:, 2, k] for k in range(3))
         sine = np.hypot(x, y)
         factor = np.where(sine > 1e-12, np.arctan2(sine, z) / np.maximum(sine, 1e-300), 1.0)
-        spin = np.arctan2(between[:, 1, 0] - between[:, 0, 1], between[:, 0, 0] + between[:, 1, 1])
-        motors = q[:, :d] - ends.angles - spin[:, None]
+        motors = q[:, : self.d] - _alpha(ends, between)
         motors -= 2 * np.pi * np.round(motors[:, -1:] / (2 * np.pi))
         return np.hstack([(-factor * y)[:, None], (factor * x)[:, None], motors])
 
     def configurations(self, numbers: Array, angles: Array, axes: Array, beta: Array, load: Array) -> Array:
-        """The q (T, 2d + 2) of tips; alpha up to whole turns of all tubes, theta_x within a quarter turn."""
+        """The q (T, 2d + 2) of tips; theta_x within a quarter turn, and alpha up to whole turns of all tubes, which
+        these do not make where angles are continuous over the rows.
+        """
         q = np.hstack([np.zeros(beta.shape), beta, np.zeros((len(beta), 2))])
         ends = self.ends(numbers, angles, axes, q, load)
         x, y, z = ends.axes[:, 2].T
         q[:, 2 * self.d :] = np.stack([-np.arcsin(np.clip(y, -1, 1)), np.arctan2(x, z)], axis=1)
-        q[:, : self.d] = self.misfit(q, ends)[:, 2:]
-        return np.hstack([-q[:, : self.d], q[:, self.d :]])
+        q[:, : self.d] = _alpha(ends, _between(q, ends))
+        return q
 
     def _no_load(self, rows: int) -> Array:
         return np.zeros((rows, self.rods.size))
@@ -238,6 +238,18 @@ class LoadedEquilibria:
 def base_axes(theta: Array) -> Array:
     """The columns of R of eq. (4), (T, 3, 3), row by row d_1, d_2 and t."""
     return axes_of(base_frame(theta[:, 0], theta[:, 1], np))
+
+
+def _between(q: Array, ends: Ends) -> Array:
+    """The turns (T, 3, 3) from where rods' bases point to where those of q (T, 2d + 2) do."""
+    d = ends.angles.shape[1]
+    return base_axes(q[:, 2 * d :]) @ np.swapaxes(ends.axes, 1, 2)
+
+
+def _alpha(ends: Ends, between: Array) -> Array:
+    """The motors' angles (T, d) of rods, as shape.py tells them in symbols, for what _between has found."""
+    spin = np.arctan2(between[:, 1, 0] - between[:, 0, 1], between[:, 0, 0] + between[:, 1, 1])
+    return ends.angles + spin[:, None]
 
 
 def solved(slopes: Array, misfit: Array) -> Array:
