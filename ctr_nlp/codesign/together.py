@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.codesign.certified import certified, tolerant, tolerated
+from ctr_nlp.codesign.chosen import best_planned, certified, for_all_frames, tolerant, tolerated
 from ctr_nlp.codesign.doubts import doubts
 from ctr_nlp.codesign.plans import planned_on
 from ctr_nlp.codesign.request import draft, search_for
 from ctr_nlp.codesign.rounding import FINALISTS, Stocked, in_stock
-from ctr_nlp.codesign.search import AGAIN, Candidate, DesignSearch, Robots, alone, error_of
+from ctr_nlp.codesign.search import Candidate, DesignSearch, Robots, alone, error_of
 from ctr_nlp.codesign.starts import starts as first_tubes
 from ctr_nlp.codesign.stock import StockTube, nearest
 from ctr_nlp.exceptions import OptionError, ProblemError
@@ -39,8 +39,6 @@ from ctr_nlp.typing import Array
 
 STARTS = 4
 """Tubes that a design starts from."""
-MOST_FRAMES = 1500
-"""Frames of all tasks for which tubes are found; of more, those of drafts say as much."""
 BINDING = 1e-3
 """A rule binds where it is kept by less than this part of its bound."""
 TOLD = 5e-4
@@ -114,7 +112,7 @@ def design(
     tolerances) counts by how far it bends the robot. rules: of manufacture. fixed: names of numbers that
     stay as they are, such as outer_diameter_1. constant_curvature: whether curved parts are arcs; otherwise their
     curvatures are linear in arc length. starts: tubes that are tried, the robot's own and random ones
-    (settings.seed). walls: whether the plans are kept within the lumens; tubes are chosen as if there were no
+    (settings.seed). walls: whether the plans are kept within the lumens; tubes are solved for as if there were no
     walls. jobs: in how many processes starts, tasks and plans are worked on, or a distributed.Client, on whose
     cluster they are: of a cohort of dozens of problems only what all of them share is then solved for here.
     stock: tubing (read_stock) to
@@ -138,7 +136,7 @@ def design(
             raise ProblemError("no tubes were found on which all problems can be followed; give more starts")
         plan = partial(_plans, whole, settings, nominal, model, walls, jobs, progress)
         if nominal:
-            best, planned = _whole(min(tried, key=error_of), whole), list[Plan]()
+            best, planned = best_planned(tried, whole, plan)
         else:
             best, planned = certified(tried, search, plan)
         stocked = None
@@ -206,18 +204,7 @@ def _finished(
             raise ProblemError("no motions were found that all robots within the tolerances share")
         return found, search, tolerated
     search = replace(search, tasks=tasks)
-    return _whole(min(tried, key=error_of), search), search, alone
-
-
-def _whole(best: Candidate, search: DesignSearch) -> Candidate:
-    """The same with all frames, from motions planned on its tubes, unless these are very many."""
-    if sum(task.frames for task in search.tasks) > MOST_FRAMES:
-        return best
-    begun = search.start(best.start, best.p)
-    if begun is None or search.stop():
-        return best
-    found = search.settled(begun, first=AGAIN)
-    return begun if found is None else found
+    return for_all_frames(min(tried, key=error_of), search), search, alone
 
 
 def _plans(

@@ -9,7 +9,18 @@ import numpy as np
 import pytest
 from truth import TWO
 
-from ctr_nlp import Load, Loaded, Manufacture, Problem, Robot, Tolerances, design, growing, solve_horizon
+from ctr_nlp import (
+    Load,
+    Loaded,
+    LoadOverTime,
+    Manufacture,
+    Problem,
+    Robot,
+    Tolerances,
+    design,
+    growing,
+    solve_horizon,
+)
 from ctr_nlp.cli.main import main
 from ctr_nlp.exceptions import LoadError, OptionError
 from ctr_nlp.loads import with_modulus
@@ -19,6 +30,8 @@ from ctr_nlp.target.curve import curve_from_formula
 
 FORCE = 0.5
 ACROSS = Load(force=(0.0, FORCE, 0.0))
+TURNING = LoadOverTime([ACROSS, Load(force=(FORCE, 0.0, 0.0))], [0.0, 1.0])
+LOADS = pytest.mark.parametrize("load", [ACROSS, TURNING], ids=["constant", "over time"])
 RULES = Manufacture(channel=0.3, wall=0.1, outer=4.0)
 NITINOL = with_modulus(Robot(TWO.tubes), 60_000)
 BENDS = {"bend": (12.0, 0.0), "turn": (18.0, 4.0)}
@@ -34,16 +47,17 @@ def _pushed(**others):
     return replace(NITINOL, tolerances=Tolerances(tip_force=FORCE, **others))
 
 
-def test_tubes_for_a_load_follow_under_it_better_than_tubes_for_none():
-    tasks, load = [_task(NITINOL, name) for name in BENDS], Loaded(ACROSS)
+@LOADS
+def test_tubes_for_a_load_follow_under_it_better_than_tubes_for_none(load):
+    tasks, model = [_task(NITINOL, name) for name in BENDS], Loaded(load)
     free = design(tasks, nominal=True, rules=RULES, starts=2)
-    found = design(tasks, nominal=True, model=load, rules=RULES, starts=2)
+    found = design(tasks, nominal=True, model=model, rules=RULES, starts=2)
     for plan in found.plans:
         assert plan.complete
-        assert plan.bears == ACROSS
+        assert plan.bears == load
         assert plan.verdicts.stable.word == "yes"
     assert all(rule.lower <= rule.value <= rule.upper for rule in found.rules)
-    knowing = [solve_horizon(replace(task, robot=free.robot), model=load) for task in tasks]
+    knowing = [solve_horizon(replace(task, robot=free.robot), model=model) for task in tasks]
     assert _rms(found.plans) < 0.9 * _rms(knowing)
 
 
@@ -62,9 +76,10 @@ def test_tubes_are_designed_for_their_own_weight():
     assert _rms(found.plans) < 0.9 * _rms(knowing)
 
 
-def test_a_design_for_tolerances_may_bear_a_load_all_the_time():
-    (plan,) = design([_task(NITINOL)], model=Loaded(ACROSS), rules=RULES, starts=1).plans
-    assert plan.bears == ACROSS
+@LOADS
+def test_a_design_for_tolerances_may_bear_a_load_as_well(load):
+    (plan,) = design([_task(NITINOL)], model=Loaded(load), rules=RULES, starts=1).plans
+    assert plan.bears == load
     assert plan.meta["certificate"]["held"]
 
 

@@ -221,8 +221,9 @@ class LoadedEquilibria:
         return np.hstack([(-factor * y)[:, None], (factor * x)[:, None], motors])
 
     def configurations(self, numbers: Array, angles: Array, axes: Array, beta: Array, load: Array) -> Array:
-        """The q (T, 2d + 2) of tips; theta_x within a quarter turn, and alpha up to whole turns of all tubes, which
-        these do not make where angles are continuous over the rows.
+        """The q (T, 2d + 2) of tips; theta_x within a quarter turn, and alpha up to whole turns of all tubes.
+
+        From row to row alpha makes no such turn where the tips' angles make none.
         """
         q = np.hstack([np.zeros(beta.shape), beta, np.zeros((len(beta), 2))])
         ends = self.ends(numbers, angles, axes, q, load)

@@ -1,22 +1,66 @@
-"""Tubes for all the robots within the tolerances, tried until plans on them are certified."""
+"""Tubes chosen by the plans on them: for the robot as described, and for all robots within the tolerances."""
 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
-from ctr_nlp.codesign.search import NEAR, Candidate, DesignSearch, error_of
+import numpy as np
+
+from ctr_nlp.codesign.search import AGAIN, NEAR, Candidate, DesignSearch, error_of
 from ctr_nlp.nlp.scenarios import Scenarios
+from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
 from ctr_nlp.steer.robust.tolerated import scenarios_of
 
+MOST_FRAMES = 1500
+"""Frames of all tasks for which tubes are found; of more, those of drafts say as much."""
 FIRM = 0.3
 """Least margin of all robots within the tolerances while tubes are designed for them, where it can be kept: it
 hardly costs any error, and plans, which need not have as much, have it in hand."""
 ATTEMPTS = 4
 """Tubes for tolerances that are tried, at most, until all plans on them are certified."""
+
+
+def best_planned(
+    found: Sequence[Candidate], search: DesignSearch, plan: Callable[[Candidate], list[Plan]]
+) -> tuple[Candidate, list[Plan]]:
+    """Tubes and plans on them; of several those with the best plans.
+
+    A plan holds its margin between frames, too, which may cost it much of what the motion has that tubes were
+    found with. Tubes are therefore tried in the order of these motions, until plans are as good as the next one's.
+    """
+    ranked = sorted(found, key=error_of)
+    tried = list[tuple[float, Candidate, list[Plan]]]()
+    for number, one in enumerate(ranked, start=1):
+        best = for_all_frames(one, search)
+        plans = plan(best)
+        error = _error(plans) if len(plans) == len(search.tasks) else math.inf  # not after Ctrl-C
+        tried.append((error, best, plans))
+        least = min(tried, key=lambda each: each[0])
+        if search.stop() or number == len(ranked) or least[0] <= error_of(ranked[number]):
+            break
+    return least[1:]
+
+
+def for_all_frames(best: Candidate, search: DesignSearch) -> Candidate:
+    """Tubes for all frames of the tasks, from motions planned on those of a draft, unless these are very many."""
+    if sum(task.frames for task in search.tasks) > MOST_FRAMES:
+        return best
+    begun = search.start(best.start, best.p)
+    if begun is None or search.stop():
+        return best
+    found = search.settled(begun, first=AGAIN)
+    return begun if found is None else found
+
+
+def _error(plans: Sequence[Plan]) -> float:
+    """The root mean square of plans' e3, mm; infinite where one was not solved."""
+    errors = [e3(plan) if plan.success.all() else None for plan in plans]
+    return float(np.sqrt(np.mean([math.inf if error is None else error**2 for error in errors])))
 
 
 def tolerated(robot: Robot) -> Scenarios:
