@@ -18,6 +18,8 @@ from ctr_nlp.steer.robust.tolerated import scenarios_of
 
 MOST_FRAMES = 1500
 """Frames of all tasks for which tubes are found; of more, those of drafts say as much."""
+PROMISE = 0.9
+"""Further tubes are tried where their motions have less than this part of the error that the best plans have."""
 FIRM = 0.3
 """Least margin of all robots within the tolerances while tubes are designed for them, where it can be kept: it
 hardly costs any error, and plans, which need not have as much, have it in hand."""
@@ -31,7 +33,7 @@ def best_planned(
     """Tubes and plans on them; of several those with the best plans.
 
     A plan holds its margin between frames, too, which may cost it much of what the motion has that tubes were
-    found with. Tubes are therefore tried in the order of these motions, until plans are as good as the next one's.
+    found with. Tubes are therefore tried in the order of these motions, until the next promise little more.
     """
     ranked = sorted(found, key=error_of)
     tried = list[tuple[float, Candidate, list[Plan]]]()
@@ -41,7 +43,7 @@ def best_planned(
         error = _error(plans) if len(plans) == len(search.tasks) else math.inf  # not after Ctrl-C
         tried.append((error, best, plans))
         least = min(tried, key=lambda each: each[0])
-        if search.stop() or number == len(ranked) or least[0] <= error_of(ranked[number]):
+        if search.stop() or number == len(ranked) or error_of(ranked[number]) >= PROMISE * least[0]:
             break
     return least[1:]
 
