@@ -7,8 +7,9 @@ pre-curvature bends it; omega are its rotation rates in its own axes, theta_i th
     GJ_i u_i' = EI_i k_i (omega_x cos theta_i + omega_y sin theta_i),   theta_i' = u_i - u_d,   omega_z = u_d
     m' = n x t in the base's axes, n(s) the tip's force and the weight beyond s.
 
-Unknown at the base are the rates u_i and two moments; at the tips tubes are untwisted, but for an axial moment on
-the innermost, and no moment bends the last one. Loads are raised in steps from 0, where all tubes are aligned.
+Unknown at the base are the rates u_i and two moments; at the tips tubes are untwisted, but for the moment on the
+innermost about its tip, and only what else acts there as a moment bends the last one. Loads are raised in steps
+from 0, where all tubes are aligned.
 """
 
 from __future__ import annotations
@@ -42,7 +43,8 @@ class Unsolved(Exception):
 @dataclass(frozen=True)
 class Pull:
     """What acts: a tip force (3,) N in the base's axes, an axial moment N mm, a density g/cm^3 and down (3,),
-    and a force (3,) N/mm along the body between two places, mm.
+    a force (3,) N/mm along the body between two places, mm, and moments (3,) N mm at the tip, one in the base's
+    axes, the other in those of the innermost tube there.
     """
 
     force: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -51,6 +53,8 @@ class Pull:
     down: tuple[float, float, float] = (0.0, 0.0, 1.0)
     along: tuple[float, float, float] = (0.0, 0.0, 0.0)
     between: tuple[float, float] = (0.0, 1.0)
+    moment: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tool_moment: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -151,10 +155,12 @@ class LoadedShot:
             else:
                 y = _ended(right, y, low, high, accuracy)
             lacks += [y[d + i] / UNITS[0] for i in np.flatnonzero(self.beta[:-1] == high)]
-        inside = y[2 * d : 2 * d + 9].reshape(3, 3).T @ y[2 * d + 9 : 2 * d + 12]
-        last = y[2 * d - 1] - part * self.pull.axial_moment / torsion[-1]
+        axes = y[2 * d : 2 * d + 9].reshape(3, 3)
+        given = axes.T @ self.pull.moment + self.pull.tool_moment + [0.0, 0.0, self.pull.axial_moment]
+        last = y[2 * d - 1] - part * given[2] / torsion[-1]
         hidden = [unknown[i] for i in np.flatnonzero(self.beta[:-1] <= 0)]
-        return np.array([*hidden, *lacks, last / UNITS[0], *(inside[:2] / UNITS[1])]), pieces
+        bending = (axes.T @ y[2 * d + 9 : 2 * d + 12] - part * given)[:2]
+        return np.array([*hidden, *lacks, last / UNITS[0], *(bending / UNITS[1])]), pieces
 
     @cached_property
     def solution(self):

@@ -95,7 +95,7 @@ class Around:
     def __call__(self, x: Array, numbers: Array | None = None, loads: Array | None = None) -> tuple[Array, Array]:
         """What describes the wall, (T, d PLACES, COLUMNS), near unknowns x (T, n), and slacks (T,) needed, mm.
 
-        numbers (d, 8): of the tubes, where they are not the robot's. loads (T, 12 + 3d): on models that know some.
+        numbers (d, 8): of the tubes, where they are not the robot's. loads (T, 17 + 3d): on models that know some.
         Raises ValueError for other unknowns or loads than the model's.
         """
         loads = np.zeros((len(x), 0)) if loads is None else np.ascontiguousarray(loads, dtype=float)

@@ -85,7 +85,7 @@ class Wall:
     ) -> tuple[dict[str, Array], Array]:
         """Parameters (T, ..) of frames near to unknowns x (T, n) of the model, and slacks (T,) needed, mm.
 
-        numbers (d, 8): of the tubes, where they are not the robot's. loads (T, 12 + 3d): on models that know some.
+        numbers (d, 8): of the tubes, where they are not the robot's. loads (T, 17 + 3d): on models that know some.
         """
         found = self.around
         wall, slack = (self.described if found is None or not found.ready() else found)(x, numbers, loads)
@@ -94,7 +94,7 @@ class Wall:
     def of_scenarios(self, x: Array, numbers: Array, loads: Array | None = None) -> dict[str, Array]:
         """Parameters (T, S, ..) near to unknowns x (T, S, n) of robots whose tubes have numbers (S, d, 8).
 
-        loads (T, S, 12 + 3d): on models that know some.
+        loads (T, S, 17 + 3d): on models that know some.
         """
         found = [
             self.surroundings(x[:, k], own, None if loads is None else loads[:, k])[0]

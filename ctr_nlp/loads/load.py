@@ -17,18 +17,18 @@ from ctr_nlp.support.values import check_keys, floats, number, strict_json, unch
 from ctr_nlp.typing import Array
 
 AXES = "base", "tool"
-"""In which a tip force may be given."""
+"""In which a force and a moment at the tip may be given."""
 FORCE, MOMENT, PER_LENGTH = 100.0, 1000.0, 10.0
-"""Largest tip force, N, axial moment, N mm, and force per length, N/mm: some hundred times what robots bear."""
+"""Largest tip force, N, moment, N mm, and force per length, N/mm: some hundred times what robots bear."""
 DENSITIES = (0.5, 25.0)
 """Least and largest density of a tube, g/cm^3, from light polymers to beyond platinum."""
 GRAVITY = 9.80665
 """m/s^2."""
 PER_MM3 = 1e-6
 """kg/mm^3 that one g/cm^3 is."""
-BETWEEN = slice(10, 12)
+BETWEEN = slice(15, 17)
 """Of a load's numbers, the places between which a force acts along the body."""
-BEFORE_WEIGHTS = 12
+BEFORE_WEIGHTS = 17
 """Numbers of a load before the weights of what tubes are made of, of which there are three a tube."""
 
 
@@ -39,14 +39,16 @@ class Load:
 
     force: (3,) N at the tip, in the directions of the base frame, or of the tool: z along the tip, x where the
     pre-curvature of the innermost tube bends it. axial_moment: N mm about the tip's direction, which turns the
-    innermost tube. densities: of the tubes, g/cm^3, a number or one a tube, outermost first (nitinol has 6.45);
-    down: (3,) the direction of gravity in the base frame, of any length, needed where there are densities.
-    distributed_force: (3,) N/mm in the directions of the base frame, which acts along the body between two places,
-    mm from the opening; of a robot that ends before the second one, up to the tip.
+    innermost tube. moment: (3,) N mm at the tip, in the same directions as the force. densities: of the tubes,
+    g/cm^3, a number or one a tube, outermost first (nitinol has 6.45); down: (3,) the direction of gravity in the
+    base frame, of any length, needed where there are densities. distributed_force: (3,) N/mm in the directions of
+    the base frame, which acts along the body between two places, mm from the opening; of a robot that ends before
+    the second one, up to the tip.
     Lists and arrays are kept as tuples. Raises LoadError.
 
-    A force that turns with the tool, and a moment that turns with the tip, have no energy: robots that bear them
-    have shapes and snaps, but no stability margin (Ziegler, Principles of Structural Stability, 1968).
+    A force that turns with the tool has no energy, nor has any moment, be it one that keeps its direction: robots
+    that bear these have shapes and snaps, but no stability margin (Ziegler, Principles of Structural Stability,
+    1968).
     """
 
     force: Any = (0.0, 0.0, 0.0)
@@ -56,6 +58,7 @@ class Load:
     down: Any = None
     distributed_force: Any = None
     between: Any = None
+    moment: Any = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         for f in fields(self):
@@ -64,11 +67,12 @@ class Load:
             raise LoadError(f"axes of a load are {self.axes!r}; they must be {' or '.join(AXES)}")
         vector = floats(LoadError, "force of a load", self.force, (3,))
         _limited("force of a load", float(np.linalg.norm(vector)), FORCE, ("N", "mN", "µN", "nN"))
-        moment = number(
-            LoadError, "axial_moment of a load", self.axial_moment, math.isfinite, "be finite", " N mm"
-        )
-        _limited("axial_moment of a load", moment, MOMENT, ("N mm", "mN mm", "µN mm", "nN mm"))
+        axial = number(LoadError, "axial_moment of a load", self.axial_moment, math.isfinite, "be finite", " N mm")
+        moment = floats(LoadError, "moment of a load", self.moment, (3,))
+        for name, size in ("axial_moment", axial), ("moment", float(np.linalg.norm(moment))):
+            _limited(f"{name} of a load", size, MOMENT, ("N mm", "mN mm", "µN mm", "nN mm"))
         object.__setattr__(self, "force", tuple(vector.tolist()))
+        object.__setattr__(self, "moment", tuple(moment.tolist()))
         self._check_distributed()
         self._check_gravity()
 
@@ -107,12 +111,17 @@ class Load:
     @property
     def conservative(self) -> bool:
         """Whether the load has an energy, and so a robot that bears it a stability margin."""
-        return not self.axial_moment and not self.follows
+        return not (self.axial_moment or self.bends or self.follows)
 
     @property
     def follows(self) -> bool:
         """Whether a force turns with the tool."""
         return self.axes == "tool" and any(self.force)
+
+    @property
+    def bends(self) -> bool:
+        """Whether a moment acts at the tip that need not be about its direction."""
+        return any(self.moment)
 
     @property
     def distributed(self) -> bool:
@@ -130,19 +139,20 @@ class Load:
         self.numbers(robot.d)
 
     def numbers(self, d: int) -> Array:
-        """What models need to know of it for robots of d tubes, (12 + 3 d,), all of it 0 without a load.
+        """What models need to know of it for robots of d tubes, (17 + 3 d,), all of it 0 without a load.
 
-        The force of base axes, that of tool axes, the axial moment, the distributed force, the two places between
-        which it acts, and the weight of what every tube is made of, N/mm^3, as a vector. Raises LoadError where
-        there are densities of another number of tubes.
+        The force of base axes and that of tool axes, the moments of these, the distributed force, the two places
+        between which it acts, and the weight of what every tube is made of, N/mm^3, as a vector. Raises LoadError
+        where there are densities of another number of tubes.
         """
-        none = (0.0, 0.0, 0.0)
-        in_base, in_tool = (none, self.force) if self.follows else (self.force, none)
-        along = (*self.distributed_force, *self.between) if self.distributed else (*none, 0.0, 0.0)
-        return np.array([*in_base, *in_tool, self.axial_moment, *along, *self._weights(d).flat])
+        at_tip = np.zeros((2, len(AXES), 3))
+        at_tip[:, AXES.index(self.axes)] = self.force, self.moment
+        at_tip[1, AXES.index("tool"), 2] += self.axial_moment
+        along = (*self.distributed_force, *self.between) if self.distributed else np.zeros(5)
+        return np.array([*at_tip.flat, *along, *self._weights(d).flat])
 
     def over(self, d: int, part: Array) -> Array:
-        """The same (n, 12 + 3 d) at parts (n,) of a motion, from 0, its first frame, to 1; raises as numbers."""
+        """The same (n, 17 + 3 d) at parts (n,) of a motion, from 0, its first frame, to 1; raises as numbers."""
         return np.repeat(self.numbers(d)[None], len(part), axis=0)
 
     def _weights(self, d: int) -> Array:
@@ -173,12 +183,15 @@ class Load:
 
     def __str__(self) -> str:
         """In words, as tables and verdicts tell it."""
-        told = []
+        told, tool = [], " in the tool's axes" * (self.axes == "tool")
         if any(self.force):
             x, y, z = self.force
-            told.append(f"a tip force of ({x:g}, {y:g}, {z:g}) N" + " in the tool's axes" * self.follows)
+            told.append(f"a tip force of ({x:g}, {y:g}, {z:g}) N{tool}")
         if self.axial_moment:
             told.append(f"an axial moment of {self.axial_moment:g} N mm")
+        if self.bends:
+            x, y, z = self.moment
+            told.append(f"a tip moment of ({x:g}, {y:g}, {z:g}) N mm{tool}")
         if self.distributed:
             (x, y, z), (begin, end) = self.distributed_force, self.between
             told.append(f"({x:g}, {y:g}, {z:g}) N/mm between {begin:g} and {end:g} mm from the opening")

@@ -57,6 +57,11 @@ class LoadOverTime:
         return any(load.follows for load in self.loads)
 
     @property
+    def bends(self) -> bool:
+        """As Load.bends, at some time."""
+        return any(load.bends for load in self.loads)
+
+    @property
     def distributed(self) -> bool:
         """As Load.distributed, at some time."""
         return any(load.distributed for load in self.loads)
@@ -72,7 +77,7 @@ class LoadOverTime:
             load.check(robot)
 
     def over(self, d: int, part: Array) -> Array:
-        """As Load.over: numbers (n, 12 + 3 d) at parts (n,) of the motion; raises LoadError."""
+        """As Load.over: numbers (n, 17 + 3 d) at parts (n,) of the motion; raises LoadError."""
         known = np.array([load.numbers(d) for load in self.loads])
         for load, row in zip(self.loads, known, strict=True):
             if self.distributed and not load.distributed:

@@ -201,7 +201,7 @@ class Model(ABC):
         tangents: bool = False,
         tilted: bool = False,
     ) -> Shape:
-        """As frame, under a load whose numbers (12 + 3d, 1) are symbols; raises OptionError where none acts.
+        """As frame, under a load whose numbers (17 + 3d, 1) are symbols; raises OptionError where none acts.
 
         tilted: whether x holds the tilt, too, after unknowns that tell it.
         """
@@ -234,7 +234,7 @@ class Model(ABC):
         return np.reshape([function(*row)[0].full() for row in rows], (*x.shape[:2], -1, 3))
 
     def points_under(self, loads: Array, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
-        """Points (T, m, 3) in mm of robots of numbers (T or 1, d, 8) at x (T, n_x) under loads (T, 12 + 3d).
+        """Points (T, m, 3) in mm of robots of numbers (T or 1, d, 8) at x (T, n_x) under loads (T, 17 + 3d).
 
         sigma (m,) or (T, m). Raises OptionError where no load acts.
         """

@@ -114,8 +114,8 @@ def _stable(plan: Record) -> Judgement:
         where = np.nanargmin(margins) + 1
         return NO, least, "", f"The robot passes a fork around frame {where}, and chance decides the way it takes."
     if plan.bears is not None and not plan.bears.conservative:
-        told = "The robot does not snap, but a load that turns with its tip has no energy, and so no margin"
-        return NOT_KNOWN, least, "", f"{told}."
+        load = "a load with a moment, or with a force that turns with the tip, has no energy"
+        return NOT_KNOWN, least, "", f"The robot does not snap, but {load}, and so no margin."
     if not known.all():
         return NOT_KNOWN, least, "", f"The stability margin is not known in {(~known).sum()} frames."
     where = margins.argmin() + 1

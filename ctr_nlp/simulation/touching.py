@@ -124,7 +124,7 @@ class Foundation:
         return Pressed(deepest, size, towards, narrow)
 
     def under(self, load: Array, pushes: Array) -> Array:
-        """Numbers (T, l) of a load (12 + 3d,) and of pushes (T, K, 3) on the pieces, N/mm."""
+        """Numbers (T, l) of a load (17 + 3d,) and of pushes (T, K, 3) on the pieces, N/mm."""
         return np.hstack([np.tile(load, (len(pushes), 1)), pushes.reshape(len(pushes), -1)])
 
     def along(self, q: Array) -> Touching:

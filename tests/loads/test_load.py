@@ -23,19 +23,22 @@ def test_the_weight_of_a_steel_rod_is_its_mass_times_g():
     """A metre of 2 mm steel wire weighs 24.7 g."""
     rod = Robot((replace(NITINOL.tubes[2], outer_diameter=2.0, inner_diameter=0.0),))
     numbers = Load(densities=7.85, down=(0, 0, -3)).numbers(1)
-    np.testing.assert_allclose(numbers[:12], 0)
-    np.testing.assert_allclose(numbers[12:] * rod.tubes[0].area * 1000, [0, 0, -0.02466 * 9.80665], rtol=1e-3)
+    np.testing.assert_allclose(numbers[:17], 0)
+    np.testing.assert_allclose(numbers[17:] * rod.tubes[0].area * 1000, [0, 0, -0.02466 * 9.80665], rtol=1e-3)
 
 
 def test_a_force_stands_in_the_axes_that_it_is_given_in():
     np.testing.assert_array_equal(Load(force=[0.1, 0, -0.2]).numbers(3)[:7], [0.1, 0, -0.2, 0, 0, 0, 0])
+    np.testing.assert_array_equal(Load(moment=[1, 2, 3], axial_moment=4).numbers(3)[6:12], [1, 2, 3, 0, 0, 4])
     held = Load(force=np.array([0.1, 0, -0.2]), axes="tool", axial_moment=2)
-    np.testing.assert_array_equal(held.numbers(3)[:7], [0, 0, 0, 0.1, 0, -0.2, 2])
+    np.testing.assert_array_equal(held.numbers(3)[3:12], [0.1, 0, -0.2, 0, 0, 0, 0, 0, 2])
+    turned = Load(moment=(1, 2, 3), axial_moment=4, axes="tool").numbers(3)
+    np.testing.assert_array_equal(turned[6:12], [0, 0, 0, 1, 2, 7])
 
 
 def test_a_force_along_the_body_has_its_places_beside_it():
     load = Load(distributed_force=[0, 0.002, 0], between=[20, 60])
-    np.testing.assert_array_equal(load.numbers(3)[7:12], [0, 0.002, 0, 20, 60])
+    np.testing.assert_array_equal(load.numbers(3)[12:17], [0, 0.002, 0, 20, 60])
     assert load.conservative
     assert "(0, 0.002, 0) N/mm between 20 and 60 mm from the opening" in str(load)
     assert not Load(distributed_force=(0, 0, 0), between=(0, 5)).numbers(3).any()
@@ -44,11 +47,12 @@ def test_a_force_along_the_body_has_its_places_beside_it():
 def test_only_what_keeps_its_direction_has_an_energy():
     assert Load(force=(0, 0, 1), densities=6.45, down=(1, 0, 0)).conservative
     assert not Load(axial_moment=1.0).conservative
+    assert not Load(moment=(0, 1.0, 0)).conservative
     assert not Load(force=(0, 0, 1), axes="tool").conservative
 
 
 def test_a_load_is_the_same_after_a_file():
-    load = Load((0.1, 0.2, 0.3), "tool", 4.0, (6.45, 6.45, 7.9), (0, 1, 0), (0, 0.001, 0), (20, 60))
+    load = Load((0.1, 0.2, 0.3), "tool", 4.0, (6.45, 6.45, 7.9), (0, 1, 0), (0, 0.001, 0), (20, 60), (1, 2, 3))
     assert Load.from_dict(load.to_dict()) == load
     assert hash(Load.from_dict(load.to_dict())) == hash(load)
 
@@ -64,6 +68,9 @@ def test_a_load_is_the_same_after_a_file():
         ({"axes": "world"}, r"axes of a load are 'world'; they must be base or tool"),
         ({"axial_moment": math.inf}, r"axial_moment of a load is inf N mm; it must be finite"),
         ({"axial_moment": -5000}, r"axial_moment of a load is -5000 N mm; it must be at most 1000 N mm; .*mN mm"),
+        ({"moment": (0, 0, math.nan)}, r"moment of a load has nan at \[3\]; all of it must be finite"),
+        ({"moment": 3}, r"moment of a load has shape \(\); it must be \(3,\)"),
+        ({"moment": (0, 3000, 4000)}, r"^moment of a load is 5000 N mm; it must be at most 1000 N mm; .*5 N mm"),
         ({"distributed_force": (0, 0.1, 0)}, r"distributed_force of a load needs between"),
         ({"between": (0, 5)}, r"between of a load needs distributed_force"),
         (

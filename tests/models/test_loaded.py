@@ -51,7 +51,8 @@ def same(pull):
     """As a load."""
     weight = {"densities": pull.density, "down": pull.down} if pull.density else {}
     along = {"distributed_force": pull.along, "between": pull.between} if any(pull.along) else {}
-    return Load(pull.force, axial_moment=pull.axial_moment, **weight, **along)
+    tool = {"axes": "tool", "moment": pull.tool_moment} if any(pull.tool_moment) else {"moment": pull.moment}
+    return Load(pull.force, axial_moment=pull.axial_moment, **tool, **weight, **along)
 
 
 def leaning(seed):
@@ -65,6 +66,18 @@ def leaning(seed):
         q,
         replace(pull, along=tuple(along), between=(begin, begin + (0.5 if seed % 3 else 2.0) * length)),
     )
+
+
+def turned(seed):
+    """A case with a moment of up to 10 N mm at its tip, too, which keeps its direction; every other, with one that
+    turns with the tip, and without a force.
+    """
+    robot, q, pull = drawn_case(seed)
+    moment = np.random.default_rng(seed).normal(size=3)
+    moment = tuple(moment * np.random.default_rng(seed).uniform(0, 10) / np.linalg.norm(moment))
+    if seed % 2:
+        return robot, q, replace(pull, moment=moment)
+    return robot, q, replace(pull, force=(0.0, 0.0, 0.0), tool_moment=moment)
 
 
 def rod_state(force, beta=150.0):
@@ -103,6 +116,24 @@ def test_shapes_that_something_leans_on_match_shooting_from_the_base(seed):
     assert error < 0.001
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2, 3, 7])
+def test_shapes_under_a_moment_at_the_tip_match_shooting_from_the_base(seed):
+    error = compared(seed, turned)
+    assert error is not None
+    assert error < 0.001
+
+
+@pytest.mark.parametrize("axes", ["base", "tool"])
+def test_a_moment_bends_a_straight_rod_into_an_arc(axes):
+    """Of curvature M / EI, to the side that the moment turns it to."""
+    moment = 0.005 * ROD.tubes[0].bending_stiffness
+    model = Loaded(Load(moment=(0.0, moment, 0.0), axes=axes))
+    points = model.points(ROD, model.rest(ROD, np.array([0.0, 150.0, 0.0, 0.0]))[None], SIGMA)[0]
+    angles = 0.005 * 150.0 * SIGMA
+    expected = np.column_stack([1 - np.cos(angles), 0 * angles, np.sin(angles)]) / 0.005
+    np.testing.assert_allclose(points, expected, atol=1e-3)
+
+
 def test_a_force_along_the_body_bends_a_rod_as_it_bends_a_cantilever():
     """A stiff rod whose outer half bears w mm of it: the tip gives in by 41 w L^4 / (384 EI)."""
     w = 1e-6
@@ -114,7 +145,7 @@ def test_a_force_along_the_body_bends_a_rod_as_it_bends_a_cantilever():
 
 @pytest.mark.slow
 def test_two_hundred_loaded_shapes_match_shooting_from_the_base():
-    for case in (drawn_case, leaning):
+    for case in (drawn_case, leaning, turned):
         errors = [error for seed in range(230) if (error := compared(seed, case)) is not None][:200]
         assert len(errors) == 200
         assert max(errors) < 0.001
@@ -228,7 +259,7 @@ def test_a_rod_bends_as_the_elastica_does():
 def test_a_hanging_rod_bends_by_its_weight():
     """w L^4 / (8 EI), while that is small."""
     load = Load(densities=6.45, down=(0, -1, 0))
-    weight = -load.numbers(1)[13] * ROD.tubes[0].area
+    weight = -load.numbers(1)[18] * ROD.tubes[0].area
     model = Loaded(load)
     tip = model.points(ROD, model.rest(ROD, np.array([0.0, 150, 0, 0]))[None], np.ones(1))[0, 0]
     assert tip[1] == pytest.approx(-weight * 150**4 / (8 * ROD.tubes[0].bending_stiffness), rel=1e-3)
@@ -256,9 +287,17 @@ def test_a_force_that_turns_with_the_tool_is_the_same_force_in_the_base_at_rest(
     assert np.isfinite(fixed.margins(NITINOL, x)[0])
 
 
-def test_slopes_are_the_derivatives_of_the_base_over_the_tip():
-    model = Loaded(Load((0.1, 0.1, 0.2), "tool", 3.0, 6.45, (1, 0, 0)))
-    assert model.kind == RodKind(follows=True, weighs=True)
+@pytest.mark.parametrize(
+    ("load", "kind"),
+    [
+        (Load((0.1, 0.1, 0.2), "tool", 3.0, 6.45, (1, 0, 0)), RodKind(follows=True, weighs=True)),
+        (Load((0.1, 0.1, 0.2), axial_moment=3.0, moment=(9, -4, 6)), RodKind(bends=True)),
+        (Load((0.1, 0.1, 0.2), "tool", moment=(9, -4, 6)), RodKind(follows=True, bends=True)),
+    ],
+)
+def test_slopes_are_the_derivatives_of_the_base_over_the_tip(load, kind):
+    model = Loaded(load)
+    assert model.kind == kind
     equilibria, load = LoadedEquilibria(NITINOL.structure, model.kind), model.load.numbers(3)[None]
     q = np.array([[0.5, -0.8, 0.9, 30, 70, 120, 0.2, -0.3]])
     state = model.states(NITINOL, model.rest(NITINOL, q[0])[None])

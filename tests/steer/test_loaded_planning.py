@@ -41,6 +41,8 @@ PULL = Load(force=(0.1, -0.2, 0.15))
 LOADS = {
     "force": PULL,
     "tool force and moment": Load(force=(0.1, 0.2, -0.1), axes="tool", axial_moment=2.0),
+    "dead moment": Load(force=(0.0, 0.1, 0.0), moment=(8.0, -5.0, 3.0)),
+    "tool moment": Load(moment=(4.0, 6.0, 3.0), axes="tool", axial_moment=-2.0),
     "force along the body": Load((0.05, 0.0, 0.0), distributed_force=(0.0, 0.004, 0.0), between=(10.0, 40.0)),
     "weight": Load(force=(0.0, 0.1, 0.0), densities=6.45, down=(1, 0, 0)),
 }

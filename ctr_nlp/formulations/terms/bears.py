@@ -17,7 +17,7 @@ from ctr_nlp.target.target import Frame
 
 @dataclass(frozen=True, eq=False)
 class Bears(Term):
-    """The numbers (12 + 3d,) of a load (loads.Load.over) that a robot bears in every frame, of so many tubes."""
+    """The numbers (17 + 3d,) of a load (loads.Load.over) that a robot bears in every frame, of so many tubes."""
 
     load: Load | LoadOverTime
     tubes: int

@@ -25,13 +25,15 @@ GENTLE = 0.25
 class Loading(NamedTuple):
     """A load's numbers (loads.Load.numbers) as models take them: numbers, columns (T, 1), or symbols.
 
-    force: N, in the base's directions. tool_force: N, in those of the tip. moment: N mm. distributed: N/mm, which
-    acts between two places, mm from the opening. weights: of what every tube is made of, N/mm^3.
+    force: N, in the base's directions. tool_force: N, in those of the tip. moment, tool_moment: N mm, likewise.
+    distributed: N/mm, which acts between two places, mm from the opening. weights: of what every tube is made of,
+    N/mm^3.
     """
 
     force: Vector
     tool_force: Vector
-    moment: Any
+    moment: Vector
+    tool_moment: Vector
     distributed: Vector
     between: tuple[Any, Any]
     weights: Sequence[Vector]
@@ -48,9 +50,11 @@ def check_kinds(kinds: Sequence[Kind]) -> None:
 
 def loading(values: Sequence[Any]) -> Loading:
     """The numbers of a load as models take them."""
-    force, tool_force, distributed = vectors([*values[:6], *values[7:10]])
+    force, tool_force, moment, tool_moment, distributed = vectors(values[: BETWEEN.start])
     begin, end = values[BETWEEN]
-    return Loading(force, tool_force, values[6], distributed, (begin, end), vectors(values[BEFORE_WEIGHTS:]))
+    return Loading(
+        force, tool_force, moment, tool_moment, distributed, (begin, end), vectors(values[BEFORE_WEIGHTS:])
+    )
 
 
 @dataclass(frozen=True)
@@ -87,12 +91,14 @@ def eased(acting: Array, part: Array) -> Array:
 
 
 class RodKind(NamedTuple):
-    """What kind of rods: whether a force turns with the tip; whether one acts between two places along the body;
-    whether tubes weigh something; into how many pieces every section is divided, along each of which a force per
-    length of its own acts, or 0 where none does. What a kind leaves out is not looked at in the load's numbers.
+    """What kind of rods: whether a force turns with the tip; whether a moment acts there that is not about its
+    direction; whether a force acts between two places along the body; whether tubes weigh something; into how many
+    pieces every section is divided, along each of which a force per length of its own acts, or 0 where none does.
+    What a kind leaves out is not looked at in the load's numbers.
     """
 
     follows: bool = False
+    bends: bool = False
     distributed: bool = False
     weighs: bool = False
     pieces: int = 0
@@ -100,7 +106,7 @@ class RodKind(NamedTuple):
     @classmethod
     def of(cls, load: Load | LoadOverTime) -> RodKind:
         """That of robots which bear a load."""
-        return cls(load.follows, load.distributed, load.weighs)
+        return cls(load.follows, load.bends, load.distributed, load.weighs)
 
     def divided(self, parts: Sequence[Section]) -> list[Section]:
         """The sections, or their pieces, from base to tip."""

@@ -32,7 +32,7 @@ WIDEST, SHRINKS = 1.0, 0.7
 
 
 class States(NamedTuple):
-    """T equilibria of robots of numbers (T, d, 8): q (T, 2d + 2); load (T, 12 + 3d); the tip, angles (T, d)
+    """T equilibria of robots of numbers (T, d, 8): q (T, 2d + 2); load (T, 17 + 3d); the tip, angles (T, d)
     relative to its axes (T, 3, 3).
 
     slopes (T, d + 2, d + 2): how tilt and motors follow the tip (rod.Rod); determinant (T,): of these.
@@ -196,7 +196,7 @@ class LoadedEquilibria:
     def ends(
         self, numbers: Array, angles: Array, axes: Array, q: Array, load: Array, soft: Array | None = None
     ) -> Ends:
-        """The rods of tips, at the extensions of q (T, 2d + 2) and under loads (T, 12 + 3d)."""
+        """The rods of tips, at the extensions of q (T, 2d + 2) and under loads (T, 17 + 3d)."""
         soft = np.ones((len(q), 2)) if soft is None else soft
         return self.rods(numbers, angles, axes, q[:, self.d : 2 * self.d], load, soft)
 

@@ -111,7 +111,7 @@ class Loaded(Model):
         return self._curves(robot, x, sigma)[1]
 
     def _over(self, d: int, rows: int) -> Array:
-        """Numbers (rows, 12 + 3d) of what acts on robots of d tubes in every frame of a motion."""
+        """Numbers (rows, 17 + 3d) of what acts on robots of d tubes in every frame of a motion."""
         return self.load.over(d, np.linspace(0.0, 1.0, rows))
 
     def _curves(self, robot: Robot, x: Array, sigma: Array) -> tuple[Array, Array]:
@@ -130,7 +130,7 @@ class Loaded(Model):
         return curves(structure, numbers, loads, x, sigma, self.kind)[0]
 
     def acting_apart(self, count: int, acting: Array) -> Array:
-        """Numbers (count, M, 12 + 3d) of what acts on so many robots; acting (M, 12 + 3d): those of the load."""
+        """Numbers (count, M, 17 + 3d) of what acts on so many robots; acting (M, 17 + 3d): those of the load."""
         return np.broadcast_to(acting, (count, *acting.shape))
 
     def margins(self, robot: Robot, x: Array) -> Array:
@@ -212,7 +212,7 @@ class Loaded(Model):
         return LoadedWalker(structure, numbers, q, steady(self.load, "a robot that moves step by step"))
 
     def _follower(self, robot: Robot, acting: Array) -> Follower:
-        """The follower of one robot; acting (M, 12 + 3d): at every place of a way."""
+        """The follower of one robot; acting (M, 17 + 3d): at every place of a way."""
         return Follower(robot.structure, robot.numbers[None], self.load, acting[None])
 
 
@@ -233,17 +233,18 @@ class Pushed(Loaded):
 
 
 UNIT = (0.0, 0.0, 1.0)
-_KINDS = itertools.product(("base", "tool"), (None, UNIT), (None, 1.0))
+_KINDS = itertools.product(("base", "tool"), ((0.0, 0.0, 0.0), UNIT), (None, UNIT), (None, 1.0))
 _LOADS = [
     Load(
         UNIT,
         axes,
+        moment=moment,
         distributed_force=along,
         between=None if along is None else (0.0, 1.0),
         densities=density,
         down=None if density is None else UNIT,
     )
-    for axes, along, density in _KINDS
+    for axes, moment, along, density in _KINDS
 ]
 FORMS = {RodKind.of(load): Loaded(load) for load in _LOADS}
 """What programs are made of."""

@@ -5,7 +5,7 @@ that does not spin along the robot, everything is integrated to the base, and ev
 (Rucker, Jones, Webster, A Geometrically Exact Model for Externally Loaded Concentric-Tube Continuum Robots, IEEE
 Transactions on Robotics 26(5), 2010; Antman, Nonlinear Problems of Elasticity): by equations.py from
 
-    psi_i'(beta_i) = 0, but GJ_d psi_d'(beta_d) is the axial moment.
+    psi_i'(beta_i) = 0, but GJ_d psi_d'(beta_d) is the tip's moment about t.
 
 Beside it go responses to d + 2 changes: turns about d_1 and d_2, and of every psi_i. They are told from place to
 place: at each they begin anew with changes of that place, which keeps them of the same size however far the base
@@ -94,18 +94,16 @@ def integrated(
     that act along each of the parts beside the tubes' weights; none by default. Raises LoadError of a helix.
     """
     check_kinds([tube.kind for tube in tubes])
-    d, force = len(tubes), load.force
+    d, force, axial = len(tubes), load.force, load.tool_moment[2]
+    moment, twistable = scaled(axial, tip.axes[2]), tubes[-1].torsional_ratio / tubes[-1].bending_stiffness
     if kind.follows:
         force = plus(force, 1.0, _held(tip, load.tool_force, xp))
-    rates = [0.0 * tip.angles[0]] * (d - 1)
-    rates.append(load.moment * tubes[-1].torsional_ratio / tubes[-1].bending_stiffness)
-    y: Values = [
-        *tip.angles,
-        *rates,
-        *(entry for axis in tip.axes for entry in axis),
-        *scaled(load.moment, tip.axes[2]),
-    ]
-    by = [] if soft is None else _changes(tip, load, kind.follows, xp)
+    if kind.bends:
+        moment = plus(load.moment, 1.0, _held(tip, load.tool_moment, xp))
+        axial = dot(moment, tip.axes[2])
+    rates = [*[0.0 * tip.angles[0]] * (d - 1), axial * twistable]
+    y: Values = [*tip.angles, *rates, *(entry for axis in tip.axes for entry in axis), *moment]
+    by = [] if soft is None else _changes(tip, load, kind, twistable, xp)
     states, responses = [], list[list[Any]]()
     along = Along(load.distributed, load.between, beta[-1], xp) if kind.distributed else None
     for k, part in reversed(list(enumerate(parts))):
@@ -150,17 +148,22 @@ def _plus(begin: tuple[Values, Values], changes: tuple[Values, Values]) -> tuple
     return y, by
 
 
-def _changes(tip: Tip, load: Loading, follows: bool, xp: Any) -> Values:
-    """Those of the tip: what they make of angles, rates, turns of the frame, the moment and the force."""
+def _changes(tip: Tip, load: Loading, kind: RodKind, twistable: Any, xp: Any) -> Values:
+    """Those of the tip: what they make of angles, rates, turns of the frame, the moment and the force.
+
+    twistable: 1 / GJ_d, of the innermost tube.
+    """
     d, (d1, d2, t) = len(tip.angles), tip.axes
     a, b, *angles = _units(d + 2, xp)
     none = 0.0 * a
-    moment = scaled(load.moment, plus(scaled(b, d1), -1.0 * a, d2))
-    force = (none, none, none)
-    if follows:
-        about = plus(plus(scaled(a, d1), b, d2), angles[-1], t)
+    turned = plus(scaled(b, d1), -1.0 * a, d2)
+    about = plus(plus(scaled(a, d1), b, d2), angles[-1], t)
+    moment, force, axial = scaled(load.tool_moment[2], turned), (none, none, none), none
+    if kind.bends:
+        moment, axial = cross(about, _held(tip, load.tool_moment, xp)), dot(load.moment, turned)
+    if kind.follows:
         force = cross(about, _held(tip, load.tool_force, xp))
-    return [*angles, *[none] * d, a, b, none, *moment, *force]
+    return [*angles, *[none] * (d - 1), axial * twistable, a, b, none, *moment, *force]
 
 
 def _anew(by: Values, responses: list[list[Any]], d: int, xp: Any) -> Values:
@@ -182,8 +185,8 @@ def _units(size: int, xp: Any) -> list[Any]:
     return [xp.SX(ca.DM(row).T) if xp is ca else row[None] for row in np.eye(size)]
 
 
-def _held(tip: Tip, force: Vector, xp: Any) -> Vector:
-    """A force of the tool's directions in the base's."""
+def _held(tip: Tip, vector: Vector, xp: Any) -> Vector:
+    """A force or a moment of the tool's directions in the base's."""
     cos, sin, (d1, d2, t) = xp.cos(tip.angles[-1]), xp.sin(tip.angles[-1]), tip.axes
-    x, y = cos * force[0] - sin * force[1], sin * force[0] + cos * force[1]
-    return plus(plus(scaled(x, d1), y, d2), force[2], t)
+    x, y = cos * vector[0] - sin * vector[1], sin * vector[0] + cos * vector[1]
+    return plus(plus(scaled(x, d1), y, d2), vector[2], t)

@@ -29,7 +29,7 @@ class Follower:
     """Follows robots of numbers (N, d, 8), each under a load of its own, side by side; one object a thread."""
 
     def __init__(self, structure: Structure, numbers: Array, load: Load | LoadOverTime, acting: Array) -> None:
-        """load: of which kind they all are; acting: the numbers of each, (N, M, 12 + 3d), at M places of a way."""
+        """load: of which kind they all are; acting: the numbers of each, (N, M, 17 + 3d), at M places of a way."""
         self._structure, self._numbers, self._acting = structure, numbers, acting
         self._conservative = load.conservative
         self._elastic = [Equilibria(structure, own) for own in numbers]
