@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ctr_nlp import Measurements, Robot, Tolerances, Tube
+from ctr_nlp import Load, Measurements, Robot, Tolerances, Tube
 from ctr_nlp.calibration.next_poses import stable_poses
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import MODELS, under
 from ctr_nlp.models.protocol import Passage
 from ctr_nlp.robot.draws import drawn_from
 
@@ -33,8 +33,8 @@ def shapes_of(robot, parts, q, sigma, model="elastic"):
     return model.points_apart(draws.structure, draws.numbers, found.x[None], sigma)[0]
 
 
-def observations(q, points=None, sigma=(), tip=None, direction=None, time=None, recording=None):
-    """Measurements of what is given; the rest was not seen."""
+def observations(q, points=None, sigma=(), tip=None, direction=None, time=None, recording=None, force=None):
+    """Measurements of what is given; the rest was not seen, and where no force is given none acts."""
     count = len(q)
     unseen = np.full((count, 3), np.nan)
     return Measurements(
@@ -45,6 +45,7 @@ def observations(q, points=None, sigma=(), tip=None, direction=None, time=None, 
         np.tile(np.asarray(sigma, dtype=float), (count, 1)),
         np.full(count, np.nan) if time is None else time,
         np.zeros(count, dtype=int) if recording is None else recording,
+        force=np.zeros(3) if force is None else force,
     )
 
 
@@ -60,3 +61,21 @@ def parts_within(robot, seed):
     """Parts (d, 5) at random within the robot's tolerances."""
     bands = robot.tolerances.bands(robot.tubes)
     return np.random.default_rng(seed).uniform(-1, 1, bands.shape) * bands
+
+
+def pushed_shapes(robot, q, force, sigma):
+    """Points (T, n, 3) of the robot at poses q (T, 2d + 2), at each of which one of forces (T, 3) pulls."""
+    models = [under("elastic", Load(force=tuple(each))) for each in force]
+    return np.array(
+        [m.points(robot, m.rest(robot, row)[None], sigma)[0] for m, row in zip(models, q, strict=True)]
+    )
+
+
+def weighed(actual, robot, count=30, newtons=1.0, noise=0.2):
+    """Shapes of an actual robot where the described one is stable, with a weight in two of three poses."""
+    q, random = stable_poses(robot, MODELS["elastic"], count, 0), np.random.default_rng(0)
+    force = np.outer(newtons * (np.arange(count) % 3 > 0), [0.0, 1.0, 0.0])
+    force[2::3] = [0.0, 0.0, newtons]
+    sigma = np.linspace(0.25, 1, 4)
+    points = pushed_shapes(actual, q, force, sigma)
+    return observations(q, points + noise * random.standard_normal(points.shape), sigma, force=force)

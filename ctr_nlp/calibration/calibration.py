@@ -16,7 +16,8 @@ from ctr_nlp.calibration.parameters import BASE, Parameters, parameters_of
 from ctr_nlp.calibration.prediction import Prediction, flat_measured, registered_to
 from ctr_nlp.calibration.robots import calibrated_robot
 from ctr_nlp.exceptions import MeasurementError
-from ctr_nlp.models import Model, model_named
+from ctr_nlp.loads import Load
+from ctr_nlp.models import Model, model_named, under
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.equal import Kept
 from ctr_nlp.support.values import instance
@@ -79,17 +80,22 @@ def calibrate(
     """What measurements say of a robot, as robust least squares around its tolerances tell it.
 
     estimate: kinds of parameters (calibration.parameters.KINDS); by default what has a tolerance, and where time
-    is known lags and the sensor's delay. registered: whether the sensor's axes are those of the robot's base;
-    otherwise the base's pose is estimated, in every recording. held_out: number of folds for errors held out, 0
-    for none; block: seconds of a motion that stay together in one. next_count: how many next poses are proposed.
-    seed: of folds and of proposals. Raises MeasurementError, OptionError.
+    is known lags and the sensor's delay. Where known forces pull at the tip (measured.force), or the model bears a
+    load, which then acts in every observation, stiffnesses show themselves and not their ratios alone: by default
+    the tubes' modulus is estimated, too, of which the robot must tell a first value. registered: whether the
+    sensor's axes are those of the robot's base; otherwise the base's pose is estimated, in every recording.
+    held_out: number of folds for errors held out, 0 for none; block: seconds of a motion that stay together in
+    one. next_count: how many next poses are proposed. seed: of folds and of proposals. Raises LoadError,
+    MeasurementError, OptionError.
     """
     instance(MeasurementError, "robot", robot, Robot)
     instance(MeasurementError, "measurements", measured, Measurements)
     described, measured = model_named(model), measured.distinct()
+    if measured.pushed and described.bears is None:
+        described = under(described, Load())
     described.check(robot)
     measured.check(robot)
-    parameters = parameters_of(robot, measured, estimate, registered)
+    parameters = parameters_of(robot, measured, estimate, registered, described.bears is not None)
     fold = folds(robot, measured, held_out, block, seed=seed) if held_out else np.full(len(measured), -1)
     prediction = placed(parameters, measured, described)
     before = flat_measured(measured) - prediction.seen(parameters.mean).flat()

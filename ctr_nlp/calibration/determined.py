@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ctr_nlp.calibration.fit import Fit
-from ctr_nlp.calibration.parameters import DELAY, LAGS, Parameters
+from ctr_nlp.calibration.parameters import DELAY, LAGS, MODULUS, Parameters
 from ctr_nlp.typing import Array
 
 DETERMINED = 0.5
@@ -61,11 +61,14 @@ def _invariances(parameters: Parameters) -> list[tuple[Array, str]]:
         direction = np.zeros(len(parameters))
         direction[zeros], direction[rolls] = 1.0, -1.0
         found.append((direction, "the common zero of all tubes cannot be told from the base's roll"))
-    stiffness = parameters.columns("bending_stiffness")
+    stiffness, modulus = parameters.columns("bending_stiffness"), parameters.columns(MODULUS)
     if len(stiffness) == d:
         direction = np.zeros(len(parameters))
-        direction[stiffness] = 1.0
-        found.append((direction, "only ratios of the tubes' stiffnesses show, not how stiff all are together"))
+        direction[stiffness], direction[modulus] = 1.0, -1.0
+        sentence = "only ratios of the tubes' stiffnesses show, not how stiff all are together"
+        if modulus:
+            sentence = "what is common to the tubes' stiffnesses cannot be told from their modulus"
+        found.append((direction, sentence))
     scaled = [(direction / parameters.sigma, sentence) for direction, sentence in found]
     return [(direction / np.linalg.norm(direction), sentence) for direction, sentence in scaled]
 

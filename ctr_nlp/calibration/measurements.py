@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -25,7 +25,9 @@ class Measurements(Kept):
     points (T, n, 3) mm: of the shape, at sigma (T, n) in [0, 1], which is arc length over beta_d; single
     coordinates may be NaN. All are in the sensor's axes, which are those of the robot's base or unknown. time (T,)
     s, or NaN where poses were measured one by one. recording (T,): from 0; the sensor may stand elsewhere in each,
-    and the time of each grows. repeated: how many further copies of these observations were given.
+    and the time of each grows. repeated: how many further copies of these observations were given. force (T, 3):
+    known forces at the tip, N, such as weights that hang there, in the axes of the robot's base; (3,) for the same
+    at all.
     """
 
     q: Array
@@ -36,11 +38,14 @@ class Measurements(Kept):
     time: Array
     recording: Index
     repeated: int = 0
+    force: Array = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self) -> None:
         count = len(self.q)
+        if self.force.shape == (3,):
+            object.__setattr__(self, "force", np.tile(self.force, (count, 1)))
         wanted = {
-            **dict.fromkeys(("tip", "direction"), (count, 3)),
+            **dict.fromkeys(("tip", "direction", "force"), (count, 3)),
             **dict.fromkeys(("time", "recording"), (count,)),
             "points": (*self.sigma.shape, 3),
             "sigma": (count, self.sigma.shape[-1]),
@@ -50,6 +55,12 @@ class Measurements(Kept):
                 raise MeasurementError(
                     f"{name} of measurements has shape {getattr(self, name).shape}, not {shape}"
                 )
+        if not np.isfinite(self.force).all():
+            row = int(np.flatnonzero(~np.isfinite(self.force).all(axis=1))[0])
+            raise MeasurementError(
+                f"the force of observation {row + 1} is {self.force[row].tolist()} N; it must be known, and is 0 "
+                "where nothing hangs at the tip"
+            )
         if not count:
             raise MeasurementError("there are no measurements; at least one observation is needed")
         if not self.seen.any():
@@ -74,6 +85,11 @@ class Measurements(Kept):
     def timed(self) -> bool:
         """Whether these are motions, of which the time is known."""
         return bool(np.isfinite(self.time).all())
+
+    @property
+    def pushed(self) -> bool:
+        """Whether a force acts at the tip in any of them."""
+        return bool(self.force.any())
 
     @property
     def fresh(self) -> Flags:
@@ -108,7 +124,7 @@ class Measurements(Kept):
         """Without copies of an observation, each recording in the order of time; repeated counts the copies."""
         order = np.lexsort((np.where(np.isfinite(self.time), self.time, 0.0), self.recording))
         columns = [
-            *(self.recording[:, None], self.time[:, None], self.q, self.tip, self.direction),
+            *(self.recording[:, None], self.time[:, None], self.q, self.force, self.tip, self.direction),
             *(self.sigma, self.points.reshape(len(self), -1)),
         ]
         table = np.hstack(columns)

@@ -21,10 +21,12 @@ from ctr_nlp.typing import Array
 
 LAGS = "rotation_lag", "lag_per_overlap", "drag"
 """Of every tube: play to either side, its growth with the overlap, and the time constant of viscous drag."""
+MODULUS = "youngs_modulus"
+"""Of all tubes alike, as a part of their own: how stiff they are together, which shows under loads alone."""
 DELAY, OFFSET = "sensor_delay", "tip_offset"
 BASE = "base_x", "base_y", "base_z", "base_turn_x", "base_turn_y", "base_roll"
 """Where the robot's base is for the sensor, in every recording: mm in the sensor's axes, rad about the base's."""
-KINDS = (*NAMES, *LAGS, DELAY, OFFSET)
+KINDS = (*NAMES, MODULUS, *LAGS, DELAY, OFFSET)
 """What may be asked for by name; the base's pose is estimated wherever it is unknown."""
 UNITS = {
     "curvature": "part",
@@ -32,6 +34,7 @@ UNITS = {
     "torsional_ratio": "part",
     "curved_length": "mm",
     "motor_zero": "rad",
+    "youngs_modulus": "part",
     "rotation_lag": "rad",
     "lag_per_overlap": "rad/mm",
     "drag": "s",
@@ -45,6 +48,7 @@ SIGMAS = {
     "torsional_ratio": 0.1,
     "curved_length": 2.0,
     "motor_zero": 0.05,
+    "youngs_modulus": 0.3,
     "rotation_lag": 0.05,
     "lag_per_overlap": 0.001,
     "drag": 0.1,
@@ -162,11 +166,22 @@ class Parameters:
 
     def parts(self, values: Array) -> Array:
         """By how much tubes differ from the robot's (.., d, 5), in the order of robot.tolerances.NAMES."""
-        return np.stack([self.of_tubes(values, name) for name in NAMES], axis=-1)
+        found = np.stack([self.of_tubes(values, name) for name in NAMES], axis=-1)
+        for k in self.columns(MODULUS):
+            found[..., NAMES.index("bending_stiffness")] += values[..., k, None]
+        return found
+
+    @property
+    def parts_over(self) -> Array:
+        """How these parts, (5 d,) tube by tube, grow with every parameter, (5 d, P)."""
+        return np.stack([self.parts(unit).ravel() for unit in np.eye(len(self))], axis=1)
 
     def numbers_over(self, column: int) -> Array:
         """How the tubes' numbers (d, 8), in the order of NUMBERS, grow with a parameter."""
         one, found = self.each[column], np.zeros((self.robot.d, len(NUMBERS)))
+        if one.kind == MODULUS:
+            number = NUMBERS.index("bending_stiffness")
+            found[:, number] = self.robot.numbers[:, number]
         scaled = {"curvature": ("root_curvature", "tip_curvature")}.get(one.kind, (one.kind,))
         for name in scaled if one.kind in NAMES and one.kind != "motor_zero" else ():
             number, i = NUMBERS.index(name), self.tube(column)
@@ -188,30 +203,41 @@ class Parameters:
         return number - 1
 
 
-def default_kinds(robot: Robot, measured: Measurements) -> tuple[str, ...]:
-    """What is estimated where nothing is named: what has a tolerance, and where time is known lag and delay."""
+def default_kinds(robot: Robot, measured: Measurements, bears: bool = False) -> tuple[str, ...]:
+    """What is estimated where nothing is named: what has a tolerance, under a load the modulus, and where time is
+    known lag and delay.
+    """
     bands = robot.tolerances.bands(robot.tubes)
     known = [name for name, band in zip(NAMES, bands.T, strict=True) if band.any()]
-    return (*known, *((*LAGS, DELAY) if measured.timed else ()))
+    return (*known, *([MODULUS] * bears), *((*LAGS, DELAY) if measured.timed else ()))
 
 
 def parameters_of(
-    robot: Robot, measured: Measurements, kinds: Sequence[str] | None = None, registered: bool = False
+    robot: Robot,
+    measured: Measurements,
+    kinds: Sequence[str] | None = None,
+    registered: bool = False,
+    bears: bool = False,
 ) -> Parameters:
     """The parameters of some kinds, with priors from the robot's tolerances; raises OptionError.
 
     A kind that is named and has no tolerance is known to within SIGMAS. registered: whether the sensor's axes are
-    the base's.
+    the base's. bears: whether the robot bears a load.
     """
-    asked = default_kinds(robot, measured) if kinds is None else tuple(dict.fromkeys(kinds))
+    asked = default_kinds(robot, measured, bears) if kinds is None else tuple(dict.fromkeys(kinds))
     for kind in asked:
         if kind not in KINDS:
             raise OptionError(f"{kind!r} cannot be estimated; choose from {', '.join(KINDS)}")
         if kind in (*LAGS, DELAY) and not measured.timed:
             raise OptionError(f"{kind} shows in motions alone; the measurements have no time_s")
+        if kind == MODULUS and not bears:
+            raise OptionError(
+                f"{kind} shows under loads alone; give the force at the tip in every observation, in N, as "
+                "force_x, force_y and force_z, or a load that the robot bears in all"
+            )
         if kind == OFFSET and not np.isfinite(measured.tip).any():
             raise OptionError(f"{OFFSET} needs measured tips; there are none")
-    found = [one for kind in KINDS if kind in asked for one in _of_kind(robot, kind)]
+    found = [one for kind in KINDS if kind in asked for one in _of_kind(robot, kind, bears)]
     if not registered:
         numbers = [None] if measured.recordings == 1 else list(range(1, measured.recordings + 1))
         found += [Parameter(kind, number, SIGMAS[kind]) for number in numbers for kind in BASE]
@@ -220,11 +246,11 @@ def parameters_of(
     return Parameters(robot, tuple(found))
 
 
-def _of_kind(robot: Robot, kind: str) -> list[Parameter]:
-    if kind == DELAY:
+def _of_kind(robot: Robot, kind: str, bears: bool) -> list[Parameter]:
+    if kind in (DELAY, OFFSET):
         return [Parameter(kind, None, SIGMAS[kind])]
-    if kind == OFFSET:
-        return [Parameter(kind, None, SIGMAS[kind])]
+    if kind == MODULUS:
+        return [Parameter(kind, None, SIGMAS[kind], low=LEAST - 1)]
     tubes = range(robot.d)
     if kind in LAGS:
         known = robot.tolerances.lags(robot.d) / math.sqrt(3) if kind == LAGS[0] else np.zeros(robot.d)
@@ -232,7 +258,7 @@ def _of_kind(robot: Robot, kind: str) -> list[Parameter]:
     sigmas = np.sqrt(np.diag(_covariance(robot)).reshape(robot.d, len(NAMES))[:, NAMES.index(kind)])
     if not sigmas.any():
         sigmas = np.full(robot.d, SIGMAS[kind])
-    chosen = [i for i in tubes if sigmas[i] > 0 and _shows(robot, kind, i)]
+    chosen = [i for i in tubes if sigmas[i] > 0 and _shows(robot, kind, i, bears)]
     return [Parameter(kind, i + 1, float(sigmas[i]), 0.0, *_range(robot, kind, i)) for i in chosen]
 
 
@@ -241,11 +267,13 @@ def _covariance(robot: Robot) -> Array:
     return np.asarray(root @ root.T)
 
 
-def _shows(robot: Robot, kind: str, i: int) -> bool:
-    """Whether a number of a tube can change any shape: a straight one has no curvature, one tube no ratios."""
+def _shows(robot: Robot, kind: str, i: int, bears: bool) -> bool:
+    """Whether a number of a tube can change any shape: a straight one has no curvature, one tube no ratios, whose
+    stiffness shows under a load alone.
+    """
     if kind in ("curvature", "curved_length"):
         return robot.structure.kinds[i] != "straight"
-    return kind == "motor_zero" or robot.d > 1
+    return kind == "motor_zero" or robot.d > 1 or bears
 
 
 def _range(robot: Robot, kind: str, i: int) -> tuple[float, float]:

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ctr_nlp.calibration.measurements import Measurements
-from ctr_nlp.calibration.parameters import BASE, DELAY, LAGS, NAMES, OFFSET, Parameters
+from ctr_nlp.calibration.parameters import BASE, DELAY, LAGS, MODULUS, NAMES, OFFSET, Parameters
+from ctr_nlp.loads import Load, steady
 from ctr_nlp.models import Model
 from ctr_nlp.models.protocol import Passage
 from ctr_nlp.robot.draws import drawn_from
@@ -45,7 +46,9 @@ class Seen(NamedTuple):
 class Prediction:
     """Predicts measurements at their configurations, for values of parameters.
 
-    bases: (rotation (3, 3), place (3,) mm) of every recording's base for the sensor before measuring.
+    model: of robots that bear a load, where a force acts in any observation; what it bears, all robots bear.
+    bases: (rotation (3, 3), place (3,) mm) of every recording's base for the sensor before measuring. Raises
+    LoadError of a load that changes over time.
     """
 
     def __init__(
@@ -57,7 +60,10 @@ class Prediction:
     ) -> None:
         self.parameters, self.measured, self._model = parameters, measured, model
         self.bases = bases or [(np.eye(3), np.zeros(3))] * measured.recordings
-        count = len(measured)
+        count, d = len(measured), parameters.robot.d
+        load = Load() if model.bears is None else steady(model.bears, "a calibration")
+        self._loads = np.tile(load.numbers(d), (count, 1))
+        self._loads[:, :3] += measured.force
         tip = np.broadcast_to([1.0, 1.0 - AHEAD, 1.0 - 2 * AHEAD], (count, 3))
         self._sigma = np.hstack([tip, np.where(np.isfinite(measured.sigma), measured.sigma, 1.0)])
 
@@ -92,14 +98,23 @@ class Prediction:
         parts = parameters.parts(values)[None]
         numbers = drawn_from(parameters.robot, parts, np.zeros(parts.shape[:2])).numbers
         count, q = len(measured), self.configurations(values)
-        way = Passage(q, np.arange(count), measured.fresh, count)
-        (found,) = self._model.follow_apart(parameters.structure, numbers, way, q[None], False)
-        return found.x, numbers[0]
+        way, at = Passage(q, np.arange(count), measured.fresh, count), parameters.structure
+        if self._model.bears is None:
+            found = self._model.follow_apart(at, numbers, way, q[None], False)
+        elif measured.timed:
+            found = self._model.follow_under(self._loads[None], at, numbers, way, q[None], False)
+        else:  # robots apart are looked at side by side, which is much faster
+            each, way = np.repeat(numbers, count, axis=0), Passage(q[:1], way.frames[:1], way.fresh[:1], 1)
+            found = self._model.follow_under(self._loads[:, None], at, each, way, q[:, None], False)
+        return np.concatenate([one.x for one in found]), numbers[0]
 
     def _in_base(self, values: Array, x: Array, numbers: Array) -> tuple[Seen, Array]:
         """In the axes of the robot's base; and the vectors (T, 3) along its tip, whose length cancels."""
-        structure = self.parameters.structure
-        (points,) = self._model.points_apart(structure, numbers[None], x[None], self._sigma)
+        at = self.parameters.structure, numbers[None]
+        if self._model.bears is None:
+            (points,) = self._model.points_apart(*at, x[None], self._sigma)
+        else:
+            points = self._model.points_under(self._loads, *at, x, self._sigma)
         ahead = np.einsum("k,tka->ta", STENCIL, points[:, :3])
         direction = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
         offset = sum(values[k] for k in self.parameters.columns(OFFSET))
@@ -108,14 +123,18 @@ class Prediction:
     def _in_base_over(self, values: Array, x: Array, numbers: Array, rows: Flags) -> Array:
         """Derivatives (T, places, 3, P) of all places in the base's axes over what concerns tubes; 0 elsewhere."""
         parameters, (count, places) = self.parameters, self._sigma.shape
-        found, columns = np.zeros((count, places, 3, len(values))), parameters.columns(*NAMES, *LAGS, DELAY)
+        found, columns = (
+            np.zeros((count, places, 3, len(values))),
+            parameters.columns(*NAMES, MODULUS, *LAGS, DELAY),
+        )
         if not columns:
             return found
         function = shown_changes(self._model, parameters.structure, places)
         over = np.stack([parameters.numbers_over(k).ravel(order="F") for k in columns], axis=1)
         moved = self._configurations_over(values, columns)
         for row in np.flatnonzero(rows):
-            of_numbers, of_q = (each.full() for each in function(x[row], self._sigma[row], numbers))
+            given = x[row], self._sigma[row], numbers, self._loads[row] if self._model.bears else []
+            of_numbers, of_q = (each.full() for each in function(*given))
             change = np.nan_to_num(of_numbers @ over + of_q @ moved[row], posinf=0.0, neginf=0.0)
             found[row][..., columns] = change.reshape(3, places, len(columns)).swapaxes(0, 1)
         return found

@@ -3,10 +3,12 @@
 Columns, in any order; angles in rad, lengths in mm; empty cells and nan mean that a value was not measured:
 
     alpha_1 ..  beta_1 ..       the configuration, of every tube; theta_x, theta_y: 0 where there is no such column
-    time_s                      of a motion; without it poses were measured one by one tip_x  tip_y  tip_z
-    the tip tip_qw tip_qx tip_qy tip_qz the rotation from axes at the tip, z along the robot, to the sensor's, as
-    quaternion p1_x   p1_y   p1_z   p1_sigma or p1_s   a point of the shape at arc length s, or at sigma = s /
-    beta_d; p2_x ..
+    time_s                      of a motion; without it poses were measured one by one
+    force_x  force_y  force_z   what pulls at the tip, N, as a weight that hangs there, in the axes of the robot's
+                                base; without these columns nothing does
+    tip_x  tip_y  tip_z         the tip
+    tip_qw tip_qx tip_qy tip_qz the rotation from axes at the tip, z along the robot, to the sensor's, a quaternion
+    p1_x   p1_y   p1_z   p1_sigma or p1_s   a point of the shape at arc length s, or at sigma = s / beta_d; p2_x ..
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ import numpy as np
 
 from ctr_nlp.calibration.measurements import Measurements
 from ctr_nlp.exceptions import MeasurementError
+from ctr_nlp.loads.load import FORCE as MOST_FORCE
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.values import checked_path
 from ctr_nlp.typing import Array
@@ -29,6 +32,7 @@ from ctr_nlp.typing import Array
 TIP = "tip_x", "tip_y", "tip_z"
 QUATERNION = "tip_qw", "tip_qx", "tip_qy", "tip_qz"
 THETA = "theta_x", "theta_y"
+FORCE = "force_x", "force_y", "force_z"
 TIME = "time_s"
 POINT = re.compile(r"p([1-9]\d*)_(x|y|z|sigma|s)")
 UNIT = 0.05
@@ -63,7 +67,7 @@ def read_measurements(path: str | Path | Sequence[str | Path], robot: Robot) -> 
     tables = [_table(checked_path(MeasurementError, each), robot) for each in paths]
     most = max(max(_points(table), default=0) for table in tables)
     found = [_observations(table, robot, number, most) for number, table in enumerate(tables)]
-    names = ("q", "tip", "direction", "points", "sigma", "time", "recording")
+    names = ("q", "tip", "direction", "points", "sigma", "time", "recording", "force")
     arrays: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in found]) for name in names}
     together = Measurements(**arrays)
     if np.isfinite(together.time).any() and not together.timed:
@@ -93,7 +97,7 @@ def _table(path: Path, robot: Robot) -> _Table:
 def _check_names(path: Path, names: tuple[str, ...], robot: Robot) -> None:
     """Raise MeasurementError for a column that is missing, unknown or there twice."""
     needed = robot.axes[: 2 * robot.d]
-    known = {*robot.axes, TIME, *TIP, *QUATERNION}
+    known = {*robot.axes, TIME, *FORCE, *TIP, *QUATERNION}
     for name in needed:
         if name not in names:
             raise MeasurementError(f"{path} has no column {name}; it must have {', '.join(needed)}")
@@ -103,8 +107,8 @@ def _check_names(path: Path, names: tuple[str, ...], robot: Robot) -> None:
         if name not in known and not POINT.fullmatch(name):
             raise MeasurementError(
                 f"{path} has a column {name!r}, which is unknown; known are {', '.join(robot.axes)}, {TIME}, "
-                f"{', '.join((*TIP, *QUATERNION))} and, for points of the shape, p1_x, p1_y, p1_z with p1_sigma "
-                "or p1_s, p2_x .."
+                f"{', '.join((*FORCE, *TIP, *QUATERNION))} and, for points of the shape, p1_x, p1_y, p1_z with "
+                "p1_sigma or p1_s, p2_x .."
             )
 
 
@@ -141,8 +145,24 @@ def _observations(table: _Table, robot: Robot, recording: int, most: int) -> Mea
     for number in _points(table):
         points[:, number - 1] = table.columns([f"p{number}_{axis}" for axis in "xyz"])
         sigma[:, number - 1] = _places(table, number, points[:, number - 1], robot.split(q)[1][:, -1])
-    time = table.columns([TIME])[:, 0]
-    return Measurements(q, table.columns(TIP), _directions(table), points, sigma, time, np.full(len(q), recording))
+    time, seen = table.columns([TIME])[:, 0], (table.columns(TIP), _directions(table), points, sigma)
+    return Measurements(q, *seen, time, np.full(len(q), recording), force=_forces(table))
+
+
+def _forces(table: _Table) -> Array:
+    """At the tip, (T, 3) N; 0 along axes that have no column."""
+    found = table.columns(FORCE)
+    found[:, [name not in table.names for name in FORCE]] = 0.0
+    for row, axis in np.argwhere(~np.isfinite(found)):
+        raise MeasurementError(
+            f"{FORCE[axis]} in line {table.lines[row]} of {table.path} is empty; write 0 where nothing pulls"
+        )
+    for row in np.flatnonzero(np.linalg.norm(found, axis=1) > MOST_FORCE):
+        raise MeasurementError(
+            f"{', '.join(FORCE)} in line {table.lines[row]} of {table.path} are {found[row].tolist()} N; they "
+            f"must be at most {MOST_FORCE:g} N together. A weight of a gram pulls with 0.00981 N"
+        )
+    return found
 
 
 def _places(table: _Table, number: int, points: Array, reach: Array) -> Array:

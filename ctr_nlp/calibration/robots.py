@@ -13,7 +13,6 @@ from ctr_nlp.calibration.parameters import LAGS
 from ctr_nlp.exceptions import MeasurementError, RobotError
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.draws import known_robot
-from ctr_nlp.robot.tolerances import NAMES
 from ctr_nlp.simulation.lag import overlaps
 from ctr_nlp.typing import Array
 
@@ -42,11 +41,10 @@ def _covariance(fit: Fit) -> Array:
     """Of what is left to doubt of all parts, (5 d, 5 d); what was not estimated is as it was."""
     parameters = fit.parameters
     root = parameters.robot.tolerances.root(parameters.robot.tubes)
-    columns, covariance = parameters.columns(*NAMES), np.array(root @ root.T)
-    places = [len(NAMES) * parameters.tube(k) + NAMES.index(parameters.each[k].kind) for k in columns]
-    covariance[places], covariance[:, places] = 0.0, 0.0
-    covariance[np.ix_(places, places)] = fit.covariance[np.ix_(columns, columns)]
-    return covariance
+    over, covariance = parameters.parts_over, np.array(root @ root.T)
+    estimated = over.any(axis=1)
+    kept = np.outer(~estimated, ~estimated)
+    return np.asarray(np.where(kept, covariance, over @ fit.covariance @ over.T))
 
 
 def _lag(fit: Fit, measured: Measurements) -> Any:

@@ -275,6 +275,14 @@ class Model(ABC):
         unknown = np.full(len(q), np.nan)
         return Followed(np.array(q, dtype=float), unknown, unknown)
 
+    def follow_under(
+        self, loads: Array, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True
+    ) -> list[Followed]:
+        """As follow_apart, of robots that bear loads (n, M, 17 + 3d) at the places; raises OptionError where the
+        model knows none.
+        """
+        raise OptionError(f"model is {self.name!r}, which bears no load")
+
     def walker(self, structure: Structure, numbers: Array, q: Array) -> Walker:
         """A robot of numbers (d, 8) that stands at q (2d + 2,) without a history, to be moved step by step."""
         if self.several_equilibria:

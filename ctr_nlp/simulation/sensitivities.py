@@ -8,6 +8,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from ctr_nlp.loads.load import BEFORE_WEIGHTS
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.models.protocol import symbolic_tubes
 from ctr_nlp.robot import Robot
@@ -88,25 +89,32 @@ def derivatives(model: Model, structure: Structure, count: int) -> ca.Function:
 
 @functools.lru_cache(maxsize=16)
 def shown_changes(model: Model, structure: Structure, count: int) -> ca.Function:
-    """(x, sigma (count,), numbers (d, 8)) -> how the shape that a robot shows changes, as columns of a matrix
-    each.
+    """(x, sigma (count,), numbers (d, 8), load) -> how the shape that a robot shows changes, as columns of a
+    matrix each.
 
     Of points (3 count,), x of all before y and z: over numbers with the configuration held (3 count, 8 d), and
-    over the configuration (3 count, 2d + 2). Motors that turn by d alpha turn tips by (alpha_phi)^-1 d alpha.
+    over the configuration (3 count, 2d + 2). load: its numbers; of a model that bears none, nothing. What of the
+    configuration c the unknowns y do not hold, the motors' angles and under a load the tilt, follows from them:
+    where it turns by dc, y changes by (c_y)^-1 dc.
     """
     d, sigma, numbers = structure.d, ca.SX.sym("sigma", count), ca.SX.sym("numbers", structure.d, len(NUMBERS))
-    shape = model.frame(structure, symbolic_tubes(structure, numbers), lambda beta: sigma * beta[-1])
+    at = structure, symbolic_tubes(structure, numbers), lambda beta: sigma * beta[-1]
+    load = ca.SX.sym("load", 0 if model.bears is None else BEFORE_WEIGHTS + 3 * d)
+    shape = model.frame(*at) if model.bears is None else model.frame_under(load, *at)
     symbols, values = shape.inner.columns
-    written = [ca.vertcat(*(ca.SX(axis) for axis in shape.placed(shape.points))), shape.alpha]
-    points, alpha = ca.substitute(written, [symbols], [values])
+    written = [
+        ca.vertcat(*(ca.SX(axis) for axis in shape.placed(shape.points))),
+        ca.vertcat(*shape.rows.values()),
+    ]
+    points, rows = ca.substitute(written, [symbols], [values])
     over_numbers, over_x = (ca.jacobian(points, each) for each in (ca.vec(numbers), shape.x))
-    if model.several_equilibria:
-        (of_numbers, of_x), rest = (
-            (ca.jacobian(alpha, each) for each in (ca.vec(numbers), shape.x)),
-            slice(d, None),
-        )
-        turned = ca.solve(of_x[:, :d].T, over_x[:, :d].T).T
+    if shape.picks is not None:
+        unknowns, configuration = shape.x.numel(), shape.picks[: 2 * d + 2]
+        own = [k for k in range(unknowns) if k not in configuration]
+        of_numbers, of_x = (ca.jacobian(rows, each) for each in (ca.vec(numbers), shape.x))
+        turned = ca.solve(of_x[:, own].T, over_x[:, own].T).T
         over_numbers = over_numbers - turned @ of_numbers
-        over_x = ca.horzcat(turned, over_x[:, rest] - turned @ of_x[:, rest])
+        columns = ca.horzcat(over_x - turned @ of_x, turned)
+        over_x = columns[:, list(configuration)]
     outputs = [ca.densify(each) for each in (over_numbers, over_x)]
-    return ca.Function("shown_changes", [shape.x, sigma, numbers], outputs, {"cse": True})
+    return ca.Function("shown_changes", [shape.x, sigma, numbers, load], outputs, {"cse": True})

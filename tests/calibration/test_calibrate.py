@@ -5,14 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sensed import TWO, measured_shapes, observations, parts_within, shapes_of, wide
+from sensed import TWO, measured_shapes, observations, parts_within, shapes_of, weighed, wide
 
-from ctr_nlp import Robot, Tolerances, calibrate, table_i_robot
+from ctr_nlp import Load, LoadOverTime, Robot, Tolerances, Tube, calibrate, table_i_robot
 from ctr_nlp.calibration.calibration import errors, summary_of
 from ctr_nlp.calibration.parameters import parameters_of
 from ctr_nlp.cli.measured.files import head
-from ctr_nlp.exceptions import MeasurementError, OptionError
-from ctr_nlp.models import MODELS
+from ctr_nlp.exceptions import LoadError, MeasurementError, OptionError
+from ctr_nlp.loads import with_modulus
+from ctr_nlp.models import MODELS, under
 from ctr_nlp.robot.tolerances import NAMES
 from ctr_nlp.simulation.lag import Lag, delayed
 from ctr_nlp.support.values import read_toml
@@ -59,6 +60,52 @@ def test_what_no_shape_shows_is_told_and_stays_as_it_was():
     assert zeros.sum() / 4 == pytest.approx(0.05**2 / 3 / 2, rel=0.02)
     known = calibrate(robot, measured_shapes(robot, parts_within(robot, 1), 1), held_out=0, registered=True)
     assert found.untold[1:] == known.untold
+
+
+def test_known_weights_at_the_tip_determine_the_modulus():
+    """Of tubes that are a fifth stiffer than described, and stiffer than each other by some percent, too."""
+    described = with_modulus(wide(TWO), 60_000)
+    actual = replace(
+        described,
+        tubes=tuple(
+            replace(tube, youngs_modulus=modulus)
+            for tube, modulus in zip(described.tubes, (74_000, 70_000), strict=True)
+        ),
+    )
+    found = calibrate(described, weighed(actual, described), registered=True, held_out=0)
+    standing = dict(zip(found.parameters.names, found.standing, strict=True))
+    assert standing["youngs_modulus"] == "determined"
+    moduli = [tube.youngs_modulus for tube in found.robot.tubes]
+    np.testing.assert_allclose(moduli, [74_000, 70_000], rtol=0.03)
+    root = found.robot.tolerances.root(found.robot.tubes)
+    sigma = np.sqrt(np.diag(root @ root.T)).reshape(2, -1)[:, NAMES.index("bending_stiffness")]
+    assert (sigma < 0.03).all()
+    np.testing.assert_array_less(abs(np.array(moduli) / [74_000, 70_000] - 1), 3 * sigma)
+    assert "what is common to the tubes' stiffnesses cannot be told from their modulus" in found.untold
+    assert not any("only ratios" in sentence for sentence in found.untold)
+
+
+def test_a_load_that_is_there_in_every_pose_tells_of_the_modulus_too():
+    """A single straight tube that hangs by its weight."""
+    rod = Robot((Tube(200, 150, 0.0, 1.5, 1.0),), tolerances=Tolerances(motor_zero=0.01))
+    weight, q = Load(densities=21.0, down=(0, 1, 0)), np.array([[0.0, beta, 0.0, 0.0] for beta in (80, 110, 150)])
+    model, soft = under("elastic", weight), with_modulus(rod, 1_000)
+    points = model.points(soft, np.array([model.rest(soft, row) for row in q]), np.linspace(0.25, 1, 4))
+    seen = observations(q, points, np.linspace(0.25, 1, 4))
+    found = calibrate(with_modulus(rod, 1_300), seen, ["youngs_modulus"], model=model, registered=True, held_out=0)
+    assert found.robot.tubes[0].youngs_modulus == pytest.approx(1_000, rel=2e-3)
+
+
+def test_what_forces_need_is_asked_for():
+    seen = weighed(with_modulus(TWO, 60_000), with_modulus(TWO, 60_000), 6)
+    with pytest.raises(LoadError, match="modul"):
+        calibrate(TWO, seen)
+    with pytest.raises(OptionError, match="youngs_modulus shows under loads alone"):
+        calibrate(with_modulus(TWO, 60_000), replace(seen, force=np.zeros(3)), ["youngs_modulus"])
+    with pytest.raises(OptionError, match="dominant"):
+        calibrate(with_modulus(TWO, 60_000), seen, model="dominant")
+    with pytest.raises(LoadError, match="over time"):
+        calibrate(with_modulus(TWO, 60_000), seen, model=under("elastic", LoadOverTime([Load(), Load()], [0, 1])))
 
 
 def test_lengths_that_never_come_out_are_held_and_named():

@@ -34,6 +34,14 @@ def test_columns_are_read_in_any_order_and_empty_cells_were_not_measured(tmp_pat
     assert found.fresh.all()
 
 
+def test_forces_at_the_tip_are_known_and_none_act_where_there_are_no_columns(tmp_path):
+    found = read(tmp_path, f"{AXES},tip_x,force_y,force_z", f"{ROW},1,0.5,-1", f"{ROW},1,0,0")
+    np.testing.assert_array_equal(found.force, [[0, 0.5, -1], [0, 0, 0]])
+    assert found.repeated == 0
+    assert found.pushed
+    assert not read(tmp_path, f"{AXES},tip_x", f"{ROW},1").pushed
+
+
 def test_a_quaternion_turns_the_z_axis_to_the_direction_of_the_tip(tmp_path):
     half = np.sqrt(0.5)
     found = read(tmp_path, f"{AXES},tip_qw,tip_qx,tip_qy,tip_qz", f"{ROW},{half},0,{half},0")
@@ -68,6 +76,11 @@ def test_several_files_are_recordings(tmp_path):
         ([f"{AXES},tip_x", f"{ROW}"], "line 2 of .* has 4 cells; the first line names 5"),
         ([f"{AXES},tip_x", f"{ROW},1", f"{ROW},1e"], "tip_x in line 3 of .* is '1e'; it must be a number"),
         ([f"{AXES},tip_x", f"{ROW},inf"], "tip_x in line 2 of .* is 'inf'"),
+        ([f"{AXES},tip_x,force_x", f"{ROW},1,"], "force_x in line 2 of .* is empty; write 0 where nothing pulls"),
+        (
+            [f"{AXES},tip_x,force_x", f"{ROW},1,150"],
+            r"force_x, force_y, force_z in line 2 of .* are \[150.0, 0.0, 0.0\] N; .* at most 100 N.* of a gram",
+        ),
         ([f"{AXES},tip_x", "0.1,,30,80,1"], "alpha_2 in line 2 of .* is empty"),
         (
             [f"{AXES},tip_x", "0.1,0,90,80,1"],

@@ -1,13 +1,17 @@
 """Predicted measurements, and their derivatives against differences."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from sensed import TWO, observations, parts_within, shapes_of
 
-from ctr_nlp.calibration.parameters import KINDS, parameters_of
+from ctr_nlp import Load
+from ctr_nlp.calibration.parameters import KINDS, MODULUS, OFFSET, parameters_of
 from ctr_nlp.calibration.prediction import Prediction, flat_measured, registered_to
-from ctr_nlp.models import MODELS
+from ctr_nlp.loads import with_modulus
+from ctr_nlp.models import MODELS, under
 from ctr_nlp.robot.tolerances import NAMES
 
 RANDOM = np.random.default_rng(5)
@@ -38,9 +42,25 @@ def values_of(parameters):
 def test_derivatives_are_those_of_differences(model):
     robot = TWO.with_limits(beta=[(0, 60), (0, 150)])
     seen = measured(motion())
-    parameters = parameters_of(robot, seen, KINDS)
+    parameters = parameters_of(robot, seen, [kind for kind in KINDS if kind != MODULUS])
     assert len(parameters) == 2 * 8 + 2 + 2 * 6
-    prediction, values = Prediction(parameters, seen, MODELS[model]), values_of(parameters)
+    compare(parameters, seen, MODELS[model])
+
+
+@pytest.mark.parametrize("timed", [True, False])
+@pytest.mark.parametrize("load", [Load(), Load(densities=6.45, down=(0, 1, 0))], ids=["forces", "weight too"])
+def test_derivatives_under_forces_are_those_of_differences(load, timed):
+    robot = with_modulus(TWO.with_limits(beta=[(0, 60), (0, 150)]), 60_000)
+    seen = replace(measured(motion()), force=0.1 * RANDOM.standard_normal((COUNT, 3)))
+    if not timed:
+        seen = replace(seen, time=np.full(COUNT, np.nan))
+    kinds = KINDS if timed else (*NAMES, MODULUS, OFFSET)
+    compare(parameters_of(robot, seen, kinds, bears=True), seen, under("elastic", load))
+
+
+def compare(parameters, seen, model):
+    """Derivatives with differences of predictions."""
+    prediction, values = Prediction(parameters, seen, model), values_of(parameters)
     found, changes = prediction.with_changes(values)
     np.testing.assert_array_equal(found.flat(), prediction.seen(values).flat())
     for k, name in enumerate(parameters.names):

@@ -5,10 +5,11 @@ import json
 
 import numpy as np
 import pytest
-from sensed import TWO, measured_shapes, parts_within
+from sensed import TWO, measured_shapes, parts_within, weighed
 
 from ctr_nlp import Robot
 from ctr_nlp.cli.main import main
+from ctr_nlp.loads import with_modulus
 
 
 def run(*arguments):
@@ -55,6 +56,27 @@ def test_a_robot_is_written_with_what_is_left_to_doubt(files, tmp_path, capsys):
     assert {row["fold"] for row in rows} == {"1", "2"}
     with open(out / "next.csv", newline="") as file:
         assert [float(row["left"]) < 1 for row in csv.DictReader(file)] == [True, True]
+
+
+def test_weights_at_the_tip_tell_of_the_modulus(tmp_path, monkeypatch, capsys):
+    """The robot file tells only ratios of moduli, so that a first value is asked for."""
+    monkeypatch.chdir(tmp_path)
+    seen = weighed(with_modulus(TWO, 70_000), with_modulus(TWO, 60_000), 12)
+    names = [f"p{k}_{axis}" for k in range(1, 5) for axis in ("x", "y", "z", "sigma")]
+    points = np.concatenate([seen.points, seen.sigma[..., None]], axis=2).reshape(12, -1)
+    with open("measured.csv", "w", newline="") as file:
+        rows = np.hstack([seen.q, seen.force, points]).tolist()
+        csv.writer(file).writerows([[*TWO.axes, "force_x", "force_y", "force_z", *names], *rows])
+    (tmp_path / "robot.toml").write_text(TWO.to_toml())
+    asked = "calibrate", "measured.csv", "--robot", "robot.toml", "--registered", "--folds", 0, "--no-figures"
+    assert run(*asked, "--out", "none") == 2
+    assert "--youngs-modulus" in capsys.readouterr().err
+    assert run(*asked, "--youngs-modulus", 60_000, "--out", "out") == 0
+    assert "youngs_modulus" in capsys.readouterr().out
+    moduli = [tube.youngs_modulus for tube in Robot.from_toml(tmp_path / "out" / "robot.toml").tubes]
+    np.testing.assert_allclose(moduli, 70_000, rtol=0.05)
+    with open(tmp_path / "out" / "residuals.csv", newline="") as file:
+        assert [float(row["force_z"]) for row in csv.DictReader(file)][:3] == [0, 0, 1]
 
 
 def test_without_pictures_and_folds_nothing_is_drawn_or_held_out(files, tmp_path):

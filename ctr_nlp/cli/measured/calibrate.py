@@ -13,9 +13,11 @@ from ctr_nlp.calibration.parameters import BASE, KINDS
 from ctr_nlp.calibration.reading import read_measurements
 from ctr_nlp.cli.arguments import add_figures_option, add_out_option, whole
 from ctr_nlp.cli.console import SOLVED, Command
+from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, asked_model
 from ctr_nlp.cli.measured.files import account, as_json, head, table, write_next, write_residuals
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.telling import console, print_table, progress_bar, wrote
+from ctr_nlp.loads import with_modulus
 from ctr_nlp.models import MODELS
 from ctr_nlp.robot import Robot
 
@@ -29,11 +31,12 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
         description="Find a robot's tubes and its motors' zeros from measured tips, tip poses or points of its "
-        "shape; with time, also the lag of its rotations and the delay of the sensor. Write robot.toml, whose "
-        "tolerances are the covariance of what is left to doubt (`ctr-nlp plan --robot DIR/robot.toml --robust` "
-        "plans for it), calibration.json, residuals.csv and pictures. What the data cannot tell is said, and "
-        "stays as it was before.",
-        epilog="Columns: alpha_1.., beta_1.. (theta_x, theta_y), time_s of a motion; tip_x, tip_y, tip_z; the "
+        "shape; with time, also the lag of its rotations and the delay of the sensor; with known weights at its "
+        "tip, also how stiff it is. Write robot.toml, whose tolerances are the covariance of what is left to "
+        "doubt (`ctr-nlp plan --robot DIR/robot.toml --robust` plans for it), calibration.json, residuals.csv and "
+        "pictures. What the data cannot tell is said, and stays as it was before.",
+        epilog="Columns: alpha_1.., beta_1.. (theta_x, theta_y), time_s of a motion; force_x, force_y, force_z, "
+        "what pulls at the tip, N, in the axes of the base; tip_x, tip_y, tip_z; the "
         "rotation of axes at the tip, z along the robot, as tip_qw, tip_qx, tip_qy, tip_qz; points p1_x, p1_y, "
         "p1_z with p1_sigma or arc length p1_s, p2_x ..; mm, rad and s. An empty cell was not measured. Exit "
         "status: 0 written, 2 bad input, nothing written, 130 interrupted, nothing written.",
@@ -43,12 +46,15 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     what = "the robot as described; its tolerances say how well that is known"
     parser.add_argument("--robot", metavar="ROBOT.toml", required=True, help=what)
     what = (
-        f"what to estimate, of {', '.join(KINDS)} (default: what has a tolerance, and of a motion lag and delay)"
+        f"what to estimate, of {', '.join(KINDS)} (default: what has a tolerance, under a load the modulus, and "
+        "of a motion lag and delay)"
     )
     parser.add_argument("--estimate", metavar="NAME", nargs="+", help=what)
     what = "measurements are in the axes of the robot's base; else its pose is estimated, in every recording"
     parser.add_argument("--registered", action="store_true", help=what)
     parser.add_argument("--model", choices=sorted(MODELS), default="elastic", help="default: elastic")
+    add_load_options(parser, required=False)
+    add_modulus_option(parser)
     what = f"folds for errors on what the fit did not see, 0 for none (default {FOLDS})"
     parser.add_argument("--folds", metavar="N", type=whole, default=FOLDS, help=what)
     what = f"seconds of a motion that stay together in a fold (default {BLOCK:g})"
@@ -62,6 +68,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
 
 def _run(arguments: argparse.Namespace) -> int:
     out, robot = Path(arguments.out), Robot.from_toml(arguments.robot)
+    if arguments.youngs_modulus is not None:
+        robot = with_modulus(robot, arguments.youngs_modulus)
     measured = read_measurements(arguments.measured, robot)
     check_folder(out, "calibration")
     with progress_bar() as labelled:
@@ -69,7 +77,7 @@ def _run(arguments: argparse.Namespace) -> int:
             robot,
             measured,
             arguments.estimate,
-            model=arguments.model,
+            model=asked_model(arguments.model, arguments),
             registered=arguments.registered,
             held_out=arguments.folds,
             block=arguments.block,

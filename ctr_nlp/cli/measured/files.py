@@ -11,6 +11,7 @@ import numpy.typing as npt
 from ctr_nlp.calibration.calibration import Calibration, errors, summary_of
 from ctr_nlp.calibration.parameters import LAGS
 from ctr_nlp.calibration.prediction import flat_measured
+from ctr_nlp.calibration.reading import FORCE
 from ctr_nlp.simulation.lag import NAMES as LAG_PARTS
 from ctr_nlp.support.tables import by_line, write_csv
 from ctr_nlp.support.values import strict_json
@@ -69,6 +70,7 @@ def write_residuals(found: Calibration, path: Path) -> None:
     columns: dict[str, npt.NDArray[Any]] = {"recording": measured.recording + 1, "fold": found.fold + 1}
     columns |= {"time_s": measured.time} if measured.timed else {}
     columns |= {axis: measured.q[:, k] for k, axis in enumerate(axes)}
+    columns |= dict(zip(FORCE, measured.force.T, strict=True)) if measured.pushed else {}
     points = [f"p{k + 1}" for k in range(measured.sigma.shape[1])]
     names = [f"residual_{place}_{axis}" for place in ("tip", "tip_direction", *points) for axis in "xyz"]
     seen = np.flatnonzero(np.isfinite(flat_measured(measured)).any(axis=0))

@@ -201,9 +201,15 @@ class Loaded(Model):
     ) -> list[Followed]:
         """As Model.follow_apart."""
         acting = self.acting_apart(len(numbers), self.load.over(structure.d, way.parts))
+        return self.follow_under(acting, structure, numbers, way, q, margins)
+
+    def follow_under(
+        self, loads: Array, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True
+    ) -> list[Followed]:
+        """As Model.follow_under, of loads of its kind."""
         found = list[Followed]()
         for some in (slice(first, first + TOGETHER) for first in range(0, len(numbers), TOGETHER)):
-            follower = Follower(structure, numbers[some], self.load, acting[some])
+            follower = Follower(structure, numbers[some], self.load, loads[some])
             found += follower.followed(way, q[some], margins)
         return found
 
