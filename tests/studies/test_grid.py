@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import pytest
 
-from ctr_nlp import table_i_robot
+from ctr_nlp import Load, table_i_robot
 from ctr_nlp.cli.commands.new import template
 from ctr_nlp.cli.main import main
-from ctr_nlp.exceptions import OptionError, OutputError
+from ctr_nlp.exceptions import LoadError, OptionError, OutputError
 from ctr_nlp.studies.grid.case import DONE, FAILED, LATE, LOST, Case, row_without_plan
 from ctr_nlp.studies.grid.results import Results
 from ctr_nlp.studies.grid.study_file import Study
@@ -137,6 +137,19 @@ def test_a_digest_changes_with_all_that_a_row_depends_on(tmp_path):
     assert replace(case).digest == case.digest
 
 
+def test_robots_bear_loads_of_files(tmp_path):
+    (tmp_path / "push.toml").write_text("force = [0.0, 0.05, 0.0]\n")
+    told = SMALL | {"settings": {}, "models": "elastic", "loads": ["none", "push.toml"], "youngs_modulus": 60_000}
+    free, pushed = study(told, tmp_path).cases
+    assert (free.columns["load"], pushed.columns["load"]) == ("none", "push")
+    assert free.digest != pushed.digest
+    plan = pushed.planned(pushed.loaded())
+    assert plan.complete
+    assert plan.bears == Load(force=(0.0, 0.05, 0.0))
+    assert free.planned(free.loaded()).bears is None
+    assert pushed.row()["status"] == DONE
+
+
 @pytest.mark.parametrize(
     ("told", "message"),
     [
@@ -164,6 +177,21 @@ def test_a_digest_changes_with_all_that_a_row_depends_on(tmp_path):
 def test_what_a_study_cannot_be_is_refused(told, message, tmp_path):
     with pytest.raises(OptionError, match=message):
         study(told, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("told", "message"),
+    [
+        ({"models": "elastic", "loads": ["nowhere.toml"]}, "nowhere.toml"),
+        ({"models": "dominant", "loads": ["push.toml"]}, "a load does not go with the dominant model"),
+        ({"loads": [3]}, "a load of a study is 3"),
+        ({"youngs_modulus": 60}, "youngs_modulus of a robot is 60; .* 60000 MPa"),
+    ],
+)
+def test_loads_that_no_robot_can_bear_are_refused(told, message, tmp_path):
+    (tmp_path / "push.toml").write_text("force = [0.0, 0.05, 0.0]\n")
+    with pytest.raises((LoadError, OptionError), match=message):
+        study(SMALL | told, tmp_path)
 
 
 def test_rows_are_read_back_whatever_columns_they_have(tmp_path):

@@ -14,6 +14,8 @@ from typing import Any
 from ctr_nlp.anatomy.problem_files import problem_from_file
 from ctr_nlp.exceptions import CtrError, OptionError, OutputError
 from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.loads import load_from_dict, with_modulus
+from ctr_nlp.models import model_named, under
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan, versions
 from ctr_nlp.problems import NAMES, named
@@ -29,6 +31,8 @@ METHODS = "horizon", "joint", "two-stage", "robust-horizon", "robust-joint"
 """Ways in which a case may be planned."""
 DONE, FAILED, LATE, LOST = "done", "failed", "late", "lost"
 """Words of a row's status: there is a plan, solved or not; there is none; it took too long; its workers died."""
+NO_LOAD = "none"
+"""The name of no load."""
 PATIENCE_S = "patience_s"
 """The column of rows of cases that took too long: s that they had."""
 
@@ -39,7 +43,8 @@ class Case:
     of the file, nothing for others. robot: as Robot.to_dict has it, as JSON, of a name; None for the problem's
     own. settings: names and values of Settings. draws: robots that the plan is tried on, 0 for none; seed: of
     these. walled: whether the problem keeps its wall, where it has one. measures: keys of MEASURES that are taken
-    of the plan beside its summary. options: of problem_from_file, by name.
+    of the plan beside its summary. options: of problem_from_file, by name. load: what the robot bears, as to_dict
+    of a load has it, as JSON, of a name; None for none. youngs_modulus: MPa, of a robot that tells only ratios.
     """
 
     problem: str
@@ -55,6 +60,9 @@ class Case:
     options: tuple[tuple[str, Any], ...] = ()
     walled: bool = True
     measures: tuple[str, ...] = ()
+    load_name: str = NO_LOAD
+    load: str | None = None
+    youngs_modulus: float | None = None
 
     @cached_property
     def digest(self) -> str:
@@ -72,11 +80,14 @@ class Case:
         """The first columns of its row."""
         named_so = {f"set_{name}": value for name, value in self.settings}
         own = ("problem", "robot_name", "model", "method", "frames", "draws", "seed")
-        return {"digest": self.digest} | {name: getattr(self, name) for name in own} | named_so
+        found = {"digest": self.digest} | {name: getattr(self, name) for name in own}
+        return found | {"load": self.load_name} | named_so
 
     def loaded(self) -> Problem:
         """The problem with its robot; raises CtrError."""
         problem = self._loaded()
+        if self.youngs_modulus is not None:
+            problem = replace(problem, robot=with_modulus(problem.robot, self.youngs_modulus))
         return problem if self.walled else replace(problem, lumen=None)
 
     def _loaded(self) -> Problem:
@@ -90,13 +101,15 @@ class Case:
 
     def planned(self, problem: Problem) -> Plan:
         """The plan of the problem as it was loaded, tried on draws where there are any; raises CtrError."""
-        settings = Settings(**dict(self.settings))
+        settings, model = Settings(**dict(self.settings)), model_named(self.model)
+        if self.load is not None:
+            model = under(model, load_from_dict(json.loads(self.load)))
         made: dict[str, Callable[[], Plan]] = {
-            "horizon": lambda: solve_horizon(problem, model=self.model, settings=settings),
-            "robust-horizon": lambda: solve_robust(problem, model=self.model, settings=settings),
-            "robust-joint": lambda: solve_robust_per_frame(problem, model=self.model, settings=settings),
+            "horizon": lambda: solve_horizon(problem, model=model, settings=settings),
+            "robust-horizon": lambda: solve_robust(problem, model=model, settings=settings),
+            "robust-joint": lambda: solve_robust_per_frame(problem, model=model, settings=settings),
         }
-        by_frame = partial(solve_per_frame, problem, self.method, model=self.model, settings=settings)
+        by_frame = partial(solve_per_frame, problem, self.method, model=model, settings=settings)
         plan = made.get(self.method, by_frame)()
         return plan.with_draws(self.draws, self.seed) if self.draws else plan
 

@@ -13,8 +13,9 @@ import numpy as np
 
 from ctr_nlp.anatomy.files import centrelines_in
 from ctr_nlp.exceptions import CtrError, OptionError
+from ctr_nlp.loads import with_modulus
 from ctr_nlp.problems import NAMES
-from ctr_nlp.robot import Robot
+from ctr_nlp.robot import Robot, table_i_robot
 from ctr_nlp.robot.draws import drawn, known_robot
 from ctr_nlp.studies.airways import SYNTHETIC
 from ctr_nlp.studies.grid.case import Case, content_of
@@ -22,7 +23,10 @@ from ctr_nlp.studies.grid.reports import REPORTS
 from ctr_nlp.studies.grid.ways import OF_WAYS, check_table, ways
 from ctr_nlp.support.values import check_choice, instance, read_toml, whole_number
 
-KEYS = ("name", "problems", "robots", *OF_WAYS, "ways", "frames", "walls", "draws", "seed", "report")
+KEYS = (
+    *("name", "problems", "robots", "youngs_modulus", *OF_WAYS, "ways"),
+    *("frames", "walls", "draws", "seed", "report"),
+)
 OF_PROBLEMS = ("names", "files", "folder", "synthetic", "options")
 OF_ROBOTS = ("files", "drawn")
 OF_DRAWN = ("of", "count", "seed")
@@ -64,12 +68,14 @@ class Study:
         """The study that a mapping describes, as of a file in a folder. Raises CtrError."""
         check_table(told, KEYS, "a study")
         problems = tuple(_problems(told.get("problems", {}), folder))
-        robots, every_way = tuple(_robots(told.get("robots", {}), folder)), tuple(ways(told))
+        robots, every_way = tuple(_robots(told.get("robots", {}), folder)), tuple(ways(told, folder))
         draws, seed = (
             whole_number(OptionError, f"{key} of a study", told.get(key, 0), 0) for key in ("draws", "seed")
         )
         frames = whole_number(OptionError, "frames of a study", told.get("frames", 100), 1)
-        walled, report = told.get("walls", True), told.get("report")
+        walled, report, modulus = told.get("walls", True), told.get("report"), told.get("youngs_modulus")
+        if modulus is not None:
+            with_modulus(table_i_robot(), modulus)  # a number that is none is refused here, not in every row
         instance(OptionError, "walls of a study", walled, bool)
         if report is not None:
             check_choice("report of a study", report, REPORTS)
@@ -89,6 +95,9 @@ class Study:
                 options if content else (),
                 walled,
                 way.measures,
+                way.load_name,
+                way.load,
+                modulus,
             )
             for (number, (problem, content)), (name, robot), way in itertools.product(
                 enumerate(problems), robots, every_way

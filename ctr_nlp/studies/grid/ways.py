@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,12 +14,13 @@ from scipy.stats import qmc
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.models import MODELS
-from ctr_nlp.studies.grid.case import METHODS
+from ctr_nlp.loads import load_from_dict, read_load
+from ctr_nlp.models import MODELS, under
+from ctr_nlp.studies.grid.case import METHODS, NO_LOAD
 from ctr_nlp.studies.grid.measures import MEASURES
-from ctr_nlp.support.values import check_choice, check_keys, whole_number
+from ctr_nlp.support.values import check_choice, check_keys, instance, whole_number
 
-OF_WAYS = ("models", "methods", "settings", "sample", "measures")
+OF_WAYS = ("models", "methods", "loads", "settings", "sample", "measures")
 OF_SAMPLE = ("method", "count", "seed", "ranges")
 SAMPLERS: Mapping[str, type[qmc.QMCEngine]] = {"sobol": qmc.Sobol, "latin-hypercube": qmc.LatinHypercube}
 """How settings may be sampled, by name."""
@@ -29,12 +32,17 @@ class Way:
 
     model: str
     method: str
+    load_name: str
+    load: str | None
     settings: tuple[tuple[str, Any], ...]
     measures: tuple[str, ...]
 
 
-def ways(told: Mapping[str, Any]) -> Iterator[Way]:
-    """Those of a study's tables [[ways]] one after the other, or of the study itself; raises OptionError."""
+def ways(told: Mapping[str, Any], folder: Path) -> Iterator[Way]:
+    """Those of a study's tables [[ways]] one after the other, or of the study itself, whose files are in a folder.
+
+    Raises LoadError, OptionError.
+    """
     tables = told.get("ways")
     if tables is None:
         tables = [{name: told[name] for name in OF_WAYS if name in told}]
@@ -46,10 +54,22 @@ def ways(told: Mapping[str, Any]) -> Iterator[Way]:
         for name in measures:
             check_choice("a measure of a study", name, MEASURES)
         models, methods = table.get("models", ["dominant"]), table.get("methods", ["horizon"])
-        for model, method, settings in itertools.product(_listed(models), _listed(methods), _settings(table)):
+        loads = [_load(name, folder) for name in _listed(table.get("loads", [NO_LOAD]))]
+        each = _listed(models), _listed(methods), loads, _settings(table)
+        for model, method, (name, load), settings in itertools.product(*each):
             check_choice("a model of a study", model, MODELS)
             check_choice("a method of a study", method, METHODS)
-            yield Way(model, method, settings, measures)
+            if load is not None:
+                under(model, load_from_dict(load))
+            yield Way(model, method, name, None if load is None else json.dumps(load), settings, measures)
+
+
+def _load(name: Any, folder: Path) -> tuple[str, dict[str, Any] | None]:
+    """What a load of a study is called, and what to_dict makes of it; None for none."""
+    instance(OptionError, "a load of a study", name, str)
+    if name == NO_LOAD:
+        return NO_LOAD, None
+    return Path(name).stem, read_load(folder / name).to_dict()
 
 
 def check_table(told: Any, allowed: Sequence[str], of: str) -> None:
