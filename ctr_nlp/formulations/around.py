@@ -12,9 +12,8 @@ from ctr_nlp.codegen import cache, vector
 from ctr_nlp.codegen.background import Library
 from ctr_nlp.formulations.terms import Bears
 from ctr_nlp.formulations.terms.lumen import CENTRED, COLUMNS, FIRM, PLACES
-from ctr_nlp.loads.load import BEFORE_WEIGHTS
 from ctr_nlp.models import Model
-from ctr_nlp.models.protocol import symbolic_tubes
+from ctr_nlp.models.protocol import frame_bearing, symbolic_tubes
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import NUMBERS, Structure
 from ctr_nlp.solvers.frame.adapter import Surroundings
@@ -176,9 +175,7 @@ def points_at(model: Model, structure: Structure, samples: int) -> ca.Function:
     """
     shares, numbers = ca.SX.sym("shares", samples, structure.d), ca.SX.sym("numbers", structure.d, len(NUMBERS))
     tubes = symbolic_tubes(structure, numbers)
-    at = structure, tubes, lambda beta: shares @ ca.vertcat(*beta)
-    load = ca.SX.sym("load", BEFORE_WEIGHTS + 3 * structure.d)
-    shape = model.frame(*at) if model.bears is None else model.frame_under(load, *at)
+    shape, load = frame_bearing(model, structure, tubes, lambda beta: shares @ ca.vertcat(*beta))
     given = [shape.x, shares, numbers] + [load] * (model.bears is not None)
     symbols, values = shape.inner.columns
     (found,) = ca.substitute([ca.SX(ca.horzcat(*shape.placed(shape.points)))], [symbols], [values])

@@ -18,14 +18,18 @@ from ctr_nlp.typing import Array, Index
 
 ZERO, LAG = NAMES[-1], "rotation_lag"
 """The names of a motor's zero and of a tube's lag behind it."""
+FORCE = "force_x", "force_y", "force_z"
+"""What pushes at the tip, N, in the directions of the base; of no tube."""
+NO_TUBE = -1
+"""What stands in the place of a tube's number."""
 
 
 @dataclass(frozen=True, eq=False)
 class Differences:
-    """The k differences of a robot whose tolerances are not 0: of tubes, then of zeros, then lags.
+    """The k differences of a robot whose tolerances are not 0: of tubes, then zeros, a force at the tip, and lags.
 
-    places: the tube, from 0, and the name of each, as robot.tolerances has them. mean (k,), covariance (k, k):
-    what is known before anything is measured, in parts, mm and rad.
+    places: the tube, from 0, and the name of each, as robot.tolerances has them, or one of FORCE. mean (k,),
+    covariance (k, k): what is known before anything is measured, in parts, mm, rad and N.
     """
 
     robot: Robot
@@ -38,20 +42,22 @@ class Differences:
         """What tolerances allow, None for the robot's own; raises RobotError, and OptionError where they are all
         0.
 
-        A lag is uniform between 0 and its tolerance.
+        A lag is uniform between 0 and its tolerance; a force at the tip is as large as may be, from any side.
         """
         allowed, d = robot.tolerances if tolerances is None else tolerances, robot.d
         bands, lags, root = allowed.bands(robot.tubes), allowed.lags(d), allowed.root(robot.tubes)
         order = [(i, k) for k in range(len(NAMES)) for i in range(d) if bands[i, k] > 0]
         rows = [i * len(NAMES) + k for i, k in order]
-        late = np.flatnonzero(lags)
-        places = (*((i, NAMES[k]) for i, k in order), *((int(i), LAG) for i in late))
+        late, force = np.flatnonzero(lags), FORCE * (allowed.tip_force > 0)
+        forces = ((NO_TUBE, name) for name in force)
+        places = (*((i, NAMES[k]) for i, k in order), *forces, *((int(i), LAG) for i in late))
         if not places:
             raise OptionError("tolerances of the robot are all 0: there is nothing that measurements could tell")
         covariance = np.zeros((len(places), len(places)))
         covariance[: len(rows), : len(rows)] = (root @ root.T)[np.ix_(rows, rows)]
-        covariance[len(rows) :, len(rows) :] = np.diag(lags[late] ** 2 / 12)
-        return cls(robot, places, np.concatenate([np.zeros(len(rows)), lags[late] / 2]), covariance)
+        others = np.concatenate([np.full(len(force), allowed.tip_force**2 / 3), lags[late] ** 2 / 12])
+        covariance[len(rows) :, len(rows) :] = np.diag(others)
+        return cls(robot, places, np.concatenate([np.zeros(len(rows) + len(force)), lags[late] / 2]), covariance)
 
     def __len__(self) -> int:
         return len(self.places)
@@ -71,6 +77,11 @@ class Differences:
         """The same of lags."""
         return self._of(LAG)
 
+    @cached_property
+    def forced(self) -> Index:
+        """Where the components of the force stand in the vector, none where none may act."""
+        return np.array([k for k, (_, name) in enumerate(self.places) if name in FORCE], dtype=int)
+
     def _of(self, name: str) -> tuple[Index, Index]:
         found = [(k, tube) for k, (tube, other) in enumerate(self.places) if other == name]
         rows = np.array(found, dtype=int).reshape(-1, 2)
@@ -84,7 +95,7 @@ class Differences:
             for column in CHANGED[name]:
                 at = NUMBERS.index(column)
                 found[k, tube, at] = 1.0 if name == "curved_length" else self.robot.numbers[tube, at]
-        return found.reshape(len(self.freed), -1)
+        return found.reshape(len(self.freed), self.robot.numbers.size)
 
     def numbers(self, values: Array) -> Array:
         """Of the tubes (d, 8) at a vector (k,): those of draws, without their bounds."""
@@ -105,17 +116,18 @@ class Differences:
 
     @cached_property
     def over(self) -> Index:
-        """Over which of alpha, beta, theta and the freed each of them acts on shapes."""
-        freed = 2 * self.robot.d + 2 + np.arange(len(self.freed))
-        return np.concatenate([freed, self.zeros[1], self.late[1]])
+        """Over which of alpha, beta, theta, the freed and the force each of them acts on shapes."""
+        after = 2 * self.robot.d + 2
+        freed, force = after + np.arange(len(self.freed)), after + len(self.freed) + np.arange(len(self.forced))
+        return np.concatenate([freed, self.zeros[1], force, self.late[1]])
 
     def draws(self, values: Array) -> Draws:
-        """The robots (n,) of vectors (n, k)."""
+        """The robots (n,) of vectors (n, k), without forces."""
         parts, lags = np.zeros((len(values), self.robot.d, len(NAMES))), np.zeros((len(values), self.robot.d))
         for k, (tube, name) in enumerate(self.places):
             if name == LAG:
                 lags[:, tube] = np.maximum(values[:, k], 0.0)
-            else:
+            elif name not in FORCE:
                 parts[:, tube, NAMES.index(name)] = values[:, k]
         return drawn_from(self.robot, parts, lags)
 
@@ -124,7 +136,7 @@ class Differences:
 
         Raises RobotError where no such tubes can be made.
         """
-        d, among = self.robot.d, [k for k, (_, name) in enumerate(self.places) if name != LAG]
+        d, among = self.robot.d, [k for k, (_, name) in enumerate(self.places) if name in NAMES]
         places = [tube * len(NAMES) + NAMES.index(name) for tube, name in (self.places[k] for k in among)]
         parts, left = np.zeros(d * len(NAMES)), np.zeros((d * len(NAMES), d * len(NAMES)))
         parts[places] = values[among]
@@ -134,7 +146,6 @@ class Differences:
         return replace(found, limits=replace(found.limits, alpha=tuple(alpha)))
 
     def told(self, values: Sequence[float]) -> dict[str, float]:
-        """Values (k,) by name, as "curvature of tube 1"."""
-        return {
-            f"{name} of tube {tube + 1}": float(v) for (tube, name), v in zip(self.places, values, strict=True)
-        }
+        """Values (k,) by name, as "curvature of tube 1" or "force_x"."""
+        names = [name if name in FORCE else f"{name} of tube {tube + 1}" for tube, name in self.places]
+        return dict(zip(names, map(float, values), strict=True))

@@ -1,4 +1,4 @@
-"""What measurements say of a robot's tubes, zeros and lags: an extended Kalman filter over its differences."""
+"""What measurements say of a robot's tubes, zeros, lags and tip force: an extended Kalman filter over these."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import lapack
 
+from ctr_nlp.loads import steady
 from ctr_nlp.loops.differences import Differences
 from ctr_nlp.loops.prediction import Predicted, Predictor
 from ctr_nlp.loops.recalled import Recalled, Record
@@ -61,6 +62,8 @@ class Observer:
         self.mean, self.covariance = differences.mean.copy(), differences.covariance.copy()
         self._described, self._d = differences.robot.numbers, differences.robot.d
         self._structure = differences.draws(self.mean[None]).structure
+        load = None if model.bears is None else steady(model.bears, "an observer")
+        self._borne = np.zeros(0) if load is None else load.numbers(self._d)
         self._behind, self._engaged = np.zeros((2, self._d))
         self.q = np.zeros(len(differences.robot.axes))
         self._recalled = Recalled()
@@ -73,6 +76,8 @@ class Observer:
     def _take_mean(self) -> None:
         of = self.differences
         self._numbers, self._offsets, self._lags = (take(self.mean) for take in (of.numbers, of.offsets, of.lags))
+        self._load = self._borne.copy()
+        self._load[: len(of.forced)] += self.mean[of.forced]
 
     @property
     def walker(self) -> Walker:
@@ -97,7 +102,7 @@ class Observer:
     def at(self, walker: Walker) -> tuple[Predicted, float]:
         """What is predicted of the estimated robot where a walker stands, and the margin there."""
         margin = walker.margin()
-        return self._predict(walker.x, self._numbers, self._described, margin), margin
+        return self._predict(walker.x, self._numbers, self._described, margin, self._load), margin
 
     def deviation(self, of_margin: Array) -> float:
         """That of the margin, by what is not known: of_margin as Predicted has it."""
@@ -131,9 +136,21 @@ class Observer:
         self._engaged = np.where(self._behind != free, np.sign(self._behind), self._engaged)
         self.q = np.array(q)
         if self._walker is not None:
-            return self._walker.go(self.tubes)
+            return self._ended(self._walker.go(self.tubes))
         self._walker = self._model.walker(self._structure, self._numbers, self.tubes)
-        return []
+        return self._ended(self._walker.bear(self._load) if len(self.differences.forced) else [])
+
+    def _ended(self, fell: list[Array]) -> list[Array]:
+        """By what tips jumped; NaN once where it is not known where they came to, as under a load."""
+        gone = np.isnan(self.walker.x).any() and not (fell or self.jumps)
+        return [np.full(self._d, np.nan)] if gone else fell
+
+    def _become(self, x: Array | None = None) -> list[Array]:
+        """The walker goes on as the robot that is estimated now, about at x (n_x,); by what its tips jumped."""
+        fell = self.walker.become(self._numbers, x)
+        if len(self.differences.forced):
+            fell = [*fell, *self.walker.bear(self._load)]
+        return [*fell, *self.walker.go(self.tubes)]
 
     def led(self, places: Array) -> None:
         """The motors pass places (n, 2d + 2), of which nothing is predicted."""
@@ -159,7 +176,7 @@ class Observer:
         for part in LIKELY:
             self._walker = stood.copy()
             self._shifted(part * towards)
-            before = [*self._walker.become(self._numbers), *self._walker.go(self.tubes)]
+            before = self._become()
             if not before and np.isfinite(self._walker.x).all():
                 self.rival, self._odds = rival._fallen(fell), 0.0
                 return
@@ -262,8 +279,8 @@ class Observer:
         self._walker, self.covariance = self.walker.copy(), covariance
         self._shifted(change)
         x = self._walker.x.copy()
-        x[:d] += change[:freed] @ self._of_phi[2 * d + 2 :]
-        fell = [*self._walker.become(self._numbers, x), *self._walker.go(self.tubes)]
+        x[:d] += change[:freed] @ self._of_phi[2 * d + 2 : 2 * d + 2 + freed]
+        fell = self._become(x)
         if fell or not np.isfinite(self._walker.x).all():
             self.__dict__.update(before)
             self.refused += 1

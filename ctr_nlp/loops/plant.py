@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import casadi as ca
@@ -13,10 +14,11 @@ import numpy.typing as npt
 
 from ctr_nlp.codegen.mapped import Mapped
 from ctr_nlp.codegen.vector import LANES, SAME
-from ctr_nlp.exceptions import RobotError
+from ctr_nlp.exceptions import LoadError, RobotError
+from ctr_nlp.loads import steady
 from ctr_nlp.loops.machine import machine_code
 from ctr_nlp.loops.sensors import Seen
-from ctr_nlp.models import Model, model_named
+from ctr_nlp.models import Model, model_named, under
 from ctr_nlp.models.protocol import samples
 from ctr_nlp.models.walker import Walker
 from ctr_nlp.robot import Robot
@@ -65,16 +67,12 @@ class Plant:
 
         bending: how far along x and y the tip is bent away, mm, where the robot is all out, by what the model does
         not know; elsewhere in proportion to the square of arc length. lag: of the tubes in place of the draw's,
-        with which tubes stand where motors do at the first q; None for the draw's. Raises RobotError, OptionError.
+        with which tubes stand where motors do at the first q; None for the draw's. A force of the draw acts at its
+        tip all the time, beside what robots on the model bear. Raises LoadError, OptionError, RobotError.
         """
         if len(draw) != 1:
             raise RobotError(f"a plant is one robot, and {len(draw)} draws are given")
-        if draw.forces.any():
-            raise RobotError(
-                "a draw for a plant bears a force at its tip, and plants know none; leave tip_force out of the "
-                "robot's tolerances"
-            )
-        self._model = model_named(model)
+        self._model = _bearing(model_named(model), draw.forces[0])
         self._model.check(robot)
         if lag is not None:
             lag.check(robot)
@@ -84,6 +82,8 @@ class Plant:
         size = 2 * robot.d + 2
         self._steps = np.broadcast_to(np.asarray(steps, dtype=float), (size,))
         self._bent = floats(RobotError, "bending", bending, (2,))
+        load = np.zeros(0) if self._model.bears is None else steady(self._model.bears, "a plant").numbers(robot.d)
+        self._given = np.concatenate([self._numbers.ravel("F"), load])
         self._view = _view(self._model, self._structure)
         self._walker: Walker | None = None
         self.history = list[Moved]()
@@ -151,7 +151,7 @@ class Plant:
         self._view.inputs[1][0] = np.resize(sigma, LANES * EACH)
         points, tangents = (
             found.reshape(LANES, 3, EACH).swapaxes(1, 2).reshape(-1, 3)[:count]
-            for found in self._view(x, self._numbers.ravel("F"))
+            for found in self._view(x, self._given)
         )
         if self._bent.any():
             s, aside = sigma * x[2 * d - 1], np.append(self._bent, 0.0) / self._reach**2
@@ -161,15 +161,31 @@ class Plant:
         return points, tangents
 
 
+def _bearing(model: Model, force: Array) -> Model:
+    """A model of robots that bear a force (3,), N, at the tip beside what they bear on it.
+
+    Raises LoadError where that changes over time, turns with the tool, or is told of no modulus.
+    """
+    if not force.any():
+        return model
+    load = steady(model.bears, "a plant")
+    if load.axes == "tool" and any((*load.force, *load.moment)):
+        raise LoadError("a force that a draw bears at its tip does not go beside a load in the axes of the tool")
+    pushed = replace(load, axes="base", force=tuple(np.add(load.force, force)))
+    return under(model, pushed)
+
+
 def _view(model: Model, structure: Structure) -> Mapped:
-    """(x, sigma (EACH,), numbers (d, 8)) -> points and tangents (EACH, 3) in columns, in each of several lanes."""
-    return Mapped(_compiled_view(model, structure), 1)
+    """(x, sigma (EACH,), numbers (d, 8) and load) -> points and tangents (EACH, 3) in columns, in each of several
+    lanes.
+    """
+    return Mapped(_compiled_view(model.form, structure), 1)
 
 
 @functools.lru_cache(maxsize=16)
 def _compiled_view(model: Model, structure: Structure) -> ca.Function:
     of = samples(model, structure, EACH)
-    given = [ca.SX.sym(of.name_in(i), *of.size_in(i)) for i in range(3)]
-    found = [ca.densify(each) for each in of(*given)]
-    names = [f"{SAME}x", "sigma", f"{SAME}numbers"], ["points", "tangents"]
-    return machine_code(ca.Function("view", given, found, *names), LANES)
+    x, sigma, *given = (ca.SX.sym(of.name_in(i), *of.size_in(i)) for i in range(4))
+    found, names = of(x, sigma, *given), ([f"{SAME}x", "sigma", f"{SAME}given"], ["points", "tangents"])
+    inputs = [x, sigma, ca.vertcat(*(ca.vec(each) for each in given))]
+    return machine_code(ca.Function("view", inputs, [ca.densify(each) for each in found], *names), LANES)

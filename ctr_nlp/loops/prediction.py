@@ -1,14 +1,16 @@
-"""The shape of a robot at places of its own, and how it changes with motors and tubes, as machine code.
+"""The shape of a robot at its own places, and how it changes with motors, tubes and a tip force, in machine code.
 
-With x = (phi, rest) the unknowns of a model and alpha(x; tubes) the motors' angles, a shape p(x; tubes) changes at
-held alpha and rest by dp = (p_tubes - p_phi A alpha_tubes) dtubes, A = (alpha_phi)^-1, and with the motors by
-p_phi A dalpha + (p_rest - p_phi A alpha_rest) drest. With D the determinant that vanishes where its margin mu is
-the smallest eigenvalue, mu changes by -D_x / D_mu and -D_tubes / D_mu.
+Let y be those unknowns x of a model that are no part of the configuration, and c(x; tubes, force) what of the
+configuration x does not hold: the motors' angles and, of loaded robots, the tilt. A shape p(x; tubes, force)
+changes at held motors by dp = p_tubes dtubes + p_y dy with dy = -A c_tubes dtubes, A = (c_y)^-1, likewise with the
+force, and with motors by p_y A dc, or where x holds them by p_rest - p_y A c_rest. With D the determinant that
+vanishes where its margin mu is the smallest eigenvalue, mu changes by -D_x / D_mu and -D_tubes / D_mu.
 """
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import casadi as ca
@@ -18,7 +20,7 @@ from ctr_nlp.codegen.mapped import Mapped
 from ctr_nlp.codegen.vector import LANES, SAME
 from ctr_nlp.loops.machine import machine_code
 from ctr_nlp.models import Model
-from ctr_nlp.models.protocol import symbolic_tubes
+from ctr_nlp.models.protocol import Shape, frame_bearing, symbolic_tubes
 from ctr_nlp.robot.structure import NUMBERS, Structure
 from ctr_nlp.robot.tolerances import NAMES
 from ctr_nlp.typing import Array
@@ -26,9 +28,9 @@ from ctr_nlp.typing import Array
 TUBE_PARTS = NAMES[:-1]
 """Of NAMES, what changes numbers of tubes; the last is the motor's zero, which changes alpha."""
 
-LARGEST = 1 - 1e-6
+LARGEST = 1 - 1e-4
 """The margin at which slopes are taken where it is larger: at 1, where tubes do not act on each other, the
-determinant has none."""
+determinant has none, and near to it under a load nothing but rounding."""
 
 CHANGED = {
     "curvature": ("root_curvature", "tip_curvature"),
@@ -40,7 +42,8 @@ CHANGED = {
 
 
 class Predicted(NamedTuple):
-    """A shape at n places, and its slopes over alpha, beta, theta and the freed parts of tubes, k in all.
+    """A shape at n places, and its slopes over alpha, beta, theta, the freed parts of tubes and, of robots that a
+    force pushes, its three components in N, k in all.
 
     points (n, 3) mm; tangents (n, 3), unit vectors. Slopes: of_points, of_tangents (k, n, 3); of_phi (k, d): of
     the unknown tips' angles; of_margin (k,), NaN where nothing can be unstable.
@@ -58,20 +61,29 @@ class Predictor:
     """Evaluates Predicted for robots of a structure; what a call returns is overwritten by the next."""
 
     def __init__(
-        self, model: Model, structure: Structure, sigma: Array, freed: tuple[tuple[int, str], ...]
+        self,
+        model: Model,
+        structure: Structure,
+        sigma: Array,
+        freed: tuple[tuple[int, str], ...],
+        pushed: bool = False,
     ) -> None:
         """Compile, where that can be done, and wait for it; sigma (n,): the places.
 
-        freed: tubes, from 0, and their parts, of TUBE_PARTS, over which slopes are wanted.
+        freed: tubes, from 0, and their parts, of TUBE_PARTS, over which slopes are wanted; pushed: whether they
+        are wanted over a force at the tip, too, on a model that knows loads.
         """
         each = -(-len(sigma) // LANES)
-        self._call = Mapped(_code(model, structure, each, freed), 1)
+        self._call = Mapped(_code(model.form, structure, each, freed, pushed), 1)
         self._call.inputs[1][0] = np.append(sigma, np.zeros(LANES * each - len(sigma)))
-        self._d, self._n, self._k = structure.d, len(sigma), 2 * structure.d + 2 + len(freed)
+        self._d, self._n, self._k = structure.d, len(sigma), 2 * structure.d + 2 + len(freed) + 3 * pushed
 
-    def __call__(self, x: Array, numbers: Array, described: Array, margin: float) -> Predicted:
-        """At unknowns x (n_x,) of tubes of numbers (d, 8), with a margin; described (d, 8): of which parts are."""
-        given = np.concatenate([numbers.ravel("F"), described.ravel("F"), [min(margin, LARGEST)]])
+    def __call__(self, x: Array, numbers: Array, described: Array, margin: float, load: Array) -> Predicted:
+        """At unknowns x (n_x,) of tubes of numbers (d, 8), with a margin, under a load of so many numbers, if any.
+
+        described (d, 8): of which parts are.
+        """
+        given = np.concatenate([numbers.ravel("F"), described.ravel("F"), [min(margin, LARGEST)], load])
         points, tangents, of_points, of_tangents, of_phi, of_margin = (each[0] for each in self._call(x, given))
         d, k = self._d, self._k
         return Predicted(
@@ -90,45 +102,65 @@ class Predictor:
 
 
 @functools.lru_cache(maxsize=16)
-def _code(model: Model, structure: Structure, count: int, freed: tuple[tuple[int, str], ...]) -> ca.Function:
+def _code(
+    model: Model, structure: Structure, count: int, freed: tuple[tuple[int, str], ...], pushed: bool
+) -> ca.Function:
     """The function of a Predictor, for so many places in each of several lanes."""
-    return machine_code(_symbolic(model, structure, count, freed), LANES)
+    return machine_code(_symbolic(model, structure, count, freed, pushed), LANES)
 
 
-def _symbolic(model: Model, structure: Structure, count: int, freed: tuple[tuple[int, str], ...]) -> ca.Function:
-    """(x, sigma (count,), (numbers (d, 8), described (d, 8), margin)) -> Predicted, in columns."""
+def _symbolic(
+    model: Model, structure: Structure, count: int, freed: tuple[tuple[int, str], ...], pushed: bool
+) -> ca.Function:
+    """(x, sigma (count,), (numbers (d, 8), described (d, 8), margin, load)) -> Predicted, in columns."""
     d, sigma, margin = structure.d, ca.SX.sym("sigma", count), ca.SX.sym("margin")
     numbers, described = (ca.SX.sym(name, d, len(NUMBERS)) for name in ("numbers", "described"))
     parts = ca.SX.sym("parts", len(freed))
     tubes = symbolic_tubes(structure, _changed(numbers, described, parts, freed))
     asked = margin if model.can_snap else None
-    shape = model.frame(structure, tubes, lambda beta: sigma * beta[-1], asked, tangents=True)
+    shape, load = frame_bearing(model, structure, tubes, lambda beta: sigma * beta[-1], asked, tangents=True)
     assert shape.tangents is not None
     determinant = ca.SX(0) if shape.stability is None else shape.stability[-1]
     points, tangents = (
         ca.vec(ca.vertcat(*(ca.SX(axis).T for axis in shape.placed(of)))) for of in (shape.points, shape.tangents)
     )
     symbols, values = shape.inner.columns
-    seen, alpha, determinant = ca.substitute(
-        [ca.vertcat(points, tangents), shape.alpha, determinant], [symbols], [values]
-    )
-    phi, over = shape.x[:d], ca.vertcat(shape.x[d:], parts)
-    slopes = ca.jacobian(ca.vertcat(seen, alpha), ca.vertcat(phi, over))
-    into_tips = ca.inv(slopes[-d:, :d])
-    of_phi = into_tips @ ca.horzcat(ca.SX.eye(d), -slopes[-d:, d:])
-
-    def moved(of: ca.SX) -> ca.SX:
-        """Slopes over alpha, the rest of the configuration, and parts, from those over unknowns and parts."""
-        return of[:, :d] @ of_phi + ca.horzcat(ca.SX(of.shape[0], d), of[:, d:])
-
+    written = [ca.vertcat(points, tangents), ca.vertcat(*shape.rows.values()), determinant]
+    seen, rows, determinant = ca.substitute(written, [symbols], [values])
+    moved = _moved(shape, rows, ca.vertcat(parts, load[: 3 * pushed]))
     slope = ca.SX.nan(1) if shape.stability is None else -ca.jacobian(determinant, margin)
-    of_margin = moved(ca.jacobian(determinant, ca.vertcat(phi, over))) / slope
-    of_points, of_tangents = ca.vertsplit(moved(slopes[:-d, :]), 3 * count)
+    of_points, of_tangents = ca.vertsplit(moved(seen), 3 * count)
+    of_phi, of_margin = moved(shape.x[:d]), moved(determinant) / slope
     found = [*ca.vertsplit(seen, 3 * count), of_points, of_tangents, of_phi, of_margin]
     found = ca.substitute(found, [parts], [ca.SX.zeros(len(freed))])
-    given = ca.vertcat(ca.vec(numbers), ca.vec(described), margin)
+    given = ca.vertcat(ca.vec(numbers), ca.vec(described), margin, load)
     names = [f"{SAME}x", "sigma", f"{SAME}given"], [f"found_{k}" for k in range(len(found))]
     return ca.Function("predicted", [shape.x, sigma, given], [ca.densify(each) for each in found], *names)
+
+
+def _moved(shape: Shape, rows: ca.SX, others: ca.SX) -> Callable[[ca.SX], ca.SX]:
+    """What makes of expressions in x their slopes over alpha, beta, theta, and others with these held.
+
+    rows: what of the configuration x does not hold, in x and others.
+    """
+    unknowns, places = shape.x.numel(), shape.picks or tuple(range(shape.x.numel()))
+    q = list(places[: 2 * len(shape.beta) + 2])
+    own = [k for k in range(unknowns) if k not in q]
+    into = ca.inv(ca.jacobian(rows, shape.x)[:, own]) if own else ca.SX(0, 0)
+
+    def straight(of: ca.SX) -> ca.SX:
+        """Slopes over q, as far as x holds it, and over others."""
+        over_x = ca.horzcat(ca.jacobian(of, shape.x), ca.SX(of.numel(), rows.numel()))
+        return ca.horzcat(over_x[:, q], ca.jacobian(of, others))
+
+    def moved(of: ca.SX) -> ca.SX:
+        if not own:
+            return straight(of)
+        held = ca.horzcat(ca.SX(len(own), unknowns), into)[:, q]
+        of_own = ca.horzcat(held, ca.SX(len(own), others.numel())) - into @ straight(rows)
+        return straight(of) + ca.jacobian(of, shape.x)[:, own] @ of_own
+
+    return moved
 
 
 def _changed(numbers: ca.SX, described: ca.SX, parts: ca.SX, freed: tuple[tuple[int, str], ...]) -> ca.SX:

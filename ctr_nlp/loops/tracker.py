@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.loads import Load
 from ctr_nlp.loops.anew.way import PLACES, Outset, Way
 from ctr_nlp.loops.correction import Correction, Place
 from ctr_nlp.loops.differences import Differences
@@ -18,6 +19,7 @@ from ctr_nlp.loops.doubts import Doubts
 from ctr_nlp.loops.observer import Innovation, Observer
 from ctr_nlp.loops.prediction import Predicted, Predictor
 from ctr_nlp.loops.sensors import Reading, Sensors
+from ctr_nlp.models import under
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot, Tolerances
 from ctr_nlp.typing import Array
@@ -80,20 +82,26 @@ class Tracker:
     ) -> None:
         """Compile, and wait for it; tolerances: of the robot, None for the plan's.
 
-        known: mean (k,) and covariance (k, k) of the robot's differences, None for what the tolerances say. Raises
-        OptionError, RobotError.
+        known: mean (k,) and covariance (k, k) of the robot's differences, None for what the tolerances say. Where
+        these let a force act at the tip, it is estimated, too, and the robot must tell its moduli. Raises
+        LoadError, OptionError, RobotError.
         """
         if not plan.complete:
             raise OptionError("the plan has frames without a solution, and cannot be tracked")
         self.plan, self._robot, model = plan, plan.robot, plan.evaluated_on
         differences = Differences.of(plan.robot, tolerances)
+        pushed = len(differences.forced) > 0
+        if pushed and model.bears is None:
+            model = under(model, Load())
+        model.check(plan.robot)
         if known is not None:
             differences = replace(differences, mean=known[0], covariance=known[1])
         places = np.linspace(0.0, 1.0, PLACES)
         count = len(sensors.sigma)
         spare = np.zeros(max(ROOM - count - PLACES, 0))
         structure = differences.draws(differences.mean[None]).structure
-        predictor = Predictor(model, structure, np.concatenate([sensors.sigma, places, spare]), differences.freed)
+        seen = np.concatenate([sensors.sigma, places, spare])
+        predictor = Predictor(model, structure, seen, differences.freed, pushed)
         self.observer = Observer(model, differences, sensors, predictor)
         weights = np.full(PLACES, 1.0)
         weights[[0, -1]] /= 2

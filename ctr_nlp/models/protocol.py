@@ -13,6 +13,7 @@ import numpy as np
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.loads import Load, LoadOverTime
+from ctr_nlp.loads.load import BEFORE_WEIGHTS
 from ctr_nlp.models.walker import Rigid, Walker
 from ctr_nlp.nlp.nlp import Inner
 from ctr_nlp.robot import Robot
@@ -219,7 +220,7 @@ class Model(ABC):
         sigma = np.broadcast_to(sigma, (len(x), np.shape(sigma)[-1]))
         function = samples(self, robot.structure, sigma.shape[1])
         numbers = robot.numbers
-        found = [function(row, at, numbers) for row, at in zip(x, sigma, strict=True)]
+        found = [function(row, at, numbers, []) for row, at in zip(x, sigma, strict=True)]
         points, tangents = (np.array([each[k].full() for each in found]) for k in range(2))
         return points, tangents
 
@@ -231,7 +232,7 @@ class Model(ABC):
         tubes, each, at = of_rows(numbers, x, sigma)
         rows = zip(each, np.broadcast_to(at, (len(each), np.shape(at)[-1])), tubes, strict=True)
         function = samples(self, structure, np.shape(sigma)[-1])
-        return np.reshape([function(*row)[0].full() for row in rows], (*x.shape[:2], -1, 3))
+        return np.reshape([function(*row, [])[0].full() for row in rows], (*x.shape[:2], -1, 3))
 
     def points_under(self, loads: Array, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
         """Points (T, m, 3) in mm of robots of numbers (T or 1, d, 8) at x (T, n_x) under loads (T, 17 + 3d).
@@ -319,15 +320,33 @@ def of_rows(numbers: Array, x: Array, sigma: Array) -> tuple[Array, Array, Array
 
 @functools.lru_cache(maxsize=64)
 def samples(model: Model, structure: Structure, count: int) -> ca.Function:
-    """(x, sigma (count,), numbers (d, 8)) -> points and tangents (count, 3), mm, in the base frame."""
+    """(x, sigma (count,), numbers (d, 8), load) -> points and tangents (count, 3), mm, in the base frame.
+
+    load: its numbers; of a model that bears none, nothing.
+    """
     sigma, numbers = ca.SX.sym("sigma", count), ca.SX.sym("numbers", structure.d, len(NUMBERS))
     tubes = symbolic_tubes(structure, numbers)
-    shape = model.frame(structure, tubes, lambda beta: sigma * beta[-1], tangents=True)
+    shape, load = frame_bearing(model, structure, tubes, lambda beta: sigma * beta[-1], tangents=True)
     assert shape.tangents is not None
     written = [ca.SX(ca.horzcat(*shape.placed(vectors))) for vectors in (shape.points, shape.tangents)]
     symbols, values = shape.inner.columns
     found = ca.substitute(written, [symbols], [values])
-    return ca.Function("samples", [shape.x, sigma, numbers], found, {"cse": True})
+    return ca.Function("samples", [shape.x, sigma, numbers, load], found, {"cse": True})
+
+
+def frame_bearing(
+    model: Model,
+    structure: Structure,
+    tubes: Tubes,
+    places: Places,
+    margin: ca.SX | None = None,
+    tangents: bool = False,
+) -> tuple[Shape, ca.SX]:
+    """A model's frame, and a symbol of the numbers of what robots bear, none of them where they bear nothing."""
+    if model.bears is None:
+        return model.frame(structure, tubes, places, margin, tangents), ca.SX(0, 1)
+    load = ca.SX.sym("load", BEFORE_WEIGHTS + 3 * structure.d)
+    return model.frame_under(load, structure, tubes, places, margin, tangents), load
 
 
 def symbolic_tubes(structure: Structure, numbers: ca.SX) -> Tubes:

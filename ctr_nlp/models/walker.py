@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
+from ctr_nlp.exceptions import OptionError
 from ctr_nlp.typing import Array
 
 
@@ -29,6 +30,13 @@ class Walker(ABC):
 
         x (n_x,): about where it will be, None where it is.
         """
+
+    def bear(self, load: Array) -> list[Array]:
+        """Go on under another load of the same kind, of numbers (17 + 3d,); by what tips jumped, an entry a snap.
+
+        Raises OptionError where the model knows no loads.
+        """
+        raise OptionError("the model of the robot that moves step by step bears no load")
 
     @abstractmethod
     def margin(self) -> float:

@@ -8,9 +8,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.loads.load import BEFORE_WEIGHTS
 from ctr_nlp.models import Model, model_named
-from ctr_nlp.models.protocol import symbolic_tubes
+from ctr_nlp.models.protocol import frame_bearing, symbolic_tubes
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import NUMBERS, Structure
 from ctr_nlp.target.target import SIGMA
@@ -98,9 +97,8 @@ def shown_changes(model: Model, structure: Structure, count: int) -> ca.Function
     where it turns by dc, y changes by (c_y)^-1 dc.
     """
     d, sigma, numbers = structure.d, ca.SX.sym("sigma", count), ca.SX.sym("numbers", structure.d, len(NUMBERS))
-    at = structure, symbolic_tubes(structure, numbers), lambda beta: sigma * beta[-1]
-    load = ca.SX.sym("load", 0 if model.bears is None else BEFORE_WEIGHTS + 3 * d)
-    shape = model.frame(*at) if model.bears is None else model.frame_under(load, *at)
+    tubes = symbolic_tubes(structure, numbers)
+    shape, load = frame_bearing(model, structure, tubes, lambda beta: sigma * beta[-1])
     symbols, values = shape.inner.columns
     written = [
         ca.vertcat(*(ca.SX(axis) for axis in shape.placed(shape.points))),

@@ -5,7 +5,7 @@ import pytest
 from near_fold import LONG, near_the_fold
 
 from ctr_nlp import Load, Loaded, LoadOverTime, table_i_robot
-from ctr_nlp.exceptions import LoadError, OptionError
+from ctr_nlp.exceptions import LoadError
 from ctr_nlp.loads import with_modulus
 from ctr_nlp.models import MODELS
 from ctr_nlp.models.elastic import stability
@@ -63,10 +63,28 @@ def test_a_load_without_an_energy_has_no_margin_step_by_step():
     walker = Loaded(Load(axial_moment=1.0)).walker(robot.structure, robot.numbers, q)
     assert np.isfinite(walker.x).all()
     assert np.isnan(walker.margin())
-    with pytest.raises(OptionError, match="keeps its tubes"):
-        walker.become(robot.numbers)
     with pytest.raises(LoadError, match="this one changes over time"):
         Loaded(LoadOverTime([Load(), Load()], [0, 1])).walker(robot.structure, robot.numbers, q)
+
+
+def test_a_loaded_robot_becomes_another_and_bears_another_load_where_it_stands():
+    robot, q = with_modulus(table_i_robot(), 60_000), np.array([0.4, -0.3, 0.2, 30.0, 70.0, 100.0, 0.1, 0.0])
+    parts = np.zeros((1, 3, 5))
+    parts[0, :, :2] = [[0.1, -0.2], [-0.08, 0.1], [0.05, 0.15]]
+    (other,) = drawn_from(robot, parts, np.zeros((1, 3))).numbers
+    before, after = Load((0.0, 0.1, 0.0)), Load((0.1, -0.1, 0.2))
+    walker = Loaded(before).walker(robot.structure, robot.numbers, q)
+    twin = walker.copy()
+    assert walker.become(other) == []
+    np.testing.assert_allclose(walker.x, Loaded(before).walker(robot.structure, other, q).x, atol=1e-6)
+    assert walker.bear(after.numbers(3)) == []
+    own = Loaded(after).walker(robot.structure, other, q)
+    np.testing.assert_allclose(walker.x, own.x, atol=1e-6)
+    assert walker.margin() == pytest.approx(own.margin(), abs=1e-6)
+    np.testing.assert_allclose(twin.x, Loaded(before).walker(robot.structure, robot.numbers, q).x, atol=1e-9)
+    assert abs(walker.x - twin.x).max() > 1e-3
+    walker.go(q + 0.1)
+    np.testing.assert_allclose(walker.x, Loaded(after).walker(robot.structure, other, q + 0.1).x, atol=1e-6)
 
 
 def test_a_robot_becomes_another_where_it_stands():

@@ -113,7 +113,7 @@ def test_symbols_with_a_robots_numbers_are_its_shape(name):
     robot = Robot(tubes, Limits(beta=[(0, 80), (0, 150), (0, 300)]))
     model, q = MODELS[name], np.array([0.4, -0.7, 1.2, 60.0, 120.0, 260.0, 0.2, -0.1])
     x, sigma = model.rest(robot, q), np.linspace(0, 1, 11)
-    points, tangents = samples(model, robot.structure, len(sigma))(x, sigma, robot.numbers)
+    points, tangents = samples(model, robot.structure, len(sigma))(x, sigma, robot.numbers, [])
     atol = 1e-9 if name == "dominant" else 0.03
     np.testing.assert_allclose(points.full(), model.points(robot, x[None], sigma)[0], atol=atol)
     np.testing.assert_allclose(tangents.full(), model.tangents(robot, x[None], sigma)[0], atol=1e-3)

@@ -83,7 +83,7 @@ def test_points_of_programs_are_those_of_motions(kind):
         shape = samples(model, NITINOL.structure, len(SIGMA))
         for _ in range(8):
             x = model.guess(NITINOL, drawn_q(rng))
-            points, tangents = shape(x, SIGMA, NITINOL.numbers)
+            points, tangents = shape(x, SIGMA, NITINOL.numbers, model.load.numbers(3))
             np.testing.assert_allclose(points, model.points(NITINOL, x[None], SIGMA)[0], atol=0.02)
             np.testing.assert_allclose(tangents, model.tangents(NITINOL, x[None], SIGMA)[0], atol=0.005)
         return

@@ -14,7 +14,6 @@ from ctr_nlp import Load, Loaded, LoadOverTime, Plan, Problem, Robot, Tolerances
 from ctr_nlp.cli.main import main
 from ctr_nlp.exceptions import LoadError, OptionError, RobotError
 from ctr_nlp.loads import with_modulus
-from ctr_nlp.loops.plant import Plant
 from ctr_nlp.models import MODELS, under
 from ctr_nlp.plan.measures import e3
 from ctr_nlp.robot.draws import corners, drawn, drawn_from
@@ -227,8 +226,6 @@ def test_what_forces_do_not_go_with_is_refused_in_one_sentence(problem):
         drawn_motion(ratio, drawn(ratio, 2, 0), np.zeros((1, 6)), "elastic")
     with pytest.raises(OptionError, match="a load does not go with the dominant model"):
         solve_robust(problem, model="dominant")
-    with pytest.raises(RobotError, match="plants know none"):
-        Plant(SNAPPING, drawn(SNAPPING, 1, 0))
 
 
 def test_the_command_plans_for_a_force(tmp_path, monkeypatch, capsys):

@@ -112,13 +112,21 @@ class LoadedEquilibria:
         return angles, np.swapaxes(ends.axes, 1, 2) @ spun
 
     def along(
-        self, states: States, q: Array, load: Array, most: float = 1.0, smallest: float = SMALLEST
+        self,
+        states: States,
+        q: Array,
+        load: Array,
+        most: float = 1.0,
+        smallest: float = SMALLEST,
+        numbers: Array | None = None,
     ) -> tuple[States, Array]:
         """The equilibria as far towards q and load as their branches go, and which part of the way that is, (T,).
 
-        most, smallest: parts of the way that are gone in a step.
+        most, smallest: parts of the way that are gone in a step. numbers (T, d, 8): of the tubes at its end, None
+        for those of the states.
         """
         start, done = states, np.zeros(len(q))
+        tubes = np.zeros(start.numbers.shape) if numbers is None else numbers - start.numbers
         part = np.full(len(q), min(1.0, most))
         while True:
             active = np.flatnonzero((done < 1) & (part >= smallest))
@@ -127,7 +135,10 @@ class LoadedEquilibria:
             ahead = done[active] + part[active]
             goal = start.q[active] + ahead[:, None] * (q - start.q)[active]
             pull = start.load[active] + ahead[:, None] * (load - start.load)[active]
-            new, there = self._step(states.rows(active), goal, pull)
+            here = states.rows(active)._replace(
+                numbers=start.numbers[active] + ahead[:, None, None] * tubes[active]
+            )
+            new, there = self._step(here, goal, pull)
             gone, stopped = active[there], active[~there]
             states = states.replaced(gone, new.rows(there))
             done[gone] += part[gone]

@@ -50,7 +50,7 @@ class Loss:
 def distance(robot: Robot, model: Model) -> ca.Function:
     """(x (2d + 2,), points (60,)) -> root mean square distance of the shape at x in mm, its gradient over x."""
     x, points = ca.SX.sym("x", 2 * robot.d + 2), ca.SX.sym("points", 3 * len(PLACES))
-    found = samples(model, robot.structure, len(PLACES))(x, PLACES, robot.numbers)[0]
+    found = samples(model, robot.structure, len(PLACES))(x, PLACES, robot.numbers, [])[0]
     squares = ca.sumsqr(ca.reshape(points, 3, len(PLACES)).T - found) / len(PLACES)
     value = ca.sqrt(squares + SOFT**2)
     return ca.Function("distance", [x, points], [value, ca.gradient(value, x)], {"cse": True})

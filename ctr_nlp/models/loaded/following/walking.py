@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ctr_nlp.exceptions import OptionError
 from ctr_nlp.loads import Load
 from ctr_nlp.models.loaded.equilibria import States
 from ctr_nlp.models.loaded.following.follower import Follower
@@ -15,7 +14,7 @@ from ctr_nlp.typing import Array
 
 
 class LoadedWalker(Walker):
-    """Follows the branch of equilibria that it is on under a load that stays the same.
+    """Follows the branch of equilibria that it is on under a load that changes only when it is told.
 
     Where that ends, nobody knows where the robot comes to rest: x is NaN then.
     """
@@ -29,10 +28,13 @@ class LoadedWalker(Walker):
         _, states = follower.settled(self.q[None])
         self._go_on(states if len(states.q) else None)
 
-    def _go_on(self, states: States | None) -> None:
-        """Go on to q under the load, from states of the robot there or elsewhere; None where it has none."""
+    def _go_on(self, states: States | None, numbers: Array | None = None) -> None:
+        """Go on to q under the load, from states of the robot there or elsewhere; None where it has none.
+
+        numbers (1, d, 8): of its tubes from then on, None for those that it has.
+        """
         if states is not None:
-            states, done = self._equilibria.along(states, self.q[None], self._acting)
+            states, done = self._equilibria.along(states, self.q[None], self._acting, numbers=numbers)
             states = states if done[0] == 1 else None
         self._states = states
         self.x = np.full(len(self.q), np.nan) if states is None else states.unknowns[0]
@@ -44,8 +46,15 @@ class LoadedWalker(Walker):
         return []
 
     def become(self, numbers: Array, x: Array | None = None) -> list[Array]:
-        """Raises OptionError: tubes of a robot that moves under a load are known beforehand."""
-        raise OptionError("a robot that bears a load and moves step by step keeps its tubes")
+        """As Walker; x is not looked at: the branch is followed while the numbers change."""
+        self._go_on(self._states, np.array(numbers, dtype=float)[None])
+        return []
+
+    def bear(self, load: Array) -> list[Array]:
+        """As Walker."""
+        self._acting = np.array(load, dtype=float)[None]
+        self._go_on(self._states)
+        return []
 
     def margin(self) -> float:
         """As Walker; NaN, too, under a load that has no energy."""
