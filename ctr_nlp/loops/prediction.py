@@ -1,16 +1,12 @@
 """The shape of a robot at its own places, and how it changes with motors, tubes and a tip force, in machine code.
 
-Let y be those unknowns x of a model that are no part of the configuration, and c(x; tubes, force) what of the
-configuration x does not hold: the motors' angles and, of loaded robots, the tilt. A shape p(x; tubes, force)
-changes at held motors by dp = p_tubes dtubes + p_y dy with dy = -A c_tubes dtubes, A = (c_y)^-1, likewise with the
-force, and with motors by p_y A dc, or where x holds them by p_rest - p_y A c_rest. With D the determinant that
-vanishes where its margin mu is the smallest eigenvalue, mu changes by -D_x / D_mu and -D_tubes / D_mu.
+Slopes are those of models/shown.py. With D the determinant that vanishes where its margin mu is the smallest
+eigenvalue, mu changes by -D_x / D_mu with unknowns, and by -D_tubes / D_mu.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 from typing import NamedTuple
 
 import casadi as ca
@@ -20,7 +16,8 @@ from ctr_nlp.codegen.mapped import Mapped
 from ctr_nlp.codegen.vector import LANES, SAME
 from ctr_nlp.loops.machine import machine_code
 from ctr_nlp.models import Model
-from ctr_nlp.models.protocol import Shape, frame_bearing, symbolic_tubes
+from ctr_nlp.models.protocol import frame_bearing, symbolic_tubes
+from ctr_nlp.models.shown import shown_slopes
 from ctr_nlp.robot.structure import NUMBERS, Structure
 from ctr_nlp.robot.tolerances import NAMES
 from ctr_nlp.typing import Array
@@ -127,7 +124,7 @@ def _symbolic(
     symbols, values = shape.inner.columns
     written = [ca.vertcat(points, tangents), ca.vertcat(*shape.rows.values()), determinant]
     seen, rows, determinant = ca.substitute(written, [symbols], [values])
-    moved = _moved(shape, rows, ca.vertcat(parts, load[: 3 * pushed]))
+    moved = shown_slopes(shape, rows, ca.vertcat(parts, load[: 3 * pushed]))
     slope = ca.SX.nan(1) if shape.stability is None else -ca.jacobian(determinant, margin)
     of_points, of_tangents = ca.vertsplit(moved(seen), 3 * count)
     of_phi, of_margin = moved(shape.x[:d]), moved(determinant) / slope
@@ -136,31 +133,6 @@ def _symbolic(
     given = ca.vertcat(ca.vec(numbers), ca.vec(described), margin, load)
     names = [f"{SAME}x", "sigma", f"{SAME}given"], [f"found_{k}" for k in range(len(found))]
     return ca.Function("predicted", [shape.x, sigma, given], [ca.densify(each) for each in found], *names)
-
-
-def _moved(shape: Shape, rows: ca.SX, others: ca.SX) -> Callable[[ca.SX], ca.SX]:
-    """What makes of expressions in x their slopes over alpha, beta, theta, and others with these held.
-
-    rows: what of the configuration x does not hold, in x and others.
-    """
-    unknowns, places = shape.x.numel(), shape.picks or tuple(range(shape.x.numel()))
-    q = list(places[: 2 * len(shape.beta) + 2])
-    own = [k for k in range(unknowns) if k not in q]
-    into = ca.inv(ca.jacobian(rows, shape.x)[:, own]) if own else ca.SX(0, 0)
-
-    def straight(of: ca.SX) -> ca.SX:
-        """Slopes over q, as far as x holds it, and over others."""
-        over_x = ca.horzcat(ca.jacobian(of, shape.x), ca.SX(of.numel(), rows.numel()))
-        return ca.horzcat(over_x[:, q], ca.jacobian(of, others))
-
-    def moved(of: ca.SX) -> ca.SX:
-        if not own:
-            return straight(of)
-        held = ca.horzcat(ca.SX(len(own), unknowns), into)[:, q]
-        of_own = ca.horzcat(held, ca.SX(len(own), others.numel())) - into @ straight(rows)
-        return straight(of) + ca.jacobian(of, shape.x)[:, own] @ of_own
-
-    return moved
 
 
 def _changed(numbers: ca.SX, described: ca.SX, parts: ca.SX, freed: tuple[tuple[int, str], ...]) -> ca.SX:

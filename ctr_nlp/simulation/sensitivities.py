@@ -10,6 +10,7 @@ import numpy as np
 
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.models.protocol import frame_bearing, symbolic_tubes
+from ctr_nlp.models.shown import shown_slopes
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.structure import NUMBERS, Structure
 from ctr_nlp.target.target import SIGMA
@@ -64,22 +65,20 @@ def derivatives(model: Model, structure: Structure, count: int) -> ca.Function:
 
     Of points (3 count, 8 d) with x held, of alpha (d, 8 d), of points with the configuration held, and of the
     margin (1, 8 d). With D the determinant that vanishes where its margin is the smallest eigenvalue, the margin's
-    derivative is -D_numbers / D_margin. With alpha held, unknowns change by -(alpha_phi)^-1 alpha_numbers.
+    derivative is -D_numbers / D_margin.
     """
     d, sigma, margin = structure.d, ca.SX.sym("sigma", count), ca.SX.sym("margin")
     numbers = ca.SX.sym("numbers", d, len(NUMBERS))
     tubes, asked = symbolic_tubes(structure, numbers), margin if model.can_snap else None
     shape = model.frame(structure, tubes, lambda beta: sigma * beta[-1], asked)
     stable = ca.SX(1, 1) if shape.stability is None else shape.stability[-1]
-    written = [ca.vertcat(*(ca.SX(axis) for axis in shape.placed(shape.points))), shape.alpha, stable]
+    points = ca.vertcat(*(ca.SX(axis) for axis in shape.placed(shape.points)))
+    written = [points, ca.vertcat(*shape.rows.values()), shape.alpha, stable]
     symbols, values = shape.inner.columns
-    points, alpha, determinant = ca.substitute(written, [symbols], [values])
+    points, rows, alpha, determinant = ca.substitute(written, [symbols], [values])
     over = ca.vec(numbers)
     of_points, of_alpha, of_determinant = (ca.jacobian(each, over) for each in (points, alpha, determinant))
-    moved = of_points
-    if model.several_equilibria:
-        phi = ca.jacobian(points, shape.x)[:, :d], ca.jacobian(alpha, shape.x)[:, :d]
-        moved = of_points - phi[0] @ ca.solve(phi[1], of_alpha)
+    moved = shown_slopes(shape, rows, over)(points)[:, 2 * d + 2 :]
     slope = ca.jacobian(determinant, margin)
     of_margin = -of_determinant / slope if shape.stability is not None else ca.SX.nan(1, over.numel())
     outputs = [ca.densify(each) for each in (of_points, of_alpha, moved, of_margin)]
@@ -92,9 +91,7 @@ def shown_changes(model: Model, structure: Structure, count: int) -> ca.Function
     matrix each.
 
     Of points (3 count,), x of all before y and z: over numbers with the configuration held (3 count, 8 d), and
-    over the configuration (3 count, 2d + 2). load: its numbers; of a model that bears none, nothing. What of the
-    configuration c the unknowns y do not hold, the motors' angles and under a load the tilt, follows from them:
-    where it turns by dc, y changes by (c_y)^-1 dc.
+    over the configuration (3 count, 2d + 2). load: its numbers; of a model that bears none, nothing.
     """
     d, sigma, numbers = structure.d, ca.SX.sym("sigma", count), ca.SX.sym("numbers", structure.d, len(NUMBERS))
     tubes = symbolic_tubes(structure, numbers)
@@ -105,14 +102,6 @@ def shown_changes(model: Model, structure: Structure, count: int) -> ca.Function
         ca.vertcat(*shape.rows.values()),
     ]
     points, rows = ca.substitute(written, [symbols], [values])
-    over_numbers, over_x = (ca.jacobian(points, each) for each in (ca.vec(numbers), shape.x))
-    if shape.picks is not None:
-        unknowns, configuration = shape.x.numel(), shape.picks[: 2 * d + 2]
-        own = [k for k in range(unknowns) if k not in configuration]
-        of_numbers, of_x = (ca.jacobian(rows, each) for each in (ca.vec(numbers), shape.x))
-        turned = ca.solve(of_x[:, own].T, over_x[:, own].T).T
-        over_numbers = over_numbers - turned @ of_numbers
-        columns = ca.horzcat(over_x - turned @ of_x, turned)
-        over_x = columns[:, list(configuration)]
-    outputs = [ca.densify(each) for each in (over_numbers, over_x)]
+    found = shown_slopes(shape, rows, ca.vec(numbers))(points)
+    outputs = [ca.densify(each) for each in (found[:, 2 * d + 2 :], found[:, : 2 * d + 2])]
     return ca.Function("shown_changes", [shape.x, sigma, numbers, load], outputs, {"cse": True})

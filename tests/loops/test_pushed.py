@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from loops_of import OFF, ROBOT, SENSORS, made_plan
+from near_fold import near_the_fold, plan_through
 
 from ctr_nlp import Load, Loaded, LoadOverTime, Tolerances
 from ctr_nlp.exceptions import LoadError, OptionError
@@ -15,7 +16,7 @@ from ctr_nlp.loops.feed import Feed
 from ctr_nlp.loops.observer import Observer
 from ctr_nlp.loops.plant import Plant
 from ctr_nlp.loops.prediction import Predictor
-from ctr_nlp.loops.tracker import Tracker
+from ctr_nlp.loops.tracker import State, Tracker
 from ctr_nlp.models import MODELS, under
 from ctr_nlp.robot.draws import drawn, drawn_from
 
@@ -107,6 +108,19 @@ def test_a_plan_for_a_known_load_is_tracked_under_it(plan):
         assert away(run, loaded) < 0.6 * away(
             open_loop(loaded, Plant(STIFF, draws[k : k + 1], Loaded(KNOWN))), loaded
         )
+
+
+def test_a_robot_that_snaps_under_a_load_is_stopped():
+    """Where it comes to rest is not known."""
+    q = np.vstack([near_the_fold(), near_the_fold()[-1:]])
+    q[-1, 0] += 0.4
+    plan = plan_through(q, STIFF).under(Load((0.0, 0.0, -1e-4)))
+    tracker = Tracker(plan, SENSORS, Tolerances(1e-4, 0.0, motor_zero=0.0))
+    for place, time in zip(plan.q, plan.time.tolist(), strict=True):
+        assert tracker.state is not State.STOPPED
+        tracker.observe(place, time, [])
+    assert tracker.state is State.STOPPED
+    assert np.isnan(tracker.observer.jumps[0]).all()
 
 
 def test_a_force_is_no_part_of_the_robot_that_is_estimated():
