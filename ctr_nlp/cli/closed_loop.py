@@ -85,7 +85,7 @@ def tell(loop: ClosedLoop) -> None:
     columns = last.mean, last.deviation, np.sqrt(of.covariance.diagonal())
     named = zip(of.told(last.mean.tolist()), *(column.tolist() for column in columns), strict=True)
     print_table(
-        "what measurements tell of the robot, in parts of what is described, mm and rad",
+        "what measurements tell of the robot, in parts of what is described, mm, rad and N",
         ("", "estimate", "deviation", "before"),
         [(name, *(f"{value:.4f}" for value in values)) for name, *values in named],
     )
