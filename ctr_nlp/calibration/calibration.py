@@ -16,8 +16,7 @@ from ctr_nlp.calibration.parameters import BASE, Parameters, parameters_of
 from ctr_nlp.calibration.prediction import Prediction, flat_measured, registered_to
 from ctr_nlp.calibration.robots import calibrated_robot
 from ctr_nlp.exceptions import MeasurementError
-from ctr_nlp.loads import Load
-from ctr_nlp.models import Model, model_named, under
+from ctr_nlp.models import Model, bearing, model_named
 from ctr_nlp.robot import Robot
 from ctr_nlp.support.equal import Kept
 from ctr_nlp.support.values import instance
@@ -90,9 +89,8 @@ def calibrate(
     """
     instance(MeasurementError, "robot", robot, Robot)
     instance(MeasurementError, "measurements", measured, Measurements)
-    described, measured = model_named(model), measured.distinct()
-    if measured.pushed and described.bears is None:
-        described = under(described, Load())
+    measured = measured.distinct()
+    described = bearing(model_named(model), measured.pushed)
     described.check(robot)
     measured.check(robot)
     parameters = parameters_of(robot, measured, estimate, registered, described.bears is not None)

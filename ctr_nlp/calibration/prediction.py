@@ -123,17 +123,15 @@ class Prediction:
     def _in_base_over(self, values: Array, x: Array, numbers: Array, rows: Flags) -> Array:
         """Derivatives (T, places, 3, P) of all places in the base's axes over what concerns tubes; 0 elsewhere."""
         parameters, (count, places) = self.parameters, self._sigma.shape
-        found, columns = (
-            np.zeros((count, places, 3, len(values))),
-            parameters.columns(*NAMES, MODULUS, *LAGS, DELAY),
-        )
+        found = np.zeros((count, places, 3, len(values)))
+        columns = parameters.columns(*NAMES, MODULUS, *LAGS, DELAY)
         if not columns:
             return found
         function = shown_changes(self._model, parameters.structure, places)
         over = np.stack([parameters.numbers_over(k).ravel(order="F") for k in columns], axis=1)
         moved = self._configurations_over(values, columns)
         for row in np.flatnonzero(rows):
-            given = x[row], self._sigma[row], numbers, self._loads[row] if self._model.bears else []
+            given = x[row], self._sigma[row], numbers, [] if self._model.bears is None else self._loads[row]
             of_numbers, of_q = (each.full() for each in function(*given))
             change = np.nan_to_num(of_numbers @ over + of_q @ moved[row], posinf=0.0, neginf=0.0)
             found[row][..., columns] = change.reshape(3, places, len(columns)).swapaxes(0, 1)

@@ -14,7 +14,7 @@ from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.shared.design import DesignedTubes
 from ctr_nlp.formulations.shared.scenarios import shared_motion
 from ctr_nlp.formulations.shared.tasks import WithinCurved, shared_tubes
-from ctr_nlp.models import MODELS, Model
+from ctr_nlp.models import MODELS, Model, bearing
 from ctr_nlp.nlp.scenarios import Scenarios, SharedMotion
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
@@ -26,7 +26,7 @@ from ctr_nlp.solvers.scenarios.condensed import Condensed
 from ctr_nlp.steer.horizon import Horizon, solve_horizon
 from ctr_nlp.steer.robust.plan import MOTION_PART
 from ctr_nlp.steer.robust.search import RobustSearch, Start, Tried
-from ctr_nlp.steer.robust.tolerated import bearing, tips_of, unknowns_of
+from ctr_nlp.steer.robust.tolerated import tips_of, unknowns_of
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.pool import Jobs, side_by_side
 from ctr_nlp.target.problem import Problem

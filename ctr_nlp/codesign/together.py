@@ -23,13 +23,12 @@ from ctr_nlp.exceptions import OptionError, ProblemError
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.shared.design import Kept
 from ctr_nlp.formulations.shared.manufacture import Manufacture
-from ctr_nlp.models import Model
+from ctr_nlp.models import Model, bearing
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
 from ctr_nlp.steer.motions import filled
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
-from ctr_nlp.steer.robust.tolerated import bearing
 from ctr_nlp.steer.starts.search import drafted
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.pool import Jobs, side_by_side

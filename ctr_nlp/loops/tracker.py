@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.loads import Load
 from ctr_nlp.loops.anew.way import PLACES, Outset, Way
 from ctr_nlp.loops.correction import Correction, Place
 from ctr_nlp.loops.differences import Differences
@@ -19,7 +18,7 @@ from ctr_nlp.loops.doubts import Doubts
 from ctr_nlp.loops.observer import Innovation, Observer
 from ctr_nlp.loops.prediction import Predicted, Predictor
 from ctr_nlp.loops.sensors import Reading, Sensors
-from ctr_nlp.models import under
+from ctr_nlp.models import bearing
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot, Tolerances
 from ctr_nlp.typing import Array
@@ -91,8 +90,7 @@ class Tracker:
         self.plan, self._robot, model = plan, plan.robot, plan.evaluated_on
         differences = Differences.of(plan.robot, tolerances)
         pushed = len(differences.forced) > 0
-        if pushed and model.bears is None:
-            model = under(model, Load())
+        model = bearing(model, pushed)
         model.check(plan.robot)
         if known is not None:
             differences = replace(differences, mean=known[0], covariance=known[1])

@@ -1,7 +1,7 @@
 """Models of the robot: configuration to backbone. They know symbols and numbers of tubes, and no program."""
 
 from ctr_nlp.models.protocol import Followed, Model, Shape, Snap
-from ctr_nlp.models.registry import DEFAULT, MODELS, model_named, pushed, register, suits, under
+from ctr_nlp.models.registry import DEFAULT, MODELS, bearing, model_named, pushed, register, suits, under
 
 __all__ = [
     "DEFAULT",
@@ -10,6 +10,7 @@ __all__ = [
     "Model",
     "Shape",
     "Snap",
+    "bearing",
     "model_named",
     "pushed",
     "register",

@@ -78,6 +78,11 @@ def under(model: str | Model, load: Load | LoadOverTime) -> Model:
     return Loaded(load)
 
 
+def bearing(model: Model, pushed: bool) -> Model:
+    """A model, or where robots are pushed at their tips, that model of loaded robots; raises OptionError."""
+    return under(model, Load()) if pushed and model.bears is None else model
+
+
 def pushed(model: str | Model, forces: Array) -> Model:
     """A model of robots that each bear one of forces (n, 3), N, at their tips, beside what they bear on it.
 

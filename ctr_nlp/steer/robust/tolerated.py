@@ -9,7 +9,7 @@ import numpy as np
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.shared.scenarios import check_shared
 from ctr_nlp.loads import Load
-from ctr_nlp.models import MODELS, Model, model_named, under
+from ctr_nlp.models import MODELS, Model, bearing, model_named
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.models.loaded.tips import tip_angles
 from ctr_nlp.nlp.scenarios import Scenarios
@@ -70,11 +70,6 @@ def described(robot: Robot, model: str | Model, scenarios: Scenarios | None) -> 
     model.check(robot)
     check_shared(robot, model, scenarios)
     return model, scenarios
-
-
-def bearing(model: Model, pushed: bool) -> Model:
-    """A model, or where robots are pushed at their tips, that model of loaded robots; raises OptionError."""
-    return under(model, Load()) if pushed and model.bears is None else model
 
 
 def told_on(model: Model) -> Model:

@@ -14,7 +14,7 @@ from scipy.stats import qmc
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.loads import load_from_dict, read_load
+from ctr_nlp.loads import Load, LoadOverTime, read_load
 from ctr_nlp.models import MODELS, under
 from ctr_nlp.studies.grid.case import METHODS, NO_LOAD
 from ctr_nlp.studies.grid.measures import MEASURES
@@ -60,16 +60,17 @@ def ways(told: Mapping[str, Any], folder: Path) -> Iterator[Way]:
             check_choice("a model of a study", model, MODELS)
             check_choice("a method of a study", method, METHODS)
             if load is not None:
-                under(model, load_from_dict(load))
-            yield Way(model, method, name, None if load is None else json.dumps(load), settings, measures)
+                under(model, load)
+            written = None if load is None else json.dumps(load.to_dict())
+            yield Way(model, method, name, written, settings, measures)
 
 
-def _load(name: Any, folder: Path) -> tuple[str, dict[str, Any] | None]:
-    """What a load of a study is called, and what to_dict makes of it; None for none."""
+def _load(name: Any, folder: Path) -> tuple[str, Load | LoadOverTime | None]:
+    """What a load of a study is called, and the load; None for none."""
     instance(OptionError, "a load of a study", name, str)
     if name == NO_LOAD:
         return NO_LOAD, None
-    return Path(name).stem, read_load(folder / name).to_dict()
+    return Path(name).stem, read_load(folder / name)
 
 
 def check_table(told: Any, allowed: Sequence[str], of: str) -> None:
