@@ -19,6 +19,7 @@ from ctr_nlp.hardware.guiding.loop import ClosedLoop, begun_with, known_of
 from ctr_nlp.hardware.guiding.replay import replayed
 from ctr_nlp.hardware.sensing.description import URLS, Sensing
 from ctr_nlp.hardware.sensing.opening import source_of
+from ctr_nlp.hardware.sensing.simulated import SimulatedRobot
 from ctr_nlp.loops.tracker import Note, Tracker
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.typing import Array
@@ -66,7 +67,10 @@ def opened(plan: Plan, hardware: Hardware, records: list[dict[str, Any]] | None)
     """A loop that goes on with what the records of a journal know, None for none; raises OptionError."""
     sensing = sensing_of(hardware)
     known = None if records is None else known_of(records)
-    loop = ClosedLoop(Tracker(plan, sensing.sensors, known=known), source_of(sensing, plan), _told)
+    tracker, source = Tracker(plan, sensing.sensors, known=known), source_of(sensing, plan)
+    if isinstance(source, SimulatedRobot):
+        sys.stderr.write(f"sensor: {source}\n")
+    loop = ClosedLoop(tracker, source, _told)
     try:
         yield loop
     finally:

@@ -12,7 +12,7 @@ from ctr_nlp.cli import closed_loop
 from ctr_nlp.cli.output.file import check_file
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.telling import console, print_table, wrote
-from ctr_nlp.exceptions import OutputError
+from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.guiding.loop import ClosedLoop
 from ctr_nlp.hardware.motion.trajectory import Trajectory
@@ -30,8 +30,17 @@ ESTIMATE = "estimate.csv"
 """There too: what measurements told of the robot in a closed loop."""
 
 
+FILE_SUFFIXES = (".json", ".jsonl", ".csv", ".png", ".npz", ".toml", ".txt")
+"""A name for the output folder that ends so was meant for a file."""
+
+
 def claim(out: Path) -> None:
-    """Make out a folder of ours; raises OutputError. Its journal is added to; what told of other sessions goes."""
+    """Make `out` a folder of ours. Its journal is added to; other files of earlier sessions are removed.
+
+    Raises OptionError for the name of a file, and OutputError for a folder that is not ours or cannot be written.
+    """
+    if out.suffix.lower() in FILE_SUFFIXES:
+        raise OptionError(f"--out is {out}, but {JOURNAL} and more go into a folder; name a folder")
     check_file(out / JOURNAL, '{"t": ')
     check_folder(out, "play")
     with published(out, "play"):

@@ -13,7 +13,7 @@ import numpy as np
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.exchange.mat import variables
-from ctr_nlp.models import Model, model_named
+from ctr_nlp.models import DEFAULT_MODEL, Model, model_named
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.units import angle_meant, between, did_you_mean, length_meant
@@ -62,7 +62,7 @@ def read_configurations(path: str | Path) -> Configurations:
         raise OptionError(f"configurations {path}: {error}") from error
 
 
-def plan_through(problem: Problem, q: Array, model: str | Model = "dominant", source: str = "") -> Plan:
+def plan_through(problem: Problem, q: Array, model: str | Model = DEFAULT_MODEL, source: str = "") -> Plan:
     """The plan that moves a problem's robot through q (T, 2d + 2), one row for each frame of the problem.
 
     model: the one that its shapes and margins are those of. source: where q comes from; meta keeps it. Nothing is

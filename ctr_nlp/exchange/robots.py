@@ -1,20 +1,22 @@
-"""Robots from files of other programs: tubes in SI units, in the words of two families of codes."""
+"""Robots from files: this library's own, and tubes in SI units in the words of two families of other codes."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from ctr_nlp.exceptions import OptionError, RobotError
 from ctr_nlp.exchange.mat import variables
 from ctr_nlp.robot import Robot, Tube
-from ctr_nlp.support.values import check_choice, checked_path, number
+from ctr_nlp.support.values import check_choice, checked_path, number, read_toml
 
-SUFFIXES = (".json", ".mat")
+OWN, SUFFIXES = ".toml", (".json", ".mat")
+READ = "robot files of ctr_nlp (.toml), and tubes as MexLib or gym-ctr have them (.json, .mat)"
+"""What can be read, as messages list it."""
 MM, PER_MM, MPA = 1e3, 1e-3, 1e-6
 """What lengths in m, curvatures in 1/m and moduli in Pa are multiplied by."""
 DEEPEST = 20
@@ -69,15 +71,19 @@ class Imported:
     """A robot, and what its file calls its tubes, the outermost first.
 
     turned (d,): rad by which alpha here exceeds the angle there, since a lone tube with alpha = 0 bends towards +x
-    here, and there about x or about the axis that its two curvatures give.
+    here, and there about x or about the axis that its two curvatures give. own: whether the file is one of this
+    library, so that configurations there are those here.
     """
 
     robot: Robot
     names: tuple[str, ...]
     turned: tuple[float, ...]
+    own: bool = False
 
     def to_toml(self, source: str) -> str:
         """The text of a robot file, with how configurations there become such here; source: where it is from."""
+        if self.own:
+            return self.robot.to_toml(f"A robot from {source}.")
         rows = [
             f"Tube {i} is called {name} there. Its angle there {angle:+.4f} rad is alpha_{i}, and the position of "
             f"its base there (negative) + {tube.length:g} mm is beta_{i}."
@@ -89,23 +95,73 @@ class Imported:
 
 
 def read_robot(path: str | Path, name: str | None = None, poisson_ratio: float | None = None) -> Imported:
-    """The robot in a file of another program, .json or .mat; its limits and tolerances are those of Robot.
+    """Read the robot in a file, of this library or of another program.
 
-    A tube is a table with the words of one of WORDS: lengths and diameters in m, curvatures in 1/m, moduli in Pa.
-    A robot is a table or a list of such tubes, in any order. name: which one, where the file holds several.
-    poisson_ratio: of every tube, in place of E / 2G - 1, which no isotropic tube has in some published tables.
-    Raises OptionError for a file that cannot be read or holds no robot, and RobotError for tubes that cannot be.
+    Parameters
+    ----------
+    path : str or Path
+        A robot file of this library (.toml), with its own limits and tolerances; or a .json or .mat file of
+        another program, whose robot gets the limits and tolerances that `Robot` has by default. There a tube is a
+        table with the words of one of `WORDS`, with lengths and diameters in m, curvatures in 1/m and moduli in
+        Pa, and a robot is a table or a list of such tubes, in any order.
+    name : str, optional
+        Which robot, where a file of another program holds several.
+    poisson_ratio : float, optional
+        Of every tube, in place of what the file says. Some published tables have moduli that no isotropic tube
+        has.
+
+    Returns
+    -------
+    Imported
+        The robot, and how its tubes and angles are called in the file.
+
+    Raises
+    ------
+    OptionError
+        The file cannot be read, or holds no robot.
+    RobotError
+        Tubes that cannot be, or a robot file of this library with a mistake.
+
+    Examples
+    --------
+    >>> import ctr_nlp as ctr
+    >>> ctr.read_robot("robot.toml").robot  # doctest: +SKIP
     """
     path = checked_path(OptionError, path)
+    if path.suffix.lower() == OWN:
+        return _own(path, name, poisson_ratio)
     if path.suffix.lower() not in SUFFIXES:
-        raise OptionError(f"robot file {path} is in no known kind of file; its name must end in .json or .mat")
+        raise OptionError(
+            f"robot file {path} is in no known kind of file; its name must end in .toml, .json or .mat. "
+            f"Read are {READ}"
+        )
     try:
         robots = dict(_robots(_read(path), path.stem))
         return _imported(_chosen(robots, name), poisson_ratio)
     except OSError as error:
-        raise OptionError(f"robot file {path} cannot be read: {error}") from error
+        raise OptionError(f"robot file {path} cannot be read: {error}. Read are {READ}") from error
     except (OptionError, RobotError) as error:
         raise type(error)(f"robot file {path}: {error}") from error
+
+
+def _own(path: Path, name: str | None, poisson_ratio: float | None) -> Imported:
+    """The robot in a robot file of this library."""
+    if name is not None:
+        raise OptionError(f"robot file {path} holds one robot, without a name; leave out name ({name!r})")
+    try:
+        data = read_toml(path)
+        if "tubes" not in data:
+            raise RobotError("it holds no tubes, [[tubes]]")
+    except RobotError as error:
+        raise OptionError(f"robot file {path}: {error}. Read are {READ}") from error
+    try:
+        robot = Robot.from_dict(data)
+        if poisson_ratio is not None:
+            robot = replace(robot, tubes=tuple(replace(tube, poisson_ratio=poisson_ratio) for tube in robot.tubes))
+    except RobotError as error:
+        raise RobotError(f"robot file {path}: {error}") from error
+    names = tuple(f"tube {i}" for i in range(1, robot.d + 1))
+    return Imported(robot, names, (0.0,) * robot.d, own=True)
 
 
 def _read(path: Path) -> Any:
@@ -114,7 +170,7 @@ def _read(path: Path) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
-        raise OptionError(f"it is damaged, or of another kind: {error}") from error
+        raise OptionError(f"it is damaged, or of another kind: {error}. Read are {READ}") from error
 
 
 def _robots(data: Any, name: str, depth: int = 0) -> Iterator[tuple[str, dict[str, Mapping[str, Any]]]]:
@@ -145,7 +201,7 @@ def _words(tube: Mapping[str, Any]) -> Words | None:
 def _chosen(robots: dict[str, dict[str, Mapping[str, Any]]], name: str | None) -> dict[str, Mapping[str, Any]]:
     if not robots:
         known = "; or ".join(f"{', '.join(words.all)} ({words.program})" for words in WORDS)
-        raise OptionError(f"it holds no tubes; a tube is a table with {known}")
+        raise OptionError(f"it holds no tubes; a tube is a table with {known}. Read are {READ}")
     if name is None and len(robots) > 1:
         raise OptionError(f"it holds several robots, {', '.join(robots)}; give the name of one")
     name = next(iter(robots)) if name is None else name

@@ -20,6 +20,7 @@ from ctr_nlp.anatomy.formats.images import TO_LPS
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.exchange.surface import Surface, shown_frames, tube_surfaces, wall_surface
 from ctr_nlp.figures.parts.palette import BLACK, BLUE
+from ctr_nlp.plan.account import NOT_FOR_PATIENTS
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.support.extras import needed
 from ctr_nlp.typing import Array
@@ -48,6 +49,7 @@ def slicer_files(plan: Plan, space: str | None = None) -> dict[str, str]:
     the 101 points at uniform sigma of the robot's centreline and of its target as open curves, and
     frames/tubes_001.vtp, the tubes as surfaces with their outer diameters. tubes.pvd lists those with their times
     in s; wall.vtp is the lumen's wall where it is known; load_in_slicer.py loads and films all of it in Slicer.
+    The script, and the first point of every curve, say that nothing here is validated for use on patients.
     space: as to_scan. Raises OptionError, also where pyvista is missing, and OutputError where there is no shape.
     """
     to_lps, frames = to_scan(plan, space), shown_frames(plan)
@@ -94,10 +96,11 @@ def tubes_file(number: str) -> str:
 
 def _curve(name: str, points: Array, colour: str) -> str:
     """A markups file with one open curve through points (n, 3) in LPS, mm."""
-    controls = [
+    controls: list[dict[str, Any]] = [
         {"id": str(k), "label": f"{name}-{k}", "position": place, "positionStatus": "defined", "locked": True}
         for k, place in enumerate((np.round(points, DECIMALS) + 0.0).tolist(), start=1)
     ]
+    controls[0]["description"] = NOT_FOR_PATIENTS  # the schema has no description of a whole curve
     shades = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
     display = {
         "color": shades,

@@ -25,6 +25,10 @@ SHOWN = 0.1
 """s between two looks at a trial step; it may take three times as long as planned."""
 
 
+SIGNS = {"+": 1, "-": -1}
+"""How the directions of a step are written."""
+
+
 class Controller(NamedTuple):
     """What was read. wrong: settings that go against safe playing; changed: since the last commissioning."""
 
@@ -45,6 +49,8 @@ class Commissioning:
             )
         self._hardware, self._link, self._clock = hardware, opened(), clock
         self._talk = Talk(self._link, clock)
+        self._arrived = set[tuple[str, int]]()
+        self._skipped = set[str]()
 
     def read(self) -> Controller:
         """Everything that is told, with what is wrong in it."""
@@ -61,7 +67,8 @@ class Commissioning:
     def step(self, letter: str, direction: int, stop: Asked) -> tuple[float, float]:
         """Move one axis by a small step up (1) or down (-1); its positions before and after, in its unit.
 
-        The axis stays in its range. Where a stop is asked for, or the axis does not arrive, it is stopped.
+        The axis stays in its range. Where a stop is asked for, or the axis does not arrive, it is stopped. A step
+        that arrives counts as tried.
         """
         index = self._hardware.letters.index(letter)
         axis = self._hardware.axes[index]
@@ -78,9 +85,33 @@ class Commissioning:
             report = self._talk.asked_report(SHOWN)
             after = before if report is None else float(report.position[self._columns][index])
             if report is not None and report.state == "Idle" and abs(after - goal) < 0.5 * STEP:
+                self._arrived.add((letter, direction))
                 return before, after
         stopped(self._talk, self._clock)
         raise DeviceFault(f"axis {letter} was stopped before it had made its step of {STEP:g} {axis.unit}")
+
+    def skip(self, letter: str) -> None:
+        """Leave an axis untried, because a person says so."""
+        self._skipped.add(letter)
+
+    @property
+    def remaining(self) -> tuple[str, ...]:
+        """Steps that have not arrived yet, of axes that are not skipped: "X+", "X-" and so on, in order."""
+        return tuple(
+            f"{letter}{sign}"
+            for letter in self._hardware.letters
+            for sign, direction in SIGNS.items()
+            if letter not in self._skipped and (letter, direction) not in self._arrived
+        )
+
+    @property
+    def untried(self) -> tuple[str, ...]:
+        """Letters of the axes that have not arrived in both directions, skipped ones among them."""
+        return tuple(
+            letter
+            for letter in self._hardware.letters
+            if any((letter, direction) not in self._arrived for direction in SIGNS.values())
+        )
 
     def close(self) -> None:
         """Let go of the link; nothing is sent."""

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -61,23 +63,56 @@ def commissioned_file(hardware_file: str | Path) -> Path:
     return Path(hardware_file).with_suffix(".commissioned.json")
 
 
-def read_commissioned(hardware_file: str | Path) -> dict[str, str] | None:
-    """Settings by name, None where the rig has not been commissioned; raises HardwareError."""
+class Commissioned(NamedTuple):
+    """The record of a commissioning.
+
+    Attributes
+    ----------
+    settings : dict of str to str
+        The controller's settings by name, as it told them.
+    untried : tuple of str or None
+        Letters of the axes that were not moved in both directions; None in records of versions that did not keep
+        it.
+    """
+
+    settings: dict[str, str]
+    untried: tuple[str, ...] | None
+
+
+def read_commissioned(hardware_file: str | Path) -> Commissioned | None:
+    """The record of a rig's commissioning, None where it has not been commissioned; raises HardwareError."""
     path = commissioned_file(hardware_file)
     if not path.exists():
         return None
     try:
-        settings = json.loads(path.read_text(encoding="utf-8"))["settings"]
-        return {str(name): str(value) for name, value in settings.items()}
+        record = json.loads(path.read_text(encoding="utf-8"))
+        settings = {str(name): str(value) for name, value in record["settings"].items()}
+        untried = tuple(map(str, record["untried"])) if "untried" in record else None
+        return Commissioned(settings, untried)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as exception:
         raise HardwareError(
             f"{path} is no record of a commissioning ({exception}): delete it, and commission the rig anew"
         ) from exception
 
 
-def commissioned_text(settings: dict[str, str], identity: str) -> str:
-    """What the file holds; identity: what the controller tells of itself."""
-    return json.dumps({"controller": identity, "settings": settings}, indent=1) + "\n"
+def commissioned_text(settings: dict[str, str], identity: str, untried: Sequence[str] = ()) -> str:
+    """The text of the record of a commissioning.
+
+    Parameters
+    ----------
+    settings : dict of str to str
+        The controller's settings by name.
+    identity : str
+        What the controller tells of itself.
+    untried : sequence of str
+        Letters of the axes that were not moved in both directions.
+
+    Returns
+    -------
+    str
+        JSON, which :func:`read_commissioned` reads.
+    """
+    return json.dumps({"controller": identity, "settings": settings, "untried": list(untried)}, indent=1) + "\n"
 
 
 @dataclass(frozen=True)
@@ -87,6 +122,7 @@ class Hardware:
     approach: part of the largest speeds at which the first frame is gone to. robot: whose tubes are mounted; plans
     for others are refused, None takes any. late: s that a motion may be behind its schedule. commissioned: the
     controller's settings by name when the rig was commissioned, as it told them; None where that was not done.
+    untried: letters of axes that were not moved then, None where the record does not tell.
     sensing: what measures the robot, None for nothing; sensors may change between sessions. lag: by which the
     tubes that are mounted stay behind their motors, made up for; None for none. Raises HardwareError.
     """
@@ -100,6 +136,7 @@ class Hardware:
     commissioned: dict[str, str] | None = None
     sensing: Sensing | None = field(default=None, repr=False)
     lag: Lag | None = field(default=None, repr=False)
+    untried: tuple[str, ...] | None = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "axes", tuple(self.axes))
@@ -183,6 +220,7 @@ class Hardware:
                 raise HardwareError("hardware needs a list of axes, [[axes]] in TOML")
             if not isinstance(data.get("robot", ""), str):
                 raise HardwareError(f"robot is {data['robot']!r}; it must be the name of a robot file")
+            record = read_commissioned(path)
             hardware = cls(
                 tuple(described(Axis, axis) for axis in data["axes"]),
                 described(Arm, data["arm"]) if "arm" in data else None,
@@ -190,9 +228,10 @@ class Hardware:
                 data.get("approach", cls.approach),
                 Robot.from_toml(Path(path).parent / data["robot"]) if "robot" in data else None,
                 data.get("late", cls.late),
-                read_commissioned(path),
+                None if record is None else record.settings,
                 described(Sensing, data["sensing"]) if "sensing" in data else None,
                 described(Lag, data["lag"]) if "lag" in data else None,
+                () if record is None else record.untried,
             )
             if hardware.robot is not None:
                 hardware.tightened(hardware.robot)

@@ -6,27 +6,28 @@ import argparse
 import sys
 from pathlib import Path
 
-from ctr_nlp.cli.arguments import add_out_option
-from ctr_nlp.cli.console import SOLVED, SOME_FAILED, Command
+from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, Command
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.cli.play_report import JOURNAL, claim
 from ctr_nlp.cli.telling import console, print_table, wrote
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.clock import RealClock
-from ctr_nlp.hardware.commission import STEP, Commissioning, Controller
+from ctr_nlp.hardware.commission import SIGNS, STEP, Commissioning, Controller
 from ctr_nlp.hardware.description import Hardware, commissioned_file, commissioned_text
+from ctr_nlp.hardware.devices import Asked
 from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.opening import memory_of, recorded_link
 from ctr_nlp.support.interrupt import deferred_interrupt
 
-DIRECTIONS = {"+": 1, "-": -1}
+SKIP = "SKIP"
 OUT = "runs/commissioning"
 
 
 def commission(hardware_file: Path, out: str | None) -> int:
-    """Read a controller, move what a person asks for, and keep its settings if none is wrong; the exit status.
+    """Read a controller, move what a person asks for, and keep its settings; the exit status.
 
-    The journal goes into the folder out, or where that is None into one of its own.
+    Settings are kept where none is wrong and every axis has arrived in both directions, or is skipped by a person.
+    The journal goes into the folder `out`, or where that is None into one of its own.
     """
     folder = Path(out or OUT)
     claim(folder)
@@ -43,7 +44,7 @@ def commission(hardware_file: Path, out: str | None) -> int:
             if controller.wrong:
                 console().print("Nothing was moved or kept. Set what is wrong, then commission again.")
                 return SOME_FAILED
-            _steps(rig, hardware)
+            interrupted = _steps(rig, hardware)
         finally:
             rig.close()
     except DeviceFault as exception:
@@ -53,8 +54,20 @@ def commission(hardware_file: Path, out: str | None) -> int:
         if memory is not None:
             memory.release()
         journal.close()
+    if interrupted:
+        console().print("Nothing was kept.")
+        return INTERRUPTED
+    if rig.remaining:
+        console().print(
+            f"Nothing was kept, since these steps have not been made: {' '.join(rig.remaining)}. Commission "
+            f"again, and make them or type skip and the axis, such as skip {rig.remaining[0][0]}.",
+            markup=False,
+        )
+        return SOME_FAILED
     kept = commissioned_file(hardware_file)
-    write_text(kept, commissioned_text(controller.identity.settings, controller.identity.told))
+    write_text(kept, commissioned_text(controller.identity.settings, controller.identity.told, rig.untried))
+    if rig.untried:
+        console().print(f"Kept without a trial of axes {', '.join(rig.untried)}; `ctr-nlp play` will say so.")
     wrote(kept, more=": `ctr-nlp play` compares the controller with it at every start")
     return SOLVED
 
@@ -77,32 +90,43 @@ def _show(hardware: Hardware, controller: Controller) -> None:
         console().print("No setting goes against safe playing.")
 
 
-def _steps(rig: Commissioning, hardware: Hardware) -> None:
-    """Move single axes as typed, until a line says something else or there are no more."""
+def _steps(rig: Commissioning, hardware: Hardware) -> bool:
+    """Move single axes as typed, until an empty line or the end of input; whether that was interrupted."""
     letters = " ".join(hardware.letters)
     console().print(
         f"With the tubes taken out, type an axis ({letters}) and + or - to move it by {STEP:g} mm or degree, "
         "such as X+; an empty line ends.\n"
         "Each must move as far as a ruler shows, and + must go outwards, or anticlockwise seen from the tip, "
-        "where sign is 1.",
+        "where sign is 1.\n"
+        "Settings are kept when every axis has moved both ways. To leave one untried, type skip and the axis, "
+        "such as skip X.",
         markup=False,
     )
     with deferred_interrupt() as interrupted:
         for line in sys.stdin:
             typed = line.strip().upper()
             if not typed or interrupted():
-                return
-            if len(typed) != 2 or typed[0] not in hardware.letters or typed[1] not in DIRECTIONS:
-                console().print(
-                    f"{typed!r} is no axis and direction; type one of {letters} and + or -", markup=False
-                )
-                continue
-            try:
-                before, after = rig.step(typed[0], DIRECTIONS[typed[1]], interrupted)
-            except HardwareError as exception:
-                console().print(str(exception), markup=False)
-            else:
-                console().print(f"{typed[0]} went from {before:.3f} to {after:.3f}")
+                break
+            _obey(typed, rig, hardware, interrupted)
+        return interrupted()
+
+
+def _obey(typed: str, rig: Commissioning, hardware: Hardware, stop: Asked) -> None:
+    """Do what a typed line asks for, or say that it means nothing."""
+    letter, letters = typed.removeprefix(SKIP).strip(), " ".join(hardware.letters)
+    if typed.startswith(SKIP) and letter in hardware.letters:
+        rig.skip(letter)
+        console().print(f"{letter} is left untried")
+    elif len(typed) != 2 or typed[0] not in hardware.letters or typed[1] not in SIGNS:
+        message = f"{typed!r} is no axis and direction; type one of {letters} and + or -, or skip and one of them"
+        console().print(message, markup=False)
+    else:
+        try:
+            before, after = rig.step(typed[0], SIGNS[typed[1]], stop)
+        except HardwareError as exception:
+            console().print(str(exception), markup=False)
+        else:
+            console().print(f"{typed[0]} went from {before:.3f} to {after:.3f}")
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
@@ -110,12 +134,14 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         prog=prog,
         description="Read a Grbl controller, tell which settings are wrong and what to set, move single axes "
         "by a small step where asked to, and keep its settings beside the hardware file, to be compared at every "
-        "start.",
-        epilog="Exit status: 0 where settings were kept, 1 where a setting is wrong or the controller fails, 2 "
-        "where input is bad, 130 after an interruption.",
+        "start, once every axis has moved both ways.",
+        epilog="Exit status: 0 where settings were kept, 1 where a setting is wrong, an axis was not tried or the "
+        "controller fails, 2 where input is bad, 130 after an interruption.",
     )
     parser.add_argument("hardware", metavar="FILE.toml", help="hardware file")
-    add_out_option(parser, OUT)
+    parser.add_argument(
+        "--out", metavar="DIR", help=f"folder for {JOURNAL}, the record of what was said (default {OUT})"
+    )
     return parser
 
 

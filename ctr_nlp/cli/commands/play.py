@@ -28,14 +28,16 @@ from ctr_nlp.hardware.guiding.loop import ClosedLoop
 from ctr_nlp.hardware.journal import Journal, read_journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.opening import arm_follower, device_of, memory_of
+from ctr_nlp.hardware.playing.checks import check_plan
+from ctr_nlp.hardware.playing.permission import check_permission
 from ctr_nlp.hardware.playing.playback import Seen
 from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.record import Recorder
 from ctr_nlp.hardware.playing.results import Outcome
 from ctr_nlp.hardware.playing.retract import retract
 from ctr_nlp.hardware.playing.session import begin, prepared, resume
+from ctr_nlp.plan.account import NOT_FOR_PATIENTS
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.plan.verdicts import YES
 from ctr_nlp.support.interrupt import deferred_interrupt
 
 
@@ -82,10 +84,16 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         help=f"where {JOURNAL}, tracking.csv and tracking.png go (default runs/PROBLEM-play)",
     )
     parser.add_argument(
+        "--free-space",
+        action="store_true",
+        help="nothing surrounds the robot, as on a bench: play a plan without a lumen, whose distance to a wall "
+        "nobody could check",
+    )
+    parser.add_argument(
         "--uncertified",
         action="store_true",
-        help="play an elastic plan that was never tried on draws of its robot (ctr-nlp robust), or of whose draws "
-        "too many are lost",
+        help="play a plan although a verdict on it is no, or was not checked (ctr-nlp robust checks stability and "
+        "samples); unsolved frames, limits and snaps are refused all the same",
     )
     closed_loop.add_options(parser)
     add_live_option(parser, "the robot where its axes are, over where they should be (the tilt as commanded),")
@@ -97,7 +105,7 @@ EXCLUDED = {
     "retract": ("home", "tempo", "dry_run", "resume", "live", "closed_loop", "replay"),
     "commission": (
         *("home", "tempo", "dry_run", "resume", "retract", "live", "position_verified", "plan"),
-        *("uncertified", "closed_loop", "sensor", "replay"),
+        *("uncertified", "free_space", "closed_loop", "sensor", "replay"),
     ),
     "replay": ("home", "tempo", "dry_run", "resume", "live", "position_verified"),
     "dry_run": ("live", "position_verified"),
@@ -118,6 +126,8 @@ def _check_together(arguments: argparse.Namespace) -> None:
         raise OptionError("a plan is needed: PLAN.npz")
     if arguments.sensor is not None and not (arguments.closed_loop or arguments.replay):
         raise OptionError("--sensor goes with --closed-loop")
+    if not 0 < _tempo(arguments) <= 1:
+        raise OptionError(f"tempo is {arguments.tempo:g}; it must lie in (0, 1]")
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -128,9 +138,13 @@ def _run(arguments: argparse.Namespace) -> int:
     hardware = bench(plan.robot) if arguments.hardware is None else Hardware.from_toml(arguments.hardware)
     if arguments.closed_loop or arguments.replay:
         hardware = closed_loop.with_sensor(hardware, arguments.sensor)
-    for verdict in plan.verdicts:
-        if verdict.word == "no" and plan.complete:  # a plan with unsolved frames is refused anyhow
-            sys.stderr.write(f"note: {verdict.matter}: no. {verdict.why}\n")
+    asked = not (arguments.retract or arguments.resume or arguments.replay)
+    if asked:  # what check_plan refuses, no option waives: it comes first
+        check_plan(plan, hardware.tightened(plan.robot))
+    sys.stderr.write(f"{NOT_FOR_PATIENTS}\n")
+    if asked:
+        _ask_permission(arguments, plan)
+    _note_untried(hardware)
     if arguments.dry_run:
         title = f"{plan.meta['problem']['name']}: checked; nothing was sent"
         share = SHARE if arguments.closed_loop else 1.0
@@ -139,8 +153,6 @@ def _run(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out or f"runs/{path_component(str(plan.meta['problem']['name']))}-play")
     if arguments.replay:
         return closed_loop.replay(plan, hardware, read_journal(out / JOURNAL))
-    if not (arguments.uncertified or arguments.retract):
-        _check_certified(plan, arguments.plan)
     known = arguments.resume or (arguments.retract and (out / JOURNAL).exists())
     records = read_journal(out / JOURNAL) if known else None
     looped = closed_loop.opened(plan, hardware, records) if arguments.closed_loop else nullcontext()
@@ -148,14 +160,28 @@ def _run(arguments: argparse.Namespace) -> int:
         return _played(arguments, plan, hardware, out, records, told, loop)
 
 
-def _check_certified(plan: Plan, name: str) -> None:
-    """Raise OptionError for a plan on which robots can snap, unless nearly all of its draws get through."""
-    survives = plan.verdicts.survives_draws
-    if plan.can_snap and survives.word != YES:
-        why = survives.why if plan.drawn is not None else f"It was never tried on draws (ctr-nlp robust {name})."
-        raise OptionError(
-            f"the plan may not hold on the robot as it is built. {why} --uncertified plays it anyway"
-        )
+def _ask_permission(arguments: argparse.Namespace, plan: Plan) -> None:
+    """Raise an error unless the plan may be played, and name on stderr the verdicts that options waive.
+
+    A session that is resumed was asked when it began, and goes on only with the very same plan. A retraction is
+    never asked: whatever is wrong with a plan, the robot must come out.
+    """
+    waived = check_permission(
+        plan, free_space=arguments.free_space, uncertified=arguments.uncertified, name=arguments.plan
+    )
+    for verdict in waived:
+        sys.stderr.write(f"note: {verdict.matter}: {verdict.word}. {verdict.why}\n")
+
+
+def _note_untried(hardware: Hardware) -> None:
+    """Name on stderr the axes that nobody tried when the rig was commissioned."""
+    if hardware.commissioned is None or hardware.untried == ():
+        return
+    if hardware.untried is None:
+        told = "the record of the rig's commissioning does not tell which axes were tried"
+    else:
+        told = f"when the rig was commissioned, axes were not tried: {', '.join(hardware.untried)}"
+    sys.stderr.write(f"note: {told}; `ctr-nlp commission` tries them\n")
 
 
 def _tempo(arguments: argparse.Namespace) -> float:

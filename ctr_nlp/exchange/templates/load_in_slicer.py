@@ -9,6 +9,8 @@ Python Console) and enter, with the path of this folder:
 
 or start Slicer with `--python-script FOLDER/load_in_slicer.py`, which loads. Load the scan itself as usual:
 the plan is in its coordinates.
+
+Not validated for use on patients.
 """
 
 from __future__ import annotations
@@ -18,7 +20,10 @@ from typing import Any
 from xml.etree import ElementTree
 
 import slicer
+import vtk
 
+NOT_FOR_PATIENTS = "Not validated for use on patients."
+"""Printed, shown in the 3D view, and the description of everything that is loaded."""
 HERE = Path(__file__).resolve().parent
 KINDS = {"tubes": ".vtp", "robot": ".mrk.json", "target": ".mrk.json"}
 """What there is of every frame, and how the names of its files end."""
@@ -38,6 +43,7 @@ def frames(folder: Path = HERE) -> list[tuple[str, str]]:
 
 def load(folder: Path = HERE) -> Any:
     """Load all frames as sequences over time, and the wall where there is one; the sequence browser."""
+    print(NOT_FOR_PATIENTS)
     browser = slicer.mrmlScene.AddNewNodeByClass("vtkMRMLSequenceBrowserNode", "plan")
     sequences = [sequence_of(kind, suffix, folder) for kind, suffix in KINDS.items()]
     for sequence in sequences:
@@ -47,10 +53,26 @@ def load(folder: Path = HERE) -> Any:
     for sequence in sequences:
         show(browser.GetProxyNode(sequence))
     browser.SetSelectedItemNumber(browser.GetNumberOfItems() - 1)
+    shown = [browser, *sequences, *(browser.GetProxyNode(sequence) for sequence in sequences)]
     wall = folder / "wall.vtp"
     if wall.exists():
-        slicer.util.loadModel(str(wall)).GetDisplayNode().SetOpacity(0.2)
+        shown.append(slicer.util.loadModel(str(wall)))
+        shown[-1].GetDisplayNode().SetOpacity(0.2)
+    for node in shown:
+        node.SetDescription(NOT_FOR_PATIENTS)
+    annotate()
     return browser
+
+
+def annotate() -> None:
+    """Show in a corner of the 3D view that nothing here is validated; pictures and films show it too."""
+    layout = slicer.app.layoutManager()
+    if layout is None:  # Slicer runs without a window
+        return
+    view = layout.threeDWidget(0).threeDView()
+    view.cornerAnnotation().SetText(vtk.vtkCornerAnnotation.LowerRight, NOT_FOR_PATIENTS)
+    view.cornerAnnotation().GetTextProperty().SetColor(1.0, 1.0, 1.0)
+    view.forceRender()
 
 
 def sequence_of(kind: str, suffix: str, folder: Path) -> Any:

@@ -11,7 +11,7 @@ from ctr_nlp.hardware.emulator.planner import AxisLimits, Overrides
 NO_SUCH_SETTING, NEEDS_HOMING = 53, 10
 
 SHOWN = (
-    "0=5.0 1=255 2=0 3=0 4=63 5=0 6=0 9=1 10=511 11=0.010 12=0.002 13=0 14=0 15=0 17=0 18=0 19=0 20=0 21=0 22=0 "
+    "0=5.0 1=255 2=0 3=0 4=63 5=0 6=0 9=1 10=511 11=0.100 12=0.002 13=0 14=0 15=0 17=0 18=0 19=0 20=0 21=0 22=0 "
     "23=0 24=25.0 25=500.0 26=250 27=1.000 28=0.100 29=0.0 30=1000.000 31=0.000 32=0 33=5000.0 34=0.0 35=0.0 "
     "36=100.0 37=0 39=1 40=0 41=0 42=2 43=1 44=4 45=3 46=0 47=0 48=0 49=0 56=5.0 57=100.0 58=-5.0 59=500.0 60=0 "
     "61=0 62=0 63=3 64=0 65=0 "
@@ -22,7 +22,10 @@ SHOWN = (
     "341=0 342=30.0 343=25.0 344=200.0 345=200.0 346=1 376=7 384=0 392=4.0 393=1.0 394=0.0 398=100 481=0 485=0 "
     "486=0 538=0 539=0.0 673=0.0 676=15 680=0"
 )
-"""A configured machine as `$$` shows it: 400 steps/mm and 100 steps/deg, 50 mm/s and 600 deg/s."""
+"""A configured machine as `$$` shows it: 400 steps/mm and 100 steps/deg, 50 mm/s and 600 deg/s.
+
+The junction deviation $11 is ten times that of a controller as it is delivered, as playing needs it.
+"""
 _TEXTS = {int(key): value for key, _, value in (pair.partition("=") for pair in SHOWN.split())}
 DEFAULTS = {number: float(text) for number, text in _TEXTS.items()}
 DECIMALS = {number: len(text.partition(".")[2]) for number, text in _TEXTS.items()}

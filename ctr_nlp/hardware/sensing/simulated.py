@@ -4,28 +4,76 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from ctr_nlp.hardware.sensing.source import Source
 from ctr_nlp.loops.feed import Fault, Feed
 from ctr_nlp.loops.plant import Plant
 from ctr_nlp.loops.sensors import Reading, Sensors
+from ctr_nlp.models import Model, model_named
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.robot.draws import drawn
+from ctr_nlp.robot.draws import Draws, drawn
+from ctr_nlp.robot.tolerances import NAMES
 from ctr_nlp.typing import Array
+
+SHOWN = {
+    "curvature": ("curvature", 100.0, " %"),
+    "bending_stiffness": ("bending stiffness", 100.0, " %"),
+    "torsional_ratio": ("torsional ratio", 100.0, " %"),
+    "curved_length": ("curved length", 1.0, " mm"),
+    "motor_zero": ("motor zero", 1.0, " rad"),
+}
+"""How the differences of a drawn robot are called, by what they are multiplied, and their unit then."""
 
 
 class SimulatedRobot(Source):
-    """The draw of a seed, on the model that a plan is evaluated on; faults: as of Feed."""
+    """A sample of the plan's robot within its tolerances, moved by the motors and measured by sensors.
 
-    def __init__(self, plan: Plan, sensors: Sensors, seed: int, faults: Sequence[Fault] = ()) -> None:
-        self.plant = Plant(plan.robot, drawn(plan.robot, 1, seed), plan.evaluated_on)
+    Parameters
+    ----------
+    plan : Plan
+        Its robot and tolerances are what the sample is drawn from.
+    sensors : Sensors
+        What is measured, and how well.
+    seed : int
+        Of the sample and of the noise; the same seed gives the same robot.
+    faults : sequence of Fault, optional
+        Of the sensors; see Feed.
+    model : str or Model, optional
+        How the robot behaves. By default it is elastic, under the load that the plan is evaluated under, whatever
+        model the plan was made on: tubes twist and can snap also where a plan knows nothing of that.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        sensors: Sensors,
+        seed: int,
+        faults: Sequence[Fault] = (),
+        model: str | Model | None = None,
+    ) -> None:
+        if model is None:
+            model = "elastic" if plan.bears is None else plan.evaluated_on
+        self._model, self._sample, self._seed = model_named(model), drawn(plan.robot, 1, seed), seed
+        self._plan = plan
+        self.plant = Plant(plan.robot, self._sample, self._model)
         self._feed = Feed(self.plant, sensors, seed, faults=faults)
+
+    def __str__(self) -> str:
+        """Which robot it is, in one line: model, seed, and by how much its tubes differ, outermost first."""
+        told = "; ".join(_differences(self._sample)) or "exactly as described"
+        return f"a simulated robot on the {self._model.name} model, seed {self._seed}: {told}"
 
     def open(self) -> None:
         """Nothing is opened."""
 
     def led(self, places: Array) -> None:
-        """As Source."""
-        for q in places:
+        """As Source. A robot that has come through nothing comes to rest in the plan's first frame.
+
+        Its first equilibrium takes up to a second where programs are not compiled yet. It is found here, before
+        anything moves: within the motion, the player would stop because it was held up.
+        """
+        for q in places if len(places) else self._plan.q[:1]:
             self.plant.moved(q, 0.0)
 
     def take(self, q: Array, now: float) -> list[Reading]:
@@ -35,3 +83,18 @@ class SimulatedRobot(Source):
 
     def close(self) -> None:
         """Nothing was opened."""
+
+
+def _differences(sample: Draws) -> list[str]:
+    """By how much one sample differs from the robot described, a phrase for each quantity that does."""
+    columns = {name: sample.parts[0, :, k] for k, name in enumerate(NAMES)}
+    told = [
+        f"{name} {', '.join(f'{factor * value:+.3g}' for value in columns[key])}{unit}"
+        for key, (name, factor, unit) in SHOWN.items()
+        if np.any(columns[key])
+    ]
+    if sample.lags.any():
+        told.append(f"rotation lag {', '.join(f'{lag:.3g}' for lag in sample.lags[0])} rad")
+    if sample.forces.any():
+        told.append(f"tip force {', '.join(f'{force:+.3g}' for force in sample.forces[0])} N along x, y, z")
+    return told

@@ -6,7 +6,7 @@ Numbers and meanings of settings: grblHAL, settings.c. A finding tells the value
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +20,25 @@ Wrong = tuple[int | str, str, str]
 
 STATUS_MASK = 511
 """$10: machine positions, free blocks, line numbers, feed, pins, offsets, overrides and more in status reports."""
+
+MIN_JUNCTION_DEVIATION = 0.1
+MAX_JUNCTION_DEVIATION = 1.0
+"""$11 must lie between them; mm, and for turning axes deg, which Grbl counts as mm.
+
+At a corner between two lines Grbl goes at most at the speed v with v^2 = a $11 s / (1 - s), where s is the sine of
+half the angle between the lines and a the acceleration across the corner (grblHAL, planner.c). It does not leave
+the path: the velocity changes at once, by at most sqrt(8 a $11). So a larger $11 means faster corners.
+
+From below: a motion is sent in pieces of 0.025 s (LONGEST), so that a turn at 2000 deg/s^2 changes its speed by 50
+deg/s from one piece to the next. With 0.01, as controllers are delivered, only sqrt(8 2000 0.01) = 13 deg/s pass
+at once. Grbl then brakes at every piece of a quick turn, until the supervision stops it for being late.
+On the emulated controller, tubes turned back and forth at 2.9 Hz are 1 s late after 2 s with 0.01, and 0.32 s with
+0.03; with 0.1 and more they are no later than the link alone makes them.
+
+From above: $11 is what keeps lines of other origin, such as jogs, from asking the motors for a leap in speed.
+Steppers that are asked for too large a leap lose steps, which nobody notices without encoders. With 1 a slide of
+200 mm/s^2 may leap by 40 mm/s, nearly its full speed; beyond that $11 bounds nothing.
+"""
 
 NEEDED = {0: "machine positions", 1: "the planner's free blocks", 2: "line numbers", 6: "overrides"}
 """Bits of $10 without which a motion cannot be supervised."""
@@ -77,13 +96,18 @@ def check(identity: Identity, hardware: Hardware) -> None:
     """Raise DeviceFault with the first wrong setting, and how many more there are."""
     wrong = [*findings(identity, hardware), *changes(identity, hardware)]
     if wrong:
-        more = f" ({len(wrong) - 1} more: play.py --commission lists all)" if len(wrong) > 1 else ""
+        more = f" ({len(wrong) - 1} more: `ctr-nlp commission` lists all)" if len(wrong) > 1 else ""
         raise DeviceFault(f"{wrong[0]}{more}")
 
 
 def findings(identity: Identity, hardware: Hardware) -> list[Finding]:
     """Every setting that goes against safe playing on this hardware; raises DeviceFault where one is not told."""
-    wrong = (*_reports(identity), *_positions(identity, hardware), *_limits(identity, hardware))
+    wrong = (
+        *_reports(identity),
+        *_positions(identity, hardware),
+        *_corners(identity),
+        *_limits(identity, hardware),
+    )
     return [Finding(str(name), identity.settings[str(name)], wanted, why) for name, wanted, why in wrong]
 
 
@@ -93,8 +117,20 @@ def changes(identity: Identity, hardware: Hardware) -> list[Finding]:
     return [
         Finding(name, identity.settings.get(name, "not told"), value, f"was {value} when the rig was commissioned")
         for name, value in sorted(before.items())
-        if identity.settings.get(name) != value
+        if identity.settings.get(name) != value and not _wrong_before(name, value, identity, hardware)
     ]
+
+
+def _wrong_before(name: str, value: str, identity: Identity, hardware: Hardware) -> bool:
+    """Whether a setting that was kept goes against safe playing, as in a record of a version with other rules.
+
+    Nobody is asked to set it again: otherwise one message would ask for a value that another one forbids.
+    """
+    try:
+        then = findings(replace(identity, settings=identity.settings | {name: value}), hardware)
+    except DeviceFault:
+        return False
+    return name in [finding.name for finding in then]
 
 
 def _reports(identity: Identity) -> Iterator[Wrong]:
@@ -129,6 +165,20 @@ def _positions(identity: Identity, hardware: Hardware) -> Iterator[Wrong]:
     for name in ("N0", "N1"):
         if identity.settings.get(name):
             yield name, "", "it is obeyed whenever the controller starts"
+
+
+def _corners(identity: Identity) -> Iterator[Wrong]:
+    """The junction deviation, where the controller would be late in corners or would not bound their speed."""
+    deviation = identity.setting(11)
+    if deviation < MIN_JUNCTION_DEVIATION:
+        yield (
+            11,
+            f"{MIN_JUNCTION_DEVIATION:g}",
+            "is so small that quick turns would be late: it counts degrees as mm",
+        )
+    elif deviation > MAX_JUNCTION_DEVIATION:
+        why = "is so large that motors may be asked for leaps in speed, in which steppers lose steps"
+        yield 11, f"{MAX_JUNCTION_DEVIATION:g}", why
 
 
 def _limits(identity: Identity, hardware: Hardware) -> Iterator[Wrong]:
