@@ -3,6 +3,7 @@
 import numpy as np
 
 import ctr_nlp as ctr
+from ctr_nlp.simulation.forward import simulated
 
 DT, SIGMA = 0.1, np.linspace(0, 1, 101)
 """Seconds from one target to the next, and places along a shape."""
@@ -22,8 +23,8 @@ steerer = ctr.Steerer(robot, q, DT)
 for number in range(1, 31):
     path = target(number * DT)
     points = path.point(SIGMA * path.length)  # (101, 3) in mm
-    q = steerer.step(points)  # within the robot's limits of speed; some 50 µs where it is compiled
+    q = steerer.step(points)  # within the robot's limits of speed; some 0.1 ms where it is compiled
     if number % 5 == 0:
-        shape = ctr.shape_curve(robot, q)
-        error = np.sqrt(np.mean(np.sum((shape.point(SIGMA * shape.length) - points) ** 2, axis=1)))
+        shape = simulated(robot, q[None], "elastic").shape[0]  # (101, 3) in mm, of tubes that twist each other
+        error = np.sqrt(np.mean(np.sum((shape - points) ** 2, axis=1)))
         print(f"{number * DT:.1f} s: error {error:.2f} mm, tubes out by {q[3]:.0f}, {q[4]:.0f} and {q[5]:.0f} mm")

@@ -4,10 +4,10 @@ import ctr_nlp as ctr
 from ctr_nlp.problems import named
 
 problem = named("bronchus", frames=20)
-plan = ctr.solve_horizon(problem)
+plan = ctr.solve_horizon(problem).check()  # looks at the wall, stability and 200 simulated robots
 
 found = ctr.summary(plan)
-print(f"{problem.frames} frames, e3 {found['e3']:.2f} mm, largest error {found['e_max']:.2f} mm")
+print(f"{problem.frames} frames, e3 {found['e3']:.2f} mm, last tip {found['tip_last']:.2f} mm off")
 for verdict in plan.verdicts:
     print(f"{verdict.matter}: {verdict.word}. {verdict.why}")
 

@@ -9,34 +9,45 @@ from dataclasses import replace
 from ctr_nlp.anatomy.files import CENTRELINES, MASKS
 from ctr_nlp.cli.arguments import DEFAULTS, add_entry_option, add_live_option, add_numbers, add_triple, whole
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.settings import ROBUST_CLEARANCE_COST
+from ctr_nlp.formulations import default_model
+from ctr_nlp.formulations.settings import ROBUST_CLEARANCE_COST, THRESHOLDS
 from ctr_nlp.formulations.terms import ShapeDistance, Term, TipDirection, TipPosition
 from ctr_nlp.models import MODELS
-from ctr_nlp.plan.verdicts import MOST_LOST
+from ctr_nlp.plan.draws import DRAWS
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.robustness import MOST_LOST
 from ctr_nlp.studies.trade_off import WEIGHTS
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import SIGMA
 
+CERTIFIED = 500
+"""Simulated robots that a robust plan is judged on."""
 HORIZON = "horizon"
 """The formulation that takes all frames at once."""
 FRAMES_ALONE = ("direction", "jump_width")
 """Options that no horizon has."""
 HORIZON_ALONE = ("end", "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live")
 """Options that a horizon alone has."""
-WALL = ("clearance", "contact_weight", "clearance_cost", "contact_allowed")
+WALL = ("clearance", "contact_weight", "clearance_cost")
 """What add_wall_options adds, as Settings calls it."""
+THRESHOLD_HELP = {
+    "arrival_tolerance": ("MM", "distance from the target's end within which the tip arrives in the last frame"),
+    "error_allowed": ("MM", "largest e2 of any frame with which the plan follows its target"),
+    "contact_allowed": ("MM", "how far the robot may be beyond the wall anywhere, since tissue gives a little"),
+    "share": ("PART", "share of the simulated robots that must keep their branch, arrive and keep off the wall"),
+}
+"""What the thresholds of verdicts mean."""
 
 
 def add_model_options(parser: argparse.ArgumentParser) -> None:
-    """The model to plan on, and the one that errors are taken on."""
-    parser.add_argument("--model", choices=MODELS, help="(default dominant; with --robust elastic)")
-    add_evaluate_option(parser, "the one planned on")
+    """The model to plan on."""
+    parser.add_argument("--model", choices=MODELS, help="(default elastic; with two stages dominant)")
 
 
 def model_from(arguments: argparse.Namespace) -> str:
-    """The model to plan on: robots within tolerances differ most on the elastic one, where they can snap."""
+    """The model to plan on: the one that was named, or the default of the formulation."""
     named: str | None = arguments.model
-    return named or ("elastic" if arguments.robust else "dominant")
+    return named or default_model(arguments.formulation)
 
 
 def add_evaluate_option(parser: argparse.ArgumentParser, default: str) -> None:
@@ -141,16 +152,48 @@ def add_wall_options(parser: argparse.ArgumentParser) -> None:
             "by what part of itself the error e3 may grow for clearance; where it would grow by more, contact "
             "costs less; inf: contact always costs its full weight",
         ),
-        (
-            "contact-allowed",
-            "MM",
-            "how far any place of the robot may be beyond the wall before the plan is not within it, since tissue "
-            "gives a little",
-        ),
     ):
         usual = f"{DEFAULTS.options()[option.replace('-', '_')]:g}"
         usual += f", with --robust {ROBUST_CLEARANCE_COST:g}" if option == "clearance-cost" else ""
         add_numbers(group, (option, metavar, f"{what} (default {usual})"))
+
+
+def add_threshold_options(parser: argparse.ArgumentParser) -> None:
+    """Add the thresholds that verdicts judge by: settings.THRESHOLDS."""
+    group = parser.add_argument_group("what counts as good")
+    for name in THRESHOLDS:
+        metavar, what = THRESHOLD_HELP[name]
+        add_numbers(group, (name.replace("_", "-"), metavar, f"{what} (default {getattr(DEFAULTS, name):g})"))
+
+
+def with_thresholds(plan: Plan, arguments: argparse.Namespace) -> Plan:
+    """Judge a plan by the thresholds that were given; raises OptionError where one is out of range."""
+    given = {name: value for name in THRESHOLDS if (value := getattr(arguments, name)) is not None}
+    return plan.with_thresholds(**given) if given else plan
+
+
+def add_check_options(parser: argparse.ArgumentParser) -> None:
+    """Add how a plan is looked at once it is made."""
+    group = parser.add_argument_group("how the plan is looked at")
+    group.add_argument(
+        "--no-evaluate",
+        action="store_true",
+        help="neither move the robot through the plan on the elastic model, where it was planned on another one, "
+        "nor simulate robots within the tolerances; verdicts that need this then say NOT CHECKED",
+    )
+    usual = f"{DRAWS}; with --robust {CERTIFIED}; under a load 0, since loaded ones take a minute for every 200"
+    told = f"robots within the tolerances that are simulated (default {usual})"
+    group.add_argument("--samples", metavar="N", type=whole, help=told)
+
+
+def look_at_plan(plan: Plan, arguments: argparse.Namespace) -> Plan:
+    """Look at a plan as add_check_options' arguments say; raises RobotError for a bad number of samples."""
+    if arguments.no_evaluate:
+        return plan
+    robust, loaded = getattr(arguments, "robust", False), plan.bears is not None
+    usual = CERTIFIED if robust else 0 if loaded else DRAWS
+    count = usual if arguments.samples is None else arguments.samples
+    return plan if loaded and not count else plan.check(count)
 
 
 def add_file_options(parser: argparse.ArgumentParser) -> None:

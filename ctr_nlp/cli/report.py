@@ -9,6 +9,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED
 from ctr_nlp.cli.output.folder import name_within
@@ -16,9 +17,12 @@ from ctr_nlp.cli.telling import console, print_table, progress_bar
 from ctr_nlp.plan import account, drawn_account
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.plan.verdicts import SURVIVES
+from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES
 from ctr_nlp.studies.trade_off import Point
 from ctr_nlp.support.tables import by_line, write_csv
+
+STYLES = {YES: "green", NO: "bold red", NOT_CHECKED: "dark_orange"}
+"""Colours of a verdict's word in a terminal; amber is not the colour of *yes*."""
 
 
 def write(plan: Plan, folder: Path) -> None:
@@ -41,29 +45,37 @@ def draw(plan: Plan, points: Sequence[Point], folder: Path) -> None:
 
 
 def print_report(plan: Plan) -> None:
-    """The verdicts on a plan, its numbers, and what is wrong with it."""
+    """Print the verdicts on a plan, its numbers, and what is wrong with it."""
     found = summary(plan)
-    print_table(account.title(found), account.VERDICTS, account.verdict_rows(found), text=("why",))
+    print_verdicts(found)
     print_table("numbers", ("", "value", "unit"), account.rows(found))
     for remark in account.remarks(plan, found):
-        console().print(remark)
+        console().print(remark, markup=False)
+
+
+def print_verdicts(found: dict[str, Any]) -> None:
+    """Print the table of verdicts of a plan's summary, its words in colour, and what they come to."""
+    rows = account.verdict_rows(found)
+    print_table(account.title(found), account.VERDICTS, rows, text=("value", "why"), styles=STYLES)
+    console().print(account.lead(found), markup=False)
+    console().print(account.NOT_FOR_PATIENTS, markup=False)
 
 
 def print_robustness(plan: Plan) -> None:
-    """What becomes of a plan on its draws: errors, losses and what each tolerance costs."""
+    """Print the verdicts on a plan, and what becomes of its samples: arrival, contact, errors, losses, costs."""
     assert plan.drawn is not None
-    for table in drawn_account.tables(plan.drawn):
+    print_verdicts(summary(plan))
+    for table in drawn_account.tables(plan):
         print_table(table.title, table.columns, table.rows)
-    console().print(plan.verdicts.survives_draws.why)
-    for sentence in drawn_account.sentences(plan.drawn):
-        console().print(sentence)
+    for sentence in (plan.drawn.told, *drawn_account.sentences(plan.drawn)):
+        console().print(sentence, markup=False)
 
 
-def exit_status(plan: Plan, tried: bool = False) -> int:
-    """0 where no verdict is no, 1 where one is, 130 interrupted; tried: whether that on draws counts."""
+def exit_status(plan: Plan) -> int:
+    """0 where no verdict is *no*, 1 where one is, 130 where the plan was interrupted."""
     if plan.meta.get("interrupted", False):
         return INTERRUPTED
-    return SOME_FAILED if any(tried or matter != SURVIVES for matter in plan.verdicts.failed) else SOLVED
+    return SOME_FAILED if plan.verdicts.failed else SOLVED
 
 
 def write_front(points: Sequence[Point], folder: Path) -> None:

@@ -6,7 +6,7 @@ import io
 import json
 import math
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -17,6 +17,7 @@ from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
 PIPED_WIDTH = 160
 """Columns assumed where output does not go to a terminal."""
@@ -84,20 +85,39 @@ def wrote(place: str | Path, files: Sequence[str] = (), more: str = "") -> None:
 
 
 def print_table(
-    title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]], text: Collection[str] = ()
+    title: str,
+    columns: Sequence[str],
+    rows: Sequence[Sequence[Any]],
+    text: Collection[str] = (),
+    styles: Mapping[str, str] | None = None,
 ) -> None:
-    """A table with a left-aligned first column and columns of text; numbers are cut to what is worth reading."""
+    """Print a table with a left-aligned first column.
+
+    Parameters
+    ----------
+    title : str
+        Stands above it.
+    columns : sequence of str
+        Names of the columns.
+    rows : sequence of sequences
+        Cells; numbers are cut to what is worth reading, text is shown as it is.
+    text : collection of str
+        Further columns that are left-aligned.
+    styles : mapping, optional
+        Colours of cells that are just such a word.
+    """
     told = _told.get()
     if told is not None:
         told.tables.append({"title": title, "columns": list(columns), "rows": [list(row) for row in rows]})
         return
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for i, column in enumerate(columns):
         table.add_column(
             column, justify="left" if i == 0 or column in text else "right", no_wrap=i == 0, overflow="fold"
         )
     for row in rows:
-        table.add_row(*(cell if isinstance(cell, str) else _text(cell) for cell in row))
+        cells = (cell if isinstance(cell, str) else _text(cell) for cell in row)
+        table.add_row(*(Text(cell, (styles or {}).get(cell, "")) for cell in cells))
     console().print(table)
 
 

@@ -7,7 +7,7 @@ from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.stage import Stage
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.formulations.two_stage import two_stage, two_stage_exact
-from ctr_nlp.models import Model
+from ctr_nlp.models import DEFAULT_MODEL, Model
 from ctr_nlp.robot import Robot
 
 FORMULATIONS: dict[str, Callable[[Robot, Settings, Model, Sequence[Term]], tuple[Stage, ...]]] = {
@@ -16,5 +16,17 @@ FORMULATIONS: dict[str, Callable[[Robot, Settings, Model, Sequence[Term]], tuple
     "two-stage-exact": two_stage_exact,
 }
 """Every frame formulation by the name that options use."""
+TWO_STAGE = ("two-stage", "two-stage-exact")
+"""Formulations that find beta from the target's curvature first, and alpha after it."""
 
-__all__ = ["FORMULATIONS", "Stage"]
+
+def default_model(formulation: str) -> str:
+    """Name of the model that a formulation plans on where none is given; formulation may also be "horizon".
+
+    The elastic model, except for the two-stage formulations: their first stage needs a curvature that alpha does
+    not change, and only the dominant model has one.
+    """
+    return "dominant" if formulation in TWO_STAGE else DEFAULT_MODEL
+
+
+__all__ = ["FORMULATIONS", "Stage", "default_model"]

@@ -14,21 +14,55 @@ CLEARANCE_COST, ROBUST_CLEARANCE_COST = 0.1, 0.7
 robot as described, and for all robots within its tolerances. With so much more, these touch the wall about as much
 as the robot described does in a plan of its own: tissue comes before the error."""
 
+THRESHOLDS_MM = "arrival_tolerance", "error_allowed", "contact_allowed"
+"""Settings in mm by which plans are judged."""
+THRESHOLDS = *THRESHOLDS_MM, "share"
+"""All settings by which plans are judged. Planning does not use them, so a plan can be judged anew by others."""
+
 
 @dataclass(frozen=True)
 class Settings:
-    """Options of the frame formulations; raises OptionError where one is out of its range.
+    """Options of the formulations, and the thresholds by which plans are judged.
 
-    motion_weight: lambda of eq. (9), s^2; with the default and 0.1 s a frame, a step of 1 mm costs as much
-    as a shape error of 0.01 mm. jump_width: of the smoothed jumps of curvature in the two-stage formulation,
-    mm, reached from wider ones by continuation. seed: of the random starts. stability_margin: the least that a
-    configuration of the elastic model may have, from 1 (no tube acts on another) down to 0 (snap); None for any.
-    clearance: mm that are to be kept between tubes and the lumen's wall, where that is known, by the joint
-    formulation and the horizon. contact_weight: what a mm less of it costs in a frame, mm^2, as an exact penalty:
-    all is kept where that costs less; 0 for no wall. clearance_cost: by what part of itself the error e3 may
-    grow for clearance, None for the usual one of the kind of plan; where it would grow by more, contact costs
-    less. contact_allowed: mm that a place of the
-    robot may be beyond the wall before a plan is not within it: tissue gives a little.
+    Attributes
+    ----------
+    motion_weight : float
+        lambda of eq. (9), s^2. With the default and 0.1 s a frame, a step of 1 mm costs as much as a shape error
+        of 0.01 mm.
+    jump_width : float
+        Width of the smoothed jumps of curvature in the two-stage formulation, mm, reached from wider ones by
+        continuation.
+    seed : int
+        Of the random starts, in [0, 2^32).
+    stability_margin : float or None
+        Least stability margin of a configuration on the elastic model, from 1 (no tube acts on another) down to 0
+        (snap); None for any.
+    clearance : float
+        Distance that is to be kept between tubes and the lumen's wall where that is known, mm.
+    contact_weight : float
+        What a mm less of it costs in a frame, mm^2, as an exact penalty: all is kept where that costs less; 0: the
+        wall does not count.
+    clearance_cost : float or None
+        By what part of itself the error e3 may grow for clearance; where it would grow by more, contact costs
+        less. None for the default of the kind of plan.
+    arrival_tolerance : float
+        A plan arrives where its tip ends at most so far from the target's end, mm.
+    error_allowed : float
+        A plan follows its target where e2 is at most this in every frame, mm.
+    contact_allowed : float
+        A plan is within the wall where no place of the robot is further beyond it, mm: tissue gives a little.
+    share : float
+        Share of the simulated robots within the tolerances that must hold, in (0, 1].
+
+    Raises
+    ------
+    OptionError
+        An option is out of its range.
+
+    Examples
+    --------
+    >>> Settings(arrival_tolerance=1.0).arrival_tolerance
+    1.0
     """
 
     motion_weight: float = 1e-6
@@ -38,7 +72,10 @@ class Settings:
     clearance: float = 0.05
     contact_weight: float = 30.0
     clearance_cost: float | None = None
-    contact_allowed: float = 1.0
+    arrival_tolerance: float = 2.0
+    error_allowed: float = 2.0
+    contact_allowed: float = 0.5
+    share: float = 0.95
 
     def __post_init__(self) -> None:
         check_motion_weight(self.motion_weight)
@@ -50,8 +87,9 @@ class Settings:
         if self.stability_margin is not None:
             allowed = "lie in [0, 1), or be None"
             number(OptionError, "stability_margin", self.stability_margin, lambda x: 0 <= x < 1, allowed)
-        for name in ("clearance", "contact_weight", "contact_allowed"):
+        for name in ("clearance", "contact_weight", *THRESHOLDS_MM):
             number(OptionError, name, getattr(self, name), lambda x: 0 <= x < math.inf, "be a finite number >= 0")
+        number(OptionError, "share", self.share, lambda x: 0 < x <= 1, "lie in (0, 1]")
         if self.clearance_cost is not None:
             allowed = "be a number >= 0, or inf, or None"
             number(OptionError, "clearance_cost", self.clearance_cost, lambda x: x >= 0, allowed)

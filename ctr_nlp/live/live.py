@@ -12,7 +12,7 @@ from typing import Any
 
 from ctr_nlp.exceptions import CtrError, OptionError
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.live.page.news import told
+from ctr_nlp.live.page.news import told, verdict_list
 from ctr_nlp.live.page.panel import Panel
 from ctr_nlp.live.page.scene import Scene
 from ctr_nlp.live.page.server import HOST, PORT, served, stopped
@@ -20,7 +20,7 @@ from ctr_nlp.live.steered.drive import fit
 from ctr_nlp.live.steered.recording import Recording
 from ctr_nlp.live.steered.session import Seen, Session
 from ctr_nlp.loads import Load
-from ctr_nlp.models import DEFAULT
+from ctr_nlp.models import DEFAULT_MODEL
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
 from ctr_nlp.steer.nlp_frames import DEFAULTS
@@ -48,7 +48,7 @@ class Live:
     def __init__(
         self,
         problem: Problem,
-        model: str = DEFAULT,
+        model: str = DEFAULT_MODEL,
         settings: Settings = DEFAULTS,
         robots: Mapping[str, Robot] | None = None,
         host: str = HOST,
@@ -201,9 +201,9 @@ class Live:
     def _kept(self, recording: Recording) -> None:
         """Make a plan and keep it, beside the steps that go on."""
         try:
-            plan = recording.plan()
+            plan = recording.plan().check()
             self.plan = plan
             told = "It is this object's `plan`" if self._keep is None else self._keep(plan)
-            self._news = f"The plan of {len(plan.time)} frames was made. {told}."
+            self._news = f"The plan of {len(plan.time)} frames was made. {told}.\n\n{verdict_list(plan)}"
         except CtrError as error:
             self._news = f"{error}."

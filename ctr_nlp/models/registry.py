@@ -54,7 +54,7 @@ class Registry(Mapping[str, Model]):
         return len(self._all())
 
 
-DEFAULT = "dominant"
+DEFAULT_MODEL = "elastic"
 """The model that plans are made on unless another is asked for."""
 MODELS = Registry(Dominant(), Elastic())
 """Every model by the name that options use."""

@@ -8,44 +8,58 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ctr_nlp.models import DEFAULT
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.plan.verdicts import NO
+from ctr_nlp.plan.verdicts import NO, NOT_CHECKED
 from ctr_nlp.robot.tolerances import NAMES, UNITS
 
 VERDICTS = ("", "verdict", "value", "why")
 """Columns of the table of verdicts."""
+NOT_FOR_PATIENTS = "Not validated for use on patients."
+"""Stands wherever a plan is shown or handed on."""
 Row = tuple[str, Any, str]
 """Of a table: name, value and unit."""
 
+OPEN = NO, NOT_CHECKED
+"""Words of verdicts that speak against a plan."""
 MOST_REASONS = 10
 """Failures that are told one by one; the plan holds them all."""
 
 
 def title(found: dict[str, Any]) -> str:
-    """Problem, formulation, model, solver and direction."""
-    on = [] if found["evaluated"] == found["model"] == DEFAULT else [found["model"]]
-    how = [found["formulation"], *on, "by", found["solver"]] + [found["direction"]] * (
-        found["direction"] is not None
-    )
-    seen = "" if found["evaluated"] == found["model"] else f", on the {found['evaluated']} model"
-    seen += "" if found["load"] is None else f", under {found['load']}"
-    return f"{found['problem']}, {' '.join(how)}{seen}"
+    """Say what was planned and how: problem, formulation, direction, model, solver, and what it is judged on."""
+    direction = "" if found["direction"] is None else f" ({found['direction']})"
+    seen = "" if found["evaluated"] == found["model"] else f", judged on the {found['evaluated']} model"
+    under = "" if found["load"] is None else f", under {found['load']}"
+    how = f"{found['formulation']}{direction}, {found['model']} model, solver {found['solver']}"
+    return f"{found['problem']}: {how}{seen}{under}"
 
 
 def verdict_rows(found: dict[str, Any]) -> list[tuple[str, str, str, str]]:
-    """Of every matter: its name, the verdict's word, its number with unit, and why."""
-    rows = []
-    for each in found["verdicts"].values():
-        value = "" if each["number"] is None else f"{shown(each['number'])} {each['unit']}".rstrip()
-        rows.append((each["matter"], each["word"], value, each["why"]))
-    return rows
+    """The table of verdicts of a plan's summary: for each its name, word, figures and reason."""
+    return [(each["matter"], each["word"], each["value"], each["why"]) for each in found["verdicts"].values()]
 
 
 def failed(found: Mapping[str, Any]) -> str:
-    """The matters whose verdict is no, after a colon; empty where there is none."""
-    matters = [each["matter"] for each in found["verdicts"].values() if each["word"] == NO]
-    return f"{NO}: {', '.join(matters)}" if matters else ""
+    """Name the verdicts of a summary that are *no* or were not checked; empty where all are *yes*."""
+    return "; ".join(f"{word}: {', '.join(matters)}" for word in OPEN if (matters := _matters(found, word)))
+
+
+def _matters(found: Mapping[str, Any], word: str) -> list[str]:
+    """Names of the verdicts of a summary that have a word."""
+    return [each["matter"] for each in found["verdicts"].values() if each["word"] == word]
+
+
+def lead(found: Mapping[str, Any]) -> str:
+    """Sum up all verdicts of a plan's summary in one sentence."""
+    count, no, unchecked = len(found["verdicts"]), _matters(found, NO), _matters(found, NOT_CHECKED)
+    told = []
+    if no:
+        told.append(f"This plan fails {len(no)} of {count} checks: {', '.join(no)}.")
+    elif unchecked:
+        told.append("This plan is not known to be good.")
+    if unchecked:
+        told.append(f"Not checked: {', '.join(unchecked)}.")
+    return " ".join(told) or f"This plan passes all {count} checks."
 
 
 def rows(found: dict[str, Any]) -> list[Row]:
@@ -56,6 +70,9 @@ def rows(found: dict[str, Any]) -> list[Row]:
         ("e4, median over frames of e2", found["e4"], "mm"),
         ("largest error, at equal arc length", found["e_max"], "mm"),
         ("largest distance to the target", found["nearest_max"], "mm"),
+        ("tip error in the last frame", found["tip_last"], "mm"),
+        ("tip direction in the last frame, off by", found["tip_angle_last_deg"], "°"),
+        ("stops short of the target's length by", found["short"], "mm"),
         ("largest tip error", found["tip_max"], "mm"),
         ("largest step of alpha, beta, theta", steps, "rad / mm / rad"),
         *_stability(found),
@@ -117,15 +134,23 @@ def _contacts(plan: Plan, found: dict[str, Any]) -> list[str]:
 
 
 def _certificate(plan: Plan) -> list[str]:
-    """Where a robust plan loses too many robots: in which frames, and which tolerances it would bear."""
+    """What the certificate of a robust plan says: how many robots hold, and where robots are lost."""
     found = plan.meta.get("certificate")
-    if found is None or found["held"]:
+    if found is None:
         return []
+    told = []
+    if "holds_at_least" in found:
+        told.append(
+            f"certificate: {found['outcome']} With 95 % confidence at least {100 * found['holds_at_least']:.1f} % "
+            "of all robots within the tolerances hold"
+        )
+    if found["held"]:
+        return told
     frames = ", ".join(f"{frame} ({count})" for frame, count in found["lost_in"].items())
-    told = [
+    told.append(
         f"too many robots are lost on this plan, the best that was found: {found['lost']} of {found['draws']} "
         f"drawn after it, first in frames {frames}; at most {found['most_lost']:.2%} of all may be"
-    ]
+    )
     if found["borne"]:
         told.append(f"the plan would hold with tolerances of {_tolerances(plan, found['borne'])}")
     return told
@@ -174,12 +199,20 @@ def _clearance(found: dict[str, Any]) -> list[Row]:
 
 
 def _robustness(found: dict[str, Any]) -> list[Row]:
-    """What becomes of it on robots that are not quite the one described, where that was looked at."""
+    """Arrival, contact and error of the simulated robots, where there are any."""
     drawn = found.get("robustness")
-    if drawn is None or drawn["e3"] is None:
+    if drawn is None:
         return []
-    values = " / ".join(shown(value) for value in drawn["e3"].values())
-    return [(f"e3 over {drawn['draws']} draws, mean / median / 95 %", values, "mm")]
+    told = {
+        "tip error in the last frame": drawn["tip_last"],
+        "deepest contact": drawn["contact_deepest"],
+        "e3": drawn["e3"],
+    }
+    return [
+        (f"{name} of {drawn['draws']} samples, mean / median / 95 %", " / ".join(map(shown, each.values())), "mm")
+        for name, each in told.items()
+        if each is not None
+    ]
 
 
 def _effort(found: dict[str, Any]) -> list[Row]:

@@ -6,7 +6,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ctr_nlp.plan.robustness import Cost, Robustness
+from ctr_nlp.plan.measures import arrival, deepest_place, depth, e1, e3
+from ctr_nlp.plan.record import Record
+from ctr_nlp.plan.robustness import Cost, Robustness, spread
+from ctr_nlp.plan.sample_outcomes import sample_outcomes
 from ctr_nlp.support.runs import runs
 
 BESIDE = 3
@@ -32,11 +35,11 @@ class Stretch(NamedTuple):
 
 
 def sentences(found: Robustness) -> list[str]:
-    """Where draws are lost, and which tolerance is worth being met better."""
+    """Say where simulated robots are lost, and which tolerance is worth being met better."""
     told = []
     if found.losses:
         parts = [f"{each.frames} ({each.draws}; {each.out} mm out)" for each in stretches(found)]
-        told.append(f"Draws are lost first in frames {', '.join(parts)}.")
+        told.append(f"Samples are lost first in frames {', '.join(parts)}.")
     if found.costs and found.costs[0].growth > 0:
         most = found.costs[0]
         told.append(
@@ -49,11 +52,24 @@ def sentences(found: Robustness) -> list[str]:
     return told
 
 
-def tables(found: Robustness) -> list[Table]:
-    """Errors and clearance over the draws, where draws are lost, and what each tolerance costs; none is empty."""
+def tables(plan: Record) -> list[Table]:
+    """Tables of a plan's samples: arrival, contact and errors, where samples are lost, what each tolerance costs.
+
+    Parameters
+    ----------
+    plan : Record
+        A plan with samples.
+
+    Returns
+    -------
+    list of Table
+        Without the empty ones.
+    """
+    found = plan.drawn
+    assert found is not None
     every = [
-        Table("over the draws", ("", "mean", "median", "95 %", "unit"), _spreads(found)),
-        Table("where draws are lost first", ("frames", "draws", "length out, mm"), list(stretches(found))),
+        Table("over the samples", ("", "nominal", "mean", "median", "95 %", "unit"), _spreads(plan, found)),
+        Table("where samples are lost first", ("frames", "samples", "length out, mm"), list(stretches(found))),
         Table(
             "what each tolerance costs alone",
             ("tolerance", "e3 grows by, mm", "share", "lost of two"),
@@ -78,15 +94,22 @@ def stretches(found: Robustness) -> list[Stretch]:
     return rows
 
 
-def _spreads(found: Robustness) -> list[tuple[Any, ...]]:
-    """Means, medians and what 95 % of draws do not exceed, or of clearances do not fall below."""
-    named = {
-        "e3, RMS over frames of e2": found.errors,
-        "largest error, at equal arc length": found.largest_errors,
-        "least clearance from the lumen's wall": found.clearances,
-        "depths of contact summed over frames": found.contacts,
-    }
-    return [(name, *spread, "mm") for name, spread in named.items() if spread is not None]
+def _spreads(plan: Record, found: Robustness) -> list[tuple[Any, ...]]:
+    """Of the nominal robot, then mean, median, and what 95 % of samples do not exceed (clearance: fall below)."""
+    outcomes, end, place = sample_outcomes(plan), arrival(plan), deepest_place(plan)
+    errors, least = e1(plan), None if place is None else -place.depth
+    known = np.isfinite(errors).any()
+    depths = spread(outcomes.contact) if outcomes.walled else None
+    summed = None if plan.clearance is None else float(np.nansum(depth(plan)))
+    named = [
+        ("tip error in the last frame", None if end is None else end.distance, spread(outcomes.tip_error)),
+        ("deepest contact with the wall", None if least is None else max(-least, 0.0), depths),
+        ("e3, RMS over frames of e2", e3(plan), found.errors),
+        ("largest error, at equal arc length", float(np.nanmax(errors)) if known else None, found.largest_errors),
+        ("least clearance from the lumen's wall", least, found.clearances),
+        ("depths of contact summed over frames", summed, found.contacts),
+    ]
+    return [(name, nominal, *values, "mm") for name, nominal, values in named if values is not None]
 
 
 def _costs(found: Robustness) -> list[tuple[Any, ...]]:

@@ -76,6 +76,77 @@ def tip_angle(plan: Record) -> Array:
     return np.arctan2(cross, (plan.tip_direction * plan.target_direction).sum(-1))
 
 
+class Arrival(NamedTuple):
+    """How a motion ends: where its tip is in the last frame, seen from the target's end.
+
+    distance: mm from the target's end. angle_deg: between the directions of tip and target, degrees. short: by how
+    many mm the robot is shorter than its target; negative where it is longer.
+    """
+
+    distance: float
+    angle_deg: float
+    short: float
+
+
+def arrival(plan: Record) -> Arrival | None:
+    """How a plan ends; None where the robot's shape in the last frame is not known."""
+    if not plan.reached[-1]:
+        return None
+    target = plan.target[-1]
+    length = float(np.linalg.norm(np.diff(target, axis=0), axis=-1).sum())
+    distance = float(np.linalg.norm(plan.shape[-1, -1] - target[-1]))
+    return Arrival(distance, float(np.degrees(tip_angle(plan)[-1])), length - float(plan.beta[-1, -1]))
+
+
+class LargestError(NamedTuple):
+    """The worst frame: its e2 in mm and number, from 1; and e3 over all frames, mm."""
+
+    e2: float
+    frame: int
+    e3: float
+
+
+def largest_error(plan: Record) -> LargestError | None:
+    """The frame with the largest e2, of those whose shape is known; None without any."""
+    e2 = rms_over_sigma(e1(plan))
+    overall = root_mean_square(e2)
+    if overall is None:
+        return None
+    frame = int(np.nanargmax(e2))
+    return LargestError(float(e2[frame]), frame + 1, overall)
+
+
+class Place(NamedTuple):
+    """Where a robot is nearest to the wall, or deepest in it, over a whole motion.
+
+    depth: mm beyond the wall, negative for what is left to it. when: "in frame" or "on the way to frame"; frame:
+    its number, from 1. tube: from 1, the outermost there. arc_length: mm along the robot from the insertion point.
+    """
+
+    depth: float
+    when: str
+    frame: int
+    tube: int
+    arc_length: float
+
+
+def deepest_place(plan: Record) -> Place | None:
+    """Where a plan's robot is deepest in the wall, in its frames or between them; None where nothing is known.
+
+    Between frames counts only where it is deeper there by more than rounding.
+    """
+    if plan.clearance is None or not np.isfinite(plan.clearance).any():
+        return None
+    least, when = plan.clearance, "in frame"
+    between = plan.clearance_between
+    if between is not None and np.nanmin(between) < np.nanmin(least) - 1e-6:
+        least, when = between, "on the way to frame"
+    frame, sample = np.unravel_index(np.nanargmin(least), least.shape)
+    tube = outermost(plan.beta[frame][None], SIGMA)[0, sample]
+    arc_length = float(SIGMA[sample] * plan.beta[frame, -1])
+    return Place(-float(least[frame, sample]), when, int(frame) + 1, int(tube) + 1, arc_length)
+
+
 class Contact(NamedTuple):
     """Frames first to last, from 1, all of them, in which the robot touches the wall, and where it is worst.
 

@@ -7,9 +7,21 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.plan.measures import contacts, depth, e1, e3, nearest, rate_parts, rms_over_sigma, tip_angle
+from ctr_nlp.plan.measures import (
+    arrival,
+    contacts,
+    depth,
+    e1,
+    e3,
+    largest_error,
+    nearest,
+    rate_parts,
+    rms_over_sigma,
+    tip_angle,
+)
 from ctr_nlp.plan.measures import root_mean_square as root_mean_square
 from ctr_nlp.plan.record import Record
+from ctr_nlp.plan.sample_outcomes import sample_summary
 from ctr_nlp.plan.verdicts import verdicts
 from ctr_nlp.support.runs import runs
 from ctr_nlp.typing import Array
@@ -45,9 +57,15 @@ def by_frame(plan: Record) -> dict[str, Array]:
 
 
 def bound_by_stability(plan: Record) -> list[tuple[int, int]]:
-    """First and last frame, from 1, of the parts of a motion that the margin asked for holds back."""
+    """Find the parts of a motion that the stability margin asked for holds back.
+
+    Returns
+    -------
+    list of (int, int)
+        First and last frame, from 1; empty where the plan was made on another model than it is judged on.
+    """
     margin = plan.options.get("stability_margin")
-    if margin is None or not np.isfinite(plan.stability).any():
+    if margin is None or not plan.as_planned or not np.isfinite(plan.stability).any():
         return []
     bound = np.fmin(plan.stability, plan.stability_between) < margin + BINDS
     return [(first + 1, stop) for first, stop in runs(bound)]
@@ -56,7 +74,9 @@ def bound_by_stability(plan: Record) -> list[tuple[int, int]]:
 def missed_margin(plan: Record) -> tuple[int, float] | None:
     """On the way to which frame, from 1, the margin is missed by most, and the one found; None where held."""
     margin, found = plan.options.get("stability_margin"), plan.stability_between
-    if margin is None or not np.isfinite(found).any() or np.nanmin(found) >= margin - 2 * BINDS:
+    if margin is None or not plan.as_planned or not np.isfinite(found).any():
+        return None
+    if np.nanmin(found) >= margin - 2 * BINDS:
         return None
     frame = int(np.nanargmin(found))
     return frame + 1, float(found[frame])
@@ -75,12 +95,18 @@ def summary(plan: Record) -> dict[str, Any]:
     seconds = plan.solve_time[np.isfinite(plan.solve_time)]
     largest = np.abs(steps).max(axis=0, initial=0.0)
     alpha, beta, theta = robot.split(largest)
+    end, worst = arrival(plan), largest_error(plan)
     return {
         "e3": e3(plan),
         "e3_free": plan.meta.get("e3_free"),
         "e4": _number(np.median(rms) if rms.size else np.nan),
         "e_max": _number(columns["max"][known].max(initial=-np.inf)),
         "tip_max": _number(columns["tip"][known].max(initial=-np.inf)),
+        "tip_last": None if end is None else end.distance,
+        "tip_angle_last_deg": None if end is None else end.angle_deg,
+        "short": None if end is None else end.short,
+        "e2_max": None if worst is None else worst.e2,
+        "e2_max_frame": None if worst is None else worst.frame,
         "tip_angle_max_deg": _number(np.degrees(columns["tip_angle"][known].max(initial=-np.inf))),
         "nearest_max": _number(columns["nearest_max"][known].max(initial=-np.inf)),
         "roughness": _number(((steps * robot.mm_per_unit) ** 2).sum() / plan.dt),
@@ -92,6 +118,7 @@ def summary(plan: Record) -> dict[str, Any]:
         "stability_missed": missed_margin(plan),
         "snaps": plan.meta.get("snaps", []),
         "clearance_min": None if plan.clearance is None else _least(plan.clearance),
+        "clearance_between_min": None if plan.clearance_between is None else _least(plan.clearance_between),
         "contact_depth": None if plan.clearance is None else float(np.nansum(depth(plan))),
         "contacts": [contact._asdict() for contact in contacts(plan)],
         "solve_ms": {
@@ -111,7 +138,7 @@ def summary(plan: Record) -> dict[str, Any]:
             "contact_mm": plan.meta.get("contact_weight"),
             "angle_mm_per_rad": float(robot.mm_per_unit[0]),
         },
-        "robustness": None if plan.drawn is None else plan.drawn.summary(),
+        "robustness": None if plan.drawn is None else plan.drawn.summary() | sample_summary(plan),
         "verdicts": {name: verdict._asdict() for name, verdict in verdicts(plan)._asdict().items()},
         "problem": plan.meta["problem"]["name"],
         "formulation": plan.meta["formulation"],
@@ -123,6 +150,11 @@ def summary(plan: Record) -> dict[str, Any]:
         "smoothing_deviation": plan.meta["problem"]["deviation"],
         "smoothing_share": plan.meta["problem"].get("deviation_share"),
     }
+
+
+def verdict_columns(plan: Record) -> dict[str, str]:
+    """Words of a plan's verdicts as columns of a table's row: ``verdict_solved`` and so on."""
+    return {f"verdict_{name}": verdict.word for name, verdict in verdicts(plan)._asdict().items()}
 
 
 def _least(values: Array) -> float | None:

@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ctr_nlp.formulations.around import Beside
-from ctr_nlp.models import Snap
+from ctr_nlp.models import Model, Snap
 from ctr_nlp.plan.measures import rms_over_sigma, root_mean_square
 from ctr_nlp.plan.record import Record
-from ctr_nlp.simulation.forward import Simulation, Simulator
+from ctr_nlp.robot import Robot
+from ctr_nlp.simulation.forward import Simulation, Simulator, shapes_between
 from ctr_nlp.target.lumen import Lumen
 from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array, Flags
@@ -35,15 +36,17 @@ def moved(
 
     lumen: where it is known; free: the motion (T, 2d + 2) that was found without the wall.
     """
-    robot, found, clearance = simulator.robot, simulator(q), None
+    robot, found, clearance, between = simulator.robot, simulator(q), None, None
     if lumen is not None:
         clearance = Beside(lumen).clearances(robot, robot.split(q)[1], found.shape, SIGMA)
+        between = clearance_between(robot, q, simulator.model, lumen)
     arrays = {
         "shape": found.shape,
         "tip_direction": found.tip_direction,
         "stability": found.stability,
         "stability_between": found.stability_between,
         "clearance": clearance,
+        "clearance_between": between,
     }
     reached = np.asarray(np.isfinite(found.shape).all(axis=(1, 2)))
     told = {
@@ -51,6 +54,33 @@ def moved(
         "e3_free": e3_of(free_errors(simulator, free, target), reached),
     }
     return Moved(arrays, told, found)
+
+
+def clearance_between(robot: Robot, q: Array, model: str | Model, lumen: Lumen) -> Array:
+    """What is left of a lumen at least on the way to each frame, and in it.
+
+    Parameters
+    ----------
+    robot : Robot
+        The robot that is moved.
+    q : (T, 2d + 2) array
+        Configurations of the frames; rad, mm and rad.
+    model : str or Model
+        The kinematic model.
+    lumen : Lumen
+        Its wall.
+
+    Returns
+    -------
+    (T, 101) array
+        The least clearance in mm of each place sigma over 10 sub-steps to a frame; negative beyond the wall. The
+        first frame has no way to it. NaN where the robot has no shape.
+    """
+    found = shapes_between(robot, q, model)
+    clearance = Beside(lumen).clearances(robot, found.beta, found.shape, SIGMA)
+    least = np.full((len(q), len(SIGMA)), np.nan)
+    np.fmin.at(least, found.frames, clearance)
+    return least
 
 
 def lumen_of(plan: Record) -> Lumen | None:

@@ -14,12 +14,13 @@ import casadi as ca
 import numpy as np
 
 from ctr_nlp.exceptions import CtrError, LoadError, OutputError
+from ctr_nlp.formulations.settings import THRESHOLDS, Settings
 from ctr_nlp.loads import Load, LoadOverTime, with_modulus
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.plan.draws import DRAWS, SEED, robustness
 from ctr_nlp.plan.measures import e3
-from ctr_nlp.plan.moved import elsewhere, lost, lumen_of, moved
+from ctr_nlp.plan.moved import clearance_between, elsewhere, lost, lumen_of, moved
 from ctr_nlp.plan.record import FORMAT, OF_DRAWS, Record, check_arrays, check_meta, planned_on, stored
 from ctr_nlp.plan.robustness import Robustness, stored_robustness
 from ctr_nlp.plan.stretches import joined, resampled, rows, stretch, turned
@@ -27,13 +28,15 @@ from ctr_nlp.plan.verdicts import Verdicts, verdicts
 from ctr_nlp.robot import Robot
 from ctr_nlp.simulation.forward import Simulator
 from ctr_nlp.support.cards import Line, card
-from ctr_nlp.support.values import checked_path, instance, whole_number
+from ctr_nlp.support.values import check_choice, checked_path, instance, whole_number
 from ctr_nlp.support.whole_file import whole_file
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Flags
 
 DESCRIBED = "name", "frames", "duration", "deviation", "deviation_share", "space"
 """What meta tells of the problem."""
+PHYSICAL_MODEL = "elastic"
+"""The model on which every plan is checked: it predicts what tubes that twist each other do."""
 SHOWN = 5
 """Frames in a notebook's picture."""
 
@@ -46,8 +49,73 @@ class Plan(Record):
 
     @cached_property
     def verdicts(self) -> Verdicts:
-        """Whether the plan does what was asked of it, one verdict a matter."""
+        """Whether the plan does what a motion is for, one verdict for each check; see :func:`verdicts`.
+
+        Judged from what the plan holds: what nobody has looked at reads NOT CHECKED. :meth:`check` looks.
+        """
         return verdicts(self)
+
+    def check(self, samples: int = DRAWS, seed: int = SEED) -> Plan:
+        """Look at the plan on the elastic model and on simulated robots within the tolerances.
+
+        Parameters
+        ----------
+        samples : int
+            How many robots are simulated, at least 1.
+        seed : int
+            Of these robots; the same seed gives the same robots.
+
+        Returns
+        -------
+        Plan
+            The same motion. Its shapes, margins and clearances are those of the elastic model where the model
+            that it was on cannot predict snapping; its verdicts are all checked, unless the plan was interrupted
+            or no frame was reached, where there is nothing to simulate.
+
+        Raises
+        ------
+        RobotError
+            `samples` or `seed` is out of range.
+        OptionError, LoadError
+            The model cannot follow robots that differ from the nominal one, or bear its load.
+
+        Examples
+        --------
+        >>> import ctr_nlp as ctr
+        >>> from ctr_nlp.problems import named
+        >>> problem = named("arc", frames=5)
+        >>> plan = ctr.solve_per_frame(problem, model="dominant").check(samples=5)
+        >>> plan.evaluated, plan.verdicts.unchecked
+        ('elastic', ('within the wall',))
+        """
+        looked = self if self.can_snap else self.on(PHYSICAL_MODEL)
+        if self.meta.get("interrupted", False) or not looked.reached.any():
+            return looked
+        return looked.with_draws(samples, seed)
+
+    def with_thresholds(self, **thresholds: float) -> Plan:
+        """Judge the same plan by other thresholds.
+
+        Parameters
+        ----------
+        **thresholds : float
+            ``arrival_tolerance``, ``error_allowed``, ``contact_allowed`` in mm, and ``share``; see
+            :class:`Settings`.
+
+        Returns
+        -------
+        Plan
+            The same plan with these among its options.
+
+        Raises
+        ------
+        OptionError
+            A threshold is unknown or out of its range.
+        """
+        for name in thresholds:
+            check_choice("a threshold", name, THRESHOLDS)
+        Settings(**dict[str, Any](thresholds))
+        return replace(self, meta=self.meta | {"options": self.options | thresholds})
 
     def on(self, model: str) -> Plan:
         """The same motion on another model: shapes, tip directions and stability of the robot moved through it."""
@@ -72,6 +140,13 @@ class Plan(Record):
         if self.bears is not None:
             raise LoadError(f"the plan is evaluated under {self.bears}; give its robot a modulus before the load")
         return replace(self, meta=self.meta | {"robot": with_modulus(self.robot, modulus).to_dict()})
+
+    def _with_way_between(self) -> Plan:
+        """The same plan with its clearance between frames, which files of older versions do not hold."""
+        lumen = lumen_of(self)
+        if lumen is None or self.clearance is None or self.clearance_between is not None:
+            return self
+        return replace(self, clearance_between=clearance_between(self.robot, self.q, self.evaluated_on, lumen))
 
     def _evaluated(self, model: Model, told: dict[str, Any]) -> Plan:
         simulator, lumen = Simulator(self.robot, model), lumen_of(self)
@@ -108,10 +183,7 @@ class Plan(Record):
         frames = np.unique(np.linspace(0, len(self.time) - 1, SHOWN).round().astype(int))
         lines = [Line(self.target[j], "#999999", 4.0) for j in frames]
         lines += [Line(self.shape[j], "#0072b2" if self.success[j] else "#d55e00") for j in frames]
-        told = [
-            (f"{each.matter}: {each.word}", "" if each.number is None else f"{each.number:.3g} {each.unit}")
-            for each in self.verdicts
-        ]
+        told = [(f"{each.matter}: {each.word}", each.value) for each in self.verdicts]
         return card(repr(self), lines, told)
 
     def save(self, path: str | Path) -> None:
@@ -144,7 +216,7 @@ class Plan(Record):
             if set(OF_DRAWS) <= set(arrays):
                 seed = whole_number(OutputError, "seed of meta's draws", meta.pop("draws", {}).get("seed"), 0)
                 drawn = stored_robustness({name: arrays.pop(name) for name in OF_DRAWS}, seed)
-            return cls(meta=meta, drawn=drawn, **arrays)
+            return cls(meta=meta, drawn=drawn, **arrays)._with_way_between()
         except OSError as error:
             raise OutputError(f"plan {path} cannot be read: {error.strerror}") from error
         except CtrError as error:

@@ -32,7 +32,8 @@ class Record(Value):
     objective (T,) mm^2; kkt (T,); stability, stability_between (T,), NaN on the dominant model; to_robot
     (4, 4), file to robot frame; where known, truth (T, 2d + 2), lumen_radius (T, 101) mm at the target's points,
     lumen (N, 4), the path and radius of the whole lumen, mm, clearance (T, 101) mm, what is left between tubes
-    and its wall, free (T, 2d + 2), the motion that was found without the wall, and drawn, what became of it on
+    and its wall in each frame, clearance_between (T, 101) mm, the least of it on the way to each frame and in it,
+    free (T, 2d + 2), the motion that was found without the wall, and drawn, what became of it on
     draws of its robot. Frames that were never reached hold NaN. Arrays and meta are read-only copies.
     """
 
@@ -56,6 +57,7 @@ class Record(Value):
     truth: Array | None = None
     lumen: Array | None = None
     clearance: Array | None = None
+    clearance_between: Array | None = None
     free: Array | None = None
     drawn: Robustness | None = None
 
@@ -142,7 +144,7 @@ SHAPES: dict[str, tuple[int | str, ...]] = {
     "theta": ("T", 2),
     **dict.fromkeys(("target", "shape"), ("T", 101, 3)),
     **dict.fromkeys(("target_direction", "tip_direction"), ("T", 3)),
-    **dict.fromkeys(("lumen_radius", "clearance"), ("T", 101)),
+    **dict.fromkeys(("lumen_radius", "clearance", "clearance_between"), ("T", 101)),
     **dict.fromkeys(("truth", "free"), ("T", "q")),
     "to_robot": (4, 4),
     "lumen": ("N", 4),
@@ -157,7 +159,7 @@ SHAPES: dict[str, tuple[int | str, ...]] = {
 }
 """Sizes of the arrays: T frames, d tubes, q = 2d + 2 joints, N points of a lumen, D draws, C frames of a cloud."""
 OF_DRAWS = tuple(name for name in SHAPES if name.startswith(PREFIX))
-OPTIONAL = "lumen_radius", "clearance", "truth", "free", "lumen", *OF_DRAWS
+OPTIONAL = "lumen_radius", "clearance", "clearance_between", "truth", "free", "lumen", *OF_DRAWS
 COUNTED = {"D": "parts", "C": "cloud_frames"}
 """Sizes that arrays of draws have, and the arrays that tell them."""
 REQUIRED = tuple(name for name in SHAPES if name not in OPTIONAL)

@@ -17,6 +17,8 @@ PREFIX = "draws_"
 """What its arrays' names begin with in plan.npz."""
 CONFIDENCE = 0.95
 """With which the share of lost robots is bounded."""
+MOST_LOST = 0.01
+"""The share of all robots within the tolerances that may be lost on a robust plan, unless another is asked for."""
 COSTLY = (*NAMES, "rotation_lag")
 """Tolerances whose costs are found, one by one."""
 
@@ -156,11 +158,11 @@ class Robustness(Kept):
 
     @property
     def told(self) -> str:
-        """In a sentence."""
+        """Say in a sentence how many samples are lost, the bound for all such robots, and their mean error."""
         lost, errors = self.losses, self.errors
-        are = f"{lost or 'None'} of {len(self)} draws {'is' if lost == 1 else 'are'} lost"
-        mean = f"; e3 is {errors.mean:.3g} mm on average over the draws" if errors else ""
-        return f"{are}, and at most {self.at_most:.1%} of all such robots with 95% confidence{mean}."
+        mean = f"; e3 is {errors.mean:.3g} mm on average over the samples" if errors else ""
+        bound = f"95 % bound for all such robots: {100 * self.at_most:.1f} %"
+        return f"{lost} of {len(self)} samples snap or end on another branch ({bound}){mean}."
 
     def summary(self) -> dict[str, Any]:
         """What summary.json holds of it."""

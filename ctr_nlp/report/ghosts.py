@@ -19,7 +19,7 @@ KEPT, LOST = SKY, VERMILLION
 """Colours of draws, and of draws from the frame on in which they are lost."""
 WIDTH = 0.35
 """mm."""
-DRAWS = "drawn robots"
+DRAWS = "sampled robots"
 """The part of a scene that they are."""
 
 
@@ -45,7 +45,7 @@ def ghosts(k3d: Any, plan: Plan) -> list[Any]:
         color_range=[0.0, 1.0],
         width=WIDTH,
         shader="thick",
-        name="drawn robots",
+        name=DRAWS,
         custom_data={"part": DRAWS},
     )
     return [told]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Sequence
 from importlib import resources
 from typing import Any
@@ -15,6 +14,7 @@ from ctr_nlp.figures.parts.palette import tube_colour
 from ctr_nlp.plan import account, drawn_account
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES
 from ctr_nlp.report.camera import EYE_FIELD, FIELD, cameras, eyes
 from ctr_nlp.report.ghosts import DRAWS, KEPT, LOST, SHOWN
 from ctr_nlp.report.plots import EXTENT, Plot, plots
@@ -26,7 +26,7 @@ READOUT = {"e2": "mm", "max": "mm", "clearance": "mm", "stability": ""}
 """Columns of errors.csv that are told of the frame that is shown, with their units."""
 CODE = ("scenes.js", "camera.js", "player.js", "page.js")
 """The script of the page, in the order in which its parts need each other."""
-SIGNS = {"yes": "\N{CHECK MARK}", "no": "\N{BALLOT X}"}
+SIGNS = {YES: "\N{CHECK MARK}", NO: "\N{BALLOT X}", NOT_CHECKED: "?"}
 """Beside the word of a verdict, as a colour does not tell it to everyone."""
 SPEEDS = ("0.25", "0.5", "1", "2", "4")
 """Of playing, as multiples of the plan's own."""
@@ -76,7 +76,15 @@ def _rendered(**values: Any) -> str:
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
     code = "\n".join(_text(name) for name in CODE)
-    fixed = {"style": _text("page.css"), "code": code, "signs": SIGNS, "speeds": SPEEDS, "extent": EXTENT}
+    fixed = {
+        "style": _text("page.css"),
+        "code": code,
+        "signs": SIGNS,
+        "unchecked": NOT_CHECKED,
+        "for_patients": account.NOT_FOR_PATIENTS,
+        "speeds": SPEEDS,
+        "extent": EXTENT,
+    }
     return str(environment.from_string(_text("page.html")).render(**fixed, **values))
 
 
@@ -86,7 +94,7 @@ def _told(plan: Plan, name: str) -> dict[str, Any]:
     return {
         "title": account.title(found),
         "name": name,
-        "lead": _lead(plan),
+        "lead": account.lead(found),
         "verdicts": account.verdict_rows(found),
         "rows": [(row, account.shown(value), unit) for row, value, unit in account.rows(found)],
         "remarks": account.remarks(plan, found),
@@ -95,24 +103,20 @@ def _told(plan: Plan, name: str) -> dict[str, Any]:
     }
 
 
-def _lead(plan: Plan) -> str:
-    """All verdicts on a plan in one sentence."""
-    words, failed = Counter(verdict.word for verdict in plan.verdicts), plan.verdicts.failed
-    asked, every = words["yes"] + words["no"], len(plan.verdicts)
-    lead = f"This plan passes all {asked} checks that were made"
-    if failed:
-        lead = f"This plan fails {len(failed)} of the {asked} checks that were made: {', '.join(failed)}"
-    rest = f"; {every - asked} of {every} were not asked or are not known" if asked < every else ""
-    return f"{lead}{rest}."
-
-
 def _compared(told: Sequence[dict[str, Any]]) -> list[tuple[str, list[str], str]]:
-    """Rows of what several plans have in common or only some have: a name, a cell for each plan, and a unit."""
+    """Rows of the table that compares plans.
+
+    Returns
+    -------
+    list of (str, list of str, str)
+        A name, a cell for each plan, empty where a plan does not have the number, and a unit. Verdicts come first:
+        their words with the figures that decide.
+    """
     tables = [{row: (value, unit) for row, value, unit in some["rows"]} for some in told]
     named = {row: unit for table in tables for row, (_, unit) in table.items()}
-    words = [{matter: word for matter, word, *_ in some["verdicts"]} for some in told]
+    words = [{matter: (word, value) for matter, word, value, _ in some["verdicts"]} for some in told]
     return [
-        *((matter, [some[matter] for some in words], "") for matter in words[0]),
+        *((matter, [", ".join(filter(None, some[matter])) for some in words], "") for matter in words[0]),
         *((row, [table.get(row, ("", ""))[0] for table in tables], unit) for row, unit in named.items()),
     ]
 
@@ -124,15 +128,15 @@ def _drawn(plan: Plan) -> dict[str, Any] | None:
     count = len(plan.drawn)
     shown = f"the first {SHOWN} of them" if count > SHOWN else "them"
     lead = (
-        f"{count} robots within the tolerances were drawn at random (seed {plan.drawn.seed}) and moved open loop "
-        f"through this plan; “drawn robots” in the list of what is shown switches {shown} on and off."
+        f"{count} robots within the tolerances were sampled at random (seed {plan.drawn.seed}) and moved open "
+        f"loop through this plan; “{DRAWS}” in the list of what is shown switches {shown} on and off."
     )
     return {
-        "matter": plan.verdicts.survives_draws.matter,
-        "sentences": [plan.verdicts.survives_draws.why, *drawn_account.sentences(plan.drawn), lead],
+        "matter": plan.verdicts.holds.matter,
+        "sentences": [plan.verdicts.holds.why, plan.drawn.told, *drawn_account.sentences(plan.drawn), lead],
         "tables": [
             table._replace(rows=[tuple(account.shown(cell) for cell in row) for row in table.rows])
-            for table in drawn_account.tables(plan.drawn)
+            for table in drawn_account.tables(plan)
         ],
     }
 

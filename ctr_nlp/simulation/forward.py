@@ -11,6 +11,7 @@ import numpy as np
 from ctr_nlp.exceptions import RobotError
 from ctr_nlp.models import Model, Snap, model_named
 from ctr_nlp.models.dominant import Dominant, shape
+from ctr_nlp.models.protocol import SUBSTEPS
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.robot import configuration
 from ctr_nlp.support.equal import Kept
@@ -18,7 +19,7 @@ from ctr_nlp.support.packing import packable
 from ctr_nlp.support.values import floats, instance
 from ctr_nlp.target.curve import Curve
 from ctr_nlp.target.target import SIGMA
-from ctr_nlp.typing import Array
+from ctr_nlp.typing import Array, Index
 
 DOMINANT = Dominant()
 REMEMBERED = 4
@@ -74,6 +75,52 @@ def simulated(robot: Robot, q: Array, model: str | Model) -> Simulation:
         found.x,
         found.snaps,
     )
+
+
+def shapes_between(robot: Robot, q: Array, model: str | Model, substeps: int = SUBSTEPS) -> Between:
+    """Shapes of a robot on the way from frame to frame, and in the frames.
+
+    Configurations are linear between frames. The robot is moved as :func:`simulated` moves it: one sub-step after
+    the other from the first frame on, so that it is on the same branch of equilibria in every frame.
+
+    Parameters
+    ----------
+    robot : Robot
+        The robot.
+    q : (T, 2d + 2) array
+        Configurations of the frames; rad, mm and rad.
+    model : str or Model
+        The kinematic model.
+    substeps : int
+        Steps from frame to frame.
+
+    Returns
+    -------
+    Between
+        One row for the first frame and `substeps` rows for each further one.
+    """
+    described, q = model_named(model), _checked(robot, q)
+    part = np.arange(1, substeps + 1)[:, None] / substeps
+    between = q[:-1, None] + part * (q[1:] - q[:-1])[:, None]
+    # The last sub-step is the frame itself, also where rounding or a frame without a configuration says otherwise.
+    between[:, -1] = q[1:]
+    every = np.concatenate([q[:1], between.reshape(-1, q.shape[1])])
+    frames = np.concatenate([[0], np.repeat(np.arange(1, len(q)), substeps)])
+    found = described.follow(robot, every, substeps=1) if len(q) > 1 else None
+    x = described.rest(robot, q[0])[None] if found is None else found.x
+    return Between(frames, robot.split(every)[1], described.points(robot, x, SIGMA))
+
+
+class Between(NamedTuple):
+    """Shapes of a robot in M places of a motion.
+
+    frames (M,): the frame, from 0, that a place belongs to or is on the way to. beta (M, d) mm: extensions. shape
+    (M, 101, 3) mm: points at uniform sigma.
+    """
+
+    frames: Index
+    beta: Array
+    shape: Array
 
 
 class Simulator:

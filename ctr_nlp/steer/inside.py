@@ -12,7 +12,6 @@ import numpy as np
 from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.plan.metrics import rms_over_sigma, root_mean_square
 from ctr_nlp.plan.plan import elsewhere
-from ctr_nlp.plan.verdicts import ROUNDING
 from ctr_nlp.simulation.forward import Simulation, Simulator
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.passes import Pass, run_again
@@ -28,6 +27,8 @@ NEAR, AIM = 0.96, 0.98
 """Parts of what errors may grow by: least with which a weight is kept without trying others; what is aimed at."""
 TRIES = 8
 """Weights less than the whole one that are tried."""
+ROUNDING = 1e-6
+"""mm by which e3 may exceed its limit: rounding."""
 TINY = 1e-12
 """mm: what stands for no error in a denominator."""
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.formulations import FORMULATIONS, Stage
+from ctr_nlp.formulations import FORMULATIONS, Stage, default_model
 from ctr_nlp.formulations.frames import FrameResult, distinct, reachable, starts
 from ctr_nlp.formulations.joint import joint, tip_steps
 from ctr_nlp.formulations.settings import Settings
@@ -68,16 +68,18 @@ class NlpFrames:
         problem: Problem,
         formulation: str = "joint",
         solver: str | None = None,
-        model: str | Model = "dominant",
+        model: str | Model | None = None,
         settings: Settings = DEFAULTS,
         terms: Sequence[Term] = (),
     ) -> NlpFrames:
         """Build the programs; raises OptionError, and ProblemError where the target is not known all along.
 
-        terms: further ones of the objective, on formulations that take them.
+        model: None for the default of the formulation (formulations.default_model). terms: further ones of the
+        objective, on formulations that take them.
         """
         check_choice("formulation", formulation, FORMULATIONS)
-        described, terms = model_named(model), checked_terms(terms)
+        described = model_named(default_model(formulation) if model is None else model)
+        terms = checked_terms(terms)
         check_model(problem, described)
         solver = default_solver() if solver is None else solver
         check_choice("solver", solver, SOLVERS)

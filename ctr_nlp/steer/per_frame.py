@@ -31,7 +31,7 @@ def solve_per_frame(
     problem: Problem,
     formulation: str = "joint",
     *,
-    model: str | Model = "dominant",
+    model: str | Model | None = None,
     solver: str | None = None,
     direction: Direction = "best",
     start: npt.ArrayLike | None = None,
@@ -39,14 +39,43 @@ def solve_per_frame(
     terms: Sequence[Term] = (),
     progress: Progress | None = None,
 ) -> Plan:
-    """The plan that follows a problem's target frame by frame.
+    """Plan a motion frame by frame, each frame from the one before it.
 
-    formulation: joint, two-stage or two-stage-exact. solver: sqp or ipopt; None takes sqp where there is a C
-    compiler. direction: in which order frames are solved; best tries both. start: q (2d + 2,) at time 0, from
-    which the motion then leads forward. settings: weights, widths and seeds. terms: further
-    ones of the objective (formulations.terms), on the joint formulation. Frames that could not be solved are
-    marked in the plan. Ctrl-C ends the work; the plan then has what was solved and is marked as interrupted.
-    Raises OptionError, RobotError.
+    Frames that could not be solved are marked in the plan. Ctrl-C ends the work; the plan then has what was
+    solved and is marked as interrupted.
+
+    Parameters
+    ----------
+    problem : Problem
+        Robot and target.
+    formulation : str
+        ``"joint"``, ``"two-stage"`` or ``"two-stage-exact"``.
+    model : str or Model, optional
+        ``"elastic"`` or ``"dominant"``, or ``Loaded(load)`` for a robot that bears a load. By default elastic
+        for the joint formulation, and dominant for two stages, which need a curvature that alpha does not
+        change.
+    solver : str, optional
+        ``"sqp"`` or ``"ipopt"``; by default sqp where there is a C compiler.
+    direction : str
+        Order in which frames are solved: ``"forward"``, ``"backward"``, or ``"best"``, which tries both.
+    start : array_like, optional
+        Configuration q (2d + 2,) at time 0, from which the motion then leads forward.
+    settings : Settings
+        Weights, widths and seeds.
+    terms : sequence of Term
+        Further terms of the objective (formulations.terms), on the joint formulation.
+    progress : callable, optional
+        Called as ``progress(done, total, note)``.
+
+    Returns
+    -------
+    Plan
+        Also where frames failed: see ``plan.success`` and ``plan.verdicts``.
+
+    Raises
+    ------
+    OptionError, RobotError
+        An option or the robot is not what it must be.
     """
     check_described(problem, settings)
     checked_ends(problem, direction, start)

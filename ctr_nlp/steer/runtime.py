@@ -14,7 +14,7 @@ from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms.shape import STRIDE, ShapeDistance
 from ctr_nlp.formulations.wall import ROUNDS, SETTLED, Wall, wall_of
 from ctr_nlp.loads import steady
-from ctr_nlp.models import Model, model_named
+from ctr_nlp.models import DEFAULT_MODEL, Model, model_named
 from ctr_nlp.robot import Robot
 from ctr_nlp.solvers.compiled import library
 from ctr_nlp.solvers.frame.adapter import OPTIMAL, Surroundings
@@ -46,7 +46,7 @@ class Steerer:
         q: npt.ArrayLike,
         dt: float,
         settings: Settings = DEFAULTS,
-        model: str | Model = "dominant",
+        model: str | Model = DEFAULT_MODEL,
         lumen: Curve | None = None,
         wait: bool = True,
     ) -> None:
@@ -93,7 +93,7 @@ class Steerer:
         q: npt.ArrayLike,
         dt: float,
         settings: Settings = DEFAULTS,
-        model: str | Model = "dominant",
+        model: str | Model = DEFAULT_MODEL,
         lumen: Curve | None = None,
     ) -> Steerer | None:
         """The same, or None while it is compiled in the background, which the first call begins."""

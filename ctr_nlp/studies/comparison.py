@@ -13,15 +13,14 @@ from ctr_nlp.exceptions import CtrError, OptionError
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.models import DEFAULT, MODELS, model_named, suits
-from ctr_nlp.plan.metrics import summary
+from ctr_nlp.models import MODELS, model_named, suits
+from ctr_nlp.plan.metrics import summary, verdict_columns
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.reference import METHODS, reference_frames
 from ctr_nlp.reference.published import BASELINE, SEED
 from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS, default_chain_solver, default_solver
-from ctr_nlp.steer import Horizon, march
+from ctr_nlp.steer import march, solve_horizon, solve_per_frame
 from ctr_nlp.steer.motions import per_frame_motions
-from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.robust import solve_robust, solve_robust_per_frame
 from ctr_nlp.studies.sampled import rrt_connect
@@ -30,6 +29,8 @@ from ctr_nlp.support.values import check_choice
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
+PAPER_MODEL = "dominant"
+"""The model of variants that name none: the paper's own."""
 SAME = 1e-4, 1e-6
 """Two objectives are the same where they differ by this part, or by so many mm^2."""
 TOUCHED, MISSED = 1e-5, 1e-2
@@ -54,7 +55,7 @@ VARIANTS = (
     *(f"{formulation}:{solver}" for formulation in FORMULATIONS for solver in SOLVERS),
     *(name for name, method in METHODS.items() if method.every),
 )
-"""Every variant on the default model, and the reference methods that serve every problem."""
+"""Every variant on the dominant model, and the reference methods that serve every problem."""
 ROBUST: Mapping[str, Callable[..., Plan]] = {
     "robust-horizon": solve_robust,
     "robust-joint": solve_robust_per_frame,
@@ -89,10 +90,12 @@ def parse_variant(name: str) -> Variant:
         return march(problem, reference_frames(problem, name, settings), "forward", progress=progress)
 
     def whole(problem: Problem, settings: Settings, initial: Sequence[Array], progress: Progress | None) -> Plan:
-        return Horizon(problem, model, solver, settings=settings).solve(initial, progress=progress)
+        asked: dict[str, Any] = {"model": model, "solver": solver, "settings": settings}
+        return solve_horizon(problem, **asked, initial=initial, progress=progress)
 
     def by_frame(problem: Problem, settings: Settings, _: Sequence[Array], progress: Progress | None) -> Plan:
-        return march(problem, NlpFrames.of(problem, formulation, solver, model, settings), progress=progress)
+        asked: dict[str, Any] = {"model": model, "solver": solver, "settings": settings}
+        return solve_per_frame(problem, formulation, **asked, progress=progress)
 
     def robust(problem: Problem, settings: Settings, _: Sequence[Array], progress: Progress | None) -> Plan:
         return _tried(ROBUST[name](problem, settings=settings, progress=progress))
@@ -102,8 +105,8 @@ def parse_variant(name: str) -> Variant:
 
     def warm(problem: Problem, settings: Settings, _: Sequence[Array], progress: Progress | None) -> Plan:
         begun = march(problem, reference_frames(problem, WARM[name], settings), "forward")
-        made = Horizon(problem, METHODS[WARM[name]].model, settings=settings)
-        return made.solve([begun.q], progress=progress)
+        asked: dict[str, Any] = {"model": METHODS[WARM[name]].model, "settings": settings}
+        return solve_horizon(problem, **asked, initial=[begun.q], progress=progress)
 
     name = RENAMED.get(name, name)
     if name in METHODS:
@@ -117,7 +120,7 @@ def parse_variant(name: str) -> Variant:
     parts = name.split(":")
     if len(parts) not in (2, 3):
         raise OptionError(f"variant is {name!r}; it must be one of {', '.join([*VARIANTS, *BY_NAME])}")
-    formulation, solver, model = (*parts, "dominant")[:3]
+    formulation, solver, model = (*parts, PAPER_MODEL)[:3]
     for kind, value, allowed in (
         ("formulation", formulation, ("horizon", *FORMULATIONS)),
         ("solver", solver, CHAIN_SOLVERS if formulation == "horizon" else SOLVERS),
@@ -167,11 +170,11 @@ def compare(
             horizons: list[Plan] = []
             for variant in variants:
                 report = None if progress is None else progress(problem.name, variant.name)
-                ours = variant.formulation == "horizon" and variant.model == DEFAULT
+                ours = variant.formulation == "horizon" and variant.model == PAPER_MODEL
                 try:
                     model_named(variant.model, f"model of variant {variant.name}").check(problem.robot)
                     if ours and not initial:
-                        initial = per_frame_motions(problem, Ends(), chosen, report, MODELS["dominant"])
+                        initial = per_frame_motions(problem, Ends(), chosen, report, MODELS[PAPER_MODEL])
                     plan = variant.plan(problem, chosen, initial, report)
                 except CtrError as error:
                     found.refusals.append(Refusal(problem.name, variant.name, str(error)))
@@ -190,7 +193,7 @@ def agreement(problem: Problem, first: Plan, second: Plan) -> dict[str, Any]:
     """Whether two horizons of a problem are one solution: objectives within SAME, the same active limits."""
     robot = problem.robot
     weight = first.meta["options"]["motion_weight"]
-    chain = horizon(robot, problem.samples, problem.dt, weight, Ends(), MODELS["dominant"])
+    chain = horizon(robot, problem.samples, problem.dt, weight, Ends(), MODELS[PAPER_MODEL])
     objectives = [float(plan.objective.mean()) for plan in (first, second)]
     difference = abs(objectives[0] - objectives[1])
     values = [chain.evaluate(plan.q.ravel())[1] for plan in (first, second)]
@@ -216,11 +219,13 @@ def row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
     """Errors in mm, steps in rad and mm, times in ms and s. seed_*: Table II's figures for the same method.
 
     e3 and others are of the model planned on; dominant_*, elastic_* of the same motion on both, None where the
-    robot's tubes are balanced and the dominant model does not describe it; *_no the matters in which verdicts
-    there are no. draws_e3, draws_lost: mean of e3 over so many draws of the robot's tolerances, and the share of
-    them that is lost; None of plans on a model without snaps. Draws count as a verdict on robust variants only.
+    robot's tubes are balanced and the dominant model does not describe it; *_no the verdicts there that are no.
+    verdict_*: words of the verdicts on the elastic model and over samples of the robot's tolerances, whatever
+    model the plan was made on; no: those that are no; tip_last: mm by which the tip misses the target's end there.
+    draws_e3, draws_lost: mean of e3 over these samples, and the share of them that is lost.
     """
-    found, drawn = summary(plan), _tried(plan).drawn
+    checked = _tried(plan)
+    found, drawn = summary(plan), checked.drawn
     errors = None if drawn is None else drawn.errors
     models = [model for model in MODELS if suits(plan.robot, model)]
     plans = {model: plan if model == plan.meta["model"] else plan.on(model) for model in models}
@@ -249,12 +254,13 @@ def row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
         **{f"{model}_{key}": on[model][key] if model in on else None for model in MODELS for key in ("e3", "e4")},
         "stability_between": on["elastic"]["stability_between_min"],
         "snaps": len(on["elastic"]["snaps"]),
-        "no": ", ".join(plan.verdicts.failed),
+        "tip_last": summary(checked)["tip_last"],
+        "no": ", ".join(checked.verdicts.failed),
+        **verdict_columns(checked),
         **{f"{model}_no": ", ".join(plans[model].verdicts.failed) if model in plans else None for model in MODELS},
     }
 
 
 def _tried(plan: Plan) -> Plan:
-    """A plan with its draws, where a robot can be lost on its model and there is a motion to try."""
-    able = plan.can_snap and plan.reached.any() and not plan.meta["interrupted"]
-    return plan.with_draws() if able and plan.drawn is None else plan
+    """A plan as it is judged: on the elastic model, with samples."""
+    return plan if plan.drawn is not None and plan.can_snap else plan.check()

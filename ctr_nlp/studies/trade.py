@@ -11,7 +11,7 @@ import numpy as np
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.plan.verdicts import MOST_LOST
+from ctr_nlp.plan.robustness import MOST_LOST
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.draws import drawn
 from ctr_nlp.robot.tolerances import LARGEST, Tolerances

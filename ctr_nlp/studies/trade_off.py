@@ -11,6 +11,7 @@ from ctr_nlp.models import suits
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.steer import Horizon
+from ctr_nlp.steer.horizon.bearing import LoadedHorizon
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.studies.comparison import parse_variant
 from ctr_nlp.support.interrupt import deferred_interrupt
@@ -36,7 +37,7 @@ class Point:
 
 
 def trade_off(
-    horizon: Horizon,
+    horizon: Horizon | LoadedHorizon,
     plan: Plan,
     weights: Sequence[float],
     settings: Settings,
@@ -45,6 +46,7 @@ def trade_off(
     """The front over weights, of which each horizon starts from its neighbours', and the points beside it.
 
     plan: any motion of the horizon, to start from. Methods whose model does not describe the robot are left out.
+    They plan on the dominant model; errors of all points are those of the model, and under the load, of plan.
     Ctrl-C, held back by the caller, leaves what was found. Raises OptionError.
     """
     with deferred_interrupt() as interrupted:
@@ -56,12 +58,13 @@ def trade_off(
             variant = parse_variant(name)
             label = f"{horizon.problem.name}, {name}"
             if suits(horizon.problem.robot, variant.model):
-                points.append(_point(name, variant.plan(horizon.problem, settings, (), labelled(label))))
+                found = variant.plan(horizon.problem, settings, (), labelled(label))
+                points.append(_point(name, _evaluated_as(plan, found)))
     return points
 
 
 def sweep(
-    horizon: Horizon, plan: Plan, weights: Sequence[float], labelled: Callable[[str], Progress]
+    horizon: Horizon | LoadedHorizon, plan: Plan, weights: Sequence[float], labelled: Callable[[str], Progress]
 ) -> list[Plan]:
     """A plan for every weight, in ascending order: the better of one started from below and one from above."""
     ascending = sorted(set(weights))
@@ -79,6 +82,13 @@ def sweep(
                 if weight not in best or _badness(found) < _badness(best[weight]):
                     best[weight] = found
     return [best[weight] for weight in ascending]
+
+
+def _evaluated_as(plan: Plan, found: Plan) -> Plan:
+    """The motion `found` with the shapes that the robot has on the model, and under the load, of `plan`."""
+    if plan.bears is not None:
+        return found.under(plan.bears)
+    return found if found.evaluated == plan.evaluated else found.on(plan.evaluated)
 
 
 def _badness(plan: Plan) -> tuple[bool, float]:

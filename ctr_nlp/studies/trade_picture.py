@@ -13,7 +13,7 @@ from matplotlib.ticker import PercentFormatter
 from ctr_nlp.figures.parts.page import STYLE, printable
 from ctr_nlp.figures.parts.palette import BLACK, BLUE, VERMILLION
 from ctr_nlp.formulations.settings import Settings
-from ctr_nlp.plan.verdicts import MOST_LOST
+from ctr_nlp.plan.robustness import MOST_LOST
 from ctr_nlp.studies.trade import Traded, chosen
 
 MARKERS = "x+sd^v"

@@ -13,7 +13,7 @@ from typing import Any
 
 from ctr_nlp import CtrError, Problem, Robot, problem_from_file
 from ctr_nlp.loads import with_modulus
-from ctr_nlp.plan.verdicts import MOST_LOST
+from ctr_nlp.plan.robustness import MOST_LOST
 from ctr_nlp.problems import NAMES, named
 from ctr_nlp.studies.borne.draws import DRAWS, compensated, withstood
 from ctr_nlp.support.tables import markdown

@@ -26,14 +26,15 @@ from ctr_nlp.cli.telling import progress_bar, wrote
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.settings import Settings, check_motion_weight
+from ctr_nlp.plan.account import NOT_FOR_PATIENTS
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS
-from ctr_nlp.steer import DIRECTIONS, Horizon, march
-from ctr_nlp.steer.nlp_frames import NlpFrames
-from ctr_nlp.steer.requests import Direction, check_search, checked_ends, checked_motions
+from ctr_nlp.steer import DIRECTIONS, horizon_planner, solve_per_frame
+from ctr_nlp.steer.requests import Direction, check_search, checked_motions
 from ctr_nlp.steer.robust import solve_robust, solve_robust_per_frame
 from ctr_nlp.studies.trade_off import WEIGHTS, Point, trade_off
 from ctr_nlp.support.interrupt import deferred_interrupt, end_if_interrupted
+from ctr_nlp.support.values import check_choice
 from ctr_nlp.target.fit import check_radii
 from ctr_nlp.target.problem import Problem
 
@@ -41,11 +42,7 @@ if TYPE_CHECKING:
     from ctr_nlp.cli.live import Solved
 
 
-UNASKED = 40
-"""Draws of the robot that a plan on which it can snap is tried on by itself."""
-ASKED = 500
-"""Those that a robust plan is tried on."""
-UNFIT = "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live", "evaluate", "solver"
+UNFIT = "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live", "solver"
 """Options that do not go with --robust."""
 ALONE_ROBUST = {
     "most_lost": "how many robots a robust plan may lose",
@@ -62,10 +59,10 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
         prog=prog,
         description=f"Follow a target with the whole shape of the robot, {how}; write plan.npz, errors.csv, "
         "summary.json and pictures.",
-        epilog="Exit status: 0 where no verdict is `no`, 1 where one is, 2 where input is bad, 130 after an "
-        "interruption (the best motion so far goes into DIR/interrupted, and DIR's own files stay). An "
-        "elastic plan without a load is also tried on draws of the robot; the verdict on these counts "
-        "with --robust only.",
+        epilog="Every plan is moved on the elastic model, whatever model it was made on, and robots within "
+        "the tolerances are simulated (--no-evaluate leaves that out). Exit status: 0 where no verdict is `no`, "
+        "1 where one is, 2 where input is bad, 130 after an interruption (the best motion so far goes into "
+        f"DIR/interrupted, and DIR's own files stay). {NOT_FOR_PATIENTS}",
     )
     parser.add_argument("problem", metavar="PROBLEM", help=problems.KINDS)
     options.add_problem_options(parser)
@@ -82,7 +79,7 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
         help=f"(default {compiled} where there is a C compiler, else ipopt)",
     )
     options.add_compile_option(parser)
-    options.add_out_option(parser, "runs/PROBLEM-FORMULATION-MODEL")
+    options.add_out_option(parser, "runs/PROBLEM-FORMULATION-MODEL, and what else was asked for")
     options.add_figures_option(parser)
     options.add_film_option(parser)
     plan_options.add_motion_options(parser)
@@ -101,6 +98,8 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
     plan_options.add_file_options(parser)
     plan_options.add_term_options(parser)
     plan_options.add_wall_options(parser)
+    plan_options.add_check_options(parser)
+    plan_options.add_threshold_options(parser)
     add_load_options(parser, required=False)
     add_modulus_option(parser)
     return parser
@@ -116,20 +115,16 @@ def _run(arguments: argparse.Namespace) -> int:
     problem = plan_options.tolerant(with_asked_modulus(problem, arguments), arguments)
     model = plan_options.model_from(arguments)
     asked_model(model, arguments).check(problem.robot)
-    name = f"{path_component(problem.name)}-{arguments.formulation}-{model}"
-    out, film = Path(arguments.out or f"runs/{name}"), film_file(arguments)
+    out, film = Path(arguments.out or f"runs/{_folder(problem, model, arguments)}"), film_file(arguments)
     check_folder(out, "plan", film)
     if robust:
         plan, points = _robust(arguments, problem), list[Point]()
     else:
         plan, points = _at_once(arguments, problem) if whole else (_by_frame(arguments, problem), [])
-    if arguments.evaluate is not None:
-        plan = plan.on(arguments.evaluate)
-    tried = robust or (plan.can_snap and plan.bears is None)
-    if tried and not plan.meta["interrupted"] and plan.reached.any():
-        plan = plan.with_draws(ASKED if robust else UNASKED)
     with deferred_interrupt() as pressed:
-        interrupted = plan.meta["interrupted"] or (swept is not None and pressed())
+        # Ctrl-C waits while the plan is looked at, which takes seconds: what was solved is not to be lost by it.
+        plan = plan_options.look_at_plan(plan_options.with_thresholds(plan, arguments), arguments)
+        interrupted = plan.meta["interrupted"] or pressed()
     place = place_of(out, interrupted)
     with published(place, "plan") as staging:
         write(plan, staging)
@@ -145,12 +140,26 @@ def _run(arguments: argparse.Namespace) -> int:
     wrote(place, files)
     if film is not None:
         wrote(film)
-    return INTERRUPTED if interrupted else exit_status(plan, tried=robust)
+    return INTERRUPTED if interrupted else exit_status(plan)
+
+
+def _folder(problem: Problem, model: str, arguments: argparse.Namespace) -> str:
+    """Name the output folder by what was asked for: plans of other requests do not replace each other."""
+    asked = {
+        "robust": arguments.robust,
+        "loaded": arguments.load is not None or arguments.force is not None,
+        "locked-tilt": arguments.lock_tilt,
+        f"on-{path_component(Path(arguments.robot or '').stem)}": arguments.robot is not None,
+    }
+    parts = [path_component(problem.name), arguments.formulation, model]
+    return "-".join([*parts, *(name for name, given in asked.items() if given)])
 
 
 def _check_fit(arguments: argparse.Namespace) -> None:
     """Raise OptionError for an option that the chosen formulation does not have."""
     whole = arguments.formulation == HORIZON
+    if arguments.solver is not None and not whole:
+        check_choice("solver", arguments.solver, SOLVERS)
     for option in _given(arguments, plan_options.FRAMES_ALONE if whole else plan_options.HORIZON_ALONE):
         fitting = f"one of {', '.join(FORMULATIONS)}" if whole else HORIZON
         raise OptionError(
@@ -183,17 +192,19 @@ def _settings(arguments: argparse.Namespace, problem: Problem, *names: str) -> S
 
 
 def _by_frame(arguments: argparse.Namespace, problem: Problem) -> Plan:
-    settings = _settings(arguments, problem, *FRAME_SETTINGS)
     direction: Direction = arguments.direction or "best"
-    start = None if arguments.start is None else read_start(arguments.start)
-    checked_ends(problem, direction, start)
-    model = asked_model(plan_options.model_from(arguments), arguments)
-    chosen = arguments.formulation, arguments.solver, model, settings
-    solver = NlpFrames.of(problem, *chosen, plan_options.terms_from(arguments))
+    asked: dict[str, Any] = {
+        "settings": _settings(arguments, problem, *FRAME_SETTINGS),
+        "start": None if arguments.start is None else read_start(arguments.start),
+        "model": asked_model(plan_options.model_from(arguments), arguments),
+        "solver": arguments.solver,
+        "terms": plan_options.terms_from(arguments),
+    }
     problems.tell(problem)
     end_if_interrupted()
     with progress_bar() as labelled:
-        plan = march(problem, solver, direction, start, labelled(problem.name))
+        show = labelled(problem.name)
+        plan = solve_per_frame(problem, arguments.formulation, direction=direction, progress=show, **asked)
     if not plan.reached.any():
         end_if_interrupted()
     return plan
@@ -209,7 +220,7 @@ def _at_once(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan, lis
     with _shown(problem, arguments) as seen:
         terms = plan_options.terms_from(arguments)
         model = asked_model(plan_options.model_from(arguments), arguments)
-        horizon = Horizon(problem, model, arguments.solver, start, end, settings, terms)
+        horizon = horizon_planner(problem, model, arguments.solver, start, end, settings, terms)
         problems.tell(problem)
         end_if_interrupted()
         with progress_bar() as labelled:

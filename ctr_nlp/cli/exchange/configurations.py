@@ -10,11 +10,17 @@ from ctr_nlp.cli.arguments import add_figures_option, add_out_option
 from ctr_nlp.cli.console import Command
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, published
-from ctr_nlp.cli.plan_options import add_file_options
+from ctr_nlp.cli.plan_options import (
+    add_check_options,
+    add_file_options,
+    add_threshold_options,
+    look_at_plan,
+    with_thresholds,
+)
 from ctr_nlp.cli.report import draw, exit_status, print_report, write
 from ctr_nlp.cli.telling import wrote
 from ctr_nlp.exchange.configurations import plan_through, read_configurations
-from ctr_nlp.models import MODELS
+from ctr_nlp.models import DEFAULT_MODEL, MODELS
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
@@ -37,11 +43,14 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     what = f"what they are to follow, in as many frames as there are configurations: {problems.KINDS}"
     parser.add_argument("--problem", metavar="PROBLEM", required=True, help=what)
     parser.add_argument("--robot", metavar="FILE.toml", help="robot file (default: the problem's own robot)")
-    parser.add_argument("--model", choices=sorted(MODELS), default="dominant", help="default: dominant")
+    what = f"model on which shapes and margins are found (default: {DEFAULT_MODEL})"
+    parser.add_argument("--model", choices=sorted(MODELS), default=DEFAULT_MODEL, help=what)
     what = f"of the motion, in seconds (default: as the file's times tell, else {DURATION:g})"
     parser.add_argument("--duration", metavar="S", type=float, help=what)
     add_out_option(parser, "runs/PROBLEM-import")
     add_figures_option(parser)
+    add_check_options(parser)
+    add_threshold_options(parser)
     add_file_options(parser)
     return parser
 
@@ -51,6 +60,7 @@ def _run(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out or f"runs/{path_component(problem.name)}-import")
     check_folder(out, "import")
     plan = plan_through(problem, q, arguments.model, Path(arguments.configurations).name)
+    plan = look_at_plan(with_thresholds(plan, arguments), arguments)
     print_report(plan)
     with published(out, "import") as staging:
         write(plan, staging)

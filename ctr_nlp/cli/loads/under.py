@@ -10,6 +10,7 @@ from ctr_nlp.cli.console import Command
 from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, asked_load, read_plan
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.cli.plan_options import add_check_options, add_threshold_options, look_at_plan, with_thresholds
 from ctr_nlp.cli.report import draw, exit_status, print_report, write
 from ctr_nlp.cli.telling import busy, wrote
 from ctr_nlp.exceptions import OptionError
@@ -38,6 +39,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         metavar="PLANNED.npz",
         help="a plan of the same target that was made for the load, to be shown beside in beside.png",
     )
+    add_check_options(parser)
+    add_threshold_options(parser)
     add_out_option(parser, "runs/PROBLEM-under")
     add_figures_option(parser)
     return parser
@@ -49,7 +52,7 @@ def _run(arguments: argparse.Namespace) -> int:
     planned = _planned(plan, arguments.beside)
     check_folder(out, "under")
     with busy(f"{plan.meta['problem']['name']}: the robot is moved under the load"):
-        found = plan.under(load)
+        found = look_at_plan(with_thresholds(plan, arguments).under(load), arguments)
     print_report(found)
     with published(out, "under") as staging:
         write(found, staging)

@@ -22,8 +22,7 @@ from ctr_nlp.live import Live
 from ctr_nlp.live.page.server import HOST, PORT
 from ctr_nlp.live.steered.free import free_problem
 from ctr_nlp.loads import Load, steady, with_modulus
-from ctr_nlp.models import DEFAULT, MODELS
-from ctr_nlp.models.loaded.model import Loaded
+from ctr_nlp.models import DEFAULT_MODEL, MODELS
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot, table_i_robot
 from ctr_nlp.support.interrupt import deferred_interrupt
@@ -40,13 +39,12 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "and watch the robot follow within the lumen, with its error, stability margin and clearance. A recorded "
         "motion becomes a plan, which `ctr-nlp play` and `ctr-nlp robust` take. The page needs no network.",
         epilog="Ctrl-C ends it. Exit status: 130 after Ctrl-C, 2 where input is bad, a port is in use or there is "
-        f"no C compiler. Examples: `{prog} arc`; `{prog} airway.csv --branch 3 --model elastic`; "
+        f"no C compiler. Examples: `{prog} arc`; `{prog} airway.csv --branch 3`; "
         f"`{prog} robot.toml --port 0`; `{prog} arc --youngs-modulus 60000 --force 0 0.1 0`.",
     )
     kinds = f"{problems.KINDS}, or a robot file (.toml), whose robot then follows a path of its own shape"
     parser.add_argument("problem", metavar="PROBLEM", nargs="?", default=USUAL, help=f"{kinds} (default {USUAL})")
-    told = "(default dominant; under a load elastic)"
-    parser.add_argument("--model", choices=MODELS, help=told)
+    parser.add_argument("--model", choices=MODELS, default=DEFAULT_MODEL, help=f"(default {DEFAULT_MODEL})")
     add_problem_options(parser)
     parser.add_argument(
         "--more-robots", metavar="FILE.toml", nargs="+", default=[], help="robots that can be chosen on the page"
@@ -75,7 +73,7 @@ def _run(arguments: argparse.Namespace) -> int:
     with deferred_interrupt() as interrupted:
         live = Live(
             problem,
-            arguments.model or (DEFAULT if load is None else Loaded.name),
+            arguments.model,
             robots=robots,
             host=arguments.host,
             port=arguments.port,

@@ -14,10 +14,12 @@ from ctr_nlp.cli import problems
 from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, Command
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.cli.plan_options import add_file_options
+from ctr_nlp.cli.report import STYLES
 from ctr_nlp.cli.telling import console, print_table, progress_bar, wrote
 from ctr_nlp.models import MODELS, model_named
 from ctr_nlp.plan.account import shown
 from ctr_nlp.plan.draws import DRAWS
+from ctr_nlp.plan.verdicts import NOT_CHECKED, Verdicts
 from ctr_nlp.problems import NAMES
 from ctr_nlp.reference import METHODS
 from ctr_nlp.reference.published import BASELINE, BASELINE_ELASTIC, SEED, SEED_ELASTIC
@@ -35,7 +37,40 @@ from ctr_nlp.studies.methods.page import page
 from ctr_nlp.support.interrupt import end_if_interrupted
 from ctr_nlp.support.tables import markdown, write_csv
 
-COLUMNS = {
+Columns = dict[str, tuple[str, ...]]
+"""Titles of columns, and the keys of a row that each shows."""
+TABLES: dict[str, Columns] = {
+    "errors": {
+        "variant": ("variant",),
+        "e3 mm": ("e3",),
+        "e4 mm": ("e4",),
+        "max mm": ("e_max",),
+        "paper": ("seed_e3", "seed_e4"),
+        "dominant": ("dominant_e3", "dominant_e4"),
+        "elastic": ("elastic_e3", "elastic_e4"),
+        "failed": ("failed",),
+    },
+    "motion and time": {
+        "variant": ("variant",),
+        "rad": ("step_alpha",),
+        "mm": ("step_beta",),
+        "tilt": ("step_theta",),
+        "mm²/s": ("roughness",),
+        "ms 50, 99 %": ("median_ms", "p99_ms"),
+        "total s": ("total_s",),
+        "paper s": ("seed_t_s",),
+        "build s": ("build_s",),
+    },
+    "verdicts on the elastic model and over samples": {
+        "variant": ("variant",),
+        **{name.replace("within_", "").replace("_", " "): (f"verdict_{name}",) for name in Verdicts._fields},
+        "tip mm": ("tip_last",),
+        "lost": ("draws_lost",),
+    },
+}
+"""The printed tables; each fits into 100 columns. errors: e3 and e4 of the paper and on each model; motion: the
+largest steps of alpha (rad), beta (mm) and theta (tilt, rad) from frame to frame, roughness (mm²/s), and times."""
+COLUMNS: Columns = {
     "variant": ("variant",),
     "e3 mm": ("e3",),
     "e4 mm": ("e4",),
@@ -50,30 +85,34 @@ COLUMNS = {
     "failed": ("failed",),
     "on dominant e3, e4": ("dominant_e3", "dominant_e4"),
     "on elastic e3, e4": ("elastic_e3", "elastic_e4"),
-    "over draws e3": ("draws_e3",),
+    "over samples e3": ("draws_e3",),
     "lost": ("draws_lost",),
     "stability": ("stability_between",),
     "snaps": ("snaps",),
-    "verdicts: no": ("no",),
+    "last tip mm": ("tip_last",),
+    **{name.replace("_", " "): (f"verdict_{name}",) for name in Verdicts._fields},
 }
-"""Columns of the printed table and of Markdown, and the keys of a row that each shows."""
+"""Columns of the table in Markdown."""
 
 
+UNCHECKED = "?"
+"""Stands for NOT CHECKED in the printed tables, which have no room for the words."""
 AGREEMENT = ("problem", "objective mm²", "difference mm²", "limits that differ", "agree", "s")
 """Columns of the table of agreements."""
 
 
-def _cells(row: dict[str, Any]) -> list[str]:
-    told = row | {"draws_lost": None if row["draws_lost"] is None else f"{row['draws_lost']:.1%}"}
-    return [" / ".join(shown(told[key]) for key in keys if told[key] is not None) for keys in COLUMNS.values()]
+def _cells(row: dict[str, Any], columns: Columns = COLUMNS) -> list[str]:
+    """A row's cells; shares in percent, several numbers of a column divided by a stroke."""
+    told = row | {"draws_lost": None if row["draws_lost"] is None else f"{100 * row['draws_lost']:.3g}%"}
+    return [" / ".join(shown(told[key]) for key in keys if told[key] is not None) for keys in columns.values()]
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
         description="Solve problems with every variant, one after the other, and print errors, steps and times "
-        f"beside the paper's Table II; of plans on the elastic model also print e3 over {DRAWS} "
-        "draws of the robot's tolerances and the share that is lost. Write comparison.md, .csv and "
+        f"beside the paper's Table II; judge each plan on the elastic model and on {DRAWS} samples of "
+        "the robot's tolerances. Write comparison.md, .csv and "
         ".json. Where a variant does not serve a problem, its row says why.",
         epilog="Exit status: 0 where no verdict on a plan of ours is `no`, 1 where one is, 2 where input is bad "
         "or no variant serves any problem, 130 after an interruption (what was done goes into "
@@ -145,9 +184,17 @@ def _command(arguments: argparse.Namespace) -> str:
 
 def _print(found: Comparison) -> None:
     for name in dict.fromkeys(row["problem"] for row in found.rows):
-        print_table(name, list(COLUMNS), [_cells(row) for row in found.rows if row["problem"] == name])
+        rows = [row for row in found.rows if row["problem"] == name]
+        for title, columns in TABLES.items():
+            cells = [[_short(cell) for cell in _cells(row, columns)] for row in rows]
+            print_table(f"{name}: {title}", list(columns), cells, styles=STYLES | {UNCHECKED: STYLES[NOT_CHECKED]})
     if found.agreements:
         print_table("do solvers of the horizon agree?", list(AGREEMENT), _agreements(found))
+
+
+def _short(cell: str) -> str:
+    """A cell of the printed tables: a verdict that was not checked is a question mark there."""
+    return UNCHECKED if cell == NOT_CHECKED else cell
 
 
 def _agreements(found: Comparison) -> list[list[str]]:

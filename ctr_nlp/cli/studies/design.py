@@ -68,7 +68,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "built. Write robot.toml, a plan of every problem, design.json and a drawing sheet (sheet.svg, "
         "sheet.pdf), with several robots in a folder for each, robot_1 and so on.",
         epilog="Exit status: 0 where no verdict on a plan is `no`, 1 where one is, 2 where input is bad, 130 "
-        "after an interruption. `ctr-nlp plan PROBLEM --robot DIR/robot.toml --model elastic` plans "
+        "after an interruption. `ctr-nlp plan PROBLEM --robot DIR/robot.toml` plans "
         "further problems on the robot.",
     )
     kinds = f"{problems.KINDS}, or a folder of centreline files"
@@ -174,7 +174,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if interrupted:
         return INTERRUPTED
     plans = [tried.plan for one in made for tried in one.tried]
-    return max((exit_status(plan, tried=not arguments.nominal) for plan in plans), default=SOLVED)
+    return max((exit_status(plan) for plan in plans), default=SOLVED)
 
 
 def _workers(arguments: argparse.Namespace) -> AbstractContextManager[Jobs]:

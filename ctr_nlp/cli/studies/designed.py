@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ctr_nlp.cli.output.file import write_text
+from ctr_nlp.cli.report import STYLES
 from ctr_nlp.cli.telling import console, print_table
 from ctr_nlp.codesign.rounding import Stocked
 from ctr_nlp.codesign.together import Design
@@ -16,6 +17,7 @@ from ctr_nlp.plan.account import shown
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.robustness import Robustness
+from ctr_nlp.plan.verdicts import Verdicts
 from ctr_nlp.support.values import strict_json
 
 COLUMNS = (
@@ -99,6 +101,7 @@ def _row(found: Design, tried: Tried) -> dict[str, Any]:
         **_of_draws(plan.drawn),
         "diameters_as_sold": _of_draws(tried.sold),
         "verdicts_no": list(plan.verdicts.failed),
+        "verdicts_not_checked": list(plan.verdicts.unchecked),
     }
 
 
@@ -128,6 +131,11 @@ def _show(made: Made, label: str) -> None:
         for row in (_row(found, one) for one in made.tried)
     ]
     print_table(f"{label}e3 in mm", list(COLUMNS), cells)
+    words = [
+        [str(one.plan.meta["problem"]["name"]), *(each.word for each in one.plan.verdicts)] for one in made.tried
+    ]
+    names = [name.replace("within_", "").replace("_", " ") for name in Verdicts._fields]
+    print_table(f"{label}verdicts", ["problem", *names], words, styles=STYLES)
     tubes = [
         [
             *(f"{i + 1}", f"{tube.outer_diameter:.3f}", f"{tube.inner_diameter:.3f}", f"{tube.curved_length:.1f}"),

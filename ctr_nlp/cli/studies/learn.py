@@ -11,7 +11,7 @@ from ctr_nlp.cli.arguments import add_out_option, whole
 from ctr_nlp.cli.console import SOLVED, Command
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.telling import console, print_table, progress_bar, wrote
-from ctr_nlp.models import DEFAULT, MODELS
+from ctr_nlp.models import MODELS
 from ctr_nlp.reference.learned.network import Network, place
 from ctr_nlp.reference.learned.samples import drawn
 from ctr_nlp.reference.learned.training import HELD_OUT, Training, train
@@ -43,7 +43,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "(nothing is kept then).",
     )
     parser.add_argument("--robot", metavar="FILE.toml", help="robot file (default: the paper's robot)")
-    parser.add_argument("--model", choices=("dominant", "elastic"), default=DEFAULT, help=f"(default {DEFAULT})")
+    parser.add_argument("--model", choices=("dominant", "elastic"), default="dominant", help="(default dominant)")
     default = Training()
     for name, what in COUNTS.items():
         known = getattr(default, name)

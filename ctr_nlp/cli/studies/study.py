@@ -13,10 +13,12 @@ from ctr_nlp.cli.arguments import add_out_option, whole
 from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, Command
 from ctr_nlp.cli.output.file import path_component, write_text
 from ctr_nlp.cli.output.folder import check_folder, published
+from ctr_nlp.cli.report import exit_status
 from ctr_nlp.cli.telling import console, print_table, progress_bar, wrote
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES
 from ctr_nlp.report import page
 from ctr_nlp.studies.grid.case import Case
 from ctr_nlp.studies.grid.groups import ERROR, Groups, grouped
@@ -31,6 +33,8 @@ SHOWN = ERROR, "stability_min", "process_s"
 """Columns whose means are printed."""
 COPY, PICTURE, WORST = "study.toml", "by.png", "worst.html"
 """Beside its rows: the study's own file, what is drawn of its plans by a column, and a page of the worst ones."""
+WORDS = YES, NO, NOT_CHECKED
+"""Words of verdicts, as columns."""
 SHORT = 10
 """Letters of a digest that are enough to name a row."""
 
@@ -42,7 +46,7 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "cores of this machine or on a Dask cluster. A row of every plan goes into DIR/rows (Parquet) as it is "
         "made; a study that was stopped, or whose machine died, goes on where it was, and a changed study does "
         "only what is new in it.",
-        epilog="Exit status: 0 where every plan was made and solved, 1 where some were not, 2 where input is bad, "
+        epilog="Exit status: 0 where every plan was made and no verdict is `no`, 1 otherwise, 2 for bad input, "
         'and 130 after an interruption. The extra `study` is needed: pip install "ctr_nlp[study]".',
     )
     parser.add_argument("study", metavar="STUDY.toml")
@@ -109,7 +113,7 @@ def _run(arguments: argparse.Namespace) -> int:
         return INTERRUPTED
     if study.report is not None:
         _report(study, out)
-    return SOLVED if found.complete else SOME_FAILED
+    return SOLVED if found.passed else SOME_FAILED
 
 
 def _found(study: Study, out: Path, column: str, more: Sequence[str] = ()) -> Groups:
@@ -177,7 +181,7 @@ def _alone(study: Study, digest: str, keep: Path | None) -> int:
     console().print(f"{plan}")
     for name, value in (cases[0].columns | summary(plan)).items():
         console().print(f"{name}: {value}", markup=False, soft_wrap=True)
-    return SOLVED if plan.complete else SOME_FAILED
+    return exit_status(plan)
 
 
 @contextmanager
@@ -199,6 +203,11 @@ def _print(found: Groups, study: str) -> None:
         means = [f"{group.of(name).mean():.3g}" if len(group.of(name)) else "" for name in shown]
         rows.append([group.name, str(group.plans), str(group.failed), *means])
     print_table(f"plans by {found.column}, means", (found.column, "plans", "failed", *shown), rows)
+    counted = [
+        [name.replace("_", " "), *(str(words[word]) for word in WORDS)] for name, words in found.verdicts.items()
+    ]
+    if counted:
+        print_table("verdicts, numbers of plans", ("verdict", *WORDS), counted)
     worst = [[f"{bad.error:.3g}", bad.problem, bad.robot, bad.digest[:SHORT]] for bad in found.worst]
     if worst:
         print_table("plans of the largest e3", ("e3 mm", "problem", "robot", "digest for --only"), worst)

@@ -14,7 +14,7 @@ from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.cli.telling import console, print_table, progress_bar, wrote
 from ctr_nlp.plan.account import shown
-from ctr_nlp.plan.verdicts import MOST_LOST
+from ctr_nlp.plan.robustness import MOST_LOST
 from ctr_nlp.problems import NAMES
 from ctr_nlp.studies.trade import (
     AMOUNTS,

@@ -11,6 +11,7 @@ from matplotlib.colors import to_hex, to_rgb
 
 from ctr_nlp.figures.parts.palette import CONTACT, ERROR, ORANGE, SKY, VERMILLION, tube_colour
 from ctr_nlp.live.steered.session import Seen
+from ctr_nlp.plan.verdicts import NOT_CHECKED
 from ctr_nlp.robot import Robot
 from ctr_nlp.target.lumen import outermost
 from ctr_nlp.target.target import SIGMA
@@ -82,14 +83,14 @@ def judged(seen: Seen, asked: float | None) -> list[Judged]:
         found.append(Judged("least clearance", f"{least:.2f} mm", *room))
     if len(seen.lost):
         lost = int(seen.lost.sum())
-        all_kept = ("all kept", GOOD) if not lost else ("some lost", BAD)
-        found.append(Judged("drawn robots lost", f"{lost} of {len(seen.lost)}", *all_kept))
+        all_kept = ("none lost", GOOD) if not lost else ("some lost", BAD)
+        found.append(Judged("sampled robots lost", f"{lost} of {len(seen.lost)}", *all_kept))
     return found
 
 
 def _margin(seen: Seen, asked: float) -> Judged:
     if not np.isfinite(seen.margin):
-        return Judged("stability margin", "none", "cannot snap", "")
+        return Judged("stability margin", "", f"{NOT_CHECKED}: this model cannot predict snapping", NEAR)
     how = (
         ("stable", GOOD) if seen.margin > 2 * asked else ("little", NEAR) if seen.margin > 0 else ("unstable", BAD)
     )

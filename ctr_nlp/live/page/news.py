@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from ctr_nlp.live.steered.session import HAND, Session
+from ctr_nlp.plan.account import NOT_FOR_PATIENTS, lead
+from ctr_nlp.plan.metrics import summary
+from ctr_nlp.plan.plan import Plan
 
 HINT = "Drag a ball to pull the target, or a slider to move a joint. The mouse turns the view elsewhere."
 
@@ -17,6 +20,12 @@ def told(session: Session, snapped: bool, news: str) -> str:
     if snapped:
         found.append("**The robot snapped.** It goes on from where it came to rest.")
     return "\n\n".join([*found, news or HINT])
+
+
+def verdict_list(plan: Plan) -> str:
+    """Write the verdicts on a recorded plan as a list in Markdown, with what they come to and a warning."""
+    rows = [f"- {each.matter}: **{each.word}**{f', {each.value}' if each.value else ''}" for each in plan.verdicts]
+    return "\n".join([f"{lead(summary(plan))} {NOT_FOR_PATIENTS}", "", *rows])
 
 
 def _compiling(session: Session) -> list[str]:

@@ -145,7 +145,7 @@ class Panel:
         known = (BY_ERROR, BY_TUBE) if session.problem.sampled_lumen is None else (BY_ERROR, BY_CLEARANCE, BY_TUBE)
         self._by = gui.add_dropdown("robot coloured by", known, initial_value=BY_ERROR)
         scale = gui.add_html(legend(session.problem.robot, BY_ERROR))
-        self._draws = gui.add_slider("drawn robots", 0, MOST_DRAWS, 1, session.draws)
+        self._draws = gui.add_slider("sampled robots", 0, MOST_DRAWS, 1, session.draws)
 
         @self._by.on_update
         def _(_: Any) -> None:

@@ -11,12 +11,14 @@ from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import CtrError, OptionError
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.loads import Load
-from ctr_nlp.models import DEFAULT, MODELS, Model, suits, under
+from ctr_nlp.models import MODELS, Model, suits, under
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.steer import Steerer
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
+QUICK = "dominant"
+"""The model that is steered on while the one that is wanted is compiled: its steps need no compiled code."""
 POLL = 0.5
 """s between two looks at whether something has been compiled."""
 
@@ -37,8 +39,8 @@ class Drive:
         """
         if why := cache.missing():
             raise OptionError(f"live steering needs a C compiler: {why}")
-        steerer = Steerer(problem.robot, q, dt, settings, DEFAULT, wait=False)
-        return cls(MODELS[DEFAULT], steerer, walled=False)
+        steerer = Steerer(problem.robot, q, dt, settings, QUICK, wait=False)
+        return cls(MODELS[QUICK], steerer, walled=False)
 
 
 class Awaited:

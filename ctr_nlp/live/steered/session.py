@@ -17,7 +17,7 @@ from ctr_nlp.live.steered.goal import Goal
 from ctr_nlp.live.steered.joints import retracted, slid, towards
 from ctr_nlp.live.steered.recording import Moment, Recording
 from ctr_nlp.loads import Load
-from ctr_nlp.models import DEFAULT, model_named, under
+from ctr_nlp.models import DEFAULT_MODEL, model_named, under
 from ctr_nlp.models.walker import Walker
 from ctr_nlp.plan.measures import rms_over_sigma
 from ctr_nlp.plan.plan import Plan
@@ -70,7 +70,7 @@ class Session:
     def __init__(
         self,
         problem: Problem,
-        model: str = DEFAULT,
+        model: str = DEFAULT_MODEL,
         settings: Settings = DEFAULTS,
         rate: float = RATE,
         load: Load | None = None,

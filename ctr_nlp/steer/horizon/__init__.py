@@ -1,6 +1,6 @@
 """Plans over all frames at once."""
 
-from ctr_nlp.steer.horizon.asked import solve_horizon
+from ctr_nlp.steer.horizon.asked import horizon_planner, solve_horizon
 from ctr_nlp.steer.horizon.chained import Horizon
 
-__all__ = ["Horizon", "solve_horizon"]
+__all__ = ["Horizon", "horizon_planner", "solve_horizon"]

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
-from ctr_nlp.models import Model, model_named
+from ctr_nlp.models import DEFAULT_MODEL, Model, model_named
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.steer.attempts import Report
 from ctr_nlp.steer.horizon.bearing import LoadedHorizon
@@ -22,7 +22,7 @@ from ctr_nlp.target.problem import Problem
 def solve_horizon(
     problem: Problem,
     *,
-    model: str | Model = "dominant",
+    model: str | Model = DEFAULT_MODEL,
     solver: str | None = None,
     start: npt.ArrayLike | None = None,
     end: npt.ArrayLike | None = None,
@@ -36,27 +36,92 @@ def solve_horizon(
     seen: Report | None = None,
     exhaustive: bool = False,
 ) -> Plan:
-    """The plan that follows a problem's target over all frames at once, eq. (9) over a horizon.
+    """Plan all frames of a motion in one nonlinear program, eq. (9) over a horizon.
 
-    solver: banded, or ipopt; None takes banded where there is a C compiler. start: q (2d + 2,) at time 0; end: q
-    of the last frame; free where None. motion_weight: lambda in s^2; None takes the one at which the motion of
-    the start costs a tenth of its shape errors. initial: motions (T, 2d + 2) to start from; without any, those of
-    per_frame_motions, all of which are solved for some of the frames, and the best of these for all frames.
-    starts: how many are solved for all frames instead: the best of those, then smooth random changes of the best
-    (settings.seed). exhaustive: all of those are, and no others. jobs: in how many processes. settings: of the
-    frames run one by one. terms: further ones of the objective (formulations.terms). seen: told of every iterate
-    of all frames, or where processes are several of every attempt that is the best until then.
-    Under a load, all this is of the robot without it. The search begins with motions frame by frame (bearing.py);
-    the robot without the load is solved over all frames only where these lead to no good one, and where starts or
-    exhaustive are given.
-    The plan is never worse than the best motion it started from, and marked where it is no solution. Ctrl-C ends
-    the work; the plan is then the best feasible one so far, marked as interrupted. Raises OptionError,
-    ProblemError, RobotError.
+    The plan is never worse than the best motion it started from, and is marked where it is no solution. Ctrl-C
+    ends the work; the plan is then the best feasible one so far, marked as interrupted.
+
+    Parameters
+    ----------
+    problem : Problem
+        Robot and target.
+    model : str or Model
+        ``"elastic"``, the default, or ``"dominant"``, or ``Loaded(load)`` for a robot that bears a load. Under
+        a load, the search begins with motions frame by frame (bearing.py); the robot without the load is
+        solved over all frames only where these lead to no good one, and where `starts` or `exhaustive` are
+        given.
+    solver : str, optional
+        ``"banded"`` or ``"ipopt"``; by default banded where there is a C compiler.
+    start, end : array_like, optional
+        Configurations q (2d + 2,) at time 0 and in the last frame; free where None.
+    motion_weight : float, optional
+        Lambda in s^2; by default the one at which the motion of the start costs a tenth of its shape errors.
+    initial : sequence of array_like
+        Motions (T, 2d + 2) to start from. Without any, those of per_frame_motions are solved for some of the
+        frames, and the best of these for all frames.
+    starts : int, optional
+        How many motions are solved for all frames instead: the best ones, then smooth random changes of the
+        best (`settings.seed`).
+    jobs : int
+        In how many processes.
+    settings : Settings
+        Of the wall, the stability margin and the frames that are solved one by one.
+    terms : sequence of Term
+        Further terms of the objective (formulations.terms).
+    progress : callable, optional
+        Called as ``progress(done, total, note)``.
+    seen : callable, optional
+        Called with every iterate of all frames, or, with several processes, with every motion that is the best
+        so far.
+    exhaustive : bool
+        Whether every motion found frame by frame is solved for all frames, and no other.
+
+    Returns
+    -------
+    Plan
+        Also where frames failed: see ``plan.success`` and ``plan.verdicts``.
+
+    Raises
+    ------
+    OptionError, ProblemError, RobotError
+        An option, the problem or the robot is not what it must be.
     """
     check_described(problem, settings)
     check_search(motion_weight, starts, jobs)
     motions = checked_motions(problem, initial)
-    model = model_named(model, "model of a horizon")
-    over = Horizon if model.bears is None else LoadedHorizon
-    whole = over(problem, model, solver, start, end, settings, terms)
-    return whole.solve(motions, motion_weight, starts, jobs, progress, seen, exhaustive)
+    planner = horizon_planner(problem, model, solver, start, end, settings, terms)
+    return planner.solve(motions, motion_weight, starts, jobs, progress, seen, exhaustive)
+
+
+def horizon_planner(
+    problem: Problem,
+    model: str | Model = DEFAULT_MODEL,
+    solver: str | None = None,
+    start: npt.ArrayLike | None = None,
+    end: npt.ArrayLike | None = None,
+    settings: Settings = DEFAULTS,
+    terms: Sequence[Term] = (),
+) -> Horizon | LoadedHorizon:
+    """Build the planner of all frames at once, to be solved for one or several motion weights.
+
+    The only way to a horizon: command line, Python, sweeps and comparisons take the planner from here, so that
+    all of them run the same algorithm for the same request.
+
+    Parameters
+    ----------
+    problem, model, solver, start, end, settings, terms
+        As :func:`solve_horizon`.
+
+    Returns
+    -------
+    Horizon or LoadedHorizon
+        The second where the model bears a load: its search begins with the robot without the load.
+
+    Raises
+    ------
+    OptionError, ProblemError, RobotError, LoadError
+        As :func:`solve_horizon`.
+    """
+    chosen = model_named(model, "model of a horizon")
+    kind = Horizon if chosen.bears is None else LoadedHorizon
+    return kind(problem, chosen, solver, start, end, settings, terms)

@@ -76,7 +76,7 @@ class LoadedHorizon:
         model.check(problem.robot)
         begin = time.perf_counter()
         asked = solver, start, end
-        self._problem, self._model, self._settings, self._terms = problem, model, settings, tuple(terms)
+        self.problem, self._model, self._settings, self._terms = problem, model, settings, tuple(terms)
         wall = wall_of(problem.robot, problem.sampled_lumen, model, settings)
         self._inside = None if wall is None else Horizon(problem, model, *asked, settings, terms)
         margin = settings.stability_margin
@@ -98,7 +98,7 @@ class LoadedHorizon:
     ) -> Plan:
         """The plan; as solve_horizon."""
         check_search(motion_weight, starts, jobs)
-        without, given = self._without, checked_motions(self._problem, initial)
+        without, given = self._without, checked_motions(self.problem, initial)
         with deferred_interrupt() as interrupted:
             begin = time.perf_counter()
             first = without.motions(given, progress)[0]
@@ -133,7 +133,7 @@ class LoadedHorizon:
                 yield without.configurations(first)
             elif asked is not None and asked + more < 1:
                 settings = replace(self._settings, stability_margin=asked + more)
-                at = self._problem, without.ends, settings, progress, MODELS[self._model.name], self._terms
+                at = self.problem, without.ends, settings, progress, MODELS[self._model.name], self._terms
                 yield without.configurations(per_frame_motions(*at)[0])
 
     def _plain(self, search: Callable[[], Plan]) -> Iterator[Array]:
@@ -172,7 +172,7 @@ class LoadedHorizon:
         """The same motion with its margin held between frames, and what the margin is missed by; None where the
         robot does not make it. most: mm^2; motions of a larger objective are not gone on with.
         """
-        d, margin = self._problem.robot.d, self._settings.stability_margin
+        d, margin = self.problem.robot.d, self._settings.stability_margin
 
         def missed(found: SharedSolution) -> Missed:
             return missing(self._simulator(found.q), found.x, margin, d)
@@ -185,14 +185,14 @@ class LoadedHorizon:
 
     def _motion(self, weight: float, margins: Array | None) -> SharedMotion:
         """The program of the robot alone; weight: lambda in s^2; margins (T,): of each frame."""
-        problem, robot = self._problem, self._problem.robot
+        problem, robot = self.problem, self.problem.robot
         alone = Scenarios(robot.numbers[None], np.zeros((1, robot.d)), np.ones(1))
         at = robot, problem.samples, problem.dt, weight, self._without.ends, self._model, alone
         return shared_motion(*at, fastest, margins, self._terms)
 
     def _from(self, q: Array, motion: SharedMotion, stop: Callable[[], bool]) -> SharedSolution:
         """The first solution from q (T, 2d + 2), where the load has come in every frame by itself."""
-        robot, model = self._problem.robot, self._model
+        robot, model = self.problem.robot, self._model
         tips = tip_angles(MODELS[model.name].follow(robot, q).x, robot.d)
         x = model.loaded(robot, q, np.where(np.isfinite(tips), tips, q[:, : robot.d]))
         solve = SharedSolver(motion)
@@ -204,7 +204,7 @@ class LoadedHorizon:
 
     def _plan(self, q: Array, found: SharedSolution | None, weight: float, meta: dict[str, Any]) -> Plan:
         """The motion found as a plan; q (T, 2d + 2), not solved, where the search was interrupted before that."""
-        frames, unknown = self._problem.frames, np.full(self._problem.frames, np.nan)
+        frames, unknown = self.problem.frames, np.full(self.problem.frames, np.nan)
         if found is None:
             why = {"all": "interrupted before the load was looked at"}
             known: dict[str, Any] = {"objective": unknown, "kkt": unknown}
@@ -216,7 +216,7 @@ class LoadedHorizon:
             why = {} if found.success else {"all": f"{found.status}, KKT residual {found.kkt:.1e}"}
             q, solved, planned = found.q, found.success, found.x
         return plan_from_configurations(
-            self._problem,
+            self.problem,
             q,
             meta | {"failures": why},
             success=np.full(frames, solved),

@@ -16,7 +16,7 @@ from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.formulations.wall import Wall, wall_of
 from ctr_nlp.loads import steady
-from ctr_nlp.models import Model, model_named
+from ctr_nlp.models import DEFAULT_MODEL, MODELS, Model, model_named
 from ctr_nlp.nlp.chain import Chain
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
 from ctr_nlp.simulation.forward import Simulator
@@ -49,7 +49,7 @@ class Horizon:
     def __init__(
         self,
         problem: Problem,
-        model: str | Model = "dominant",
+        model: str | Model = DEFAULT_MODEL,
         solver: str | None = None,
         start: npt.ArrayLike | None = None,
         end: npt.ArrayLike | None = None,
@@ -77,14 +77,25 @@ class Horizon:
         self._simulator = Simulator(problem.robot, self._model)
         own = self._simulator, solver, self.ends, settings, self._terms
         self._search = Search(problem, *own, self._free, inside)
-        if self.ends.start is not None and self.ends.end is not None and not self._free.bent:
-            check_ends(problem, self._free)
+        if self.ends.start is not None and self.ends.end is not None:
+            check_ends(problem, self._linear())
         self.build_seconds = time.perf_counter() - begin
 
     def _built(self, wall: Wall | None) -> Chain:
         """The chain of all frames, within a wall or free of any, with a motion weight of 1 s^2."""
         at = self.problem.robot, self.problem.samples, self.problem.dt, 1.0, self.ends, self._model
         return horizon(*at, fastest, self._settings.stability_margin, wall, self._terms)
+
+    def _linear(self) -> Chain:
+        """A chain of all frames whose links between frames are linear in its unknowns.
+
+        Limits of position, order, speed and acceleration are those of q, whatever the model. Where the unknowns of
+        the model are not q, as on the elastic one, these limits are taken from the chain of the dominant model.
+        """
+        if not self._free.bent:
+            return self._free
+        at = self.problem.robot, self.problem.samples, self.problem.dt, 1.0, self.ends
+        return horizon(*at, MODELS["dominant"])
 
     def solve(
         self,

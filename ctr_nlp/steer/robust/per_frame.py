@@ -15,7 +15,7 @@ from ctr_nlp.formulations.terms import Term
 from ctr_nlp.models import Model
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.plan.verdicts import MOST_LOST
+from ctr_nlp.plan.robustness import MOST_LOST
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Pass, Progress, run_again, run_passes
 from ctr_nlp.steer.per_frame import plan_of
@@ -88,9 +88,8 @@ def solve_robust_per_frame(
             for frames, _, lost in made
         ],
     }
-    if not stopped:
-        work["certificate"] = trials.certificate(trial, best.motion(problem), len(made))
-    return plan_of(problem, solver, _told(best, problem, model), None, options, work)
+    plan = plan_of(problem, solver, _told(best, problem, model), None, options, work)
+    return plan if stopped or not plan.reached.any() else trials.certified(plan, trial, len(made))
 
 
 def _told(best: Pass, problem: Problem, model: Model) -> Pass:

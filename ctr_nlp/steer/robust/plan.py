@@ -18,7 +18,7 @@ from ctr_nlp.formulations.wall import wall_of
 from ctr_nlp.models import Model
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
-from ctr_nlp.plan.verdicts import MOST_LOST
+from ctr_nlp.plan.robustness import MOST_LOST
 from ctr_nlp.simulation.forward import Simulator
 from ctr_nlp.solvers.scenarios.condensed import Condensed
 from ctr_nlp.steer.horizon import Horizon
@@ -137,9 +137,8 @@ def solve_robust(
     if free is None:
         return _unsolved(problem, told.configuration(problem.robot, starts[0].x), meta)
     best = best_of([one for one in made if one.search.wall is not None], problem.frames) or free
-    if not stopped:
-        meta["certificate"] = trials.certificate(best.lost, best.tried.solution.q, len(made))
-    return _plan(problem, best, None if wall is None else free, meta)
+    plan = _plan(problem, best, None if wall is None else free, meta)
+    return plan if stopped else trials.certified(plan, best.lost, len(made))
 
 
 def _at(settings: Settings, margin: float = MARGINS[0]) -> Settings:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import Model
-from ctr_nlp.plan.robustness import CONFIDENCE, upper_bound
-from ctr_nlp.plan.verdicts import MOST_LOST
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.robustness import CONFIDENCE, MOST_LOST, upper_bound
+from ctr_nlp.plan.sample_outcomes import sample_outcomes
+from ctr_nlp.plan.verdicts import option, outcome_sentence
 from ctr_nlp.robot import Robot
 from ctr_nlp.robot.draws import drawn, drawn_from
 from ctr_nlp.simulation.drawn import lost_draws
@@ -25,6 +27,9 @@ LEAST_DRAWS, OF_DRAFTS, GROUP = 500, 200, 50
 """Robots that are drawn at least where a whole motion is tried, and where a draft is; those moved at a time."""
 SEED = 2**40
 """Of the first motion's draws, from which seeds count on: none that anybody tries plans with."""
+CERTIFYING = 200
+"""Fresh robots on which the plan that was chosen is judged for arrival and contact: where at most 4 of them fail,
+at least 95 % of all such robots hold with 95 % confidence."""
 HALVINGS = 6
 """Of the range in which the part of the tolerances lies that a motion bears."""
 
@@ -106,14 +111,42 @@ class Trials:
             low, high = (part, high) if few else (low, part)
         return low
 
-    def certificate(self, lost: Lost, q: Array, number: int) -> dict[str, Any]:
-        """For a plan's meta: what was found of its motion q, and where too many are lost, what it would bear."""
+    def certified(self, plan: Plan, lost: Lost, number: int) -> Plan:
+        """Certify a plan by robots that neither planning nor the choice among motions has seen.
+
+        Parameters
+        ----------
+        plan : Plan
+            The plan that was chosen.
+        lost : Lost
+            What the last trial of its motion found.
+        number : int
+            Of a motion that was not tried: robots are drawn for it alone.
+
+        Returns
+        -------
+        Plan
+            The same plan with ``meta["certificate"]``: ``held``, whether few enough robots are lost; ``draws``,
+            ``lost``, ``lost_in`` and ``borne`` of the last trial; ``samples``, ``outcome``, ``holds`` and
+            ``holds_at_least``: of how many fresh robots how many arrive and keep off the wall as well, and the
+            share of all robots that does so at least with 95 % confidence (Clopper and Pearson); ``certified``:
+            whether few are lost and that share is as large as asked for.
+        """
         frames, counts = np.unique(lost.frames, return_counts=True)
-        return {
+        outcomes = sample_outcomes(plan.with_draws(CERTIFYING, SEED + number))
+        holds = int(outcomes.held.sum())
+        at_least = 1 - upper_bound(CERTIFYING - holds, CERTIFYING)
+        found = {
             "held": lost.few,
             "most_lost": self.most_lost,
             "draws": lost.drawn,
             "lost": len(lost.frames),
             "lost_in": dict(zip(map(str, frames.tolist()), counts.tolist(), strict=True)),
-            "borne": 1.0 if lost.few else self.borne(q, number),
+            "borne": 1.0 if lost.few else self.borne(plan.q, number),
+            "samples": CERTIFYING,
+            "outcome": outcome_sentence(outcomes),
+            "holds": holds,
+            "holds_at_least": at_least,
+            "certified": bool(lost.few and at_least >= float(option(plan, "share"))),
         }
+        return replace(plan, meta=plan.meta | {"certificate": found})

@@ -82,10 +82,13 @@ def least(work: Callable[[], Any], repeats: int = REPEATS) -> float:
 
 
 KINDS: Mapping[str, tuple[Sequence[int], Callable[[int], float]]] = {
-    "horizon, by frames": (FRAMES, lambda n: least(lambda: solve_horizon(named("cos", n)), 2 if n < 2000 else 1)),
+    "horizon, by frames": (
+        FRAMES,
+        lambda n: least(lambda: solve_horizon(named("cos", n), model="dominant"), 2 if n < 2000 else 1),
+    ),
     "frames within a lumen, by frames": (
         LUMEN,
-        lambda n: least(lambda: solve_per_frame(named("bronchus", n), direction="forward")),
+        lambda n: least(lambda: solve_per_frame(named("bronchus", n), model="dominant", direction="forward")),
     ),
     "first derivatives of a frame, by tubes": (TUBES, lambda n: _frame(nested(n), 5)),
     "first derivatives of a frame, by samples": (

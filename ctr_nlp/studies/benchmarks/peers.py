@@ -73,7 +73,7 @@ def _path(problem: Problem, stage: Stage, solve: NlpSolver) -> list[tuple[Array,
     """Start, parameters and bounds of the frames' NLPs after the first, each from the solution before it."""
     settings, warm = Settings(), None
     path: list[tuple[Array, Array, Array, Array]] = []
-    q = NlpFrames.of(problem, settings=settings).search(0)[0].q
+    q = NlpFrames.of(problem, model="dominant", settings=settings).search(0)[0].q
     for frame in problem.samples[1:]:
         given = {"previous": q, "motion_root": math.sqrt(settings.motion_weight) / problem.dt}
         path.append(

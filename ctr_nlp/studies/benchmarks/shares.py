@@ -49,7 +49,7 @@ def shares() -> dict[str, float]:
         targets = [frame.points for frame in problem.samples]
         there_and_back = targets + targets[::-1]
         found[f"Steerer.step, {model}"] = outside(lambda s=steerer, all=there_and_back: [s.step(t) for t in all])  # type: ignore[misc]
-    found["solve_horizon"] = outside(lambda: solve_horizon(problem), 3)
+    found["solve_horizon"] = outside(lambda: solve_horizon(problem, model="dominant"), 3)
     return found
 
 

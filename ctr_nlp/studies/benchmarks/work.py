@@ -140,8 +140,8 @@ ROWS: dict[str, Callable[[], WORK]] = {
     "horizon-elastic": lambda: horizon("cos", model="elastic"),
     "horizon-loaded": lambda: horizon("cos", model="elastic", loaded=True),
     "horizon-5000": lambda: horizon("cos", frames=5000),
-    "program": lambda: program("--no-figures"),
-    "program-figures": lambda: program(),
+    "program": lambda: program("--model", "dominant", "--no-figures"),
+    "program-figures": lambda: program("--model", "dominant"),
 }
 """What is timed: by the name of its row, what makes it."""
 

@@ -14,7 +14,7 @@ from ctr_nlp.loads import Load
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.plan.verdicts import MOST_LOST
+from ctr_nlp.plan.robustness import MOST_LOST
 from ctr_nlp.robot.draws import drawn
 from ctr_nlp.simulation.drawn import lost_draws
 from ctr_nlp.steer import solve_horizon

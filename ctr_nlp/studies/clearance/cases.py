@@ -43,7 +43,7 @@ def contact_alone(plan: Plan, problem: Problem) -> dict[str, float]:
     touching = np.flatnonzero(depth(plan) > 0)
     left = np.zeros(0)
     if len(touching):
-        first = solve_horizon(problem, settings=FIRST)
+        first = solve_horizon(problem, model="dominant", settings=FIRST)
         left = Alone(problem).least([first.q, plan.q], touching)
     return {"contact_alone": float(left.sum()), "contact_alone_clear": float((left == 0).sum())}
 

@@ -16,7 +16,7 @@ from ctr_nlp.exceptions import CtrError, OptionError, OutputError
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.loads import load_from_dict, with_modulus
 from ctr_nlp.models import model_named, under
-from ctr_nlp.plan.metrics import summary
+from ctr_nlp.plan.metrics import summary, verdict_columns
 from ctr_nlp.plan.plan import Plan, versions
 from ctr_nlp.problems import NAMES, named
 from ctr_nlp.robot import Robot
@@ -111,7 +111,7 @@ class Case:
         }
         by_frame = partial(solve_per_frame, problem, self.method, model=model, settings=settings)
         plan = made.get(self.method, by_frame)()
-        return plan.with_draws(self.draws, self.seed) if self.draws else plan
+        return plan.check(self.draws, self.seed) if self.draws else plan
 
     def row(self, keep: Path | None = None) -> dict[str, Any]:
         """The row of the plan, or of why there is none; keep: the folder into which the plan is written, too.
@@ -163,8 +163,7 @@ def content_of(path: str) -> str:
 def _numbers(plan: Plan) -> dict[str, Any]:
     """A plan's summary and verdicts as columns, and its versions."""
     found = dict(_flat(strict_json(summary(plan))))
-    for verdict in plan.verdicts:
-        found[f"verdict_{verdict.matter.replace(' ', '_')}"] = verdict.word
+    found |= verdict_columns(plan)
     found["complete"] = plan.complete
     return found | {f"version_{name}": value for name, value in versions().items()}
 

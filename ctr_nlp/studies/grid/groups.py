@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Collection, Sequence
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.plan.verdicts import NO, Verdicts
 from ctr_nlp.studies.grid.case import DONE
 from ctr_nlp.studies.grid.results import Results
 from ctr_nlp.typing import Array
@@ -69,13 +71,31 @@ class Group:
 
 @dataclass(frozen=True)
 class Groups:
-    """column: by which rows are told apart. complete: whether every frame of every plan was solved."""
+    """Rows of a study by a column.
+
+    Attributes
+    ----------
+    column : str
+        By which rows are grouped.
+    groups, failures, worst : sequence
+        The groups; why plans could not be made; the plans of the largest error.
+    complete : bool
+        Whether every frame of every plan was solved.
+    verdicts : mapping
+        For each verdict, how many plans have which word.
+    """
 
     column: str
     groups: Sequence[Group]
     failures: Sequence[Failure]
     worst: Sequence[Bad]
     complete: bool
+    verdicts: Mapping[str, Counter[str]]
+
+    @property
+    def passed(self) -> bool:
+        """Whether no plan was left unsolved and no verdict is *no*."""
+        return self.complete and not any(words[NO] for words in self.verdicts.values())
 
 
 def grouped(results: Results, digests: Collection[str], column: str, shown: Sequence[str]) -> Groups:
@@ -89,7 +109,9 @@ def grouped(results: Results, digests: Collection[str], column: str, shown: Sequ
         raise OptionError(f"{missing[0]} is no column of the study; those are {', '.join(sorted(known))}")
     groups, failures, worst = dict[Any, Group](), dict[str, Failure](), list[Bad]()
     complete, own = True, set(digests)
-    for frame in results.parts([*dict.fromkeys([*ALWAYS, column, *shown])]):
+    named = {f"verdict_{name}": name for name in Verdicts._fields}
+    words = {name: Counter[str]() for key, name in named.items() if key in known}
+    for frame in results.parts([*dict.fromkeys([*ALWAYS, column, *shown, *named])]):
         part = frame[frame["digest"].isin(own)]
         done = part[part["status"] == DONE]
         complete &= len(done) == len(part) and bool(done["complete"].all())
@@ -98,6 +120,8 @@ def grouped(results: Results, digests: Collection[str], column: str, shown: Sequ
         for reason, rows in part[part["status"] != DONE].groupby("reason"):
             before = failures.get(str(reason), Failure(str(reason), 0, rows["digest"].iloc[0]))
             failures[str(reason)] = before._replace(plans=before.plans + len(rows))
+        for name, counted in words.items():
+            counted.update(done[f"verdict_{name}"].dropna())
         if ERROR in done:
             told = done[[ERROR, "digest", "problem", "robot_name"]].dropna().itertuples(index=False)
             worst = heapq.nlargest(WORST, [*worst, *(Bad(*row) for row in told)])
@@ -105,9 +129,8 @@ def grouped(results: Results, digests: Collection[str], column: str, shown: Sequ
         raise OptionError(
             f"{results.folder} holds no rows of this study, as its file and the versions of what plans are now"
         )
-    return Groups(
-        column, [groups[name] for name in sorted(groups, key=_order)], [*failures.values()], worst, complete
-    )
+    ordered = [groups[name] for name in sorted(groups, key=_order)]
+    return Groups(column, ordered, [*failures.values()], worst, complete, words)
 
 
 def _order(name: str) -> tuple[float, str]:

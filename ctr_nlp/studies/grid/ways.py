@@ -13,6 +13,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.formulations import default_model
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.loads import Load, LoadOverTime, read_load
 from ctr_nlp.models import MODELS, under
@@ -53,10 +54,11 @@ def ways(told: Mapping[str, Any], folder: Path) -> Iterator[Way]:
         measures = tuple(_listed(table.get("measures", [])))
         for name in measures:
             check_choice("a measure of a study", name, MEASURES)
-        models, methods = table.get("models", ["dominant"]), table.get("methods", ["horizon"])
         loads = [_load(name, folder) for name in _listed(table.get("loads", [NO_LOAD]))]
-        each = _listed(models), _listed(methods), loads, _settings(table)
-        for model, method, (name, load), settings in itertools.product(*each):
+        methods = _listed(table.get("methods", ["horizon"]))
+        models = _listed(table.get("models", [None]))  # None: the default of each method
+        for given, method, (name, load), settings in itertools.product(models, methods, loads, _settings(table)):
+            model = default_model(method) if given is None else given
             check_choice("a model of a study", model, MODELS)
             check_choice("a method of a study", method, METHODS)
             if load is not None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ctr_nlp.plan.draws import DRAWS
 from ctr_nlp.plan.measures import depth, off_own_path
-from ctr_nlp.plan.metrics import summary
+from ctr_nlp.plan.metrics import summary, verdict_columns
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.reference import METHODS
 from ctr_nlp.solvers import default_chain_solver, default_solver
@@ -35,9 +35,8 @@ def measured(problem: str, variant: str, plan: Plan, draws: int = DRAWS) -> dict
     None where no frame has a shape. frame_ms: search and solution divided by frames, without the construction of
     programs.
     """
-    moved = plan if plan.can_snap else plan.on("elastic")
-    planned, found = summary(plan), summary(moved)
-    drawn = moved.robustness(draws) if moved.reached.any() and not found["interrupted"] else None
+    moved = plan.check(draws)
+    planned, found, drawn = summary(plan), summary(moved), moved.drawn
     errors, frames = None if drawn is None else drawn.errors, found["frames"]
     seconds = planned["solve_ms"]["total"] / 1e3 + (planned["search_s"] or 0.0)
     return {
@@ -59,7 +58,9 @@ def measured(problem: str, variant: str, plan: Plan, draws: int = DRAWS) -> dict
         "solved": frames - planned["failed"],
         "frames": frames,
         "interrupted": found["interrupted"],
-        "no": ", ".join(plan.verdicts.failed),
+        "tip_last": found["tip_last"],
+        "no": ", ".join(moved.verdicts.failed),
+        **verdict_columns(moved),
     }
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ctr_nlp.figures import save
 from ctr_nlp.plan.account import shown
-from ctr_nlp.plan.verdicts import MOST_LOST
+from ctr_nlp.plan.robustness import MOST_LOST
 from ctr_nlp.studies.survival.cases import Airway, mean_of, write_rows
 from ctr_nlp.studies.survival.distributions import distributions
 from ctr_nlp.studies.trade import Traded

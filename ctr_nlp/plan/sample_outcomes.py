@@ -1,0 +1,129 @@
+"""What becomes of each simulated robot: whether it keeps its branch, arrives, and keeps off the wall."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ctr_nlp.exceptions import OptionError
+from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.plan.record import Record
+from ctr_nlp.plan.robustness import spread
+from ctr_nlp.typing import Array, Flags
+
+SAMPLE_CONTACT_ALLOWED_MM = 1.0
+"""How far a simulated robot may press into the wall. The nominal robot has less (``contact_allowed``): tolerances
+move a robot by some tenths of a millimetre, and tissue gives by that much."""
+
+
+@dataclass(frozen=True, eq=False)
+class SampleOutcomes:
+    """The fate of n simulated robots.
+
+    Attributes
+    ----------
+    lost : (n,) bool
+        The robot snaps, has no equilibrium, or is on another branch than the nominal robot.
+    tip_error : (n,) float
+        Distance in mm of the tip from the target's end in the last frame; NaN without an equilibrium.
+    contact : (n,) float
+        Deepest contact with the wall over all frames, mm, 0 where it touches nothing; NaN without a wall.
+    arrival_tolerance, contact_allowed : float
+        The limits that the robots are judged by, mm.
+    walled : bool
+        Whether a wall is known.
+    """
+
+    lost: Flags
+    tip_error: Array
+    contact: Array
+    arrival_tolerance: float
+    contact_allowed: float
+    walled: bool
+
+    def __len__(self) -> int:
+        return len(self.lost)
+
+    @property
+    def missed(self) -> Flags:
+        """Robots (n,) whose tip ends too far from the target's end, or nowhere."""
+        return np.asarray(~(self.tip_error <= self.arrival_tolerance))
+
+    @property
+    def pressed(self) -> Flags:
+        """Robots (n,) that press too deep into the wall; where no wall is known, none."""
+        return np.asarray(~(self.contact <= self.contact_allowed) & self.walled)
+
+    @property
+    def held(self) -> Flags:
+        """Robots (n,) that fail in nothing."""
+        return np.asarray(~(self.lost | self.missed | self.pressed))
+
+    @property
+    def share(self) -> float:
+        """Share of the robots that fail in nothing."""
+        return float(self.held.mean())
+
+
+def sample_outcomes(plan: Record) -> SampleOutcomes:
+    """Judge the simulated robots that a plan holds, by the thresholds among its options.
+
+    The tip of every robot in the last frame is the last point of its last stored shape (``draws_cloud``), so that
+    plans which were saved before arrival was judged can be judged too.
+
+    Parameters
+    ----------
+    plan : Record
+        A plan with samples (:meth:`Plan.with_draws`).
+
+    Returns
+    -------
+    SampleOutcomes
+        Of all its samples.
+
+    Raises
+    ------
+    OptionError
+        The plan has no samples.
+    """
+    drawn = plan.drawn
+    if drawn is None:
+        raise OptionError("the plan holds no samples; plan.check() simulates some")
+    asked = Settings().options() | plan.options
+    tips = drawn.cloud[-1, :, -1].astype(float)
+    return SampleOutcomes(
+        lost=drawn.lost > 0,
+        tip_error=np.linalg.norm(tips - plan.target[-1, -1], axis=-1),
+        contact=np.maximum(-drawn.clearance, 0.0),
+        arrival_tolerance=float(asked["arrival_tolerance"]),
+        contact_allowed=max(SAMPLE_CONTACT_ALLOWED_MM, float(asked["contact_allowed"])),
+        walled=plan.lumen is not None,
+    )
+
+
+def sample_summary(plan: Record) -> dict[str, Any]:
+    """Count what becomes of a plan's simulated robots, for summary.json.
+
+    Parameters
+    ----------
+    plan : Record
+        A plan with samples.
+
+    Returns
+    -------
+    dict
+        ``held``, ``missed`` and ``pressed``: how many robots hold, do not arrive, and press too deep into the wall
+        (one robot may count in several); ``held_share``; ``tip_last`` and ``contact_deepest``: mean, median and
+        95 % quantile over the robots in mm, None where nothing is known.
+    """
+    found = sample_outcomes(plan)
+    spreads = {"tip_last": spread(found.tip_error), "contact_deepest": spread(found.contact)}
+    return {
+        "held": int(found.held.sum()),
+        "held_share": found.share,
+        "missed": int(found.missed.sum()),
+        "pressed": int(found.pressed.sum()),
+        **{name: None if each is None else each._asdict() for name, each in spreads.items()},
+    }
