@@ -9,3 +9,12 @@ NAMES = list(problems.NAMES)
 ROOT = Path(__file__).resolve().parents[1]
 
 __all__ = ["NAMES", "ROOT", "named"]
+
+
+UNJUDGED = (
+    "--no-evaluate",
+    *("--arrival-tolerance", "1000"),
+    *("--error-allowed", "1000"),
+    *("--contact-allowed", "1000"),
+)
+"""Options of commands in tests that are about something else than whether a plan is good."""

@@ -1,11 +1,10 @@
-"""How the house is built: imports go downwards and never in circles, rooms stay small, and nobody sets the
+"""How the house is built: imports go downwards and never in circles, and nobody sets the
 attributes of somebody else."""
 
 from __future__ import annotations
 
 import ast
-from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -42,8 +41,6 @@ OUTSIDE = {"problems", "cli", "__main__"}
 STRANGERS = {"figures", "hardware", "anatomy"}
 """Rooms that never import each other."""
 
-LARGEST_ROOM = 12
-
 MODELS = {"dominant", "elastic"}
 REGISTRY = "ctr_nlp/models/registry.py"
 
@@ -66,12 +63,6 @@ FOREIGN = {
     ),
 }
 """Attributes of other libraries' objects that may be set from outside, and why."""
-
-
-def _files() -> list[str]:
-    """All files of the package but compiled modules, from the repository's root."""
-    found = (path for path in (ROOT / "ctr_nlp").rglob("*") if path.is_file() and path.suffix != ".pyc")
-    return [path.relative_to(ROOT).as_posix() for path in found]
 
 
 def _sources() -> dict[str, ast.Module]:
@@ -146,14 +137,6 @@ def upward_arrows(graph: dict[str, set[str]]) -> Iterator[str]:
                 yield f"upwards: {module} -> {other}"
 
 
-def large_rooms(paths: Iterable[str]) -> Iterator[str]:
-    """Every folder with too many files, of whatever language."""
-    files: dict[str, int] = defaultdict(int)
-    for path in paths:
-        files[path.rpartition("/")[0]] += 1
-    yield from (f"large: {folder}" for folder, count in files.items() if count > LARGEST_ROOM)
-
-
 def _names(node: ast.AST) -> set[str]:
     """Texts in a constant or in a list of them."""
     parts = node.elts if isinstance(node, ast.Tuple | ast.List | ast.Set) else [node]
@@ -216,7 +199,6 @@ def violations() -> set[str]:
     return {
         *circles(graph),
         *upward_arrows(graph),
-        *large_rooms(_files()),
         *compared_models(sources),
         *set_from_outside(sources),
     }
@@ -283,9 +265,3 @@ def test_comparisons_with_a_model_are_seen(text):
 )
 def test_attributes_set_from_outside_are_seen(text, count):
     assert len(list(set_from_outside({"ctr_nlp/steer/x.py": ast.parse(text)}))) == count
-
-
-def test_a_room_of_more_than_a_dozen_files_is_seen():
-    paths = [f"ctr_nlp/steer/{n}.py" for n in range(LARGEST_ROOM)]
-    assert not list(large_rooms(paths))
-    assert list(large_rooms([*paths, "ctr_nlp/steer/fast.c"])) == ["large: ctr_nlp/steer"]

@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from problems import named
+from problems import UNJUDGED, named
 
 from ctr_nlp import problem_from_file, table_i_robot
 from ctr_nlp.anatomy.branch import moved
@@ -368,8 +368,23 @@ def test_a_file_is_solved_with_all_its_options(tmp_path, capsys):
     right = markup(GENTLE * FLIP, radius, name="right", coordinateSystem="RAS")
     path = write_slicer(tmp_path / "tree.mrk.json", markup(coordinateSystem="RAS"), right)
     arguments = ["--branch", "right", "--entry", *GENTLE[5] * FLIP, "--target", *GENTLE[110] * FLIP]
-    arguments += ["--insertion", 0, 0, 1, "--tilt", 20, "--smoothing", 0.05, "--trim", "end", "--frames", 2]
-    assert solve_per_frame([str(path), *map(str, arguments), "--out", str(tmp_path / "out")]) == 0
+    arguments += [
+        "--insertion",
+        0,
+        0,
+        1,
+        "--tilt",
+        20,
+        "--smoothing",
+        0.05,
+        "--trim",
+        "end",
+        "--frames",
+        2,
+        "--model",
+        "dominant",
+    ]
+    assert solve_per_frame([*UNJUDGED, str(path), *map(str, arguments), "--out", str(tmp_path / "out")]) == 0
     seen = capsys.readouterr()
     assert "note: smoothing moved the path by at most 0.0" in seen.err
     assert "note: tube 3 (2.1 mm) does not fit even centred from 9" in seen.err

@@ -15,10 +15,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bench import homing_hardware, sweep
-from test_play import toml
+from test_play import complaint_of, main, toml
 
 from ctr_nlp import Plan, Tolerances
-from ctr_nlp.cli.commands.play import JOURNAL, main
+from ctr_nlp.cli.commands.play import JOURNAL
+from ctr_nlp.hardware.description import bench
 from ctr_nlp.hardware.emulator.firmware import Firmware
 from ctr_nlp.hardware.emulator.serve import serving
 from ctr_nlp.hardware.journal import read_journal
@@ -108,7 +109,7 @@ def test_a_tracker_that_tells_by_udp_corrects_a_plan(
         told = capsys.readouterr()
         assert "success" in told.out
         assert "30 of 30" in told.out
-        assert "note" not in told.err
+        assert "the robot is" not in told.err
         assert "motor_zero of tube 1" in told.out
         assert "estimate.csv" in told.out
         assert main([str(plan), "--replay", *arguments]) == 0
@@ -128,7 +129,7 @@ def test_where_a_tracker_falls_silent_the_operator_is_told_and_the_plan_goes_on(
     with stage(tmp_path, until=1) as arguments:
         assert main([str(plan), "--closed-loop", *arguments]) == 0
     told = capsys.readouterr()
-    assert told.err.startswith("note: no measurement for 0.")
+    assert "note: no measurement for 0." in told.err
     assert "on its plan, not corrected" in told.out
     assert "30 of 30" in told.out
 
@@ -159,7 +160,7 @@ def test_options_that_do_not_fit_are_one_clear_line(
     options: list[str], complaint: str, plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([str(plan), *options, "--out", str(tmp_path / "out")]) == 2
-    said = capsys.readouterr().err.strip()
+    said = complaint_of(capsys)
     assert said.startswith("error: ")
     assert complaint in said
     assert "\n" not in said
@@ -188,3 +189,30 @@ def test_a_dry_run_tells_what_room_for_corrections_costs(plan: Path, capsys: pyt
     assert main([str(plan), "--dry-run", "--closed-loop", "--sensor", "simulated"]) == 0
     told = capsys.readouterr().out
     assert "largest part of an acceleration limit  0.5" in " ".join(told.split()).replace(" limit ", " limit  ")
+
+
+@pytest.mark.parametrize("seed", [0, 7])
+def test_the_simulated_robot_is_elastic_and_said_which_it_is(
+    seed: int, plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert PLAN.evaluated == "dominant"
+    rig = toml(replace(bench(PLAN.robot), arm=None), tmp_path / "rig.toml")
+    noise = 0.01  # mm, less than what tells the models apart
+    rig.write_text(rig.read_text() + f'[sensing]\nurl = "simulated:{seed}"\ndeviation = {noise}\n')
+    arguments = ["--closed-loop", "--hardware", str(rig), "--out", str(tmp_path / "out")]
+    assert main([str(plan), *arguments]) == 0
+    (told,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("sensor: ")]
+    sample = drawn(PLAN.robot, 1, seed)
+    zeros = ", ".join(f"{zero:+.3g}" for zero in sample.offsets[0])
+    assert told.startswith(f"sensor: a simulated robot on the elastic model, seed {seed}: curvature ")
+    assert told.endswith(f"motor zero {zeros} rad")
+    records = read_journal(tmp_path / "out" / JOURNAL)
+    looks = [record for record in records if record["kind"] == "sensed" and record["readings"]]
+    elastic = Plant(PLAN.robot, sample, "elastic")
+    elastic.moved(PLAN.q[0], 0.0)
+    away = []
+    for record in looks:
+        tip = elastic.moved(np.array(record["q"]), record["now"]).shape[-1]
+        away += [np.linalg.norm(np.array(values) - tip) for _, values in record["readings"]]
+    assert len(away) > 10
+    assert np.sqrt(np.mean(np.square(away)) / 3) == pytest.approx(noise, rel=0.3)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from problems import NAMES, ROOT
+from problems import NAMES, ROOT, UNJUDGED
 
 import ctr_nlp
 from ctr_nlp import Plan, Robot, read_load
@@ -52,7 +52,18 @@ def test_importing_the_library_takes_little_of_the_processor():
 
 
 def test_a_plan_without_pictures_loads_nothing_that_draws(tmp_path):
-    arguments = ["plan", "arc", "--frames", "3", "--no-figures", "--out", str(tmp_path / "out")]
+    arguments = [
+        "plan",
+        "arc",
+        "--model",
+        "dominant",
+        "--frames",
+        "3",
+        "--no-figures",
+        "--out",
+        str(tmp_path / "out"),
+        *UNJUDGED,
+    ]
     code = f"from ctr_nlp.cli.main import main\nassert main({arguments}) == 0"
     code += "\nassert 'scipy.stats' not in sys.modules"
     assert "matplotlib" not in loaded(code)
@@ -148,16 +159,30 @@ def test_options_that_do_not_fit_the_formulation_are_refused_by_name(arguments, 
 
 def test_plan_is_the_horizon_and_steer_goes_frame_by_frame(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert run("plan", "arc", "--frames", 3) == 0
-    assert run("plan", "arc", "--frames", 3, "--formulation", "joint", "--out", "same") == 0
-    assert run("steer", "arc", "--frames", 3) == 0
+    asked = *UNJUDGED, "arc", "--model", "dominant", "--frames", 3
+    assert run("plan", *asked) == 0
+    assert run("plan", *asked, "--formulation", "joint", "--out", "same") == 0
+    assert run("steer", *asked) == 0
     assert sorted(path.name for path in Path("runs").iterdir()) == ["arc-horizon-dominant", "arc-joint-dominant"]
     one, other = (Plan.load(Path(place) / "plan.npz") for place in ("same", "runs/arc-joint-dominant"))
     np.testing.assert_array_equal(one.q, other.q)
 
 
 def test_frame_by_frame_a_motion_is_retracted_and_limited_too(tmp_path):
-    arguments = ["--frames", 4, "--retract", "--speed", 1, 60, 0.5, "--out", tmp_path / "out"]
+    arguments = [
+        "--model",
+        "dominant",
+        "--frames",
+        4,
+        "--retract",
+        "--speed",
+        1,
+        60,
+        0.5,
+        "--out",
+        tmp_path / "out",
+        *UNJUDGED,
+    ]
     assert run("steer", "arc", *arguments) == 0
     plan = Plan.load(tmp_path / "out" / "plan.npz")
     assert plan.meta["problem"]["name"] == "arc-retraction"
@@ -340,5 +365,5 @@ def test_a_warm_cache_is_what_plans_use(tmp_path, monkeypatch):
     """Nothing is compiled for a plan after `warm`."""
     assert run("warm", "arc", "--models", "dominant") == 0
     monkeypatch.setattr(cache, "_build", lambda *_: pytest.fail("something is compiled"))
-    assert run("plan", "arc", "--frames", 4, "--out", tmp_path) == 0
+    assert run("plan", "arc", "--model", "dominant", "--frames", 4, *UNJUDGED, "--out", tmp_path) == 0
     assert json.loads((tmp_path / "summary.json").read_text())["failed"] == 0

@@ -29,13 +29,13 @@ def check_comparison(folder, given: str, plain_problem: Problem, frames: int, so
     """Robust plans lose fewer of 200 draws than a plain elastic one, and pay for that on the robot described."""
     variants = [f"horizon:{solver}:elastic", "joint:ipopt", *ROBUST]
     out = folder / "out"
-    assert compare([given, "--frames", str(frames), "--variants", *variants, "--out", str(out)]) == 0
+    assert compare([given, "--frames", str(frames), "--variants", *variants, "--out", str(out)]) == 1
     plain, dominant, *robust = json.loads((out / "comparison.json").read_text())
     drawn = solve_horizon(plain_problem, solver=solver, model="elastic").robustness()
     assert plain["draws"] == 200
     assert plain["draws_e3"] == pytest.approx(drawn.errors.mean, rel=1e-3)
     assert plain["draws_lost"] == pytest.approx(drawn.share, abs=0.01)
-    assert dominant["draws"] is None
+    assert dominant["draws"] == 200, "also looked at on the elastic model"
     for row in robust:
         assert row["draws_lost"] <= 0.01 < plain["draws_lost"]
         assert row["e3"] < row["draws_e3"] < plain["draws_e3"]
@@ -43,7 +43,7 @@ def check_comparison(folder, given: str, plain_problem: Problem, frames: int, so
     page = (out / "comparison.md").read_text()
     name = plain_problem.name
     line = next(line for line in page.split("the share lost:")[1].splitlines() if line.startswith(f"| {name} |"))
-    assert line.count("%") == 3
+    assert line.count("%") == 4
 
 
 def test_elastic_variants_are_tried_on_draws_and_robust_ones_lose_few(tmp_path, capsys):

@@ -120,7 +120,8 @@ SOLVERS = [
     (lambda: solve_per_frame(PROBLEM, "two-stage", model="elastic"), OptionError,
      "two-stage formulations need 'dominant'"),
     (lambda: solve_per_frame("cos"), ProblemError, "problem is 'cos'; it must be a Problem"),
-    (lambda: solve_per_frame(Problem("p", balanced(), growing(PATH, 3))), OptionError, "--model elastic"),
+    (lambda: solve_per_frame(Problem("p", balanced(), growing(PATH, 3)), model="dominant"), OptionError,
+     "--model elastic"),
     (lambda: solve_horizon("cos"), ProblemError, "problem is 'cos'; it must be a Problem"),
     (lambda: solve_horizon(replace(PROBLEM, target=growing(PATH, 1))), OptionError, "frames is 1; .* at least 2"),
     (lambda: solve_horizon(PROBLEM, model="foo"), OptionError, "model of a horizon is 'foo'"),
@@ -137,7 +138,8 @@ SOLVERS = [
     (lambda: solve_horizon(PROBLEM, end=[0] * 7), RobotError, r"end has shape \(7,\)"),
     (lambda: solve_horizon(replace(PROBLEM, duration=0.1)), ProblemError,
      "beta_3 may slide at 90 mm/s. Raise its speed"),
-    (lambda: solve_horizon(Problem("p", balanced(), growing(PATH, 3))), OptionError, "--model elastic"),
+    (lambda: solve_horizon(Problem("p", balanced(), growing(PATH, 3)), model="dominant"), OptionError,
+     "--model elastic"),
     (lambda: Steerer(SEED, Q, 0), OptionError, "dt is 0 s; it must be a finite number > 0"),
     (lambda: Steerer(SEED, Q, "fast"), OptionError, "dt is 'fast' s"),
     (lambda: Steerer(SEED, Q[:5], 0.1), RobotError, r"q has shape \(5,\)"),
@@ -145,7 +147,8 @@ SOLVERS = [
     (lambda: Steerer(SEED, Q, 0.1, model="foo"), OptionError, "model is 'foo'"),
     (lambda: Steerer(SEED, Q, 0.1, settings=3), OptionError, "settings is 3"),
     (lambda: Steerer("seed", Q, 0.1), RobotError, "robot is 'seed'; it must be a Robot"),
-    (lambda: Steerer(balanced(), np.array([0, 0, 10, 20, 0, 0.0]), 0.1), OptionError, "--model elastic"),
+    (lambda: Steerer(balanced(), np.array([0, 0, 10, 20, 0, 0.0]), 0.1, model="dominant"), OptionError,
+     "--model elastic"),
 ]  # fmt: skip
 
 PLANS = [

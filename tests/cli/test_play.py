@@ -22,7 +22,9 @@ import pytest
 from bench import homing_hardware, sweep
 
 from ctr_nlp import Plan, table_i_robot
-from ctr_nlp.cli.commands.play import JOURNAL, main
+from ctr_nlp.cli.commands import play as play_command
+from ctr_nlp.cli.commands.play import JOURNAL
+from ctr_nlp.cli.commands.play import main as play
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.output.manifest import MARK
 from ctr_nlp.hardware.description import Hardware, bench
@@ -30,11 +32,15 @@ from ctr_nlp.hardware.emulator.firmware import Firmware
 from ctr_nlp.hardware.emulator.serve import serving
 from ctr_nlp.hardware.journal import read_journal
 from ctr_nlp.hardware.playing.session import prepared
+from ctr_nlp.plan.account import NOT_FOR_PATIENTS
+from ctr_nlp.plan.verdicts import NO, YES, Verdict
 
 pytestmark = pytest.mark.real_time
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "play.py"
 PLAN = sweep(10)
+"""Nobody has checked its stability, a wall or samples: where a test is about something else, it is waived."""
+ANYWAY = "--uncertified"
 unix = pytest.mark.skipif(sys.platform == "win32", reason="signals of Unix")
 
 
@@ -67,6 +73,17 @@ PATIENCE = 120
 """Seconds that a program in a process of its own may take to begin, to move and to end, on a machine at work."""
 
 
+def main(arguments: list[str]) -> int:
+    """The exit status of `ctr-nlp play`, whatever the verdicts on the plan are."""
+    return play([*arguments, ANYWAY])
+
+
+def complaint_of(capsys: pytest.CaptureFixture[str]) -> str:
+    """What stderr told, without what is told of every plan, and without notes on verdicts."""
+    lines = capsys.readouterr().err.splitlines()
+    return "\n".join(line for line in lines if line != NOT_FOR_PATIENTS and not line.startswith("note: "))
+
+
 def rig(tmp_path: Path, url: str) -> Path:
     hardware = homing_hardware()
     return toml(replace(hardware, connection=replace(hardware.connection, url=url)), tmp_path / "rig.toml")
@@ -76,7 +93,7 @@ def rig(tmp_path: Path, url: str) -> Path:
 def playing(*arguments: Any) -> Iterator[subprocess.Popen[str]]:
     """The program in a process of its own."""
     process = subprocess.Popen(
-        [sys.executable, "-u", str(SCRIPT), *map(str, arguments)],
+        [sys.executable, "-u", str(SCRIPT), *map(str, arguments), ANYWAY],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -94,7 +111,9 @@ def ended(process: subprocess.Popen[str]) -> tuple[int, str, str]:
     status = process.wait(PATIENCE)
     assert process.stdout is not None
     assert process.stderr is not None
-    return status, process.stdout.read(), process.stderr.read().strip()
+    every = process.stderr.read().splitlines()
+    said = [line for line in every if not line.startswith((NOT_FOR_PATIENTS, "note: "))]
+    return status, process.stdout.read(), "\n".join(said).strip()
 
 
 def recorded(folder: Path, kind: str, more: int = 0) -> list[dict[str, Any]]:
@@ -167,6 +186,127 @@ def test_a_plan_on_the_emulated_controller(plan: Path, tmp_path: Path) -> None:
         last = list(csv.DictReader(file))[-1]
     assert float(last["commanded X (mm)"]) == pytest.approx(-12.0)
     assert float(last["measured X (mm)"]) == pytest.approx(-12.0, abs=0.8)  # what it does in 0.1 s
+
+
+def certified(**words: Verdict) -> Plan:
+    """The plan, with verdicts that all read yes but for those given by name."""
+    plan = replace(PLAN)
+    found = plan.verdicts._replace(**words)
+    yes = [each._replace(word=YES) if name not in words else each for name, each in found._asdict().items()]
+    plan.__dict__["verdicts"] = type(found)(*yes)
+    return plan
+
+
+NOBODY_LOOKED = Verdict("within the wall", "NOT CHECKED", None, "mm", "No wall of a lumen is known.")
+
+
+@pytest.fixture
+def verdicts(monkeypatch: pytest.MonkeyPatch) -> dict[str, Verdict]:
+    """Verdicts, by the names of fields, that the plan which is read does not get a yes for."""
+    words: dict[str, Verdict] = {}
+
+    def loaded(path: str | Path) -> Plan:
+        return certified(**words)
+
+    monkeypatch.setattr(play_command.Plan, "load", loaded)
+    return words
+
+
+def test_a_plan_that_nobody_checked_is_refused(
+    plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    firmware, out = Firmware({20: 1}, homed=True), tmp_path / "out"
+    with serving(firmware) as url:
+        arguments = [str(plan), "--hardware", str(rig(tmp_path, url))]
+        assert play([*arguments, "--out", str(out)]) == 2
+        first, error = capsys.readouterr().err.splitlines()
+        assert play([*arguments, "--dry-run"]) == 2
+        assert capsys.readouterr().err.splitlines() == [first, error]
+    assert first == NOT_FOR_PATIENTS
+    assert error.startswith("error: the plan is not played")
+    for verdict in PLAN.verdicts:
+        assert (f"{verdict.matter}: {verdict.word} ({verdict.why.rstrip('.')})" in error) == (verdict.word != YES)
+    for remedy in (f"`ctr-nlp robust {plan}`", "--free-space", "--uncertified plays it anyway"):
+        assert remedy in error
+    assert firmware.bytes_received == 0
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("name", PLAN.verdicts._fields)
+@pytest.mark.parametrize("word", [NO, "NOT CHECKED"])
+def test_each_verdict_alone_refuses_a_plan_and_is_waived(
+    name: str, word: str, plan: Path, verdicts: dict[str, Verdict], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert play([str(plan), "--dry-run"]) == 0
+    verdicts[name] = Verdict(f"the matter of {name}", word, None, "", "Because.")
+    capsys.readouterr()
+    assert play([str(plan), "--dry-run"]) == 2
+    assert f"the matter of {name}: {word} (Because)" in complaint_of(capsys)
+    assert play([str(plan), "--dry-run", "--uncertified"]) == 0
+    assert f"note: the matter of {name}: {word}. Because." in capsys.readouterr().err
+    waived = name == "within_wall" and word != NO
+    assert play([str(plan), "--dry-run", "--free-space"]) == (0 if waived else 2)
+
+
+def test_free_space_is_refused_where_the_plan_has_a_lumen(plan: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lumen = np.array([[0.0, 0.0, 0.0, 9.0], [0.0, 0.0, 40.0, 9.0]])
+    replace(PLAN, lumen=lumen).save(plan)
+    for more in ([], ["--uncertified"]):
+        assert play([str(plan), "--dry-run", "--free-space", *more]) == 2
+        assert complaint_of(capsys).endswith("nothing surrounds the robot, but the plan has a lumen")
+    assert play([str(plan), "--dry-run"]) == 2
+    assert "--free-space" not in complaint_of(capsys)
+
+
+def test_free_space_plays_a_plan_without_a_lumen(
+    plan: Path, tmp_path: Path, verdicts: dict[str, Verdict], capsys: pytest.CaptureFixture[str]
+) -> None:
+    verdicts["within_wall"] = NOBODY_LOOKED
+    assert play([str(plan), "--out", str(tmp_path / "out")]) == 2
+    assert "--free-space" in complaint_of(capsys)
+    assert play([str(plan), "--out", str(tmp_path / "out"), "--free-space"]) == 0
+
+
+def test_resuming_and_retracting_are_not_asked(
+    plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    for more in (["--retract"], ["--resume"]):
+        with playing(plan, "--out", out) as process:
+            recorded(out, "frame", 2)
+            assert process.stdin is not None
+            process.stdin.write("a\n")
+            process.stdin.flush()
+            assert ended(process)[0] == 1
+        assert play([str(plan), "--out", str(out), *more]) == 0
+        assert NOT_FOR_PATIENTS in capsys.readouterr().err
+        (out / JOURNAL).unlink()
+
+
+def test_another_plan_is_not_resumed(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    assert main([str(plan), "--out", str(out)]) == 0
+    replace(PLAN, meta=PLAN.meta | {"seed": 1}).save(plan)
+    capsys.readouterr()
+    assert play([str(plan), "--out", str(out), "--resume"]) == 2
+    assert "the journal is of another plan" in complaint_of(capsys)
+
+
+def test_what_no_option_waives_is_told_first(plan: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    failed = PLAN.success.copy()
+    failed[4] = False
+    replace(PLAN, success=failed).save(plan)
+    for more in ([], ["--uncertified"], ["--free-space"]):
+        assert play([str(plan), "--dry-run", *more]) == 2
+        assert capsys.readouterr().err.startswith("error: frame 5: the plan has no solution")
+
+
+def test_a_folder_that_is_named_like_a_file_is_refused(
+    plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([str(plan), "--out", str(tmp_path / "kept.json")]) == 2
+    assert "go into a folder; name a folder" in complaint_of(capsys)
+    assert not (tmp_path / "kept.json").exists()
 
 
 def test_a_controller_that_was_not_homed_is_sent_no_motion(
@@ -302,7 +442,7 @@ def test_a_bad_plan_is_bad_input_and_nothing_is_sent(
     with serving(firmware) as url:
         spoilt, out = tmp_path / f"{kind}.npz", tmp_path / "out"
         assert main([str(spoilt), "--hardware", str(rig(tmp_path, url)), "--out", str(out)]) == 2
-    captured = capsys.readouterr().err.strip()
+    captured = complaint_of(capsys)
     assert captured.startswith("error: ")
     assert "\n" not in captured
     assert said.get(kind, kind) in captured
@@ -322,7 +462,7 @@ def test_bad_hardware_files_are_bad_input(plan: Path, tmp_path: Path, capsys: py
     ):
         (tmp_path / "rig.toml").write_text(text)
         assert main([str(plan), "--hardware", str(tmp_path / "rig.toml"), "--out", str(tmp_path / "out")]) == 2
-        said = capsys.readouterr().err.strip()
+        said = complaint_of(capsys)
         assert message in said
         assert "\n" not in said
 
@@ -347,9 +487,9 @@ def test_options_that_do_not_go_together(
 
 
 def test_a_plan_or_hardware_that_is_missing_is_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([]) == 2
+    assert play([]) == 2
     assert "a plan is needed" in capsys.readouterr().err
-    assert main(["--commission"]) == 2
+    assert play(["--commission"]) == 2
     assert "--commission needs --hardware" in capsys.readouterr().err
 
 
@@ -360,7 +500,7 @@ def test_nobody_listening_is_one_clear_line(
         port = server.getsockname()[1]
     url = f"socket://127.0.0.1:{port}"
     assert main([str(plan), "--hardware", str(rig(tmp_path, url)), "--out", str(tmp_path / "out")]) == 1
-    said = capsys.readouterr().err.strip()
+    said = complaint_of(capsys)
     assert said.startswith(f"error: {url} cannot be opened")
     assert "Traceback" not in said
 

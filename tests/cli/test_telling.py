@@ -6,6 +6,7 @@ import shlex
 
 import numpy as np
 import pytest
+from problems import UNJUDGED
 
 from ctr_nlp.cli.console import examples
 from ctr_nlp.cli.main import COMMANDS, load, main
@@ -30,9 +31,29 @@ def test_every_command_tells_what_it_does_and_tells_it_as_json(name):
     assert "--verbose" in options
 
 
+PLAN = "plan", "arc", "--model", "dominant", "--frames", "3", "--no-figures", *UNJUDGED
+
+
 def test_a_plan_tells_as_json_what_it_wrote_and_found(tmp_path, capsys):
     out = tmp_path / "out"
-    assert main(["plan", "arc", "--frames", "3", "--no-figures", "--out", str(out), "--json"]) == 0
+    assert (
+        main(
+            [
+                "plan",
+                "arc",
+                "--model",
+                "dominant",
+                "--frames",
+                "3",
+                "--no-figures",
+                "--out",
+                str(out),
+                "--json",
+                *UNJUDGED,
+            ]
+        )
+        == 0
+    )
     told = json.loads(capsys.readouterr().out)
     assert (told["command"], told["exit_status"], told["error"]) == ("ctr-nlp plan", 0, None)
     assert sorted(told["files"]) == sorted(str(path) for path in out.iterdir() if not path.name.startswith("."))
@@ -42,7 +63,23 @@ def test_a_plan_tells_as_json_what_it_wrote_and_found(tmp_path, capsys):
 
 
 def test_without_it_the_same_is_told_in_words(tmp_path, capsys):
-    assert main(["plan", "arc", "--frames", "3", "--no-figures", "--out", str(tmp_path / "out")]) == 0
+    assert (
+        main(
+            [
+                "plan",
+                "arc",
+                "--model",
+                "dominant",
+                "--frames",
+                "3",
+                "--no-figures",
+                "--out",
+                str(tmp_path / "out"),
+                *UNJUDGED,
+            ]
+        )
+        == 0
+    )
     told = capsys.readouterr().out
     assert told.splitlines()[-1] == f"wrote {tmp_path / 'out'}: errors.csv, plan.npz, summary.json"
     assert "{" not in told
@@ -72,7 +109,18 @@ def test_numbers_stay_numbers_and_what_is_not_finite_is_null():
 
 
 def test_verbose_tells_on_stderr_how_far_the_work_is(tmp_path, capsys):
-    arguments = ["steer", "arc", "--frames", "4", "--no-figures", "--out", str(tmp_path / "out")]
+    arguments = [
+        "steer",
+        "arc",
+        "--model",
+        "dominant",
+        "--frames",
+        "4",
+        "--no-figures",
+        "--out",
+        str(tmp_path / "out"),
+        *UNJUDGED,
+    ]
     assert main([*arguments, "--verbose"]) == 0
     told = re.compile(r"^ +\d+\.\d s  arc: \w.*, \d+ of \d+(, about \d+ s left)?$", re.MULTILINE)
     assert told.search(capsys.readouterr().err)

@@ -62,10 +62,10 @@ def test_designed_tubes_are_better_than_those_they_began_as(tasks, nominal):
 
 
 def test_tubes_are_designed_on_the_dominant_model_too(tasks):
-    own = [solve_horizon(task, settings=Settings(contact_weight=0.0)) for task in tasks]
+    own = [solve_horizon(task, model="dominant", settings=Settings(contact_weight=0.0)) for task in tasks]
     found = design(tasks, nominal=True, model="dominant", rules=RULES, starts=1)
     assert all(plan.success.all() and plan.meta["model"] == "dominant" for plan in found.plans)
-    again = [solve_horizon(replace(task, robot=found.robot)) for task in tasks]
+    again = [solve_horizon(replace(task, robot=found.robot), model="dominant") for task in tasks]
     assert _rms(found.plans) == pytest.approx(_rms(again), rel=0.02)
     assert _rms(again) < 0.5 * _rms(own)
     assert all(rule.lower <= rule.value <= rule.upper for rule in found.rules)

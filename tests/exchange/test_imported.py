@@ -60,7 +60,7 @@ def test_a_plan_is_that_of_the_robot_moved_through_them(problem, q, model, tmp_p
         model,
         "q.mat",
     )
-    assert np.abs(plan_through(problem, q).shape - shapes(problem.robot, q)).max() < 1e-9
+    assert np.abs(plan_through(problem, q, model="dominant").shape - shapes(problem.robot, q)).max() < 1e-9
     assert np.isfinite(plan.stability).all() == (model == "elastic")
     plan.save(tmp_path / "plan.npz")
     assert Plan.load(tmp_path / "plan.npz").verdicts == plan.verdicts
@@ -69,8 +69,8 @@ def test_a_plan_is_that_of_the_robot_moved_through_them(problem, q, model, tmp_p
 def test_limits_are_left_to_the_verdicts(problem, q):
     beyond = q + np.array([0, 0, 0, 40.0, 0, 0, 0, 0]) * (np.arange(FRAMES) == FRAMES - 1)[:, None]
     beyond[-1, 4] = 65.0
-    assert plan_through(problem, beyond).verdicts.within_limits.word == "no"
-    assert plan_through(problem, q).verdicts.within_limits.word == "yes"
+    assert plan_through(problem, beyond, model="dominant").verdicts.within_limits.word == "no"
+    assert plan_through(problem, q, model="dominant").verdicts.within_limits.word == "yes"
 
 
 def changed(q, frame, column, value):
@@ -108,7 +108,7 @@ def changed(q, frame, column, value):
 )
 def test_configurations_that_cannot_be_are_refused(problem, q, change, told):
     with pytest.raises(OptionError, match=told):
-        plan_through(problem, change(q))
+        plan_through(problem, change(q), model="dominant")
 
 
 @pytest.mark.parametrize(
@@ -173,9 +173,10 @@ def test_a_file_that_is_not_there_is_named(tmp_path):
 def test_an_exported_plan_comes_back(problem, q, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "robot.toml").write_text(table_i_robot().to_toml())
-    first = plan_through(problem, q)
+    first = plan_through(problem, q, model="dominant")
     (tmp_path / "plan.mat").write_bytes(mat(first))
-    call = ["plan.mat", "--problem", "line", "--robot", "robot.toml", "--no-figures", "--out", "again"]
+    call = ["plan.mat", "--problem", "line", "--robot", "robot.toml", "--model", "dominant", "--no-figures"]
+    call += ["--out", "again"]
     assert main(call) in (0, 1)
     again = Plan.load("again/plan.npz")
     assert np.array_equal(again.q, q)

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -27,6 +28,9 @@ MEXLIB = {
     "tube1": {"OD": 1.1e-3, "ID": 1e-3, "k": 25.0, "L": 0.15, "Lt": 0.1, "E": 50e9, "G": 50e9 / 2.6},
     "tube2": {"OD": 1.4e-3, "ID": 1.3e-3, "k": -20.0, "L": 0.1, "Lt": 0.07, "E": 50e9, "G": 50e9 / 2.8},
 }
+
+
+READ = r"Read are robot files of ctr_nlp \(\.toml\), and tubes as MexLib or gym-ctr have them \(\.json, \.mat\)"
 
 
 @pytest.fixture
@@ -119,14 +123,44 @@ def test_what_holds_no_robot_is_refused_by_name(written, held, told):
 
 
 def test_other_kinds_of_files_are_refused(tmp_path):
-    with pytest.raises(CtrError, match=r"no known kind of file; its name must end in \.json or \.mat"):
+    with pytest.raises(CtrError, match=rf"its name must end in \.toml, \.json or \.mat\. {READ}"):
         ctr.read_robot(tmp_path / "tubes.yaml")
-    for name in ("none.json", "none.mat"):
-        with pytest.raises(CtrError, match=r"cannot be read: .*No such file"):
+    for name in ("none.json", "none.mat", "none.toml"):
+        with pytest.raises(CtrError, match=rf"cannot be read: .*No such file.*{READ}"):
             ctr.read_robot(tmp_path / name)
     (tmp_path / "tubes.mat").write_bytes(b"MATLAB 5.0 MAT-file" + bytes(200))
     with pytest.raises(CtrError, match="damaged"):
         ctr.read_robot(tmp_path / "tubes.mat")
+    for name, text in (
+        ("bad.toml", "[[tubes"),
+        ("load.toml", "force = [0, 0, 1]"),
+        ("bad.json", "{"),
+        ("no.json", "3"),
+    ):
+        (tmp_path / name).write_text(text)
+        with pytest.raises(CtrError, match=rf"robot file .*{name}: .*{READ}"):
+            ctr.read_robot(tmp_path / name)
+
+
+def test_robot_files_of_this_library_are_read(tmp_path):
+    robot = ctr.table_i_robot().with_limits(alpha=(-3.0, 3.0))
+    robot = replace(robot, tolerances=ctr.Tolerances(0.05, motor_zero=0.1))
+    (tmp_path / "robot.toml").write_text(robot.to_toml("A robot."))
+    imported = ctr.read_robot(tmp_path / "robot.toml")
+    assert imported.robot == robot
+    assert (imported.names, imported.turned) == (("tube 1", "tube 2", "tube 3"), (0.0, 0.0, 0.0))
+    (tmp_path / "again.toml").write_text(imported.to_toml("robot.toml"))
+    assert ctr.Robot.from_toml(tmp_path / "again.toml") == robot
+    assert "there" not in (tmp_path / "again.toml").read_text().split("[[tubes]]")[0]
+    softer = ctr.read_robot(tmp_path / "robot.toml", poisson_ratio=0.2).robot
+    assert {tube.poisson_ratio for tube in softer.tubes} == {0.2}
+    with pytest.raises(CtrError, match="holds one robot, without a name"):
+        ctr.read_robot(tmp_path / "robot.toml", "mine")
+
+
+def test_a_robot_file_from_the_template_is_read(tmp_path):
+    assert called("robot", tmp_path / "robot.toml") == 0
+    assert ctr.read_robot(tmp_path / "robot.toml").robot == ctr.Robot.from_toml(tmp_path / "robot.toml")
 
 
 def called(*arguments):

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import csv
+import importlib.util
 import io
 import json
 import struct
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +26,7 @@ from ctr_nlp.exchange.mat import mat
 from ctr_nlp.exchange.slicer import slicer_files
 from ctr_nlp.exchange.surface import tube_surfaces, wall_surface
 from ctr_nlp.exchange.table import shapes_csv
+from ctr_nlp.plan.account import NOT_FOR_PATIENTS
 from ctr_nlp.plan.metrics import by_frame, summary
 
 FRAMES = 5
@@ -45,7 +48,7 @@ def moved_through(problem):
     q = np.column_stack(
         [0.3 * t, -0.2 * t, 1 + t, 0 * t + 20 * (t > 0.5), 20 + 30 * t, 40 + 60 * t, 0.1 * t, -0.2 * t]
     )
-    return plan_through(problem, q)
+    return plan_through(problem, q, model="dominant")
 
 
 @pytest.fixture(scope="module", params=["LPS", "RAS"])
@@ -114,6 +117,47 @@ def test_curves_have_the_points_of_robot_and_target_in_the_scan(scanned, folder)
     assert np.abs(found[0] - PLACE).max() < CLOSE  # the target begins where the path does
     s = np.linspace(0.0, 130.0, 20001)
     assert np.linalg.norm(found[:, None, :] - path(s)[None], axis=-1).min(axis=1).max() < CLOSE
+
+
+class Recorded:
+    """In place of a module of Slicer: has every name, can be called, and lists the calls with their arguments."""
+
+    def __init__(self, calls, way=""):
+        self._calls, self._way = calls, way
+
+    def __getattr__(self, name):
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return Recorded(self._calls, f"{self._way}.{name}")
+
+    def __call__(self, *given):
+        self._calls.append((self._way, given))
+        return Recorded(self._calls, self._way)
+
+    def __sub__(self, other):
+        return self
+
+
+def test_slicer_says_that_nothing_is_validated(scanned, folder, monkeypatch, capsys):
+    """In what the script prints, in the 3D view, in descriptions of nodes and in the files of curves."""
+    calls = []
+    for name in ("slicer", "vtk"):
+        monkeypatch.setitem(sys.modules, name, Recorded(calls, name))
+    found = importlib.util.spec_from_file_location("load_in_slicer", folder / "load_in_slicer.py")
+    script = importlib.util.module_from_spec(found)
+    found.loader.exec_module(script)
+    assert script.NOT_FOR_PATIENTS == NOT_FOR_PATIENTS
+    assert NOT_FOR_PATIENTS in script.__doc__
+    script.load()
+    assert capsys.readouterr().out == f"{NOT_FOR_PATIENTS}\n"
+    shown = [given for way, given in calls if way.endswith(".cornerAnnotation.SetText")]
+    assert [given[-1] for given in shown] == [NOT_FOR_PATIENTS]
+    described = [given for way, given in calls if way.endswith(".SetDescription")]
+    wall = (folder / "wall.vtp").exists()
+    assert described == [(NOT_FOR_PATIENTS,)] * (7 + wall)  # the browser, three sequences and what they show
+    for file in sorted((folder / "frames").glob("*.mrk.json")):
+        (markup,) = json.loads(file.read_text())["markups"]
+        assert markup["controlPoints"][0]["description"] == NOT_FOR_PATIENTS
 
 
 def test_curves_come_back_as_centrelines(scanned, folder):

@@ -40,7 +40,7 @@ def helix(u):
 
 def solved(robot, frames=FRAMES, path=arc, length=40.0, name="arc"):
     target = growing(curve_from_formula(path, 0.0, length), frames)
-    return solve_per_frame(Problem(name, robot, target), direction="forward")
+    return solve_per_frame(Problem(name, robot, target), model="dominant", direction="forward")
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from lumens import straight
 from PIL import Image
+from problems import UNJUDGED
 
 from ctr_nlp import Problem, curve_from_formula, growing, solve_per_frame, table_i_robot
 from ctr_nlp.cli.commands import plan as plan_program
@@ -27,7 +28,9 @@ needs_ffmpeg = pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="ffmpeg
 
 def solved(frames, duration=10.0):
     path = curve_from_formula(lambda u: (100 - ca.sqrt(100**2 - u**2), 0, u), 0.0, 60.0)
-    return solve_per_frame(Problem("arc", table_i_robot(), growing(path, frames), duration), direction="forward")
+    return solve_per_frame(
+        Problem("arc", table_i_robot(), growing(path, frames), duration), model="dominant", direction="forward"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +120,7 @@ def test_titles_and_axes_say_what_is_shown(plan, pictures, tmp_path):
     assert pictures[0].labels == [{"x (mm)", "y (mm)", "z (mm)"}]
     assert pictures[0].errors[0].get_xlabel() == "frame"
     assert pictures[0].errors[0].get_ylabel() == "distance (mm)"
-    assert any(words.startswith("arc, joint by ") and "e3 = " in words for words in pictures[0].words)
+    assert any(words.startswith("arc: joint") and "e3 = " in words for words in pictures[0].words)
 
 
 def test_plans_of_any_length_play_in_step_and_at_one_scale(plan, longer, pictures, tmp_path):
@@ -228,14 +231,14 @@ def test_a_film_that_ffmpeg_cannot_make_is_an_error_of_ours(plan, tmp_path):
 def program(request, monkeypatch):
     """Both programs, which must not get as far as building a solver where unsolved is asked for."""
     main, solver = {
-        "steer": (plan_program.steer, "NlpFrames"),
-        "horizon": (plan_program.horizon, "Horizon"),
+        "steer": (plan_program.steer, "solve_per_frame"),
+        "horizon": (plan_program.horizon, "horizon_planner"),
     }[request.param]
 
     def run(*arguments, unsolved=False):
         if unsolved:
-            monkeypatch.setattr(plan_program, solver, lambda *_: pytest.fail("solving was begun"))
-        return main(["arc", "--frames", "4", *map(str, arguments)])
+            monkeypatch.setattr(plan_program, solver, lambda *_, **__: pytest.fail("solving was begun"))
+        return main([*UNJUDGED, "arc", "--model", "dominant", "--frames", "4", *map(str, arguments)])
 
     return run
 

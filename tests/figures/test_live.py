@@ -230,7 +230,7 @@ def test_what_a_robot_passes_before_its_first_frame_is_no_frame():
 
 def test_every_iterate_is_told_of_and_the_last_is_the_plan(arc_problem):
     told = []
-    plan = solve_horizon(arc_problem, starts=1, seen=told.append)
+    plan = solve_horizon(arc_problem, model="dominant", starts=1, seen=told.append)
     assert [iterate.number for iterate in told] == list(range(len(told)))
     assert told[-1].objective == pytest.approx(plan.objective.sum())
     view = FakeView()
@@ -247,7 +247,7 @@ def test_every_iterate_is_told_of_and_the_last_is_the_plan(arc_problem):
 
 def test_of_several_processes_each_better_motion_is_told_of(arc_problem):
     told = []
-    plan = solve_horizon(arc_problem, starts=3, jobs=2, seen=told.append)
+    plan = solve_horizon(arc_problem, model="dominant", starts=3, jobs=2, seen=told.append)
     objectives = [iterate.objective for iterate in told]
     assert 1 <= len(told) <= 3
     assert objectives == sorted(objectives, reverse=True)
@@ -317,7 +317,7 @@ def test_a_motion_is_drawn_while_it_is_solved_for():
 
 
 def test_at_last_the_plan_is_drawn(arc_problem):
-    plan = solve_horizon(arc_problem, starts=1)
+    plan = solve_horizon(arc_problem, model="dominant", starts=1)
     figure = Figure(figsize=Solving.size)
     picture = Solving("arc", plan.robot, "dominant", plan.target, None)
     picture.begin(figure)

@@ -18,7 +18,7 @@ from ctr_nlp.figures.parts.palette import LUMEN
 def plan():
     path = wandering(3, bend=1 / 40, length=60.0)
     problem = Problem("wandering", table_i_robot(), growing(path, 8), lumen=path)
-    return solve_per_frame(problem, direction="forward")
+    return solve_per_frame(problem, model="dominant", direction="forward")
 
 
 def covered(axes, points):

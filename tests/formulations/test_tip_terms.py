@@ -85,10 +85,10 @@ def test_a_direction_met_exactly_costs_nothing_and_has_a_slope(problem):
 
 @pytest.mark.parametrize("solve", [solve_per_frame, solve_horizon])
 def test_plans_point_come_nearer_and_fit_deeper_where_that_is_asked(problem, solve):
-    plain = solve(problem)
-    pointed = solve(problem, terms=[TipDirection(300.0)])
-    nearer = solve(problem, terms=[TipPosition(2.0)])
-    deeper = solve(problem, terms=[ShapeDistance(depth_weights=SIGMA**4)])
+    plain = solve(problem, model="dominant")
+    pointed = solve(problem, model="dominant", terms=[TipDirection(300.0)])
+    nearer = solve(problem, model="dominant", terms=[TipPosition(2.0)])
+    deeper = solve(problem, model="dominant", terms=[ShapeDistance(depth_weights=SIGMA**4)])
     assert all(plan.complete for plan in (plain, pointed, nearer, deeper))
     assert by_frame(pointed)["tip_angle"].mean() < 0.3 * by_frame(plain)["tip_angle"].mean()
     assert by_frame(nearer)["tip"].mean() < 0.3 * by_frame(plain)["tip"].mean()
@@ -100,9 +100,10 @@ def test_plans_point_come_nearer_and_fit_deeper_where_that_is_asked(problem, sol
 
 def test_weights_and_directions_may_differ_from_frame_to_frame(problem):
     weights = np.r_[np.zeros(4), 300.0, 0.0]
-    first = solve_per_frame(problem, direction="forward").q[0]
+    first = solve_per_frame(problem, model="dominant", direction="forward").q[0]
     plain, pointed = (
-        solve_per_frame(problem, direction="forward", start=first, terms=t) for t in ((), (TipDirection(weights),))
+        solve_per_frame(problem, model="dominant", direction="forward", start=first, terms=t)
+        for t in ((), (TipDirection(weights),))
     )
     np.testing.assert_allclose(pointed.shape[:4], plain.shape[:4], atol=1e-3)
     assert by_frame(pointed)["tip_angle"][4] < 0.7 * by_frame(plain)["tip_angle"][4]
@@ -127,8 +128,8 @@ def test_terms_that_do_not_fit_are_refused(problem):
     with pytest.raises(OptionError, match="two-stage formulations have terms of their own"):
         solve_per_frame(problem, "two-stage", terms=[TipPosition(1.0)])
     with pytest.raises(OptionError, match=r"parameter tip_position_wanted twice"):
-        solve_per_frame(problem, terms=[TipPosition(1.0), TipPosition(2.0)])
+        solve_per_frame(problem, model="dominant", terms=[TipPosition(1.0), TipPosition(2.0)])
     with pytest.raises(OptionError, match="a term is"):
-        solve_per_frame(problem, terms=["straight"])
+        solve_per_frame(problem, model="dominant", terms=["straight"])
     with pytest.raises(OptionError, match="tip_position has 3 rows and frame 4 is asked for"):
-        solve_per_frame(problem, direction="forward", terms=[TipPosition(np.ones(3))])
+        solve_per_frame(problem, model="dominant", direction="forward", terms=[TipPosition(np.ones(3))])

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from bench import sweep
 
+from ctr_nlp.cli.commands.commission import main as commission
 from ctr_nlp.cli.commands.play import main
 from ctr_nlp.exceptions import HardwareError
 from ctr_nlp.hardware.description import Hardware, commissioned_file, read_commissioned
@@ -37,9 +38,13 @@ class Rig:
     def play(self) -> int:
         """The exit status."""
         sweep(12).save(self.folder / "plan.npz")
-        return main(
-            [str(self.folder / "plan.npz"), "--hardware", str(self.file), "--out", str(self.folder / "play")]
-        )
+        arguments = ["--hardware", str(self.file), "--out", str(self.folder / "play"), "--uncertified"]
+        return main([str(self.folder / "plan.npz"), *arguments])
+
+
+def unwrapped(capsys: pytest.CaptureFixture[str]) -> str:
+    """What was told on stdout, on one line."""
+    return " ".join(capsys.readouterr().out.split())
 
 
 @pytest.fixture
@@ -49,16 +54,95 @@ def rig(tmp_path: Path) -> Iterator[Rig]:
         yield Rig(url, firmware, tmp_path)
 
 
-def test_axes_move_as_asked_and_the_settings_are_kept_and_compared(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert rig.commission("z+\nA-\nQ+\nY-\n\nX+\n", monkeypatch) == 0
+ALL = "".join(f"{letter}+\n{letter}-\n" for letter in "XYZABC")
+NONE = "".join(f"skip {letter}\n" for letter in "XYZABC")
+
+
+def test_axes_move_as_asked(rig: Rig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    assert rig.commission("z+\nA-\nQ+\nY-\nskip Q\n\nX+\n", monkeypatch) == 1
     out = capsys.readouterr().out
     assert "Z went from 0.000 to 1.000" in out
     assert "A went from 0.000 to -1.000" in out
     assert "'Q+' is no axis and direction" in out
+    assert "'SKIP Q' is no axis and direction" in out
     assert "axis Y (beta_2) stands at 0 mm and would go to -1; it must stay in [0, 150]" in out
     assert rig.firmware.position.tolist() == [0.0, 0.0, 1.0, -1.0, 0.0, 0.0]
+
+
+def test_settings_are_kept_once_every_axis_moved_both_ways(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    some = "".join(line + "\n" for line in ALL.split() if line not in ("Y-", "B+"))
+    assert rig.commission(some, monkeypatch) == 1
+    assert "Nothing was kept, since these steps have not been made: Y- B+" in unwrapped(capsys)
+    assert not commissioned_file(rig.file).exists()
+    assert rig.commission(some + "y-\ny-\nb+\n", monkeypatch) == 0
+    assert json.loads(commissioned_file(rig.file).read_text())["untried"] == []
+    capsys.readouterr()
+    assert rig.play() == 0
+    assert "tried" not in capsys.readouterr().err
+
+
+def test_axes_that_are_skipped_are_recorded_and_noted(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert rig.commission("X+\nX-\nZ+\nskip z\nskip Y\nskip A\nskip B\nskip C\n", monkeypatch) == 0
+    assert "Kept without a trial of axes Y, Z, A, B, C" in unwrapped(capsys)
+    assert json.loads(commissioned_file(rig.file).read_text())["untried"] == list("YZABC")
+    assert rig.play() == 0
+    assert "note: when the rig was commissioned, axes were not tried: Y, Z, A, B, C" in capsys.readouterr().err
+
+
+def test_a_record_of_before_does_not_tell_which_axes_were_tried(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert rig.commission(NONE, monkeypatch) == 0
+    kept = json.loads(commissioned_file(rig.file).read_text())
+    del kept["untried"]
+    commissioned_file(rig.file).write_text(json.dumps(kept))
+    assert rig.play() == 0
+    assert "commissioning does not tell which axes were tried" in capsys.readouterr().err
+
+
+def test_a_folder_that_is_named_like_a_file_is_refused(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:
+    out = rig.folder / "kept.json"
+    assert commission([str(rig.file), "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert said == f"error: --out is {out}, but journal.jsonl and more go into a folder; name a folder\n"
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(("value", "wanted"), [(0.01, "0.1"), (3.0, "1")])
+def test_a_junction_deviation_out_of_range_is_wrong_wherever_it_is_read(
+    value: float, wanted: str, rig: Rig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig.firmware.settings[11] = value
+    assert rig.commission(NONE, monkeypatch) == 1
+    assert f"$11={wanted}" in capsys.readouterr().out
+    assert rig.play() == 1
+    assert f"set $11={wanted}" in capsys.readouterr().err
+    rig.firmware.settings[11] = float(wanted)
+    assert rig.commission(NONE, monkeypatch) == 0
+    assert rig.play() == 0
+
+
+def test_a_junction_deviation_that_was_kept_by_other_rules_is_not_asked_for_again(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert rig.commission(NONE, monkeypatch) == 0
+    kept = json.loads(commissioned_file(rig.file).read_text())
+    kept["settings"]["11"] = "0.010"
+    commissioned_file(rig.file).write_text(json.dumps(kept))
+    assert rig.play() == 0
+    rig.firmware.settings[11] = 0.01
+    assert rig.play() == 1
+    assert "set $11=0.1" in capsys.readouterr().err
+
+
+def test_settings_that_were_kept_are_compared(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert rig.commission(NONE, monkeypatch) == 0
     known = json.loads(commissioned_file(rig.file).read_text())
     assert known["settings"]["110"] == "3000.000"
     assert "grblHAL" in known["controller"]
@@ -68,7 +152,7 @@ def test_axes_move_as_asked_and_the_settings_are_kept_and_compared(
     assert rig.play() == 1
     said = capsys.readouterr().err
     assert "the controller's $3 is 1, and was 0 when the rig was commissioned: set $3=0" in said
-    assert rig.commission("", monkeypatch) == 0
+    assert rig.commission(NONE, monkeypatch) == 0
     assert "settings that have changed since the rig was commissioned" in capsys.readouterr().out
     assert rig.play() == 0
 

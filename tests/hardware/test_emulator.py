@@ -54,7 +54,7 @@ def replay(groups):
     Of each group (title, recorded, said, [(recorded, said) status report]), a report beside the latest of ours.
     Where the record's clock starts again, 2 s had passed, as positions in motion before and after show.
     """
-    firmware, pushed, before, status = Firmware({1: 25}), set(), 0.0, ""
+    firmware, pushed, before, status = Firmware({1: 25, 11: 0.01}), set(), 0.0, ""
     for title, events in groups:
         firmware.on_reset = RESETS.get(title, "both")
         said, recorded, reports = b"", [], []

@@ -113,7 +113,9 @@ def world(tmp_path: Path, firmware: Firmware | None = None, **changes: Any) -> W
         ({39: 0}, r"a hold is not obeyed .*: set \$39=1"),
         ({62: 1}, r"goes to sleep by itself.*: set \$62=0"),
         ({162: 0.05}, r"backlash of Z; .*: set \$162=0"),
-        ({1: 25, 13: 1}, r"1 more: play.py --commission lists all"),
+        ({1: 25, 13: 1}, r"1 more: `ctr-nlp commission` lists all"),
+        ({11: 0.01}, r"\$11 is 0\.01.*quick turns would be late.*: set \$11=0\.1"),
+        ({11: 2.0}, r"\$11 is 2\.0.*steppers lose steps: set \$11=1"),
     ],
 )
 def test_a_controller_set_otherwise_is_refused(settings: dict[int, float], complaint: str, tmp_path: Path) -> None:

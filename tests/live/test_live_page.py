@@ -53,7 +53,7 @@ def asked(live, question):
 
 @pytest.fixture
 def live():
-    served = Live(named("arc", 20), port=0, robots={"Table I": table_i_robot()})
+    served = Live(named("arc", 20), model="dominant", port=0, robots={"Table I": table_i_robot()})
     yield served
     served.stop()
 
@@ -115,7 +115,7 @@ def test_a_port_in_use_is_one_clear_line(capsys, tmp_path):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(OptionError, match=rf"port {port} of 127.0.0.1 .* in use.*give another"):
-            Live(named("arc", 5), port=port)
+            Live(named("arc", 5), model="dominant", port=port)
         assert load(COMMANDS["live"])(["arc", "--port", str(port), "--out", str(tmp_path / "out")]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert [line.startswith(f"error: port {port} of 127.0.0.1") for line in lines] == [True]

@@ -63,9 +63,9 @@ def test_a_balanced_pair_is_planned_over_a_horizon():
     [
         lambda robot: shapes(robot, np.zeros((1, 6))),
         lambda robot: shape_curve(robot, np.array([0, 0, 10, 20, 0, 0.0])),
-        lambda robot: solve_per_frame(problem(robot)),
+        lambda robot: solve_per_frame(problem(robot), model="dominant"),
         lambda robot: solve_per_frame(problem(robot), "two-stage"),
-        lambda robot: solve_horizon(problem(robot)),
+        lambda robot: solve_horizon(problem(robot), model="dominant"),
         *(
             lambda robot, name=name: reference_frames(problem(robot), name, Settings())
             for name, reference in METHODS.items()

@@ -58,7 +58,7 @@ def assert_followed(seeds: range) -> None:
     """Every frame solved within bounds, order and speed; e3 at most 0.1 mm on at least 95 % of the targets."""
     errors = []
     for seed in seeds:
-        plan = solve_per_frame(reachable(seed))
+        plan = solve_per_frame(reachable(seed), model="dominant")
         robot = plan.robot
         assert plan.complete, seed
         assert (plan.q >= robot.lower - 1e-6).all(), seed
@@ -86,7 +86,7 @@ def test_a_motion_that_would_run_into_the_limits_of_tilt_is_found_the_other_way_
     )
     t = np.linspace(0.1, 1, FRAMES)[:, None]
     shapes = [shape_curve(robot, q) for q in (1 - t) * ends[0] + t * ends[1]]
-    plan = solve_per_frame(Problem("tilted", robot, sequence(shapes)))
+    plan = solve_per_frame(Problem("tilted", robot, sequence(shapes)), model="dominant")
     assert plan.complete
     assert summary(plan)["e3"] < 0.01
 

@@ -15,7 +15,7 @@ from ctr_nlp.exceptions import LoadError, OptionError, OutputError
 from ctr_nlp.models import MODELS
 from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.plan import account
-from ctr_nlp.plan.verdicts import NO, NOT_KNOWN, YES
+from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES
 
 WEAK = Load(force=(0.0, 0.05, 0.0))
 
@@ -45,16 +45,16 @@ def test_a_plan_bears_a_load(nitinol):
     assert told in repr(found)
     assert told in found.verdicts.stable.why
     assert account.title(summary(found)).endswith(f", {told}")
-    assert found.verdicts.followed.why == "All 4 frames were solved on the elastic model without a load."
+    assert found.verdicts.solved.why == "All 4 frames were solved on the elastic model."
 
 
 def test_a_load_that_is_planned_for_is_named_once_beside_what_the_wall_costs(nitinol):
     meta = nitinol.meta | {"e3_free": 1.0, "options": nitinol.options | {"clearance_cost": 0.1}}
     free = replace(nitinol, free=nitinol.q, meta=meta)
     planned = replace(free.under(WEAK), meta=free.under(WEAK).meta | {"planned_load": WEAK.to_dict()})
-    for plan, times in ((planned, 1), (planned.under(Load(force=(0.0, 0.1, 0.0))), 2), (free.under(WEAK), 1)):
-        assert plan.verdicts.followed.why.count("under a tip force") == times
-        assert "the wall makes e3" in plan.verdicts.followed.why
+    for plan, times in ((planned, 1), (planned.under(Load(force=(0.0, 0.1, 0.0))), 1), (free.under(WEAK), 0)):
+        assert plan.verdicts.solved.why.count("under a tip force") == times
+        assert ("Keeping off the wall costs" in plan.verdicts.solved.why) == plan.as_planned
 
 
 def test_without_its_load_it_is_the_plan_of_before(nitinol):
@@ -100,7 +100,7 @@ def test_a_snap_under_a_load_is_told(shared_data, frames):
     assert remark.startswith("snap on the way to frame 1: ")
     assert remark.endswith("where the robot comes to rest under the load is not known")
     assert found.verdicts.stable.word == NO
-    assert found.verdicts.followed.word == NO
+    assert found.verdicts.arrives.word == NOT_CHECKED
     assert not found.reached.any()
     json.dumps(numbers, allow_nan=False)
 
@@ -108,8 +108,8 @@ def test_a_snap_under_a_load_is_told(shared_data, frames):
 def test_a_load_without_an_energy_has_no_margin(nitinol):
     found = nitinol.under(Load(force=(0.05, 0, 0), axes="tool"))
     assert found.reached.all()
-    assert found.verdicts.stable.word == NOT_KNOWN
-    assert found.verdicts.stable.why.endswith("has no energy, and so no margin.")
+    assert found.verdicts.stable.word == NOT_CHECKED
+    assert found.verdicts.stable.why.endswith("has no energy and therefore no margin.")
 
 
 def test_what_is_made_of_a_plan_bears_its_load(nitinol):

@@ -18,7 +18,7 @@ from ctr_nlp import Plan, Problem, Robot, Tube, curve_from_formula, growing, sum
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.plan.metrics import by_frame, e1
 from ctr_nlp.plan.plan import plan_from_configurations
-from ctr_nlp.plan.verdicts import NO, NOT_KNOWN, YES
+from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES, Verdicts
 
 BEFORE = Path(__file__).resolve().parents[1] / "data" / "before"
 NAMES = ("alpha", "beta", "theta", "target", "shape", "clearance", "success", "stability_between")
@@ -77,7 +77,7 @@ def test_a_stretch_has_its_frames_and_their_numbers():
     assert some.meta["failures"] == {"2": "why"}
     assert some.meta["problem"]["frames"] == 2
     assert some.meta["problem"]["duration"] == pytest.approx(2 * plan().dt)
-    assert some.verdicts.followed.word == NO
+    assert some.verdicts.solved.word == NO
     assert failing(3)[:2].meta["failures"] == {}
     assert plan()[:] == plan()
     assert summary(some)["failed"] == 1
@@ -97,7 +97,7 @@ def test_stretches_that_are_joined_are_the_plan():
         np.testing.assert_allclose(getattr(again, name), getattr(plan(), name), rtol=1e-12, atol=1e-12)
     assert again.meta["joined"]["frames"] == [3, 1]
     assert again.meta["joined"]["step"]["beta"] == pytest.approx(np.abs(plan().beta[3] - plan().beta[2]).max())
-    assert again.verdicts.followed == plan().verdicts.followed
+    assert again.verdicts.solved == plan().verdicts.solved
     assert again.verdicts.within_limits == plan().verdicts.within_limits
 
 
@@ -105,7 +105,7 @@ def test_failures_of_a_joined_plan_have_its_numbers():
     both = failing(2) + failing(3)
     assert both.meta["failures"] == {"2": "why", "7": "why"}
     assert both.success.tolist() == [True, False, True, True, True, True, False, True]
-    assert both.verdicts.followed.word == NO
+    assert both.verdicts.solved.word == NO
 
 
 def test_failures_keep_their_frames_on_the_way_back():
@@ -168,8 +168,8 @@ def test_more_frames_lie_on_the_lines_between_frames():
     assert set(fine.meta["failures"]) == {"2", "4", "6"}
     assert fine.meta["interpolated"] == [2, 4, 6]
     assert fine.meta["resampled"] == {"frames": 4, "dt": plan().dt}
-    assert fine.verdicts.followed.word == NOT_KNOWN
-    assert "3 of 7 frames were interpolated" in fine.verdicts.followed.why
+    assert fine.verdicts.solved.word == NOT_CHECKED
+    assert "3 of 7 frames are interpolated" in fine.verdicts.solved.why
     assert plan().resampled(dt=plan().dt / 2) == fine
 
 
@@ -177,21 +177,21 @@ def test_frames_that_are_made_finer_and_left_out_again_are_those_of_before():
     again = plan().resampled(frames=7).resampled(frames=4)
     for name in (*NAMES, "objective"):
         np.testing.assert_allclose(getattr(again, name), getattr(plan(), name), atol=1e-12)
-    assert again.verdicts.followed.word == YES
+    assert again.verdicts.solved.word == YES
     assert plan().resampled(frames=4).success.all()
 
 
 @pytest.mark.parametrize("frames", [2, 3, 5, 7, 10])
 @pytest.mark.parametrize("bad", [1, 2, 3, 4])
 def test_no_frame_that_failed_is_hidden_by_leaving_it_out(frames, bad):
-    assert failing(bad).resampled(frames=frames).verdicts.followed.word == NO
+    assert failing(bad).resampled(frames=frames).verdicts.solved.word == NO
 
 
 def test_frames_of_a_finer_plan_keep_what_they_are_in_stretches_and_sums():
     fine = plan().resampled(frames=7)
     assert fine[1:5].meta["interpolated"] == [1, 3]
-    assert fine[1:5].verdicts.followed.word == NOT_KNOWN
-    assert fine[2:3].verdicts.followed.word == YES
+    assert fine[1:5].verdicts.solved.word == NOT_CHECKED
+    assert fine[2:3].verdicts.solved.word == YES
     assert (fine + fine).meta["interpolated"] == [2, 4, 6, 9, 11, 13]
 
 
@@ -234,7 +234,7 @@ def test_a_robot_that_would_get_elsewhere_is_not_said_to_follow(snapping):
     both = before + replace(after, time=before.time[:1])
     assert not both.success[-1]
     assert both.meta["failures"] == {str(frame + 1): f"the robot would be elsewhere: it snaps in frame {frame}"}
-    assert both.verdicts.followed.word == NO
+    assert both.verdicts.solved.word == NO
 
 
 def test_what_a_plan_says_of_itself():
@@ -245,7 +245,7 @@ def test_what_a_plan_says_of_itself():
     assert "3 solved" in repr(failing())
     html = failing()._repr_html_()
     assert html.count("<polyline") == 2 * 2 * 4
-    assert "followed: no" in html
+    assert "solved: no" in html
 
 
 def test_a_plan_of_the_version_before_says_what_it_said():
@@ -263,7 +263,11 @@ def test_a_plan_of_the_version_before_says_what_it_said():
         "max_step",
     ):
         assert found[name] == pytest.approx(told[name], rel=1e-12), name
-    assert [each["word"] for each in found["verdicts"].values()] == [
-        each["word"] for each in told["verdicts"].values()
-    ]
+    before, now = told["verdicts"], found["verdicts"]
+    assert list(now) == list(Verdicts._fields), "judged anew, by the verdicts of this version"
+    assert now["within_limits"]["number"] == pytest.approx(100 * before["within_limits"]["number"])
+    assert now["within_wall"]["word"] == before["within_wall"]["word"] == "no"
+    assert now["within_wall"]["number"] >= before["within_wall"]["number"], "the way between frames counts, too"
+    assert now["arrives"]["number"] == pytest.approx(found["tip_last"])
+    assert (now["stable"]["word"], now["holds"]["word"]) == (NOT_CHECKED, NOT_CHECKED)
     assert old[1:].verdicts.within_wall.word == NO

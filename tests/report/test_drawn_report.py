@@ -47,10 +47,10 @@ def test_the_scene_holds_the_first_draws_as_they_were_tried(plan):
 
 def test_the_page_tells_what_became_of_the_draws(plan):
     found, text = plan.drawn, html.unescape(page([plan]))
-    for sentence in [plan.verdicts.survives_draws.why, *drawn_account.sentences(found)]:
+    for sentence in [plan.verdicts.holds.why, *drawn_account.sentences(found)]:
         assert f"<p>{sentence}</p>" in text
-    assert f"{len(found)} robots within the tolerances were drawn at random (seed {found.seed})" in text
-    captions = [table.title for table in drawn_account.tables(found)]
+    assert f"{len(found)} robots within the tolerances were sampled at random (seed {found.seed})" in text
+    captions = [table.title for table in drawn_account.tables(plan)]
     assert re.findall(r"<caption>(.*?)</caption>", text) == captions
     assert len(captions) == 3
     row = [f'<th scope="row">{found.costs[0].tolerance.replace("_", " ")} of tube {found.costs[0].tube}</th>']
@@ -89,16 +89,16 @@ def test_drawn_robots_are_shown_until_they_are_switched_off(plan, tmp_path, widt
             view.wait_for_timeout(600)
             shares.append(share_of_hue(pixels(view.locator(".scene").screenshot()), to_rgb(LOST), 0.01))
             assert view.locator(".legend[data-of]").is_visible() == (len(shares) == 1)
-            box = view.get_by_label("drawn robots")
+            box = view.get_by_label("sampled robots")
             box.focus()
             box.press("Space")
         assert shares[1] < 1e-5 < shares[0]
-        view.get_by_role("link", name="survives its draws").click()
+        view.get_by_role("link", name="holds on built robots").click()
         assert view.get_by_role("region", name="Robots within the tolerances").is_visible()
         assert view.evaluate("document.documentElement.scrollWidth") <= width
 
 
 def test_plans_beside_one_that_was_tried_say_that_they_were_not(plan):
     text = page([plan, plan_through(near_the_fold())])
-    assert text.count("This plan was not tried on any") == 1
+    assert text.count("no robots were simulated on this plan") == 1
     assert "Robots within" not in page([plan_through(near_the_fold())])

@@ -32,14 +32,16 @@ def bend(u):
 @pytest.fixture(scope="module")
 def plain():
     target = growing(curve_from_formula(bend, 0.0, 110.0), 5)
-    return solve_per_frame(Problem("bend", table_i_robot(), target), direction="forward")
+    return solve_per_frame(Problem("bend", table_i_robot(), target), model="dominant", direction="forward")
 
 
 @pytest.fixture(scope="module")
 def walled():
     """With a wall that the robot leaves in its last frame, and a margin that falls."""
     target = growing(curve_from_formula(bend, 0.0, 120.0), FRAMES)
-    plan = solve_per_frame(Problem("walled </script> & <b>", table_i_robot(), target), direction="forward")
+    plan = solve_per_frame(
+        Problem("walled </script> & <b>", table_i_robot(), target), model="dominant", direction="forward"
+    )
     radius = np.linspace(9.0, 1.0, len(SIGMA))
     lumen = np.column_stack([plan.target[-1], radius])
     clearance = Lumen(lumen).clearance(plan.robot, plan.beta, SIGMA, plan.shape)
@@ -96,7 +98,7 @@ def test_the_page_says_every_verdict_in_the_plans_own_words(walled, plain):
             (verdict.matter, verdict.word, verdict.why) for verdict in plan.verdicts
         ]
     assert walled.verdicts.within_wall.word == "no"
-    assert plain.verdicts.within_wall.word == "not asked"
+    assert plain.verdicts.within_wall.word == "NOT CHECKED"
 
 
 def data_of(text):
@@ -319,7 +321,7 @@ def test_planning_needs_none_of_the_pages_libraries(tmp_path):
         "import ctr_nlp as ctr\n"
         "path = ctr.curve_from_formula(lambda u: (0.002 * u**2, 0.0, u), 0.0, 120.0)\n"
         "problem = ctr.Problem('p', ctr.table_i_robot(), ctr.growing(path, frames=2))\n"
-        "plan = ctr.solve_per_frame(problem, 'joint', direction='forward')\n"
+        "plan = ctr.solve_per_frame(problem, 'joint', model='dominant', direction='forward')\n"
         "assert plan.complete\n"
         "plan.save('plan.npz')\n"
         "assert 'matplotlib' not in sys.modules, 'solving loads pictures'\n"

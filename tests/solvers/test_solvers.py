@@ -183,7 +183,7 @@ def test_both_solvers_agree_on_a_frame(arc_problem):
 
 def test_an_unknown_solver_is_refused_with_the_names_of_the_known(arc_problem):
     with pytest.raises(OptionError, match=r"'snopt'.*ipopt, sqp"):
-        NlpFrames.of(arc_problem, solver="snopt")
+        NlpFrames.of(arc_problem, model="dominant", solver="snopt")
 
 
 # Sequential quadratic programming

@@ -440,7 +440,7 @@ def test_a_plan_says_where_stability_limits_it(tmp_path, capsys):
     out = tmp_path / "out"
     assert run(solve_per_frame_program, "line", "--model", "elastic", "--frames", 14, "--out", out) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    assert "line, joint elastic by sqp" in printed
+    assert "line, joint, elastic model, by sqp" in printed
     assert "stability (margin 0.1) limits frames" in printed
     found = json.loads((out / "summary.json").read_text())
     assert found["stability_binds"]
@@ -451,7 +451,8 @@ def test_a_plan_says_where_stability_limits_it(tmp_path, capsys):
 
 def test_a_plan_of_the_dominant_model_is_evaluated_on_the_elastic_one(tmp_path, capsys):
     out = tmp_path / "out"
-    assert run(solve_horizon_program, "arc", "--frames", 6, "--evaluate", "elastic", "--out", out) == 1
+    asked = "arc", "--frames", 6, "--model", "dominant", "--evaluate", "elastic", "--out", out
+    assert run(solve_horizon_program, *asked) == 1
     found = json.loads((out / "summary.json").read_text())
     assert found["stability_between_min"] < 1e-3, "exactly opposed tubes come to a fork"
     assert found["verdicts"]["stable"]["word"] == "no"
@@ -469,7 +470,8 @@ def test_a_plan_of_the_dominant_model_is_evaluated_on_the_elastic_one(tmp_path, 
 
 def test_no_margin_may_be_asked_for(tmp_path):
     out = tmp_path / "out"
-    assert run(solve_horizon_program, "arc", "--frames", 3, "--stability-margin", "none", "--out", out) == 0
+    asked = "arc", "--model", "dominant", "--frames", 3, "--stability-margin", "none", "--out", out
+    assert run(solve_horizon_program, *asked) == 0
     assert Plan.load(out / "plan.npz").meta["options"]["stability_margin"] is None
 
 

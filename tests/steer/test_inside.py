@@ -10,8 +10,7 @@ from ctr_nlp import Problem, Settings, growing, solve_horizon, solve_per_frame, 
 from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.models import MODELS
 from ctr_nlp.plan.account import remarks
-from ctr_nlp.plan.verdicts import ROUNDING
-from ctr_nlp.steer.inside import LIGHTEST, NEAR, TRIES, Outcome, affordable, needed
+from ctr_nlp.steer.inside import LIGHTEST, NEAR, ROUNDING, TRIES, Outcome, affordable, needed
 from ctr_nlp.steer.nlp_frames import NlpFrames
 from ctr_nlp.steer.starts import search
 from ctr_nlp.target.lumen import Lumen
@@ -142,12 +141,14 @@ def problem():
 
 @pytest.fixture(scope="module")
 def free(problem):
-    return {solve: solve(problem, settings=NO_WALL) for solve in (solve_horizon, solve_per_frame)}
+    return {
+        solve: solve(problem, model="dominant", settings=NO_WALL) for solve in (solve_horizon, solve_per_frame)
+    }
 
 
 @BOTH
 def test_a_plan_holds_the_motion_that_there_is_without_the_wall(solve, problem, free, tmp_path):
-    plan = solve(problem)
+    plan = solve(problem, model="dominant")
     np.testing.assert_array_equal(plan.free, free[solve].q)
     assert plan.meta["e3_free"] == summary(plan)["e3_free"] == summary(free[solve])["e3"]
     assert free[solve].free is None
@@ -158,7 +159,7 @@ def test_a_plan_holds_the_motion_that_there_is_without_the_wall(solve, problem, 
 
 @BOTH
 def test_on_another_model_e3_is_compared_with_the_free_motion_on_that_model(solve, problem, free):
-    plan = solve(problem).on("elastic")
+    plan = solve(problem, model="dominant").on("elastic")
     assert plan.meta["e3_free"] == pytest.approx(summary(free[solve].on("elastic"))["e3"])
 
 
@@ -171,7 +172,7 @@ def test_frames_that_are_lost_within_the_wall_lose_the_wall(problem, free, monke
             yield replace(result, success=result.success and not lost), seconds
 
     monkeypatch.setattr(NlpFrames, "run", run)
-    plan = solve_per_frame(problem, settings=Settings(clearance_cost=np.inf))
+    plan = solve_per_frame(problem, model="dominant", settings=Settings(clearance_cost=np.inf))
     assert plan.complete
     assert plan.meta["contact_weight"] is None
     assert "this is the motion without the wall" in " ".join(remarks(plan, summary(plan)))
@@ -187,7 +188,7 @@ def test_a_horizon_that_is_not_solved_within_the_wall_loses_the_wall(problem, fr
         return one if chain.surroundings is None else replace(one, solution=failed)
 
     monkeypatch.setattr(search, "attempt", attempt)
-    plan = solve_horizon(problem, settings=Settings(clearance_cost=np.inf))
+    plan = solve_horizon(problem, model="dominant", settings=Settings(clearance_cost=np.inf))
     assert plan.complete
     assert plan.meta["contact_weight"] is None
     np.testing.assert_array_equal(plan.q, free[solve_horizon].q)

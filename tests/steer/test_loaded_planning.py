@@ -215,7 +215,20 @@ def test_the_command_plans_under_a_load(tmp_path, monkeypatch, capsys):
 
 def test_what_cannot_be_planned_under_a_load_is_refused(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    argv = ["plan", "line", "--frames", "4", "--force", "0", "0.02", "0", "--youngs-modulus", "60000"]
+    argv = [
+        "plan",
+        "line",
+        "--model",
+        "dominant",
+        "--frames",
+        "4",
+        "--force",
+        "0",
+        "0.02",
+        "0",
+        "--youngs-modulus",
+        "60000",
+    ]
     assert main(argv) == 2
     assert "does not go with the dominant model" in capsys.readouterr().err
 

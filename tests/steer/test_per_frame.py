@@ -50,7 +50,7 @@ def assert_within_limits(plan):
 
 @pytest.mark.parametrize("name", JOINT_E3)
 def test_joint_follows_the_seeds_targets(name):
-    plan = solve_per_frame(named(name), "joint")
+    plan = solve_per_frame(named(name), "joint", model="dominant")
     found = summary(plan)
     assert found["e3"] <= JOINT_E3[name]
     assert_within_limits(plan)
@@ -70,14 +70,17 @@ def test_two_stage_is_no_worse_than_the_seed(name, formulation):
 
 @pytest.mark.parametrize("name", AIRWAY_E3)
 def test_joint_follows_real_airways(name, shared_data):
-    plan = solve_per_frame(problem_from_file(shared_data / "airways" / f"{name}.csv"), "joint")
+    plan = solve_per_frame(problem_from_file(shared_data / "airways" / f"{name}.csv"), "joint", model="dominant")
     assert summary(plan)["e3"] <= AIRWAY_E3[name]
     assert_within_limits(plan)
     assert plan.lumen_radius is not None
 
 
 def test_sqp_agrees_with_ipopt():
-    plans = [solve_per_frame(named("arc", 20), solver=solver, direction="backward") for solver in ("ipopt", "sqp")]
+    plans = [
+        solve_per_frame(named("arc", 20), model="dominant", solver=solver, direction="backward")
+        for solver in ("ipopt", "sqp")
+    ]
     assert plans[0].shape == pytest.approx(plans[1].shape, abs=1e-2)
     assert summary(plans[0])["e3"] == pytest.approx(summary(plans[1])["e3"], rel=1e-3)
     assert_within_limits(plans[1])
@@ -90,7 +93,7 @@ def test_synthesis_recovers_its_extensions_and_the_rotations_it_can_know(formula
     The motion hardly counts; without it, where alpha and the tilt turn alike, rounding would decide the way.
     """
     problem = named("synthesis", 50)
-    plan = solve_per_frame(problem, formulation, settings=Settings(motion_weight=1e-9))
+    plan = solve_per_frame(problem, formulation, model="dominant", settings=Settings(motion_weight=1e-9))
     assert np.abs(plan.beta - problem.truth[:, 3:6]).max() < tolerance
     between = (np.diff(plan.alpha, axis=1) - np.diff(problem.truth[:, :3], axis=1))[10:]
     assert np.abs((between + np.pi) % (2 * np.pi) - np.pi).max() < 0.02
@@ -98,7 +101,7 @@ def test_synthesis_recovers_its_extensions_and_the_rotations_it_can_know(formula
 
 def test_a_known_configuration_is_found_by_search(robot):
     q = np.array([0.4, -1.1, 2.0, 30.0, 75.0, 120.0, 0.2, -0.3])
-    plan = solve_per_frame(Problem("one", robot, sequence([shape_curve(robot, q)])))
+    plan = solve_per_frame(Problem("one", robot, sequence([shape_curve(robot, q)])), model="dominant")
     turns = (plan.q[0] - q)[:3]
     assert (turns + np.pi) % (2 * np.pi) - np.pi == pytest.approx(np.zeros(3), abs=1e-4)
     assert plan.q[0, 3:] == pytest.approx(q[3:], abs=1e-3)
@@ -111,12 +114,12 @@ def test_turning_the_target_about_the_base_axis_leaves_the_error_unchanged(angle
     turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
     target = problem.target
     turned = replace(problem, target=replace(target, curves=tuple(c.moved(turn) for c in target.curves)))
-    errors = [summary(solve_per_frame(p))["e3"] for p in (problem, turned)]
+    errors = [summary(solve_per_frame(p, model="dominant"))["e3"] for p in (problem, turned)]
     assert errors[0] == pytest.approx(errors[1], rel=1e-4)
 
 
 def test_a_locked_tilt_stays_zero(cos_problem):
-    plan = solve_per_frame(replace(cos_problem, robot=cos_problem.robot.with_locked_tilt()))
+    plan = solve_per_frame(replace(cos_problem, robot=cos_problem.robot.with_locked_tilt()), model="dominant")
     assert np.abs(plan.theta).max() <= 1e-9
     assert_within_limits(plan)
 
@@ -124,7 +127,7 @@ def test_a_locked_tilt_stays_zero(cos_problem):
 def test_a_motion_leads_from_its_start_at_the_robots_speed(cos_problem):
     start = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     slow = Robot(cos_problem.robot.tubes, Limits(alpha_speed=0.1, beta_speed=20.0))
-    plan = solve_per_frame(replace(cos_problem, robot=slow), start=start)
+    plan = solve_per_frame(replace(cos_problem, robot=slow), model="dominant", start=start)
     steps = np.diff(np.vstack([start, plan.q]), axis=0)
     assert (np.abs(steps) <= slow.speed * plan.dt + 1e-6).all()
     assert plan.meta["options"]["direction"] == "forward"
@@ -132,18 +135,18 @@ def test_a_motion_leads_from_its_start_at_the_robots_speed(cos_problem):
 
 @pytest.mark.parametrize("formulation", ["joint", "two-stage", "two-stage-exact"])
 def test_a_motion_can_start_fully_retracted(arc_problem, formulation):
-    plan = solve_per_frame(arc_problem, formulation, start=np.zeros(8))
+    plan = solve_per_frame(arc_problem, formulation, model="dominant", start=np.zeros(8))
     assert_within_limits(plan)
 
 
 def test_a_start_outside_the_limits_is_refused(arc_problem):
     with pytest.raises(RobotError, match=r"beta_1 of start is 60; it must lie in \[0, 50\]"):
-        solve_per_frame(arc_problem, start=[0, 0, 0, 60, 70, 80, 0, 0])
+        solve_per_frame(arc_problem, model="dominant", start=[0, 0, 0, 60, 70, 80, 0, 0])
 
 
 def test_a_start_goes_forward(arc_problem):
     with pytest.raises(OptionError, match="backward"):
-        solve_per_frame(arc_problem, start=np.zeros(8), direction="backward")
+        solve_per_frame(arc_problem, model="dominant", start=np.zeros(8), direction="backward")
 
 
 @pytest.mark.parametrize(
@@ -170,7 +173,9 @@ def test_settings_out_of_range_are_refused(settings):
 
 def test_more_motion_weight_makes_a_smoother_motion(cos_problem):
     plans = [
-        solve_per_frame(cos_problem, direction="forward", settings=Settings(motion_weight=weight))
+        solve_per_frame(
+            cos_problem, model="dominant", direction="forward", settings=Settings(motion_weight=weight)
+        )
         for weight in (1e-6, 1e-1)
     ]
     assert summary(plans[1])["roughness"] < summary(plans[0])["roughness"]
@@ -188,7 +193,7 @@ class Failing(NlpFrames):
 
 
 def test_a_frame_that_fails_is_marked_and_the_motion_goes_on(cos_problem):
-    plan = march(cos_problem, Failing.of(cos_problem), "forward")
+    plan = march(cos_problem, Failing.of(cos_problem, model="dominant"), "forward")
     assert plan.success.tolist() == [True, True, False, True, True, True]
     assert plan.q[2] == pytest.approx(plan.q[1])
     assert plan.meta["failures"] == {"3": "made to fail"}
@@ -207,7 +212,7 @@ class Flaky(NlpFrames):
 
 
 def test_a_frame_that_fails_is_tried_from_other_starts(cos_problem):
-    plan = march(cos_problem, Flaky.of(cos_problem), "forward")
+    plan = march(cos_problem, Flaky.of(cos_problem, model="dominant"), "forward")
     assert_within_limits(plan)
 
 
@@ -223,7 +228,7 @@ class Interrupted(NlpFrames):
 
 
 def test_an_interrupted_plan_keeps_what_was_solved(cos_problem):
-    plan = march(cos_problem, Interrupted.of(cos_problem), "forward")
+    plan = march(cos_problem, Interrupted.of(cos_problem, model="dominant"), "forward")
     assert plan.meta["interrupted"]
     assert plan.success.tolist() == [True, True, True, True, False, False]
     assert np.isnan(plan.q[4:]).all()
@@ -272,7 +277,11 @@ SOLVED = [
 def test_any_robot_follows_a_gentle_curve_within_its_limits(name, formulation, solver):
     path = curve_from_formula(lambda u: (0.002 * u**2, 0.0003 * u**2, u), 0.0, 95.0)
     plan = solve_per_frame(
-        Problem(name, ROBOTS[name], growing(path, 4)), formulation, solver=solver, direction="backward"
+        Problem(name, ROBOTS[name], growing(path, 4)),
+        formulation,
+        model="dominant",
+        solver=solver,
+        direction="backward",
     )
     assert_within_limits(plan)
     assert summary(plan)["e3"] < 4
@@ -284,16 +293,16 @@ def test_a_single_frame_and_other_numbers_of_tubes(robot):
     for tubes in (robot.tubes[:2], robot.tubes):
         other = Robot(tubes)
         q = np.concatenate([np.zeros(other.d), np.linspace(30, 90, other.d), [0.1, 0.2]])
-        plan = solve_per_frame(Problem("one", other, sequence([shape_curve(other, q)])))
+        plan = solve_per_frame(Problem("one", other, sequence([shape_curve(other, q)])), model="dominant")
         assert summary(plan)["e3"] < 0.01
         assert summary(plan)["roughness"] == 0
 
 
 def test_frames_that_were_left_to_ipopt_are_in_the_plan(arc_problem, monkeypatch):
     """Compiled programs that end at once have solved nothing, unless they began at a solution."""
-    plain = solve_per_frame(arc_problem, solver="sqp", direction="forward")
+    plain = solve_per_frame(arc_problem, model="dominant", solver="sqp", direction="forward")
     monkeypatch.setattr(program, "TOLERANCE", np.inf)
-    left = solve_per_frame(arc_problem, solver="sqp", direction="forward")
+    left = solve_per_frame(arc_problem, model="dominant", solver="sqp", direction="forward")
     assert plain.meta["fallbacks"] == {}
     assert left.complete
     assert set(left.meta["fallbacks"]) >= {str(j + 1) for j in range(1, arc_problem.frames)}

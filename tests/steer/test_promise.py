@@ -50,21 +50,23 @@ def kept(solve, problem):
     found, least = (summary(one)["e3"] for one in (plan, free))
     assert plan.meta["e3_free"] == pytest.approx(least, rel=1e-9)
     assert plan.complete >= free.complete
-    assert found <= (1 + PROMISED) * least + 1e-6 or plan.verdicts.followed.word == "no"
+    assert found <= (1 + PROMISED) * least + 1e-6 or not plan.complete
     assert (exit_status(plan) == 1) == bool(plan.verdicts.failed)
-    assert (plan.verdicts.within_wall.word == "no") == bool(plan.clearance.min() < -1)
+    assert (plan.verdicts.within_wall.word == "no") == bool(
+        min(plan.clearance.min(), plan.clearance_between.min()) < -0.5
+    )
     return found / least
 
 
 def test_a_search_that_knew_of_the_wall_does_not_decide_what_e3_is_without_it():
     """With the wall only far away, the search for the first frame once ended in a motion that was 4 % worse."""
-    assert kept(solve_per_frame, drawn(19, "right lower", 50)) <= 1 + PROMISED
+    assert kept(WAYS["solve_per_frame", "dominant"], drawn(19, "right lower", 50)) <= 1 + PROMISED
 
 
-@pytest.mark.parametrize("solve", [solve_per_frame, solve_horizon])
+@pytest.mark.parametrize("how", ["solve_per_frame", "solve_horizon"])
 @pytest.mark.parametrize(("seed", "lobe"), [(SEEDS[0], "right lower"), (SEEDS[20], "left upper")])
-def test_the_promise_holds_in_a_thin_slice(solve, seed, lobe):
-    assert kept(solve, drawn(seed, lobe, 20)) <= 1 + PROMISED
+def test_the_promise_holds_in_a_thin_slice(how, seed, lobe):
+    assert kept(WAYS[how, "dominant"], drawn(seed, lobe, 20)) <= 1 + PROMISED
 
 
 @pytest.mark.slow

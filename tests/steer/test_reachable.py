@@ -19,7 +19,7 @@ def errors(robots, seed):
         beta = np.sort(rng.uniform(0.1, 1, d)) * robot.upper[d : 2 * d]
         q[d : 2 * d] = np.clip(np.maximum.accumulate(beta), robot.lower[d : 2 * d], robot.upper[d : 2 * d])
         q[-2:] = rng.uniform(-0.2, 0.2, 2)
-        plan = solve_per_frame(Problem("reachable", robot, growing(shape_curve(robot, q), 1)))
+        plan = solve_per_frame(Problem("reachable", robot, growing(shape_curve(robot, q), 1)), model="dominant")
         assert plan.complete
         found.append(summary(plan)["e3"])
     return np.array(found)

@@ -181,7 +181,7 @@ def test_a_plan_of_the_elastic_model_on_the_dominant_one():
 
 
 def test_a_plan_of_the_dominant_model_on_the_elastic_one():
-    plan = solve_horizon(straight(), initial=[opposed()], motion_weight=WEIGHT)
+    plan = solve_horizon(straight(), model="dominant", initial=[opposed()], motion_weight=WEIGHT)
     other, there = plan.on("elastic"), tracking.follow(ROBOT, plan.q)
     np.testing.assert_array_equal(other.q, plan.q)
     np.testing.assert_allclose(other.shape, tracking.elastic_shapes(ROBOT, there.x), atol=1e-9)

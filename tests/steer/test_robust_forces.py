@@ -125,7 +125,7 @@ def test_its_own_draws_bear_forces(found):
     tips = np.linalg.norm(pushed.shape[:, -1, -1] - without.shape[:, -1, -1], axis=1)
     assert tips.min() > 0.1
     assert drawn_so.losses == 0
-    told = found.with_draws(20, 3).verdicts.survives_draws.why
+    told = found.with_draws(20, 3).verdicts.holds.why
     assert told.endswith("A force of 2 N acts at the tip of each, in a direction of its own.")
 
 

@@ -52,8 +52,8 @@ class _Losing:
         numbers, offsets = np.repeat(TWO.numbers[None], count, 0), np.full((count, 2), 0.15)
         return Lost(numbers, offsets, np.zeros((count, 3)), np.full(count, 3), 500, not count)
 
-    def certificate(self, lost, q, number):
-        return {"held": lost.few, "number": number}
+    def certified(self, plan, lost, number):
+        return replace(plan, meta=plan.meta | {"certificate": {"held": lost.few, "number": number}})
 
 
 def _planned(problem, scenarios, losing=0, **options):
@@ -228,7 +228,7 @@ def test_a_robust_plan_on_the_dominant_model_is_better_for_its_scenarios_than_th
     found = solve_robust(problem, scenarios, model="dominant")
     assert found.success.all()
     assert found.meta["certificate"]["held"]
-    plain = solve_horizon(problem, settings=Settings(contact_weight=0.0))
+    plain = solve_horizon(problem, model="dominant", settings=Settings(contact_weight=0.0))
     shapes = [MODELS["dominant"].points(more_curved, plan.q, SIGMA) for plan in (plain, found)]
     errors = [np.linalg.norm(shape - plain.target, axis=-1).mean() for shape in shapes]
     assert errors[1] < 0.8 * errors[0]

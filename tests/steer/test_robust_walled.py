@@ -51,7 +51,7 @@ def test_robots_touch_the_wall_less_and_errors_grow_by_no_more_than_allowed(plan
     assert before.contact.mean() > 1.0
     assert after.contact.mean() < 0.9 * before.contact.mean()
     assert _root(within) <= 1.12 * _root(free)
-    assert within.verdicts.followed.word == "yes"
+    assert within.verdicts.solved.word == "yes"
 
 
 def test_what_the_wall_costs_is_told(plans):
@@ -70,7 +70,7 @@ def test_robust_plans_pay_more_for_clearance_than_others(problem, plans):
     dear = _planned(problem)
     assert dear.options["clearance_cost"] == ROBUST_CLEARANCE_COST > within.options["clearance_cost"]
     assert Settings().options() == Settings(clearance_cost=0.1).options()
-    assert dear.verdicts.followed.word == "yes"
+    assert dear.verdicts.solved.word == "yes"
     assert 1.2 * _root(free) < _root(dear) <= (1.02 + ROBUST_CLEARANCE_COST) * _root(free)
     assert dear.robustness(60, SEED).losses == 0
     assert dear.robustness(60, SEED).contact.mean() < 0.9 * within.robustness(60, SEED).contact.mean()

@@ -87,7 +87,7 @@ def assert_limits(robot, before, after, dt=DT):
 def stepped(name, targets, q=Q0, dt=DT):
     """The configurations of a new steerer for targets one after the other; every step is judged."""
     robot = ROBOTS[name]
-    steerer, motion = Steerer(robot, q, dt), []
+    steerer, motion = Steerer(robot, q, dt, model="dominant"), []
     before = steerer.q
     for target in targets:
         after = steerer.step(target)
@@ -110,9 +110,9 @@ def stepped(name, targets, q=Q0, dt=DT):
 @pytest.mark.parametrize(("name", "frames"), [("arc", 30), ("cos", 30), ("line_arc", 100)])
 def test_steps_give_the_frames_of_a_plan(name, frames):
     problem = named(name, frames)
-    first = solve_per_frame(problem, "joint", solver="sqp", direction="forward").q[0]
-    plan = solve_per_frame(problem, "joint", solver="sqp", direction="forward", start=first)
-    steerer = Steerer(problem.robot, first, problem.dt)
+    first = solve_per_frame(problem, "joint", model="dominant", solver="sqp", direction="forward").q[0]
+    plan = solve_per_frame(problem, "joint", model="dominant", solver="sqp", direction="forward", start=first)
+    steerer = Steerer(problem.robot, first, problem.dt, model="dominant")
     iterations = 0
     assert plan.success.all()
     for number, frame in enumerate(problem.samples):
@@ -131,8 +131,8 @@ def test_steps_give_the_frames_of_a_plan(name, frames):
 
 def test_steps_from_a_configuration_far_from_the_target_give_the_frames_of_a_plan():
     problem = named("arc", 40)
-    plan = solve_per_frame(problem, "joint", solver="sqp", direction="forward", start=Q0)
-    steerer = Steerer(problem.robot, Q0, problem.dt)
+    plan = solve_per_frame(problem, "joint", model="dominant", solver="sqp", direction="forward", start=Q0)
+    steerer = Steerer(problem.robot, Q0, problem.dt, model="dominant")
     for number, frame in enumerate(problem.samples):
         steerer.step(frame.points)
         assert steerer.objective == pytest.approx(plan.objective[number], abs=1e-6)
@@ -140,8 +140,8 @@ def test_steps_from_a_configuration_far_from_the_target_give_the_frames_of_a_pla
 
 def test_the_motion_weight_of_the_settings_is_used(arc_problem):
     target, dt = arc_problem.samples[2].points, 0.1
-    slow = Steerer(arc_problem.robot, Q0, dt, Settings(motion_weight=1.0))
-    free = Steerer(arc_problem.robot, Q0, dt, Settings(motion_weight=0.0))
+    slow = Steerer(arc_problem.robot, Q0, dt, Settings(motion_weight=1.0), model="dominant")
+    free = Steerer(arc_problem.robot, Q0, dt, Settings(motion_weight=0.0), model="dominant")
     assert np.abs(slow.step(target) - Q0).max() < 0.5 * np.abs(free.step(target) - Q0).max()
     for steerer, weight in ((slow, 1.0), (free, 0.0)):
         expected = objective(arc_problem.robot, steerer.q, Q0, target, dt, weight)
@@ -156,14 +156,20 @@ def within(radius):
     lumen = bent(radius)
     problem = Problem("bent", table_i_robot(), growing(lumen.part(0.0, 110.0), 12), lumen=lumen)
     settings = Settings(clearance_cost=np.inf)
-    return problem, settings, solve_per_frame(problem, direction="forward", settings=settings).q[0]
+    return (
+        problem,
+        settings,
+        solve_per_frame(problem, model="dominant", direction="forward", settings=settings).q[0],
+    )
 
 
 def test_steps_within_a_lumen_give_the_frames_of_a_plan_that_keeps_clear_of_its_wall():
     problem, settings, first = within(4.0)
-    plan = solve_per_frame(problem, solver="sqp", direction="forward", start=first, settings=settings)
-    steerer = Steerer(problem.robot, first, problem.dt, settings, lumen=problem.lumen)
-    free = Steerer(problem.robot, first, problem.dt, settings)
+    plan = solve_per_frame(
+        problem, model="dominant", solver="sqp", direction="forward", start=first, settings=settings
+    )
+    steerer = Steerer(problem.robot, first, problem.dt, settings, model="dominant", lumen=problem.lumen)
+    free = Steerer(problem.robot, first, problem.dt, settings, model="dominant")
     motion, alone = (np.array([each.step(f.points) for f in problem.samples]) for each in (steerer, free))
     np.testing.assert_allclose(motion, plan.q, atol=1e-3, err_msg="both are solved up to a residual only")
     assert steerer.solved
@@ -176,7 +182,10 @@ def test_steps_within_a_lumen_give_the_frames_of_a_plan_that_keeps_clear_of_its_
 def test_a_wall_without_weight_is_none():
     problem, _, first = within(4.0)
     settings = Settings(contact_weight=0.0)
-    walled, free = (Steerer(problem.robot, first, 0.1, settings, lumen=each) for each in (problem.lumen, None))
+    walled, free = (
+        Steerer(problem.robot, first, 0.1, settings, model="dominant", lumen=each)
+        for each in (problem.lumen, None)
+    )
     for frame in problem.samples[:4]:
         np.testing.assert_array_equal(walled.step(frame.points), free.step(frame.points))
 
@@ -184,7 +193,7 @@ def test_a_wall_without_weight_is_none():
 @pytest.mark.parametrize("lumen", [3.0, curve_from_formula(lambda u: (0.0, 0.0, u), 0.0, 1.0)])
 def test_a_lumen_without_radius_is_refused(lumen):
     with pytest.raises(OptionError, match=r"lumen is .* a curve with a radius"):
-        Steerer(table_i_robot(), Q0, DT, lumen=lumen)
+        Steerer(table_i_robot(), Q0, DT, model="dominant", lumen=lumen)
 
 
 # Limits, whatever the target does
@@ -245,23 +254,25 @@ def test_bounds_that_meet_are_kept_exactly():
 @pytest.mark.parametrize("far", [1e20, 1e160, 1e300, 1.7e308])
 def test_after_a_target_beyond_all_arithmetic_the_robot_stands_and_the_next_step_is_as_ever(arc_problem, far):
     robot, target = arc_problem.robot, arc_problem.samples[2].points
-    steerer = Steerer(robot, Q0, DT)
+    steerer = Steerer(robot, Q0, DT, model="dominant")
     after = steerer.step(np.full((len(SIGMA), 3), far))
     assert_limits(robot, Q0, after)
     assert not steerer.solved
-    fresh = Steerer(robot, after, DT)
+    fresh = Steerer(robot, after, DT, model="dominant")
     np.testing.assert_allclose(steerer.step(target), fresh.step(target), atol=1e-6)
     assert steerer.solved
 
 
 def test_where_nothing_better_is_found_the_robot_stays_and_the_next_step_is_as_ever(arc_problem, monkeypatch):
     """No result counts as one within the limits of a step, wherever the solver ends."""
-    steerer, target = Steerer(arc_problem.robot, Q0, DT), arc_problem.samples[2].points
+    steerer, target = Steerer(arc_problem.robot, Q0, DT, model="dominant"), arc_problem.samples[2].points
     with monkeypatch.context() as patched:
         patched.setattr(steerer._run._given, "feasible", -1.0)
         np.testing.assert_array_equal(steerer.step(target), Q0)
     assert not steerer.solved
-    np.testing.assert_array_equal(steerer.step(target), Steerer(arc_problem.robot, Q0, DT).step(target))
+    np.testing.assert_array_equal(
+        steerer.step(target), Steerer(arc_problem.robot, Q0, DT, model="dominant").step(target)
+    )
     assert steerer.solved
 
 
@@ -269,7 +280,7 @@ def test_where_nothing_better_is_found_the_robot_stays_and_the_next_step_is_as_e
 
 
 def test_before_the_first_step_nothing_is_solved():
-    steerer = Steerer(ROBOTS["seed"], Q0.tolist(), DT)
+    steerer = Steerer(ROBOTS["seed"], Q0.tolist(), DT, model="dominant")
     np.testing.assert_array_equal(steerer.q, Q0)
     assert not steerer.solved
     assert math.isnan(steerer.objective)
@@ -278,7 +289,7 @@ def test_before_the_first_step_nothing_is_solved():
 
 
 def test_a_robot_that_has_the_targets_shape_stays_without_an_iteration():
-    steerer = Steerer(ROBOTS["seed"], Q0, DT)
+    steerer = Steerer(ROBOTS["seed"], Q0, DT, model="dominant")
     q = steerer.step(shape(ROBOTS["seed"], Q0))
     np.testing.assert_allclose(q, Q0, atol=1e-9)
     assert steerer.iterations == 0
@@ -287,7 +298,7 @@ def test_a_robot_that_has_the_targets_shape_stays_without_an_iteration():
 
 
 def test_a_step_that_ends_far_from_a_kkt_point_is_not_called_solved(arc_problem, monkeypatch):
-    steerer = Steerer(arc_problem.robot, Q0, DT)
+    steerer = Steerer(arc_problem.robot, Q0, DT, model="dominant")
     call = Run.__call__
 
     def unsure(run, frames):
@@ -302,10 +313,10 @@ def test_a_step_that_ends_far_from_a_kkt_point_is_not_called_solved(arc_problem,
 
 def test_arrays_given_and_returned_are_copies(arc_problem):
     frames = [frame.points.copy() for frame in arc_problem.samples]
-    clean = Steerer(arc_problem.robot, Q0, DT)
+    clean = Steerer(arc_problem.robot, Q0, DT, model="dominant")
     expected = [clean.step(frame) for frame in frames]
     q0 = Q0.copy()
-    steerer = Steerer(arc_problem.robot, q0, DT)
+    steerer = Steerer(arc_problem.robot, q0, DT, model="dominant")
     q0[:] = np.nan
     for frame, q in zip(frames, expected, strict=True):
         target = frame.copy()
@@ -319,7 +330,7 @@ def test_arrays_given_and_returned_are_copies(arc_problem):
 def motions(arc_problem, cos_problem):
     """Two series of targets that differ, and the motions of a steerer alone for each."""
     series = [[frame.points for frame in problem.samples] * 20 for problem in (arc_problem, cos_problem)]
-    steerers = [Steerer(arc_problem.robot, Q0, DT) for _ in series]
+    steerers = [Steerer(arc_problem.robot, Q0, DT, model="dominant") for _ in series]
     alone = [
         [steerer.step(target) for target in targets] for steerer, targets in zip(steerers, series, strict=True)
     ]
@@ -329,7 +340,7 @@ def motions(arc_problem, cos_problem):
 
 def test_two_steerers_in_turn_move_as_each_alone(arc_problem, cos_problem):
     series, alone = motions(arc_problem, cos_problem)
-    steerers = [Steerer(arc_problem.robot, Q0, DT) for _ in series]
+    steerers = [Steerer(arc_problem.robot, Q0, DT, model="dominant") for _ in series]
     for number in range(min(map(len, series))):
         for steerer, targets, expected in zip(steerers, series, alone, strict=True):
             np.testing.assert_array_equal(steerer.step(targets[number]), expected[number])
@@ -337,7 +348,7 @@ def test_two_steerers_in_turn_move_as_each_alone(arc_problem, cos_problem):
 
 def test_two_steerers_in_two_threads_move_as_each_alone(arc_problem, cos_problem):
     series, alone = motions(arc_problem, cos_problem)
-    steerers = [Steerer(arc_problem.robot, Q0, DT) for _ in series]
+    steerers = [Steerer(arc_problem.robot, Q0, DT, model="dominant") for _ in series]
     found = [[], []]
     together = threading.Barrier(2)
 
@@ -359,7 +370,7 @@ def test_two_steerers_in_two_threads_move_as_each_alone(arc_problem, cos_problem
 
 @pytest.mark.parametrize("shape", [(100, 3), (101, 2), (3, 101), (303,), (1, 101, 3), (0, 3)])
 def test_a_target_of_another_shape_is_refused_and_changes_nothing(shape):
-    steerer = Steerer(ROBOTS["seed"], Q0, DT)
+    steerer = Steerer(ROBOTS["seed"], Q0, DT, model="dominant")
     with pytest.raises(OptionError) as refused:
         steerer.step(np.zeros(shape))
     assert f"target has shape {shape}" in str(refused.value)
@@ -370,19 +381,21 @@ def test_a_target_of_another_shape_is_refused_and_changes_nothing(shape):
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("place", [(0, 0), (1, 1), (100, 2)], ids=["first", "a sample that is not used", "last"])
 def test_a_target_that_is_not_finite_is_refused_and_changes_nothing(arc_problem, value, place):
-    steerer, good = Steerer(arc_problem.robot, Q0, DT), arc_problem.samples[2].points
+    steerer, good = Steerer(arc_problem.robot, Q0, DT, model="dominant"), arc_problem.samples[2].points
     bad = good.copy()
     bad[place] = value
     with pytest.raises(OptionError, match=r"target .*finite"):
         steerer.step(bad)
     np.testing.assert_array_equal(steerer.q, Q0)
-    np.testing.assert_array_equal(steerer.step(good), Steerer(arc_problem.robot, Q0, DT).step(good))
+    np.testing.assert_array_equal(
+        steerer.step(good), Steerer(arc_problem.robot, Q0, DT, model="dominant").step(good)
+    )
 
 
 @pytest.mark.parametrize("dt", [0, 0.0, -0.1, math.nan, math.inf, -math.inf])
 def test_a_time_step_that_is_no_positive_number_is_refused(dt):
     with pytest.raises(OptionError) as refused:
-        Steerer(ROBOTS["seed"], Q0, dt)
+        Steerer(ROBOTS["seed"], Q0, dt, model="dominant")
     assert str(refused.value) == f"dt is {dt} s; it must be a finite number > 0"
 
 
@@ -403,19 +416,19 @@ def test_a_time_step_that_is_no_positive_number_is_refused(dt):
 )
 def test_a_configuration_that_the_robot_cannot_have_is_refused(q, message):
     with pytest.raises(RobotError, match=message):
-        Steerer(ROBOTS["seed"], q, DT)
+        Steerer(ROBOTS["seed"], q, DT, model="dominant")
 
 
 def test_carriages_too_near_are_refused():
     """With a gap of 60 mm, beta_2 may exceed beta_1 by 112 - 60 mm."""
     with pytest.raises(RobotError, match=r"carriages 1 and 2 of q are 50 mm apart; carriage_gap is 60 mm"):
-        Steerer(ROBOTS["carriages apart"], [0, 0, 0, 10, 72, 105, 0, 0], DT)
+        Steerer(ROBOTS["carriages apart"], [0, 0, 0, 10, 72, 105, 0, 0], DT, model="dominant")
 
 
 def test_without_compiled_code_there_is_no_steerer_and_the_error_says_why(monkeypatch):
     monkeypatch.setenv("CTR_NLP_COMPILE", "0")
     with pytest.raises(OptionError, match="CTR_NLP_COMPILE is 0"):
-        Steerer(ROBOTS["seed"], Q0, DT)
+        Steerer(ROBOTS["seed"], Q0, DT, model="dominant")
 
 
 def test_the_order_of_tubes_is_kept_to_the_tolerance_of_solutions():

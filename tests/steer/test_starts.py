@@ -44,7 +44,10 @@ def drawn(seed, frames=100):
 
 def above(problem, **options):
     """By what part the objective is above that of the exhaustive search, and e3."""
-    found, best = (solve_horizon(problem, settings=FREE, exhaustive=every, **options) for every in (False, True))
+    found, best = (
+        solve_horizon(problem, settings=FREE, exhaustive=every, **{"model": "dominant"} | options)
+        for every in (False, True)
+    )
     assert found.meta["options"]["motion_weight"] == best.meta["options"]["motion_weight"]
     assert found.complete >= best.complete
     numbers = (summary(one)["e3"] for one in (found, best))
@@ -89,7 +92,9 @@ def test_some_named_problems_are_followed_as_well(name):
 
 def test_fewer_starts_are_solved_to_the_end():
     problem = named("cos", 60)
-    found, every = (solve_horizon(problem, settings=FREE, exhaustive=each) for each in (False, True))
+    found, every = (
+        solve_horizon(problem, model="dominant", settings=FREE, exhaustive=each) for each in (False, True)
+    )
     assert len(found.meta["starts"]) < len(every.meta["starts"])
     assert found.meta["options"]["exhaustive"] is False
     assert every.meta["options"]["exhaustive"] is True
@@ -106,7 +111,7 @@ def test_a_draft_ends_with_the_last_frame_and_has_frames_evenly_apart(frames):
 
 def test_where_drafts_lead_to_no_solution_every_start_is_solved(monkeypatch):
     problem = named("arc", 50)
-    horizon = Horizon(problem, settings=FREE)
+    horizon = Horizon(problem, model="dominant", settings=FREE)
     monkeypatch.setattr("ctr_nlp.steer.starts.search.Search._drafts", lambda *_: [])
     motions = per_frame_motions(problem, Ends(), FREE, None, MODELS["dominant"])
     found = horizon.solve()

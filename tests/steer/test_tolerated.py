@@ -24,7 +24,7 @@ from ctr_nlp.robot.structure import NUMBERS
 from ctr_nlp.simulation.drawn import lost_draws
 from ctr_nlp.steer.robust import solve_robust
 from ctr_nlp.steer.robust.tolerated import balanced, scenarios_of
-from ctr_nlp.steer.robust.trials import SEED, Trials
+from ctr_nlp.steer.robust.trials import CERTIFYING, SEED, Trials
 
 TUBES = Tube(150, 90, 0.012, 3, 2), Tube(300, 140, 0.015, 1.8, 1.2)
 
@@ -120,8 +120,13 @@ def test_a_motion_on_which_many_are_lost_bears_a_part_of_the_tolerances(problem,
     gone = lost_draws(problem.robot, draws[: lost.drawn], plain.q, "elastic")
     np.testing.assert_array_equal(gone[gone > 0], lost.frames)
     np.testing.assert_array_equal(draws.numbers[: lost.drawn][gone > 0], lost.numbers)
-    told = trials.certificate(lost, plain.q, 1)
+    told = trials.certified(plain, lost, 1).meta["certificate"]
     assert not told["held"]
+    assert not told["certified"]
+    fresh = plain.with_draws(CERTIFYING, SEED + 1)
+    assert told["holds"] == pytest.approx(fresh.verdicts.holds.number * CERTIFYING)
+    bound = binomtest(CERTIFYING - told["holds"], CERTIFYING, alternative="less").proportion_ci(0.95, "exact")
+    assert told["holds_at_least"] == pytest.approx(1 - bound.high)
     assert sum(told["lost_in"].values()) == told["lost"] == len(lost.frames)
     assert 0 <= told["borne"] < 1
     others = drawn(problem.robot, 200, 7)

@@ -45,7 +45,7 @@ def done(folder, frames, synthetic, airways=None):
     if airways is not None:
         text = text.replace('# folder = "airways"', f'folder = "{airways}"')
     (folder / "clearance.toml").write_text(text, encoding="utf-8")
-    assert main(["study", str(folder / "clearance.toml"), "--out", str(folder / "out")]) == 0
+    assert main(["study", str(folder / "clearance.toml"), "--out", str(folder / "out")]) == 1
     return folder / "out"
 
 
@@ -76,7 +76,7 @@ def test_a_page_has_a_row_for_every_airway_and_its_picture(studied):
 def test_clearance_alone_may_not_stay_short():
     """Where a plan that puts clearance first retreats from the wall, clearance alone has to stay in contact."""
     problem = synthetic_problem(1, FRAMES)
-    kept, first = (solve_horizon(problem, settings=settings) for settings in (WITH, FIRST))
+    kept, first = (solve_horizon(problem, model="dominant", settings=settings) for settings in (WITH, FIRST))
     frame = int(depth(kept).argmax())
     assert depth(first)[frame] == 0
     assert first.beta[frame, -1] < problem.target.lengths[frame] - 1
@@ -112,7 +112,8 @@ def test_exceptions_are_named():
 
 
 def test_airways_without_all_their_plans_are_no_page(tmp_path, capsys):
-    text = 'frames = 4\nreport = "clearance"\nmeasures = ["contact"]\n[problems]\nsynthetic = 1\n'
+    text = 'frames = 4\nreport = "clearance"\nmodels = "dominant"\nmeasures = ["contact"]\n'
+    text += "[problems]\nsynthetic = 1\n"
     (tmp_path / "s.toml").write_text(text, encoding="utf-8")
     assert main(["study", str(tmp_path / "s.toml"), "--workers", "1", "--out", str(tmp_path / "out")]) == 2
     assert "no problem of the study has all the plans that a clearance report" in capsys.readouterr().err

@@ -23,7 +23,7 @@ from ctr_nlp.studies.workers.task import work
 pytest.importorskip("distributed", reason="the extra `study` is not installed")
 psutil = pytest.importorskip("psutil", reason="the extra `study` is not installed")
 
-SMALL = {"problems": {"names": ["arc"]}, "frames": 4, "settings": {"seed": [0, 1, 2]}}
+SMALL = {"problems": {"names": ["arc"]}, "frames": 4, "models": "dominant", "settings": {"seed": [0, 1, 2]}}
 PATIENCE = 30
 """s after which a command that should have been refused has hung."""
 
@@ -31,7 +31,9 @@ PATIENCE = 30
 @pytest.fixture
 def path(tmp_path):
     place = tmp_path / "s.toml"
-    place.write_text('frames = 4\n[problems]\nnames = ["arc"]\n[settings]\nseed = [0, 1, 2]\n')
+    place.write_text(
+        'frames = 4\nmodels = "dominant"\n[problems]\nnames = ["arc"]\n[settings]\nseed = [0, 1, 2]\n'
+    )
     return place
 
 

@@ -33,7 +33,9 @@ SECONDS = 1.0
 
 
 def written(path, plans):
-    path.write_text(f'frames = 4\n[problems]\nnames = ["arc"]\n[settings]\nseed = {list(range(plans))}\n')
+    path.write_text(
+        f'frames = 4\nmodels = "dominant"\n[problems]\nnames = ["arc"]\n[settings]\nseed = {list(range(plans))}\n'
+    )
     return path
 
 

@@ -21,7 +21,12 @@ from ctr_nlp.studies.workers.running import run_study
 
 pytest.importorskip("distributed", reason="the extra `study` is not installed")
 
-SMALL = {"problems": {"names": ["arc"]}, "frames": 4, "settings": {"seed": [0, 1, 2, 3]}}
+SMALL = {
+    "problems": {"names": ["arc"]},
+    "frames": 4,
+    "models": "dominant",
+    "settings": {"seed": [0, 1, 2, 3]},
+}
 
 
 def study(told=SMALL, folder="."):
@@ -115,7 +120,7 @@ def test_one_plan_is_made_alone(tmp_path, monkeypatch, capsys):
     text = 'frames = 4\nmethods = ["joint", "two-stage"]\nmodels = "elastic"\n[problems]\nnames = ["arc"]\n'
     (tmp_path / "s.toml").write_text(text)
     good, bad = Study.from_toml("s.toml").cases
-    assert main(["study", "s.toml", "--only", good.digest[:10]]) == 0
+    assert main(["study", "s.toml", "--only", good.digest[:10]]) == 1
     assert f"digest: {good.digest}" in capsys.readouterr().out
     assert main(["study", "s.toml", "--only", bad.digest]) == 2
     assert "two-stage" in capsys.readouterr().err
@@ -170,7 +175,7 @@ def test_robots_bear_loads_of_files(tmp_path):
         (SMALL | {"walls": "no"}, "walls of a study"),
         (SMALL | {"report": "fate"}, "fate"),
         (SMALL | {"measures": ["weight"]}, "weight"),
-        (SMALL | {"ways": [{}]}, "settings of a study stands beside"),
+        (SMALL | {"ways": [{}]}, "models of a study stands beside"),
         ({"problems": {"names": ["arc"]}, "ways": [{"method": "joint"}]}, "key 'method' is unknown"),
     ],
 )
@@ -344,8 +349,10 @@ def test_a_lost_row_has_the_columns_of_its_case():
 
 def test_the_command_does_a_study_and_tells_it_by_a_column(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "s.toml").write_text('frames = 4\n[problems]\nnames = ["arc"]\n[settings]\nseed = [0, 1]\n')
-    assert main(["study", "s.toml", "--workers", "1", "--out", "here"]) == 0
+    (tmp_path / "s.toml").write_text(
+        'frames = 4\nmodels = "dominant"\n[problems]\nnames = ["arc"]\n[settings]\nseed = [0, 1]\n'
+    )
+    assert main(["study", "s.toml", "--workers", "1", "--out", "here"]) == 1
     assert "rows of all plans; 0 of them were known, and 0 failed" in capsys.readouterr().out
     assert main(["study", "s.toml", "--by", "set_seed", "--page", "--out", "here"]) == 0
     told = capsys.readouterr().out

@@ -58,19 +58,19 @@ def lone(frames):
 
 def test_plans_on_either_model_are_judged_on_the_elastic_one():
     """A lone tube twists nothing: on both models it is the same, and no draw of it is ever lost."""
-    found = measured("lone", "joint", solve_per_frame(lone(3)), 5)
+    found = measured("lone", "joint", solve_per_frame(lone(3), model="dominant"), 5)
     assert found["e3"] == pytest.approx(found["planned_e3"], abs=1e-6)
     assert found["lost"] == 0.0
     assert found["draws"] == 5
     assert found["depth"] is None
     assert found["solved"] == found["frames"] == 3
-    three = measured("arc", "joint", solve_per_frame(named("arc", 10)), 5)
+    three = measured("arc", "joint", solve_per_frame(named("arc", 10), model="dominant"), 5)
     assert three["e3"] > 2 * three["planned_e3"]
 
 
 def test_a_robot_that_follows_its_leader_is_not_off_its_own_path():
     """A tube that comes out unturned stays on its own arc; half a turn away it is two sagittas off."""
-    plan = solve_per_frame(lone(4))
+    plan = solve_per_frame(lone(4), model="dominant")
     leader = replace(plan, alpha=0 * plan.alpha, theta=0 * plan.theta).on("dominant")
     assert off_own_path(leader).max() < 1e-2
     turned = replace(leader, alpha=np.linspace(math.pi, 0, 4)[:, None]).on("dominant")

@@ -29,7 +29,7 @@ def problem() -> Problem:
 
 @pytest.fixture(scope="module")
 def plan(problem):
-    return solve_per_frame(problem, direction="forward")
+    return solve_per_frame(problem, model="dominant", direction="forward")
 
 
 def test_the_rest_is_planned_anew_from_where_the_robot_is(plan, problem):

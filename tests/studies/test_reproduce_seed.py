@@ -43,7 +43,7 @@ FRAMES = 4
 @pytest.fixture(scope="module")
 def plan():
     """A motion along the arc, with itself for the truth."""
-    solved = solve_per_frame(named("arc", FRAMES), solver="ipopt", direction="forward")
+    solved = solve_per_frame(named("arc", FRAMES), model="dominant", solver="ipopt", direction="forward")
     return replace(solved, truth=solved.q)
 
 

@@ -66,7 +66,7 @@ def test_a_problem_without_a_wall_is_refused():
 
 def test_a_lumen_that_the_robot_does_not_fit_is_refused():
     pytest.importorskip("ompl")
-    with pytest.raises(OptionError, match="no valid robot for frame 1 of bent: in the lumen but for 1 mm"):
+    with pytest.raises(OptionError, match=r"no valid robot for frame 1 of bent: in the lumen but for 0\.5 mm"):
         rrt_connect(bent(1.5), seconds=1)
 
 

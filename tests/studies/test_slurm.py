@@ -65,7 +65,9 @@ def test_a_job_that_dies_is_submitted_again_and_the_study_ends(tmp_path):
         (tmp_path / name).write_text(text)
         (tmp_path / name).chmod(0o755)
     study, out, ids = tmp_path / "s.toml", tmp_path / "out", tmp_path / "ids"
-    study.write_text(f'frames = 4\n[problems]\nnames = ["arc"]\n[settings]\nseed = {list(range(60))}\n')
+    study.write_text(
+        f'frames = 4\nmodels = "dominant"\n[problems]\nnames = ["arc"]\n[settings]\nseed = {list(range(60))}\n'
+    )
     own = {"HOME": str(tmp_path), "JOBS": str(tmp_path), "PATH": f"{tmp_path}:{os.environ['PATH']}"}
     own |= {
         "DASK_DISTRIBUTED__DEPLOY__LOST_WORKER_TIMEOUT": "1s",

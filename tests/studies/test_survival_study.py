@@ -79,7 +79,7 @@ def test_all_files_are_written(tmp_path):
 def test_plans_of_an_airway_are_those_of_the_trade(tmp_path, capsys):
     text = template("survival.toml").replace("frames = 100", "frames = 6").replace("draws = 100", "draws = 10")
     (tmp_path / "s.toml").write_text(text.replace("synthetic = 100", "synthetic = 1"), encoding="utf-8")
-    assert main(["study", str(tmp_path / "s.toml"), "--out", str(tmp_path / "out")]) == 0
+    assert main(["study", str(tmp_path / "s.toml"), "--out", str(tmp_path / "out")]) == 1
     told = capsys.readouterr().out
     assert "- robust: 0 of 10 draws are lost" in told
     assert "survival.csv, survival.md, survival.pdf, survival.png" in told

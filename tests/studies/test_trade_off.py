@@ -22,7 +22,7 @@ def on_the_front(points, roughness):
 
 
 def test_heavier_weights_give_smoother_motions_of_no_less_objective():
-    horizon = Horizon(named("cos", 8))
+    horizon = Horizon(named("cos", 8), model="dominant")
     plans = sweep(horizon, horizon.solve(), (1e-3, 1e-5, 1e-4), quiet)
     weights = [plan.meta["options"]["motion_weight"] for plan in plans]
     assert weights == [1e-5, 1e-4, 1e-3]
@@ -34,7 +34,7 @@ def test_heavier_weights_give_smoother_motions_of_no_less_objective():
 
 
 def test_the_methods_beside_the_front_lie_above_it():
-    horizon = Horizon(named("cos", 10))
+    horizon = Horizon(named("cos", 10), model="dominant")
     points = trade_off(horizon, horizon.solve(), WEIGHTS[::3], Settings(), quiet)
     assert [p.method for p in points[-len(BESIDE) :]] == list(BESIDE)
     for point in points[-len(BESIDE) :]:
@@ -47,7 +47,7 @@ def test_the_methods_beside_the_front_lie_above_it():
 )
 def test_neither_per_frame_methods_nor_the_seeds_lie_below_the_front(shared_data, name):
     problem = named(name) if name in NAMES else problem_from_file(shared_data / "airways" / f"{name}.csv")
-    horizon = Horizon(problem)
+    horizon = Horizon(problem, model="dominant")
     points = trade_off(horizon, horizon.solve(), WEIGHTS, Settings(), quiet)
     for point in points[-len(BESIDE) :]:
         if point.method != "euclidean":  # which knows no limits of speed, and may gain by that

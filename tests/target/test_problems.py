@@ -71,7 +71,7 @@ def test_plan_keeps_the_transform_of_a_placed_path(tmp_path):
     given = np.column_stack([50 + 80 * t, -20 + 20 * t**2, 300 - 60 * t])
     path = tmp_path / "path.csv"
     np.savetxt(path, given, delimiter=",", header="x_mm,y_mm,z_mm", comments="")
-    plan = solve_per_frame(problem_from_file(path, frames=2), direction="forward")
+    plan = solve_per_frame(problem_from_file(path, frames=2), model="dominant", direction="forward")
     plan.save(tmp_path / "plan.npz")
     loaded = Plan.load(tmp_path / "plan.npz")
     back = (loaded.target[-1] - loaded.to_robot[:3, 3]) @ loaded.to_robot[:3, :3]

@@ -1,0 +1,783 @@
+"""Concentric tubes on the elastic model, solved by shooting from the base; shares no code with the library.
+
+Equations: DESIGN, "Models" (Dupont 2010, Rucker 2010), unloaded and frictionless. psi_i(s) is the angle of tube i,
+EI_i its bending stiffness, GJ_i = EI_i / (1 + nu_i), k_i(s) its pre-curvature, which points along
+e_i = (cos psi_i, sin psi_i) (of a helix: psi_i + tau_i times the distance from where its curved part begins):
+
+    u = sum_i EI_i k_i e_i / sum_i EI_i                    over the tubes that reach s
+    GJ_i psi_i'' = EI_i k_i (u x e_i)
+    psi_i(0) = alpha_i + psi_i'(0) (L_i - beta_i)          the transmission twists evenly over s < 0
+    psi_i'(beta_i) = 0
+
+The unknowns are the rates psi_i'(0). They are found by Newton's method, with the sensitivities of the rates at the
+tips integrated beside them. In products of complex numbers, exp(1j psi) stands for e, and u x e is Im(conj(u) e).
+
+Arrays carry n robots along their last axis: (d, n) for numbers of tubes, (d, d, n) for sensitivities.
+The body is cut at every place where a tube ends or begins to curve: within such a piece all is smooth.
+"""
+
+from __future__ import annotations
+
+import copy
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import numpy as np
+from scipy.interpolate import BarycentricInterpolator, CubicHermiteSpline
+
+STEP_MM = 7.0
+"""Longest step of integration along the body."""
+MAX_NEWTON_ITERATIONS = 10
+CONVERGED_RATE = 1e-6
+"""rad/mm: Newton's last correction of the rates at the base; the error that is left is about its square."""
+MAX_RATE_CHANGE = 0.05
+"""rad/mm by which one iteration of Newton's method may change a rate."""
+MAX_TIP_TURN_RAD = 0.25
+"""By how much the tips may turn against each other within one step of a motion."""
+MIN_PART = 1 / 20000
+"""Of the way from frame to frame: where no shorter step leads on, the equilibrium has ended in a fold."""
+SNAP_RAD = 0.1
+"""By how much a tip turns, at least, where a robot leaves its branch and has snapped: less is a slip."""
+MODE_DEGREE = 5
+"""Highest degree of the polynomials, on each piece, that variations of the twist are made of."""
+DESCENT_STEP_RAD = 0.1
+"""By how much a step down the energy may turn a tube, after a robot has lost its equilibrium."""
+MAX_DESCENT_STEPS = 400
+GAUSS_POINTS = 10
+"""Per piece, where the energy's second variation is integrated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tubes:
+    """Numbers of n robots of d tubes, (d, n) each: mm, 1/mm, rad/mm, and stiffnesses in one common unit.
+
+    zero: the angle in rad by which a tube's base is ahead of its motor.
+    """
+
+    length: np.ndarray
+    curved: np.ndarray
+    root: np.ndarray
+    tip: np.ndarray
+    bending: np.ndarray
+    torsional: np.ndarray
+    helix: np.ndarray
+    zero: np.ndarray
+    radius: np.ndarray
+
+    def __getitem__(self, rows) -> Tubes:
+        """Some of the robots."""
+        return Tubes(*(getattr(self, f.name)[:, rows] for f in fields(self)))
+
+    def repeated(self, count: int) -> Tubes:
+        """The first robot so many times."""
+        return self[np.zeros(count, dtype=int)]
+
+
+def tubes_of(robot: dict, parts: np.ndarray | None = None) -> Tubes:
+    """Tubes of a robot as a plan's meta describes it.
+
+    Parameters
+    ----------
+    robot : dict
+        ``meta["robot"]``: the key ``tubes`` holds a table of numbers a tube, outermost first.
+    parts : (n, d, 5) array, optional
+        Differences of n robots from the one described: relative curvature, relative bending stiffness, relative
+        EI / GJ, curved length in mm and the motor's zero in rad. One robot as described by default.
+    """
+    rows = robot["tubes"]
+    parts = np.zeros((1, len(rows), 5)) if parts is None else np.asarray(parts, dtype=float)
+    curvature, stiffness, ratio, longer, zero = np.moveaxis(parts, (2, 1), (0, 1))
+
+    def column(name: str) -> np.ndarray:
+        return np.array([float(row[name]) for row in rows])[:, None] + np.zeros_like(zero)
+
+    ends = np.array([np.broadcast_to(row["curvature"], 2) for row in rows], dtype=float)
+    outer, inner, length = column("outer_diameter"), column("inner_diameter"), column("length")
+    bending = column("youngs_modulus") * np.pi / 64 * (outer**4 - inner**4) * (1 + stiffness)
+    return Tubes(
+        length=length,
+        curved=np.clip(column("curved_length") + longer, 0.0, length),
+        root=ends[:, :1] * (1 + curvature),
+        tip=ends[:, 1:] * (1 + curvature),
+        bending=bending,
+        torsional=bending / ((1 + column("poisson_ratio")) * (1 + ratio)),
+        helix=column("pre_torsion"),
+        zero=zero,
+        radius=outer / 2,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A part of the body, low to high (n,) mm, on which the same tubes are present (d, n), in equal steps.
+
+    strength (d, n), slope (d, n): EI_i k_i at low and its growth per mm. total (n,): the sum of EI.
+    psi, rate, turn (steps + 1, d, n): psi_i, its first and second derivative at the ends of steps.
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    present: np.ndarray
+    strength: np.ndarray
+    slope: np.ndarray
+    total: np.ndarray
+    phase: np.ndarray
+    helix: np.ndarray
+    psi: np.ndarray
+    rate: np.ndarray
+    turn: np.ndarray
+
+    @property
+    def steps(self) -> int:
+        return len(self.psi) - 1
+
+    @property
+    def h(self) -> np.ndarray:
+        """Length of a step (n,), mm."""
+        return (self.high - self.low) / self.steps
+
+    def angles(self, fraction: float) -> np.ndarray:
+        """Directions (d, n), rad, in which tubes bend at a fraction of the piece, by Hermite's cubics."""
+        k = min(int(fraction * self.steps), self.steps - 1)
+        z, h = fraction * self.steps - k, self.h
+        psi = (
+            (1 + 2 * z) * (1 - z) ** 2 * self.psi[k]
+            + z * (1 - z) ** 2 * h * self.rate[k]
+            + z**2 * (3 - 2 * z) * self.psi[k + 1]
+            + z**2 * (z - 1) * h * self.rate[k + 1]
+        )
+        return psi + self.phase + self.helix * fraction * (self.high - self.low)
+
+    def strengths(self, fraction: float) -> np.ndarray:
+        """EI_i k_i (d, n) at a fraction of the piece."""
+        return self.strength + self.slope * fraction * (self.high - self.low)
+
+    def bending(self, fraction: float) -> np.ndarray:
+        """The bending vector u (n,), 1/mm, as complex numbers."""
+        return (self.strengths(fraction) * np.exp(1j * self.angles(fraction))).sum(axis=0) / self.total
+
+
+@dataclass(frozen=True, eq=False)
+class Twist:
+    """Tubes that are integrated from the base: rates at the tips (d, n), their sensitivities (d, d, n) or None."""
+
+    tubes: Tubes
+    beta: np.ndarray
+    pieces: list[Piece]
+    tip_rates: np.ndarray
+    sensitivity: np.ndarray | None
+
+    @property
+    def tip_angles(self) -> np.ndarray:
+        """Angles psi_i at the tubes' own tips (d, n), rad."""
+        last = self.pieces[-1]
+        return last.psi[-1] - last.rate[-1] * (last.high - self.beta)
+
+
+def integrate(tubes: Tubes, alpha, beta, rates, sensitivities: bool = True, step: float = STEP_MM) -> Twist:
+    """Integrate psi from the base, where its derivatives are `rates`; all (d, n).
+
+    Nystrom's method of order 4 (three evaluations a step), since psi' does not appear on the right-hand side.
+    Beyond its tip a tube is carried on without a moment, so that the last rate is the one at the tip.
+    """
+    reach = tubes.length - beta
+    begin = np.maximum(beta - tubes.curved, 0.0)
+    bounds = np.sort(np.concatenate([np.zeros_like(beta[:1]), beta, begin]), axis=0)
+    psi, rate = alpha + rates * reach, np.array(rates)
+    d, n = psi.shape
+    eye = np.eye(d)[:, :, None]
+    by, by_rate = eye * reach[:, None], eye + np.zeros((d, d, n))
+    pieces = []
+    slope_of_k = (tubes.root - tubes.tip) / np.maximum(tubes.curved, 1e-9)
+    for low, high in itertools.pairwise(bounds):
+        longest = float((high - low).max())
+        if longest <= 0:
+            continue
+        middle = (low + high) / 2
+        present = middle < beta
+        bends = present & (middle > beta - tubes.curved)
+        total = np.where(present, tubes.bending, 0.0).sum(axis=0)
+        total = np.where(total > 0, total, 1.0)
+        strength = np.where(bends, tubes.bending * (tubes.tip + slope_of_k * (beta - low)), 0.0)
+        slope = np.where(bends, -tubes.bending * slope_of_k, 0.0)
+        phase = tubes.helix * (low - (beta - tubes.curved))
+        steps = int(np.ceil(longest / step))
+        h = (high - low) / steps
+
+        def moments(psi, by, s, strength=strength, slope=slope, total=total, phase=phase):
+            """psi'' (d, n), and its sensitivities."""
+            force = strength + slope * s
+            e = np.exp(1j * (psi + phase + tubes.helix * s))
+            u = (force * e).sum(axis=0) / total
+            gain = force / tubes.torsional
+            turn = gain * (np.conj(u) * e).imag
+            if by is None:
+                return turn, None
+            change = 1j * e[:, None] * by
+            du = (force[:, None] * change).sum(axis=0) / total
+            return turn, gain[:, None] * (np.conj(du) * e[:, None] + np.conj(u) * change).imag
+
+        y = by if sensitivities else None
+        first, d_first = moments(psi, y, 0.0)
+        nodes = [(psi, rate, first)]
+        for k in range(steps):
+            y1 = y2 = None
+            if sensitivities:
+                y1 = by + h / 2 * by_rate + h**2 / 8 * d_first
+            second, d_second = moments(psi + h / 2 * rate + h**2 / 8 * first, y1, (k + 0.5) * h)
+            if sensitivities:
+                y2 = by + h * by_rate + h**2 / 2 * d_second
+            third, d_third = moments(psi + h * rate + h**2 / 2 * second, y2, (k + 1) * h)
+            psi = psi + h * rate + h**2 / 6 * (first + 2 * second)
+            rate = rate + h / 6 * (first + 4 * second + third)
+            if sensitivities:
+                by = by + h * by_rate + h**2 / 6 * (d_first + 2 * d_second)
+                by_rate = by_rate + h / 6 * (d_first + 4 * d_second + d_third)
+            first, d_first = moments(psi, by if sensitivities else None, (k + 1) * h)
+            nodes.append((psi, rate, first))
+        stacked = [np.array(each) for each in zip(*nodes, strict=True)]
+        pieces.append(Piece(low, high, present, strength, slope, total, phase, tubes.helix, *stacked))
+    return Twist(tubes, beta, pieces, rate, by_rate if sensitivities else None)
+
+
+# --- shapes ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """Shapes of n robots at the ends of N steps: s (N, n) mm, points and unit tangents (N, n, 3).
+
+    radius (N - 1, n): of the outermost tube on each step, mm. Between ends a shape is a cubic in s.
+    """
+
+    s: np.ndarray
+    points: np.ndarray
+    tangents: np.ndarray
+    radius: np.ndarray
+
+    def at(self, s: np.ndarray) -> np.ndarray:
+        """Points (n, m, 3) mm at arc lengths s (n, m) mm."""
+        found = np.empty((*s.shape, 3))
+        for row, wanted in enumerate(s):
+            places, first = np.unique(self.s[:, row], return_index=True)
+            curve = CubicHermiteSpline(places, self.points[first, row], self.tangents[first, row])
+            found[row] = curve(np.clip(wanted, 0.0, places[-1]))
+        return found
+
+    def within_steps(self, fractions: np.ndarray) -> np.ndarray:
+        """Points (N - 1, m, n, 3) mm at m fractions of every step."""
+        z = fractions[None, :, None, None]
+        h = np.diff(self.s, axis=0)[:, None, :, None]
+        low, high = self.points[:-1, None], self.points[1:, None]
+        before, after = self.tangents[:-1, None], self.tangents[1:, None]
+        return (
+            (1 + 2 * z) * (1 - z) ** 2 * low
+            + z * (1 - z) ** 2 * h * before
+            + z**2 * (3 - 2 * z) * high
+            + z**2 * (z - 1) * h * after
+        )
+
+
+def body_of(twist: Twist, theta: np.ndarray) -> Body:
+    """Shapes of robots at base tilts theta (2, n), rad: R = Ry(theta_y) Rx(theta_x).
+
+    The frame turns by R' = R hat(w), w = (-u_y, u_x, 0): Magnus' method of order 4 on Gauss's two points of every
+    step. Points follow from the tangents t and t' = R (u_x, u_y, 0) by Hermite's quadrature of order 4.
+    """
+    n = theta.shape[1]
+    frame = _tilt(theta)
+    point, s = np.zeros((n, 3)), np.zeros(n)
+    nodes = [(s, point, frame[:, :, 2])]
+    radius = []
+    for piece in twist.pieces:
+        h, gauss = piece.h, np.sqrt(3) / 6
+        outermost = np.take_along_axis(twist.tubes.radius, piece.present.argmax(axis=0)[None], axis=0)[0]
+        for k in range(piece.steps):
+            u = [piece.bending((k + 0.5 + c) / piece.steps) for c in (-gauss, gauss)]
+            first, second = (np.stack([-each.imag, each.real, np.zeros(n)], axis=-1) for each in u)
+            turn = h[:, None] / 2 * (first + second) + np.sqrt(3) / 12 * h[:, None] ** 2 * np.cross(first, second)
+            bent = _bent(frame, piece.bending(k / piece.steps))
+            after = frame @ _rotation(turn)
+            bent_after = _bent(after, piece.bending((k + 1) / piece.steps))
+            step = h[:, None]
+            point = point + step / 2 * (frame[:, :, 2] + after[:, :, 2]) + step**2 / 12 * (bent - bent_after)
+            frame, s = after, s + h
+            nodes.append((s, point, frame[:, :, 2]))
+            radius.append(outermost)
+    places, points, tangents = (np.array(each) for each in zip(*nodes, strict=True))
+    return Body(places, points, tangents, np.array(radius))
+
+
+def _bent(frame: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Derivative of the tangent (n, 3) in frames (n, 3, 3) with bending vectors u (n,)."""
+    return frame[:, :, 0] * u.real[:, None] + frame[:, :, 1] * u.imag[:, None]
+
+
+def _rotation(turn: np.ndarray) -> np.ndarray:
+    """Rodrigues' formula for rotation vectors (n, 3): matrices (n, 3, 3)."""
+    angle = np.linalg.norm(turn, axis=1)[:, None, None]
+    x, y, z = turn.T
+    zero = np.zeros_like(x)
+    hat = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
+    return np.eye(3) + np.sinc(angle / np.pi) * hat + np.sinc(angle / (2 * np.pi)) ** 2 / 2 * (hat @ hat)
+
+
+def _tilt(theta: np.ndarray) -> np.ndarray:
+    """Ry(theta_y) Rx(theta_x), (n, 3, 3)."""
+    zero = np.zeros(theta.shape[1])
+    about_x = _rotation(np.stack([theta[0], zero, zero], axis=-1))
+    return _rotation(np.stack([zero, theta[1], zero], axis=-1)) @ about_x
+
+
+# --- motions -----------------------------------------------------------------------------------------------------
+
+
+class Follower:
+    """n robots that are moved by continuation, each in steps of its own, and which of them lose their equilibrium.
+
+    rates, angles (d, n): at the base, rad/mm, and at the tips, rad. snapped (n,): the frame, from 1, on the way to
+    which a robot first snapped; 0 where it has not. part (n,): of the way from frame to frame that they have come.
+    Where an equilibrium ends, the robot comes to rest in another one. It has snapped if a tip turns by more than
+    SNAP_RAD; if not, it goes on from there.
+    """
+
+    def __init__(self, tubes: Tubes, innermost: float, after_snaps: bool = False) -> None:
+        """Untwisted robots whose tubes are all turned to one angle, that of the innermost tube, rad.
+
+        after_snaps: whether robots are moved on after they have snapped.
+        """
+        d, n = tubes.zero.shape
+        self.tubes = tubes
+        self.rates = np.zeros((d, n))
+        self.angles = np.full((d, n), float(innermost))
+        self.snapped = np.zeros(n, dtype=int)
+        self.part = np.zeros(n)
+        self.snaps: list[int] = []
+        self.gone = np.zeros(n, dtype=bool)
+        self.departures = 0
+        self._after_snaps = after_snaps
+        self._trend = np.zeros((d, n))
+
+    def advance(self, configuration: Callable, frame: int, start: float, end: float, longest: float) -> None:
+        """Move all robots that are not gone from one part of the way to a frame, from 1, to another.
+
+        configuration(part (m,), rows (m,)) gives alpha and beta (d, m) of these robots. Where Newton's method does
+        not lead on, a robot's step is cut to a quarter; where the shortest leads nowhere, its equilibrium ends.
+        """
+        rows = np.flatnonzero(~self.gone)
+        self.part[rows] = start
+        step = np.full(len(self.part), longest)
+        while len(rows):
+            goal = np.minimum(self.part[rows] + step[rows], end)
+            reached = self._step(rows, *configuration(goal, rows), goal - self.part[rows])
+            done, failed = rows[reached], rows[~reached]
+            self.part[done] = goal[reached]
+            step[done] = np.minimum(2 * step[done], longest)
+            step[failed] /= 4
+            self._trend[:, failed[step[failed] < MIN_PART * 16]] = 0.0
+            for row in failed[step[failed] < MIN_PART]:
+                goal_of_row = min(self.part[row] + longest / 16, end)
+                self._leave_branch(np.array([row]), configuration, frame, goal_of_row)
+                step[row] = longest / 16
+            rows = rows[~self.gone[rows] & (self.part[rows] < end)]
+
+    def copy(self) -> Follower:
+        """Robots in the same place, which move apart from these."""
+        found = copy.copy(self)
+        for name in ("rates", "angles", "snapped", "part", "gone", "_trend"):
+            setattr(found, name, getattr(self, name).copy())
+        found.snaps = list(self.snaps)
+        return found
+
+    def solve(self, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
+        """Put robots into the equilibria at alpha and beta (d, n) nearby; which (n,) are found."""
+        self._trend[:] = 0.0
+        return self._step(np.arange(len(self.snapped)), alpha, beta, np.ones(len(self.snapped)))
+
+    def _leave_branch(self, row: np.ndarray, configuration: Callable, frame: int, goal: float) -> None:
+        """Let one robot, rows (1,), whose equilibrium ends come to rest at another part of the way."""
+        self.departures += 1
+        before, after = (configuration(np.array([part]), row) for part in (self.part[row[0]], goal))
+        most = np.inf if self._after_snaps else SNAP_RAD
+        rates = settled(self.tubes[row], self.rates[:, row], before, after, most)
+        if rates is None:
+            self.gone[row] = True
+            self._snap(row, frame)
+            return
+        angles = integrate(self.tubes[row], *after, rates, sensitivities=False).tip_angles
+        if abs(angles - self.angles[:, row]).max() > SNAP_RAD:
+            self._snap(row, frame)
+            self.gone[row] = not self._after_snaps
+        self.rates[:, row], self.angles[:, row] = rates, angles
+        self.part[row] = goal
+        self._trend[:, row] = 0.0
+
+    def _snap(self, row: np.ndarray, frame: int) -> None:
+        self.snaps.append(frame)
+        self.snapped[row] = np.where(self.snapped[row] > 0, self.snapped[row], frame)
+
+    def _step(self, rows, alpha, beta, part) -> np.ndarray:
+        """Which robots (m,) Newton's method leads to a stable equilibrium nearby; these are moved there."""
+        tubes = self.tubes[rows]
+        old = self.rates[:, rows]
+        rates = old + part * self._trend[:, rows]
+        # Robots that have converged, or diverge, leave the batch, so that the last iterations concern few.
+        busy = np.arange(len(rows))
+        before = np.full(len(rows), np.inf)
+        reached = np.zeros(len(rows), dtype=bool)
+        angles = np.empty_like(rates)
+        for _ in range(MAX_NEWTON_ITERATIONS):
+            found = integrate(tubes[busy], alpha[:, busy], beta[:, busy], rates[:, busy])
+            slopes = np.moveaxis(found.sensitivity, -1, 0)
+            change = -_solved(slopes, found.tip_rates.T).T
+            size = abs(change).max(axis=0)
+            rates[:, busy] += np.clip(change, -MAX_RATE_CHANGE, MAX_RATE_CHANGE)
+            angles[:, busy] = found.tip_angles
+            done = size < CONVERGED_RATE
+            # The determinant is that of d(tip rates)/d(base rates): positive from decoupled tubes up to the first
+            # fold of the motion, which is where it comes to 0.
+            reached[busy[done & (np.linalg.det(slopes) > 0)]] = True
+            goes_on = ~done & np.isfinite(size) & (size < 2 * before)
+            busy, before = busy[goes_on], size[goes_on]
+            if not len(busy):
+                break
+        turned = angles - self.angles[:, rows]
+        turned = turned - turned[-1:]
+        reached &= abs(turned).max(axis=0) < MAX_TIP_TURN_RAD
+        moved = rows[reached]
+        self._trend[:, moved] = (rates[:, reached] - old[:, reached]) / part[reached]
+        self.rates[:, moved], self.angles[:, moved] = rates[:, reached], angles[:, reached]
+        return reached
+
+
+def _solved(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solutions (n, d) of n systems; where one is singular, NaN."""
+    good = np.isfinite(matrices).all(axis=(1, 2)) & (abs(np.linalg.det(matrices)) > 1e-300)
+    found = np.full_like(right, np.nan)
+    found[good] = np.linalg.solve(matrices[good], right[good, :, None])[..., 0]
+    return found
+
+
+def dragged(tube: np.ndarray, motor: np.ndarray, lag: np.ndarray) -> np.ndarray:
+    """Angles of tubes after motors have turned to `motor`, with play `lag` to either side; rad."""
+    return np.clip(tube, motor - lag, motor + lag)
+
+
+# --- stability: the discretised energy ---
+
+
+class Modes:
+    """Variations of the twist that are orthonormal in the torsional energy K, of n robots.
+
+    Tube i: its base turns (the transmission twists), and on every piece that it reaches, psi_i' is a polynomial of
+    Legendre. So K is the identity, V'' is a matrix, and the margin is 1 plus its smallest eigenvalue.
+    """
+
+    def __init__(self, twist: Twist) -> None:
+        tubes, beta, pieces = twist.tubes, twist.beta, twist.pieces
+        d, n = beta.shape
+        self.twist = twist
+        nodes, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
+        self.fractions = (nodes + 1) / 2
+        degree = MODE_DEGREE + 1
+        values, wholes = _integrated_legendre(self.fractions)
+        count = 1 + degree * len(pieces)
+        places = len(pieces) * GAUSS_POINTS
+        # shape[i, q, m, r]: angle of tube i at place q in its mode m, of robot r; rate is its derivative.
+        self.shape = np.zeros((d, places, count, n))
+        self.rate = np.zeros((d, places, count, n))
+        self.weight = np.zeros((places, n))
+        self.shape[:, :, 0] = np.sqrt((tubes.length - beta) / tubes.torsional)[:, None]
+        for k, piece in enumerate(pieces):
+            h = piece.high - piece.low
+            own = slice(k * GAUSS_POINTS, (k + 1) * GAUSS_POINTS)
+            self.weight[own] = weights[:, None] / 2 * h
+            for m in range(degree):
+                column = 1 + k * degree + m
+                # |P_m|^2 over the piece is h / (2m + 1), so this scale makes GJ int psi'^2 = 1.
+                scale = np.where(piece.present, np.sqrt((2 * m + 1) * h / tubes.torsional), 0.0)
+                self.shape[:, own, column] = scale[:, None] * values[m][None, :, None]
+                self.shape[:, own.stop :, column] = (scale * wholes[m])[:, None]
+                slope = np.polynomial.legendre.Legendre.basis(m)(nodes)
+                self.rate[:, own, column] = scale[:, None] / np.maximum(h, 1e-12) * slope[None, :, None]
+        self.strength = np.array([p.strengths(f) for p in pieces for f in self.fractions])
+        self.total = np.repeat(np.array([p.total for p in pieces]), GAUSS_POINTS, axis=0)
+
+    @property
+    def phases(self) -> np.ndarray:
+        """What is added to psi for the direction in which tubes bend, (places, d, n)."""
+        pieces = self.twist.pieces
+        return np.array([p.phase + p.helix * f * (p.high - p.low) for p in pieces for f in self.fractions])
+
+    def second_variation(self, bends: np.ndarray) -> np.ndarray:
+        """V'' (n, d count, d count) of tubes that bend in directions (places, d, n), rad."""
+        d, _, count, n = self.shape.shape
+        pull = self.strength * np.exp(1j * bends)
+        whole = pull.sum(axis=1)
+        found = np.zeros((n, d, count, d, count))
+        shape = np.ascontiguousarray(np.moveaxis(self.shape, -1, 0))
+        for i in range(d):
+            for j in range(i, d):
+                # -d^2/dpsi_i dpsi_j of |sum P e|^2 / (2 sum EI)
+                density = -(np.conj(pull[:, i]) * pull[:, j]).real / self.total
+                if i == j:
+                    density = density + (np.conj(pull[:, i]) * whole).real / self.total
+                left = shape[:, i] * (density * self.weight).T[:, :, None]
+                found[:, i, :, j] = np.swapaxes(left, 1, 2) @ shape[:, j]
+                found[:, j, :, i] = np.swapaxes(found[:, i, :, j], 1, 2)
+        return found.reshape(n, d * count, d * count)
+
+    def gradient(self, bends: np.ndarray) -> np.ndarray:
+        """Derivatives (d, count, n) of the bending energy by the modes."""
+        pull = self.strength * np.exp(1j * bends)
+        whole = pull.sum(axis=1)
+        torque = (np.conj(whole)[:, None] * pull).imag / self.total[:, None]
+        return np.einsum("iqmn,qin,qn->imn", self.shape, torque, self.weight)
+
+
+def _integrated_legendre(fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Integrals of the polynomials of Legendre over a piece of length 1, up to fractions, and to the end."""
+    values, wholes = [], []
+    for m in range(MODE_DEGREE + 1):
+        whole = np.polynomial.legendre.Legendre.basis(m).integ(lbnd=-1)
+        values.append(whole(2 * fractions - 1) / 2)
+        wholes.append(whole(1.0) / 2)
+    return np.array(values), np.array(wholes)
+
+
+def stability_margins(twist: Twist) -> np.ndarray:
+    """Smallest eigenvalues mu (n,) of (K + V'') x = mu K x at equilibria: 1 uncoupled, 0 where a robot snaps."""
+    modes = Modes(twist)
+    bends = np.array([piece.angles(f) for piece in twist.pieces for f in modes.fractions])
+    return 1 + np.linalg.eigvalsh(modes.second_variation(bends))[:, 0]
+
+
+def settled(tubes: Tubes, rates, before, after, most_turn: float) -> np.ndarray | None:
+    """Rates (d, 1) at the base of the stable equilibrium that a robot comes to rest in once its own has ended.
+
+    before, after: alpha and beta (d, 1) of the last equilibrium, with these rates (d, 1), and of the place beyond,
+    to which the robot is moved; from there its energy falls, in steps that turn no tube by more than
+    DESCENT_STEP_RAD, and Newton's method on the equations finds the rates. None where that fails, or where a tube
+    turns by much more than most_turn rad on the way.
+    """
+    (alpha_before, beta_before), (alpha, beta) = before, after
+    old = integrate(tubes, alpha_before, beta_before, rates, sensitivities=False)
+    new = integrate(tubes, alpha, beta, rates, sensitivities=False)
+    if len(new.pieces) != len(old.pieces):
+        return None
+    # The coefficients of the old twist: the transmission's, and projections of psi' on the modes.
+    modes = Modes(old)
+    speed = np.array([_rate_at(p, f) for p in old.pieces for f in modes.fractions])
+    found = np.einsum("iqmn,qin,qn->imn", modes.rate, speed, modes.weight) * tubes.torsional[:, None]
+    found[:, 0] = rates * np.sqrt((tubes.length - beta_before) * tubes.torsional)
+    energy = Energy(Modes(new), alpha)
+    begun = energy.angles(found)
+    for _ in range(MAX_DESCENT_STEPS):
+        value, slope, curvature = energy.at(found)
+        # A Newton step in which negative curvatures count as positive ones: it goes down everywhere.
+        values, vectors = np.linalg.eigh(curvature)
+        step = -vectors @ ((vectors.T @ slope) / np.maximum(abs(values), 1e-6))
+        step = step.reshape(found.shape)
+        step *= min(1.0, DESCENT_STEP_RAD / max(abs(energy.turned(step)).max(), 1e-12))
+        if abs(energy.turned(step)).max() < 1e-8:
+            if values[0] > 0:
+                break
+            # At rest on a saddle, as planar robots are beyond a bifurcation: chance decides for one side.
+            step = vectors[:, 0].reshape(found.shape)
+            step *= DESCENT_STEP_RAD / 2 / abs(energy.turned(step)).max()
+        while energy.value(found + step) > value and abs(energy.turned(step)).max() > 1e-9:
+            step = step / 2
+        found = found + step
+        if abs(energy.angles(found) - begun).max() > 3 * most_turn + DESCENT_STEP_RAD:
+            return None
+    guess = found[:, 0] / np.sqrt((tubes.length - beta) * tubes.torsional)
+    for _ in range(20):
+        shot = integrate(tubes, alpha, beta, guess)
+        change = -_solved(np.moveaxis(shot.sensitivity, -1, 0), shot.tip_rates.T).T
+        guess = guess + np.clip(change, -MAX_RATE_CHANGE, MAX_RATE_CHANGE)
+        if abs(change).max() < CONVERGED_RATE:
+            return guess
+    return None
+
+
+class Energy:
+    """The energy of one robot at alpha (d, 1), less a constant, over coefficients (d, count, 1) of its modes."""
+
+    def __init__(self, modes: Modes, alpha: np.ndarray) -> None:
+        self._modes = modes
+        self._base = alpha + modes.phases
+
+    def turned(self, found: np.ndarray) -> np.ndarray:
+        """Angles (places, d, 1) of variations alone, rad."""
+        return np.einsum("iqmn,imn->qin", self._modes.shape, found)
+
+    def angles(self, found: np.ndarray) -> np.ndarray:
+        """Directions (places, d, 1) in which tubes bend, rad."""
+        return self._base + self.turned(found)
+
+    def value(self, found: np.ndarray) -> float:
+        modes = self._modes
+        pull = (modes.strength * np.exp(1j * self.angles(found))).sum(axis=1)
+        return float((found**2).sum() / 2 - (abs(pull) ** 2 / (2 * modes.total) * modes.weight).sum())
+
+    def at(self, found: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """Value, gradient (d count,) and Hessian (d count, d count)."""
+        bends = self.angles(found)
+        slope = (found + self._modes.gradient(bends)).ravel()
+        return self.value(found), slope, np.eye(found.size) + self._modes.second_variation(bends)[0]
+
+
+def _rate_at(piece: Piece, fraction: float) -> np.ndarray:
+    """psi' (d, n) at a fraction of a piece, from the cubic through psi' and psi'' at the ends of its step."""
+    k = min(int(fraction * piece.steps), piece.steps - 1)
+    z, h = fraction * piece.steps - k, piece.h
+    return (
+        (1 + 2 * z) * (1 - z) ** 2 * piece.rate[k]
+        + z * (1 - z) ** 2 * h * piece.turn[k]
+        + z**2 * (3 - 2 * z) * piece.rate[k + 1]
+        + z**2 * (z - 1) * h * piece.turn[k + 1]
+    )
+
+
+# --- one robot, and samples, moved through a plan ---
+
+
+@dataclass(frozen=True, eq=False)
+class NominalMotion:
+    """The robot as described, moved through T frames in `substeps` steps each.
+
+    Rows are frames, columns sub-steps, of which the last is the frame: rates, tip_angles (T, substeps, d), and q
+    (T, substeps, 2d + 2). The first frame is entered from where all tubes are aligned, so that its earlier columns
+    repeat the frame. snaps: frames, from 1, on the way to which the equilibrium ended.
+    """
+
+    tubes: Tubes
+    q: np.ndarray
+    rates: np.ndarray
+    tip_angles: np.ndarray
+    snaps: list[int]
+
+    def twists(self, chosen: np.ndarray) -> tuple[Twist, np.ndarray]:
+        """The tubes integrated anew where a mask (T, substeps) says, and theta (2, n) there."""
+        d = self.rates.shape[-1]
+        q, rates = self.q[chosen].T, self.rates[chosen].T
+        twist = integrate(self.tubes.repeated(q.shape[1]), q[:d], q[d : 2 * d], rates, sensitivities=False)
+        return twist, q[2 * d :]
+
+
+def move_nominal(tubes: Tubes, q: np.ndarray, substeps: int = 10) -> NominalMotion:
+    """Move a robot through q (T, 2d + 2), linear between frames, by continuation from aligned tubes.
+
+    The robot is moved in quarters of a frame's way. Equilibria at sub-steps of all frames are then found in one
+    batch, from polynomials through the quarters. Frames on whose way the robot leaves a branch, or where that
+    does not lead to equilibria nearby, are gone through again in sub-steps. After a snap the robot goes on from
+    where it comes to rest; where that is not found, it has no shape any more (NaN).
+    """
+    d = len(tubes.zero)
+    start = q[0].copy()
+    start[:d] = start[d - 1]
+    ways = list(itertools.pairwise(np.concatenate([start[None], q])))
+    parts = np.linspace(0.0, 1.0, substeps + 1)[1:]
+    quarters = np.linspace(0.0, 1.0, 5)
+    path = np.array([before + parts[:, None] * (after - before) for before, after in ways])
+    rates = np.full((len(q), substeps, d), np.nan)
+    angles = np.full((len(q), substeps, d), np.nan)
+    smooth = np.zeros(len(q), dtype=bool)
+    follower = Follower(tubes, start[d - 1], after_snaps=True)
+    snaps: list[int] = []
+    for frame, (before, after) in enumerate(ways):
+        begun = follower.copy()
+        known = [(follower.rates[:, 0].copy(), follower.angles[:, 0].copy())]
+        for low, high in itertools.pairwise(quarters):
+            follower.advance(_along(before, after, d), frame + 1, low, high, 0.25)
+            known.append((follower.rates[:, 0].copy(), follower.angles[:, 0].copy()))
+        smooth[frame] = frame > 0 and follower.departures == begun.departures
+        if smooth[frame]:
+            rates[frame], angles[frame] = (
+                BarycentricInterpolator(quarters, np.array(each))(parts) for each in zip(*known, strict=True)
+            )
+            continue
+        follower = begun
+        if not _in_substeps(follower, before, after, frame, rates, angles):
+            return NominalMotion(tubes, path, rates, angles, follower.snaps)
+    snaps += follower.snaps
+    places = np.repeat(smooth[:, None], substeps, axis=1)
+    if places.any():
+        many = Follower(tubes.repeated(int(places.sum())), 0.0)
+        many.rates, many.angles = rates[places].T.copy(), angles[places].T.copy()
+        at = path[places].T
+        reached = many.solve(at[:d], at[d : 2 * d])
+        rates[places], angles[places] = many.rates.T, many.angles.T
+        missed = np.zeros_like(places)
+        missed[places] = ~reached
+        for frame in np.flatnonzero(missed.any(axis=1)):
+            follower = Follower(tubes, 0.0, after_snaps=True)
+            follower.rates = rates[frame - 1, -1][:, None].copy()
+            follower.angles = angles[frame - 1, -1][:, None].copy()
+            _in_substeps(follower, *ways[frame], frame, rates, angles)
+            snaps += follower.snaps
+    path[0], rates[0], angles[0] = q[0], rates[0, -1], angles[0, -1]
+    return NominalMotion(tubes, path, rates, angles, sorted(snaps))
+
+
+def _along(before: np.ndarray, after: np.ndarray, d: int) -> Callable:
+    """alpha and beta (d, m) of the nominal robot at parts (m,) of the way from one frame to the next."""
+
+    def configuration(part, rows):
+        at = before[:, None] + (after - before)[:, None] * part
+        return at[:d], at[d : 2 * d]
+
+    return configuration
+
+
+def _in_substeps(follower: Follower, before, after, frame: int, rates, angles) -> bool:
+    """Move one robot on to a frame, from 0, in as many steps as rates and angles (T, substeps, d) have columns."""
+    substeps, d = rates.shape[1:]
+    parts = np.linspace(0.0, 1.0, substeps + 1)
+    for k in range(substeps):
+        follower.advance(_along(before, after, d), frame + 1, parts[k], parts[k + 1], 1 / substeps)
+        if follower.gone[0]:
+            return False
+        rates[frame, k], angles[frame, k] = follower.rates[:, 0], follower.angles[:, 0]
+    return True
+
+
+def move_samples(
+    tubes: Tubes, lags: np.ndarray, q: np.ndarray, each_frame: Callable, substeps: int = 4
+) -> np.ndarray:
+    """Move n robots, whose motors' offsets are those of the tubes, through q (T, 2d + 2).
+
+    Parameters
+    ----------
+    lags : (d, n) array
+        Play of tubes behind their motors to either side, rad.
+    each_frame : callable
+        Called as ``each_frame(frame, rows, twist, tip_angles)`` at every frame, from 0, with the robots that have
+        not snapped, and their tubes there.
+
+    Returns
+    -------
+    (n,) array
+        The frames, from 1, on the way to which robots snap; 0 where they do not.
+    """
+    d, n = tubes.zero.shape
+    start = q[0].copy()
+    start[:d] = start[d - 1]
+    follower = Follower(tubes, start[d - 1])
+    tube = start[:d, None] + np.zeros((d, n))
+    for frame, (before, after) in enumerate(itertools.pairwise(np.concatenate([start[None], q]))):
+
+        def configuration(part, rows, before=before, after=after, tube=tube):
+            # Every motor turns one way between frames, so that play depends on where it is now alone.
+            at = before[:, None] + (after - before)[:, None] * part
+            return dragged(tube[:, rows], at[:d], lags[:, rows]) + tubes.zero[:, rows], at[d : 2 * d]
+
+        follower.advance(configuration, frame + 1, 0.0, 1.0, 1 / substeps)
+        tube = dragged(tube, after[:d, None], lags)
+        rows = np.flatnonzero(~follower.gone)
+        if len(rows):
+            alpha, beta = configuration(np.ones(len(rows)), rows)
+            twist = integrate(tubes[rows], alpha, beta, follower.rates[:, rows], sensitivities=False)
+            each_frame(frame, rows, twist, follower.angles[:, rows])
+    return follower.snapped
