@@ -55,7 +55,7 @@ def test_costs_are_those_of_one_tolerance_alone(plan):
 def test_it_is_shown_in_a_line(plan):
     found = plan.robustness(20)
     assert repr(found) == f"Robustness({found.told[:-1]})"
-    assert f"{found.losses} of 20 draws" in repr(found)
+    assert f"{found.losses} of 20 samples" in repr(found)
 
 
 def test_the_same_seed_gives_the_same(plan):
