@@ -110,7 +110,7 @@ def test_its_plans_have_errors_figures_verdicts_and_a_file(problem, tmp_path):
         by_frame(again)["max"], np.linalg.norm(plan.shape - plan.target, axis=-1).max(axis=1)
     )
     assert not again.verdicts.failed
-    assert again.verdicts.stable.word == "not asked"
+    assert again.verdicts.stable.word == "NOT CHECKED"
     pictures = save_all(again, tmp_path)
     assert pictures
     assert all(path.stat().st_size > 1000 for path in pictures)
