@@ -99,6 +99,10 @@ class Verdicts(NamedTuple):
         return tuple(verdict.matter for verdict in self if verdict.word == NOT_CHECKED)
 
 
+SHORT_NAMES = {name: name.removeprefix("within_").replace("_", " ") for name in Verdicts._fields}
+"""Names of the verdicts for the heads of narrow columns."""
+
+
 def verdicts(plan: Record) -> Verdicts:
     """Judge a plan by the shapes, margins and samples that it holds.
 

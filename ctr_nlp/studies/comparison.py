@@ -14,6 +14,7 @@ from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.models import MODELS, model_named, suits
+from ctr_nlp.plan.measures import arrival
 from ctr_nlp.plan.metrics import summary, verdict_columns
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.reference import METHODS, reference_frames
@@ -225,6 +226,7 @@ def row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
     draws_e3, draws_lost: mean of e3 over these samples, and the share of them that is lost.
     """
     checked = _tried(plan)
+    end = arrival(checked)
     found, drawn = summary(plan), checked.drawn
     errors = None if drawn is None else drawn.errors
     models = [model for model in MODELS if suits(plan.robot, model)]
@@ -254,7 +256,7 @@ def row(problem: str, variant: str, plan: Plan) -> dict[str, Any]:
         **{f"{model}_{key}": on[model][key] if model in on else None for model in MODELS for key in ("e3", "e4")},
         "stability_between": on["elastic"]["stability_between_min"],
         "snaps": len(on["elastic"]["snaps"]),
-        "tip_last": summary(checked)["tip_last"],
+        "tip_last": None if end is None else end.distance,
         "no": ", ".join(checked.verdicts.failed),
         **verdict_columns(checked),
         **{f"{model}_no": ", ".join(plans[model].verdicts.failed) if model in plans else None for model in MODELS},

@@ -19,7 +19,7 @@ from ctr_nlp.cli.telling import console, print_table, progress_bar, wrote
 from ctr_nlp.models import MODELS, model_named
 from ctr_nlp.plan.account import shown
 from ctr_nlp.plan.draws import DRAWS
-from ctr_nlp.plan.verdicts import NOT_CHECKED, Verdicts
+from ctr_nlp.plan.verdicts import NOT_CHECKED, SHORT_NAMES, Verdicts
 from ctr_nlp.problems import NAMES
 from ctr_nlp.reference import METHODS
 from ctr_nlp.reference.published import BASELINE, BASELINE_ELASTIC, SEED, SEED_ELASTIC
@@ -63,7 +63,7 @@ TABLES: dict[str, Columns] = {
     },
     "verdicts on the elastic model and over samples": {
         "variant": ("variant",),
-        **{name.replace("within_", "").replace("_", " "): (f"verdict_{name}",) for name in Verdicts._fields},
+        **{short: (f"verdict_{name}",) for name, short in SHORT_NAMES.items()},
         "tip mm": ("tip_last",),
         "lost": ("draws_lost",),
     },

@@ -17,7 +17,7 @@ from ctr_nlp.plan.account import shown
 from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.robustness import Robustness
-from ctr_nlp.plan.verdicts import Verdicts
+from ctr_nlp.plan.verdicts import SHORT_NAMES
 from ctr_nlp.support.values import strict_json
 
 COLUMNS = (
@@ -134,8 +134,7 @@ def _show(made: Made, label: str) -> None:
     words = [
         [str(one.plan.meta["problem"]["name"]), *(each.word for each in one.plan.verdicts)] for one in made.tried
     ]
-    names = [name.replace("within_", "").replace("_", " ") for name in Verdicts._fields]
-    print_table(f"{label}verdicts", ["problem", *names], words, styles=STYLES)
+    print_table(f"{label}verdicts", ["problem", *SHORT_NAMES.values()], words, styles=STYLES)
     tubes = [
         [
             *(f"{i + 1}", f"{tube.outer_diameter:.3f}", f"{tube.inner_diameter:.3f}", f"{tube.curved_length:.1f}"),
