@@ -67,7 +67,7 @@ def test_a_cluster_with_tls_does_a_study_and_answers_nobody_without(path, tmp_pa
     with cluster(tmp_path / "cluster", 1, ours, "--protocol", "tls") as (address, _):
         assert address.startswith(f"tls://{LOOPBACK}:")
         status, said = asked(path, tmp_path / "out", address, ours)
-        assert status == 0, said
+        assert status == 1, said  # the arc is missed by 3 mm: verdicts say no
         plain = address.replace("tls:", "tcp:")
         for url, env in ((address, None), (address, theirs), (plain, None), (plain, ours)):
             status, said = asked(path, tmp_path / "no", url, env)
