@@ -42,11 +42,11 @@ SCRIPTS = sorted(path.name for path in (ROOT / "scripts").glob("*.py"))
 ENVIRONMENT = "python3 -m venv"
 """What commands begin with that make an environment: .ci/run runs these."""
 THIN = {
-    ("plan * --robust*",): "--robot two.toml --frames 12",
-    ("plan *--model dominant*",): "--frames 40",
-    ("plan bronchus*",): "--frames 12",
-    ("plan *airway*", "steer *airway*"): "--frames 40 --stability-margin 0.2",
-    ("plan *", "steer *"): "--frames 40",
+    ("plan * --robust*",): "--robot two.toml --frames 12 --samples 20",
+    ("plan *--model dominant*",): "--frames 40 --samples 20",
+    ("plan bronchus*",): "--frames 12 --samples 20",
+    ("plan *airway*", "steer *airway*"): "--frames 40 --stability-margin 0.2 --samples 20",
+    ("plan *", "steer *"): "--frames 40 --samples 20",
     ("force *",): "--every 20 --directions 14",
     ("scripts/compare_solvers.py*", "compare *"): "arc bronchus --frames 2 --variants joint:sqp horizon:banded",
     ("scripts/benchmark.py*", "benchmark *"): "--parts rows --rows frame",

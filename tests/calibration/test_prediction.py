@@ -48,7 +48,11 @@ def test_derivatives_are_those_of_differences(model):
 
 
 @pytest.mark.parametrize("timed", [True, False])
-@pytest.mark.parametrize("load", [Load(), Load(densities=6.45, down=(0, 1, 0))], ids=["forces", "weight too"])
+@pytest.mark.parametrize(
+    "load",
+    [Load(), pytest.param(Load(densities=6.45, down=(0, 1, 0)), marks=pytest.mark.slow)],
+    ids=["forces", "weight too"],
+)
 def test_derivatives_under_forces_are_those_of_differences(load, timed):
     robot = with_modulus(TWO.with_limits(beta=[(0, 60), (0, 150)]), 60_000)
     seen = replace(measured(motion()), force=0.1 * RANDOM.standard_normal((COUNT, 3)))

@@ -139,6 +139,7 @@ def test_a_design_for_tolerances_carries_robust_plans(tolerant):
     assert tolerant.plans[0].meta["certificate"]["held"]
 
 
+@pytest.mark.slow
 def test_two_processes_find_what_one_alone_finds(tasks):
     """The same work from the same starts: to the last bit."""
     alone, several = (design(tasks[:1], nominal=True, rules=RULES, starts=2, jobs=jobs) for jobs in (1, 2))
@@ -148,7 +149,8 @@ def test_two_processes_find_what_one_alone_finds(tasks):
 
 
 @pytest.mark.parametrize(
-    ("kind", "asked"), [("nominal", {"nominal": True, "starts": 2}), ("tolerant", {"starts": 1})]
+    ("kind", "asked"),
+    [("nominal", {"nominal": True, "starts": 2}), pytest.param("tolerant", {"starts": 1}, marks=pytest.mark.slow)],
 )
 def test_a_cluster_finds_what_one_process_finds(tasks, kind, asked, request):
     pytest.importorskip("distributed", reason="the extra `study` is not installed")

@@ -47,6 +47,7 @@ def _pushed(**others):
     return replace(NITINOL, tolerances=Tolerances(tip_force=FORCE, **others))
 
 
+@pytest.mark.slow
 @LOADS
 def test_tubes_for_a_load_follow_under_it_better_than_tubes_for_none(load):
     tasks, model = [_task(NITINOL, name) for name in BENDS], Loaded(load)
@@ -65,6 +66,7 @@ def _rms(plans):
     return float(np.sqrt(np.mean([e3(plan) ** 2 for plan in plans])))
 
 
+@pytest.mark.slow
 def test_tubes_are_designed_for_their_own_weight():
     """Of a soft and heavy material: those that were designed without it follow less well, though plans know it."""
     weight = Loaded(Load(densities=21.0, down=(0, 1, 0)))

@@ -228,6 +228,7 @@ def test_the_simplest_model_steers_until_another_one_is_compiled(monkeypatch):
     assert "steered on the dominant model" in words
 
 
+@pytest.mark.slow
 def test_a_robot_that_bears_a_load_is_seen_and_steered_under_it():
     """Until its programs are compiled it bears none; what is recorded is a plan under the load."""
     problem, load = named("bronchus", 20), Load(force=(0.0, 0.1, 0.0))

@@ -38,7 +38,9 @@ def away(run, plan):
     return float(np.sqrt(((run.shape - plan.shape) ** 2).sum(axis=-1).mean()))
 
 
-@pytest.mark.parametrize("load", [Load(), KNOWN], ids=["pushed", "pushed beside a load"])
+@pytest.mark.parametrize(
+    "load", [Load(), pytest.param(KNOWN, marks=pytest.mark.slow)], ids=["pushed", "pushed beside a load"]
+)
 def test_slopes_of_what_is_measured_match_finite_differences(plan, load):
     of, step, model = Differences.of(STIFF, PUSHED), 1e-4, under("elastic", load)
     predictor = Predictor(model, STIFF.structure, SENSORS.sigma, of.freed, pushed=True)
@@ -87,6 +89,7 @@ def test_a_force_at_the_tip_is_found(plan):
         assert away(run, plan) < 0.6 * away(open_loop(plan, Plant(STIFF, draw)), plan)
 
 
+@pytest.mark.slow
 def test_tubes_and_a_force_are_told_apart_well_enough_to_steer(plan):
     draws = drawn(replace(STIFF, tolerances=PUSHED), 4, 1)
     for k in range(4):
@@ -97,6 +100,7 @@ def test_tubes_and_a_force_are_told_apart_well_enough_to_steer(plan):
         assert away(run, plan) < 0.7 * away(open_loop(plan, Plant(STIFF, draws[k : k + 1])), plan)
 
 
+@pytest.mark.slow
 def test_a_plan_for_a_known_load_is_tracked_under_it(plan):
     loaded = plan.under(KNOWN)
     draws = drawn(replace(STIFF, tolerances=OFF), 2, 1)

@@ -30,6 +30,7 @@ def test_a_robot_is_kept_within_its_lumen_frame_by_frame_though_the_load_is_take
     assert e3(plan) < 1.1 * e3(solve_per_frame(replace(problem, lumen=None), model=Loaded(Load(force=force))))
 
 
+@pytest.mark.slow
 def test_steps_under_a_load_within_a_lumen_give_the_frames_of_a_plan():
     """Without a margin, which a plan raises where it is missed between frames."""
     lumen, settings, model = bent(3.6), Settings(clearance_cost=np.inf, stability_margin=None), Loaded(PULL)

@@ -137,6 +137,7 @@ def test_frame_by_frame_it_is_planned_for_forces_too(problem):
     assert _lost_in_any(found, SNAPPING) == 0
 
 
+@pytest.mark.slow
 def test_a_robust_plan_may_bear_a_load_all_the_time():
     """Beside which nothing pulls at it: on reachable targets of a robot so loaded, errors are small."""
     robot, load = tolerant(0.0, **ONE), Load(force=(0.0, 4.0, 0.0))
