@@ -73,7 +73,6 @@ def test_more_robots_than_problems_are_refused(tasks):
         divided(tasks, 0, rules=RULES)
 
 
-@pytest.mark.slow
 def test_the_command_gives_each_group_a_robot_in_a_folder_of_its_own(tasks, tmp_path, capsys):
     paths = []
     for task in tasks[:3]:
