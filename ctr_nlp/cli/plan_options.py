@@ -10,7 +10,7 @@ from ctr_nlp.anatomy.files import CENTRELINES, MASKS
 from ctr_nlp.cli.arguments import DEFAULTS, add_entry_option, add_live_option, add_numbers, add_triple, whole
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations import default_model
-from ctr_nlp.formulations.settings import ROBUST_CLEARANCE_COST, THRESHOLDS
+from ctr_nlp.formulations.settings import ARRIVAL_WEIGHT, THRESHOLDS
 from ctr_nlp.formulations.terms import ShapeDistance, Term, TipDirection, TipPosition
 from ctr_nlp.models import MODELS
 from ctr_nlp.plan.draws import DRAWS
@@ -28,7 +28,7 @@ FRAMES_ALONE = ("direction", "jump_width")
 """Options that no horizon has."""
 HORIZON_ALONE = ("end", "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live")
 """Options that a horizon alone has."""
-WALL = ("clearance", "contact_weight", "clearance_cost")
+WALL = ("clearance", "contact_weight")
 """What add_wall_options adds, as Settings calls it."""
 THRESHOLD_HELP = {
     "arrival_tolerance": ("MM", "distance from the target's end within which the tip arrives in the last frame"),
@@ -112,10 +112,14 @@ def add_robust_options(parser: argparse.ArgumentParser) -> None:
         "--robust",
         action="store_true",
         help="plan for all the robots that the tolerances in the robot file allow, over all "
-        "frames at once or with the joint formulation, and try the plan on 500 draws of them",
+        "frames at once or with the joint formulation, and certify the plan on simulated ones",
     )
     part = "share of them that may be lost: snap, or end on another branch; certain with 95 percent confidence"
     add_numbers(group, ("most-lost", "PART", f"{part} (default {MOST_LOST:g})"))
+    corners = (
+        "also keep the robots at the corners of the tolerances from snapping, as far as that goes; much slower"
+    )
+    group.add_argument("--guards", action="store_true", default=None, help=corners)
     add_tip_force(group)
 
 
@@ -143,19 +147,11 @@ def add_wall_options(parser: argparse.ArgumentParser) -> None:
         (
             "contact-weight",
             "MM",
-            "what a mm less of it costs in a frame, beside the mean square error in mm^2; 0: the wall does not "
-            "count",
-        ),
-        (
-            "clearance-cost",
-            "PART",
-            "by what part of itself the error e3 may grow for clearance; where it would grow by more, contact "
-            "costs less; inf: contact always costs its full weight",
+            "what a mm less of it costs in a frame, beside the mean square error in mm^2, and twenty times as "
+            "much beyond --contact-allowed; 0: the wall does not count",
         ),
     ):
-        usual = f"{DEFAULTS.options()[option.replace('-', '_')]:g}"
-        usual += f", with --robust {ROBUST_CLEARANCE_COST:g}" if option == "clearance-cost" else ""
-        add_numbers(group, (option, metavar, f"{what} (default {usual})"))
+        add_numbers(group, (option, metavar, f"{what} (default {getattr(DEFAULTS, option.replace('-', '_')):g})"))
 
 
 def add_threshold_options(parser: argparse.ArgumentParser) -> None:
@@ -191,6 +187,8 @@ def look_at_plan(plan: Plan, arguments: argparse.Namespace) -> Plan:
     if arguments.no_evaluate:
         return plan
     robust, loaded = getattr(arguments, "robust", False), plan.bears is not None
+    if arguments.samples is None and plan.drawn is not None and plan.can_snap:
+        return plan  # a robust plan holds the robots that it was certified on
     usual = CERTIFIED if robust else 0 if loaded else DRAWS
     count = usual if arguments.samples is None else arguments.samples
     return plan if loaded and not count else plan.check(count)
@@ -231,7 +229,13 @@ def add_term_options(parser: argparse.ArgumentParser) -> None:
         "the shape's distance counts in proportion to sigma^P, so that deeper parts of the robot count more "
         "(default 0: all parts alike)"
     )
+    end = (
+        "what a mm by which the tip misses the target's end costs, in each frame of the last tenth of the motion, "
+        f"in mm^2; three times as much beyond --arrival-tolerance (default {ARRIVAL_WEIGHT:g}, "
+        "on the dominant model 0)"
+    )
     weights = ("tip-direction-weight", "W", angle), ("tip-weight", "W", distance), ("depth-power", "P", depth)
+    add_numbers(group, ("arrival-weight", "MM", end))
     add_numbers(group, *weights)
 
 

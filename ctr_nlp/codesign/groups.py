@@ -152,7 +152,8 @@ def _served(search: DesignSearch, group: tuple[Group, Array]) -> tuple[Array, Ar
 def _error(settings: Settings, model: str | Model, task: Problem) -> float:
     """e3 of a problem's plan, mm; NaN where there is none."""
     try:
-        plan = solve_horizon(task, model=model, settings=replace(settings, contact_weight=0.0))
+        plain = replace(settings, contact_weight=0.0, arrival_weight=0.0)
+        plan = solve_horizon(task, model=model, settings=plain)
     except CtrError:
         return np.nan
     found = e3(plan)

@@ -116,7 +116,7 @@ class DesignSearch:
     @cached_property
     def settings(self) -> Settings:
         """Of motions, far from any wall."""
-        return Settings(stability_margin=self.margin, contact_weight=0.0)
+        return Settings(stability_margin=self.margin, contact_weight=0.0, arrival_weight=0.0)
 
     def each(self, of_all: Array) -> list[Array]:
         """Rows (T, ...) of all tasks' frames, task by task."""

@@ -11,7 +11,8 @@ import numpy as np
 from ctr_nlp.codegen import cache, vector
 from ctr_nlp.codegen.background import Library
 from ctr_nlp.formulations.terms import Bears
-from ctr_nlp.formulations.terms.lumen import CENTRED, COLUMNS, FIRM, PLACES
+from ctr_nlp.formulations.terms.arrival import ROUNDED
+from ctr_nlp.formulations.terms.lumen import CENTRED, COLUMNS, FIRM, HARD, PLACES
 from ctr_nlp.models import Model
 from ctr_nlp.models.protocol import frame_bearing, symbolic_tubes
 from ctr_nlp.robot import Robot
@@ -114,8 +115,9 @@ class Around:
     def surroundings(self, settled: float, rounds: int) -> Surroundings:
         """What run.c calls at every frame; as long as this object lives."""
         call = ctypes.cast(self._library.around, ctypes.c_void_p).value or 0
-        named = Bears.name, "wall", "contact_weight"
-        return Surroundings(call, ctypes.addressof(self._wall), *named, FIRM, settled, rounds)
+        named = Bears.name, "wall", "contact_weight", "contact_allowed"
+        costs = FIRM, HARD, ROUNDED
+        return Surroundings(call, ctypes.addressof(self._wall), *named, *costs, settled, rounds)
 
 
 class Beside:

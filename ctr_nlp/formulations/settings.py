@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.support.values import number, strict_json, whole_number
 
-CLEARANCE_COST, ROBUST_CLEARANCE_COST = 0.1, 0.7
-"""By what part of itself the error e3 may grow for clearance where nothing else is asked for: in plans for the
-robot as described, and for all robots within its tolerances. With so much more, these touch the wall about as much
-as the robot described does in a plan of its own: tissue comes before the error."""
-
+ARRIVAL_WEIGHT = 50.0
+"""Default of arrival_weight on a model that can predict snapping, mm^2 a mm."""
 THRESHOLDS_MM = "arrival_tolerance", "error_allowed", "contact_allowed"
 """Settings in mm by which plans are judged."""
 THRESHOLDS = *THRESHOLDS_MM, "share"
-"""All settings by which plans are judged. Planning does not use them, so a plan can be judged anew by others."""
+"""All settings by which plans are judged. A plan can be judged again by others without planning it again."""
 
 
 @dataclass(frozen=True)
@@ -40,13 +37,17 @@ class Settings:
     clearance : float
         Distance that is to be kept between tubes and the lumen's wall where that is known, mm.
     contact_weight : float
-        What a mm less of it costs in a frame, mm^2, as an exact penalty: all is kept where that costs less; 0: the
-        wall does not count.
-    clearance_cost : float or None
-        By what part of itself the error e3 may grow for clearance; where it would grow by more, contact costs
-        less. None for the default of the kind of plan.
+        What a mm less of it costs in a frame, mm^2, as an exact penalty (formulations.terms.lumen). Each mm beyond
+        `contact_allowed` costs twenty times as much: more than the tip's arrival, which costs more than the
+        shape's error. 0: the wall does not count.
+    arrival_weight : float or None
+        What a mm by which the tip misses the target's end costs in each frame of the last tenth of a motion,
+        mm^2; beyond `arrival_tolerance` three times as much (formulations.terms.arrival). 0: the end counts no
+        more than other frames. None: ARRIVAL_WEIGHT on a model that can predict snapping, and 0 on others, so that
+        the paper's experiments stay what they were.
     arrival_tolerance : float
-        A plan arrives where its tip ends at most so far from the target's end, mm.
+        A plan arrives where its tip ends at most so far from the target's end, mm. Planning aims at less than a
+        fifth of it.
     error_allowed : float
         A plan follows its target where e2 is at most this in every frame, mm.
     contact_allowed : float
@@ -71,7 +72,7 @@ class Settings:
     stability_margin: float | None = 0.1
     clearance: float = 0.05
     contact_weight: float = 30.0
-    clearance_cost: float | None = None
+    arrival_weight: float | None = None
     arrival_tolerance: float = 2.0
     error_allowed: float = 2.0
     contact_allowed: float = 0.5
@@ -87,20 +88,15 @@ class Settings:
         if self.stability_margin is not None:
             allowed = "lie in [0, 1), or be None"
             number(OptionError, "stability_margin", self.stability_margin, lambda x: 0 <= x < 1, allowed)
-        for name in ("clearance", "contact_weight", *THRESHOLDS_MM):
+        for name in ("clearance", "contact_weight", "arrival_weight", *THRESHOLDS_MM):
+            if name == "arrival_weight" and self.arrival_weight is None:
+                continue
             number(OptionError, name, getattr(self, name), lambda x: 0 <= x < math.inf, "be a finite number >= 0")
         number(OptionError, "share", self.share, lambda x: 0 < x <= 1, "lie in (0, 1]")
-        if self.clearance_cost is not None:
-            allowed = "be a number >= 0, or inf, or None"
-            number(OptionError, "clearance_cost", self.clearance_cost, lambda x: x >= 0, allowed)
 
-    def affordable(self, usual: float = CLEARANCE_COST) -> float:
-        """By what part of itself e3 may grow for clearance; usual: where nothing else is asked for."""
-        return usual if self.clearance_cost is None else self.clearance_cost
-
-    def options(self, usual: float = CLEARANCE_COST) -> dict[str, Any]:
-        """As the meta of a plan holds them; usual: as of affordable."""
-        found: dict[str, Any] = strict_json(asdict(replace(self, clearance_cost=self.affordable(usual))))
+    def options(self) -> dict[str, Any]:
+        """Return the settings as the metadata of a plan hold them."""
+        found: dict[str, Any] = strict_json(asdict(self))
         return found
 
 

@@ -8,11 +8,13 @@ changes.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, partial
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from ctr_nlp.codegen import cache
@@ -42,15 +44,15 @@ def wall_of(
     """That of a lumen, None where there is none or it does not count; finer: as of Wall."""
     if lumen is None or not settings.contact_weight:
         return None
-    return Wall(robot, lumen, model, settings.contact_weight, settings.clearance, finer)
+    return Wall(robot, lumen, model, settings.contact_weight, settings.clearance, settings.contact_allowed, finer)
 
 
 @dataclass(frozen=True)
 class Wall:
     """That of a lumen around a robot on a model.
 
-    weight: what a mm of contact costs, mm^2. clearance: mm that are to be kept. finer: samples a place, between it
-    and the one before.
+    weight: what a mm of contact costs, mm^2. clearance: mm that are to be kept. contact_allowed: mm beyond the
+    wall from which contact costs more. finer: samples a place, between it and the one before.
     """
 
     robot: Robot
@@ -58,11 +60,17 @@ class Wall:
     model: Model
     weight: float
     clearance: float
+    contact_allowed: float = math.inf
     finer: int = FINER
 
     def cost(self, slack: Array) -> Array:
         """Of slacks, mm^2."""
-        return np.asarray(contact(slack, self.weight))
+        return np.asarray(ca.DM(contact(ca.DM(slack), self.weight, self.allowed)).full().reshape(np.shape(slack)))
+
+    @property
+    def allowed(self) -> float:
+        """Depth by which the clearance may be missed before contact costs more, mm."""
+        return self.clearance + self.contact_allowed
 
     @cached_property
     def around(self) -> Around | None:
@@ -89,7 +97,8 @@ class Wall:
         """
         found = self.around
         wall, slack = (self.described if found is None or not found.ready() else found)(x, numbers, loads)
-        return {"wall": wall, "contact_weight": np.full(len(x), self.weight)}, slack
+        weight, allowed = np.full(len(x), self.weight), np.full(len(x), self.allowed)
+        return {"wall": wall, "contact_weight": weight, "contact_allowed": allowed}, slack
 
     def of_scenarios(self, x: Array, numbers: Array, loads: Array | None = None) -> dict[str, Array]:
         """Parameters (T, S, ..) near to unknowns x (T, S, n) of robots whose tubes have numbers (S, d, 8).

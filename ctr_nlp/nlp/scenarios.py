@@ -110,6 +110,22 @@ class Common:
     upper: Array
 
 
+@dataclass(frozen=True)
+class Lighter:
+    """A program of a frame with fewer terms than the whole one, over the same unknowns and with the same rows.
+
+    Attributes
+    ----------
+    functions : callable
+        Gives its functions, compiled or not.
+    columns : (n_p,) int
+        Where its parameters stand among those of the whole program.
+    """
+
+    functions: Callable[[], FrameFunctions]
+    columns: Index
+
+
 def with_guards(of_scenarios: Array, of_guards: Array | None, frames: int) -> Array:
     """What scenarios have in every frame (S, ..), with what guards have (T, K, ..), (T, S + K, ..)."""
     found = np.repeat(of_scenarios[None], frames, axis=0)
@@ -142,6 +158,8 @@ class SharedMotion:
     frame; infinite where none is before it.
     surroundings: where some parameters hold near a motion only, these (T, S, ..), by name, of all robots' unknowns
     (T, S, m).
+    free: the program without the wall, for robots that this is far from; bare: that without any objective, for
+    robots whose errors do not count. None: the whole program serves.
     """
 
     frame: Nlp
@@ -158,6 +176,8 @@ class SharedMotion:
     surroundings: Callable[[Array], Mapping[str, Array]] | None = None
     common: Common | None = None
     guards: Guards | None = None
+    free: Lighter | None = None
+    bare: Lighter | None = None
 
     @property
     def sizes(self) -> tuple[int, int, int, int]:

@@ -27,7 +27,7 @@ BY_FRAME = "failures", "fallbacks"
 """Entries of meta whose keys are numbers of frames, from 1."""
 WHOLE = "meta", "to_robot", "lumen", "drawn"
 """Fields that are not one row a frame."""
-STRICTEST = {"contact_allowed": min, "clearance_cost": min, "contact_weight": max}
+STRICTEST = {"contact_allowed": min, "contact_weight": max}
 """Of two values of an option that verdicts judge by, the one to judge a joined plan by."""
 SAME_PLACE = 0.01
 """mm by which a shape may differ from the one planned before the robot counts as elsewhere."""

@@ -154,9 +154,7 @@ def _cost_of_clearance(plan: Record) -> str:
     free, found = plan.meta.get("e3_free"), e3(plan)
     if plan.free is None or not free or found is None or not plan.as_planned:
         return ""
-    cost = float(option(plan, "clearance_cost") or 0.0)
-    limit = "" if np.isinf(cost) else f" (limit {100 * cost:g} %)"
-    return f" Keeping off the wall costs {100 * max(found / free - 1, 0.0):.1f} % of e3{limit}."
+    return f" Keeping off the wall costs {100 * max(found / free - 1, 0.0):.1f} % of e3."
 
 
 def _arrives(plan: Record) -> Judgement:

@@ -39,12 +39,14 @@ def per_frame_motions(
     progress: Progress | None,
     model: Model,
     terms: Sequence[Term] = (),
+    most: int = MOST_FRAMES,
 ) -> list[Array]:
     """Unknowns (T, 2d + 2) of the joint formulation, far from any wall, run forwards and backwards, best first.
 
-    Where Ctrl-C, held back by the caller, ended the work early, the robot stands still in frames not reached.
+    most: how many frames are solved at most; others are interpolated. Where Ctrl-C, held back by the caller, ended
+    the work early, the robot stands still in frames not reached.
     """
-    stride = -(-problem.frames // MOST_FRAMES)
+    stride = -(-problem.frames // most)
     picked = thinned(problem.frames, stride)
     coarse = problem if stride == 1 else at_frames(problem, picked, stride)
     solver = NlpFrames.of(coarse, model=model, settings=replace(settings, contact_weight=0.0), terms=terms)

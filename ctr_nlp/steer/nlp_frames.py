@@ -16,6 +16,8 @@ from ctr_nlp.formulations.frames import FrameResult, distinct, reachable, starts
 from ctr_nlp.formulations.joint import joint, tip_steps
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
+from ctr_nlp.formulations.terms.arrival import with_arrival
+from ctr_nlp.formulations.terms.term import listed
 from ctr_nlp.formulations.wall import ROUNDS, SETTLED, Wall, wall_of
 from ctr_nlp.models import Model, model_named
 from ctr_nlp.simulation.forward import other_way
@@ -80,6 +82,8 @@ class NlpFrames:
         check_choice("formulation", formulation, FORMULATIONS)
         described = model_named(default_model(formulation) if model is None else model)
         terms = checked_terms(terms)
+        if formulation == "joint":
+            terms = with_arrival(terms, settings, described)
         check_model(problem, described)
         solver = default_solver() if solver is None else solver
         check_choice("solver", solver, SOLVERS)
@@ -101,7 +105,7 @@ class NlpFrames:
             "formulation": formulation,
             **described.told,
             "solver": solver,
-            "options": settings.options() | {"terms": [str(term) for term in terms]},
+            "options": settings.options() | {"terms": listed(terms)},
         }
         margins, seconds = np.full(problem.frames, margin), time.perf_counter() - begin
         return cls(problem, described, settings, free, inside, runs, margins, wall, None, seconds, description)
@@ -148,7 +152,7 @@ class NlpFrames:
         around = self.near.around
         if around is None or not around.ready():
             return None
-        values["contact_weight"] = self.near.weight
+        values |= {"contact_weight": self.near.weight, "contact_allowed": self.near.allowed}
         return self.runs[-1].given(values, around.surroundings(SETTLED, ROUNDS))
 
     def _placed(self, before: FrameResult) -> FrameResult:

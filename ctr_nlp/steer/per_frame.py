@@ -17,11 +17,11 @@ from ctr_nlp.plan.plan import Plan, plan_from_configurations
 from ctr_nlp.plan.record import planned_on
 from ctr_nlp.simulation.forward import Simulator
 from ctr_nlp.solvers.frame.sqp import FALLBACK
-from ctr_nlp.steer.inside import kept_inside
 from ctr_nlp.steer.nlp_frames import DEFAULTS, NlpFrames
 from ctr_nlp.steer.passes import Pass, Progress, run_passes
 from ctr_nlp.steer.realised import held
 from ctr_nlp.steer.requests import Direction, check_described, checked_ends
+from ctr_nlp.steer.within_wall import run_within_wall
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
@@ -105,7 +105,7 @@ def march(
         if isinstance(solver, NlpFrames) and not interrupted():
             best, solver = held(solver, best, simulator, interrupted)
             free = None if solver.wall is None else best.motion(problem)
-            best, wall = kept_inside(solver, best, simulator, interrupted)
+            best, wall = run_within_wall(solver, best, simulator, interrupted)
         stopped = interrupted()
     options = {
         "direction": best.direction,

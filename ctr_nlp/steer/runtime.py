@@ -76,7 +76,7 @@ class Steerer:
         values = {**stage.fill(straight, q), "motion_root": root}
         if self._wall is not None:
             run.keep_near(_described(self._wall))
-            values["contact_weight"] = self._wall.weight
+            values |= {"contact_weight": self._wall.weight, "contact_allowed": self._wall.allowed}
         run.p[0] = stage.nlp.pack(values)
         run.low[:], run.high[:], run.most[:] = reach
         self._size, self._robot, self._model = len(q), robot, described

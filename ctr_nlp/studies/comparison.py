@@ -163,7 +163,7 @@ def compare(
     row, `row` by default. Ctrl-C leaves the rows that were begun. A variant that does not serve a problem is a
     refusal; the first one is raised where none serves any.
     """
-    chosen, measure = settings or Settings(contact_weight=0.0), measure or row
+    chosen, measure = settings or Settings(contact_weight=0.0, arrival_weight=0.0), measure or row
     found = Comparison([], [], [])
     with deferred_interrupt() as interrupted:
         for problem in problems:

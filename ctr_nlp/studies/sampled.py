@@ -11,7 +11,6 @@ knows nothing of the frames between.
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -160,8 +159,7 @@ def rrt_connect(
 def _end(problem: Problem, room: Room, settings: Settings, q: npt.ArrayLike | None, frame: int) -> Array:
     """The unknowns (2d + 2,) of a robot at rest at q, or as it is planned for a frame alone, if that is valid."""
     if q is None:
-        willing = replace(settings, clearance_cost=np.inf)
-        q = solve_per_frame(problem[frame : frame + 1], model=ELASTIC, settings=willing).q[0]
+        q = solve_per_frame(problem[frame : frame + 1], model=ELASTIC, settings=settings).q[0]
     x = ELASTIC.rest(problem.robot, floats(OptionError, "start or end", q, (len(problem.robot.axes),)))
     if np.isfinite(x).all() and room.holds(x):
         return x

@@ -285,7 +285,7 @@ def test_a_new_file_is_named_for_what_it_is(tmp_path, monkeypatch, capsys):
 
 
 def test_examples_are_the_templates():
-    for name in ("robot.toml", "hardware.toml", "study.toml", "clearance.toml", "survival.toml"):
+    for name in ("robot.toml", "hardware.toml", "study.toml", "survival.toml"):
         assert (ROOT / "examples" / name).read_text() == template(name)
 
 

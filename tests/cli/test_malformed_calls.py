@@ -97,7 +97,7 @@ SETTINGS = [
         "stability_margin": (-0.1, 1, math.nan, "none", True),
         "clearance": (-1, math.inf, math.nan, "x", None),
         "contact_weight": (-1, math.inf, "x", [1]),
-        "clearance_cost": (-0.1, math.nan, "x", [1]),
+        "arrival_weight": (-1, math.inf, "x", [1]),
     }.items()
     for value in values
 ]

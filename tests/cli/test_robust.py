@@ -191,15 +191,15 @@ def test_a_robust_plan_is_asked_for_clearance(tmp_path, monkeypatch):
         raise OptionError("that is all")
 
     monkeypatch.setattr(plan_command, "solve_robust", planned)
-    given = ["--clearance", "0.2", "--clearance-cost", "0.3", "--contact-weight", "7", "--contact-allowed", "0.5"]
+    given = ["--clearance", "0.2", "--arrival-weight", "9", "--contact-weight", "7", "--contact-allowed", "0.3"]
     whole = ["plan", "bronchus", "--frames", "4", "--model", "elastic", "--robust", "--out", str(tmp_path)]
     assert command([*whole, *given]) == 2
     (found,) = asked
-    assert (found.clearance, found.clearance_cost, found.contact_weight, found.contact_allowed) == (
+    assert (found.clearance, found.arrival_weight, found.contact_weight, found.contact_allowed) == (
         0.2,
-        0.3,
+        9,
         7,
-        0.5,
+        0.3,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from frames import elastic_shapes
@@ -13,7 +14,7 @@ from truth import TWO
 from ctr_nlp import Problem, Settings, curve_from_points, growing
 from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.formulations.shared.scenarios import shared_motion
-from ctr_nlp.formulations.terms.lumen import PLACES, arc_lengths
+from ctr_nlp.formulations.terms.lumen import PLACES, arc_lengths, contact
 from ctr_nlp.formulations.terms.touch import WIDTH
 from ctr_nlp.formulations.wall import wall_of
 from ctr_nlp.models import MODELS
@@ -71,7 +72,9 @@ def test_contact_costs_a_smooth_maximum_of_the_depths_at_all_places(motions, poi
         depths[:, k] = near.distance - room
     assert depths.max() > 1.0  # something touches
     assert depths.max(axis=2).min() < 0.0  # something else does not
-    np.testing.assert_allclose(cost, WEIGHT * WIDTH * np.log1p(np.exp(depths / WIDTH).sum(axis=2)), atol=0.1)
+    deepest = WIDTH * np.log1p(np.exp(depths / WIDTH).sum(axis=2))
+    wanted = np.array(ca.DM(contact(ca.DM(deepest), WEIGHT, CLEARANCE + Settings().contact_allowed)))
+    np.testing.assert_allclose(cost, wanted, rtol=0.02, atol=0.1)
     assert (cost >= WEIGHT * np.maximum(depths.max(axis=2), 0) - 0.1).all()
 
 
@@ -110,3 +113,28 @@ def test_derivatives_match_finite_differences(motions, point):
     turned = (about.hessian @ way[..., None])[..., 0]
     expected = (sides[1][1] - sides[0][1]) / (2 * h)
     np.testing.assert_allclose(expected, turned, atol=1e-4 * abs(turned).max())
+
+
+def test_lighter_programs_find_the_same(lumen):
+    """Robots that the wall is far from go without it, and those that do not count without any objective."""
+    wide = curve_from_points(lumen.point(np.linspace(0, 90, 91)), np.full(91, 12.0))
+    problem = Problem("wandering", TWO, growing(wide.part(0, 70.0), FRAMES), lumen=wide)
+    wall = wall_of(TWO, Lumen.around(wide), MODELS["elastic"], Settings(), finer=1)
+    numbers = np.array([robot.numbers for robot in (*_robots(), TWO)])
+    scenarios = Scenarios(numbers, np.zeros((3, 2)), np.array([1.0, 2.0, 0.0]))
+    at = TWO, problem.samples, problem.dt, 1e-6, Ends(), MODELS["elastic"], scenarios
+    motion = shared_motion(*at, margins=np.full(FRAMES, 0.1), wall=wall)
+    assert motion.free is not None
+    assert motion.bare is not None
+    beta = np.array([[6.0, 12.0], [30.0, 45.0], [40.0, 70.0]])
+    q = np.column_stack([np.zeros((FRAMES, 2)), beta, np.tile([0.0, 0.2], (FRAMES, 1))])
+    phi = np.random.default_rng(4).uniform(-0.5, 0.5, (FRAMES, 3, 2))
+    lighter, whole = Condensed(motion), Condensed(replace(motion, free=None, bare=None))
+    for each in (lighter, whole):
+        each.look(q, phi)
+    rng = np.random.default_rng(5)
+    pulls = rng.normal(size=(FRAMES, 3, 2)), rng.normal(size=motion.row_bounds[0].shape)
+    found, wanted = (each.expand(q, phi, *pulls) for each in (lighter, whole))
+    assert found.at.objective == pytest.approx(wanted.at.objective, abs=0.02)
+    for name in ("gradient", "hessian", "own", "jacobian", "turns", "repair"):
+        np.testing.assert_allclose(getattr(found, name), getattr(wanted, name), rtol=1e-3, atol=0.05, err_msg=name)

@@ -49,7 +49,7 @@ def test_a_plan_bears_a_load(nitinol):
 
 
 def test_a_load_that_is_planned_for_is_named_once_beside_what_the_wall_costs(nitinol):
-    meta = nitinol.meta | {"e3_free": 1.0, "options": nitinol.options | {"clearance_cost": 0.1}}
+    meta = nitinol.meta | {"e3_free": 1.0}
     free = replace(nitinol, free=nitinol.q, meta=meta)
     planned = replace(free.under(WEAK), meta=free.under(WEAK).meta | {"planned_load": WEAK.to_dict()})
     for plan, times in ((planned, 1), (planned.under(Load(force=(0.0, 0.1, 0.0))), 1), (free.under(WEAK), 0)):

@@ -33,7 +33,7 @@ def test_a_robot_is_kept_within_its_lumen_frame_by_frame_though_the_load_is_take
 @pytest.mark.slow
 def test_steps_under_a_load_within_a_lumen_give_the_frames_of_a_plan():
     """Without a margin, which a plan raises where it is missed between frames."""
-    lumen, settings, model = bent(3.6), Settings(clearance_cost=np.inf, stability_margin=None), Loaded(PULL)
+    lumen, settings, model = bent(3.6), Settings(arrival_weight=0.0, stability_margin=None), Loaded(PULL)
     problem = Problem("bent", NITINOL, growing(lumen.part(0.0, 110.0), 12), lumen=lumen)
     told = {"settings": settings, "model": model}
     first = solve_per_frame(problem, direction="forward", **told).q[0]

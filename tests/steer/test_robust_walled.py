@@ -1,4 +1,4 @@
-"""Robust plans within a lumen: robots that were not planned for touch it less, at the errors that are allowed."""
+"""Robust plans within a lumen: robots that were not planned for touch it less, and arrive."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import pytest
 from truth import TWO
 
 from ctr_nlp import Problem, Settings, growing
-from ctr_nlp.formulations.settings import ROBUST_CLEARANCE_COST
-from ctr_nlp.plan.metrics import summary
+from ctr_nlp.plan.sample_outcomes import sample_outcomes
 from ctr_nlp.steer.robust import solve_robust
 from ctr_nlp.target.curve import curve_from_formula, curve_from_points
 
@@ -34,53 +33,33 @@ def _planned(problem, **settings):
 
 @pytest.fixture(scope="module")
 def plans(problem):
-    """Without the wall, and within it at a cost of a tenth."""
-    return _planned(problem, contact_weight=0.0), _planned(problem, clearance_cost=0.1)
+    """Without the wall, and within it."""
+    return _planned(problem, contact_weight=0.0), _planned(problem)
 
 
-def _root(plan):
-    return np.sqrt((plan.robustness(60, SEED).e3 ** 2).mean())
-
-
-def test_robots_touch_the_wall_less_and_errors_grow_by_no_more_than_allowed(plans):
+def test_robots_touch_the_wall_less(plans):
     free, within = plans
     assert free.success.all()
     assert within.success.all()
     before, after = (plan.robustness(60, SEED) for plan in plans)
     assert after.losses == before.losses == 0
     assert before.contact.mean() > 1.0
-    assert after.contact.mean() < 0.9 * before.contact.mean()
-    assert _root(within) <= 1.12 * _root(free)
+    assert after.contact.mean() < 0.7 * before.contact.mean()
     assert within.verdicts.solved.word == "yes"
 
 
-def test_what_the_wall_costs_is_told(plans):
+def test_the_weight_of_contact_is_told(plans):
     free, within = plans
-    np.testing.assert_allclose(within.free, free.q, atol=1e-9)
-    assert within.meta["e3_free"] == pytest.approx(summary(free)["e3"])
-    weight = within.meta["contact_weight"]
-    assert 0 < weight <= Settings().contact_weight
-    assert within.meta["rounds"][-1]["contact_weight"] == weight
+    assert within.meta["contact_weight"] == Settings().contact_weight
+    assert within.meta["rounds"][-1]["contact_weight"] == Settings().contact_weight
     assert free.meta["contact_weight"] is None
+    assert within.free is None
 
 
-def test_robust_plans_pay_more_for_clearance_than_others(problem, plans):
-    """By default: as little contact as that is worth, where errors of draws grow by no more than that."""
-    free, within = plans
-    dear = _planned(problem)
-    assert dear.options["clearance_cost"] == ROBUST_CLEARANCE_COST > within.options["clearance_cost"]
-    assert Settings().options() == Settings(clearance_cost=0.1).options()
-    assert dear.verdicts.solved.word == "yes"
-    assert 1.2 * _root(free) < _root(dear) <= (1.02 + ROBUST_CLEARANCE_COST) * _root(free)
-    assert dear.robustness(60, SEED).losses == 0
-    assert dear.robustness(60, SEED).contact.mean() < 0.9 * within.robustness(60, SEED).contact.mean()
-
-
-def test_more_is_kept_where_more_may_be_paid(problem, plans):
-    dear = _planned(problem, clearance_cost=0.5)
-    assert dear.meta["contact_weight"] > plans[1].meta["contact_weight"]
-    contacts = [plan.robustness(60, SEED).contact.mean() for plan in (dear, plans[1])]
-    assert contacts[0] < contacts[1]
+def test_a_plan_holds_the_robots_that_it_was_certified_on(plans):
+    certificate, samples = plans[1].meta["certificate"], plans[1].drawn
+    assert len(samples) == certificate["samples"]
+    assert sample_outcomes(plans[1]).held.sum() == certificate["holds"]
 
 
 def test_without_a_lumen_nothing_changes(problem, plans):

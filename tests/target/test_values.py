@@ -73,7 +73,7 @@ def test_copies_are_equal_and_say_the_same_to_the_last_bit(problem, tmp_path):
 
 
 def test_another_process_has_equal_ones():
-    every = [make() for make in PROBLEMS.values()] + [ROBOT, Settings(clearance_cost=float("inf"))]
+    every = [make() for make in PROBLEMS.values()] + [ROBOT, Settings(contact_weight=7.0)]
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
         for one, other in zip(every, pool.map(copy.copy, every), strict=True):
             assert one == other

@@ -17,7 +17,6 @@ NEXT = {
     "hardware.toml": "ctr-nlp play PLAN.npz --hardware {file} --dry-run",
     "load.toml": "ctr-nlp under PLAN.npz --load {file}",
     "study.toml": "ctr-nlp study {file}",
-    "clearance.toml": "ctr-nlp study {file}",
     "survival.toml": "ctr-nlp study {file}",
 }
 """Template -> what can be done with a copy of it."""

@@ -25,7 +25,7 @@ from ctr_nlp.cli.report import draw, exit_status, print_front, print_report, wri
 from ctr_nlp.cli.telling import progress_bar, wrote
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations import FORMULATIONS
-from ctr_nlp.formulations.settings import Settings, check_motion_weight
+from ctr_nlp.formulations.settings import THRESHOLDS, Settings, check_motion_weight
 from ctr_nlp.plan.account import NOT_FOR_PATIENTS
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS
@@ -46,6 +46,7 @@ UNFIT = "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live"
 """Options that do not go with --robust."""
 ALONE_ROBUST = {
     "most_lost": "how many robots a robust plan may lose",
+    "guards": "that robots at the corners of the tolerances are kept, too",
     "tip_force": "which force robots may bear that a robust plan is for",
 }
 """Options that go with --robust alone, and what they say."""
@@ -165,6 +166,10 @@ def _check_fit(arguments: argparse.Namespace) -> None:
         raise OptionError(
             f"{option} does not go with --formulation {arguments.formulation}; it goes with {fitting}"
         )
+    if arguments.arrival_weight is not None and arguments.formulation.startswith("two-stage"):
+        raise OptionError(
+            "--arrival-weight does not go with two stages; it goes with the joint formulation and horizon"
+        )
     for option, what in ALONE_ROBUST.items():
         if getattr(arguments, option) is not None and not arguments.robust:
             raise OptionError(f"--{option.replace('_', '-')} is given without --robust; it says {what}")
@@ -185,10 +190,12 @@ def _given(arguments: argparse.Namespace, names: Sequence[str]) -> list[str]:
 
 
 def _settings(arguments: argparse.Namespace, problem: Problem, *names: str) -> Settings:
-    """The Settings of the wall and of these names; raises OptionError, and ProblemError without a wall."""
+    """The Settings of the wall, the end, the thresholds and these names; raises OptionError, and ProblemError
+    where the wall is asked for and not known.
+    """
     if any(getattr(arguments, name) for name in plan_options.WALL):
         check_radii(problem)
-    return settings_from(arguments, *names, *plan_options.WALL)
+    return settings_from(arguments, *names, *plan_options.WALL, "arrival_weight", *THRESHOLDS)
 
 
 def _by_frame(arguments: argparse.Namespace, problem: Problem) -> Plan:
@@ -249,6 +256,7 @@ def _robust(arguments: argparse.Namespace, problem: Problem) -> Plan:
         asked["most_lost"] = arguments.most_lost
     if whole:
         asked |= {"settings": _settings(arguments, problem, "seed"), "motion_weight": arguments.motion_weight}
+        asked["guards"] = bool(arguments.guards)
     else:
         asked |= {"settings": _settings(arguments, problem, *FRAME_SETTINGS)}
         asked |= {"direction": arguments.direction or "best"}

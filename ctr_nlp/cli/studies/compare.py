@@ -153,7 +153,9 @@ def _run(arguments: argparse.Namespace) -> int:
     chosen = problems.load_all(arguments.problems or NAMES, arguments)
     check_folder(out, "comparison")
     end_if_interrupted()
-    settings, measure = (settings, measured) if arguments.all else (replace(settings, contact_weight=0.0), None)
+    # The paper's methods know neither walls nor an end that counts more than other frames.
+    plain = replace(settings, contact_weight=0.0, arrival_weight=0.0)
+    settings, measure = (settings, measured) if arguments.all else (plain, None)
     with progress_bar() as labelled:
         found = compare(
             chosen, variants, settings, lambda problem, variant: labelled(f"{problem}, {variant}"), measure

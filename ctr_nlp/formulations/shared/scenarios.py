@@ -21,11 +21,11 @@ from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.frame import filled, packed, program
 from ctr_nlp.formulations.horizon import Ends, interpreted, motion_links
 from ctr_nlp.formulations.joint import terms_of
-from ctr_nlp.formulations.terms import Bears, Term, Touch
+from ctr_nlp.formulations.terms import Arrival, Bears, Term, Touch
 from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.models import Model
 from ctr_nlp.nlp.nlp import Nlp
-from ctr_nlp.nlp.scenarios import Guards, Scenarios, SharedMotion, with_guards
+from ctr_nlp.nlp.scenarios import Guards, Lighter, Scenarios, SharedMotion, with_guards
 from ctr_nlp.nlp.written import FrameFunctions
 from ctr_nlp.robot import Robot
 from ctr_nlp.target.target import Frame
@@ -36,6 +36,9 @@ APART, FURTHEST = 0.7, 0.9
 of one that need only not be lost, which it is from simulation.drawn.APART on."""
 EASED = 0.3
 """The part of the margin that one that need only not be lost keeps."""
+ARRIVAL_OF_EACH = 4.0
+"""How many times more the arrival of a scenario counts than that of the nominal robot: few of them are far off, and
+each is only a small part of the mean."""
 TWIST_STEP = 0.7
 """rad by which the first scenario's tips, relative to the innermost one, may turn beyond its motors in a frame."""
 
@@ -83,6 +86,9 @@ def shared_motion(
         parameters[..., frame.place(Bears.name)][..., :3] += with_guards(
             scenarios.forces, None if guards is None else guards.forces, len(frames)
         )
+    for arrival in (term for term in terms if isinstance(term, Arrival)):
+        parameters[:, 1:, frame.place("arrival_radius")] += arrival.wider
+        parameters[:, 1:, frame.place("arrival_weight")] *= ARRIVAL_OF_EACH
     if margins is not None:
         parameters[..., frame.place("margin")] = (margins[:, None] * np.where(eased, EASED, 1.0))[..., None]
     lower, upper = (np.tile(bound, (len(frames), 1)) for bound in (robot.lower, robot.upper))
@@ -96,9 +102,37 @@ def shared_motion(
     apart = np.where(eased, FURTHEST, APART)
     twists = np.append(np.inf, np.full(len(frames) - 1, TWIST_STEP))
     rest = flat, lower, upper, links, apart, twists
+    lighter = partial(_lighter, frame, robot, model, freed=freed, functions=functions)
+    without_wall = None if wall is None else lighter(terms[:-1])
+    constraints = [term for term in terms if not term.objective_only]
+    bare = lighter(constraints) if len(constraints) < len(terms) else None
+    held = _held(frame, robot)
     return SharedMotion(
-        frame, robot.d, _held(frame, robot), scenarios, *rest, functions(frame), near, guards=guards
+        frame,
+        robot.d,
+        held,
+        scenarios,
+        *rest,
+        functions(frame),
+        near,
+        guards=guards,
+        free=without_wall,
+        bare=bare,
     )
+
+
+def _lighter(
+    whole: Nlp,
+    robot: Robot,
+    model: Model,
+    terms: Sequence[Term],
+    freed: tuple[str, ...],
+    functions: Callable[[Nlp], Callable[[], FrameFunctions]],
+) -> Lighter:
+    """Build the program of a frame with some of the terms of the whole one."""
+    nlp = program("frame", robot.structure, model, terms, freed)
+    places = [np.arange(whole.p.numel())[whole.place(name)] for name in nlp.parameters]
+    return Lighter(functions(nlp), np.concatenate(places))
 
 
 def _held(frame: Nlp, robot: Robot) -> Index:

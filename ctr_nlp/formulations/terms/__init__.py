@@ -1,5 +1,6 @@
 """Terms of a frame's program, one matter a file: a residual, a cost or a constraint on the robot's shape."""
 
+from ctr_nlp.formulations.terms.arrival import Arrival
 from ctr_nlp.formulations.terms.bears import Bears
 from ctr_nlp.formulations.terms.feasible import Margin, Order
 from ctr_nlp.formulations.terms.lumen import Lumen
@@ -10,6 +11,7 @@ from ctr_nlp.formulations.terms.tip import TipDirection, TipPosition
 from ctr_nlp.formulations.terms.touch import Touch
 
 __all__ = [
+    "Arrival",
     "Bears",
     "Body",
     "Lumen",

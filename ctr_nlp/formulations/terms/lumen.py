@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ctr_nlp.formulations.terms.arrival import exceeded
 from ctr_nlp.formulations.terms.term import Body, Parts, Symbols, Term
 from ctr_nlp.models.protocol import columns_of
 from ctr_nlp.nlp.nlp import Constraint, Cost, Inner
@@ -26,6 +27,10 @@ FAR = 1e3
 """mm: room enough."""
 FIRM = 1e-3
 """What keeps Hessians definite, where contact costs nothing too."""
+HARD = 20.0
+"""How many times more contact costs beyond what is allowed. By default a mm costs, in mm^2 and in one frame, 30 of
+contact that is allowed, 150 of the tip's distance beyond its tolerance (terms/arrival.py), and 600 of contact
+beyond what is allowed: that is the order of priorities, before the shape's error."""
 CENTRED = 0.01
 """mm: what rounds off the distance to the path where that is 0."""
 
@@ -52,9 +57,24 @@ def seen(body: Body, wall: ca.SX) -> tuple[Inner, ca.SX]:
     return points, left(at, path, ca.horzsplit(wall[:, ROOM:]))
 
 
-def contact(slack: Any, weight: Any) -> Any:
-    """An exact penalty on the depth of contact, mm^2; slack: mm; weight: mm^2 a mm."""
-    return weight * slack + FIRM * slack**2
+def contact(slack: Any, weight: Any, allowed: Any) -> Any:
+    """Return the exact penalty on the depth of contact, mm^2.
+
+    Parameters
+    ----------
+    slack : float, array or casadi expression
+        Depth by which the clearance is missed, mm.
+    weight : float or casadi expression
+        What a mm of it costs, mm^2.
+    allowed : float or casadi expression
+        Depth from which a mm costs HARD times as much, mm.
+
+    Returns
+    -------
+    float, array or casadi expression
+        weight slack + (HARD - 1) weight max(slack - allowed, 0), the second corner rounded, + FIRM slack^2.
+    """
+    return weight * slack + (HARD - 1) * weight * exceeded(slack - allowed) + FIRM * slack**2
 
 
 def arc_lengths(beta: Sequence[Any], count: int = PLACES) -> list[Any]:
@@ -64,11 +84,16 @@ def arc_lengths(beta: Sequence[Any], count: int = PLACES) -> list[Any]:
     return [start + fractions * (end - start) for start, end in zip(starts, beta, strict=True)]
 
 
+def wall_parameters(d: int) -> dict[str, tuple[int, int]]:
+    """Return the shapes of the parameters that describe the wall near a robot of d tubes, by name."""
+    return {"wall": (d * PLACES, COLUMNS), "contact_weight": (1, 1), "contact_allowed": (1, 1)}
+
+
 def far_away(d: int) -> dict[str, Any]:
     """Parameters of a frame of d tubes that no wall is near to."""
     wall = np.zeros((d * PLACES, COLUMNS))
     wall[:, ROOM] = FAR
-    return {"wall": wall, "contact_weight": 0.0}
+    return {"wall": wall, "contact_weight": 0.0, "contact_allowed": 0.0}
 
 
 @dataclass(frozen=True)
@@ -86,8 +111,8 @@ class Lumen(Term):
         return ca.vertcat(*arc_lengths(beta))
 
     def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
-        """wall: a row of COLUMNS a place. contact_weight: mm^2 a mm."""
-        return {"wall": (self.d * PLACES, COLUMNS), "contact_weight": (1, 1)}
+        """wall: a row of COLUMNS a place. contact_weight: mm^2 a mm. contact_allowed: mm."""
+        return wall_parameters(self.d)
 
     def build(self, body: Body, parameters: Symbols) -> Parts:
         """One smooth row a place, and one slack."""
@@ -95,7 +120,7 @@ class Lumen(Term):
         points, room = seen(body, parameters["wall"])
         bounds = np.zeros(room.numel()), np.full(room.numel(), np.inf)
         return Parts(
-            costs=(Cost("contact", contact(slack, parameters["contact_weight"])),),
+            costs=(Cost("contact", contact(slack, parameters["contact_weight"], parameters["contact_allowed"])),),
             constraints=(Constraint("clearance", room + slack, *bounds),),
             inner=(points,),
             slack=slack,

@@ -41,6 +41,7 @@ class ShapeDistance(Term):
     depth_weights: Array | None = None
     stride: int = STRIDE
     name = "shape"
+    objective_only = True
 
     def __post_init__(self) -> None:
         if self.depth_weights is not None:

@@ -80,11 +80,14 @@ class Term(ABC):
 
     A new term is a frozen dataclass with a name, and with build; the other methods have defaults. What it holds is
     part of what is compiled, unless key leaves it out and it enters as a parameter. tangents: whether build needs
-    the tangents at its places.
+    the tangents at its places. of_settings: whether the planner adds it because of its settings.
+    objective_only: whether build adds no constraint.
     """
 
     name: str
     tangents = False
+    of_settings = False
+    objective_only = False
 
     def __str__(self) -> str:
         """In one line, for a plan's options; of many numbers, how many."""
@@ -116,3 +119,8 @@ class Term(ABC):
     def fill(self, frame: Frame) -> Mapping[str, Any]:
         """Values of the parameters for a target frame, by name."""
         return {}
+
+
+def listed(terms: Sequence[Term]) -> list[str]:
+    """Return the terms that were asked for beside the settings, each in a line, as a plan's options hold them."""
+    return [str(term) for term in terms if not term.of_settings]

@@ -30,6 +30,7 @@ class _Tip(Term):
 
     weight: float | Array = 1.0
     wanted: Array | None = None
+    objective_only = True
 
     def __post_init__(self) -> None:
         weight = floats(OptionError, f"weight of {self.name}", np.atleast_1d(self.weight), (None,))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.exceptions import CtrError, OptionError
-from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.formulations.settings import THRESHOLDS, Settings
 from ctr_nlp.loops.anew.way import STRIDE, Outset, Way
 from ctr_nlp.loops.tracker import MARGIN
 from ctr_nlp.models.elastic import Elastic
@@ -22,7 +22,7 @@ from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import Target
 from ctr_nlp.typing import Array
 
-KEPT = "stability_margin", "clearance", "contact_weight"
+KEPT = "stability_margin", "clearance", "contact_weight", "arrival_weight", *THRESHOLDS
 """Settings of a plan that the rest is planned with, too."""
 
 

@@ -56,8 +56,9 @@ class Surroundings(NamedTuple):
 
     call, of: addresses of a function of C and of what it is given first, then x, then the parameter named load
     where the program has it, then room for the parameter named described and, after it, the slack needed there,
-    mm. Slack costs the parameter named weight a mm, mm^2, and firm a mm^2. A frame is solved again around its
-    solution until that needs the same slack within settled mm, or rounds times.
+    mm. Slack costs the parameter named weight a mm, mm^2, hard times as much beyond the parameter named allowed,
+    mm, where that sets in over rounded mm, and firm a mm^2. A frame is solved again around its solution until that
+    needs the same slack within settled mm, or rounds times.
     """
 
     call: int
@@ -65,7 +66,10 @@ class Surroundings(NamedTuple):
     load: str
     described: str
     weight: str
+    allowed: str
     firm: float
+    hard: float
+    rounded: float
     settled: float
     rounds: int
 

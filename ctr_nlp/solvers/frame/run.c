@@ -14,12 +14,14 @@
 
    around: where some parameters hold near a robot only, what gives these from x and the load's numbers, which begin at
    place load in p: described entries from place in p on, and then the slack that they need, x's last entry; null where
-   all hold everywhere. A mm of it costs p[weight] mm^2, and firm mm^2 a mm^2. Rounds around solutions end where the slack needed changes by no more than settled mm. */
+   all hold everywhere. A mm of it costs p[weight] mm^2, and hard times as much beyond p[allowed] mm, where that sets in over rounded mm;
+   a mm^2 costs firm mm^2 (formulations/terms/lumen.py, contact). Rounds around solutions end where the slack needed
+   changes by no more than settled mm. */
 typedef struct {
     void (*around)(void *, const double *, const double *, double *);
     void *of;
-    long load, place, described, weight, rounds;
-    double firm, settled, *found;
+    long load, place, described, weight, allowed, rounds;
+    double firm, hard, rounded, settled, *found;
     long sizes_p, picked, decided, previous;
     const long *picks;
     const double *p, *low, *high, *most;
@@ -43,7 +45,9 @@ static void keep_within(Program *o) {
 static int solved(const Run *r, const Program *o) { return o->violation <= r->feasible && o->kkt <= r->optimal; }
 
 static double cost(const Run *r, const Program *o, double slack) {
-    return o->p[r->weight] * slack + r->firm * slack * slack;
+    const double beyond = fmax(slack - o->p[r->allowed], 0), corner = fmin(beyond, r->rounded);
+    const double more = (r->hard - 1) * corner * (beyond - corner / 2) / r->rounded;
+    return o->p[r->weight] * (slack + more) + r->firm * slack * slack;
 }
 
 /* What is around the robot as it is; returns the slack that it needs. */

@@ -17,8 +17,8 @@ class _Given(ctypes.Structure):
 
     _fields_ = [
         *((name, ctypes.c_void_p) for name in ("around", "of")),
-        *((name, ctypes.c_long) for name in ("load", "place", "described", "weight", "rounds")),
-        *((name, ctypes.c_double) for name in ("firm", "settled")),
+        *((name, ctypes.c_long) for name in ("load", "place", "described", "weight", "allowed", "rounds")),
+        *((name, ctypes.c_double) for name in ("firm", "hard", "rounded", "settled")),
         ("found", ctypes.c_void_p),
         *((name, ctypes.c_long) for name in ("sizes_p", "picked", "decided", "previous")),
         *((name, ctypes.c_void_p) for name in ("picks", "p", "low", "high", "most")),
@@ -79,14 +79,15 @@ class Run:
     def keep_near(self, near: Surroundings | None) -> None:
         """From now on, solve every frame again around its solution; None: as it is, once."""
         nlp = self.program.nlp
-        of_near: tuple[float | None, ...] = (None, None, 0, 0, 0, 0, 0, 0.0, 0.0, None)
+        of_near: tuple[float | None, ...] = (None, None, *[0] * 6, *[0.0] * 4, None)
         if near is not None:
-            place, weight = nlp.place(near.described), nlp.place(near.weight).start
+            place, weight, allowed = (nlp.place(name) for name in (near.described, near.weight, near.allowed))
             size = place.stop - place.start
             self._found = np.zeros(size + 1)
             load = nlp.place(near.load).start if near.load in nlp.parameters else 0
-            sizes = load, place.start, size, weight, near.rounds
-            of_near = near.call, near.of, *sizes, near.firm, near.settled, self._found.ctypes.data
+            sizes = load, place.start, size, weight.start, allowed.start, near.rounds
+            costs = near.firm, near.hard, near.rounded, near.settled
+            of_near = near.call, near.of, *sizes, *costs, self._found.ctypes.data
         self._given = _Given(*of_near, *self._fixed)
         self._reference = ctypes.byref(self._given)
 

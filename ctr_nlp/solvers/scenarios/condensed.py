@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ctr_nlp.codegen.mapped import Mapped
 from ctr_nlp.nlp.scenarios import SharedMotion
 from ctr_nlp.solvers.scenarios.common import NONE, CommonValues, Given, GivenSlopes
+from ctr_nlp.solvers.scenarios.grouped import FAR_COST, Grouped
 from ctr_nlp.solvers.scenarios.twists import TwistSteps
 from ctr_nlp.typing import Array, Index
 
@@ -102,11 +102,8 @@ class Condensed:
 
     def __init__(self, motion: SharedMotion) -> None:
         """Prepare."""
-        functions = motion.functions()
         self.motion, self.linking = motion, motion.linking
-        self._maps = [Mapped(each, len(motion.parameters)) for each in functions[:3]]
-        for each in self._maps:
-            each.inputs[1][:] = motion.parameters
+        self._evaluated = Grouped(motion)
         self._offsets, self._shares = motion.offsets, np.tile(motion.weights, len(motion.lower))
         self.common, self.twists = CommonValues(motion), TwistSteps(motion)
         self.link_weight, self._link_offset = motion.of_links("weight"), motion.of_links("offset")
@@ -125,30 +122,33 @@ class Condensed:
     def value(self, q: Array, phi: Array, p: Array = NONE) -> Values:
         """At q (T, n), phi (T, S, k) and p (P,)."""
         given = self.common(p)
-        f, g = self._maps[0](self.motion.unknowns(q, phi, given.values).ravel())
+        f, g = self._evaluated(0, self.motion.unknowns(q, phi, given.values))
         return self._values(q, phi, p, given, f, g)
 
     def look(self, q: Array, phi: Array, p: Array = NONE, settled: float = 0.0) -> bool:
         """Describe what surrounds the robots as it is near to a point; whether that changes the objective there,
         robot by robot, by more than this part. Where it does not, what was described stays.
         """
-        motion, parameters = self.motion, self._maps[0].inputs[1]
+        motion, evaluated = self.motion, self._evaluated
         if motion.surroundings is None:
             return False
-        x, known = motion.unknowns(q, phi, self.common(p).values), parameters.copy()
-        before = self._maps[0](x.ravel())[0].ravel().copy()
+        x, parameters = motion.unknowns(q, phi, self.common(p).values), evaluated.parameters
+        known, far = parameters.copy(), evaluated.far
+        before = evaluated(0, x)[0].ravel().copy()
         for name, value in motion.surroundings(x).items():
             columns = value.reshape(len(known), *value.shape[2:], *(1,) * (4 - value.ndim))
             parameters[:, motion.frame.place(name)] = columns.transpose(0, 2, 1).reshape(len(known), -1)
-        after = self._maps[0](x.ravel())[0].ravel()
+        evaluated.regroup(far if motion.free is None else evaluated.contact_costs(x) <= FAR_COST)
+        after = evaluated(0, x)[0].ravel()
         changed = self._shares @ abs(after - before) > settled * (1 + self._shares @ abs(before))
-        for each in self._maps:
-            each.inputs[1][:] = parameters if changed else known
+        if not changed:
+            parameters[:] = known
+            evaluated.regroup(far)
         return bool(changed)
 
     def by_robot(self, q: Array, phi: Array, p: Array = NONE) -> Array:
         """The objective of every robot in every frame, without links, (T, S) mm^2."""
-        f, _ = self._maps[0](self.motion.unknowns(q, phi, self.common(p).values).ravel())
+        f, _ = self._evaluated(0, self.motion.unknowns(q, phi, self.common(p).values))
         return np.array(f.reshape(len(q), -1))
 
     def by_frame(self, q: Array, phi: Array) -> Array:
@@ -173,8 +173,8 @@ class Condensed:
         pulls[..., :k] = equations
         pulls[..., own] = rows[:, : count * len(own)].reshape(frames, count, -1)
         pulls[:, 0, common] = rows[:, rows.shape[1] - len(common) :]
-        x = motion.unknowns(q, phi, given.values).ravel()
-        f, gradient, g, jacobian, hessian = self._maps[2](x, self._shares, pulls.ravel())
+        x = motion.unknowns(q, phi, given.values)
+        f, gradient, g, jacobian, hessian = self._evaluated(2, x, self._shares, pulls)
         at = self._values(q, phi, p, given, f, g)
         gradient = gradient.reshape(frames, count, m) * motion.weights[:, None]
         slopes = jacobian.reshape(frames, count, m, -1).swapaxes(-1, -2)

@@ -36,6 +36,9 @@ STALL, STALLED = 6, 1e-9
 """A barrier problem is left when so many iterations at feasible points lower it by less than this part."""
 RETRIES, FIRMER = 4, 100.0
 """Times that a step of which nothing is taken is damped by so much more."""
+ROUGH_BARRIER, ROUGH_PROGRESS, ROUGH_STEPS, ROUGH_MISSED = 5e-4, 1e-3, 4, 1e-2
+"""A rough solve ends at this barrier, mm^2, once the objective has changed by less than the second part of itself
+in so many steps, where rows and equations miss no more than the last, rad and mm."""
 SETTLED, LOOKS = 1e-3, 6
 """What surrounds the robots is as it was solved for where the objective changes by no more than this part; times
 that it is looked at."""
@@ -74,25 +77,38 @@ class SharedSolver:
         stop: Callable[[], bool] = lambda: False,
         most: int = MOST_ITERATIONS,
         p: Array = NONE,
+        rough: bool = False,
     ) -> SharedSolution:
         """Solve from q (T, n) and tips phi (T, S, k), which need not be in equilibrium, in at most so many steps.
 
-        barrier: the first, mm^2; p (P,): common unknowns, where there are any.
+        barrier: the first, mm^2; p (P,): common unknowns, where there are any. rough: whether to end near a
+        solution already, which is enough to start other solves from, and takes half as long.
         """
-        run, status = _Run(self._rows, q, phi, p, barrier), ""
+        run, status = _Run(self._rows, q, phi, p, barrier, rough), ""
         while not status:
             status = run.status()
             if not status and run.number == most:
                 status = "Maximum_Iterations_Exceeded"
             status = status or ("Interrupted" if stop() else run.advance())
-        return self._rows.judged(run.point, status, run.number)
+        return self._rows.judged(run.point, status, run.number, rough)
+
+
+def _progress(objectives: list[float]) -> float:
+    """By which part of itself the objective has changed over the last steps; infinite where these are too few."""
+    recent = objectives[-ROUGH_STEPS:]
+    if len(recent) < ROUGH_STEPS:
+        return np.inf
+    return (max(recent) - min(recent)) / (1 + abs(recent[-1]))
 
 
 class _Run:
     """One solve on its way."""
 
-    def __init__(self, rows: SharedRows, q: Array, phi: Array, p: Array, barrier: float) -> None:
+    def __init__(
+        self, rows: SharedRows, q: Array, phi: Array, p: Array, barrier: float, rough: bool = False
+    ) -> None:
         self._rows, self._barrier, self._damping, self.number = rows, barrier, 0.0, 0
+        self._rough = rough
         self._looks = 0
         rows.condensed.look(q, phi, p)
         start = rows.start(q, phi, p, barrier)
@@ -105,12 +121,16 @@ class _Run:
     def status(self) -> str:
         """Why the work has ended, or nothing; lowers the barrier where its problem is solved."""
         errors, known = self._rows.errors(self.point, self._about), self._objectives
+        slow = self._rough and errors.missed <= ROUGH_MISSED and _progress(known) <= ROUGH_PROGRESS
+        if slow and self._barrier <= ROUGH_BARRIER:
+            return "" if self._changed() else "Solved_Roughly"
         if errors.against(0.0) <= TOLERANCE and errors.missed <= MISSED:
             return "" if self._changed() else "Solve_Succeeded"
         stalled = errors.missed <= MISSED and len(known) > STALL
         stalled = stalled and known[-STALL] - known[-1] < STALLED * (1 + abs(known[-1]))
         if stalled and self._barrier == LAST_BARRIER:
             return "" if self._changed() else "Solved_To_Acceptable_Level"
+        stalled = stalled or slow
         while self._barrier > LAST_BARRIER and (stalled or errors.against(self._barrier) < CLOSE * self._barrier):
             self._barrier, stalled = max(LAST_BARRIER, SHRINK * self._barrier), False
             self._filter.clear()

@@ -44,6 +44,7 @@ class SharedSolution:
     p: Array = field(default_factory=lambda: NONE)
     prices: Array = field(default_factory=lambda: NONE)
     burdens: Array = field(default_factory=lambda: NONE)
+    rough: bool = False
 
     @property
     def x(self) -> Array:
@@ -53,8 +54,10 @@ class SharedSolution:
     @property
     def success(self) -> bool:
         """Whether this is a solution: all robots are in equilibrium and keep their rows, and none
-        is better nearby.
+        is better nearby. After a rough solve, whether it ended as it should.
         """
+        if self.rough:
+            return self.status.startswith("Solve")
         return max(self.violation, self.missing) <= FEASIBLE and self.kkt <= OPTIMAL
 
 
@@ -238,7 +241,7 @@ class SharedRows:
         good = (rows - self.low >= LEFT * (before - self.low)) & (self.high - rows >= LEFT * (self.high - before))
         return np.where(good, rows, np.clip(slack, self.low + edge, self.high - edge))
 
-    def judged(self, point: Point, status: str, iterations: int) -> SharedSolution:
+    def judged(self, point: Point, status: str, iterations: int, rough: bool = False) -> SharedSolution:
         """The point as a solution: what the program itself says of it, within bounds as they were given."""
         q, p, (lower, upper) = np.clip(point.q, *self._box), np.clip(point.p, *self._common_box), self._bounds
         about = self._expanded(point, q, p)
@@ -251,4 +254,4 @@ class SharedRows:
         split = self.split(point.multipliers)
         motion = self.condensed.motion
         burdens = motion.by_robot(abs(split.frames))
-        return SharedSolution(q, point.phi, *found, status, iterations, motion.held, p, split.own, burdens)
+        return SharedSolution(q, point.phi, *found, status, iterations, motion.held, p, split.own, burdens, rough)

@@ -14,6 +14,8 @@ from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.horizon import Ends, horizon
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
+from ctr_nlp.formulations.terms.arrival import with_arrival
+from ctr_nlp.formulations.terms.term import listed
 from ctr_nlp.formulations.wall import Wall, wall_of
 from ctr_nlp.loads import steady
 from ctr_nlp.models import DEFAULT_MODEL, MODELS, Model, model_named
@@ -23,7 +25,6 @@ from ctr_nlp.simulation.forward import Simulator
 from ctr_nlp.solvers import CHAIN_SOLVERS, default_chain_solver
 from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.steer.attempts import Attempt, Report, best_of, distinct, failures
-from ctr_nlp.steer.inside import Outcome, Tried, affordable, needed
 from ctr_nlp.steer.motions import per_frame_motions
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
@@ -37,10 +38,15 @@ from ctr_nlp.steer.requests import (
     checked_terms,
 )
 from ctr_nlp.steer.starts.search import Search
+from ctr_nlp.steer.within_wall import failed_frames
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.values import check_choice
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
+
+WALL_PARTS = 0.1, 1.0
+"""Parts of the weight of contact with which a motion is solved within the wall, one after the other. From a motion
+that is deep in the wall, the whole weight at once leads the solver astray."""
 
 
 class Horizon:
@@ -70,7 +76,7 @@ class Horizon:
         if self.ends.end is not None:
             steady(self._model.bears, "a motion to an end that is given")
         self._names = {"formulation": "horizon", **self._model.told, "solver": solver}
-        self._settings, self._terms = settings, checked_terms(terms)
+        self._settings, self._terms = settings, with_arrival(checked_terms(terms), settings, self._model)
         self._wall = wall_of(problem.robot, problem.sampled_lumen, self._model, settings)
         self._free = self._built(None)
         inside = self._free if self._wall is None else self._built(self._wall)
@@ -146,27 +152,27 @@ class Horizon:
         asked = {"motion_weight": weight, "starts": starts, "exhaustive": exhaustive}
         ends = (("start", self.ends.start), ("end", self.ends.end))
         given = {name: None if q is None else q.tolist() for name, q in ends}
-        return {**self._settings.options(), **asked, "terms": [str(term) for term in self._terms], **given}
+        return {**self._settings.options(), **asked, "terms": listed(self._terms), **given}
 
     def _kept_inside(
         self, wall: Wall, search: Search, free: Sequence[Attempt], motions: Sequence[Array]
     ) -> tuple[Wall | None, Sequence[Attempt]]:
-        """Attempts within a wall from motions, and the wall that they afford; those free of it where none within
-        the wall keeps e3 and its frames, as far as was tried.
+        """Attempts within a wall, from motions, and that wall; those free of it, and None, where more frames fail
+        within the wall.
         """
 
-        def outcome(one: Attempt) -> Outcome:
+        def failed(one: Attempt) -> int:
             success = np.full(self.problem.frames, one.solution.success)
-            return Outcome.of(self.problem, self._simulator(self.configurations(one.motion)), one.motion, success)
+            moved = self._simulator(self.configurations(one.motion))
+            return failed_frames(self.problem, moved, one.motion, success)
 
-        def judge(tried: Wall, attempts: Sequence[Attempt]) -> Tried:
-            best = best_of(attempts)
-            multipliers = best.solution.lam_x.reshape(self.problem.frames, -1)[:, -1]
-            return needed(tried, multipliers), outcome(best).growth(least)
-
-        least, cost = outcome(best_of(free)), self._settings.affordable()
-        kept = affordable(wall, lambda tried: search.attempts(motions, tried), judge, cost, search.stop)
-        return (None, free) if kept is None else kept
+        within: Sequence[Attempt] = ()
+        for part in WALL_PARTS:
+            within = search.attempts(motions, replace(wall, weight=part * wall.weight))
+            motions = [one.motion for one in within if one.solution.success] or motions
+        if failed(best_of(within)) > failed(best_of(free)):
+            return None, free
+        return wall, within
 
     def configurations(self, motion: Array) -> Array:
         """The configurations (T, 2d + 2) of a motion's unknowns (T, n)."""

@@ -16,6 +16,7 @@ from ctr_nlp.formulations.joint import tip_steps
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.shared.scenarios import shared_motion
 from ctr_nlp.formulations.terms import Term
+from ctr_nlp.formulations.terms.term import listed
 from ctr_nlp.models import Model
 from ctr_nlp.nlp.scenarios import Scenarios, SharedMotion
 from ctr_nlp.solvers.compiled import fastest
@@ -79,7 +80,7 @@ class ScenarioFrames:
             "formulation": "robust-joint",
             **told_on(model).told,
             "solver": "interior-point",
-            "options": settings.options() | {"terms": [str(term) for term in terms]},
+            "options": settings.options() | {"terms": listed(terms)},
         }
         margin = settings.stability_margin
         least = None if margin is None else np.full(problem.frames, margin)

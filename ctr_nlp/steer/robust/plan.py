@@ -12,8 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ctr_nlp.exceptions import OptionError
-from ctr_nlp.formulations.settings import ROBUST_CLEARANCE_COST, Settings
+from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
+from ctr_nlp.formulations.terms.arrival import with_arrival
+from ctr_nlp.formulations.terms.term import listed
 from ctr_nlp.formulations.wall import wall_of
 from ctr_nlp.models import Model
 from ctr_nlp.nlp.scenarios import Scenarios
@@ -25,21 +27,22 @@ from ctr_nlp.steer.horizon import Horizon
 from ctr_nlp.steer.motions import per_frame_motions
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
-from ctr_nlp.steer.requests import check_described, check_search, checked_motions
+from ctr_nlp.steer.requests import check_described, check_search, checked_motions, checked_terms
 from ctr_nlp.steer.robust.corners import Corners
 from ctr_nlp.steer.robust.guards import guarded
 from ctr_nlp.steer.robust.rounds import RELAXATIONS, Judge, Round, best_of, planned_again, relaxed
 from ctr_nlp.steer.robust.search import RobustSearch, Start, Tried
 from ctr_nlp.steer.robust.tolerated import described, told_on, told_unknowns
 from ctr_nlp.steer.robust.trials import Trials
-from ctr_nlp.steer.robust.walled import Walled
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.support.values import whole_number
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
 
-MARGINS = 0.1, 0.3, 0.5, 0.7
+MARGINS = 0.3, 0.5
 """Stability margins of the nominal robot in motions started from: which of them leads furthest differs."""
+START_FRAMES = 49
+"""Most frames of these motions that are solved: drafts, which begin from them, have 25 to 49."""
 MOTION_PART = 0.1
 """Part of the lambda of a plain horizon: robots differ more from the target than smoothness is worth there."""
 ROUNDS = 4
@@ -52,7 +55,7 @@ def solve_robust(
     *,
     most_lost: float = MOST_LOST,
     rounds: int = ROUNDS,
-    guards: bool = True,
+    guards: bool = False,
     model: str | Model = "elastic",
     start: npt.ArrayLike | None = None,
     end: npt.ArrayLike | None = None,
@@ -69,18 +72,18 @@ def solve_robust(
     under the forces that may act at its tip, whose errors do not count. most_lost: the share of
     all robots within the tolerances that may be lost. A motion is tried on robots drawn for it alone; where too
     many are lost for that to be certain with 95 % confidence, some of these join the scenarios, and it is planned
-    again, in at most so many rounds. What came of the last trial is meta["certificate"]. guards: whether robots at
-    the corners of the tolerances that such a motion loses are kept too, which takes as long again.
+    again, in at most so many rounds. What came of the last trial is meta["certificate"], and the plan holds the
+    robots that it was certified on. guards: whether robots at the corners of the tolerances that such a motion
+    loses are kept too, which takes several times as long.
     initial: motions (T, 2d + 2) to start from. margins: of the robot as described in motions that are found frame
     by frame, to start from where too many robots are lost on what comes of initial ones, or there are none;
     without margins only initial ones are started from. On a model that cannot snap, the plan of the robot as
     described is.
     settings.stability_margin: the least of every scenario. start, end, motion_weight, settings, terms, progress:
     as solve_horizon.
-    In a lumen, all scenarios are kept off the wall as far as settings say (walled.py), once the motion that is
-    free of it is known; a clearance_cost of None is ROBUST_CLEARANCE_COST. Where no motion is found that all
-    share, the plan is the first motion started from, and no frame counts as solved. Raises OptionError,
-    ProblemError, RobotError.
+    In a lumen, the contact of every scenario costs what settings say, and so does the distance by which its tip
+    misses the target's end. Where no motion is found that all share, the plan is the first motion started from,
+    and no frame counts as solved. Raises OptionError, ProblemError, RobotError.
     """
     check_described(problem, settings)
     check_search(motion_weight, None, 1)
@@ -93,51 +96,48 @@ def solve_robust(
         )
     motions = (1 + bool(given)) * (2 * (rounds + 1) + RELAXATIONS) + 1
     trials = Trials(problem.robot, model, motions, most_lost)
+    terms = with_arrival(checked_terms(terms), settings, model)
     begin, searched = time.perf_counter(), 0.0
     told = told_on(model)
     with deferred_interrupt() as interrupted:
         nominal = Horizon(problem, told, None, start, end, _at(settings, *margins[:1]), terms)
         least = None if settings.stability_margin is None else np.full(problem.frames, settings.stability_margin)
-        tried, made, free = list[Tried](), list[Round](), None
+        wall = wall_of(problem.robot, problem.sampled_lumen, model, settings, finer=1)
+        tried, made, best = list[Tried](), list[Round](), None
         for starts, seconds in _starts(problem, told, given, margins, nominal, terms, settings):
             searched += seconds
             weight = MOTION_PART * nominal.balanced_weight(starts[0].x) if motion_weight is None else motion_weight
             own = model, nominal.ends, tuple(terms), weight, least
-            search = RobustSearch(problem, *own, progress, interrupted)
+            search = RobustSearch(problem, *own, progress, interrupted, wall)
             drafts = search.drafts(starts, scenarios)
             tried += drafts
             made += _rounds(search, drafts, scenarios, trials, rounds, len(made))
-            free = best_of(made, problem.frames)
-            if interrupted() or (free is not None and free.lost.few):
+            best = best_of(made, problem.frames)
+            if interrupted() or (best is not None and best.lost.few):
                 break
-        if guards and free is not None and not interrupted():
-            made += guarded(free, scenarios, Corners.of(problem.robot, model), trials, len(made))
-            free = best_of(made, problem.frames)
-        wall = wall_of(problem.robot, problem.sampled_lumen, model, settings, finer=1)
-        if wall is not None and free is not None:
-            cost = settings.affordable(ROBUST_CLEARANCE_COST)
-            made += Walled(wall, free, cost, trials, rounds).rounds(len(made))
+        if guards and best is not None and not interrupted():
+            made += guarded(best, scenarios, Corners.of(problem.robot, model), trials, len(made))
+            best = best_of(made, problem.frames)
         stopped = interrupted()
     asked = {"motion_weight": weight, "most_lost": most_lost, "margins": list(margins), "rounds": rounds}
-    asked |= {"terms": [str(term) for term in terms]}
+    asked |= {"terms": listed(terms)}
     ends = {"start": _listed(nominal.ends.start), "end": _listed(nominal.ends.end)}
     meta = {
         "formulation": "robust-horizon",
         **told.told,
         "solver": "interior-point",
-        "options": settings.options(ROBUST_CLEARANCE_COST) | asked | ends,
+        "options": settings.options() | asked | ends,
         "build_s": nominal.build_seconds,
         "search_s": searched,
         "solve_s": time.perf_counter() - begin - searched,
         "interrupted": stopped,
-        "contact_weight": None,
+        "contact_weight": None if wall is None else wall.weight,
         "starts": [_described(one) for one in tried],
         "rounds": [one.described() for one in made],
     }
-    if free is None:
+    if best is None:
         return _unsolved(problem, told.configuration(problem.robot, starts[0].x), meta)
-    best = best_of([one for one in made if one.search.wall is not None], problem.frames) or free
-    plan = _plan(problem, best, None if wall is None else free, meta)
+    plan = _plan(problem, best, meta)
     return plan if stopped else trials.certified(plan, best.lost, len(made))
 
 
@@ -163,7 +163,9 @@ def _starts(
         yield starts, time.perf_counter() - begin
     begin = time.perf_counter()
     if model.can_snap and margins:
-        found = partial(per_frame_motions, problem, nominal.ends, progress=None, model=model, terms=terms)
+        found = partial(
+            per_frame_motions, problem, nominal.ends, progress=None, model=model, terms=terms, most=START_FRAMES
+        )
         starts = [Start(f"margin {each:g}", found(settings=_at(settings, each))[0]) for each in margins]
     elif not model.can_snap:
         starts = [Start("the plain plan", nominal.solve().q)]
@@ -219,22 +221,20 @@ def _described(one: Tried) -> dict[str, Any]:
     }
 
 
-def _plan(problem: Problem, best: Round, free: Round | None, meta: dict[str, Any]) -> Plan:
-    """A round as a plan, and where a wall counts the motion of the one that is free of it."""
-    found, wall = best.tried.solution, best.search.wall
+def _plan(problem: Problem, best: Round, meta: dict[str, Any]) -> Plan:
+    """Make a plan of a round."""
+    found = best.tried.solution
     condensed, model, robot = Condensed(best.search.motion(best.scenarios)), best.search.model, problem.robot
     condensed.look(found.q, found.phi)
-    weight = None if wall is None else wall.weight
     return plan_from_configurations(
         problem,
         found.q,
-        meta | {"failures": {}, "iterations": found.iterations, "contact_weight": weight},
+        meta | {"failures": {}, "iterations": found.iterations},
         success=np.full(problem.frames, found.success),
         solve_time=np.full(problem.frames, np.nan),
         objective=condensed.by_frame(found.q, found.phi),
         kkt=np.full(problem.frames, found.kkt),
         planned=told_unknowns(robot, model, found.q, found.x),
-        free=None if free is None else free.tried.solution.q,
         simulator=Simulator(robot, told_on(model)),
     )
 

@@ -24,6 +24,9 @@ NEARER, GAIN, RELAXATIONS = 0.8, 0.03, 2
 more than the second part of it; and how often."""
 BARRIER = 1e-3
 """First barrier, mm^2, of a motion that is planned again."""
+AFFECTED = 0.1
+"""About how far, rad and of the margin, robots that joined are moved away from their limits by that: times what
+these limits cost, it is what may be gained."""
 
 
 Judge = Callable[[Array, int, bool], Lost]
@@ -109,6 +112,9 @@ def relaxed(held: Round, first: int, lost: Judge, number: int) -> list[Round]:
     """
     rounds, search = list[Round](), held.search
     while len(held.scenarios) > first and held.lost.few and len(rounds) < RELAXATIONS and not search.stop():
+        burden = held.tried.solution.burdens[:, first : len(held.scenarios)].sum()
+        if AFFECTED * burden <= GAIN * held.tried.solution.objective:
+            break
         scenarios = held.scenarios.shrunk(NEARER, first)
         tried = _again(search, held.tried, scenarios, None)
         if not tried.shared or tried.solution.objective > (1 - GAIN) * held.tried.solution.objective:
@@ -139,7 +145,7 @@ def solved_again(
     old = known.phi.shape[1] - (motion.sizes[1] - len(scenarios))
     joining = np.repeat(known.phi[:, :1], len(scenarios) - old, axis=1)
     tips = np.concatenate([known.phi[:, :old], joining, known.phi[:, old:]], axis=1)
-    found = SharedSolver(motion)(known.q, tips, barrier, search.stop)
+    found = SharedSolver(motion)(known.q, tips, barrier, search.stop, rough=picked is not None)
     return search.looked_at(Tried(before.start, before.frames, found))
 
 

@@ -134,7 +134,7 @@ class RobustSearch:
         self, name: str, q: Array, tips: Array, scenarios: Scenarios, picked: Index | None, barrier: float
     ) -> Tried:
         """From tips (T, S, k); where that fails, as grown."""
-        found = SharedSolver(self.motion(scenarios, picked))(q, tips, barrier, self.stop)
+        found = SharedSolver(self.motion(scenarios, picked))(q, tips, barrier, self.stop, rough=picked is not None)
         if found.success or self.stop():
             return self.looked_at(Tried(name, len(q), found))
         return self.grown(name, q, tips[:, :1], scenarios, picked)
@@ -144,7 +144,9 @@ class RobustSearch:
         tips = np.repeat(tips, self.motion(scenarios, picked).sizes[1], axis=1)
         done, part, best = 0.0, 0.5, None
         for _ in range(GROWTHS):
-            found = SharedSolver(self.motion(scenarios.shrunk(part), picked))(q, tips, WIDE, self.stop)
+            found = SharedSolver(self.motion(scenarios.shrunk(part), picked))(
+                q, tips, WIDE, self.stop, rough=picked is not None
+            )
             if found.success:
                 done, best, q, tips = part, found, found.q, found.phi
                 if part == 1.0:

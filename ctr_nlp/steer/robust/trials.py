@@ -126,14 +126,15 @@ class Trials:
         Returns
         -------
         Plan
-            The same plan with ``meta["certificate"]``: ``held``, whether few enough robots are lost; ``draws``,
-            ``lost``, ``lost_in`` and ``borne`` of the last trial; ``samples``, ``outcome``, ``holds`` and
-            ``holds_at_least``: of how many fresh robots how many arrive and keep off the wall as well, and the
-            share of all robots that does so at least with 95 % confidence (Clopper and Pearson); ``certified``:
-            whether few are lost and that share is as large as asked for.
+            The same plan with these robots as its samples, and with ``meta["certificate"]``: ``held``, whether few
+            enough robots are lost; ``draws``, ``lost``, ``lost_in`` and ``borne`` of the last trial; ``samples``,
+            ``outcome``, ``holds`` and ``holds_at_least``: of how many fresh robots how many arrive and keep off
+            the wall as well, and the share of all robots that does so at least with 95 % confidence (Clopper and
+            Pearson); ``certified``: whether few are lost and that share is as large as asked for.
         """
         frames, counts = np.unique(lost.frames, return_counts=True)
-        outcomes = sample_outcomes(plan.with_draws(CERTIFYING, SEED + number))
+        plan = plan.with_draws(CERTIFYING, SEED + number)
+        outcomes = sample_outcomes(plan)
         holds = int(outcomes.held.sum())
         at_least = 1 - upper_bound(CERTIFYING - holds, CERTIFYING)
         found = {

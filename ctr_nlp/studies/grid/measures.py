@@ -4,12 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+import numpy as np
+
+from ctr_nlp.plan.measures import depth
 from ctr_nlp.plan.plan import Plan
-from ctr_nlp.studies.clearance.cases import contact, contact_alone
 from ctr_nlp.target.problem import Problem
 
-MEASURES: Mapping[str, Callable[[Plan, Problem], dict[str, float]]] = {
-    "contact": contact,
-    "contact alone": contact_alone,
-}
+
+def contact(plan: Plan, problem: Problem) -> dict[str, float]:
+    """Measure how much a plan presses into the wall.
+
+    Parameters
+    ----------
+    plan : Plan
+        A plan within a lumen.
+    problem : Problem
+        What it was planned for.
+
+    Returns
+    -------
+    dict
+        ``contact_sum``: depth beyond the wall summed over frames, mm; ``contact_frames``: frames in contact;
+        ``length``: of the target in its last frame, mm; ``short``: by how much the robot is shorter than its
+        target at most, mm.
+    """
+    deep, out = depth(plan), np.minimum(problem.target.lengths, problem.robot.reach)
+    return {
+        "contact_sum": float(deep.sum()),
+        "contact_frames": float((deep > 0).sum()),
+        "length": max(problem.target.lengths),
+        "short": max(0.0, float((out - plan.beta[:, -1]).max())),
+    }
+
+
+MEASURES: Mapping[str, Callable[[Plan, Problem], dict[str, float]]] = {"contact": contact}
 """Columns of a plan's row, by the name of what is measured."""

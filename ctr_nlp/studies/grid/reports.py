@@ -10,7 +10,7 @@ from typing import Any
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.studies.grid.case import DONE
 
-REPORTS = "clearance", "survival"
+REPORTS = ("survival",)
 """Their names, which are those of the rooms that make them."""
 
 

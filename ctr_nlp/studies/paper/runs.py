@@ -44,7 +44,7 @@ NAMES = {
     S2J: "S2J-IK (re-implemented)",
 }
 """What methods are called in pictures and on the page."""
-SETTINGS = Settings(contact_weight=0.0)
+SETTINGS = Settings(contact_weight=0.0, arrival_weight=0.0)
 """Defaults, and no wall: the paper's methods know of none."""
 
 Load = Callable[[str], Problem]

@@ -1,0 +1,146 @@
+"""Arrival: the tip at the target's end where the motion ends.
+
+A horizon minimises a mean over frames, eq. (9). Most frames lie in the easy part of a path, so the mean gives the
+last frames away: it ends 2 to 13 mm off where 0.2 mm costs next to no error elsewhere. This term asks for the end.
+In frame j the distance from the tip p to the target's end costs
+
+    w h(|p - p_j| - r - f_j) + (MISSED - 1) w h(|p - p_j| - R - f_j),    f_j = FUNNEL (1 - part_j) / LAST
+
+in the last LAST of the motion, and nothing before. The tip should be within r and has to be within R, which is
+just less than the tolerance that the plan is judged by: beyond R a mm costs MISSED times as much. The balls shrink
+towards the end, so that the tip is led into them instead of jumping there in the last frame. h(x) is 0 for x <= 0:
+a plan that arrives pays nothing. Beyond, h is x - ROUNDED / 2, an exact penalty with a rounded corner.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from ctr_nlp.formulations.settings import ARRIVAL_WEIGHT, Settings
+from ctr_nlp.formulations.terms.term import Body, Parts, Symbols, Term
+from ctr_nlp.models import Model
+from ctr_nlp.nlp.nlp import Cost, Inner
+from ctr_nlp.robot.structure import Structure
+from ctr_nlp.target.target import Frame
+
+LAST = 0.1
+"""Part of the motion, at its end, in which the term counts."""
+FUNNEL = 2.0
+"""mm by which the ball is larger where the term sets in than in the last frame."""
+AIMED, AIMED_PERTURBED, REQUIRED = 0.15, 0.5, 0.85
+"""Parts of the tolerance: within which the tip should be in the last frame, of the nominal robot and of robots
+that differ from it, and within which it has to be. The rest is left for what is not modelled."""
+MISSED = 3.0
+"""How many times more a mm costs beyond what is required."""
+ROUNDED = 0.3
+"""mm over which the penalty sets in."""
+NEAREST = 0.01
+"""mm: added to the distance as a square, so that it has a slope where it is 0."""
+
+
+def exceeded(value: Any, width: float = ROUNDED) -> Any:
+    """Return a smooth max(value, 0) that is exactly 0 where value <= 0.
+
+    Parameters
+    ----------
+    value : casadi expression
+        mm.
+    width : float
+        Over which the slope grows from 0 to 1, mm.
+
+    Returns
+    -------
+    casadi expression
+        value^2 / (2 width) up to width, value - width / 2 beyond; continuous with its slope.
+    """
+    above = ca.fmax(value, 0)
+    within = ca.fmin(above, width)
+    return within * (above - within / 2) / width
+
+
+@dataclass(frozen=True, eq=False)
+class Arrival(Term):
+    """Penalise the distance by which the tip misses the target's end, in the last frames of a motion.
+
+    Parameters
+    ----------
+    weight : float
+        What a mm of it costs in a frame, mm^2.
+    radius : float
+        Distance from the target's end within which the tip may be in the last frame at no cost, mm.
+    required : float
+        Distance beyond which each mm costs MISSED times as much, mm.
+    wider : float
+        How much larger the radius is for robots that differ from the nominal one, mm.
+    """
+
+    weight: float
+    radius: float
+    required: float
+    wider: float = 0.0
+    name = "arrival"
+    of_settings = True
+    objective_only = True
+
+    @property
+    def key(self) -> Hashable:
+        """All numbers are parameters."""
+        return type(self)
+
+    def places(self, beta: Sequence[ca.SX]) -> ca.SX:
+        """The tip."""
+        return beta[-1]
+
+    def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
+        """The target's end, mm; the weight, mm^2 a mm; the radius and what is required, mm."""
+        single = dict.fromkeys(("arrival_weight", "arrival_radius", "arrival_required"), (1, 1))
+        return {"arrival_end": (1, 3), **single}
+
+    def fill(self, frame: Frame) -> Mapping[str, Any]:
+        """Values for a frame; the weight is 0 before the last part of the motion."""
+        funnel = FUNNEL * (1 - frame.part) / LAST
+        return {
+            "arrival_end": frame.points[-1:],
+            "arrival_weight": self.weight if frame.part > 1 - LAST else 0.0,
+            "arrival_radius": self.radius + funnel,
+            "arrival_required": self.required + funnel,
+        }
+
+    def build(self, body: Body, parameters: Symbols) -> Parts:
+        """One cost, written in the tip's position."""
+        tip = Inner.of([ca.SX(ca.horzcat(*body.points))])
+        away = tip.symbols[0] - parameters["arrival_end"]
+        distance = ca.sqrt(ca.sumsqr(away) + NEAREST**2)
+        missed = exceeded(distance - parameters["arrival_radius"])
+        missed += (MISSED - 1) * exceeded(distance - parameters["arrival_required"])
+        return Parts(costs=(Cost(self.name, parameters["arrival_weight"] * missed),), inner=(tip,))
+
+
+def with_arrival(terms: Sequence[Term], settings: Settings, model: Model) -> tuple[Term, ...]:
+    """Return terms with the arrival that settings ask for, unless they hold one already.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+        Further terms of the objective.
+    settings : Settings
+        `arrival_weight`, mm^2 a mm, and `arrival_tolerance`, mm.
+    model : Model
+        The model that is planned on; by default the end counts on those that can predict snapping.
+
+    Returns
+    -------
+    tuple of Term
+        The terms, and then at most one Arrival.
+    """
+    usual = ARRIVAL_WEIGHT if model.can_snap else 0.0
+    weight = usual if settings.arrival_weight is None else settings.arrival_weight
+    if not weight or any(isinstance(term, Arrival) for term in terms):
+        return tuple(terms)
+    tolerance = settings.arrival_tolerance
+    wider = (AIMED_PERTURBED - AIMED) * tolerance
+    return (*terms, Arrival(weight, AIMED * tolerance, REQUIRED * tolerance, wider))

@@ -1,0 +1,75 @@
+"""A motion frame by frame within the lumen's wall, started from the motion that is free of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from ctr_nlp.formulations.wall import Wall
+from ctr_nlp.plan.plan import elsewhere
+from ctr_nlp.simulation.forward import Simulation, Simulator
+from ctr_nlp.steer.nlp_frames import NlpFrames
+from ctr_nlp.steer.passes import Pass, run_again
+from ctr_nlp.steer.realised import held
+from ctr_nlp.target.problem import Problem
+from ctr_nlp.typing import Array, Flags
+
+
+def failed_frames(problem: Problem, moved: Simulation, x: Array, success: Flags) -> int:
+    """Count the frames that were not solved, or in which the simulated robot is on another branch than planned.
+
+    Parameters
+    ----------
+    problem : Problem
+        Robot and target.
+    moved : Simulation
+        The robot, simulated through the motion.
+    x : ndarray
+        Unknowns (T, n) of the model that the motion was planned with.
+    success : ndarray
+        Whether each frame was solved, (T,).
+
+    Returns
+    -------
+    int
+        Number of frames.
+    """
+    return int((~success | elsewhere(moved.x, x, moved.snaps, problem.robot.d)).sum())
+
+
+def run_within_wall(
+    frames: NlpFrames, free: Pass, simulator: Simulator, stop: Callable[[], bool]
+) -> tuple[Pass, Wall | None]:
+    """Solve all frames again within the wall, starting from the first frame of a run that is free of it.
+
+    Parameters
+    ----------
+    frames : NlpFrames
+        Solver of single frames; its `wall` is the one that counts.
+    free : Pass
+        Run through all frames without the wall.
+    simulator : Simulator
+        Of the problem's robot, on the model of the plan.
+    stop : callable
+        Asked whether to end the work.
+
+    Returns
+    -------
+    Pass, Wall or None
+        The run within the wall, and that wall; or `free` and None where more frames fail within the wall.
+    """
+    problem, wall, first = frames.problem, frames.wall, free.order[0]
+    if wall is None or first not in free.results:
+        return free, None
+
+    def failed(one: Pass) -> int:
+        success = np.array([j in one.results and one.results[j].success for j in range(problem.frames)])
+        return failed_frames(problem, simulator(one.motion(problem)), one.unknowns(problem), success)
+
+    within = replace(frames, near=wall)
+    found = run_again(free, within, stop)
+    if not stop():
+        found = held(within, found, simulator, stop)[0]
+    return (free, None) if failed(found) > failed(free) else (found, wall)
