@@ -26,7 +26,7 @@ HORIZON = "horizon"
 """The formulation that takes all frames at once."""
 FRAMES_ALONE = ("direction", "jump_width")
 """Options that no horizon has."""
-HORIZON_ALONE = ("end", "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live")
+HORIZON_ALONE = ("arrival_weight", "end", "initial", "starts", "exhaustive", "jobs", "sweep_motion_weight", "live")
 """Options that a horizon alone has."""
 WALL = ("clearance", "contact_weight")
 """What add_wall_options adds, as Settings calls it."""
@@ -102,6 +102,12 @@ def add_horizon_options(parser: argparse.ArgumentParser) -> None:
         "--exhaustive", action="store_true", help="solve every motion found frame by frame to the end"
     )
     group.add_argument("--jobs", metavar="N", type=whole, help="processes for them (default 1)")
+    end = (
+        "what a mm by which the tip misses the target's end costs, in each frame of the last tenth of the motion, "
+        f"in mm^2; three times as much beyond --arrival-tolerance (default {ARRIVAL_WEIGHT:g}, "
+        "on the dominant model 0)"
+    )
+    add_numbers(group, ("arrival-weight", "MM", end))
     add_live_option(group, "the motion as it is solved for, or with --jobs the best yet,")
 
 
@@ -229,13 +235,7 @@ def add_term_options(parser: argparse.ArgumentParser) -> None:
         "the shape's distance counts in proportion to sigma^P, so that deeper parts of the robot count more "
         "(default 0: all parts alike)"
     )
-    end = (
-        "what a mm by which the tip misses the target's end costs, in each frame of the last tenth of the motion, "
-        f"in mm^2; three times as much beyond --arrival-tolerance (default {ARRIVAL_WEIGHT:g}, "
-        "on the dominant model 0)"
-    )
     weights = ("tip-direction-weight", "W", angle), ("tip-weight", "W", distance), ("depth-power", "P", depth)
-    add_numbers(group, ("arrival-weight", "MM", end))
     add_numbers(group, *weights)
 
 

@@ -16,7 +16,6 @@ from ctr_nlp.formulations.frames import FrameResult, distinct, reachable, starts
 from ctr_nlp.formulations.joint import joint, tip_steps
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
-from ctr_nlp.formulations.terms.arrival import with_arrival
 from ctr_nlp.formulations.terms.term import listed
 from ctr_nlp.formulations.wall import ROUNDS, SETTLED, Wall, wall_of
 from ctr_nlp.models import Model, model_named
@@ -82,8 +81,6 @@ class NlpFrames:
         check_choice("formulation", formulation, FORMULATIONS)
         described = model_named(default_model(formulation) if model is None else model)
         terms = checked_terms(terms)
-        if formulation == "joint":
-            terms = with_arrival(terms, settings, described)
         check_model(problem, described)
         solver = default_solver() if solver is None else solver
         check_choice("solver", solver, SOLVERS)

@@ -70,7 +70,8 @@ def _search(problem, weight=1e-6):
 
 @pytest.fixture(scope="module")
 def found(problem):
-    return _planned(problem, _scenarios(), 2, margins=(0.3, 0.5), rounds=3)
+    settings = Settings(arrival_weight=0.0)
+    return _planned(problem, _scenarios(), 2, margins=(0.3, 0.5), rounds=3, settings=settings)
 
 
 def test_robots_that_are_lost_join_until_few_are(found):
@@ -160,8 +161,8 @@ def test_scenarios_grow_from_the_nominal_robot_where_a_start_fails(problem, foun
     )
     solve, solved = SharedSolver.__call__, []
 
-    def failing(self, *args):
-        solved.append(solve(self, *args))
+    def failing(self, *args, **options):
+        solved.append(solve(self, *args, **options))
         return replace(solved[-1], kkt=1.0) if len(solved) in (1, 3) else solved[-1]
 
     monkeypatch.setattr(SharedSolver, "__call__", failing)

@@ -10,6 +10,7 @@ from ctr_nlp import (
     Limits,
     Problem,
     Robot,
+    Settings,
     Tolerances,
     Tube,
     curve_from_formula,
@@ -87,7 +88,7 @@ def problem():
 
 @pytest.fixture(scope="module")
 def plain(problem):
-    return solve_horizon(problem, model="elastic")
+    return solve_horizon(problem, model="elastic", settings=Settings(arrival_weight=0.0))
 
 
 def test_a_robust_plan_keeps_robots_that_a_plain_one_loses(problem, plain):

@@ -166,10 +166,6 @@ def _check_fit(arguments: argparse.Namespace) -> None:
         raise OptionError(
             f"{option} does not go with --formulation {arguments.formulation}; it goes with {fitting}"
         )
-    if arguments.arrival_weight is not None and arguments.formulation.startswith("two-stage"):
-        raise OptionError(
-            "--arrival-weight does not go with two stages; it goes with the joint formulation and horizon"
-        )
     for option, what in ALONE_ROBUST.items():
         if getattr(arguments, option) is not None and not arguments.robust:
             raise OptionError(f"--{option.replace('_', '-')} is given without --robust; it says {what}")

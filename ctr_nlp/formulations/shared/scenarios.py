@@ -37,8 +37,8 @@ of one that need only not be lost, which it is from simulation.drawn.APART on.""
 EASED = 0.3
 """The part of the margin that one that need only not be lost keeps."""
 ARRIVAL_OF_EACH = 4.0
-"""How many times more the arrival of a scenario counts than that of the nominal robot: few of them are far off, and
-each is only a small part of the mean."""
+"""How many times more the arrival of a scenario counts than that of the nominal robot: few of them are far off,
+and each is only a small part of the mean."""
 TWIST_STEP = 0.7
 """rad by which the first scenario's tips, relative to the innermost one, may turn beyond its motors in a frame."""
 

@@ -21,6 +21,7 @@ import numpy.typing as npt
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.shared.scenarios import shared_motion
 from ctr_nlp.formulations.terms import Term
+from ctr_nlp.formulations.terms.arrival import with_arrival
 from ctr_nlp.formulations.wall import wall_of
 from ctr_nlp.models import MODELS, Model
 from ctr_nlp.models.loaded.model import Loaded
@@ -38,7 +39,7 @@ from ctr_nlp.steer.motions import per_frame_motions
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.realised import SHORT, Missed, held_between, missing
-from ctr_nlp.steer.requests import check_search, checked_motions
+from ctr_nlp.steer.requests import check_search, checked_motions, checked_terms
 from ctr_nlp.support.interrupt import deferred_interrupt
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array
@@ -76,7 +77,8 @@ class LoadedHorizon:
         model.check(problem.robot)
         begin = time.perf_counter()
         asked = solver, start, end
-        self.problem, self._model, self._settings, self._terms = problem, model, settings, tuple(terms)
+        self.problem, self._model, self._settings = problem, model, settings
+        self._terms = with_arrival(checked_terms(terms), settings, model)
         wall = wall_of(problem.robot, problem.sampled_lumen, model, settings)
         self._inside = None if wall is None else Horizon(problem, model, *asked, settings, terms)
         margin = settings.stability_margin
