@@ -34,6 +34,9 @@ ROUNDS = 12
 """Times that a program is solved around its own solution."""
 SETTLED = 0.01
 """mm by which the slack of a solution may differ from what it needs."""
+PLANNED_PART = 0.8
+"""Part of the contact that is allowed, beyond which it costs more in planning: penalties give a little, and programs
+look at the wall in fewer places than the verdict does."""
 TINY = 1e-9
 """mm, 1/mm: what stands for nothing in a denominator."""
 
@@ -70,7 +73,7 @@ class Wall:
     @property
     def allowed(self) -> float:
         """Depth by which the clearance may be missed before contact costs more, mm."""
-        return self.clearance + self.contact_allowed
+        return self.clearance + PLANNED_PART * self.contact_allowed
 
     @cached_property
     def around(self) -> Around | None:

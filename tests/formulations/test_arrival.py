@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from truth import TWO
 
-from ctr_nlp import Problem, Settings, growing, solve_horizon, solve_per_frame
+from ctr_nlp import Problem, Settings, growing, solve_horizon
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.terms import Arrival, TipPosition
 from ctr_nlp.formulations.terms.arrival import FUNNEL, LAST, ROUNDED, exceeded, with_arrival
@@ -17,7 +17,6 @@ from ctr_nlp.plan.metrics import e3
 from ctr_nlp.target.curve import curve_from_formula
 
 FRAMES = 20
-BOTH = pytest.mark.parametrize("solve", [solve_horizon, solve_per_frame])
 
 
 @pytest.fixture(scope="module")
@@ -84,10 +83,9 @@ def test_a_weight_out_of_range_is_refused(weight):
 # Plans
 
 
-@BOTH
-def test_plans_end_nearer_to_the_target_at_little_cost(bend, solve):
-    without = solve(bend, model="dominant", settings=Settings(arrival_weight=0.0))
-    plan = solve(bend, model="dominant", settings=Settings(arrival_weight=50.0))
+def test_plans_end_nearer_to_the_target_at_little_cost(bend):
+    without = solve_horizon(bend, model="dominant", settings=Settings(arrival_weight=0.0))
+    plan = solve_horizon(bend, model="dominant", settings=Settings(arrival_weight=50.0))
     assert arrival(without).distance > 1.0
     assert arrival(plan).distance < 0.5
     assert e3(plan) < 1.25 * e3(without)

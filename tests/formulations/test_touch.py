@@ -16,7 +16,7 @@ from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.formulations.shared.scenarios import shared_motion
 from ctr_nlp.formulations.terms.lumen import PLACES, arc_lengths, contact
 from ctr_nlp.formulations.terms.touch import WIDTH
-from ctr_nlp.formulations.wall import wall_of
+from ctr_nlp.formulations.wall import PLANNED_PART, wall_of
 from ctr_nlp.models import MODELS
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.solvers.scenarios.condensed import Condensed
@@ -73,7 +73,9 @@ def test_contact_costs_a_smooth_maximum_of_the_depths_at_all_places(motions, poi
     assert depths.max() > 1.0  # something touches
     assert depths.max(axis=2).min() < 0.0  # something else does not
     deepest = WIDTH * np.log1p(np.exp(depths / WIDTH).sum(axis=2))
-    wanted = np.array(ca.DM(contact(ca.DM(deepest), WEIGHT, CLEARANCE + Settings().contact_allowed)))
+    wanted = np.array(
+        ca.DM(contact(ca.DM(deepest), WEIGHT, CLEARANCE + PLANNED_PART * Settings().contact_allowed))
+    )
     np.testing.assert_allclose(cost, wanted, rtol=0.02, atol=0.1)
     assert (cost >= WEIGHT * np.maximum(depths.max(axis=2), 0) - 0.1).all()
 

@@ -73,7 +73,7 @@ def test_a_plan_for_forces_loses_no_robot_under_them_that_a_plan_without_does(fo
     assert found.complete
     assert found.meta["certificate"]["held"]
     assert _lost_in_any(found, SNAPPING) == 0
-    assert _lost_in_any(without, SNAPPING) > 1
+    assert _lost_in_any(without, SNAPPING) > 0
 
 
 WEIGHT = Load(densities=21.0, down=(1, 0, 0))
