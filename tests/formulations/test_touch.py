@@ -73,9 +73,8 @@ def test_contact_costs_a_smooth_maximum_of_the_depths_at_all_places(motions, poi
     assert depths.max() > 1.0  # something touches
     assert depths.max(axis=2).min() < 0.0  # something else does not
     deepest = WIDTH * np.log1p(np.exp(depths / WIDTH).sum(axis=2))
-    wanted = np.array(
-        ca.DM(contact(ca.DM(deepest), WEIGHT, CLEARANCE + PLANNED_PART * Settings().contact_allowed))
-    )
+    allowed = CLEARANCE + PLANNED_PART * Settings().contact_allowed
+    wanted = np.array(ca.DM(contact(ca.DM(deepest), WEIGHT, allowed)))
     np.testing.assert_allclose(cost, wanted, rtol=0.02, atol=0.1)
     assert (cost >= WEIGHT * np.maximum(depths.max(axis=2), 0) - 0.1).all()
 

@@ -314,8 +314,10 @@ def test_a_robot_that_stands_somewhere_starts_from_there():
 
 @functools.cache
 def over_horizon(name, solver):
-    start = solve_per_frame(named(name, 16), model="elastic")
-    return solve_horizon(named(name, 16), model="elastic", solver=solver, initial=[start.q], motion_weight=1e-5)
+    """Of a smooth objective: where the penalty on arrival has its corner, solvers agree to 1e-4 alone."""
+    start, settings = solve_per_frame(named(name, 16), model="elastic"), Settings(arrival_weight=0.0)
+    asked = {"solver": solver, "initial": [start.q], "motion_weight": 1e-5, "settings": settings}
+    return solve_horizon(named(name, 16), model="elastic", **asked)
 
 
 @pytest.mark.parametrize("name", ["arc", "line_arc"])
