@@ -35,8 +35,8 @@ ROUNDS = 12
 SETTLED = 0.01
 """mm by which the slack of a solution may differ from what it needs."""
 PLANNED_PART = 0.8
-"""Part of the contact that is allowed, beyond which it costs more in planning: penalties give a little, and programs
-look at the wall in fewer places than the verdict does."""
+"""Part of the contact that is allowed, beyond which it costs more in planning: penalties give a little, and
+programs look at the wall in fewer places than the verdict does."""
 TINY = 1e-9
 """mm, 1/mm: what stands for nothing in a denominator."""
 
