@@ -46,8 +46,6 @@ def per_frame_motions(
     most: how many frames are solved at most; others are interpolated. Where Ctrl-C, held back by the caller, ended
     the work early, the robot stands still in frames not reached.
     """
-    # Frame by frame the tip would have to jump to the target where its arrival begins to count.
-    terms = [term for term in terms if not term.of_settings]
     stride = -(-problem.frames // most)
     picked = thinned(problem.frames, stride)
     coarse = problem if stride == 1 else at_frames(problem, picked, stride)
