@@ -66,24 +66,57 @@ def solve_robust(
     terms: Sequence[Term] = (),
     progress: Progress | None = None,
 ) -> Plan:
-    """The plan that robots of scenarios follow a problem's target with, all making one motion.
+    """Plan one motion that all robots within the tolerances follow, arrive with, and keep off the wall with.
 
-    scenarios: the first is the problem's own robot; by default those of its tolerances, and that robot
-    under the forces that may act at its tip, whose errors do not count. most_lost: the share of
-    all robots within the tolerances that may be lost. A motion is tried on robots drawn for it alone; where too
-    many are lost for that to be certain with 95 % confidence, some of these join the scenarios, and it is planned
-    again, in at most so many rounds. What came of the last trial is meta["certificate"], and the plan holds the
-    robots that it was certified on. guards: whether robots at the corners of the tolerances that such a motion
-    loses are kept too, which takes several times as long.
-    initial: motions (T, 2d + 2) to start from. margins: of the robot as described in motions that are found frame
-    by frame, to start from where too many robots are lost on what comes of initial ones, or there are none;
-    without margins only initial ones are started from. On a model that cannot snap, the plan of the robot as
-    described is.
-    settings.stability_margin: the least of every scenario. start, end, motion_weight, settings, terms, progress:
-    as solve_horizon.
-    In a lumen, the contact of every scenario costs what settings say, and so does the distance by which its tip
-    misses the target's end. Where no motion is found that all share, the plan is the first motion started from,
-    and no frame counts as solved. Raises OptionError, ProblemError, RobotError.
+    Robots that stand for the tolerances (scenarios) share the motors' angles and extensions of every frame, and each
+    has tips of its own. Minimised is their mean shape error, with what contact and arrival of each cost, subject to
+    a stability margin of each. A motion is then tried on simulated robots; those that snap or leave the branch
+    join the scenarios, and it is planned again.
+
+    Parameters
+    ----------
+    problem : Problem
+        Robot and target; the robot's tolerances say how built robots differ from it.
+    scenarios : Scenarios, optional
+        The robots that are planned for, the first of which is the problem's own. By default a two-level design of
+        the tolerances (Plackett and Burman, 1946), and the nominal robot under the forces that may act at its tip,
+        whose errors do not count.
+    most_lost : float
+        Share of all robots within the tolerances that may snap or leave the branch, known with 95 % confidence.
+    rounds : int
+        How often a motion is planned again for robots that were lost, at most.
+    guards : bool
+        Whether robots at the corners of the tolerances are kept as well, which takes several times as long.
+    model : str or Model
+        ``"elastic"``, ``"dominant"`` or ``Loaded(load)``. On a model that cannot snap, the plan of the nominal robot
+        is started from.
+    start, end : array_like, optional
+        Configurations q (2d + 2,) at time 0 and in the last frame.
+    motion_weight : float, optional
+        Lambda in s^2; by default a tenth of that of a nominal horizon.
+    initial : sequence of array_like
+        Motions (T, 2d + 2) to start from.
+    margins : sequence of float
+        Stability margins of the nominal robot in motions frame by frame, which are started from where there are no
+        `initial` ones, or too many robots are lost on what comes of these.
+    settings : Settings
+        `stability_margin` is the least one of every scenario; weights of contact and arrival count for each.
+    terms : sequence of Term
+        Further terms of the objective.
+    progress : callable, optional
+        Called as ``progress(done, total, note)``.
+
+    Returns
+    -------
+    Plan
+        With its certificate in ``meta["certificate"]`` (:meth:`Trials.certified`) and the robots that it was
+        certified on. Where no motion is found that all scenarios share, the first motion started from; then no
+        frame counts as solved.
+
+    Raises
+    ------
+    OptionError, ProblemError, RobotError
+        An option, the problem or the robot is not what it must be.
     """
     check_described(problem, settings)
     check_search(motion_weight, None, 1)
