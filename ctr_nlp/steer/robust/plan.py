@@ -68,8 +68,8 @@ def solve_robust(
 ) -> Plan:
     """Plan one motion that all robots within the tolerances follow, arrive with, and keep off the wall with.
 
-    Robots that stand for the tolerances (scenarios) share the motors' angles and extensions of every frame, and each
-    has tips of its own. Minimised is their mean shape error, with what contact and arrival of each cost, subject to
+    Robots that stand for the tolerances (scenarios) share the motors' angles and extensions of every frame, and
+    each has tips of its own. Minimised is their mean shape error, with what contact and arrival of each cost, subject to
     a stability margin of each. A motion is then tried on simulated robots; those that snap or leave the branch
     join the scenarios, and it is planned again.
 
@@ -88,8 +88,8 @@ def solve_robust(
     guards : bool
         Whether robots at the corners of the tolerances are kept as well, which takes several times as long.
     model : str or Model
-        ``"elastic"``, ``"dominant"`` or ``Loaded(load)``. On a model that cannot snap, the plan of the nominal robot
-        is started from.
+        ``"elastic"``, ``"dominant"`` or ``Loaded(load)``. On a model that cannot snap, the plan of the nominal
+        robot is started from.
     start, end : array_like, optional
         Configurations q (2d + 2,) at time 0 and in the last frame.
     motion_weight : float, optional
