@@ -69,9 +69,9 @@ def solve_robust(
     """Plan one motion that all robots within the tolerances follow, arrive with, and keep off the wall with.
 
     Robots that stand for the tolerances (scenarios) share the motors' angles and extensions of every frame, and
-    each has tips of its own. Minimised is their mean shape error, with what contact and arrival of each cost, subject to
-    a stability margin of each. A motion is then tried on simulated robots; those that snap or leave the branch
-    join the scenarios, and it is planned again.
+    each has tips of its own. Minimised is their mean shape error, with what contact and arrival of each cost,
+    subject to a stability margin of each. A motion is then tried on simulated robots; those that snap or leave the
+    branch join the scenarios, and it is planned again.
 
     Parameters
     ----------
