@@ -15,7 +15,7 @@ from ctr_nlp.solvers.scenarios.filter import Merit
 from ctr_nlp.solvers.scenarios.links import LinkBand
 from ctr_nlp.typing import Array, Flags, Index
 
-PUSH, RELAX, INFINITE, LEFT = 1e-3, 1e-9, 1e20, 0.005
+PUSH, RELAX, INFINITE, LEFT = 1e-2, 1e-9, 1e20, 0.005
 """How far slacks start within bounds, how far bounds are moved outwards, what stands for none, and what part of
 its distance from a bound a step leaves."""
 

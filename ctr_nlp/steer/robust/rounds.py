@@ -125,9 +125,9 @@ def relaxed(held: Round, first: int, lost: Judge, number: int) -> list[Round]:
 
 
 def _again(search: RobustSearch, before: Tried, scenarios: Scenarios, picked: Index | None) -> Tried:
-    """A motion solved again with scenarios that have joined; these grow where nothing comes of that."""
+    """A motion solved again with scenarios that have joined; on a draft these grow where nothing comes of that."""
     tried = solved_again(search, before, scenarios, picked)
-    if tried.shared or search.stop():
+    if tried.shared or picked is None or search.stop():
         return tried
     known = before.solution
     return search.grown(before.start, known.q, known.phi[:, :1], scenarios, picked)

@@ -27,8 +27,9 @@ from ctr_nlp.typing import Array, Index
 
 UNMADE = 1.02
 """How much better a draft must be that is not made on its few frames, since it is longer to go on with."""
-GROWTHS = 6
-"""Times that scenarios are solved for while they grow from the nominal robot to what they are."""
+GROWTHS, GROWING = 4, 100
+"""Times that scenarios are solved for while they grow from the nominal robot to what they are, on the frames of a
+draft; steps of each. Over all frames that would take minutes, and another draft leads further."""
 
 
 @dataclass(frozen=True)
@@ -133,9 +134,9 @@ class RobustSearch:
     def _solved(
         self, name: str, q: Array, tips: Array, scenarios: Scenarios, picked: Index | None, barrier: float
     ) -> Tried:
-        """From tips (T, S, k); where that fails, as grown."""
+        """From tips (T, S, k); where that fails for a draft, as grown."""
         found = SharedSolver(self.motion(scenarios, picked))(q, tips, barrier, self.stop, rough=picked is not None)
-        if found.success or self.stop():
+        if found.success or picked is None or self.stop():
             return self.looked_at(Tried(name, len(q), found))
         return self.grown(name, q, tips[:, :1], scenarios, picked)
 
@@ -144,9 +145,8 @@ class RobustSearch:
         tips = np.repeat(tips, self.motion(scenarios, picked).sizes[1], axis=1)
         done, part, best = 0.0, 0.5, None
         for _ in range(GROWTHS):
-            found = SharedSolver(self.motion(scenarios.shrunk(part), picked))(
-                q, tips, WIDE, self.stop, rough=picked is not None
-            )
+            solver = SharedSolver(self.motion(scenarios.shrunk(part), picked))
+            found = solver(q, tips, WIDE, self.stop, GROWING, rough=picked is not None)
             if found.success:
                 done, best, q, tips = part, found, found.q, found.phi
                 if part == 1.0:
