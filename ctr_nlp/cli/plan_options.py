@@ -20,8 +20,6 @@ from ctr_nlp.studies.trade_off import WEIGHTS
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import SIGMA
 
-CERTIFIED = 500
-"""Simulated robots that a robust plan is judged on."""
 HORIZON = "horizon"
 """The formulation that takes all frames at once."""
 FRAMES_ALONE = ("direction", "jump_width")
@@ -112,13 +110,20 @@ def add_horizon_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_robust_options(parser: argparse.ArgumentParser) -> None:
-    """Whether all the robots within tolerances are planned for."""
+    """Add whether all the robots within tolerances are planned for, or the described one alone."""
     group = parser.add_argument_group("robots that are not quite the one described")
-    group.add_argument(
+    which = group.add_mutually_exclusive_group()
+    which.add_argument(
         "--robust",
         action="store_true",
-        help="plan for all the robots that the tolerances in the robot file allow, over all "
-        "frames at once or with the joint formulation, and certify the plan on simulated ones",
+        help="plan for all the robots that the tolerances in the robot file allow, over all frames at once or "
+        "with the joint formulation, and certify the plan on simulated ones (default over all frames, on the "
+        "elastic model and without a load)",
+    )
+    which.add_argument(
+        "--nominal",
+        action="store_true",
+        help="plan for the robot as described alone, which takes a few seconds (default otherwise)",
     )
     part = "share of them that may be lost: snap, or end on another branch; certain with 95 percent confidence"
     add_numbers(group, ("most-lost", "PART", f"{part} (default {MOST_LOST:g})"))
@@ -183,7 +188,7 @@ def add_check_options(parser: argparse.ArgumentParser) -> None:
         help="neither move the robot through the plan on the elastic model, where it was planned on another one, "
         "nor simulate robots within the tolerances; verdicts that need this then say NOT CHECKED",
     )
-    usual = f"{DRAWS}; with --robust {CERTIFIED}; under a load 0, since loaded ones take a minute for every 200"
+    usual = f"{DRAWS}; under a load 0, since loaded ones take a minute for every 200"
     told = f"robots within the tolerances that are simulated (default {usual})"
     group.add_argument("--samples", metavar="N", type=whole, help=told)
 
@@ -192,10 +197,10 @@ def look_at_plan(plan: Plan, arguments: argparse.Namespace) -> Plan:
     """Look at a plan as add_check_options' arguments say; raises RobotError for a bad number of samples."""
     if arguments.no_evaluate:
         return plan
-    robust, loaded = getattr(arguments, "robust", False), plan.bears is not None
+    loaded = plan.bears is not None
     if arguments.samples is None and plan.drawn is not None and plan.can_snap:
         return plan  # a robust plan holds the robots that it was certified on
-    usual = CERTIFIED if robust else 0 if loaded else DRAWS
+    usual = 0 if loaded else DRAWS
     count = usual if arguments.samples is None else arguments.samples
     return plan if loaded and not count else plan.check(count)
 

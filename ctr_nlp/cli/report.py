@@ -44,6 +44,14 @@ def draw(plan: Plan, points: Sequence[Point], folder: Path) -> None:
         save_front(points, plan.meta["problem"]["name"], folder)
 
 
+def draw_first(plan: Plan, folder: Path) -> None:
+    """Draw the shapes of a plan alone, which takes least time."""
+    from ctr_nlp.figures import save
+    from ctr_nlp.figures.overlay import shapes
+
+    save(shapes(plan), folder / "shapes.png")
+
+
 def print_report(plan: Plan) -> None:
     """Print the verdicts on a plan, its numbers, and what is wrong with it."""
     found = summary(plan)

@@ -86,7 +86,10 @@ def rows(found: dict[str, Any]) -> list[Row]:
 def remarks(plan: Plan, found: dict[str, Any]) -> list[str]:
     """Sentences on limits that bind or are exceeded, snaps, contacts and failures; none where all is well."""
     snaps = [_snap(snap) for snap in found["snaps"]]
-    return [*_limits(plan, found), *snaps, *_contacts(plan, found), *_certificate(plan), *_failures(plan)]
+    told = [*_limits(plan, found), *snaps, *_contacts(plan, found), *_certificate(plan), *_failures(plan)]
+    if "not_shared" in plan.meta:
+        told.append(f"{plan.meta['not_shared']}: this is the plan for the robot as described alone")
+    return told
 
 
 def _snap(snap: Mapping[str, Any]) -> str:

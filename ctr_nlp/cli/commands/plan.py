@@ -1,7 +1,7 @@
 """`ctr-nlp plan`, and its two halves: `ctr-nlp steer`, frame by frame, and scripts/solve_horizon.py, all at once.
 
-A plan is by default found over a horizon: that is never worse than the best motion frame by frame, from which it
-starts, and where the problem is compiled takes a small part of a second longer.
+A plan is by default found over a horizon, for all the robots that tolerances allow. It starts from the plan of the
+robot as described, which is there after a few seconds and shown meanwhile.
 """
 
 from __future__ import annotations
@@ -19,19 +19,32 @@ from ctr_nlp.cli.arguments import DEFAULTS, FRAME_SETTINGS, film_file, read_star
 from ctr_nlp.cli.console import INTERRUPTED, Command
 from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, asked_model, with_asked_modulus
 from ctr_nlp.cli.output.file import path_component
-from ctr_nlp.cli.output.folder import check_folder, place_of, published
+from ctr_nlp.cli.output.folder import NOMINAL, check_folder, place_of, published
 from ctr_nlp.cli.plan_options import HORIZON
-from ctr_nlp.cli.report import draw, exit_status, print_front, print_report, write, write_film, write_front
-from ctr_nlp.cli.telling import progress_bar, wrote
-from ctr_nlp.exceptions import OptionError
+from ctr_nlp.cli.report import (
+    draw,
+    draw_first,
+    exit_status,
+    print_front,
+    print_report,
+    write,
+    write_film,
+    write_front,
+)
+from ctr_nlp.cli.telling import announce, progress_bar, wrote
+from ctr_nlp.exceptions import CtrError, OptionError
 from ctr_nlp.formulations import FORMULATIONS
 from ctr_nlp.formulations.settings import THRESHOLDS, Settings, check_motion_weight
+from ctr_nlp.models import MODELS
+from ctr_nlp.plan import account
 from ctr_nlp.plan.account import NOT_FOR_PATIENTS
+from ctr_nlp.plan.metrics import summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS
 from ctr_nlp.steer import DIRECTIONS, horizon_planner, solve_per_frame
 from ctr_nlp.steer.requests import Direction, check_search, checked_motions
 from ctr_nlp.steer.robust import solve_robust, solve_robust_per_frame
+from ctr_nlp.steer.robust.tolerated import described
 from ctr_nlp.studies.trade_off import WEIGHTS, Point, trade_off
 from ctr_nlp.support.interrupt import deferred_interrupt, end_if_interrupted
 from ctr_nlp.support.values import check_choice
@@ -107,7 +120,6 @@ def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    robust = arguments.robust
     whole, swept = arguments.formulation == HORIZON, getattr(arguments, "sweep_motion_weight", None)
     _check_fit(arguments)
     for weight in swept or ():
@@ -116,10 +128,13 @@ def _run(arguments: argparse.Namespace) -> int:
     problem = plan_options.tolerant(with_asked_modulus(problem, arguments), arguments)
     model = plan_options.model_from(arguments)
     asked_model(model, arguments).check(problem.robot)
-    out, film = Path(arguments.out or f"runs/{_folder(problem, model, arguments)}"), film_file(arguments)
+    arguments.robust, alone = _planned_for(arguments, problem)
+    out, film = Path(arguments.out or f"runs/{_folder(problem, model, arguments, alone)}"), film_file(arguments)
     check_folder(out, "plan", film)
-    if robust:
-        plan, points = _robust(arguments, problem), list[Point]()
+    if alone:
+        announce(f"planned for the robot as described alone: {alone}")
+    if arguments.robust:
+        plan, points = _robust(arguments, problem, out), list[Point]()
     else:
         plan, points = _at_once(arguments, problem) if whole else (_by_frame(arguments, problem), [])
     with deferred_interrupt() as pressed:
@@ -144,10 +159,32 @@ def _run(arguments: argparse.Namespace) -> int:
     return INTERRUPTED if interrupted else exit_status(plan)
 
 
-def _folder(problem: Problem, model: str, arguments: argparse.Namespace) -> str:
+def _planned_for(arguments: argparse.Namespace, problem: Problem) -> tuple[bool, str]:
+    """Whether all robots within the tolerances are planned for; where nobody said so, why they are not.
+
+    Over all frames they are, where the model can tell which of them snap and nothing was asked for that only the
+    plan of the described robot has.
+    """
+    if arguments.robust or arguments.nominal or arguments.formulation != HORIZON:
+        return arguments.robust, ""
+    if arguments.load is not None or arguments.force is not None:
+        return False, "under a load the others take a minute and more; --robust plans for them"
+    if not MODELS[plan_options.model_from(arguments)].can_snap:
+        return False, ""
+    if given := _given(arguments, UNFIT):
+        return False, f"{given[0]} was given"
+    try:
+        described(problem.robot, plan_options.model_from(arguments), None)
+    except CtrError as error:
+        return False, str(error)
+    return True, ""
+
+
+def _folder(problem: Problem, model: str, arguments: argparse.Namespace, alone: str) -> str:
     """Name the output folder by what was asked for: plans of other requests do not replace each other."""
     asked = {
-        "robust": arguments.robust,
+        "nominal": arguments.nominal or bool(alone),
+        "robust": arguments.robust and arguments.formulation != HORIZON,
         "loaded": arguments.load is not None or arguments.force is not None,
         "locked-tilt": arguments.lock_tilt,
         f"on-{path_component(Path(arguments.robot or '').stem)}": arguments.robot is not None,
@@ -238,8 +275,12 @@ def _at_once(arguments: argparse.Namespace, problem: Problem) -> tuple[Plan, lis
     return plan, points
 
 
-def _robust(arguments: argparse.Namespace, problem: Problem) -> Plan:
-    """The plan for all robots that the tolerances allow, over all frames at once or frame by frame."""
+def _robust(arguments: argparse.Namespace, problem: Problem, out: Path) -> Plan:
+    """The plan for all robots that the tolerances allow, over all frames at once or frame by frame.
+
+    out: the output folder, within which a folder takes the plan of the robot as described while others are planned
+    for.
+    """
     whole = arguments.formulation == HORIZON
     asked: dict[str, Any] = {
         "model": asked_model(plan_options.model_from(arguments), arguments),
@@ -253,6 +294,7 @@ def _robust(arguments: argparse.Namespace, problem: Problem) -> Plan:
     if whole:
         asked |= {"settings": _settings(arguments, problem, "seed"), "motion_weight": arguments.motion_weight}
         asked["guards"] = bool(arguments.guards)
+        asked["nominal"] = partial(_first, out=out, figures=not arguments.no_figures)
     else:
         asked |= {"settings": _settings(arguments, problem, *FRAME_SETTINGS)}
         asked |= {"direction": arguments.direction or "best"}
@@ -261,6 +303,23 @@ def _robust(arguments: argparse.Namespace, problem: Problem) -> Plan:
     with progress_bar() as labelled:
         solve = solve_robust if whole else solve_robust_per_frame
         return solve(problem, progress=labelled(problem.name), **asked)
+
+
+def _first(plan: Plan, out: Path, figures: bool) -> None:
+    """Write the plan of the robot as described, which the one for all robots within the tolerances comes after."""
+    if plan.meta["interrupted"]:
+        return
+    place = out / NOMINAL
+    with published(place, "plan") as staging:
+        write(plan, staging)
+        if figures:
+            draw_first(plan, staging)
+    found = summary(plan)
+    tip = found["tip_last"]
+    announce(
+        f"plan for the robot as described: {account.lead(found)} The tip ends {tip:.2f} mm off the target. "
+        f"Wrote {place}; now planning for all robots within the tolerances"
+    )
 
 
 def _shown(problem: Problem, arguments: argparse.Namespace) -> AbstractContextManager[Solved | None]:

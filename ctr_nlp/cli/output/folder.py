@@ -17,6 +17,9 @@ from ctr_nlp.support.interrupt import ignored_interrupt
 
 INTERRUPTED = "interrupted"
 """The folder within an output folder that takes what interrupted runs have found until then."""
+NOMINAL = "nominal"
+"""The folder within an output folder that takes the plan of the robot as described, while others are planned
+for."""
 PATIENCE = 10.0
 """Seconds for which a run waits for another one that publishes into the same folder, which takes milliseconds."""
 
@@ -91,7 +94,7 @@ def _check(folder: Path, names: Sequence[str]) -> None:
 
 def _foreign(entry: Path) -> bool:
     """Whether something in a folder without a manifest is not what an interrupted or a killed run has left."""
-    ours = entry.name == INTERRUPTED and (entry / MARK).is_file()
+    ours = entry.name in (INTERRUPTED, NOMINAL) and (entry / MARK).is_file()
     return not ours and STAGING.fullmatch(entry.name) is None
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -45,6 +45,9 @@ START_FRAMES = 49
 """Most frames of these motions that are solved: drafts, which begin from them, have 25 to 49."""
 MOTION_PART = 0.1
 """Part of the lambda of a plain horizon: robots differ more from the target than smoothness is worth there."""
+NOT_SHARED = "no motion was found that all robots within the tolerances share"
+REFINED = 2
+"""Rounds over the frames of a draft, the last ones, of which all frames are tried until that leads to a motion."""
 ROUNDS = 4
 """Times that a motion is planned again for robots that were lost."""
 
@@ -65,6 +68,7 @@ def solve_robust(
     settings: Settings = DEFAULTS,
     terms: Sequence[Term] = (),
     progress: Progress | None = None,
+    nominal: Callable[[Plan], None] | None = None,
 ) -> Plan:
     """Plan one motion that all robots within the tolerances follow, arrive with, and keep off the wall with.
 
@@ -95,23 +99,27 @@ def solve_robust(
     motion_weight : float, optional
         Lambda in s^2; by default a tenth of that of a nominal horizon.
     initial : sequence of array_like
-        Motions (T, 2d + 2) to start from.
+        Motions (T, 2d + 2) to start from. By default the plan of the nominal robot (:func:`solve_horizon`).
     margins : sequence of float
-        Stability margins of the nominal robot in motions frame by frame, which are started from where there are no
-        `initial` ones, or too many robots are lost on what comes of these.
+        Stability margins of the nominal robot in motions frame by frame, which are started from where too many
+        robots are lost on what comes of the others.
     settings : Settings
         `stability_margin` is the least one of every scenario; weights of contact and arrival count for each.
     terms : sequence of Term
         Further terms of the objective.
     progress : callable, optional
         Called as ``progress(done, total, note)``.
+    nominal : callable, optional
+        Called with the plan of the nominal robot, seconds before all the others are planned for; not where
+        `initial` motions are given, or the robot bears a load.
 
     Returns
     -------
     Plan
         With its certificate in ``meta["certificate"]`` (:meth:`Trials.certified`) and the robots that it was
-        certified on. Where no motion is found that all scenarios share, the first motion started from; then no
-        frame counts as solved.
+        certified on. Where no motion is found that all scenarios share, the plan of the nominal robot, and
+        ``meta["not_shared"]`` says so; without one, the first motion started from, no frame of which counts as
+        solved.
 
     Raises
     ------
@@ -123,44 +131,59 @@ def solve_robust(
     whole_number(OptionError, "rounds", rounds, 0)
     model, scenarios = described(problem.robot, model, scenarios)
     given = checked_motions(problem, initial)
-    if not given and not margins:
+    if not (given or margins) and told_on(model).bears is not None:
         raise OptionError(
             "initial and margins are both empty: give motions to start from, or margins to find them"
         )
-    motions = (1 + bool(given)) * (2 * (rounds + 1) + RELAXATIONS) + 1
+    motions = 2 * (2 * (rounds + 1) + RELAXATIONS) + 1
     trials = Trials(problem.robot, model, motions, most_lost)
     terms = with_arrival(checked_terms(terms), settings, model)
-    begin, searched = time.perf_counter(), 0.0
+    begin, searched, weight = time.perf_counter(), 0.0, motion_weight
     told = told_on(model)
     with deferred_interrupt() as interrupted:
-        nominal = Horizon(problem, told, None, start, end, _at(settings, *margins[:1]), terms)
+        planner = Horizon(problem, told, None, start, end, settings, terms)
         least = None if settings.stability_margin is None else np.full(problem.frames, settings.stability_margin)
         wall = wall_of(problem.robot, problem.sampled_lumen, model, settings, finer=1)
-        tried, made, best = list[Tried](), list[Round](), None
-        for starts, seconds in _starts(problem, told, given, margins, nominal, terms, settings):
-            searched += seconds
-            weight = MOTION_PART * nominal.balanced_weight(starts[0].x) if motion_weight is None else motion_weight
-            own = model, nominal.ends, tuple(terms), weight, least
+        starts = _Starts(planner, told, given, margins, terms, settings, progress, interrupted, nominal)
+        tried, made, best, open_ = list[Tried](), list[Round](), None, list[Tried]()
+        for number, find in enumerate(starts.ways):
+            begun = time.perf_counter()
+            found = find()
+            searched += time.perf_counter() - begun
+            if not found:
+                continue
+            if weight is None:
+                weight = MOTION_PART * planner.balanced_weight(found[0].x)
+            own = model, planner.ends, tuple(terms), weight, least
             search = RobustSearch(problem, *own, progress, interrupted, wall)
-            drafts = search.drafts(starts, scenarios)
+            drafts = search.drafts(found, scenarios)
             tried += drafts
-            made += _rounds(search, drafts, scenarios, trials, rounds, len(made))
-            best = best_of(made, problem.frames)
+            open_ = sorted(open_ + drafts, key=lambda one: one.promise)
+            last = number + 1 == len(starts.ways)
+            if not last and open_ and not _good(open_[0], settings) and not interrupted():
+                continue
+            made += _rounds(search, open_, scenarios, trials, rounds, len(made))
+            best, open_ = best_of(made, problem.frames), []
             if interrupted() or (best is not None and best.lost.few):
                 break
         if guards and best is not None and not interrupted():
             made += guarded(best, scenarios, Corners.of(problem.robot, model), trials, len(made))
             best = best_of(made, problem.frames)
         stopped = interrupted()
-    asked = {"motion_weight": weight, "most_lost": most_lost, "margins": list(margins), "rounds": rounds}
+    asked: dict[str, Any] = {
+        "motion_weight": weight,
+        "most_lost": most_lost,
+        "margins": list(margins),
+        "rounds": rounds,
+    }
     asked |= {"terms": listed(terms)}
-    ends = {"start": _listed(nominal.ends.start), "end": _listed(nominal.ends.end)}
+    ends = {"start": _listed(planner.ends.start), "end": _listed(planner.ends.end)}
     meta = {
         "formulation": "robust-horizon",
         **told.told,
         "solver": "interior-point",
         "options": settings.options() | asked | ends,
-        "build_s": nominal.build_seconds,
+        "build_s": planner.build_seconds,
         "search_s": searched,
         "solve_s": time.perf_counter() - begin - searched,
         "interrupted": stopped,
@@ -168,8 +191,11 @@ def solve_robust(
         "starts": [_described(one) for one in tried],
         "rounds": [one.described() for one in made],
     }
+    if best is None and starts.plan is not None and starts.plan.success.all():
+        kept = {"starts": meta["starts"], "rounds": meta["rounds"], "not_shared": NOT_SHARED}
+        return replace(starts.plan, meta=starts.plan.meta | kept | {"interrupted": stopped})
     if best is None:
-        return _unsolved(problem, told.configuration(problem.robot, starts[0].x), meta)
+        return _unsolved(problem, told.configuration(problem.robot, found[0].x), meta)
     plan = _plan(problem, best, meta)
     return plan if stopped else trials.certified(plan, best.lost, len(made))
 
@@ -179,34 +205,66 @@ def _at(settings: Settings, margin: float = MARGINS[0]) -> Settings:
     return replace(settings, stability_margin=margin, contact_weight=0.0)
 
 
-def _starts(
-    problem: Problem,
-    model: Model,
-    given: Sequence[Array],
-    margins: Sequence[float],
-    nominal: Horizon,
-    terms: Sequence[Term],
-    settings: Settings,
-) -> Iterator[tuple[list[Start], float]]:
-    """Motions to start from, and the seconds that these took: given ones, then those found frame by frame."""
-    begin = time.perf_counter()
-    followed = [model.follow(problem.robot, motion).x for motion in given]
-    starts = [Start(f"motion {k}", x) for k, x in enumerate(followed, 1) if np.isfinite(x).all()]
-    if starts:
-        yield starts, time.perf_counter() - begin
-    begin = time.perf_counter()
-    if model.can_snap and margins:
+@dataclass
+class _Starts:
+    """Motions to start from: given ones, or the plan of the nominal robot; and others, frame by frame.
+
+    plan: of the nominal robot, once it is known.
+    """
+
+    planner: Horizon
+    model: Model
+    given: Sequence[Array]
+    margins: Sequence[float]
+    terms: Sequence[Term]
+    settings: Settings
+    progress: Progress | None
+    stop: Callable[[], bool]
+    told: Callable[[Plan], None] | None
+    plan: Plan | None = None
+
+    @property
+    def ways(self) -> list[Callable[[], list[Start]]]:
+        """Ways to find starts; where the first finds a good one, the others are not needed."""
+        first = self._given if self.given else self._nominal
+        return [first, *([self._frame_by_frame] if self.model.can_snap and self.margins else [])]
+
+    def _given(self) -> list[Start]:
+        robot = self.planner.problem.robot
+        followed = [self.model.follow(robot, motion).x for motion in self.given]
+        found = [Start(f"motion {k}", x) for k, x in enumerate(followed, 1) if np.isfinite(x).all()]
+        if not (found or self.margins):
+            raise OptionError(
+                "no motion of initial leads the robot from equilibrium to equilibrium; give margins too"
+            )
+        return found
+
+    def _nominal(self) -> list[Start]:
+        """The plan of the nominal robot, where it is one: solved, and without a snap on its way."""
+        if self.model.bears is not None:
+            return []
+        self.plan = self.planner.solve(progress=self.progress)
+        if self.told is not None:
+            self.told(self.plan)
+        x = self.model.follow(self.planner.problem.robot, self.plan.q).x if self.model.can_snap else self.plan.q
+        return [Start("the nominal plan", x)] if np.isfinite(x).all() else []
+
+    def _frame_by_frame(self) -> list[Start]:
+        """Motions frame by frame, one for each of the margins."""
         found = partial(
-            per_frame_motions, problem, nominal.ends, progress=None, model=model, terms=terms, most=START_FRAMES
+            per_frame_motions,
+            *(self.planner.problem, self.planner.ends),
+            progress=None,
+            model=self.model,
+            terms=self.terms,
+            most=START_FRAMES,
         )
-        starts = [Start(f"margin {each:g}", found(settings=_at(settings, each))[0]) for each in margins]
-    elif not model.can_snap:
-        starts = [Start("the plain plan", nominal.solve().q)]
-    elif starts:
-        return
-    else:
-        raise OptionError("no motion of initial leads the robot from equilibrium to equilibrium; give margins too")
-    yield starts, time.perf_counter() - begin
+        return [Start(f"margin {each:g}", found(settings=_at(self.settings, each))[0]) for each in self.margins]
+
+
+def _good(draft: Tried, settings: Settings) -> bool:
+    """Whether a draft's mean error over robots, with all that its contact and misses cost, is what is allowed."""
+    return draft.shared and draft.solution.objective <= draft.frames * settings.error_allowed**2
 
 
 def _rounds(
@@ -228,7 +286,7 @@ def _rounds(
         if draft.made and search.picked is not None:
             coarse = planned_again(search, draft, scenarios, lost, most, first)
         tried = [(one.tried, one.scenarios) for one in reversed(coarse)] or [(draft, scenarios)]
-        for one, joined in tried:
+        for one, joined in tried[:REFINED]:
             whole = search.refined(one, joined)
             if whole.shared:
                 made = coarse + planned_again(search, whole, joined, lost, most, first + len(coarse))
@@ -274,7 +332,7 @@ def _plan(problem: Problem, best: Round, meta: dict[str, Any]) -> Plan:
 
 def _unsolved(problem: Problem, start: Array, meta: dict[str, Any]) -> Plan:
     """The motion (T, 2d + 2) of a start, not solved."""
-    why = "interrupted" if meta["interrupted"] else "no motion was found that all scenarios share"
+    why = "interrupted" if meta["interrupted"] else NOT_SHARED
     unknown = np.full(problem.frames, np.nan)
     return plan_from_configurations(
         problem,

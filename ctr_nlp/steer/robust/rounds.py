@@ -12,7 +12,7 @@ from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.solvers.scenarios import SharedSolver
 from ctr_nlp.steer.motions import filled
 from ctr_nlp.steer.realised import GIVEN, MOST
-from ctr_nlp.steer.robust.search import RobustSearch, Tried
+from ctr_nlp.steer.robust.search import BARRIER, RobustSearch, Tried
 from ctr_nlp.steer.robust.trials import JOINING, Lost
 from ctr_nlp.typing import Array, Index
 
@@ -22,8 +22,6 @@ Beyond what is asked for, it stands for others like it; it need only be stable, 
 NEARER, GAIN, RELAXATIONS = 0.8, 0.03, 2
 """By which factor these differences are made smaller once few robots are lost, where that lowers the objective by
 more than the second part of it; and how often."""
-BARRIER = 1e-3
-"""First barrier, mm^2, of a motion that is planned again."""
 AFFECTED = 0.1
 """About how far, rad and of the margin, robots that joined are moved away from their limits by that: times what
 these limits cost, it is what may be gained."""

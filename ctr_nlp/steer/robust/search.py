@@ -16,7 +16,7 @@ from ctr_nlp.models import Model
 from ctr_nlp.nlp.scenarios import Guards, Scenarios, SharedMotion
 from ctr_nlp.plan.plan import elsewhere
 from ctr_nlp.solvers.compiled import fastest
-from ctr_nlp.solvers.motion.judged import CLOSE, WIDE
+from ctr_nlp.solvers.motion.judged import WIDE
 from ctr_nlp.solvers.scenarios import SharedSolution, SharedSolver
 from ctr_nlp.steer.motions import filled
 from ctr_nlp.steer.passes import Progress
@@ -25,6 +25,9 @@ from ctr_nlp.steer.starts.search import drafted
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Array, Index
 
+BARRIER = 1e-3
+"""First barrier, mm^2, of a motion that is near to one that was solved for: all frames of a draft, or with robots
+that have joined."""
 UNMADE = 1.02
 """How much better a draft must be that is not made on its few frames, since it is longer to go on with."""
 GROWTHS, GROWING = 4, 100
@@ -121,7 +124,7 @@ class RobustSearch:
             return draft
         q = filled(draft.solution.q, self.picked, frames)
         tips = filled(draft.solution.phi.reshape(len(self.picked), -1), self.picked, frames)
-        return self._solved(draft.start, q, tips.reshape(frames, *each), scenarios, None, CLOSE)
+        return self._solved(draft.start, q, tips.reshape(frames, *each), scenarios, None, BARRIER)
 
     def solve(self, start: Start, scenarios: Scenarios, picked: Index | None = None) -> Tried:
         """All frames, or picked ones, of a start."""
