@@ -18,6 +18,7 @@ from ctr_nlp.plan import account, drawn_account
 from ctr_nlp.plan.metrics import by_frame, summary
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.verdicts import NO, NOT_CHECKED, YES
+from ctr_nlp.steer.compromise import Compromise, sentences
 from ctr_nlp.studies.trade_off import Point
 from ctr_nlp.support.tables import by_line, write_csv
 
@@ -33,11 +34,15 @@ def write(plan: Plan, folder: Path) -> None:
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
 
 
-def draw(plan: Plan, points: Sequence[Point], folder: Path) -> None:
-    """The pictures of a plan, and where a sweep has found points, theirs."""
-    from ctr_nlp.figures import save_all
+def draw(plan: Plan, points: Sequence[Point], folder: Path, found: Sequence[Compromise] = ()) -> None:
+    """Draw a plan, and where a sweep has found points, or what can be had was looked for, that too."""
+    from ctr_nlp.figures import save, save_all
 
     save_all(plan, folder)
+    if found:
+        from ctr_nlp.figures.compromise import compromise
+
+        save(compromise(plan, found), folder / "trade_off.png")
     if points:
         from ctr_nlp.studies.front import save_front
 
@@ -98,6 +103,40 @@ def print_front(points: Sequence[Point]) -> None:
     ]
     title = "error against roughness (a star: not solved everywhere)"
     print_table(title, ("", "weight s²", "e3 mm", "roughness mm²/s"), rows)
+
+
+def write_compromises(found: Sequence[Compromise], folder: Path) -> None:
+    """Write trade_off.csv: arrival against contact."""
+    write_csv(folder / "trade_off.csv", [_row(one) for one in found])
+
+
+def _row(one: Compromise) -> dict[str, Any]:
+    touched = one.where
+    return {
+        "arrival_weight": "plan" if one.arrival_weight is None else one.arrival_weight,
+        "tip_mm": one.tip,
+        "contact_mm": one.contact,
+        "e3_mm": one.e3,
+        "tube": None if touched is None else touched.tube,
+        "along_robot_mm": None if touched is None else touched.arc_length,
+        "frame": None if touched is None else touched.frame,
+    }
+
+
+def print_compromises(plan: Plan, found: Sequence[Compromise]) -> None:
+    """Print what can be had of arriving and keeping off the wall, and what stands in the way."""
+    columns = "motion", "tip off mm", "deepest contact mm", "e3 mm", "at"
+    rows = [
+        (
+            "this plan" if one.arrival_weight is None else f"--arrival-weight {one.arrival_weight:g}",
+            *(one.tip, one.contact, one.e3),
+            "" if one.where is None else f"tube {one.where.tube}, {one.where.arc_length:.0f} mm",
+        )
+        for one in found
+    ]
+    print_table("arrival against contact, for the robot as described", columns, rows)
+    for sentence in sentences(plan, found):
+        console().print(sentence, markup=False)
 
 
 def write_film(plans: Sequence[Plan], file: Path, out: Path, place: Path, staging: Path) -> Path:

@@ -67,7 +67,6 @@ BOTH = [
     ("arc --clearance 0.1", "clearance is asked for, and arc has no lumen radii"),
     ("bronchus --clearance -1", "clearance is -1.0; it must be a finite number >= 0"),
     ("bronchus --contact-weight nan", "contact_weight is nan"),
-    ("bronchus --arrival-weight -0.1", "arrival_weight is -0.1"),
     ("arc --film {folder}/film.avi", "film.avi.*gif|gif"),
     ("arc --film {folder}", "gif|folder"),
     ("arc --out {path}", "output folder .*path.csv"),

@@ -25,9 +25,11 @@ from ctr_nlp.cli.report import (
     draw,
     draw_first,
     exit_status,
+    print_compromises,
     print_front,
     print_report,
     write,
+    write_compromises,
     write_film,
     write_front,
 )
@@ -39,9 +41,11 @@ from ctr_nlp.models import MODELS
 from ctr_nlp.plan import account
 from ctr_nlp.plan.account import NOT_FOR_PATIENTS
 from ctr_nlp.plan.metrics import summary
-from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.plan import PHYSICAL_MODEL, Plan
+from ctr_nlp.plan.verdicts import NO
 from ctr_nlp.solvers import CHAIN_SOLVERS, SOLVERS
 from ctr_nlp.steer import DIRECTIONS, horizon_planner, solve_per_frame
+from ctr_nlp.steer.compromise import Compromise, compromises
 from ctr_nlp.steer.requests import Direction, check_search, checked_motions
 from ctr_nlp.steer.robust import solve_robust, solve_robust_per_frame
 from ctr_nlp.steer.robust.tolerated import described
@@ -140,16 +144,20 @@ def _run(arguments: argparse.Namespace) -> int:
     with deferred_interrupt() as pressed:
         # Ctrl-C waits while the plan is looked at, which takes seconds: what was solved is not to be lost by it.
         plan = plan_options.look_at_plan(plan_options.with_thresholds(plan, arguments), arguments)
+        found = _compromises(arguments, problem, plan)
         interrupted = plan.meta["interrupted"] or pressed()
     place = place_of(out, interrupted)
     with published(place, "plan") as staging:
         write(plan, staging)
         print_report(plan)
+        if found:
+            write_compromises(found, staging)
+            print_compromises(plan, found)
         if points:
             write_front(points, staging)
             print_front(points)
         if not arguments.no_figures:
-            draw(plan, points, staging)
+            draw(plan, points, staging, found)
         files = sorted(path.name for path in staging.iterdir())
         if film is not None:
             film = write_film([plan], film, out, place, staging)
@@ -157,6 +165,22 @@ def _run(arguments: argparse.Namespace) -> int:
     if film is not None:
         wrote(film)
     return INTERRUPTED if interrupted else exit_status(plan)
+
+
+def _compromises(arguments: argparse.Namespace, problem: Problem, plan: Plan) -> list[Compromise]:
+    """Where a plan over all frames does not both arrive and keep off a wall that counts: what can be had."""
+    found = plan.verdicts
+    failed = plan.clearance is not None and NO in (found.arrives.word, found.within_wall.word)
+    looked = not (arguments.no_evaluate or plan.meta["interrupted"] or plan.bears is not None)
+    if not (failed and looked and arguments.formulation == HORIZON and plan.meta["model"] == PHYSICAL_MODEL):
+        return []
+    if arguments.contact_weight == 0.0:
+        return []
+    with progress_bar() as labelled:
+        settings = _settings(arguments, problem, "seed")
+        terms = plan_options.terms_from(arguments)
+        shown = labelled(f"{problem.name}, what can be had")
+        return compromises(problem, plan, settings=settings, terms=terms, progress=shown)
 
 
 def _planned_for(arguments: argparse.Namespace, problem: Problem) -> tuple[bool, str]:

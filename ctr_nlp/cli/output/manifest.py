@@ -25,7 +25,7 @@ STANDARD: Mapping[str, tuple[str, ...]] = {
     "plan": (
         *("plan.npz", "errors.csv", "summary.json", "pareto.csv", "pareto.png"),
         *("shapes.png", "errors.png", "by_frame.png", "configuration.png", "stability.png", "clearance.png"),
-        "robustness.png",
+        *("robustness.png", "trade_off.csv", "trade_off.png"),
     ),
     "robust": ("plan.npz", "errors.csv", "summary.json", "robustness.png"),
     "under": (

@@ -22,9 +22,11 @@ from ctr_nlp.solvers.scenarios.filter import Filter
 from ctr_nlp.solvers.scenarios.rows import LEFT, Point, SharedRows, SharedSolution
 from ctr_nlp.typing import Array
 
-TOLERANCE, LAST_BARRIER = 3e-4, 1e-4
-"""Largest residual at a solution, mm^2 per unit of q and mm^2, and the last barrier, mm^2. With a last barrier of
-1e-6, which takes twice as many steps, objectives were less by 0.1 to 0.5 %, mean errors by half of that."""
+FINE, COARSE = 1e-6, 1e-4
+"""Last barriers, mm^2: less than the first changes no motion. The second takes half as many steps; robust plans of
+four airways have objectives that are larger by 0.1 to 0.5 % with it, and mean errors by half of that."""
+TOLERANCE, LEAST_TOLERANCE = 3.0, 1e-5
+"""Largest residual at a solution in last barriers, and in any case, mm^2 per unit of q and mm^2."""
 MISSED = 1e-7
 """What equations and rows miss at most at a solution, rad and mm."""
 CLOSE, SHRINK = 20.0, 0.05
@@ -69,9 +71,9 @@ class SharedSolver:
     stay as they are.
     """
 
-    def __init__(self, motion: SharedMotion) -> None:
-        """Prepare."""
-        self._rows = SharedRows(motion)
+    def __init__(self, motion: SharedMotion, last: float = FINE) -> None:
+        """Prepare; last: barrier, mm^2."""
+        self._rows, self._last = SharedRows(motion), last
 
     def __call__(
         self,
@@ -88,7 +90,7 @@ class SharedSolver:
         barrier: the first, mm^2; p (P,): common unknowns, where there are any. rough: whether to end near a
         solution already, which is enough to start other solves from, and takes half as long.
         """
-        run, status = _Run(self._rows, q, phi, p, barrier, rough), ""
+        run, status = _Run(self._rows, q, phi, p, barrier, self._last, rough), ""
         while not status:
             status = run.status()
             if not status and run.number == most:
@@ -109,10 +111,10 @@ class _Run:
     """One solve on its way."""
 
     def __init__(
-        self, rows: SharedRows, q: Array, phi: Array, p: Array, barrier: float, rough: bool = False
+        self, rows: SharedRows, q: Array, phi: Array, p: Array, barrier: float, last: float, rough: bool = False
     ) -> None:
         self._rows, self._barrier, self._damping, self.number = rows, barrier, 0.0, 0
-        self._rough = rough
+        self._rough, self._last = rough, last
         self._looks = 0
         rows.condensed.look(q, phi, p)
         start = rows.start(q, phi, p, barrier)
@@ -128,15 +130,15 @@ class _Run:
         slow = self._rough and errors.missed <= ROUGH_MISSED and _progress(known) <= ROUGH_PROGRESS
         if slow and self._barrier <= ROUGH_BARRIER:
             return "" if self._changed() else "Solved_Roughly"
-        if errors.against(0.0) <= TOLERANCE and errors.missed <= MISSED:
+        if errors.against(0.0) <= max(TOLERANCE * self._last, LEAST_TOLERANCE) and errors.missed <= MISSED:
             return "" if self._changed() else "Solve_Succeeded"
         stalled = errors.missed <= MISSED and len(known) > STALL
         stalled = stalled and known[-STALL] - known[-1] < STALLED * (1 + abs(known[-1]))
-        if stalled and self._barrier == LAST_BARRIER:
+        if stalled and self._barrier == self._last:
             return "" if self._changed() else "Solved_To_Acceptable_Level"
         stalled = stalled or slow
-        while self._barrier > LAST_BARRIER and (stalled or errors.against(self._barrier) < CLOSE * self._barrier):
-            self._barrier, stalled = max(LAST_BARRIER, SHRINK * self._barrier), False
+        while self._barrier > self._last and (stalled or errors.against(self._barrier) < CLOSE * self._barrier):
+            self._barrier, stalled = max(self._last, SHRINK * self._barrier), False
             self._filter.clear()
             known.clear()
         return ""

@@ -10,6 +10,7 @@ import numpy as np
 
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.solvers.scenarios import SharedSolver
+from ctr_nlp.solvers.scenarios.interior import COARSE
 from ctr_nlp.steer.motions import filled
 from ctr_nlp.steer.realised import GIVEN, MOST
 from ctr_nlp.steer.robust.search import BARRIER, RobustSearch, Tried
@@ -143,7 +144,7 @@ def solved_again(
     old = known.phi.shape[1] - (motion.sizes[1] - len(scenarios))
     joining = np.repeat(known.phi[:, :1], len(scenarios) - old, axis=1)
     tips = np.concatenate([known.phi[:, :old], joining, known.phi[:, old:]], axis=1)
-    found = SharedSolver(motion)(known.q, tips, barrier, search.stop, rough=picked is not None)
+    found = SharedSolver(motion, COARSE)(known.q, tips, barrier, search.stop, rough=picked is not None)
     return search.looked_at(Tried(before.start, before.frames, found))
 
 

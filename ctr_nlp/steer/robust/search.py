@@ -18,6 +18,7 @@ from ctr_nlp.plan.plan import elsewhere
 from ctr_nlp.solvers.compiled import fastest
 from ctr_nlp.solvers.motion.judged import WIDE
 from ctr_nlp.solvers.scenarios import SharedSolution, SharedSolver
+from ctr_nlp.solvers.scenarios.interior import COARSE
 from ctr_nlp.steer.motions import filled
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.steer.robust.tolerated import bearing_unknowns, told_on
@@ -138,7 +139,9 @@ class RobustSearch:
         self, name: str, q: Array, tips: Array, scenarios: Scenarios, picked: Index | None, barrier: float
     ) -> Tried:
         """From tips (T, S, k); where that fails for a draft, as grown."""
-        found = SharedSolver(self.motion(scenarios, picked))(q, tips, barrier, self.stop, rough=picked is not None)
+        found = SharedSolver(self.motion(scenarios, picked), COARSE)(
+            q, tips, barrier, self.stop, rough=picked is not None
+        )
         if found.success or picked is None or self.stop():
             return self.looked_at(Tried(name, len(q), found))
         return self.grown(name, q, tips[:, :1], scenarios, picked)
@@ -148,7 +151,7 @@ class RobustSearch:
         tips = np.repeat(tips, self.motion(scenarios, picked).sizes[1], axis=1)
         done, part, best = 0.0, 0.5, None
         for _ in range(GROWTHS):
-            solver = SharedSolver(self.motion(scenarios.shrunk(part), picked))
+            solver = SharedSolver(self.motion(scenarios.shrunk(part), picked), COARSE)
             found = solver(q, tips, WIDE, self.stop, GROWING, rough=picked is not None)
             if found.success:
                 done, best, q, tips = part, found, found.q, found.phi

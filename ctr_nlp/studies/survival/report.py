@@ -25,7 +25,7 @@ EXPLANATION = """\
 tolerances, without walls; {frames} frames in 10 s, on the elastic model. Plans for the robot as described keep a
 stability margin of {margins}; the best margin is, in each airway, the one at which fewest draws are lost, and of
 these the one of least mean e3: nobody knows it beforehand. Robust plans are made for the whole tolerances, as
-`ctr-nlp plan --robust` does.
+`ctr-nlp plan` does.
 
 **Draws.** All plans of an airway are judged on the same {draws} robots, drawn within the tolerances with a seed of
 the airway's own, which planning does not see. A draw is lost where it snaps or slides onto another branch of

@@ -1,0 +1,257 @@
+"""What a robot can have where it cannot both arrive and keep off the wall, and what stands in its way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ctr_nlp.exceptions import ProblemError
+from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.formulations.terms import Term
+from ctr_nlp.models import DEFAULT_MODEL, Model
+from ctr_nlp.plan.measures import Contact, contacts, e3
+from ctr_nlp.plan.plan import Plan
+from ctr_nlp.plan.verdicts import option
+from ctr_nlp.robot.tube import Tube
+from ctr_nlp.steer.horizon import horizon_planner
+from ctr_nlp.steer.nlp_frames import DEFAULTS
+from ctr_nlp.steer.passes import Progress
+from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.target.lumen import Lumen, outer_radii
+from ctr_nlp.target.problem import Problem
+from ctr_nlp.target.target import SIGMA
+from ctr_nlp.typing import Array
+
+WEIGHTS = 0.0, 5.0, 5000.0
+"""Weights of arrival, mm^2 a mm, of motions beside the plan's own: contact first, between, and arrival first."""
+WINDOW = 5.0
+"""mm, to either side, over which a path's curvature is averaged: sharper bends are noise of its points."""
+
+
+@dataclass(frozen=True)
+class Compromise:
+    """One motion between arriving and keeping off the wall.
+
+    Attributes
+    ----------
+    arrival_weight : float
+        What a mm by which the tip misses cost, mm^2 (:class:`Settings`); None for the plan itself.
+    tip : float
+        Distance of the last tip from the target's end, mm.
+    contact : float
+        Depth of the deepest contact, mm; negative where the wall stays clear.
+    e3 : float
+        Mean shape error, mm.
+    solved : bool
+        Whether every frame was solved.
+    where : Contact or None
+        Where the robot touches deepest; None where it does not.
+    """
+
+    arrival_weight: float | None
+    tip: float
+    contact: float
+    e3: float
+    solved: bool
+    where: Contact | None
+
+    @classmethod
+    def of(cls, plan: Plan, arrival_weight: float | None = None) -> Compromise:
+        """Take the figures of a plan within a lumen."""
+        clearance = np.array(plan.clearance)
+        if plan.clearance_between is not None:
+            clearance = np.append(clearance, plan.clearance_between)
+        touched = max(contacts(plan), key=lambda one: one.depth, default=None)
+        tip = float(np.linalg.norm(plan.shape[-1, -1] - plan.target[-1, -1]))
+        error = e3(plan)
+        return cls(
+            arrival_weight,
+            tip,
+            -float(np.nanmin(clearance)),
+            float("nan") if error is None else error,
+            bool(plan.success.all()),
+            touched,
+        )
+
+
+class Needed(NamedTuple):
+    """What the end of a path asks of the tubes, where it asks for most.
+
+    bend: mm along the robot where the path's curvature exceeds what the tubes there can bend to by most, or comes
+    nearest to it; radius: of the path's bend there, mm; least: the smallest radius that those tubes bend to, mm.
+    narrow: mm along the robot where the lumen leaves least room; room: the lumen's radius there less the tube's,
+    mm; tube: its number, from 1.
+    """
+
+    bend: float
+    radius: float
+    least: float
+    narrow: float
+    room: float
+    tube: int
+
+
+def compromises(
+    problem: Problem,
+    plan: Plan,
+    *,
+    model: str | Model = DEFAULT_MODEL,
+    settings: Settings = DEFAULTS,
+    terms: Sequence[Term] = (),
+    weights: Sequence[float] = WEIGHTS,
+    progress: Progress | None = None,
+) -> list[Compromise]:
+    """Find motions between arriving and keeping off the wall, for the robot as described.
+
+    Parameters
+    ----------
+    problem : Problem
+        Robot and target, within a lumen.
+    plan : Plan
+        A plan of it, which all motions start from.
+    model, settings, terms
+        As :func:`solve_horizon`.
+    weights : sequence of float
+        Weights of arrival, mm^2 a mm.
+    progress : callable, optional
+        Called as ``progress(done, total, note)``.
+
+    Returns
+    -------
+    list of Compromise
+        The plan, and a motion for each weight, from the least contact to the deepest. After Ctrl-C, those that
+        were found.
+
+    Raises
+    ------
+    ProblemError
+        No wall is known.
+
+    Examples
+    --------
+    >>> import ctr_nlp as ctr
+    >>> from ctr_nlp.problems import named
+    >>> problem = named("bronchus", frames=10)
+    >>> plan = ctr.solve_horizon(problem)
+    >>> found = compromises(problem, plan, weights=(0.0,))
+    >>> len(found)
+    2
+    """
+    if plan.clearance is None:
+        raise ProblemError("the lumen's radii are not known; there is no contact to weigh against arrival")
+    found = [Compromise.of(plan)]
+    with deferred_interrupt() as interrupted:
+        for number, weight in enumerate(weights):
+            if interrupted():
+                break
+            if progress is not None:
+                progress(number, len(weights), f"arrival weight {weight:g}")
+            asked = replace(settings, arrival_weight=weight)
+            planner = horizon_planner(problem, model, settings=asked, terms=terms)
+            motion = planner.solve([plan.q])
+            if not interrupted() and motion.success.all():
+                found.append(Compromise.of(motion, weight))
+    return sorted(found, key=lambda one: one.contact)
+
+
+def needed(plan: Plan) -> Needed:
+    """Tell what the path asks of the tubes in a plan's last frame.
+
+    Parameters
+    ----------
+    plan : Plan
+        A plan within a lumen.
+
+    Returns
+    -------
+    Needed
+        Where the path bends most for the tubes that lie there, and where it is narrowest for them. What tubes can
+        bend to at most is the curvature of all tubes present there when they bend to the same side,
+        sum_i EI_i k_i / sum_i EI_i (Dupont et al., 2010).
+    """
+    assert plan.lumen is not None
+    beta, lumen = plan.beta[-1], Lumen(plan.lumen)
+    near = lumen.near(plan.target[-1])
+    s = SIGMA * beta[-1]
+    asked = _averaged(np.linalg.norm(near.bend, axis=-1), s)
+    possible = _largest_curvature(plan.robot.tubes, beta, s)
+    bend = int(np.argmax(asked - possible))
+    radii = outer_radii(plan.robot, beta[None], SIGMA)[0]
+    room = near.radius - radii
+    narrow = int(np.argmin(room))
+    tube = int(np.searchsorted(beta, s[narrow])) + 1
+    with np.errstate(divide="ignore"):
+        radius, least = 1 / asked[bend], 1 / possible[bend]
+    return Needed(
+        float(s[bend]), float(radius), float(least), float(s[narrow]), float(room[narrow]), min(tube, len(beta))
+    )
+
+
+def sentences(plan: Plan, found: Sequence[Compromise]) -> list[str]:
+    """Say what can be had, and what stands in the way, in sentences.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    found : sequence of Compromise
+        Of :func:`compromises`.
+
+    Returns
+    -------
+    list of str
+        The least contact of those that arrive, the least miss of those that keep off the wall, where the robot
+        touches, and what the path asks of the tubes.
+    """
+    tolerance, allowed = float(option(plan, "arrival_tolerance")), float(option(plan, "contact_allowed"))
+    arriving = [one for one in found if one.tip <= tolerance]
+    clear = [one for one in found if one.contact <= allowed]
+    told = list[str]()
+    if best := min(arriving, key=lambda one: one.contact, default=None):
+        depth = f"presses {best.contact:.2f} mm into the wall" if best.contact > 0 else "stays off the wall"
+        told.append(f"Of the motions tried, the best that arrives {depth}; its tip ends {best.tip:.2f} mm off.")
+    else:
+        told.append(f"None of the motions tried arrives within {tolerance:g} mm.")
+    if best := min(clear, key=lambda one: one.tip, default=None):
+        told.append(
+            f"Of those with at most {allowed:g} mm of contact, the best ends {best.tip:.2f} mm off the target."
+        )
+    else:
+        told.append(f"None of them keeps contact to {allowed:g} mm.")
+    if any(one.tip <= tolerance and one.contact <= allowed for one in found):
+        return told
+    deepest = max(found, key=lambda one: one.contact).where
+    if deepest is not None:
+        told.append(
+            f"The wall is in the way of tube {deepest.tube}, {deepest.arc_length:.0f} mm along the robot "
+            f"({deepest.path:.0f} mm along the path)."
+        )
+    at = needed(plan)
+    told.append(
+        f"The path asks most of the tubes {at.bend:.0f} mm along the robot, where it bends with a radius of "
+        f"{at.radius:.0f} mm and the tubes there to {at.least:.0f} mm at most; it is narrowest for them at "
+        f"{at.narrow:.0f} mm, where it leaves tube {at.tube} {at.room:.2f} mm of room on each side."
+    )
+    return told
+
+
+def _averaged(values: Array, s: Array) -> Array:
+    """Means of values (n,) at arc lengths s (n,), mm, over WINDOW to either side."""
+    near = abs(s[:, None] - s) <= WINDOW
+    return np.asarray((near * values).sum(axis=1) / near.sum(axis=1))
+
+
+def _largest_curvature(tubes: Sequence[Tube], beta: Array, s: Array) -> Array:
+    """The largest curvature (n,), 1/mm, that the tubes present at arc lengths s (n,), mm, bend to."""
+    bent, stiff = np.zeros(len(s)), np.zeros(len(s))
+    for tube, end in zip(tubes, beta, strict=True):
+        from_tip = end - s
+        part = np.clip(from_tip / tube.curved_length, 0.0, 1.0)
+        curvature = abs(tube.tip_curvature + (tube.root_curvature - tube.tip_curvature) * part)
+        present = from_tip >= -1e-9
+        bent += present * (from_tip <= tube.curved_length) * tube.bending_stiffness * curvature
+        stiff += present * tube.bending_stiffness
+    return bent / np.maximum(stiff, 1e-300)
