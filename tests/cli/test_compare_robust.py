@@ -5,9 +5,9 @@ import json
 import pytest
 
 from ctr_nlp import Problem
-from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.cli.problems import from_python
 from ctr_nlp.cli.studies.compare import main as compare
+from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.problems import named
 from ctr_nlp.steer import solve_horizon
 from ctr_nlp.studies.comparison import ROBUST, variants_here

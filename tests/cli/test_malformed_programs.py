@@ -95,6 +95,7 @@ PER_FRAME = [
     ("arc --jump-width 0", "jump_width is 0.0 mm"),
 ]
 HORIZON = [
+    ("bronchus --arrival-weight -0.1", "arrival_weight is -0.1"),
     ("arc --frames 1", "frames is 1; a motion over a horizon needs at least 2"),
     ("arc --starts 0", "starts is 0"),
     ("arc --jobs -1", "jobs is -1"),
