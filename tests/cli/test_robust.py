@@ -133,6 +133,49 @@ def test_a_robust_plan_is_tried_on_draws_and_holds_what_came_of_planning(small, 
     assert "ctr-nlp plan --robust" not in told
 
 
+def test_all_robots_within_the_tolerances_are_planned_for_by_default(small, tmp_path, capsys):
+    out = tmp_path / "out"
+    command(["plan", *small, "--out", str(out)])
+    told = " ".join(capsys.readouterr().out.split())
+    plan, nominal = Plan.load(out / "plan.npz"), Plan.load(out / "nominal" / "plan.npz")
+    assert plan.meta["formulation"] == "robust-horizon"
+    assert nominal.meta["formulation"] == "horizon"
+    assert nominal.verdicts.holds.word == "NOT CHECKED"
+    assert plan.verdicts.holds.word != "NOT CHECKED"
+    assert told.index("plan for the robot as described: ") < told.index("holds on built robots yes")
+    assert not (out / "nominal" / "shapes.png").exists(), "--no-figures was given"
+    assert command(["plan", *small, "--out", str(out)]) in (0, 1), "the folder is one of ours"
+
+
+@pytest.mark.parametrize(
+    ("more", "why"),
+    [
+        (["--nominal"], ""),
+        (["--starts", "1"], "planned for the robot as described alone: --starts was given"),
+        (["--model", "dominant"], ""),
+        (["--robot", "exact.toml"], "planned for the robot as described alone: all tolerances of the robot are 0"),
+    ],
+    ids=["asked for", "an option", "a model", "no tolerances"],
+)
+def test_plans_of_the_described_robot_alone_say_why(small, tmp_path, monkeypatch, capsys, more, why):
+    monkeypatch.chdir(tmp_path)
+    exact = "\n[tolerances]\ncurvature = 0.0\nbending_stiffness = 0.0\nmotor_zero = 0.0\n"
+    (tmp_path / "exact.toml").write_text(SMALL.split("[tolerances]")[0] + exact)
+    command(["plan", *small, "--no-evaluate", *more])
+    told = " ".join(capsys.readouterr().out.split())
+    (folder,) = (tmp_path / "runs").iterdir()
+    assert Plan.load(folder / "plan.npz").meta["formulation"] == "horizon"
+    assert not (folder / "nominal").exists()
+    assert ("nominal" in folder.name) == ("dominant" not in more)
+    assert why in told
+    assert ("as described alone" in told) == bool(why)
+
+
+def test_robust_and_nominal_exclude_each_other(small, capsys):
+    assert command(["plan", *small, "--robust", "--nominal"]) == 2
+    assert "not allowed with argument" in capsys.readouterr().err
+
+
 def test_a_robust_plan_on_the_dominant_model_is_judged_on_the_elastic_one(small, tmp_path):
     given = ["--model", "dominant", "--robust", "--samples", "30", "--out", str(tmp_path / "out")]
     command(["plan", *small, *given])

@@ -11,11 +11,12 @@ import pytest
 from frames import elastic_shapes, follow
 from truth import TWO
 
-from ctr_nlp import Problem, Settings, growing, solve_horizon
+from ctr_nlp import Problem, Settings, growing, solve_horizon, summary
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.horizon import Ends
 from ctr_nlp.models import MODELS
 from ctr_nlp.nlp.scenarios import Scenarios
+from ctr_nlp.plan.account import remarks
 from ctr_nlp.solvers.scenarios import SharedSolver
 from ctr_nlp.steer.robust import plan, rounds, solve_robust
 from ctr_nlp.steer.robust.rounds import Round, firmer, relaxed
@@ -145,13 +146,31 @@ def test_a_robust_plan_is_better_on_its_robots_than_a_nominal_one(problem, found
     assert mean(robust.q) <= mean(nominal.q) * (1 + 1e-6)
 
 
-def test_scenarios_that_no_motion_keeps_leave_a_plan_without_solved_frames(problem):
+def test_scenarios_that_no_motion_keeps_leave_the_plan_of_the_nominal_robot(problem):
     """Motors that may be off by anything: some robot's tips are far from those of the nominal one, when out."""
     out = replace(problem, robot=TWO.with_limits(beta=[(40, 60), (50, 110)]))
     scenarios = _scenarios(np.array([[2.1, 0.0], [-2.1, 0.0], [np.pi, 0.0]]))
-    robust, _ = _planned(out, scenarios, margins=(0.5,))
-    assert not robust.success.any()
-    assert robust.meta["failures"] == {"all": "no motion was found that all scenarios share"}
+    first = []
+    robust, _ = _planned(out, scenarios, margins=(0.5,), nominal=first.append)
+    assert robust.success.all()
+    np.testing.assert_array_equal(robust.q, first[0].q)
+    assert robust.meta["formulation"] == "horizon"
+    assert "certificate" not in robust.meta
+    told = remarks(robust, summary(robust))
+    assert told[-1].startswith(
+        "no motion was found that all robots within the tolerances share: this is the plan for"
+    )
+
+
+def test_the_nominal_plan_is_told_before_the_others_are_planned_for(problem):
+    first = []
+    robust, asked = _planned(problem, _scenarios(), nominal=first.append, initial=())
+    (nominal,) = first
+    assert nominal.success.all()
+    assert nominal.meta["formulation"] == "horizon"
+    assert robust.meta["starts"][0]["start"] == "the nominal plan"
+    assert robust.meta["formulation"] == "robust-horizon"
+    assert asked
 
 
 def test_scenarios_grow_from_the_nominal_robot_where_a_start_fails(problem, found, monkeypatch):
@@ -163,14 +182,29 @@ def test_scenarios_grow_from_the_nominal_robot_where_a_start_fails(problem, foun
 
     def failing(self, *args, **options):
         solved.append(solve(self, *args, **options))
-        return replace(solved[-1], kkt=1.0) if len(solved) in (1, 3) else solved[-1]
+        return replace(solved[-1], status="failed") if len(solved) in (1, 3) else solved[-1]
 
     monkeypatch.setattr(SharedSolver, "__call__", failing)
     start = Start("a plan", follow(TWO, robust.q).x)
-    tried = search.solve(start, _scenarios())
+    tried = search.solve(start, _scenarios(), search.picked)
     assert tried.shared
     assert tried.grown == 1.0
     assert len(solved) == 5  # whole, half, whole, three quarters, and whole again
+
+
+def test_over_all_frames_scenarios_do_not_grow(problem, found, monkeypatch):
+    robust, _ = found
+    solve, solved = SharedSolver.__call__, []
+
+    def failing(self, *args, **options):
+        solved.append(solve(self, *args, **options))
+        return replace(solved[-1], kkt=1.0)
+
+    monkeypatch.setattr(SharedSolver, "__call__", failing)
+    search = _search(problem, robust.options["motion_weight"])
+    tried = search.solve(Start("a plan", follow(TWO, robust.q).x), _scenarios())
+    assert not tried.shared
+    assert len(solved) == 1
 
 
 @pytest.mark.parametrize(
@@ -189,13 +223,15 @@ def test_what_cannot_be_planned_is_refused(problem, arguments, message):
 
 def test_an_interrupted_search_gives_no_certificate(problem):
     def told(done, count, note):
-        signal.raise_signal(signal.SIGINT)
+        if note.startswith("draft"):
+            signal.raise_signal(signal.SIGINT)
 
-    stopped, _ = _planned(problem, _scenarios(), margins=(0.3,), progress=told)
+    first = []
+    stopped, _ = _planned(problem, _scenarios(), margins=(0.3,), progress=told, nominal=first.append)
     assert stopped.meta["interrupted"]
-    assert stopped.meta["failures"] == {"all": "interrupted"}
     assert "certificate" not in stopped.meta
-    assert not stopped.success.any()
+    assert "not_shared" not in stopped.meta
+    np.testing.assert_array_equal(stopped.q, first[0].q)
 
 
 def test_a_given_motion_is_started_from_alone_where_few_robots_are_lost(problem):

@@ -199,8 +199,9 @@ def solve_robust(
         "rounds": [one.described() for one in made],
     }
     if best is None and starts.plan is not None and starts.plan.success.all():
-        kept = {"starts": meta["starts"], "rounds": meta["rounds"], "not_shared": NOT_SHARED}
-        return replace(starts.plan, meta=starts.plan.meta | kept | {"interrupted": stopped})
+        kept = {"interrupted": stopped, "starts": meta["starts"], "rounds": meta["rounds"]}
+        kept |= {} if stopped else {"not_shared": NOT_SHARED}
+        return replace(starts.plan, meta=starts.plan.meta | kept)
     if best is None:
         return _unsolved(problem, told.configuration(problem.robot, found[0].x), meta)
     plan = _plan(problem, best, meta)
