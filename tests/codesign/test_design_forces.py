@@ -93,8 +93,8 @@ def test_tubes_for_forces_from_any_side_are_bent_by_them_less():
         plan = one.plans[0]
         robot = replace(plan.robot, tolerances=Tolerances(tip_force=FORCE))
         told = replace(plan, meta=plan.meta | {"robot": robot.to_dict()}).robustness(60, 3)
-        assert told.losses == 0
         errors.append(told.errors.mean)
+    assert told.losses == 0, "the tubes that were designed for these forces"
     assert errors[1] < 0.3 * errors[0]
 
 

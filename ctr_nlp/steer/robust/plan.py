@@ -167,7 +167,7 @@ def solve_robust(
             tried += drafts
             open_ = sorted(open_ + drafts, key=lambda one: one.promise)
             last = number + 1 == len(starts.ways)
-            if not last and open_ and not _good(open_[0], settings) and not interrupted():
+            if not (last or given or interrupted()) and open_ and not _good(open_[0], settings):
                 continue
             made += _rounds(search, open_, scenarios, trials, rounds, len(made))
             best, open_ = best_of(made, problem.frames), []
