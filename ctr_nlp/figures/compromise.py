@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib
 from matplotlib.figure import Figure
@@ -12,7 +13,7 @@ from ctr_nlp.figures.parts.page import STYLE, printable
 from ctr_nlp.figures.parts.palette import BLACK, BLUE, GREEN, VERMILLION
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.verdicts import option
-from ctr_nlp.steer.compromise import Compromise
+from ctr_nlp.steer.compromise import Compromise, best_of_both
 
 
 @matplotlib.rc_context(STYLE)
@@ -29,7 +30,7 @@ def compromise(plan: Plan, found: Sequence[Compromise]) -> Figure:
     Returns
     -------
     Figure
-        One pair of axes, in mm.
+        One pair of axes, in mm. The line joins motions of which none is better in both.
     """
     figure = Figure(figsize=(5.6, 4.0), layout="constrained")
     axes = figure.subplots()
@@ -38,11 +39,15 @@ def compromise(plan: Plan, found: Sequence[Compromise]) -> Figure:
     left = min(0.0, ordered[0].contact) - 0.5
     area = Rectangle((left, 0.0), allowed - left, tolerance, color=GREEN, alpha=0.2, lw=0, label="arrives, clear")
     axes.add_patch(area)
-    axes.plot([one.contact for one in ordered], [one.tip for one in ordered], color=BLUE, lw=1.2)
+    front = best_of_both(found)
+    axes.plot([one.contact for one in front], [one.tip for one in front], color=BLUE, lw=1.2)
     for one in ordered:
         own = one.arrival_weight is None
-        marker = {"marker": "D", "color": VERMILLION, "ms": 8} if own else {"marker": "o", "color": BLUE, "ms": 5}
-        axes.plot(one.contact, one.tip, ls="", mec=BLACK, label="this plan" if own else None, **marker)  # type: ignore[arg-type]
+        colour = BLUE if one in front else "0.7"
+        look: dict[str, Any] = {"marker": "o", "color": colour, "ms": 5}
+        if own:
+            look = {"marker": "D", "color": VERMILLION, "ms": 8}
+        axes.plot(one.contact, one.tip, ls="", mec=BLACK, label="this plan" if own else None, **look)
     axes.set_xlim(left=left)
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("deepest contact (mm; negative: clear of the wall)")

@@ -223,7 +223,7 @@ def sentences(plan: Plan, found: Sequence[Compromise]) -> list[str]:
         told.append(f"None of them keeps contact to {allowed:g} mm.")
     if any(one.tip <= tolerance and one.contact <= allowed for one in found):
         return told
-    deepest = max(found, key=lambda one: one.contact).where
+    deepest = min(arriving or found, key=lambda one: one.contact).where
     if deepest is not None:
         told.append(
             f"The wall is in the way of tube {deepest.tube}, {deepest.arc_length:.0f} mm along the robot "
@@ -236,6 +236,30 @@ def sentences(plan: Plan, found: Sequence[Compromise]) -> list[str]:
         f"{at.narrow:.0f} mm, where it leaves tube {at.tube} {at.room:.2f} mm of room on each side."
     )
     return told
+
+
+def best_of_both(found: Sequence[Compromise]) -> list[Compromise]:
+    """Leave out motions that another one beats in both the tip's distance and contact.
+
+    Parameters
+    ----------
+    found : sequence of Compromise
+        Motions.
+
+    Returns
+    -------
+    list of Compromise
+        The others, from the least contact to the deepest.
+    """
+
+    def beaten(one: Compromise) -> bool:
+        return any(
+            other.tip <= one.tip and other.contact <= one.contact
+            for other in found
+            if (other.tip, other.contact) != (one.tip, one.contact)
+        )
+
+    return sorted((one for one in found if not beaten(one)), key=lambda one: one.contact)
 
 
 def _averaged(values: Array, s: Array) -> Array:
