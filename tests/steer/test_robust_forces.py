@@ -237,11 +237,11 @@ def test_the_command_plans_for_a_force(tmp_path, monkeypatch, capsys):
     rows = "".join(f"{0.001 * z * z},0,{z}\n" for z in range(0, 81, 4))
     (tmp_path / "path.csv").write_text(f"x_mm,y_mm,z_mm\n{rows}")
     argv = ["plan", "path.csv", "--robot", "two.toml", "--frames", "3", "--no-figures", "--out", "here"]
-    assert main([*argv, "--tip-force", "0.1"]) == 2
+    assert main([*argv, "--nominal", "--tip-force", "0.1"]) == 2
     assert "--tip-force is given without --robust" in capsys.readouterr().err
-    assert main([*argv, "--robust", "--tip-force", "-1"]) == 2
+    assert main([*argv, "--tip-force", "-1"]) == 2
     assert "tip_force of tolerances is -1" in capsys.readouterr().err
-    assert main([*argv, "--robust", "--tip-force", "0.1"]) in (0, 1)
+    assert main([*argv, "--tip-force", "0.1"]) in (0, 1)
     plan = Plan.load("here/plan.npz")
     assert plan.robot.tolerances.tip_force == 0.1
     assert plan.drawn.losses == 0
