@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -12,7 +13,7 @@ from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
 from ctr_nlp.models import DEFAULT_MODEL, Model
-from ctr_nlp.plan.measures import Contact, contacts, e3
+from ctr_nlp.plan.measures import Contact, arrival, contacts, deepest_place, e3
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.plan.verdicts import option
 from ctr_nlp.robot.tube import Tube
@@ -20,7 +21,7 @@ from ctr_nlp.steer.horizon import horizon_planner
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Progress
 from ctr_nlp.support.interrupt import deferred_interrupt
-from ctr_nlp.target.lumen import Lumen, outer_radii
+from ctr_nlp.target.lumen import Lumen, outer_radii, outermost
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import SIGMA
 from ctr_nlp.typing import Array
@@ -61,20 +62,12 @@ class Compromise:
     @classmethod
     def of(cls, plan: Plan, arrival_weight: float | None = None) -> Compromise:
         """Take the figures of a plan within a lumen."""
-        clearance = np.array(plan.clearance)
-        if plan.clearance_between is not None:
-            clearance = np.append(clearance, plan.clearance_between)
+        ends, deepest, error = arrival(plan), deepest_place(plan), e3(plan)
+        tip = math.nan if ends is None else ends.distance
+        contact = math.nan if deepest is None else deepest.depth
         touched = max(contacts(plan), key=lambda one: one.depth, default=None)
-        tip = float(np.linalg.norm(plan.shape[-1, -1] - plan.target[-1, -1]))
-        error = e3(plan)
-        return cls(
-            arrival_weight,
-            tip,
-            -float(np.nanmin(clearance)),
-            float("nan") if error is None else error,
-            bool(plan.success.all()),
-            touched,
-        )
+        solved = bool(plan.success.all())
+        return cls(arrival_weight, tip, contact, math.nan if error is None else error, solved, touched)
 
 
 class Needed(NamedTuple):
@@ -179,15 +172,12 @@ def needed(plan: Plan) -> Needed:
     asked = _averaged(np.linalg.norm(near.bend, axis=-1), s)
     possible = _largest_curvature(plan.robot.tubes, beta, s)
     bend = int(np.argmax(asked - possible))
-    radii = outer_radii(plan.robot, beta[None], SIGMA)[0]
-    room = near.radius - radii
+    room = near.radius - outer_radii(plan.robot, beta[None], SIGMA)[0]
     narrow = int(np.argmin(room))
-    tube = int(np.searchsorted(beta, s[narrow])) + 1
+    tube = int(outermost(beta[None], SIGMA)[0, narrow]) + 1
     with np.errstate(divide="ignore"):
         radius, least = 1 / asked[bend], 1 / possible[bend]
-    return Needed(
-        float(s[bend]), float(radius), float(least), float(s[narrow]), float(room[narrow]), min(tube, len(beta))
-    )
+    return Needed(float(s[bend]), float(radius), float(least), float(s[narrow]), float(room[narrow]), tube)
 
 
 def sentences(plan: Plan, found: Sequence[Compromise]) -> list[str]:

@@ -195,8 +195,9 @@ def _planned_for(arguments: argparse.Namespace, problem: Problem) -> tuple[bool,
     Over all frames they are, where the model can tell which of them snap and nothing was asked for that only the
     plan of the described robot has.
     """
-    if _asked_robust(arguments) or arguments.nominal or arguments.formulation != HORIZON:
-        return _asked_robust(arguments), ""
+    robust = _asked_robust(arguments)
+    if robust or arguments.nominal or arguments.formulation != HORIZON:
+        return robust, ""
     if arguments.load is not None or arguments.force is not None:
         return False, "under a load the others take a minute and more; --robust plans for them"
     if not MODELS[plan_options.model_from(arguments)].can_snap:

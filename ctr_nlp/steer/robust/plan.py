@@ -208,11 +208,6 @@ def solve_robust(
     return plan if stopped else trials.certified(plan, best.lost, len(made))
 
 
-def _at(settings: Settings, margin: float) -> Settings:
-    """Those of a nominal plan, far from any wall."""
-    return replace(settings, stability_margin=margin, contact_weight=0.0)
-
-
 @dataclass
 class _Starts:
     """Motions to start from: given ones, or the plan of the nominal robot; and others, frame by frame.
@@ -267,7 +262,8 @@ class _Starts:
             terms=self.terms,
             most=START_FRAMES,
         )
-        return [Start(f"margin {each:g}", found(settings=_at(self.settings, each))[0]) for each in self.margins]
+        asked = (replace(self.settings, stability_margin=each) for each in self.margins)
+        return [Start(f"margin {each.stability_margin:g}", found(settings=each)[0]) for each in asked]
 
 
 def _good(draft: Tried, settings: Settings) -> bool:
