@@ -17,7 +17,13 @@ from ctr_nlp.cli import arguments as options
 from ctr_nlp.cli import plan_options, problems
 from ctr_nlp.cli.arguments import DEFAULTS, FRAME_SETTINGS, film_file, read_start, settings_from
 from ctr_nlp.cli.console import INTERRUPTED, Command
-from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, asked_model, with_asked_modulus
+from ctr_nlp.cli.loads.options import (
+    add_load_options,
+    add_modulus_option,
+    asked_model,
+    has_load,
+    with_asked_modulus,
+)
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import NOMINAL, check_folder, place_of, published
 from ctr_nlp.cli.plan_options import HORIZON
@@ -198,7 +204,7 @@ def _planned_for(arguments: argparse.Namespace, problem: Problem) -> tuple[bool,
     robust = _asked_robust(arguments)
     if robust or arguments.nominal or arguments.formulation != HORIZON:
         return robust, ""
-    if arguments.load is not None or arguments.force is not None:
+    if has_load(arguments):
         return False, "under a load the others take a minute and more; --robust plans for them"
     if not MODELS[plan_options.model_from(arguments)].can_snap:
         return False, ""
@@ -213,8 +219,7 @@ def _planned_for(arguments: argparse.Namespace, problem: Problem) -> tuple[bool,
 
 def _folder(problem: Problem, model: str, arguments: argparse.Namespace, robust: bool) -> str:
     """Name the output folder by what was asked for: plans of other requests do not replace each other."""
-    whole = arguments.formulation == HORIZON
-    loaded = arguments.load is not None or arguments.force is not None
+    whole, loaded = arguments.formulation == HORIZON, has_load(arguments)
     asked = {
         "nominal": whole and not (robust or loaded) and MODELS[model].can_snap,
         "robust": robust and not whole,

@@ -49,8 +49,13 @@ def with_asked_modulus(problem: Problem, arguments: argparse.Namespace) -> Probl
     return replace(problem, robot=with_modulus(problem.robot, arguments.youngs_modulus))
 
 
+def has_load(arguments: argparse.Namespace) -> bool:
+    """Tell whether a load was given, by --load or --force."""
+    return arguments.load is not None or arguments.force is not None
+
+
 def asked_model(model: str, arguments: argparse.Namespace) -> Model:
     """The model of a name, under the load where one was given; raises LoadError, OptionError."""
-    if arguments.load is None and arguments.force is None:
+    if not has_load(arguments):
         return model_named(model)
     return under(model, asked_load(arguments))

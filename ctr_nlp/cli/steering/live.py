@@ -12,7 +12,13 @@ from pathlib import Path
 from ctr_nlp.cli import problems
 from ctr_nlp.cli.arguments import add_compile_option, add_out_option, add_problem_options, whole
 from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command
-from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, asked_load, with_asked_modulus
+from ctr_nlp.cli.loads.options import (
+    add_load_options,
+    add_modulus_option,
+    asked_load,
+    has_load,
+    with_asked_modulus,
+)
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.plan_options import add_file_options
@@ -98,8 +104,7 @@ def _problem(arguments: argparse.Namespace) -> Problem:
 
 def _load(arguments: argparse.Namespace) -> Load | None:
     """What the robot is to bear, all the time; raises LoadError."""
-    asked = arguments.load is not None or arguments.force is not None
-    return steady(asked_load(arguments), "live steering") if asked else None
+    return steady(asked_load(arguments), "live steering") if has_load(arguments) else None
 
 
 def _next(out: Path) -> Path:

@@ -14,7 +14,7 @@ a plan that arrives pays nothing. Beyond, h is x - ROUNDED / 2, an exact penalty
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +22,7 @@ import casadi as ca
 
 from ctr_nlp.formulations.settings import ARRIVAL_WEIGHT, Settings
 from ctr_nlp.formulations.terms.term import Body, Parts, Symbols, Term
+from ctr_nlp.formulations.terms.tip import AtTip
 from ctr_nlp.models import Model
 from ctr_nlp.nlp.nlp import Cost, Inner
 from ctr_nlp.robot.structure import Structure
@@ -63,7 +64,7 @@ def exceeded(value: Any, width: float = ROUNDED) -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class Arrival(Term):
+class Arrival(AtTip):
     """Penalise the distance by which the tip misses the target's end, in the last frames of a motion.
 
     Parameters
@@ -84,16 +85,6 @@ class Arrival(Term):
     wider: float = 0.0
     name = "arrival"
     of_settings = True
-    objective_only = True
-
-    @property
-    def key(self) -> Hashable:
-        """All numbers are parameters."""
-        return type(self)
-
-    def places(self, beta: Sequence[ca.SX]) -> ca.SX:
-        """The tip."""
-        return beta[-1]
 
     def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
         """The target's end, mm; the weight, mm^2 a mm; the radius and what is required, mm."""

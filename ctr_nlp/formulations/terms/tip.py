@@ -24,13 +24,27 @@ OPPOSITE = 0.999
 """sin(angle / 2) is taken for no more than this: at opposite directions the slope of the angle is infinite."""
 
 
+class AtTip(Term):
+    """A term of the objective that looks at the robot's tip alone, and all of whose numbers are parameters."""
+
+    objective_only = True
+
+    @property
+    def key(self) -> Hashable:
+        """All numbers are parameters."""
+        return type(self)
+
+    def places(self, beta: Sequence[ca.SX]) -> ca.SX:
+        """The tip."""
+        return beta[-1]
+
+
 @dataclass(frozen=True, eq=False)
-class _Tip(Term):
+class _Tip(AtTip):
     """weight: a number >= 0, or one a frame (T,). wanted: (3,), or (T, 3), or None for the target's own."""
 
     weight: float | Array = 1.0
     wanted: Array | None = None
-    objective_only = True
 
     def __post_init__(self) -> None:
         weight = floats(OptionError, f"weight of {self.name}", np.atleast_1d(self.weight), (None,))
@@ -42,15 +56,6 @@ class _Tip(Term):
 
     def _checked(self, wanted: npt.ArrayLike) -> Array:
         return floats(OptionError, f"wanted {self.name}", wanted, (None, 3))
-
-    @property
-    def key(self) -> Hashable:
-        """Weights and what is wanted are parameters."""
-        return type(self)
-
-    def places(self, beta: Sequence[ca.SX]) -> ca.SX:
-        """The tip."""
-        return beta[-1]
 
     def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
         """What is wanted, and the square root of the weight."""

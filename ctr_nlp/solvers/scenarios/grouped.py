@@ -20,13 +20,10 @@ FAR_COST = 1e-3
 
 
 class _Group(NamedTuple):
-    """Rows (r,) of robots in frames that share a program, its functions for these rows, and the columns of its
-    parameters among those of the whole program.
-    """
+    """Rows (r,) of robots in frames that share a program, and its functions for these rows."""
 
     rows: Index
     maps: list[Mapped]
-    columns: Index
 
 
 class Grouped:
@@ -73,7 +70,7 @@ class Grouped:
             maps = [Mapped(each, len(rows)) for each in functions()[:3]]
             for each in maps:
                 each.inputs[1][:] = self.parameters[np.ix_(rows, columns)]
-            self._groups.append(_Group(rows, maps, columns))
+            self._groups.append(_Group(rows, maps))
 
     def __call__(self, order: int, x: Array, *multipliers: Array) -> list[Array]:
         """Evaluate the functions with derivatives up to an order.
