@@ -104,7 +104,7 @@ def compromises(
     problem : Problem
         Robot and target, within a lumen.
     plan : Plan
-        A plan of it, which all motions start from.
+        A plan of it, which all motions start from; they begin and end where it was asked to.
     model, settings, terms
         As :func:`solve_horizon`.
     weights : sequence of float
@@ -136,6 +136,7 @@ def compromises(
     if plan.clearance is None:
         raise ProblemError("the lumen's radii are not known; there is no contact to weigh against arrival")
     found = [Compromise.of(plan)]
+    start, end = (plan.options.get(name) for name in ("start", "end"))
     with deferred_interrupt() as interrupted:
         for number, weight in enumerate(weights):
             if interrupted():
@@ -143,7 +144,7 @@ def compromises(
             if progress is not None:
                 progress(number, len(weights), f"arrival weight {weight:g}")
             asked = replace(settings, arrival_weight=weight)
-            planner = horizon_planner(problem, model, settings=asked, terms=terms)
+            planner = horizon_planner(problem, model, None, start, end, asked, terms)
             motion = planner.solve([plan.q])
             if not interrupted() and motion.success.all():
                 found.append(Compromise.of(motion, weight))

@@ -10,6 +10,8 @@ from ctr_nlp.exceptions import ProblemError
 from ctr_nlp.figures.compromise import compromise
 from ctr_nlp.plan.measures import Contact
 from ctr_nlp.problems import named
+from ctr_nlp.steer import compromise as module
+from ctr_nlp.steer import horizon_planner
 from ctr_nlp.steer.compromise import Compromise, best_of_both, compromises, needed, sentences
 
 
@@ -38,6 +40,21 @@ def test_what_can_be_had_lies_between_contact_first_and_arrival_first(problem, p
     assert own.contact >= -plan.clearance.min() - 1e-12
     figure = compromise(plan, found)
     assert "Arrival against contact" in figure.get_suptitle()
+
+
+def test_motions_begin_where_the_plan_was_asked_to(problem, plan, monkeypatch):
+    asked = []
+
+    def planner(*given):
+        asked.append(given)
+        return horizon_planner(*given)
+
+    monkeypatch.setattr(module, "horizon_planner", planner)
+    here = replace(plan, meta=plan.meta | {"options": plan.options | {"start": plan.q[0].tolist()}})
+    assert len(compromises(problem, here, weights=(0.0,))) >= 1
+    ((_, _, _, start, end, *_),) = asked
+    np.testing.assert_array_equal(start, plan.q[0])
+    assert end is None
 
 
 def test_a_plan_without_a_wall_has_nothing_to_weigh(problem):
