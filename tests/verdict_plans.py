@@ -109,8 +109,11 @@ def _largest_difference(plan: ctr_nlp.Plan, found: Judgement) -> float | None:
     return float(away.max()) if away.size else None
 
 
-def _samples(plan: ctr_nlp.Plan, found: Judgement) -> dict[str, int]:
-    """How many samples fail for which reason, by the library and the judge, and how many outcomes differ."""
+def _samples(plan: ctr_nlp.Plan, found: Judgement) -> dict[str, float]:
+    """How many samples fail for which reason, by the library and the judge, and how many outcomes differ.
+
+    tip_differ_mm: the largest difference of a sample's distance from the target's end, of samples on their branch.
+    """
     if plan.drawn is None:
         return {}
     outcomes = sample_outcomes(plan)
@@ -125,6 +128,9 @@ def _samples(plan: ctr_nlp.Plan, found: Judgement) -> dict[str, int]:
         counts |= {f"{name}_library": int(flags.sum()), f"{name}_judge": int(theirs[name].sum())}
         counts[f"{name}_differ"] = int((flags != theirs[name]).sum())
     held = ~(found.lost | found.missed | found.pressed)
+    kept = ~(outcomes.lost | found.lost)
+    tips = abs(outcomes.tip_error - found.sample_tip)[kept]
+    counts["tip_differ_mm"] = float(tips.max()) if kept.any() else 0.0
     return counts | {"differ": int((outcomes.held != held).sum())}
 
 

@@ -16,6 +16,7 @@ from ctr_nlp.formulations.frames import FrameResult, distinct, reachable, starts
 from ctr_nlp.formulations.joint import joint, tip_steps
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
+from ctr_nlp.formulations.terms.arrival import Arrival, with_arrival
 from ctr_nlp.formulations.terms.term import listed
 from ctr_nlp.formulations.wall import ROUNDS, SETTLED, Wall, wall_of
 from ctr_nlp.models import Model, model_named
@@ -48,7 +49,8 @@ class NlpFrames:
     free, inside: stages far from any wall, and within one, where it counts. runs: the same, for all frames in one
     call, of formulations of one stage. margins (T,): least stability margins, NaN where none is asked for. near:
     the wall that frames are kept within, None for none. Others with other margins or another wall are made by
-    dataclasses.replace, and share what has been built. wall: that of the lumen, None where none counts.
+    dataclasses.replace, and share what has been built. wall: that of the lumen, None where none counts. arrival:
+    the term that leads the tip to the target's end, None where there is none.
     """
 
     problem: Problem
@@ -62,6 +64,7 @@ class NlpFrames:
     near: Wall | None
     build_seconds: float
     description: dict[str, Any]
+    arrival: Arrival | None = None
 
     @classmethod
     def of(
@@ -81,6 +84,8 @@ class NlpFrames:
         check_choice("formulation", formulation, FORMULATIONS)
         described = model_named(default_model(formulation) if model is None else model)
         terms = checked_terms(terms)
+        if formulation == "joint":  # the stages of others each have an objective of their own
+            terms = with_arrival(terms, settings, described)
         check_model(problem, described)
         solver = default_solver() if solver is None else solver
         check_choice("solver", solver, SOLVERS)
@@ -105,7 +110,9 @@ class NlpFrames:
             "options": settings.options() | {"terms": listed(terms)},
         }
         margins, seconds = np.full(problem.frames, margin), time.perf_counter() - begin
-        return cls(problem, described, settings, free, inside, runs, margins, wall, None, seconds, description)
+        arrival = next((term for term in terms if isinstance(term, Arrival)), None)
+        rest = margins, wall, None, seconds, description, arrival
+        return cls(problem, described, settings, free, inside, runs, *rest)
 
     def search(self, frame: int) -> list[FrameResult]:
         """Distinct answers for a frame without a past, best first; at least one."""

@@ -84,6 +84,29 @@ class Pass:
         q = np.array([self.results[j].q for j in solved])
         return self._off(problem, solved, lambda: simulator(q).shape)
 
+    def missed(self, problem: Problem, simulator: Simulator, tolerance: float) -> float:
+        """Return by how much the robot's tip misses the target's last end, beyond a tolerance.
+
+        Parameters
+        ----------
+        problem : Problem
+            Robot and target.
+        simulator : Simulator
+            Of its robot; moves it through the frames that were solved.
+        tolerance : float
+            Distance that counts as arrived, mm.
+
+        Returns
+        -------
+        float
+            mm; inf where the last frame was not solved.
+        """
+        solved = self._solved()
+        if not solved or solved[-1] != problem.frames - 1:
+            return math.inf
+        tip = simulator(np.array([self.results[j].q for j in solved])).shape[-1, -1]
+        return max(0.0, float(np.linalg.norm(tip - problem.samples[-1].points[-1])) - tolerance)
+
     def _solved(self) -> list[int]:
         return sorted(j for j, result in self.results.items() if result.success)
 

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from ctr_nlp.formulations.frames import FrameResult, FrameSolver
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
+from ctr_nlp.formulations.terms.arrival import LAST, MISSED
 from ctr_nlp.formulations.wall import Wall
 from ctr_nlp.models import Model
 from ctr_nlp.plan.plan import Plan, plan_from_configurations
@@ -99,7 +100,7 @@ def march(
     simulator = Simulator(problem.robot, planned_on(solver.description))
     with deferred_interrupt() as interrupted:
         passes, search_seconds = run_passes(problem, solver, direction, start, progress=progress)
-        best = _least_bad(passes, problem, simulator)
+        best = _least_bad(passes, solver, problem, simulator)
         free: Array | None = None
         wall: Wall | None = None
         if isinstance(solver, NlpFrames) and not interrupted():
@@ -117,9 +118,22 @@ def march(
     return plan_of(problem, solver, best, free, options, work, simulator)
 
 
-def _least_bad(passes: Sequence[Pass], problem: Problem, simulator: Simulator) -> Pass:
-    """The run on which the robot is nearest to its target; one that stands alone is not looked at."""
-    return passes[0] if len(passes) == 1 else min(passes, key=lambda one: one.badness(problem, simulator))
+def _least_bad(passes: Sequence[Pass], solver: FrameSolver, problem: Problem, simulator: Simulator) -> Pass:
+    """Return the run on which the simulated robot is nearest to its target; a single one is not looked at.
+
+    Where the solver leads the tip to the target's end, what a run misses there counts as it does in a plan: each
+    mm beyond the tolerance costs MISSED times the weight in the last tenth (LAST) of the frames.
+    """
+    if len(passes) == 1:
+        return passes[0]
+    arrival = solver.arrival if isinstance(solver, NlpFrames) else None
+    price = 0.0 if arrival is None else LAST * MISSED * arrival.weight
+
+    def badness(one: Pass) -> tuple[int, float]:
+        failed, square = one.badness(problem, simulator)
+        return failed, square + (price * one.missed(problem, simulator, arrival.required) if arrival else 0.0)
+
+    return min(passes, key=badness)
 
 
 def _unknowns(results: Sequence[FrameResult]) -> Array | None:

@@ -11,6 +11,8 @@ from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError, RobotError
 from ctr_nlp.formulations.joint import joint
 from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.formulations.stage import Stage
+from ctr_nlp.formulations.terms.arrival import Arrival, with_arrival
 from ctr_nlp.formulations.terms.shape import STRIDE, ShapeDistance
 from ctr_nlp.formulations.wall import ROUNDS, SETTLED, Wall, wall_of
 from ctr_nlp.loads import steady
@@ -33,11 +35,43 @@ MOST_ITERATIONS = 60
 
 
 class Steerer:
-    """The joint formulation in a loop at run time: everything is built once, and a step solves one frame.
+    """Solve the joint formulation again and again while the target moves.
 
-    A step is a few tens of microseconds of compiled code, and at most MOST_ITERATIONS of some ten to forty
-    microseconds each. It never leaves limits of position and speed: where no better configuration is found, the
-    robot stays where it is. Not for two threads at once: one for each.
+    Everything is built once, and each step solves one frame: a few tens of microseconds of compiled code, and at
+    most `MOST_ITERATIONS` of some ten to forty microseconds each. A step keeps the limits of position and speed:
+    where no better configuration is found, the robot stays where it is. Give each thread a steerer of its own.
+
+    Parameters
+    ----------
+    robot : Robot
+        What is steered.
+    q : array_like
+        Configuration (2d + 2,) in which the robot stands, in rad and mm. On the elastic model the robot is taken
+        to have been turned to it from where all its tubes were aligned.
+    dt : float
+        Time from one step to the next, s.
+    settings : Settings, optional
+        Weights of motion, contact and arrival.
+    model : str or Model, optional
+        What the robot's shape follows from.
+    lumen : Curve, optional
+        Path with a radius, within whose wall the robot is kept; no wall by default.
+    wait : bool
+        Wait until the program is compiled. Otherwise steps are interpreted, and take a millisecond or more, until
+        that was done in the background. What describes a wall is always waited for.
+
+    Raises
+    ------
+    OptionError, RobotError
+        An argument is not what it must be, or nothing can be compiled.
+
+    Examples
+    --------
+    >>> import ctr_nlp as ctr
+    >>> robot = ctr.table_i_robot()
+    >>> robot.d
+    3
+    >>> steerer = ctr.Steerer(robot, [0, 0, 0, 20, 40, 60, 0, 0], 0.1)  # doctest: +SKIP
     """
 
     def __init__(
@@ -50,14 +84,6 @@ class Steerer:
         lumen: Curve | None = None,
         wait: bool = True,
     ) -> None:
-        """Build for a robot that stands at q and moves every dt s; raises OptionError, RobotError.
-
-        OptionError also where nothing can be compiled. On the elastic model the robot is taken to have been turned
-        to q from where all its tubes were aligned, and then loaded. lumen: the path with a radius whose wall it is
-        kept within, at the settings' clearance and weight of contact; None for no wall.
-        wait: whether to wait until the program has been compiled; else its steps are interpreted until that has
-        been done in the background, and take a millisecond or more. What describes a wall is always waited for.
-        """
         instance(RobotError, "robot", robot, Robot)
         instance(OptionError, "settings", settings, Settings)
         number(OptionError, "dt", dt, lambda x: 0 < x < math.inf, "be a finite number > 0", " s")
@@ -68,7 +94,7 @@ class Steerer:
         if lumen is not None and (not isinstance(lumen, Curve) or lumen.radius is None):
             raise OptionError(f"lumen is {lumen!r:.80}; it must be a curve with a radius, or None for no wall")
         self._wall = wall_of(robot, None if lumen is None else Lumen.around(lumen), described, settings)
-        (stage,) = joint(robot, settings, described, walled=self._wall is not None)
+        stage, arrival = _stage(robot, settings, described, self._wall)
         reach = reach_of(robot, dt, described.several_equilibria)
         straight = growing(curve_from_formula(lambda u: (0.0, 0.0, u), 0.0, 1.0), 1).sample()[0]
         root = math.sqrt(settings.motion_weight) / dt
@@ -84,6 +110,9 @@ class Steerer:
         self._target = run.p[0, stage.nlp.place("target")].reshape(3, -1)
         self._whole, self._none = np.zeros((2, len(SIGMA), 3))
         self._sampled = self._whole[::STRIDE].T
+        self._arrival, self._part = arrival, 0.0
+        if arrival is not None:
+            self._arrives = {name: stage.nlp.place(name) for name in arrival.values(self._whole[-1:], 0.0)}
         self._done, run.objective[:], run.kkt[:] = False, math.nan, math.nan
 
     @classmethod
@@ -99,7 +128,7 @@ class Steerer:
         """The same, or None while it is compiled in the background, which the first call begins."""
         described = model_named(model)
         wall = wall_of(robot, None if lumen is None else Lumen.around(lumen), described, settings)
-        (stage,) = joint(robot, settings, described, walled=wall is not None)
+        stage, _ = _stage(robot, settings, described, wall)
         begun = [described.fast(robot.structure), library(stage.nlp, 1).soon() is not None]
         if wall is not None and wall.around is not None:
             begun.append(wall.around.ready())
@@ -146,11 +175,30 @@ class Steerer:
         """Whether the last step ended at a KKT point."""
         return self._done and self.kkt <= OPTIMAL
 
-    def step(self, target: Array) -> Array:
-        """The configuration (2d + 2,) dt s later, for a target (101, 3) in mm at uniform sigma.
+    def step(self, target: Array, part: float = 0.0) -> Array:
+        """Find the configuration dt s later.
 
-        Raises OptionError where the target has another shape or numbers that are not finite.
+        Parameters
+        ----------
+        target : ndarray
+            Shape (101, 3) to follow, mm, at uniform sigma.
+        part : float
+            Part of the motion that has passed, from 0 to 1, where its end is known. In the last tenth of a motion
+            the tip is led to the target's end, as plans are (formulations.terms.arrival). 0, the default, follows
+            the shape alone.
+
+        Returns
+        -------
+        ndarray
+            Configuration q (2d + 2,), rad and mm.
+
+        Raises
+        ------
+        OptionError
+            The target has another shape or numbers that are not finite, or `part` is not in [0, 1].
         """
+        if not 0.0 <= part <= 1.0:
+            raise OptionError(f"part of a motion is {part!r}; it must be a number from 0 to 1")
         if np.shape(target) != self._whole.shape:
             raise OptionError(f"target has shape {np.shape(target)}; it must be {self._whole.shape}")
         self._whole[:] = target
@@ -158,8 +206,19 @@ class Steerer:
             bad = self._whole[~np.isfinite(self._whole)][0]
             raise OptionError(f"target has {bad} mm; all of it must be finite")
         self._target[:] = self._sampled
+        if self._arrival is not None and (part or self._part):  # its weight is 0 until it was first set
+            self._part = part
+            for name, value in self._arrival.values(target[-1:], part).items():
+                self._run.p[0, self._arrives[name]] = np.ravel(value)
         self._done = self._run(1) == 1
         return self.q
+
+
+def _stage(robot: Robot, settings: Settings, model: Model, wall: Wall | None) -> tuple[Stage, Arrival | None]:
+    """Return the one stage of the joint formulation, and its term of arrival where there is one."""
+    terms = with_arrival((), settings, model)
+    (stage,) = joint(robot, settings, model, terms, walled=wall is not None)
+    return stage, next((term for term in terms if isinstance(term, Arrival)), None)
 
 
 def _described(wall: Wall) -> Surroundings:

@@ -155,7 +155,7 @@ def within(radius):
     """A problem of following a lumen's bent path, and a first configuration of its frames."""
     lumen = bent(radius)
     problem = Problem("bent", table_i_robot(), growing(lumen.part(0.0, 110.0), 12), lumen=lumen)
-    settings = Settings(arrival_weight=0.0)  # a Steerer does not know where a motion ends
+    settings = Settings(arrival_weight=0.0)  # steps are not told how much of the motion has passed
     return (
         problem,
         settings,

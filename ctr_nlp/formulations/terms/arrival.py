@@ -27,6 +27,7 @@ from ctr_nlp.models import Model
 from ctr_nlp.nlp.nlp import Cost, Inner
 from ctr_nlp.robot.structure import Structure
 from ctr_nlp.target.target import Frame
+from ctr_nlp.typing import Array
 
 LAST = 0.1
 """Part of the motion, at its end, in which the term counts."""
@@ -93,10 +94,27 @@ class Arrival(AtTip):
 
     def fill(self, frame: Frame) -> Mapping[str, Any]:
         """Values for a frame; the weight is 0 before the last part of the motion."""
-        funnel = FUNNEL * (1 - frame.part) / LAST
+        return self.values(frame.points[-1:], frame.part)
+
+    def values(self, end: Array, part: float) -> dict[str, Any]:
+        """Return the parameters of the term at one moment of a motion.
+
+        Parameters
+        ----------
+        end : ndarray
+            The target's end at that moment, (1, 3) mm.
+        part : float
+            Part of the motion that has passed, from 0 to 1.
+
+        Returns
+        -------
+        dict
+            Values by the names of `parameters`.
+        """
+        funnel = FUNNEL * (1 - part) / LAST
         return {
-            "arrival_end": frame.points[-1:],
-            "arrival_weight": self.weight if frame.part > 1 - LAST else 0.0,
+            "arrival_end": end,
+            "arrival_weight": self.weight if part > 1 - LAST else 0.0,
             "arrival_radius": self.radius + funnel,
             "arrival_required": self.required + funnel,
         }

@@ -241,7 +241,7 @@ class Session:
         if self.method == HAND:
             q, solved = towards(self.problem.robot, self.q, self.hand, self.dt), (np.nan, np.nan, np.nan)
         else:
-            q = steerer.step(target)
+            q = steerer.step(target, self.goal.progress)
             solved = steerer.objective, steerer.kkt, time.perf_counter() - begin
         snapped = bool(self._robot.go(q))
         if not np.isfinite(self._robot.x).all():
