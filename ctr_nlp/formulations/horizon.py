@@ -31,6 +31,12 @@ class Ends:
     start: Array | None = None
     end: Array | None = None
 
+    @property
+    def options(self) -> dict[str, list[float] | None]:
+        """Both as the options of a plan hold them."""
+        ends = (("start", self.start), ("end", self.end))
+        return {name: None if q is None else q.tolist() for name, q in ends}
+
 
 def interpreted(nlp: Nlp) -> Callable[[], FrameFunctions]:
     """A frame's functions as they are."""

@@ -8,7 +8,7 @@ import pytest
 from ctr_nlp.cli.commands.new import template
 from ctr_nlp.cli.main import main
 from ctr_nlp.studies.airways import synthetic_problem
-from ctr_nlp.studies.survival.cases import Airway, airways
+from ctr_nlp.studies.survival.cases import Airway, from_rows
 from ctr_nlp.studies.survival.distributions import distributions
 from ctr_nlp.studies.survival.report import findings, page, write
 from ctr_nlp.studies.trade import MARGINS, Traded, traded
@@ -51,6 +51,7 @@ def row(plan):
     """Of a study, of a plan."""
     return {
         "problem": plan.problem.replace(" ", ":"),
+        "status": "done",
         "method": "robust-horizon" if plan.amount else "horizon",
         "set_stability_margin": np.nan if plan.amount else plan.margin,
         "frames": 100.0,
@@ -64,9 +65,9 @@ def row(plan):
 
 def test_airways_are_read_from_rows_in_any_order():
     rows = [row(plan) for one in (CLEAR, CLOSE) for plan in one.plans]
-    assert airways(rows[::-1]) == [CLOSE, CLEAR]
-    assert airways(rows[:-1]) == [CLEAR]
-    assert airways([rows[-1]]) == []
+    assert from_rows(rows[::-1]) == [CLOSE, CLEAR]
+    assert from_rows(rows[:-1]) == [CLEAR]
+    assert from_rows([rows[-1]]) == []
 
 
 def test_all_files_are_written(tmp_path):

@@ -27,9 +27,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
         description="Write a file with comments to start from: a problem (.py), a robot, its hardware, a load "
-        "or a study of many plans (.toml). Two of the studies end with a page: `clearance` tells "
-        "what clearance costs and brings, and `survival` tells how plans survive robots that are "
-        "not quite known. A robot may come from a file of another program, too.",
+        "or a study of many plans (.toml). `survival` is a study that ends with a page on how plans "
+        "survive robots that are not quite known. A robot may come from a file of another program, too.",
         epilog="Exit status: 0 where the file was written, 2 where input is bad and nothing is written. A file "
         "that is there is never replaced.",
     )

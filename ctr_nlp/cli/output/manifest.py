@@ -55,6 +55,7 @@ STANDARD: Mapping[str, tuple[str, ...]] = {
     "study": ("study.toml",),
     "by": ("by.png", "worst.html"),
     "survival": ("survival.md", "survival.csv", "survival.png", "survival.pdf"),
+    "reached": ("reached.md", "reached.csv", "reached.png", "reached.pdf"),
     "seed": (
         *("seed.md", "table2.csv", "fig9d.csv", "fig9d.png"),
         *(f"fig{number}.{suffix}" for number in (3, 4, 5, 6, 7, 8, 10) for suffix in ("csv", "png")),

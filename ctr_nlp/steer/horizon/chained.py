@@ -150,9 +150,7 @@ class Horizon:
     def options(self, weight: float, starts: int | None = None, exhaustive: bool = False) -> dict[str, Any]:
         """What was asked for, as a plan's meta holds it; weight: lambda in s^2."""
         asked = {"motion_weight": weight, "starts": starts, "exhaustive": exhaustive}
-        ends = (("start", self.ends.start), ("end", self.ends.end))
-        given = {name: None if q is None else q.tolist() for name, q in ends}
-        return {**self._settings.options(), **asked, "terms": listed(self._terms), **given}
+        return {**self._settings.options(), **asked, "terms": listed(self._terms), **self.ends.options}
 
     def _kept_inside(
         self, wall: Wall, search: Search, free: Sequence[Attempt], motions: Sequence[Array]

@@ -184,12 +184,11 @@ def solve_robust(
         "rounds": rounds,
     }
     asked |= {"terms": listed(terms)}
-    ends = {"start": _listed(planner.ends.start), "end": _listed(planner.ends.end)}
     meta = {
         "formulation": "robust-horizon",
         **told.told,
         "solver": "interior-point",
-        "options": settings.options() | asked | ends,
+        "options": settings.options() | asked | planner.ends.options,
         "build_s": planner.build_seconds,
         "search_s": searched,
         "solve_s": time.perf_counter() - begin - searched,
@@ -296,10 +295,6 @@ def _rounds(
                 made = coarse + planned_again(search, whole, joined, lost, most, first + len(coarse))
                 return made + relaxed(made[-1], len(scenarios), lost, first + len(made))
     return []
-
-
-def _listed(q: Array | None) -> list[float] | None:
-    return None if q is None else q.tolist()
 
 
 def _described(one: Tried) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from typing import Any
 
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.studies.airways import shown_name
+from ctr_nlp.studies.grid.case import DONE
 from ctr_nlp.studies.trade import Traded
 from ctr_nlp.support.tables import write_csv
 
@@ -50,10 +51,10 @@ def mean_of(plan: Traded) -> float:
     return math.inf if plan.mean is None else plan.mean
 
 
-def airways(rows: Sequence[Mapping[str, Any]]) -> list[Airway]:
+def from_rows(rows: Sequence[Mapping[str, Any]]) -> list[Airway]:
     """The airways of a study's rows; those without a plan for the robot described, or a robust one, are not."""
     found = dict[str, list[Mapping[str, Any]]]()
-    for row in rows:
+    for row in (row for row in rows if row["status"] == DONE):
         found.setdefault(row["problem"], []).append(row)
     return [airway for plans in found.values() if (airway := _airway(plans)) is not None]
 

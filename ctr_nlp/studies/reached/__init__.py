@@ -1,0 +1,1 @@
+"""Which airways are reached by which plans: a page, a table and a picture."""

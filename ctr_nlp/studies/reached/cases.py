@@ -1,0 +1,97 @@
+"""Plans of a study, by how they are planned, and the first check that each of them fails."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ctr_nlp.plan.verdicts import YES
+from ctr_nlp.studies.airways import shown_name
+
+CHECKS = "solved", "stable", "within_limits", "arrives", "within_wall", "holds"
+"""Verdicts that have to read yes where an end is reached, in the order in which they are asked."""
+REACHED = "reached"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one plan.
+
+    Attributes
+    ----------
+    problem : str
+        Name of the problem.
+    failed : str
+        First of CHECKS that does not read yes, or REACHED.
+    tip : float
+        Distance of the tip from the target's end in the last frame, mm.
+    contact : float
+        Deepest contact with the wall, mm; NaN where no wall is known.
+    held : float
+        Share of the simulated robots that hold; NaN where none were simulated.
+    e3 : float
+        Mean error, mm.
+    """
+
+    problem: str
+    failed: str
+    tip: float
+    contact: float
+    held: float
+    e3: float
+
+
+@dataclass(frozen=True)
+class Way:
+    """Plans of many problems that were planned in one way: its name, and an outcome for each problem."""
+
+    name: str
+    outcomes: tuple[Outcome, ...]
+
+    @property
+    def reached(self) -> int:
+        """Number of problems whose end is reached."""
+        return sum(outcome.failed == REACHED for outcome in self.outcomes)
+
+
+def from_rows(rows: Sequence[Mapping[str, Any]]) -> list[Way]:
+    """Sort the rows of a study by robot, method and settings.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        As `Case.row` makes them. Where there is no plan, the problem counts as not solved.
+
+    Returns
+    -------
+    list of Way
+        In the order of the rows.
+    """
+    found = dict[str, list[Outcome]]()
+    several = len({row["robot_name"] for row in rows}) > 1
+    for row in rows:
+        found.setdefault(_name(row, several), []).append(_outcome(row))
+    return [Way(name, tuple(outcomes)) for name, outcomes in found.items()]
+
+
+def _name(row: Mapping[str, Any], several: bool) -> str:
+    """What the plans of a way are called: the method, what was set, and the robot where there are several."""
+    told = [row["method"].replace("horizon", "over all frames").replace("robust-", "robust ")]
+    settings = {key: row[key] for key in sorted(row) if key.startswith("set_") and _number(row[key]) is not None}
+    told += [f"{key.removeprefix('set_')} {value:g}" for key, value in settings.items()]
+    return ", ".join([*told, row["robot_name"]] if several else told)
+
+
+def _outcome(row: Mapping[str, Any]) -> Outcome:
+    failed = next((check for check in CHECKS if row.get(f"verdict_{check}") != YES), REACHED)
+    numbers = (_number(row.get(key)) for key in ("tip_last", "contact_depth", "robustness_held_share", "e3"))
+    return Outcome(
+        shown_name(row["problem"]), failed, *(math.nan if value is None else value for value in numbers)
+    )
+
+
+def _number(value: Any) -> float | None:
+    """A number that is known, else None: tables write NaN for what a row does not have."""
+    return float(value) if isinstance(value, int | float) and not math.isnan(value) else None

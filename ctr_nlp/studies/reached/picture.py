@@ -1,0 +1,66 @@
+"""What becomes of plans: how many ends are reached, and by how much tips miss and bodies press."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from ctr_nlp.figures.parts.page import STYLE
+from ctr_nlp.figures.parts.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
+from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.studies.reached.cases import CHECKS, REACHED, Way
+
+COLOURS = dict(zip((REACHED, *CHECKS), (GREEN, BLACK, VERMILLION, PURPLE, ORANGE, SKY, "0.75"), strict=True))
+"""Of what becomes of a plan, by its first failed check."""
+MARKS = "osD^v"
+"""Of ways in the right half; they repeat after five."""
+
+
+@matplotlib.rc_context(STYLE)
+def reached(ways: Sequence[Way], fails: Mapping[str, str]) -> Figure:
+    """Draw the outcomes of plans.
+
+    Parameters
+    ----------
+    ways : sequence of Way
+        At least one.
+    fails : mapping
+        What is said of plans whose first failed check is a key.
+
+    Returns
+    -------
+    Figure
+        Left, a bar a way, divided by the first check that fails. Right, a mark a plan: the tip's distance from the
+        target's end over the deepest contact, both in mm, with the area in which both are allowed.
+    """
+    figure = Figure(figsize=(8.4, 2.6 + 0.4 * len(ways)), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1.2, 1.0))
+    begin = np.zeros(len(ways))
+    for check, colour in COLOURS.items():
+        counts = np.array([sum(outcome.failed == check for outcome in way.outcomes) for way in ways])
+        if counts.any():
+            bars = left.barh(range(len(ways)), counts, left=begin, color=colour, label=fails.get(check, check))
+            left.bar_label(bars, [str(count) if count else "" for count in counts], label_type="center")
+        begin += counts
+    left.set_yticks(range(len(ways)), [way.name.replace(", ", ",\n") for way in ways])
+    left.invert_yaxis()
+    left.set_xlabel("ends")
+    left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.25), ncols=3, frameon=False)
+    thresholds = Settings()
+    allowed, tolerance = thresholds.contact_allowed, thresholds.arrival_tolerance
+    for k, way in enumerate(ways):
+        contact = [outcome.contact for outcome in way.outcomes]
+        tip = [outcome.tip for outcome in way.outcomes]
+        look = {"marker": MARKS[k % len(MARKS)], "color": (BLUE, VERMILLION, BLACK)[k % 3]}
+        right.scatter(contact, tip, s=14, alpha=0.6, lw=0, label=way.name, **look)
+    right.add_patch(Rectangle((0.0, 0.0), allowed, tolerance, color=GREEN, alpha=0.25, lw=0, label="allowed"))
+    right.set_xlabel("deepest contact (mm)")
+    right.set_ylabel("tip to the target's end (mm)")
+    right.set_xlim(left=-0.1)
+    right.set_ylim(bottom=0.0)
+    right.legend(loc="upper right")
+    return figure

@@ -1,0 +1,89 @@
+"""The study as a page of Markdown, a table and a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from ctr_nlp.figures import save
+from ctr_nlp.plan.account import shown
+from ctr_nlp.studies.reached.cases import CHECKS, REACHED, Way
+from ctr_nlp.studies.reached.picture import reached
+from ctr_nlp.support.tables import markdown, write_csv
+
+FAILS: Mapping[str, str] = {
+    "solved": "not solved",
+    "stable": "snaps",
+    "within_limits": "exceeds limits",
+    "arrives": "does not arrive",
+    "within_wall": "touches the wall",
+    "holds": "lost when built",
+}
+"""What is said of plans whose first failed check is this one of CHECKS."""
+QUARTILES = {"least": 0.0, "quarter": 0.25, "median": 0.5, "three quarters": 0.75, "most": 1.0}
+EXPLANATION = """\
+
+![What becomes of plans](reached.png)
+
+An end is **reached** where the plan is solved and stable on the elastic model, keeps the limits, brings the tip
+within the tolerance of the target's end, presses no deeper into the wall than is allowed, in frames and between
+them, and holds on simulated robots within the tolerances, which planning does not see: so many of these keep
+their branch, arrive, and press no deeper than a millimetre. The thresholds are those of `ctr-nlp plan`. A plan
+that fails counts for the first of these checks that does not read yes.
+"""
+
+
+def write(ways: Sequence[Way], folder: Path) -> None:
+    """Write reached.md, .csv, .png and .pdf into a folder that exists."""
+    rows = [{"way": way.name} | asdict(outcome) for way in ways for outcome in way.outcomes]
+    write_csv(folder / "reached.csv", rows)
+    for ending in ("png", "pdf"):
+        save(reached(ways, FAILS), folder / f"reached.{ending}")
+    (folder / "reached.md").write_text(page(ways), encoding="utf-8")
+
+
+def findings(ways: Sequence[Way]) -> list[str]:
+    """Tell how many ends each way reaches, and why the others are not, a sentence a way."""
+    return [f"{way.name}: {way.reached} of {len(way.outcomes)} ends are reached{_rest(way)}" for way in ways]
+
+
+def _rest(way: Way) -> str:
+    """Why the others are not, the most frequent reason first."""
+    counts = {check: sum(outcome.failed == check for outcome in way.outcomes) for check in CHECKS}
+    failed = sorted((check for check in CHECKS if counts[check]), key=lambda check: -counts[check])
+    return "".join(f"; {counts[check]} {FAILS[check]}" for check in failed)
+
+
+def page(ways: Sequence[Way]) -> str:
+    """All of it in Markdown."""
+    title = f"# Which of {max(len(way.outcomes) for way in ways)} ends are reached\n\n"
+    sentences = [f"{k}. {told[0].upper()}{told[1:]}.\n" for k, told in enumerate(findings(ways), 1)]
+    body = [
+        [way.name, *(str(sum(one.failed == check for one in way.outcomes)) for check in (REACHED, *CHECKS))]
+        for way in ways
+    ]
+    table = f"\n## First check that fails\n\n{markdown(['', REACHED, *FAILS.values()], body)}"
+    numbers = [
+        _quantiles(title, ways, name)
+        for title, name in (
+            ("Tip to the target's end, mm", "tip"),
+            ("Deepest contact, mm", "contact"),
+            ("Share of simulated robots that hold", "held"),
+            ("e3, mm", "e3"),
+        )
+    ]
+    return "".join([title, *sentences, EXPLANATION, table, *numbers])
+
+
+def _quantiles(title: str, ways: Sequence[Way], name: str) -> str:
+    """A table of quantiles over problems, a row a way; a dash where a number is known of no plan."""
+    rows = []
+    for way in ways:
+        values = np.array([getattr(outcome, name) for outcome in way.outcomes])
+        known = values[~np.isnan(values)]
+        found = np.quantile(known, list(QUARTILES.values())).tolist() if known.size else []
+        rows.append([way.name, *(map(shown, found) if found else ["–"] * len(QUARTILES))])
+    return f"\n## {title}\n\n{markdown(['', *QUARTILES], rows)}"
