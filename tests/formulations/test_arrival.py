@@ -10,7 +10,7 @@ from truth import TWO
 from ctr_nlp import Problem, Settings, growing, solve_horizon
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.terms import Arrival, TipPosition
-from ctr_nlp.formulations.terms.arrival import FUNNEL, LAST, ROUNDED, exceeded, with_arrival
+from ctr_nlp.formulations.terms.arrival import FUNNEL, LAST, ROUNDED, smooth_excess, with_arrival
 from ctr_nlp.models import MODELS
 from ctr_nlp.plan.measures import arrival
 from ctr_nlp.plan.metrics import e3
@@ -30,17 +30,17 @@ def bend():
 
 
 def test_nothing_is_paid_up_to_zero():
-    assert [float(ca.DM(exceeded(value))) for value in (-5.0, -1e-9, 0.0)] == [0.0, 0.0, 0.0]
+    assert [float(ca.DM(smooth_excess(value))) for value in (-5.0, -1e-9, 0.0)] == [0.0, 0.0, 0.0]
 
 
 def test_beyond_its_rounded_corner_a_millimetre_costs_one():
-    assert float(ca.DM(exceeded(2.0) - exceeded(1.0))) == pytest.approx(1.0)
-    assert float(ca.DM(exceeded(1.0))) == pytest.approx(1.0 - ROUNDED / 2)
+    assert float(ca.DM(smooth_excess(2.0) - smooth_excess(1.0))) == pytest.approx(1.0)
+    assert float(ca.DM(smooth_excess(1.0))) == pytest.approx(1.0 - ROUNDED / 2)
 
 
 def test_its_slope_is_continuous():
     x = ca.SX.sym("x")
-    slope = ca.Function("slope", [x], [ca.gradient(exceeded(x), x)])
+    slope = ca.Function("slope", [x], [ca.gradient(smooth_excess(x), x)])
     values = [float(slope(value)) for value in (-1e-6, 1e-6, ROUNDED - 1e-6, ROUNDED + 1e-6)]
     np.testing.assert_allclose(values, [0, 0, 1, 1], atol=1e-4)
 

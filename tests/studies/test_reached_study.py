@@ -84,12 +84,12 @@ def test_a_study_reads_its_robots_and_ends_with_the_page(tmp_path, capsys):
     from ctr_nlp.cli.main import main
 
     (tmp_path / "study.toml").write_text(
-        'name = "few"\nframes = 6\ndraws = 5\nreport = "reached"\n[problems]\nsynthetic = 1\n'
-        '[[ways]]\nmodels = ["elastic"]\nsettings = { arrival_weight = [0, 50] }\n'
+        'name = "few"\nframes = 6\nreport = "reached"\n[problems]\nsynthetic = 1\n'
+        '[[ways]]\nmodels = ["dominant"]\n'
     )
     out = tmp_path / "out"
     assert main(["study", str(tmp_path / "study.toml"), "--workers", "1", "--out", str(out)]) == 1
     told = " ".join(capsys.readouterr().out.split())
-    assert "over all frames, arrival_weight 50: 0 of 1 ends are reached" in told
-    assert (out / "reached.md").read_text().count("over all frames, arrival_weight 50") >= 5
+    assert "over all frames: 0 of 1 ends are reached" in told
+    assert (out / "reached.md").read_text().count("| over all frames |") == 5
     assert (out / "reached.png").stat().st_size > 1000

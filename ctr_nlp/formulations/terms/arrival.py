@@ -44,7 +44,7 @@ NEAREST = 0.01
 """mm: added to the distance as a square, so that it has a slope where it is 0."""
 
 
-def exceeded(value: Any, width: float = ROUNDED) -> Any:
+def smooth_excess(value: Any, width: float = ROUNDED) -> Any:
     """Return a smooth max(value, 0) that is exactly 0 where value <= 0.
 
     Parameters
@@ -124,8 +124,8 @@ class Arrival(AtTip):
         tip = Inner.of([ca.SX(ca.horzcat(*body.points))])
         away = tip.symbols[0] - parameters["arrival_end"]
         distance = ca.sqrt(ca.sumsqr(away) + NEAREST**2)
-        missed = exceeded(distance - parameters["arrival_radius"])
-        missed += (MISSED - 1) * exceeded(distance - parameters["arrival_required"])
+        missed = smooth_excess(distance - parameters["arrival_radius"])
+        missed += (MISSED - 1) * smooth_excess(distance - parameters["arrival_required"])
         return Parts(costs=(Cost(self.name, parameters["arrival_weight"] * missed),), inner=(tip,))
 
 

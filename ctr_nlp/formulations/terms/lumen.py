@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ctr_nlp.formulations.terms.arrival import exceeded
+from ctr_nlp.formulations.terms.arrival import smooth_excess
 from ctr_nlp.formulations.terms.term import Body, Parts, Symbols, Term
 from ctr_nlp.models.protocol import columns_of
 from ctr_nlp.nlp.nlp import Constraint, Cost, Inner
@@ -74,7 +74,7 @@ def contact(slack: Any, weight: Any, allowed: Any) -> Any:
     float, array or casadi expression
         weight slack + (HARD - 1) weight max(slack - allowed, 0), the second corner rounded, + FIRM slack^2.
     """
-    return weight * slack + (HARD - 1) * weight * exceeded(slack - allowed) + FIRM * slack**2
+    return weight * slack + (HARD - 1) * weight * smooth_excess(slack - allowed) + FIRM * slack**2
 
 
 def arc_lengths(beta: Sequence[Any], count: int = PLACES) -> list[Any]:

@@ -21,7 +21,7 @@ MARKS = "osD^v"
 
 
 @matplotlib.rc_context(STYLE)
-def reached(ways: Sequence[Way], fails: Mapping[str, str]) -> Figure:
+def draw_outcomes(ways: Sequence[Way], fails: Mapping[str, str]) -> Figure:
     """Draw the outcomes of plans.
 
     Parameters

@@ -11,7 +11,7 @@ import numpy as np
 from ctr_nlp.figures import save
 from ctr_nlp.plan.account import shown
 from ctr_nlp.studies.reached.cases import CHECKS, REACHED, Way
-from ctr_nlp.studies.reached.picture import reached
+from ctr_nlp.studies.reached.picture import draw_outcomes
 from ctr_nlp.support.tables import markdown, write_csv
 
 FAILS: Mapping[str, str] = {
@@ -41,7 +41,7 @@ def write(ways: Sequence[Way], folder: Path) -> None:
     rows = [{"way": way.name} | asdict(outcome) for way in ways for outcome in way.outcomes]
     write_csv(folder / "reached.csv", rows)
     for ending in ("png", "pdf"):
-        save(reached(ways, FAILS), folder / f"reached.{ending}")
+        save(draw_outcomes(ways, FAILS), folder / f"reached.{ending}")
     (folder / "reached.md").write_text(page(ways), encoding="utf-8")
 
 
