@@ -9,11 +9,33 @@ LIKELY, NEAR = 2, 0.7
 """Words that a message offers at most, and how alike they must be to what was given (difflib)."""
 
 
+def escaped(text: str) -> str:
+    r"""Escape what a terminal, a page or a reader would obey instead of showing it.
+
+    Parameters
+    ----------
+    text : str
+        From a file, a plan or a person, such as the name of a problem.
+
+    Returns
+    -------
+    str
+        One line: control characters, line breaks, marks that turn the direction of writing, and what is no
+        character at all stand as Python writes them.
+
+    Examples
+    --------
+    >>> print(escaped("left [lung]\x1b[2J\n"))
+    left [lung]\x1b[2J\n
+    """
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
 class CtrError(Exception):
     """Base of every error that ctr_nlp raises itself. Its message is one line, whatever it quotes from a file."""
 
     def __str__(self) -> str:
-        return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in super().__str__())
+        return escaped(super().__str__())
 
 
 class RobotError(CtrError):

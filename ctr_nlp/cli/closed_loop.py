@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ctr_nlp.cli.console import SOLVED, SOME_FAILED
-from ctr_nlp.cli.telling import console, print_table
+from ctr_nlp.cli.telling import console, print_stderr, print_table
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.guiding.loop import ClosedLoop, begun_with, known_of
@@ -69,7 +68,7 @@ def opened(plan: Plan, hardware: Hardware, records: list[dict[str, Any]] | None)
     known = None if records is None else known_of(records)
     tracker, source = Tracker(plan, sensing.sensors, known=known), source_of(sensing, plan)
     if isinstance(source, SimulatedRobot):
-        sys.stderr.write(f"sensor: {source}\n")
+        print_stderr(f"sensor: {source}")
     loop = ClosedLoop(tracker, source, _told)
     try:
         yield loop
@@ -78,7 +77,7 @@ def opened(plan: Plan, hardware: Hardware, records: list[dict[str, Any]] | None)
 
 
 def _told(note: Note) -> None:
-    sys.stderr.write(f"note: {note.why}: the robot is {note.state.value}\n")
+    print_stderr(f"note: {note.why}: the robot is {note.state.value}")
 
 
 def tell(loop: ClosedLoop) -> None:
@@ -98,10 +97,10 @@ def tell(loop: ClosedLoop) -> None:
     taken = np.array([each.accepted for each in loop.estimates])[known]
     if known.any():
         told = f"{known.sum()} times measured, {taken.mean():.0%} of values taken, innovations"
-        console().print(f"{told} {np.sqrt(sizes[known].mean()):.2f} times as large as expected", markup=False)
+        console().print(f"{told} {np.sqrt(sizes[known].mean()):.2f} times as large as expected")
     for note in loop.tracker.notes:
         after = note.time - loop.estimates[0].time
-        console().print(f"{after:.2f} s after the start: {note.why} ({note.state.value})", markup=False)
+        console().print(f"{after:.2f} s after the start: {note.why} ({note.state.value})")
 
 
 def columns(loop: ClosedLoop) -> dict[str, Array]:
@@ -118,8 +117,8 @@ def replay(plan: Plan, hardware: Hardware, records: list[dict[str, Any]]) -> int
     tracker = Tracker(plan, sensing_of(hardware).sensors, known=begun_with(records))
     corrections, commands, differs = replayed(plan, hardware, records, tracker)
     if differs:
-        console().print(f"not the same as in the journal: {differs}", markup=False)
+        console().print(f"not the same as in the journal: {differs}")
         return SOME_FAILED
     lines = f" and {commands} lines of motion" if commands else ""
-    console().print(f"{corrections} corrections{lines} worked out again: the same, bit for bit", markup=False)
+    console().print(f"{corrections} corrections{lines} worked out again: the same, bit for bit")
     return SOLVED

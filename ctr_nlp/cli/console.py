@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import ctr_nlp
-from ctr_nlp.cli.telling import telling
-from ctr_nlp.exceptions import CtrError, meant
+from ctr_nlp.cli.telling import print_stderr, telling
+from ctr_nlp.exceptions import CtrError, escaped, meant
 from ctr_nlp.support.interrupt import deferred_interrupt
 
 SOLVED, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -93,7 +93,8 @@ def parsed(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> argpa
     found, unknown = parser.parse_known_args(argv)
     if unknown:
         options = [option for option in parser._option_string_actions if option.startswith("--")]
-        parser.error(f"unrecognized arguments: {' '.join(unknown)}{meant(unknown[0].partition('=')[0], options)}")
+        near = meant(unknown[0].partition("=")[0], options)
+        parser.error(f"unrecognized arguments: {escaped(' '.join(unknown))}{near}")
     return found
 
 
@@ -106,8 +107,8 @@ def guarded(program: Callable[[], int]) -> int:
         with deferred_interrupt():
             return program()
     except CtrError as error:
-        sys.stderr.write(f"error: {error}\n")
+        print_stderr(f"error: {error}")
         return BAD_INPUT
     except KeyboardInterrupt:
-        sys.stderr.write("interrupted; nothing was written\n")
+        print_stderr("interrupted; nothing was written")
         return INTERRUPTED

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 from ctr_nlp.cli import closed_loop
 from ctr_nlp.cli.output.file import check_file
 from ctr_nlp.cli.output.folder import check_folder, published
-from ctr_nlp.cli.telling import console, print_table, wrote
+from ctr_nlp.cli.telling import console, print_stderr, print_table, wrote
 from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.guiding.loop import ClosedLoop
@@ -84,7 +83,7 @@ def report(
     print_table(f"{name} on the {device} device", ("", "value", "unit"), rows)
     if loop is not None:
         closed_loop.tell(loop)
-    console().print(result.message, markup=False)
+    console().print(result.message)
     if not result.trusted:
         console().print("Home the axes, or see that they are where the controller says, before they are used.")
     wrote(out, files)
@@ -102,7 +101,7 @@ def _written(title: str, seen: Tracking, names: list[str], out: Path, loop: Clos
                 write_csv(staging / ESTIMATE, by_line(closed_loop.columns(loop)))
             return sorted(path.name for path in staging.iterdir() if path.suffix in (".csv", ".png"))
     except OutputError as exception:
-        sys.stderr.write(f"error: {exception}\n")
+        print_stderr(f"error: {exception}")
         return []
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 from ctr_nlp.anatomy.files import CENTRELINES, MASKS, centrelines_in
 from ctr_nlp.anatomy.problem_files import problem_from_file
+from ctr_nlp.cli.telling import print_stderr
 from ctr_nlp.exceptions import CtrError, OptionError, ProblemError, meant
 from ctr_nlp.models import model_named
 from ctr_nlp.problems import NAMES, named
@@ -128,4 +129,4 @@ def _moved(error: BaseException) -> str:
 def tell(problem: Problem) -> None:
     """What is worth knowing of a problem before it is solved, on stderr."""
     for note in notes(problem):
-        sys.stderr.write(f"note: {note}\n")
+        print_stderr(f"note: {note}")

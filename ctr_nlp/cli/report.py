@@ -63,15 +63,15 @@ def print_report(plan: Plan) -> None:
     print_verdicts(found)
     print_table("numbers", ("", "value", "unit"), account.rows(found))
     for remark in account.remarks(plan, found):
-        console().print(remark, markup=False)
+        console().print(remark)
 
 
 def print_verdicts(found: dict[str, Any]) -> None:
     """Print the table of verdicts of a plan's summary, its words in colour, and what they come to."""
     rows = account.verdict_rows(found)
     print_table(account.title(found), account.VERDICTS, rows, text=("value", "why"), styles=STYLES)
-    console().print(account.lead(found), markup=False)
-    console().print(account.NOT_FOR_PATIENTS, markup=False)
+    console().print(account.lead(found))
+    console().print(account.NOT_FOR_PATIENTS)
 
 
 def print_robustness(plan: Plan) -> None:
@@ -81,7 +81,7 @@ def print_robustness(plan: Plan) -> None:
     for table in drawn_account.tables(plan):
         print_table(table.title, table.columns, table.rows)
     for sentence in (plan.drawn.told, *drawn_account.sentences(plan.drawn)):
-        console().print(sentence, markup=False)
+        console().print(sentence)
 
 
 def exit_status(plan: Plan) -> int:
@@ -136,7 +136,7 @@ def print_compromises(plan: Plan, found: Sequence[Compromise]) -> None:
     ]
     print_table("arrival against contact, for the robot as described", columns, rows)
     for sentence in sentences(plan, found):
-        console().print(sentence, markup=False)
+        console().print(sentence)
 
 
 def write_film(plans: Sequence[Plan], file: Path, out: Path, place: Path, staging: Path) -> Path:

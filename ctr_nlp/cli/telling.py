@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import sys
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -18,6 +19,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
+
+from ctr_nlp.exceptions import escaped
 
 PIPED_WIDTH = 160
 """Columns assumed where output does not go to a terminal."""
@@ -58,20 +61,42 @@ def telling(as_json: bool, verbose: bool) -> Iterator[Told | None]:
         _verbose.set(before[1])
 
 
+class _Console(Console):
+    """A console that shows strings as text: neither it nor the terminal obeys anything in them."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(highlight=False, markup=False, emoji=False, **options)
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """Turn a string into text; rich calls this for every string that is printed, those of tables too."""
+        return super().render_str(escaped(text), **options)
+
+
 def console(stderr: bool = False) -> Console:
-    """A console on stdout or stderr, wide enough for tables where it is not a terminal."""
+    """A console on stdout or stderr, wide enough for tables where it is not a terminal; a string is a line."""
     told = _told.get()
     if told is not None and not stderr:
-        return Console(file=told.text, highlight=False, width=1_000_000)
-    found = Console(stderr=stderr, highlight=False)
-    return found if found.is_terminal else Console(stderr=stderr, highlight=False, width=PIPED_WIDTH)
+        return _Console(file=told.text, width=1_000_000)
+    found = _Console(stderr=stderr)
+    return found if found.is_terminal else _Console(stderr=stderr, width=PIPED_WIDTH)
+
+
+def print_stderr(line: str) -> None:
+    """Print a line on stderr at its full length, without a part in what --json prints.
+
+    Parameters
+    ----------
+    line : str
+        Without its line break.
+    """
+    sys.stderr.write(f"{escaped(line)}\n")
 
 
 def announce(line: str) -> None:
     """Tell at once what somebody waits for: with --json, whose object comes at the end, on stderr as well."""
-    console().print(line, markup=False, soft_wrap=True)
+    console().print(line, soft_wrap=True)
     if _told.get() is not None:
-        console(stderr=True).print(line, markup=False, soft_wrap=True)
+        console(stderr=True).print(line, soft_wrap=True)
 
 
 def wrote(place: str | Path, files: Sequence[str] = (), more: str = "") -> None:
@@ -81,7 +106,7 @@ def wrote(place: str | Path, files: Sequence[str] = (), more: str = "") -> None:
         told.files.extend([str(Path(place) / name) for name in files] or [str(place)])
     else:
         named = f": {', '.join(files)}" if files else ""
-        console().print(f"wrote {place}{named}{more}", markup=False, soft_wrap=True)
+        console().print(f"wrote {place}{named}{more}", soft_wrap=True)
 
 
 def print_table(
@@ -110,41 +135,46 @@ def print_table(
     if told is not None:
         told.tables.append({"title": title, "columns": list(columns), "rows": [list(row) for row in rows]})
         return
-    table = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table = Table(title=Text(escaped(title)), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for i, column in enumerate(columns):
         table.add_column(
             column, justify="left" if i == 0 or column in text else "right", no_wrap=i == 0, overflow="fold"
         )
     for row in rows:
         cells = (cell if isinstance(cell, str) else _text(cell) for cell in row)
-        table.add_row(*(Text(cell, (styles or {}).get(cell, "")) for cell in cells))
+        table.add_row(*(Text(escaped(cell), (styles or {}).get(cell, "")) for cell in cells))
     console().print(table)
 
 
 @contextmanager
 def progress_bar() -> Iterator[Labelled]:
     """A bar on stderr, and with --verbose lines beside it; yields what turns a label into a callback."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
     with Progress(*columns, console=console(stderr=True), transient=True) as bar:
         task, begin = bar.add_task("", total=None), time.monotonic()
 
         def labelled(label: str) -> Callable[[int, int, str], None]:
-            bar.reset(task, description=label, total=None)
+            bar.reset(task, description=escaped(label), total=None)
             last = -math.inf
             if _verbose.get():
-                bar.console.print(f"{time.monotonic() - begin:8.1f} s  {label}", markup=False)
+                bar.console.print(f"{time.monotonic() - begin:8.1f} s  {label}")
 
             def report(done: int, total: int, note: str) -> None:
                 nonlocal last
                 if done < bar.tasks[0].completed:
                     bar.reset(task)
                 bar.tasks[0].total = total  # update(total=...) would forget how fast it went
-                bar.update(task, description=f"{label} ({note})", completed=done)
+                bar.update(task, description=escaped(f"{label} ({note})"), completed=done)
                 now = time.monotonic() - begin
                 if _verbose.get() and (now - last >= OFTEN or done == total):
                     last, left = now, bar.tasks[0].time_remaining
                     until = "" if left is None or done == total else f", about {left:.0f} s left"
-                    bar.console.print(f"{now:8.1f} s  {label}: {note}, {done} of {total}{until}", markup=False)
+                    bar.console.print(f"{now:8.1f} s  {label}: {note}, {done} of {total}{until}")
 
             return report
 

@@ -50,7 +50,7 @@ def beside(plans: Mapping[str, Plan], title: str, frames: Sequence[int] | None =
             to_scale(axes, (low + high) / 2, panel, sideways)
             axes.label_outer()
             axes.set_title(_told(plan, number))
-        row[0].set_ylabel(f"{name}\nz (mm)")
+        row[0].set_ylabel(f"{printable(name)}\nz (mm)", parse_math=False)
     figure.legend(handles=key(first.robot.d), loc="outside lower center", ncols=first.robot.d + 1)
     figure.suptitle(printable(title), fontsize=10, parse_math=False)
     return figure

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 
-from ctr_nlp.figures.parts.page import STYLE, printable
+from ctr_nlp.figures.parts.page import STYLE, label_text, printable
 from ctr_nlp.figures.parts.palette import BLACK, tube_colour, tube_width
 from ctr_nlp.typing import Array
 
@@ -140,7 +140,7 @@ def _key(figure: Figure, panels: list[Axes], paths: Sequence[Array], names: Sequ
     entries = []
     for k, (path, name) in enumerate(list(zip(paths, names, strict=True))[:room]):
         length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
-        label = printable(f"{k + 1}  {name[:24]}, {length:.0f} mm")
+        label = label_text(f"{k + 1}  {name[:24]}, {length:.0f} mm")
         entries.append(Line2D([], [], color=tube_colour(k), lw=2.5, label=label))
     if len(paths) > room:
         entries.append(Line2D([], [], ls="", label=f"and {len(paths) - room} more"))

@@ -20,6 +20,7 @@ from ctr_nlp.figures.parts.page import (
     curve,
     frame_axis,
     head,
+    label_text,
     panels,
     root_scale,
 )
@@ -70,7 +71,7 @@ def by_frame_compared(plans: Mapping[str, Mapping[str, Plan]]) -> Figure:
     for axes, some in zip(grid, plans.values(), strict=True):
         for (name, plan), look in zip(some.items(), COMPARED, strict=False):
             columns = metrics.by_frame(plan)
-            curve(axes, columns["frame"], columns["e2"], label=name, **look)
+            curve(axes, columns["frame"], columns["e2"], label=label_text(name), **look)
             curve(axes, columns["frame"], columns["max"], ls=LINES[1][0], **look | {"lw": 0.6 * look["lw"]})
         frame_axis(axes, len(plan.time))
         root_scale(axes)
@@ -119,7 +120,7 @@ def errors_compared(plans: Mapping[str, Mapping[str, Plan]]) -> Figure:
         _over_time(axes, plan, "time (s)")
         root_scale(axes)
     look: dict[str, Any] = {"edgecolor": BLACK, "lw": 0.6}
-    handles = [Patch(facecolor=c, label=name, **look) for name, c in zip(pair, COLOURS, strict=True)]
+    handles = [Patch(facecolor=c, label=label_text(name), **look) for name, c in zip(pair, COLOURS, strict=True)]
     figure.legend(handles=handles, loc="outside lower center", ncols=2)
     return figure
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ctr_nlp.exceptions import OptionError
+from ctr_nlp.exceptions import OptionError, escaped
 from ctr_nlp.figures.parts.palette import tube_colour
 from ctr_nlp.plan import account, drawn_account
 from ctr_nlp.plan.metrics import by_frame, summary
@@ -73,7 +73,9 @@ def page(plans: Sequence[Plan], names: Sequence[str] | None = None) -> str:
 def _rendered(**values: Any) -> str:
     """The page's template with its values, style and script."""
     jinja2 = needed("jinja2")
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, finalize=_as_text
+    )
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
     code = "\n".join(_text(name) for name in CODE)
     fixed = {
@@ -88,6 +90,11 @@ def _rendered(**values: Any) -> str:
     return str(environment.from_string(_text("page.html")).render(**fixed, **values))
 
 
+def _as_text(value: Any) -> Any:
+    """What the template shows of a value: a string as text, and parts of the page as they are."""
+    return escaped(value) if isinstance(value, str) and not hasattr(value, "__html__") else value
+
+
 def _told(plan: Plan, name: str) -> dict[str, Any]:
     """What is written about a plan."""
     found = summary(plan)
@@ -99,7 +106,7 @@ def _told(plan: Plan, name: str) -> dict[str, Any]:
         "rows": [(row, account.shown(value), unit) for row, value, unit in account.rows(found)],
         "remarks": account.remarks(plan, found),
         "drawn": _drawn(plan),
-        "summary": json.dumps(found, indent=2, allow_nan=False, ensure_ascii=False),
+        "summary": json.dumps(found, indent=2, allow_nan=False, ensure_ascii=False).split("\n"),
     }
 
 

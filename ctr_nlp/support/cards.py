@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ctr_nlp.exceptions import escaped
 from ctr_nlp.typing import Array
 
 VIEWS = ((0, "x"), (1, "y"))
@@ -27,9 +28,11 @@ class Line(NamedTuple):
 
 def card(title: str, lines: Sequence[Line], rows: Sequence[tuple[str, Any]]) -> str:
     """HTML of a title, the picture of lines, those that are not known left out, and rows of name and value."""
-    cells = "".join(f"<tr><td>{escape(name)}</td><td>{escape(str(value))}</td></tr>" for name, value in rows)
+    cells = "".join(
+        f"<tr><td>{escape(escaped(name))}</td><td>{escape(escaped(str(value)))}</td></tr>" for name, value in rows
+    )
     return (
-        f"<div><b>{escape(title)}</b><div style='display:flex;gap:1em'>{picture(lines)}"
+        f"<div><b>{escape(escaped(title))}</b><div style='display:flex;gap:1em'>{picture(lines)}"
         f"<table>{cells}</table></div></div>"
     )
 

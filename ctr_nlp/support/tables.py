@@ -11,16 +11,18 @@ from typing import Any
 
 import numpy.typing as npt
 
+from ctr_nlp.exceptions import escaped
+
 
 def markdown(header: Sequence[str], body: Sequence[Sequence[str]]) -> str:
-    """A table whose first column is aligned to the left and all others to the right."""
+    """A table whose first column is aligned to the left and all others to the right; cells as text."""
     lines = [header, ["---", *["---:"] * (len(header) - 1)], *body]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    return "".join(f"| {' | '.join(map(escaped, line))} |\n" for line in lines)
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """A file with a line for each of rows, at least one, and the keys of the first on top."""
-    with open(path, "w", newline="", encoding="utf-8") as file:
+    with open(path, "w", newline="", encoding="utf-8", errors="backslashreplace") as file:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)

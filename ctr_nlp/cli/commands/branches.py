@@ -14,7 +14,7 @@ from ctr_nlp.cli.arguments import add_entry_option
 from ctr_nlp.cli.console import SOLVED, Command
 from ctr_nlp.cli.output.file import check_file, output_file
 from ctr_nlp.cli.telling import print_table, progress_bar, wrote
-from ctr_nlp.exceptions import OptionError, OutputError
+from ctr_nlp.exceptions import OptionError, OutputError, escaped
 from ctr_nlp.figures import save
 from ctr_nlp.figures.branches import tree
 from ctr_nlp.target.curve import curve_from_points
@@ -58,9 +58,10 @@ def _run(arguments: argparse.Namespace) -> int:
         for number in range(1, count + 1):
             rows.append(_row(arguments.file, number, branches))
             report(number, count, branches.branches[number - 1].name)
-    print_table(f"{arguments.file}, in mm; coordinates {branches.space}", COLUMNS, rows)
     if arguments.out:
         _draw(branches, Path(arguments.file).name, Path(arguments.out))
+    print_table(f"{arguments.file}, in mm; coordinates {branches.space}", COLUMNS, rows)
+    if arguments.out:
         wrote(arguments.out)
     return SOLVED
 
@@ -101,7 +102,9 @@ def _remark(branch: Branch, sharpest: float) -> str:
 def _draw(branches: Branches, name: str, out: Path) -> None:
     """Write the picture, whole or not at all."""
     every = branches.branches
-    title = f"{name}\n{len(every)} {'branches' if len(every) > 1 else 'branch'}, in the file's coordinates"
+    title = (
+        f"{escaped(name)}\n{len(every)} {'branches' if len(every) > 1 else 'branch'}, in the file's coordinates"
+    )
     paths = [moved(branch.points, branches.from_lps) for branch in every]
     with output_file(out) as partial:
         save(tree(paths, [branch.name for branch in every], title, branches.space), partial)

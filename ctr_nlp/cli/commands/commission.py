@@ -9,7 +9,7 @@ from pathlib import Path
 from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, Command
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.cli.play_report import JOURNAL, claim
-from ctr_nlp.cli.telling import console, print_table, wrote
+from ctr_nlp.cli.telling import console, print_stderr, print_table, wrote
 from ctr_nlp.exceptions import DeviceFault, HardwareError
 from ctr_nlp.hardware.clock import RealClock
 from ctr_nlp.hardware.commission import SIGNS, STEP, Commissioning, Controller
@@ -48,7 +48,8 @@ def commission(hardware_file: Path, out: str | None) -> int:
         finally:
             rig.close()
     except DeviceFault as exception:
-        sys.stderr.write(f"error: {exception}\nwhat was said is in {journal_file}\n")
+        print_stderr(f"error: {exception}")
+        print_stderr(f"what was said is in {journal_file}")
         return SOME_FAILED
     finally:
         if memory is not None:
@@ -61,7 +62,6 @@ def commission(hardware_file: Path, out: str | None) -> int:
         console().print(
             f"Nothing was kept, since these steps have not been made: {' '.join(rig.remaining)}. Commission "
             f"again, and make them or type skip and the axis, such as skip {rig.remaining[0][0]}.",
-            markup=False,
         )
         return SOME_FAILED
     kept = commissioned_file(hardware_file)
@@ -93,15 +93,15 @@ def _show(hardware: Hardware, controller: Controller) -> None:
 def _steps(rig: Commissioning, hardware: Hardware) -> bool:
     """Move single axes as typed, until an empty line or the end of input; whether that was interrupted."""
     letters = " ".join(hardware.letters)
-    console().print(
+    for sentence in (
         f"With the tubes taken out, type an axis ({letters}) and + or - to move it by {STEP:g} mm or degree, "
-        "such as X+; an empty line ends.\n"
+        "such as X+; an empty line ends.",
         "Each must move as far as a ruler shows, and + must go outwards, or anticlockwise seen from the tip, "
-        "where sign is 1.\n"
+        "where sign is 1.",
         "Settings are kept when every axis has moved both ways. To leave one untried, type skip and the axis, "
         "such as skip X.",
-        markup=False,
-    )
+    ):
+        console().print(sentence)
     with deferred_interrupt() as interrupted:
         for line in sys.stdin:
             typed = line.strip().upper()
@@ -119,12 +119,12 @@ def _obey(typed: str, rig: Commissioning, hardware: Hardware, stop: Asked) -> No
         console().print(f"{letter} is left untried")
     elif len(typed) != 2 or typed[0] not in hardware.letters or typed[1] not in SIGNS:
         message = f"{typed!r} is no axis and direction; type one of {letters} and + or -, or skip and one of them"
-        console().print(message, markup=False)
+        console().print(message)
     else:
         try:
             before, after = rig.step(typed[0], SIGNS[typed[1]], stop)
         except HardwareError as exception:
-            console().print(str(exception), markup=False)
+            console().print(str(exception))
         else:
             console().print(f"{typed[0]} went from {before:.3f} to {after:.3f}")
 

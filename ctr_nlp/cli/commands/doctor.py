@@ -52,10 +52,10 @@ def _run(_: argparse.Namespace) -> int:
     print_table(f"ctr-nlp {ctr_nlp.__version__}", ("", "works", "found"), rows, text=("works", "found"))
     for one in found:
         if not one.good and one.remedy:
-            console().print(f"{one.what}: {one.remedy}", markup=False, soft_wrap=True)
+            console().print(f"{one.what}: {one.remedy}", soft_wrap=True)
     broken = [one.what for one in found if one.core and not one.good]
     told = f"planning does not work: {', '.join(broken)}" if broken else "planning works"
-    console().print(told, markup=False)
+    console().print(told)
     return SOME_FAILED if broken else SOLVED
 
 

@@ -155,18 +155,20 @@ def _run(arguments: argparse.Namespace) -> int:
     place = place_of(out, interrupted)
     with published(place, "plan") as staging:
         write(plan, staging)
-        print_report(plan)
         if found:
             write_compromises(found, staging)
-            print_compromises(plan, found)
         if points:
             write_front(points, staging)
-            print_front(points)
         if not arguments.no_figures:
             draw(plan, points, staging, found)
         files = sorted(path.name for path in staging.iterdir())
         if film is not None:
             film = write_film([plan], film, out, place, staging)
+    print_report(plan)
+    if found:
+        print_compromises(plan, found)
+    if points:
+        print_front(points)
     wrote(place, files)
     if film is not None:
         wrote(film)

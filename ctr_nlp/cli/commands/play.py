@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
@@ -18,7 +17,7 @@ from ctr_nlp.cli.console import BAD_INPUT, INTERRUPTED, SOLVED, SOME_FAILED, Com
 from ctr_nlp.cli.obeying import obeying
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.play_report import JOURNAL, claim, print_trajectory, report
-from ctr_nlp.cli.telling import progress_bar
+from ctr_nlp.cli.telling import print_stderr, progress_bar
 from ctr_nlp.exceptions import DeviceFault, OptionError
 from ctr_nlp.hardware.clock import RealClock
 from ctr_nlp.hardware.description import Hardware, bench
@@ -141,7 +140,7 @@ def _run(arguments: argparse.Namespace) -> int:
     asked = not (arguments.retract or arguments.resume or arguments.replay)
     if asked:  # what check_plan refuses, no option waives: it comes first
         check_plan(plan, hardware.tightened(plan.robot))
-    sys.stderr.write(f"{NOT_FOR_PATIENTS}\n")
+    print_stderr(NOT_FOR_PATIENTS)
     if asked:
         _ask_permission(arguments, plan)
     _note_untried(hardware)
@@ -170,7 +169,7 @@ def _ask_permission(arguments: argparse.Namespace, plan: Plan) -> None:
         plan, free_space=arguments.free_space, uncertified=arguments.uncertified, name=arguments.plan
     )
     for verdict in waived:
-        sys.stderr.write(f"note: {verdict.matter}: {verdict.word}. {verdict.why}\n")
+        print_stderr(f"note: {verdict.matter}: {verdict.word}. {verdict.why}")
 
 
 def _note_untried(hardware: Hardware) -> None:
@@ -181,7 +180,7 @@ def _note_untried(hardware: Hardware) -> None:
         told = "the record of the rig's commissioning does not tell which axes were tried"
     else:
         told = f"when the rig was commissioned, axes were not tried: {', '.join(hardware.untried)}"
-    sys.stderr.write(f"note: {told}; `ctr-nlp commission` tries them\n")
+    print_stderr(f"note: {told}; `ctr-nlp commission` tries them")
 
 
 def _tempo(arguments: argparse.Namespace) -> float:
@@ -221,7 +220,8 @@ def _played(
                 tempo = _tempo(arguments)
                 result = begin(player, plan, hardware, tempo, home=arguments.home, loop=loop, **how)
         except DeviceFault as exception:
-            sys.stderr.write(f"error: {exception}\nnothing was played; what was said is in {out / JOURNAL}\n")
+            print_stderr(f"error: {exception}")
+            print_stderr(f"nothing was played; what was said is in {out / JOURNAL}")
             return SOME_FAILED
         finally:
             player.close()

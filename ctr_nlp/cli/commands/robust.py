@@ -45,7 +45,6 @@ def _run(arguments: argparse.Namespace) -> int:
     with busy(f"{plan.meta['problem']['name']}: {arguments.draws} robots are moved"):
         look = plan.check if arguments.evaluate is None else plan.with_draws
         plan = look(arguments.draws, arguments.seed)
-    print_robustness(plan)
     with published(out, "robust") as staging:
         write(plan, staging)
         if not arguments.no_figures:
@@ -54,6 +53,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
             save(robustness(plan), staging / "robustness.png")
         files = sorted(path.name for path in staging.iterdir())
+    print_robustness(plan)
     wrote(out, files)
     return exit_status(plan)
 

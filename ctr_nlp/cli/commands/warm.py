@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 import time
 
 from ctr_nlp.cli import problems
 from ctr_nlp.cli.arguments import add_problem_options
 from ctr_nlp.cli.console import INTERRUPTED, SOLVED, Command
 from ctr_nlp.cli.loads.options import add_load_options, add_modulus_option, asked_model, with_asked_modulus
-from ctr_nlp.cli.telling import console, print_table, progress_bar
+from ctr_nlp.cli.telling import console, print_stderr, print_table, progress_bar
 from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.models import MODELS, suits
@@ -71,9 +70,9 @@ def _run(arguments: argparse.Namespace) -> int:
             rows.append((problem.name, model, how, time.perf_counter() - begin))
         stopped = len(rows) < len(tasks)
     print_table("ready", ("problem", "model", "how", "s"), rows, text=("model", "how"))
-    console().print(f"kept in {cache.folder()}", markup=False)
+    console().print(f"kept in {cache.folder()}")
     if stopped:
-        sys.stderr.write("interrupted; what was compiled is kept\n")
+        print_stderr("interrupted; what was compiled is kept")
     return INTERRUPTED if stopped else SOLVED
 
 

@@ -61,12 +61,12 @@ def _run(arguments: argparse.Namespace) -> int:
     check_folder(out, "import")
     plan = plan_through(problem, q, arguments.model, Path(arguments.configurations).name)
     plan = look_at_plan(with_thresholds(plan, arguments), arguments)
-    print_report(plan)
     with published(out, "import") as staging:
         write(plan, staging)
         if not arguments.no_figures:
             draw(plan, (), staging)
         files = sorted(path.name for path in staging.iterdir())
+    print_report(plan)
     wrote(out, files)
     return exit_status(plan)
 

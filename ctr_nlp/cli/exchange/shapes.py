@@ -35,5 +35,5 @@ def _write_folder(source: Path, out: Path, space: str | None) -> None:
         for name, text in files.items():
             write_text(staging / name, text)
     wrote(out, more=f": {len(files)} files in LPS coordinates, in mm. In the Python console of 3D Slicer:")
-    brought = f'import sys; sys.path.insert(0, r"{out.absolute()}"); import load_in_slicer as plan'
-    console().print(f"{brought}; browser = plan.load()", markup=False, soft_wrap=True)
+    brought = f"import sys; sys.path.insert(0, {str(out.absolute())!r}); import load_in_slicer as plan"
+    console().print(f"{brought}; browser = plan.load()", soft_wrap=True)

@@ -13,7 +13,7 @@ from ctr_nlp.cli.loads.options import add_modulus_option, read_plan
 from ctr_nlp.cli.loads.written import write_found
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder
-from ctr_nlp.cli.telling import busy, console, print_table
+from ctr_nlp.cli.telling import busy, console, print_table, wrote
 from ctr_nlp.studies.borne.wall import STIFFNESS, WallForces, wall_forces
 
 if TYPE_CHECKING:
@@ -50,8 +50,10 @@ def _run(arguments: argparse.Namespace) -> int:
     check_folder(out, "contact")
     with busy(f"{name}: forces of the wall"):
         found = wall_forces(plan, arguments.wall_stiffness)
+    draws = None if arguments.no_figures else partial(_picture, found, name)
+    files = write_found(found, out, "contact", "contact", draws)
     _print(found, name)
-    write_found(found, out, "contact", "contact", None if arguments.no_figures else partial(_picture, found, name))
+    wrote(out, files)
     return SOLVED
 
 

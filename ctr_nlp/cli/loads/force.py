@@ -14,7 +14,7 @@ from ctr_nlp.cli.loads.options import add_modulus_option, read_plan
 from ctr_nlp.cli.loads.written import write_found
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder
-from ctr_nlp.cli.telling import busy, console, print_table
+from ctr_nlp.cli.telling import busy, console, print_table, wrote
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.studies.borne.tip import COUNTS, MOST, Forces, Worst, forces
 
@@ -57,8 +57,10 @@ def _run(arguments: argparse.Namespace) -> int:
     asked = {key: getattr(arguments, key) for key in ("every", "directions", "most", "off")}
     with busy(f"{name}: tip forces that each frame bears"):
         found = forces(plan, **asked)
+    draws = None if arguments.no_figures else partial(_picture, found, name)
+    files = write_found(found, out, "force", "forces", draws)
     _print(found, plan)
-    write_found(found, out, "force", "forces", None if arguments.no_figures else partial(_picture, found, name))
+    wrote(out, files)
     return SOLVED
 
 

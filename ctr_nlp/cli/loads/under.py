@@ -53,13 +53,13 @@ def _run(arguments: argparse.Namespace) -> int:
     check_folder(out, "under")
     with busy(f"{plan.meta['problem']['name']}: the robot is moved under the load"):
         found = look_at_plan(with_thresholds(plan, arguments).under(load), arguments)
-    print_report(found)
     with published(out, "under") as staging:
         write(found, staging)
         if not arguments.no_figures:
             draw(found, (), staging)
             _draw_beside({"without the load": plan.on("elastic"), "under the load": found} | planned, staging)
         files = sorted(path.name for path in staging.iterdir())
+    print_report(found)
     wrote(out, files)
     return exit_status(found)
 

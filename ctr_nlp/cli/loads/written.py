@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.cli.output.folder import published
-from ctr_nlp.cli.telling import wrote
 from ctr_nlp.studies.borne.tip import Forces
 from ctr_nlp.studies.borne.wall import WallForces
 from ctr_nlp.support.tables import write_csv
@@ -20,8 +19,32 @@ if TYPE_CHECKING:
 
 def write_found(
     found: Forces | WallForces, out: Path, kind: str, stem: str, picture: Callable[[], Figure] | None
-) -> None:
-    """Write STEM.json, STEM.csv and STEM.png into out, as files of a kind, and tell so; picture: None for none."""
+) -> list[str]:
+    """Write STEM.json, STEM.csv and STEM.png into out, as files of a kind.
+
+    Parameters
+    ----------
+    found : Forces or WallForces
+        What is written.
+    out : Path
+        The output folder.
+    kind : str
+        Of the run, a key of STANDARD in ctr_nlp/cli/output/manifest.py.
+    stem : str
+        Of the names of the files.
+    picture : callable or None
+        Draws the picture; None for none.
+
+    Returns
+    -------
+    list of str
+        Names of the files within out.
+
+    Raises
+    ------
+    OutputError
+        The files cannot be written.
+    """
     with published(out, kind) as staging:
         write_text(staging / f"{stem}.json", json.dumps(found.summary(), indent=2, allow_nan=False) + "\n")
         write_csv(staging / f"{stem}.csv", found.rows())
@@ -29,5 +52,4 @@ def write_found(
             from ctr_nlp.figures import save  # brings matplotlib, which takes long to load
 
             save(picture(), staging / f"{stem}.png")
-        files = sorted(path.name for path in staging.iterdir())
-    wrote(out, files)
+        return sorted(path.name for path in staging.iterdir())

@@ -85,10 +85,10 @@ def _run(arguments: argparse.Namespace) -> int:
             seed=arguments.seed,
             progress=labelled("fits"),
         )
-    _print(found)
     with published(out, "calibration") as staging:
         _write(found, staging, not arguments.no_figures)
         files = sorted(path.name for path in staging.iterdir())
+    _print(found)
     wrote(out, files)
     return SOLVED
 

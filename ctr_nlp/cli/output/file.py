@@ -56,8 +56,8 @@ def output_file(file: Path) -> Iterator[Path]:
 
 
 def write_text(file: Path, text: str) -> None:
-    """Write a file in UTF-8, whole or not at all; raises OutputError."""
-    write_bytes(file, text.encode())
+    """Write a file in UTF-8, whole or not at all; raises OutputError. What is no character is escaped."""
+    write_bytes(file, text.encode(errors="backslashreplace"))
 
 
 def write_bytes(file: Path, content: bytes) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import ipaddress
 import itertools
-import sys
 from contextlib import suppress
 from pathlib import Path
 
@@ -23,7 +22,7 @@ from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.plan_options import add_file_options
 from ctr_nlp.cli.report import write
-from ctr_nlp.cli.telling import announce
+from ctr_nlp.cli.telling import announce, print_stderr
 from ctr_nlp.live import Live
 from ctr_nlp.live.page.server import HOST, PORT
 from ctr_nlp.live.steered.free import free_problem
@@ -87,9 +86,7 @@ def _run(arguments: argparse.Namespace) -> int:
             load=load,
         )
         if not _loopback(arguments.host):
-            sys.stderr.write(
-                f"note: whoever reaches {live.url} can steer; nothing is encrypted, nobody is asked\n"
-            )
+            print_stderr(f"note: whoever reaches {live.url} can steer; nothing is encrypted, nobody is asked")
         announce(f"steer {problem.name} at {live.url}; Ctrl-C ends it")
         live.wait(interrupted)
         return INTERRUPTED if interrupted() else SOLVED

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, Command
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.cli.plan_options import add_file_options
 from ctr_nlp.cli.report import STYLES
-from ctr_nlp.cli.telling import console, print_table, progress_bar, wrote
+from ctr_nlp.cli.telling import console, print_stderr, print_table, progress_bar, wrote
 from ctr_nlp.models import MODELS, model_named
 from ctr_nlp.plan.account import shown
 from ctr_nlp.plan.draws import DRAWS
@@ -148,7 +147,7 @@ def _run(arguments: argparse.Namespace) -> int:
     settings, out = options.settings_from(arguments, *options.FRAME_SETTINGS), Path(arguments.out)
     names = arguments.variants or (every_method() if arguments.all else variants_here())
     for name in RENAMED.keys() & set(names):
-        sys.stderr.write(f"note: the variant {name} is called {RENAMED[name]} now\n")
+        print_stderr(f"note: the variant {name} is called {RENAMED[name]} now")
     variants = [parse_variant(name) for name in names]
     chosen = problems.load_all(arguments.problems or NAMES, arguments)
     check_folder(out, "comparison")

@@ -146,7 +146,7 @@ def _show(made: Made, label: str) -> None:
     print_table(f"{label}tubes", columns, tubes)
     told = () if found.stocked is None else (found.stocked,)
     for remark in (*told, *found.doubts, *found.remarks):
-        console().print(f"{remark}.", markup=False)
+        console().print(f"{remark}.")
 
 
 def _cells(of: dict[str, Any]) -> tuple[str, str]:

@@ -67,7 +67,7 @@ def _run(arguments: argparse.Namespace) -> int:
     print_table(f"{HELD_OUT} shapes that were not trained on", list(COLUMNS), _rows(found))
     share = 1 - found.kept.mean()
     console().print(f"answers that left the limits before they were projected: {share:.1%}")
-    console().print(f"kept in {path}", markup=False)
+    console().print(f"kept in {path}")
     wrote(out, ("learn.csv", "learn.png"))
     return SOLVED
 

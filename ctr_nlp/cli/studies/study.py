@@ -129,7 +129,6 @@ def _by(study: Study, out: Path, arguments: argparse.Namespace) -> int:
     against = arguments.against
     found = _found(study, out, arguments.by, [] if against is None else [against])
     check_folder(out, "by")
-    _print(found, arguments.study)
     from ctr_nlp.figures import save
     from ctr_nlp.studies.grid.picture import by_group  # brings matplotlib, which takes long to load
 
@@ -138,6 +137,7 @@ def _by(study: Study, out: Path, arguments: argparse.Namespace) -> int:
         if arguments.page:
             write_text(staging / WORST, _page(study, out, found))
         files = sorted(path.name for path in staging.iterdir())
+    _print(found, arguments.study)
     wrote(out, files)
     return SOLVED
 
@@ -180,7 +180,7 @@ def _alone(study: Study, digest: str, keep: Path | None) -> int:
         cases[0].keep(plan, keep)
     console().print(f"{plan}")
     for name, value in (cases[0].columns | summary(plan)).items():
-        console().print(f"{name}: {value}", markup=False, soft_wrap=True)
+        console().print(f"{name}: {value}", soft_wrap=True)
     return exit_status(plan)
 
 
@@ -213,7 +213,7 @@ def _print(found: Groups, study: str) -> None:
         print_table("plans of the largest e3", ("e3 mm", "problem", "robot", "digest for --only"), worst)
     for failure in found.failures:
         again = f"ctr-nlp study {study} --only {failure.digest[:SHORT]}"
-        console().print(f"{failure.plans} failed: {failure.reason} Again: {again}", markup=False, soft_wrap=True)
+        console().print(f"{failure.plans} failed: {failure.reason} Again: {again}", soft_wrap=True)
 
 
 main = Command("ctr-nlp study", _parser, _run)

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
+from ctr_nlp.exceptions import escaped
 from ctr_nlp.figures.parts.palette import FAILED, UNREACHED
 from ctr_nlp.plan.account import failed
 from ctr_nlp.plan.metrics import summary
@@ -48,8 +49,8 @@ def head(figure: Figure, plan: Plan, title: str) -> None:
         else f"{numbers['evaluated']} instead of {numbers['model']}"
     )
     on += " model" + ("" if numbers["load"] is None else f" under {numbers['load']}")
-    how = f"{numbers['formulation']}, {on}, {numbers['solver']}"
-    text = printable(f"{title}: {numbers['problem']}") + f"\n{how}; {outcome(numbers)}"
+    how = f"{numbers['formulation']}, {on}, {numbers['solver']}; {outcome(numbers)}"
+    text = "\n".join(map(printable, (f"{title}: {numbers['problem']}", how)))
     figure.suptitle(text, fontsize=10, parse_math=False)
 
 
@@ -61,9 +62,17 @@ def outcome(numbers: Mapping[str, Any]) -> str:
 
 
 def printable(text: str) -> str:
-    """The text with "?" for what the font lacks: a file, and so a problem, may have any name."""
+    """One line with "?" for what the font lacks: a file, and so a problem, may have any name.
+
+    Draw it with parse_math=False; where matplotlib offers none, as in legends, draw :func:`label_text`.
+    """
     font = get_font(findfont(FontProperties()))
-    return "".join(c if font.get_char_index(ord(c)) else "?" for c in text)
+    return "".join(c if font.get_char_index(ord(c)) else "?" for c in escaped(text))
+
+
+def label_text(text: str) -> str:
+    """Text for the entry of a legend, where matplotlib takes what stands between dollar signs for mathematics."""
+    return printable(text).replace("$", r"\$")
 
 
 def shade(axes: Axes, centres: npt.NDArray[Any], width: float, mask: Flags, colour: str, label: str) -> None:
@@ -132,7 +141,7 @@ def panels(titles: Sequence[str], columns: int, size: tuple[float, float]) -> tu
     figure = Figure(figsize=(columns * size[0], rows * size[1]), layout="constrained")
     grid: npt.NDArray[Any] = figure.subplots(rows, columns, squeeze=False)
     for letter, title, axes in zip(ascii_lowercase, titles, grid.flat, strict=False):
-        axes.set_title(f"({letter}) {title}", loc="left")
+        axes.set_title(printable(f"({letter}) {title}"), loc="left", parse_math=False)
     for spare in grid.flat[len(titles) :]:
         spare.remove()
     return figure, list(grid.flat[: len(titles)])
