@@ -195,12 +195,12 @@ def plan() -> Plan:
 
 @functools.cache
 def plan_entries() -> dict[str, Any]:
-    """The entries of a plan.npz, meta as a JSON object."""
+    """The entries of a plan.npz without a digest, as versions wrote it that kept none; meta as a JSON object."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "plan.npz"
         plan().save(path)
         with np.load(path, allow_pickle=False) as data:
-            entries: dict[str, Any] = {name: data[name] for name in data.files}
+            entries: dict[str, Any] = {name: data[name] for name in data.files if name != "digest"}
     return entries | {"meta": json.loads(str(entries["meta"]))}
 
 

@@ -21,7 +21,17 @@ from ctr_nlp.models.loaded.model import Loaded
 from ctr_nlp.plan.draws import DRAWS, SEED, robustness
 from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.moved import clearance_between, elsewhere, lost, lumen_of, moved
-from ctr_nlp.plan.record import FORMAT, OF_DRAWS, Record, check_arrays, check_meta, planned_on, stored
+from ctr_nlp.plan.record import (
+    DIGEST,
+    FORMAT,
+    OF_DRAWS,
+    Record,
+    check_arrays,
+    check_meta,
+    digest,
+    planned_on,
+    stored,
+)
 from ctr_nlp.plan.robustness import Robustness, stored_robustness
 from ctr_nlp.plan.stretches import joined, resampled, rows, stretch, turned
 from ctr_nlp.plan.verdicts import Verdicts, verdicts
@@ -193,7 +203,9 @@ class Plan(Record):
         target, told = checked_path(OutputError, path), self._meta_as_json()
         try:
             with whole_file(target) as partial, open(partial, "wb") as file:
-                np.savez_compressed(file, meta=np.array(told), **present)
+                np.savez_compressed(
+                    file, **{DIGEST: np.array(digest(present, told))}, meta=np.array(told), **present
+                )
         except OSError as error:
             raise OutputError(f"plan cannot be written to {target}: {error}") from error
 
@@ -206,21 +218,41 @@ class Plan(Record):
 
     @classmethod
     def load(cls, path: str | Path) -> Plan:
-        """Read plan.npz without pickle; raises OutputError where it cannot be read or is not a plan."""
+        """Read a plan from a file without pickle.
+
+        Parameters
+        ----------
+        path : str or Path
+            A file that :meth:`save` has written.
+
+        Returns
+        -------
+        Plan
+            The plan that was saved.
+
+        Raises
+        ------
+        OutputError
+            The file cannot be read, is not a plan, or was changed after it was saved. What was changed cannot be
+            told in files of versions that kept no digest.
+        """
         path = checked_path(OutputError, path)
         try:
-            arrays, meta = stored(path)
+            arrays, meta, changed = stored(path)
             check_meta(meta)
             check_arrays(arrays, Robot.from_dict(meta["robot"]).d)
             drawn = None
             if set(OF_DRAWS) <= set(arrays):
                 seed = whole_number(OutputError, "seed of meta's draws", meta.pop("draws", {}).get("seed"), 0)
                 drawn = stored_robustness({name: arrays.pop(name) for name in OF_DRAWS}, seed)
-            return cls(meta=meta, drawn=drawn, **arrays)._with_way_between()
+            plan = cls(meta=meta, drawn=drawn, **arrays)._with_way_between()
         except OSError as error:
             raise OutputError(f"plan {path} cannot be read: {error.strerror}") from error
         except CtrError as error:
             raise OutputError(f"{path} is not a plan: {error}") from error
+        if changed:
+            raise OutputError(f"plan {path} was changed after it was saved; plan anew, or change it in Python")
+        return plan
 
 
 def plan_from_configurations(

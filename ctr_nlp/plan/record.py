@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -167,9 +168,53 @@ META: dict[str, type] = {"robot": dict, "problem": dict, "model": str}
 """What meta must tell, and as what."""
 TOLD: dict[str, type] = {"options": dict, "formulation": str, "solver": str, "draws": dict}
 """What meta may tell, and as what."""
+DIGEST = "digest"
+"""Name of the entry of plan.npz that tells the digest of all others."""
 
 
-def stored(path: Path) -> tuple[dict[str, npt.NDArray[Any]], Any]:
+class Stored(NamedTuple):
+    """What a plan.npz holds.
+
+    Attributes
+    ----------
+    arrays : dict of str to array
+        Those that belong to a plan.
+    meta : Any
+        From its JSON.
+    changed : bool
+        Whether these are others than those that the file tells the digest of; False in files of versions that
+        did not keep one.
+    """
+
+    arrays: dict[str, npt.NDArray[Any]]
+    meta: Any
+    changed: bool
+
+
+def digest(arrays: Mapping[str, npt.NDArray[Any]], meta: str) -> str:
+    """Return the SHA-256 of all that a plan's file holds.
+
+    Parameters
+    ----------
+    arrays : mapping of str to array
+        By the names that they have in the file; their types and sizes count, and their order does not.
+    meta : str
+        JSON, as it stands in the file.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+    """
+    found = hashlib.sha256(meta.encode(errors="backslashreplace"))
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        found.update(f"\n{name} {array.dtype.str} {arrays[name].shape}\n".encode())
+        found.update(array.data)
+    return found.hexdigest()
+
+
+def stored(path: Path) -> Stored:
     """The arrays of a plan.npz that belong to a plan, and its meta; raises OSError where it cannot be opened, and
     OutputError where it holds no plan.
     """
@@ -178,8 +223,9 @@ def stored(path: Path) -> tuple[dict[str, npt.NDArray[Any]], Any]:
             with np.load(file, allow_pickle=False) as data:
                 if "meta" not in data.files:
                     raise OutputError("it has no meta")
-                arrays = {name: data[name] for name in data.files if name in SHAPES}
-                return arrays, json.loads(str(data["meta"]))
+                arrays, meta = {name: data[name] for name in data.files if name in SHAPES}, str(data["meta"])
+                changed = DIGEST in data.files and str(data[DIGEST]) != digest(arrays, meta)
+                return Stored(arrays, json.loads(meta), changed)
         except OutputError:
             raise
         except Exception as error:  # whatever the readers of zip archives, arrays and JSON meet in a damaged file
