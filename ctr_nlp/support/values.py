@@ -27,13 +27,62 @@ INFINITE = ("inf", "-inf")
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
-    """What a TOML file holds."""
+    """What a TOML file holds.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
+    Returns
+    -------
+    dict
+        Its tables and values. Every list is of tables, of texts, or of numbers, in rows of one length where there
+        are lists in it; every number is one that a float can hold.
+
+    Raises
+    ------
+    RobotError
+        The file cannot be read, is no TOML, or holds a list of another kind.
+    """
     try:
-        return tomllib.loads(checked_path(RobotError, path).read_text(encoding="utf-8"))
+        data = tomllib.loads(checked_path(RobotError, path).read_text(encoding="utf-8"))
+        _check_values(data, "")
     except OSError as error:
         raise RobotError(f"it cannot be read: {error.strerror}") from error
-    except (UnicodeDecodeError, RecursionError, tomllib.TOMLDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # ValueError: also numbers of thousands of digits
         raise RobotError(f"it is no TOML: {error}") from error
+    return data
+
+
+def _check_values(table: dict[str, Any], place: str) -> None:
+    """Raise RobotError where a list in a table mixes kinds or lengths; place: how messages begin, to name keys."""
+    for key, value in table.items():
+        items = value if isinstance(value, list) else [value]
+        tables = [isinstance(item, dict) for item in items]
+        if items and all(tables):
+            for number, item in enumerate(items, start=1):
+                _check_values(item, f"{place}{key}{f', number {number}' * isinstance(value, list)}: ")
+        elif any(tables):
+            raise RobotError(f"{place}{key} is {value!r:.80}; it must be tables alone, or none")
+        elif isinstance(value, list) and not _of_one_kind(value):
+            raise RobotError(
+                f"{place}{key} is {value!r:.80}; it must be all texts, all numbers, or lists of as many numbers"
+            )
+        elif isinstance(value, int) and abs(value) > sys.float_info.max:
+            raise RobotError(f"{place}{key} is {value!r:.20}..; it must be less than {sys.float_info.max:.2g}")
+
+
+def _of_one_kind(items: list[Any]) -> bool:
+    """Whether items are all of one type that is neither a number nor a list, or numbers in rows of one length."""
+    kinds = set(map(type, items))
+    if len(kinds) == 1 and not kinds & {int, float, list}:
+        return True
+    try:
+        plain_floats(items)
+    except (TypeError, ValueError):
+        return False
+    return True
 
 
 def described(cls: type, data: Any) -> Any:
