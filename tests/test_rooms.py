@@ -53,6 +53,7 @@ FOREIGN = {
     "choices": "argparse offers no other way to add to what an option may be",
     "complete": "shtab reads how an option is completed from its action",
     "total": "rich tells a task's total so",
+    "serve": "viser has no option for what its WebSocket server may answer",
     **dict.fromkeys(
         (
             *("visible", "opacity", "position", "points", "colors", "value", "content", "label"),

@@ -24,7 +24,7 @@ from ctr_nlp.models import DEFAULT_MODEL
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot
 from ctr_nlp.steer.nlp_frames import DEFAULTS
-from ctr_nlp.support.values import instance
+from ctr_nlp.support.values import check_choice, instance
 from ctr_nlp.target.problem import Problem
 
 OWN = "the problem's own"
@@ -176,6 +176,7 @@ class Live:
         self._course = (1.0 if self._session.goal.progress < 1.0 else -1.0) if on else 0.0
 
     def _replace(self, name: str) -> None:
+        check_choice("robot", name, self._robots)
         problem = replace(self._problem, robot=self._robots[name])
         load = self._session.load
         models = fit(problem, load)

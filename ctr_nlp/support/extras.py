@@ -13,12 +13,12 @@ EXTRAS = {
     "ros2": ("cyclonedds",),
     "igtl": ("pyigtl",),
     "anatomy": ("nibabel", "nrrd", "networkx", "pyvista", "vtkmodules"),
-    "live": ("viser",),
+    "live": ("viser", "websockets"),
     "report": ("k3d", "jinja2"),
     "completion": ("shtab",),
     "sampling": ("ompl",),
     "learning": ("torch",),
-    "study": ("dask", "distributed", "pyarrow", "pandas"),
+    "study": ("dask", "distributed", "tornado", "pyarrow", "pandas"),
 }
 """The modules that each extra of this package brings."""
 

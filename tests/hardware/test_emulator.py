@@ -1,9 +1,11 @@
 """The emulated controller against a session recorded from real firmware, and against itself under faults."""
 
+import contextlib
 import os
 import random
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -558,3 +560,19 @@ def test_program_prints_its_url_and_ends_on_sigterm():
         assert re.fullmatch(r"socket://127\.0\.0\.1:\d+\n", process.stdout.readline())
         process.send_signal(signal.SIGTERM)
         assert process.wait(timeout=10) == 0
+
+
+def test_a_page_in_a_browser_cannot_send_commands():
+    firmware = Firmware()
+    request = b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 16\r\n\r\nG1 X-1 A1 F600\r\n"
+    with serving(firmware) as url:
+        host, _, port = url.removeprefix("socket://").partition(":")
+        with socket.create_connection((host, int(port)), 10) as link:
+            link.sendall(request)
+            heard = b""
+            with contextlib.suppress(ConnectionResetError):
+                while data := link.recv(4096):
+                    heard += data
+    assert b"ok" not in heard
+    assert b"error" not in heard
+    assert firmware.state != "Run"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import http.client
 import os
+import re
 import time
 from dataclasses import replace
 
@@ -323,6 +325,22 @@ def test_a_worker_keeps_little_of_what_it_has_done(client, tmp_path):
 def kept(dask_worker):
     """Trees of a worker's profile, one a second, and events of its log, which hold cases and rows, at most."""
     return len(dask_worker.profile_history), dask_worker.state.stimulus_log.maxlen
+
+
+@pytest.mark.parametrize(
+    ("headers", "expected"),
+    [
+        ({}, 200),
+        ({"Host": "example.com"}, 403),
+        ({"Origin": "http://example.com"}, 403),
+    ],
+)
+def test_the_clusters_page_answers_no_other_page(client, headers, expected):
+    address = re.search(r"127.0.0.1:\d+", client.dashboard_link)[0]
+    link = http.client.HTTPConnection(address, timeout=30)
+    link.request("GET", "/health", headers=headers)
+    assert link.getresponse().status == expected
+    link.close()
 
 
 def test_a_stop_keeps_what_is_done(client, tmp_path):

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import ipaddress
 import itertools
-from contextlib import suppress
 from pathlib import Path
 
 from ctr_nlp.cli import problems
@@ -31,6 +29,7 @@ from ctr_nlp.models import DEFAULT_MODEL, MODELS
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.robot import Robot, table_i_robot
 from ctr_nlp.support.interrupt import deferred_interrupt
+from ctr_nlp.support.own_requests import is_loopback
 from ctr_nlp.target.problem import Problem
 
 USUAL = "bronchus"
@@ -85,7 +84,7 @@ def _run(arguments: argparse.Namespace) -> int:
             keep=lambda plan: _kept(plan, _next(out)),
             load=load,
         )
-        if not _loopback(arguments.host):
+        if not is_loopback(arguments.host):
             print_stderr(f"note: whoever reaches {live.url} can steer; nothing is encrypted, nobody is asked")
         announce(f"steer {problem.name} at {live.url}; Ctrl-C ends it")
         live.wait(interrupted)
@@ -114,12 +113,6 @@ def _kept(plan: Plan, folder: Path) -> str:
     with published(folder, "plan") as staging:
         write(plan, staging)
     return f"It is in {folder / 'plan.npz'}, for `ctr-nlp play` and `ctr-nlp robust`"
-
-
-def _loopback(host: str) -> bool:
-    with suppress(ValueError):
-        return ipaddress.ip_address(host).is_loopback
-    return host == "localhost"
 
 
 main = Command("ctr-nlp live", _parser, _run)

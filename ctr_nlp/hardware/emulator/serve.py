@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import select
 import socket
 import threading
@@ -17,6 +18,8 @@ from ctr_nlp.hardware.emulator.wire import Line
 
 LOOPBACK = "127.0.0.1"
 TICK_S = 0.002
+HTTP_REQUEST = re.compile(rb"[A-Z]+ \S* HTTP/")
+"""How what browsers send begins: any page can send it to a port of this machine, and G-code behind it."""
 
 
 class TcpPort:
@@ -42,7 +45,7 @@ class TcpPort:
         try:
             if self._host in ready:
                 data = self._host.recv(4096)
-                if not data:
+                if not data or HTTP_REQUEST.match(data):
                     raise ConnectionError
                 line.put(data)
             if data := line.get():

@@ -8,11 +8,14 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import to_rgb
 
+from ctr_nlp.exceptions import OptionError
 from ctr_nlp.figures.parts.palette import BLACK, ORANGE, SKY, VERMILLION
 from ctr_nlp.live.page.colours import MIDDLES, pieces
+from ctr_nlp.live.page.guard import log_unreadable
 from ctr_nlp.live.steered.ghosts import STRIDE
 from ctr_nlp.live.steered.goal import HANDLES
 from ctr_nlp.live.steered.session import MOST_DRAWS, Seen
+from ctr_nlp.support.values import floats
 from ctr_nlp.target.lumen import Lumen, outer_radii, outer_radius, surface
 from ctr_nlp.target.problem import Problem
 from ctr_nlp.target.target import SIGMA
@@ -128,9 +131,15 @@ class Scene:
 
         @ball.on_drag
         async def _(event: Any) -> None:
+            try:
+                start = floats(OptionError, "start_position", event.start_position, (3,))
+                end = floats(OptionError, "end_position", event.end_position, (3,))
+            except OptionError as error:
+                log_unreadable(error)
+                return
             if event.phase == "start":
-                grabbed[:] = np.array(event.start_position) - ball.position
-            pulled(k, np.array(event.end_position) - grabbed)
+                grabbed[:] = start - ball.position
+            pulled(k, end - grabbed)
 
         return ball
 

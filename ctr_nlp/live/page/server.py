@@ -8,6 +8,7 @@ import socket
 from typing import Any
 
 from ctr_nlp.exceptions import OptionError
+from ctr_nlp.live.page.guard import guarded
 from ctr_nlp.support.extras import needed
 from ctr_nlp.support.values import whole_number
 
@@ -17,10 +18,26 @@ LABEL = "ctr-nlp live"
 
 
 def served(host: str, port: int) -> Any:
-    """A viser server; raises OptionError where it cannot be had on this port, or viser is not installed.
+    """Start a viser server that answers only its own page.
 
-    Viser would take the next port that is free, tell on standard output what it does, and on request of a page let
-    the world in through a server of its makers. None of this happens here.
+    Viser would take the next port that is free, tell on standard output what it does, answer whatever page is open
+    in a browser, and let the world in through a server of its makers where a page asks for it. None of this
+    happens here.
+
+    Parameters
+    ----------
+    host, port : str and int
+        Where to listen; port 0 takes any that is free.
+
+    Returns
+    -------
+    viser.ViserServer
+        The server, which is already listening.
+
+    Raises
+    ------
+    OptionError
+        The port cannot be served, or viser is not installed or cannot be guarded.
     """
     viser = needed("viser")
     if whole_number(OptionError, "port", port, 0) > 65535:
@@ -37,8 +54,11 @@ def served(host: str, port: int) -> Any:
         def request_share_url(self, verbose: bool = True) -> None:
             """Nobody is let in from outside."""
 
-    with contextlib.redirect_stdout(io.StringIO()):
+    with contextlib.redirect_stdout(io.StringIO()), guarded(host) as is_guarded:
         server = Unshared(host, port, LABEL, verbose=False)
+    if not is_guarded():
+        stopped(server)
+        raise OptionError("this version of viser cannot be kept from answering other pages; install viser 1.1")
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     server.gui.main_panel.dock_right()
     return server

@@ -11,7 +11,9 @@ from typing import Any
 
 from ctr_nlp.exceptions import ClusterError
 from ctr_nlp.support.extras import needed
+from ctr_nlp.support.own_requests import is_own_request
 
+LOOPBACK = "127.0.0.1"
 CONNECT = 10.0
 """s that a scheduler may take to answer when a client asks it first."""
 SETTINGS = {
@@ -41,13 +43,33 @@ def local_client(workers: int, memory: str = "auto", **more: Any) -> Iterator[An
     memory: that each may take before it is ended; more: options of distributed.LocalCluster.
     """
     distributed, dask = needed("distributed"), needed("dask")
-    asked = {"n_workers": workers, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"} | more
+    asked = {"n_workers": workers, "threads_per_worker": 1, "dashboard_address": f"{LOOPBACK}:0"} | more
     with (
         dask.config.set(SETTINGS),
-        distributed.LocalCluster(host="127.0.0.1", memory_limit=memory, silence_logs="CRITICAL", **asked) as begun,
+        distributed.LocalCluster(host=LOOPBACK, memory_limit=memory, silence_logs="CRITICAL", **asked) as begun,
         distributed.Client(begun) as client,
     ):
+        _guard(begun.scheduler.http_application)
         yield client
+
+
+def _guard(application: Any) -> None:
+    """Have a tornado application answer only requests of its own pages, which a browser sends to loopback."""
+    routing, web = needed("tornado.routing"), needed("tornado.web")
+
+    class Foreign(routing.Matcher):  # type: ignore[name-defined]
+        def match(self, request: Any) -> dict[str, Any] | None:
+            """Match what is to be refused."""
+            hosts, origins = (request.headers.get_list(name) for name in ("Host", "Origin"))
+            reached = request.connection.stream.socket.getsockname()[:2]
+            return None if is_own_request(hosts, origins, LOOPBACK, reached) else {}
+
+    class Refused(web.RequestHandler):  # type: ignore[name-defined]
+        def prepare(self) -> None:
+            """Refuse every request."""
+            raise web.HTTPError(403)
+
+    application.default_router.rules.insert(0, routing.Rule(Foreign(), Refused))
 
 
 @contextmanager
