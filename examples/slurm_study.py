@@ -22,7 +22,11 @@ def slurm_cluster() -> SLURMCluster:
         memory="2GiB",
         walltime="04:00:00",
         worker_extra_args=["--lifetime", "220m", "--lifetime-stagger", "10m"],  # leave before SLURM ends the job
-        job_script_prologue=["export OMP_NUM_THREADS=1", "export OPENBLAS_NUM_THREADS=1"],
+        job_script_prologue=[
+            *("export OMP_NUM_THREADS=1", "export OPENBLAS_NUM_THREADS=1"),
+            # without these Dask has workers give memory back after every step, which costs them much time
+            *("export MALLOC_TRIM_THRESHOLD_=268435456", "export MALLOC_MMAP_THRESHOLD_=33554432"),
+        ],
         protocol="tls",  # nodes are shared: without TLS, whoever reaches the scheduler's port runs code as you
         security=Security.temporary(),  # certificates of this run alone, in files that only you can read
         shared_temp_directory="~",  # where the nodes see these files

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import platform
+import resource
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from clusters import LOOPBACK, cluster, environment
 
@@ -110,6 +113,21 @@ def test_a_worker_of_another_version_makes_no_rows():
     vars(case)["digest"] = "of a client with another version"
     with pytest.raises(ClusterError, match=r"other versions.*it has ctr_nlp .*, casadi"):
         work([case], None, 60.0)
+
+
+def page_faults():
+    """Of taking and freeing 4 MB fifty times, in the thread that plans."""
+    before = resource.getrusage(resource.RUSAGE_THREAD).ru_minflt
+    for _ in range(50):
+        np.ones(500_000)
+    return resource.getrusage(resource.RUSAGE_THREAD).ru_minflt - before
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other systems free memory by other rules")
+def test_workers_keep_the_memory_that_the_next_plan_takes():
+    with local_client(1) as client:
+        found = client.submit(page_faults).result(60)
+    assert found < 5 * 4e6 / os.sysconf("SC_PAGESIZE")
 
 
 def listening(process):

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import math
+import os
 
 import pytest
 
+from ctr_nlp.exceptions import BenchmarkError
+from ctr_nlp.studies.grid.case import Case
+from ctr_nlp.studies.grid.study_file import Study
 from ctr_nlp.studies.workers.batches import FIRST, SECONDS, SPACING, worth
+from ctr_nlp.studies.workers.pool_comparison import Paired, Turn, compare_with_pool, rows_of
 from ctr_nlp.studies.workers.running import WAITING
-from ctr_nlp.studies.workers.scale import Cost, projected, simulated
+from ctr_nlp.studies.workers.scale import Cost, Sleeper, projected, simulated, sleepers
 
 COST = Cost(0.002, 0.0001, 0.004, 0.0002, 0.00001, 1000.0, 500.0, 2000.0)
 
@@ -47,3 +52,36 @@ def test_a_simulated_study_gives_the_batches_that_are_projected():
     assert found.rows_bytes > 0
     assert found.wall_s > 300 * 0.1 / 4
     assert math.isnan(found.client_share)
+
+
+def test_a_study_is_compared_with_a_pool_that_makes_the_same_plans():
+    pytest.importorskip("distributed", reason="the extra `study` is not installed")
+    found = compare_with_pool(sleepers([0.01] * 8), 2, pairs=2)
+    assert len(found.study) == len(found.pool) == 2
+    assert all(turn.processor_s > 0 and turn.page_faults > 0 for turn in (*found.study, *found.pool))
+    assert all(turn.memory_bytes[-1] > 1e7 for turn in found.study)
+    assert not any(turn.memory_bytes for turn in found.pool)
+    assert found.ratio > 0
+    assert [row[0] for row in rows_of(found)] == ["study", "study", "pool", "pool"]
+
+
+def test_a_ratio_is_the_median_over_pairs():
+    pool = tuple(Turn(user, 0.5, 1, ()) for user in (0.5, 1.5, 3.5))
+    study = tuple(Turn(user, 1.0, 1, ()) for user in (0.0, 3.0, 3.0))
+    assert Paired(study, pool).ratio == pytest.approx(1.0)
+
+
+def test_a_side_of_a_comparison_that_dies_is_an_error():
+    with pytest.raises(BenchmarkError, match="ended early"):
+        compare_with_pool(Study("deadly", (made_deadly(sleepers([0.0]).cases[0]),)), 1)
+
+
+class Deadly(Sleeper):
+    """A case that ends the process that makes it."""
+
+    def row(self, keep=None):
+        os._exit(1)
+
+
+def made_deadly(case):
+    return Deadly(**{name: getattr(case, name) for name in Case.__dataclass_fields__})

@@ -1,0 +1,168 @@
+"""What a study costs in all its processes, beside a plain pool of processes that makes the same plans.
+
+A study's rows tell the process time of their plans, and what slows the plans themselves down looks like longer
+plans there. So each side runs in a process of its own, and its processor time, children included, is what the
+system counts when it has ended.
+"""
+
+from __future__ import annotations
+
+import resource
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ctr_nlp.exceptions import BenchmarkError
+from ctr_nlp.studies.grid.case import Case
+from ctr_nlp.studies.grid.study_file import Study
+from ctr_nlp.studies.workers.clients import local_client
+from ctr_nlp.studies.workers.running import Progress, run_study
+from ctr_nlp.support.pool import side_by_side
+
+SPAWN = get_context("spawn")
+
+
+@dataclass(frozen=True)
+class Turn:
+    """What one side of the comparison took.
+
+    Attributes
+    ----------
+    user_s, system_s : float
+        Processor time of all its processes, s.
+    page_faults : int
+        Minor page faults of all its processes.
+    memory_bytes : tuple of int
+        Memory of the largest worker after each batch, as the scheduler knows it; empty for a pool.
+    """
+
+    user_s: float
+    system_s: float
+    page_faults: int
+    memory_bytes: tuple[int, ...]
+
+    @property
+    def processor_s(self) -> float:
+        """User and system time, s."""
+        return self.user_s + self.system_s
+
+
+@dataclass(frozen=True)
+class Paired:
+    """Turns of a study and of a pool, pair by pair."""
+
+    study: tuple[Turn, ...]
+    pool: tuple[Turn, ...]
+
+    @property
+    def ratio(self) -> float:
+        """Median over pairs of the study's processor time over the pool's."""
+        pairs = zip(self.study, self.pool, strict=True)
+        return float(np.median([study.processor_s / pool.processor_s for study, pool in pairs]))
+
+
+def compare_with_pool(study: Study, workers: int, pairs: int = 1) -> Paired:
+    """Make the plans of a study and those of a pool of processes in turns.
+
+    Parameters
+    ----------
+    study : Study
+        The cases; what they are solved with should be compiled already.
+    workers : int
+        Processes on either side.
+    pairs : int
+        How many turns each side has; the order changes from pair to pair.
+
+    Returns
+    -------
+    Paired
+        Processor times, page faults and memory.
+
+    Raises
+    ------
+    BenchmarkError
+        A side has ended early.
+    """
+    turns: dict[Side, list[Turn]] = {_in_study: [], _in_pool: []}
+    for number in range(pairs):
+        for side in (_in_study, _in_pool) if number % 2 else (_in_pool, _in_study):
+            turns[side].append(_turn(side, study, workers))
+    return Paired(tuple(turns[_in_study]), tuple(turns[_in_pool]))
+
+
+Side = Callable[[Connection, Study, int], None]
+"""Makes the plans of a study with so many workers, and sends the memory that these had."""
+
+
+def _turn(side: Side, study: Study, workers: int) -> Turn:
+    """Run a side in a process of its own."""
+    here, there = SPAWN.Pipe()
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    process = SPAWN.Process(target=side, args=(there, study, workers))
+    process.start()
+    there.close()
+    try:
+        memory = here.recv()
+    except EOFError as error:
+        raise BenchmarkError("a side of the comparison has ended early") from error
+    finally:
+        process.join()
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return Turn(
+        user_s=after.ru_utime - before.ru_utime,
+        system_s=after.ru_stime - before.ru_stime,
+        page_faults=after.ru_minflt - before.ru_minflt,
+        memory_bytes=tuple(memory),
+    )
+
+
+def _in_study(answer: Connection, study: Study, workers: int) -> None:
+    memory = list[int]()
+    with tempfile.TemporaryDirectory() as folder, local_client(workers) as client:
+
+        def seen(progress: Progress) -> None:
+            known = client.cluster.scheduler.workers.values()
+            memory.append(max((worker.metrics["memory"] for worker in known), default=0))
+
+        run_study(study, Path(folder), client, seen=seen)
+    answer.send(memory)
+
+
+def _in_pool(answer: Connection, study: Study, workers: int) -> None:
+    for _ in side_by_side(_row, study.cases, workers):
+        pass
+    answer.send([])
+
+
+def _row(case: Case) -> dict[str, Any]:
+    return case.row()
+
+
+def rows_of(compared: Paired) -> list[Sequence[str]]:
+    """Write a comparison as rows of a table.
+
+    Parameters
+    ----------
+    compared : Paired
+        The comparison.
+
+    Returns
+    -------
+    list of sequence of str
+        Side, user and system time in s, page faults, and memory of the largest worker in MB at the first batch
+        and at the last; a row a turn.
+    """
+    found = list[Sequence[str]]()
+    for name, turns in (("study", compared.study), ("pool", compared.pool)):
+        for turn in turns:
+            memory = [f"{size / 1e6:.0f}" for size in (turn.memory_bytes[1:2] + turn.memory_bytes[-1:])]
+            found.append(
+                [name, f"{turn.user_s:.2f}", f"{turn.system_s:.2f}", f"{turn.page_faults}", " to ".join(memory)]
+            )
+    return found
