@@ -5,10 +5,13 @@ from __future__ import annotations
 import http.client
 import os
 import re
+import subprocess
+import sys
 import time
 from dataclasses import replace
 
 import pytest
+from clusters import environment
 
 from ctr_nlp import Load, table_i_robot
 from ctr_nlp.cli.commands.new import template
@@ -259,6 +262,42 @@ def test_a_study_is_done_once_and_goes_on_where_it_was(client, tmp_path):
     kept = frame[frame["digest"].isin(before["digest"])].reset_index(drop=True)
     assert kept["process_s"].tolist() == before["process_s"].tolist()
     assert len(list((tmp_path / "plans").glob("*.npz"))) == 2
+
+
+def test_a_second_study_in_the_folder_is_refused_while_the_first_is_at_work(client, tmp_path):
+    told = []
+
+    def second(progress):
+        with pytest.raises(OutputError, match="another study is at work in") as refused:
+            run_study(study(), tmp_path, client)
+        told.append(str(refused.value))
+
+    assert run_study(study(), tmp_path, client, seen=second).done == 4
+    assert told
+    assert len(Results(tmp_path).frame()) == 4
+    assert run_study(study(), tmp_path, client).known == 4
+
+
+def test_the_command_waits_for_no_dead_study_and_refuses_beside_one_at_work(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    text = 'frames = 4\nmodels = "dominant"\n[problems]\nnames = ["arc"]\n[settings]\nseed = [{}]\n'
+    (tmp_path / "first.toml").write_text(text.format("0"))
+    (tmp_path / "second.toml").write_text(text.format("0, 1"))
+    assert main(["study", "first.toml", "--workers", "1", "--out", "here"]) == 1
+    capsys.readouterr()
+    code = "import sys; from ctr_nlp.studies.grid.results import Results\n"
+    code += "with Results('here').sole_writer(): print('at work', flush=True); sys.stdin.read()"
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", code], env=environment(), **pipes) as other:
+        other.stdout.readline()
+        assert main(["study", "second.toml", "--workers", "1", "--out", "here"]) == 2
+        told = capsys.readouterr().err
+        other.kill()
+    assert told.startswith("error: another study is at work in here; ")
+    assert told.count("\n") == 1
+    assert (tmp_path / "here" / "study.toml").read_text() == text.format("0")
+    assert main(["study", "second.toml", "--workers", "1", "--out", "here"]) == 1
+    assert len(Results(tmp_path / "here").frame()) == 2
 
 
 def test_a_failure_is_a_row_with_its_reason(client, tmp_path):

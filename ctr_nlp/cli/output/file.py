@@ -1,12 +1,10 @@
-"""Single output files, written whole or not at all, their names, and folders held against other processes."""
+"""Single output files, written whole or not at all, and their names."""
 
 from __future__ import annotations
 
 import hashlib
-import os
 import re
 import secrets
-import time
 import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -64,45 +62,6 @@ def write_bytes(file: Path, content: bytes) -> None:
     """Write a file whole or not at all; raises OutputError."""
     with output_file(file) as partial:
         partial.write_bytes(content)
-
-
-try:
-    import fcntl
-except ImportError:  # on Windows
-    fcntl = None  # type: ignore[assignment]
-
-POLL = 0.02
-"""Seconds between two attempts to get hold of a folder."""
-
-
-@contextmanager
-def locked(folder: Path, patience: float = 0.0) -> Iterator[bool]:
-    """Hold a folder within the block; what is yielded is False where the file system knows no such locks.
-
-    Raises BlockingIOError where another process still holds it after so many seconds of patience, and OSError.
-    """
-    if fcntl is None:
-        yield False
-        return
-    door = os.open(folder, os.O_RDONLY)
-    try:
-        yield _taken(door, folder, time.monotonic() + patience)
-    finally:
-        os.close(door)
-
-
-def _taken(door: int, folder: Path, deadline: float) -> bool:
-    while True:
-        try:
-            fcntl.flock(door, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            if time.monotonic() > deadline:
-                raise BlockingIOError(f"another run is writing into {folder}") from error
-            time.sleep(POLL)
-        except OSError:
-            return False
-        else:
-            return True
 
 
 LONGEST = 80

@@ -10,9 +10,10 @@ from contextlib import ExitStack, contextmanager, suppress
 from itertools import count
 from pathlib import Path
 
-from ctr_nlp.cli.output.file import locked, try_beside
+from ctr_nlp.cli.output.file import try_beside
 from ctr_nlp.cli.output.manifest import MARK, STAGING, Manifest, Written, read, standard, written
 from ctr_nlp.exceptions import OutputError
+from ctr_nlp.support.folder_lock import locked
 from ctr_nlp.support.interrupt import ignored_interrupt
 
 INTERRUPTED = "interrupted"

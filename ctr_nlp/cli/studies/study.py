@@ -87,6 +87,7 @@ def _run(arguments: argparse.Namespace) -> int:
         return _alone(study, arguments.only, out / "plans" if arguments.plans else None)
     for kind in ("study", *([] if study.report is None else [study.report])):
         check_folder(out, kind)
+    Results(out).check_free()
     with _client(arguments) as client, progress_bar() as labelled, deferred_interrupt() as interrupted:
         console(stderr=True).print(f"The cluster's own page is {client.dashboard_link}.")
         with published(out, "study") as staging:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.studies.grid.case import LOST, PATIENCE_S
 from ctr_nlp.support.extras import needed
+from ctr_nlp.support.folder_lock import locked
 from ctr_nlp.support.whole_file import whole_file
 
 if TYPE_CHECKING:
@@ -26,12 +28,46 @@ LOST_FILE = "lost-"
 
 @dataclass(frozen=True)
 class Results:
-    """A folder of rows. One program at a time adds to it."""
+    """A folder of rows. One program at a time adds to it (:meth:`sole_writer`)."""
 
     folder: Path
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "folder", Path(self.folder))
+
+    @contextmanager
+    def sole_writer(self) -> Iterator[None]:
+        """Keep other programs from adding rows within the block. A program that dies lets others in at once.
+
+        Raises
+        ------
+        OutputError
+            Another program adds rows, or none can be written.
+        """
+        place = self.folder / ROWS
+        with ExitStack() as held:
+            try:
+                place.mkdir(parents=True, exist_ok=True)
+                held.enter_context(locked(place))
+            except BlockingIOError as error:
+                raise OutputError(
+                    f"another study is at work in {self.folder}; wait until it has ended, or name another folder"
+                ) from error
+            except OSError as error:
+                raise OutputError(f"rows of the study cannot be written to {place}: {error}") from error
+            yield
+
+    def check_free(self) -> None:
+        """Check that no other program adds rows now.
+
+        Raises
+        ------
+        OutputError
+            One does, or rows cannot be written.
+        """
+        if (self.folder / ROWS).exists():
+            with self.sole_writer():
+                pass
 
     def known(self) -> set[str]:
         """Digests of the cases that have rows; raises OutputError."""

@@ -74,39 +74,64 @@ def run_study(
     seen: Seen = lambda progress: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Progress:
-    """Do the cases of a study that a folder has no rows of, on the workers of a distributed.Client.
+    """Do the cases of a study that a folder has no rows of, on the workers of a Dask cluster.
 
-    client: None for processes of this machine, one a core, which import the program that asks for them: it must
-    do so below `if __name__ == "__main__":`. keep_plans: whether plans are written into folder/plans, too.
-    patience: s that a case may take; stop: asked now and then, and after a yes no more is begun. Raises
-    OutputError where rows or plans cannot be written and ClusterError where the scheduler is lost or workers
-    cannot do the cases: all of them lose only what was at work.
+    Parameters
+    ----------
+    study : Study
+        The cases.
+    folder : str or Path
+        Where rows are kept; one study at a time works in it.
+    client : distributed.Client, optional
+        Of the cluster; None for processes of this machine, one a core, which import the program that asks for
+        them: it must do so below ``if __name__ == "__main__":``.
+    keep_plans : bool
+        Whether plans are written into folder/plans, too.
+    patience : float
+        Seconds that a case may take.
+    seen : callable
+        Called with the progress at the beginning, after every batch, and while no worker is there.
+    stop : callable
+        Asked now and then; after a yes no more is begun.
+
+    Returns
+    -------
+    Progress
+        How many cases are done.
+
+    Raises
+    ------
+    OutputError
+        Rows or plans cannot be written, or another study is at work in the folder.
+    ClusterError
+        The scheduler is lost, or workers cannot do the cases. Only what was at work is lost.
     """
     results, begin = Results(Path(folder)), time.monotonic()
-    results.forget_lost(patience)
-    known = results.known()
-    left = [case for case in study.cases if case.digest not in known]
-    progress = Progress(len(study), len(study) - len(left), len(study) - len(left))
-    plans = Path(folder) / "plans" if keep_plans else None
-    seen(progress)
-    here = local_client(os.cpu_count() or 1) if client is None else nullcontext(client)
-    with here as workers, _late(workers) as late:
-        at_work = _AtWork(workers, Batches.of(left), late, plans, patience)
-        try:
-            while at_work:
-                with loss_told():
-                    threads = at_work.give()
-                    rows, lost = at_work.take()
-                results.add(rows)
-                results.add_lost(lost)
-                progress.grow([*rows, *lost], time.monotonic() - begin, threads)
-                if rows or lost or not threads:
-                    seen(progress)
-                if stop():
-                    break
-        finally:
-            at_work.cancel()
-    return progress
+    with results.sole_writer():
+        results.forget_lost(patience)
+        known = results.known()
+        left = [case for case in study.cases if case.digest not in known]
+        progress = Progress(len(study), len(study) - len(left), len(study) - len(left))
+        plans = Path(folder) / "plans" if keep_plans else None
+        seen(progress)
+        here = local_client(os.cpu_count() or 1) if client is None else nullcontext(client)
+        with here as workers, _late(workers) as late:
+            at_work = _AtWork(workers, Batches.of(left), late, plans, patience)
+            try:
+                while at_work:
+                    with loss_told():
+                        threads = at_work.give()
+                        rows, lost = at_work.take()
+                    results.add(rows)
+                    results.add_lost(lost)
+                    progress.grow([*rows, *lost], time.monotonic() - begin, threads)
+                    if rows or lost or not threads:
+                        seen(progress)
+                    if stop():
+                        break
+            finally:
+                at_work.cancel()
+        return progress
 
 
 @contextmanager
