@@ -23,7 +23,7 @@ from ctr_nlp.hardware.playing.player import Player
 from ctr_nlp.hardware.playing.results import Result
 from ctr_nlp.hardware.playing.retract import retract
 from ctr_nlp.hardware.playing.session import begin, prepared, resume
-from ctr_nlp.hardware.playing.trust import Memory
+from ctr_nlp.hardware.playing.trust import Memory, Remembered
 from ctr_nlp.plan.plan import Plan
 from ctr_nlp.simulation.forward import shapes, tangents
 from ctr_nlp.typing import Array
@@ -151,8 +151,20 @@ class World:
             self.links.append(WireLink(Wire(self.firmware, self.clock, faults)))
             return RecordedLink(self.links[-1], journal)
 
-        memory = None if self.state is None else Memory(self.state, self.hardware.connection.url)
+        memory = None if self.state is None else self.memory(self.state)
         return Player(Grbl(self.hardware, opened, self.clock), None, journal, self.clock, memory)
+
+    def memory(self, state: Path) -> Memory:
+        """What is remembered of the device in a state folder."""
+        return Memory(state, str(self.folder), self.hardware.connection.url, shared_folder=self.folder)
+
+    def meet(self) -> None:
+        """Let it be remembered that the device stands where it says, as after a session that ended well."""
+        assert self.state is not None
+        player = self.player()
+        player.connect()
+        self.memory(self.state).write(player.device.identity, Remembered(True))
+        player.close()
 
     def begin(self, faults: tuple[Fault, ...] = (), **options: Any) -> Result:
         """Play from the first frame."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
+from urllib.parse import urlsplit
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from ctr_nlp.typing import Array
 DEVICES = ("simulated", "grbl", "ros2")
 HOMING = ("manual", "cycle")
 FLOW = ("count", "wait")
+NETWORK_SCHEMES = ("socket", "rfc2217")
 
 KEYS = ("name", "robot", "axes", "arm", "connection", "sensing", "lag", "approach", "late")
 """Of a hardware file."""
@@ -33,11 +35,11 @@ KEYS = ("name", "robot", "axes", "arm", "connection", "sensing", "lag", "approac
 class Connection:
     """Where the motors' controller is.
 
-    device: "simulated", "grbl" or "ros2". url: a serial port, "socket://host:port", or for ros2 the controller's
-    name. baud: of a serial port. homing: "cycle" lets the controller home itself and wants its soft limits,
-    "manual" takes the position that it reports for true. flow: "count" sends lines as long as counted characters
-    fit into the controller's buffer, "wait" sends a line when the one before was acknowledged. Raises
-    HardwareError.
+    device: "simulated", "grbl" or "ros2". url: a serial port, "socket://host:port", "rfc2217://host:port", or for
+    ros2 the controller's name. baud: of a serial port. homing: "cycle" lets the controller home itself and wants
+    its soft limits, "manual" takes the position that it reports for true. flow: "count" sends lines as long as
+    counted characters fit into the controller's buffer, "wait" sends a line when the one before was acknowledged.
+    Raises HardwareError.
     """
 
     device: str = "simulated"
@@ -54,8 +56,24 @@ class Connection:
                 )
         if self.device != "simulated" and not (isinstance(self.url, str) and self.url):
             raise HardwareError(f"url of the connection is {self.url!r}; a {self.device} device needs one")
+        if self.device == "grbl" and "://" in self.url:
+            self._check_network_url()
         if isinstance(self.baud, bool) or not isinstance(self.baud, int) or self.baud <= 0:
             raise HardwareError(f"baud of the connection is {self.baud!r}; it must be a positive whole number")
+
+    def _check_network_url(self) -> None:
+        """Raise HardwareError unless the url names a host and a port, and so one device."""
+        try:
+            parts = urlsplit(self.url)
+            known = parts.scheme in NETWORK_SCHEMES and parts.hostname and parts.port
+        except ValueError:
+            known = False
+        if not known:
+            raise HardwareError(
+                f"url of the connection is {self.url!r}; it must be the path of a serial port, such as "
+                "/dev/ttyUSB0, or a host and its port, such as socket://192.168.1.5:23; schemes are "
+                f"{', '.join(NETWORK_SCHEMES)}"
+            )
 
 
 def commissioned_file(hardware_file: str | Path) -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
+from ctr_nlp.hardware.address import canonical_address
 from ctr_nlp.hardware.arm.description import Arm
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.description import Connection, Hardware
@@ -36,8 +37,10 @@ def recorded_link(connection: Connection, journal: Journal) -> Link:
 
 
 def memory_of(connection: Connection) -> Memory | None:
-    """What is remembered of the device there, None where it is simulated."""
-    return None if connection.device == "simulated" else Memory(state_folder(), connection.url)
+    """What is remembered of the device there, None where it is simulated; raises HardwareError."""
+    if connection.device == "simulated":
+        return None
+    return Memory(state_folder(), canonical_address(connection), connection.url)
 
 
 def arm_follower(

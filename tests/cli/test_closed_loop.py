@@ -105,7 +105,7 @@ def test_a_tracker_that_tells_by_udp_corrects_a_plan(
     plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with stage(tmp_path) as arguments:
-        assert main([str(plan), "--closed-loop", *arguments]) == 0
+        assert main([str(plan), "--closed-loop", "--position-verified", *arguments]) == 0
         told = capsys.readouterr()
         assert "success" in told.out
         assert "30 of 30" in told.out
@@ -127,7 +127,7 @@ def test_where_a_tracker_falls_silent_the_operator_is_told_and_the_plan_goes_on(
     plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with stage(tmp_path, until=1) as arguments:
-        assert main([str(plan), "--closed-loop", *arguments]) == 0
+        assert main([str(plan), "--closed-loop", "--position-verified", *arguments]) == 0
     told = capsys.readouterr()
     assert "note: no measurement for 0." in told.err
     assert "on its plan, not corrected" in told.out
@@ -138,7 +138,7 @@ def test_an_open_loop_has_nothing_to_be_worked_out_again(
     plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with stage(tmp_path, until=1) as arguments:
-        assert main([str(plan), *arguments]) == 0
+        assert main([str(plan), "--position-verified", *arguments]) == 0
         capsys.readouterr()
         assert main([str(plan), "--replay", *arguments]) == 2
         assert "not of a closed loop" in capsys.readouterr().err

@@ -41,6 +41,8 @@ SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "play.py"
 PLAN = sweep(10)
 """Nobody has checked its stability, a wall or samples: where a test is about something else, it is waived."""
 ANYWAY = "--uncertified"
+LOOKED = "--position-verified"
+"""Nothing is remembered of a controller that has just been made: somebody has to look where its axes stand."""
 unix = pytest.mark.skipif(sys.platform == "win32", reason="signals of Unix")
 
 
@@ -180,7 +182,9 @@ def test_a_plan_on_the_simulated_device(
 def test_a_plan_on_the_emulated_controller(plan: Path, tmp_path: Path) -> None:
     firmware = Firmware({20: 1}, homed=True)
     with serving(firmware, "pty") as url:
-        assert main([str(plan), "--hardware", str(rig(tmp_path, url)), "--out", str(tmp_path / "out")]) == 0
+        assert (
+            main([str(plan), "--hardware", str(rig(tmp_path, url)), "--out", str(tmp_path / "out"), LOOKED]) == 0
+        )
         assert frames_played(firmware) == list(range(1, 11))
     with (tmp_path / "out" / "tracking.csv").open() as file:
         last = list(csv.DictReader(file))[-1]
@@ -331,7 +335,10 @@ def test_a_dry_run_opens_nothing(plan: Path, tmp_path: Path, capsys: pytest.Capt
 @pytest.mark.parametrize(("number", "status"), [("SIGINT", 130), ("SIGTERM", 1)])
 def test_signals_stop_the_robot(number: str, status: int, plan: Path, tmp_path: Path) -> None:
     firmware, out = Firmware({20: 1}, homed=True), tmp_path / "out"
-    with serving(firmware) as url, playing(plan, "--hardware", rig(tmp_path, url), "--out", out) as process:
+    with (
+        serving(firmware) as url,
+        playing(plan, "--hardware", rig(tmp_path, url), "--out", out, LOOKED) as process,
+    ):
         recorded(out, "frame", 3)
         process.send_signal(getattr(signal, number))
         found, told, said = ended(process)
@@ -369,7 +376,7 @@ def test_killed_in_motion_it_goes_on_without_losing_or_doubling_a_frame(plan: Pa
     firmware, out = Firmware({20: 1}, homed=True), tmp_path / "out"
     with serving(firmware) as url:
         arguments = [plan, "--hardware", rig(tmp_path, url), "--out", out]
-        with playing(*arguments) as process:
+        with playing(*arguments, LOOKED) as process:
             recorded(out, "frame", 2)
             process.kill()
             process.wait()
@@ -387,7 +394,7 @@ def test_killed_in_motion_it_is_not_played_anew_until_the_tubes_are_back_or_some
     start = firmware.position.copy()
     with serving(firmware) as url:
         arguments = [str(plan), "--hardware", str(rig(tmp_path, url)), "--out", str(out)]
-        with playing(*arguments) as process:
+        with playing(*arguments, LOOKED) as process:
             recorded(out, "frame", 4)
             process.kill()
             process.wait()
@@ -406,11 +413,33 @@ def test_killed_in_motion_it_is_not_played_anew_until_the_tubes_are_back_or_some
 
 
 @unix
+def test_killed_in_motion_it_is_not_trusted_under_another_spelling_of_its_address(
+    plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    firmware, out = Firmware({20: 1}, homed=True), tmp_path / "out"
+    with serving(firmware) as url:
+        with playing(plan, "--hardware", rig(tmp_path, url), "--out", out, LOOKED) as process:
+            recorded(out, "frame", 4)
+            process.kill()
+            process.wait()
+        time.sleep(1.0)
+        stood = firmware.position.copy()
+        respelled = rig(tmp_path, url.replace("127.0.0.1", "localhost"))
+        arguments = [str(plan), "--hardware", str(respelled), "--out", str(tmp_path / "again")]
+        assert main(arguments) == 1
+        assert "since a motion had begun, and its end was never told" in capsys.readouterr().err
+        monkeypatch.setenv("CTR_NLP_STATE", str(tmp_path / "state of another user"))
+        assert main(arguments) == 1
+        assert "nothing is remembered of this device" in capsys.readouterr().err
+        assert (firmware.position == stood).all()
+
+
+@unix
 def test_a_second_player_is_refused(plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     firmware, out = Firmware({20: 1}, homed=True), tmp_path / "out"
     with serving(firmware) as url:
         arguments = [str(plan), "--hardware", str(rig(tmp_path, url)), "--out"]
-        with playing(*arguments, out) as process:
+        with playing(*arguments, out, LOOKED) as process:
             recorded(out, "frame", 2)
             assert main([*arguments, str(tmp_path / "second")]) == 1
             assert f"another player is connected to {url}: only one may be" in capsys.readouterr().err
@@ -511,7 +540,7 @@ def test_unplugged_in_motion(plan: Path, tmp_path: Path, capsys: pytest.CaptureF
     firmware, out = Firmware({20: 1}, homed=True), tmp_path / "out"
     found: list[int] = []
     with serving(firmware) as url:
-        arguments = [str(plan), "--hardware", str(rig(tmp_path, url)), "--out", str(out)]
+        arguments = [str(plan), "--hardware", str(rig(tmp_path, url)), "--out", str(out), LOOKED]
         thread = threading.Thread(target=lambda: found.append(main_here(arguments)))
         thread.start()
         recorded(out, "frame", 3)

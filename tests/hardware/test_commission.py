@@ -38,7 +38,14 @@ class Rig:
     def play(self) -> int:
         """The exit status."""
         sweep(12).save(self.folder / "plan.npz")
-        arguments = ["--hardware", str(self.file), "--out", str(self.folder / "play"), "--uncertified"]
+        arguments = [
+            "--hardware",
+            str(self.file),
+            "--out",
+            str(self.folder / "play"),
+            "--uncertified",
+            "--position-verified",
+        ]
         return main([str(self.folder / "plan.npz"), *arguments])
 
 

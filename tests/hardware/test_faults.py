@@ -113,6 +113,7 @@ def run(seed: int, folder: Path, monkeypatch: pytest.MonkeyPatch, kind: str = ""
     draw = random.Random(seed)
     kind = kind or draw.choice(KINDS)
     world = World(folder, state=folder / "state")
+    world.meet()
     start = world.clock.now()
     try:
         result = struck(world, kind, start + draw.uniform(0.0, 3.3), seed, monkeypatch)

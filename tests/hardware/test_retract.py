@@ -97,7 +97,7 @@ def test_a_controller_that_a_dead_player_left_in_motion_is_stopped_first(tmp_pat
             raise Killed
 
     with pytest.raises(Killed):
-        world.begin(seen=die)
+        world.begin(seen=die, verified=True)
     world.latest.close()
     assert world.retract().outcome is Outcome.SUCCESS
     assert (world.firmware.position[:3] > -1.1).all()
@@ -110,7 +110,7 @@ def test_a_position_that_is_not_to_be_trusted_needs_a_person(tmp_path: Path) -> 
         if trajectory.frames[0] == 1 and progress.time > 0.8:
             world.firmware.receive(b"\x18")
 
-    assert not world.begin(seen=reset).trusted
+    assert not world.begin(seen=reset, verified=True).trusted
     world.latest.close()
     world.firmware.receive(b"$X\n")
     with pytest.raises(TrajectoryError, match="not to be trusted"):

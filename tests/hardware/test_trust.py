@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,7 @@ def killed(world: World, frame: int = 6) -> None:
             raise Killed
 
     with pytest.raises(Killed):
-        world.begin(seen=die)
+        world.begin(seen=die, verified=True)
     world.clock.sleep(3.0)
     world.latest.close()
 
@@ -47,7 +48,7 @@ def test_distrust_lasts_until_a_person_has_looked(world: World) -> None:
         if trajectory.frames[0] == 1 and progress.time > 0.5:
             world.firmware.receive(b"\x18")
 
-    assert not world.begin(seen=reset).trusted
+    assert not world.begin(seen=reset, verified=True).trusted
     world.latest.close()
     world.firmware.receive(b"$X\n")
     for _ in range(2):
@@ -109,7 +110,7 @@ def test_a_crash_is_gone_on_from_only_with_its_own_journal(world: World) -> None
 
 
 def test_a_power_cycle_is_seen_by_the_controllers_own_count(world: World) -> None:
-    assert world.begin().outcome is Outcome.SUCCESS
+    assert world.begin(verified=True).outcome is Outcome.SUCCESS
     world.latest.close()
     before = world.firmware.position.copy()
     world.firmware.reboot(loses_position=True)
@@ -128,6 +129,50 @@ def test_nothing_is_played_where_nothing_can_be_remembered(tmp_path: Path) -> No
     assert world.firmware.executed == []
 
 
+@pytest.mark.parametrize("homes", [True, False])
+def test_a_device_never_met_is_asked_about_once(homes: bool, world: World) -> None:
+    with pytest.raises(DeviceFault, match=r"nothing is remembered of this device.*--position-verified"):
+        world.begin()
+    assert world.firmware.executed == []
+    world.latest.close()
+    assert world.begin(**({"home": True} if homes else {"verified": True})).outcome is Outcome.SUCCESS
+    world.latest.close()
+    assert world.begin().outcome is Outcome.SUCCESS
+
+
+def test_another_user_who_never_met_the_device_is_asked(world: World) -> None:
+    killed(world)
+    world.state = world.folder / "state of another user"
+    with pytest.raises(DeviceFault, match="nothing is remembered of this device"):
+        world.begin()
+    world.latest.close()
+    assert world.begin(verified=True).outcome is Outcome.SUCCESS
+
+
+def test_players_of_all_users_share_one_lock(tmp_path: Path) -> None:
+    shared = tmp_path / "shared"
+    shared.mkdir()
+    first, second = (Memory(tmp_path / user, "tcp there:1", "host", shared) for user in ("one", "two"))
+    before = os.umask(0o077)
+    try:
+        first.claim()
+    finally:
+        os.umask(before)
+    with pytest.raises(DeviceFault, match="another player is connected to host: only one may be"):
+        second.claim()
+    first.release()
+    second.claim()
+    second.release()
+    if os.name == "posix":  # whoever may read it can lock it
+        assert [path.stat().st_mode & 0o777 for path in shared.iterdir()] == [0o444]
+
+
+def test_a_lock_that_cannot_be_taken_is_said(tmp_path: Path) -> None:
+    memory = Memory(tmp_path, "tcp there:1", "host", tmp_path / "missing")
+    with pytest.raises(DeviceFault, match=r"host cannot be locked against other users .*missing.*nothing is"):
+        memory.claim()
+
+
 def test_a_device_has_one_player(world: World) -> None:
     first = world.player()
     first.connect()
@@ -136,7 +181,7 @@ def test_a_device_has_one_player(world: World) -> None:
         second.connect()
     second.close()
     first.close()
-    assert world.begin().outcome is Outcome.SUCCESS
+    assert world.begin(verified=True).outcome is Outcome.SUCCESS
 
 
 def test_what_cannot_be_read_is_no_reason_for_trust(tmp_path: Path) -> None:
@@ -157,7 +202,7 @@ def test_what_cannot_be_read_is_no_reason_for_trust(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("left", "reason"),
     [
-        (None, ""),
+        (None, "nothing is remembered of this device"),
         (Remembered(True, "", (1.0, 2.005)), ""),
         (Remembered(True, "", None), ""),
         (Remembered(True, "", (1.0, 2.02)), "it was switched off or moved by somebody else"),

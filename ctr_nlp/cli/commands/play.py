@@ -63,7 +63,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser.add_argument(
         "--position-verified",
         action="store_true",
-        help="you have made sure that the axes stand where the controller says, after it was not to be trusted",
+        help="you have made sure that the axes stand where the controller says; needed where its position is not "
+        "to be trusted, and when it is met for the first time",
     )
     parser.add_argument(
         "--retract",

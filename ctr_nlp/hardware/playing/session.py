@@ -97,7 +97,8 @@ def ready(
     if verified:
         player.trust()
     if player.state is not State.HOMED:
-        raise DeviceFault(player.doubt or "the device does not know where it stands: let it home first")
+        unhomed = "" if standing.homed else "the device does not know where it stands: let it home first"
+        raise DeviceFault("; ".join(filter(None, (unhomed, player.doubt))))
     return standing
 
 

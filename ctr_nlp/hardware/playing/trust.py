@@ -9,9 +9,11 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,6 +26,9 @@ from ctr_nlp.typing import Array
 
 FOLDER = "CTR_NLP_STATE"
 """Environment variable: a folder for what is remembered, instead of the user's own."""
+
+SHARED_FOLDER = Path("/tmp") if os.name == "posix" else Path(tempfile.gettempdir())
+"""Where all users of this machine lock devices; TMPDIR, which each may set, does not move it."""
 
 REMEDY = "home, or make sure that the axes stand where the device says, and say so (--position-verified)"
 
@@ -48,30 +53,50 @@ class Remembered:
 
 
 class Memory:
-    """What is remembered of the device at an address; whoever claims it is its only player. Raises DeviceFault."""
+    """What is remembered of the device at an address; whoever claims it is its only player. Raises DeviceFault.
 
-    def __init__(self, folder: Path, address: str) -> None:
-        self._folder, self._address = folder, address
-        self._lock: Any = None
+    Parameters
+    ----------
+    folder : Path
+        Of this user, where devices are remembered.
+    address : str
+        Canonical address of the device, the same however a hardware file spells it.
+    url : str, optional
+        What messages call it; by default its address.
+    shared_folder : Path, optional
+        Where players of all users lock devices.
+    """
+
+    def __init__(self, folder: Path, address: str, url: str = "", shared_folder: Path = SHARED_FOLDER) -> None:
+        self._folder, self._address, self._url = folder, address, url or address
+        self._shared_folder = shared_folder
+        self._locks = ExitStack()
 
     def claim(self) -> None:
-        """Keep other players off this device until it is released or this process ends."""
+        """Keep players of all users of this machine off this device until it is released or this process ends."""
         filelock = needed("filelock")
-        lock = filelock.FileLock(self._path("lock", ""))
-        try:
-            self._folder.mkdir(parents=True, exist_ok=True)
-            lock.acquire(timeout=0)
-        except filelock.Timeout as exception:
-            raise DeviceFault(f"another player is connected to {self._address}: only one may be") from exception
-        except OSError as exception:
-            raise self._unwritten(exception) from exception
-        self._lock = lock
+        own = filelock.FileLock(self._path("lock", ""))
+        with ExitStack() as taken:
+            try:
+                shared = self._shared_folder / f"ctr_nlp-{_digest(self._address)}.lock"
+                taken.enter_context(_locked_for_all(shared))
+                self._folder.mkdir(parents=True, exist_ok=True)
+                own.acquire(timeout=0)
+            except (BlockingIOError, filelock.Timeout) as exception:
+                raise DeviceFault(f"another player is connected to {self._url}: only one may be") from exception
+            except _Unlockable as exception:
+                raise DeviceFault(
+                    f"{self._url} cannot be locked against other users of this machine: {exception}; nothing is "
+                    "played"
+                ) from exception
+            except OSError as exception:
+                raise self._unwritten(exception) from exception
+            taken.callback(own.release)
+            self._locks = taken.pop_all()
 
     def release(self) -> None:
         """Let others play."""
-        if self._lock is not None:
-            self._lock.release()
-        self._lock = None
+        self._locks.close()
 
     def read(self, identity: str) -> Remembered | None:
         """How the device was left, None where it was never met; what cannot be read is no reason for trust."""
@@ -96,14 +121,49 @@ class Memory:
             raise self._unwritten(exception) from exception
 
     def _path(self, kind: str, identity: str) -> Path:
-        name = hashlib.sha256(f"{self._address}\n{identity}".encode()).hexdigest()[:24]
-        return self._folder / f"{name}.{kind}"
+        return self._folder / f"{_digest(self._address, identity)}.{kind}"
 
     def _unwritten(self, exception: OSError) -> DeviceFault:
         return DeviceFault(
-            f"whether {self._address} can be trusted cannot be remembered in {self._folder} ({exception}): "
+            f"whether {self._url} can be trusted cannot be remembered in {self._folder} ({exception}): "
             f"nothing is played; {FOLDER} names another folder"
         )
+
+
+def _digest(*words: str) -> str:
+    """A short name for what some words stand for."""
+    return hashlib.sha256("\n".join(words).encode()).hexdigest()[:24]
+
+
+class _Unlockable(Exception):
+    """A file cannot be used as a lock; the message is the system's."""
+
+
+@contextmanager
+def _locked_for_all(path: Path) -> Iterator[None]:
+    """Hold a lock file that every user can lock; raises BlockingIOError where another holds it, _Unlockable.
+
+    filelock refuses a file of another user in a folder that all may write to. Locking needs no right to write, and
+    a file that is there is not created again, which Linux forbids in such a folder (fs.protected_regular).
+    """
+    try:
+        import fcntl
+    except ImportError:  # not on Unix: the lock in the user's own folder must do
+        yield
+        return
+    try:
+        with suppress(FileExistsError):
+            made = os.open(path, os.O_RDONLY | os.O_CREAT | os.O_EXCL)
+            os.fchmod(made, 0o444)  # the umask does not count
+            os.close(made)
+        file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW)
+    except OSError as exception:
+        raise _Unlockable(exception) from exception
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(file)
 
 
 class Trust:
@@ -162,10 +222,15 @@ class Trust:
 def doubt(left: Remembered | None, position: Array, resolution: Array, session: str = "") -> str:
     """Why a device at a position (m,) is not to be trusted, "" where nothing speaks against it.
 
-    resolution (m,): what it can tell apart. session: one that is being resumed, whose motion is looked for by
-    itself.
+    left: None where it was never met, so that somebody must look. resolution (m,): what it can tell apart.
+    session: one that is being resumed, whose motion is looked for by itself.
     """
-    if left is None or (session and left.session == session):
+    if left is None:
+        return (
+            "nothing is remembered of this device, so that nobody knows whether its axes stand where it says: "
+            f"{REMEDY}"
+        )
+    if session and left.session == session:
         return ""
     if not left.trusted:
         return f"the position of the axes is not to be trusted, since {left.why}: {REMEDY}"
