@@ -15,6 +15,7 @@ from ctr_nlp.hardware.playing.supervision import (
     EARLY,
     HELD_UP,
     HOLDING,
+    MISPLACED,
     SILENCE,
     STALLED,
     UNASKED,
@@ -27,7 +28,7 @@ LATE = 0.8
 
 
 def supervisor() -> Supervisor:
-    return Supervisor(LATE, np.array([0.01, 0.02]))
+    return Supervisor(LATE, np.array([0.01, 0.02]), np.array([0.5, 0.5]))
 
 
 def progress(time: float, stamp: float, state: str = "running", **changes: Any) -> Progress:
@@ -75,6 +76,21 @@ def test_a_schedule_is_kept_both_ways() -> None:
     assert early.index(next(filter(None, early))) == int(EARLY / 0.02) + 1
     assert early[-1].startswith("PATH_TOLERANCE_VIOLATED: the axes are ")
     assert f"s ahead of their schedule; {EARLY:g} s are allowed" in early[-1]
+
+
+def test_axes_cannot_be_ahead_of_their_commands() -> None:
+    """Those that are reported there are not to be trusted; late ones are."""
+    for rate, misplaced in ((0.01, False), (0.04, True)):
+        by = supervisor()
+        found = [by.violation(progress(rate * n, 0.02 * n), 0.02 * n) for n in range(100)]
+        assert {ending.misplaced for ending in found if ending is not None} == {misplaced}
+
+
+@pytest.mark.parametrize(("away", "misplaced"), [(1.1, False), (MISPLACED, False), (MISPLACED + 0.1, True)])
+def test_only_axes_that_are_far_off_are_misplaced(away: float, misplaced: bool) -> None:
+    ending = supervisor().violation(progress(0.0, 0.0, away=away), 0.0)
+    assert ending is not None
+    assert ending.misplaced is misplaced
 
 
 def held(at: float, since: float, until: float, **changes: Any) -> list[tuple[float, Progress]]:

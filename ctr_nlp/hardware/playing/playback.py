@@ -12,9 +12,10 @@ from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.devices import Played, Progress, Standing
 from ctr_nlp.hardware.devices.arms import ArmFollower
 from ctr_nlp.hardware.journal import Journal
+from ctr_nlp.hardware.motion.lookahead import FollowedPath
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.results import Ending, Outcome, State, Wishes
-from ctr_nlp.hardware.playing.supervision import Supervisor
+from ctr_nlp.hardware.playing.supervision import MISPLACED, Supervisor
 from ctr_nlp.typing import Array
 
 AHEAD = 0.1
@@ -27,6 +28,12 @@ LEVEL = 1e-3
 """rad by which the arm may be off the last frame, SETTLING s after the axes are there."""
 
 SETTLING = 0.5
+
+SEEN_LATE = 0.1
+"""s of motion by which the progress that is seen may be ahead of where the axes are, as reports are rounded."""
+
+STOPPING = 0.5
+"""s of motion beyond what was given in which a stop comes to rest on the path."""
 
 TICK = 0.005
 """s between two looks at the device, or at the arm while it settles."""
@@ -64,6 +71,8 @@ class Playback:
         self._trajectory, self._arm, self._corrects = trajectory, arm, corrects
         self._journal, self._clock, self._wishes, self._to = journal, clock, wishes, to
         self._held = False
+        self._between = (0.0, 0.0)
+        """s of the motion between which the axes are: what was played, as last seen, and what was given."""
         self.frame = int(trajectory.frames[0])
 
     def check_start(self, standing: Standing) -> None:
@@ -76,21 +85,33 @@ class Playback:
                     f"{self.frame} is at {wanted:.4g}: nothing jumps by more than {axis.tolerance:g}"
                 )
 
+    def misplaced(self, position: Array) -> str:
+        """Why axes that rest at a position (m,) are not to be trusted, "" where nothing speaks against it."""
+        tolerance = self._trajectory.hardware.tolerance
+        path = FollowedPath(self._trajectory.positions(0.0), self._trajectory.commands(), tolerance)
+        pieces = len(path.ends) - 1
+        first, last = np.clip(np.searchsorted(path.ends, self._between, "right") - 1, 0, pieces - 1)
+        away = path.nearest(position, int(first), int(last) + 1).away
+        if away <= MISPLACED:
+            return ""
+        return f"the axes rest {away:.3g} tolerances from where they should: their position is not to be trusted"
+
     def run(self, played: Played, resolution: Array, seen: Seen | None) -> Ending:
         """Play until it ends, or until something is wrong; raises DeviceFault, JournalError.
 
         resolution (m,): what the device can tell apart.
         """
-        supervisor = Supervisor(self._trajectory.hardware.late, resolution)
+        supervisor = Supervisor(self._trajectory.hardware.late, resolution, self._trajectory.hardware.tolerance)
         while True:
             progress = played.update()
+            self._between = progress.time - SEEN_LATE, played.given + STOPPING
             self._tell(progress)
             wrong = supervisor.violation(progress, self._clock.now())
             if wrong is None and self._corrects is not None:
                 wrong = self._corrected(self._corrects, played, progress)
             if wrong is not None:
                 where = f"{progress.time:.2f} s after the start, frame {self.frame} being the last passed"
-                return Ending(wrong.outcome, f"{wrong.message} ({where})")
+                return wrong._replace(message=f"{wrong.message} ({where})")
             if seen is not None:
                 seen(self._trajectory, progress)
             if progress.state == "done":
@@ -170,6 +191,7 @@ class Playback:
         goal = self._trajectory.positions(self._trajectory.duration)
         tilted = 0.0 if self._arm is None else self._settled(self._arm)
         standing = Standing(progress.position, True)
+        self._between = self._trajectory.duration, self._trajectory.duration
         off = abs(progress.position - goal) / resolution
         if off.max() > 1.0:
             axis = self._trajectory.hardware.axes[int(off.argmax())]

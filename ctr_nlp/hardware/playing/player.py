@@ -14,6 +14,7 @@ from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.playback import Corrects, Playback, Seen
 from ctr_nlp.hardware.playing.results import Ending, Outcome, Result, State, Wishes
+from ctr_nlp.hardware.playing.supervision import MISPLACED
 from ctr_nlp.hardware.playing.trust import Memory, Trust
 from ctr_nlp.typing import Array
 
@@ -78,10 +79,10 @@ class Player:
             return self._cleared() if stop_first else self.device.standing()
         except BaseException as exception:
             if self._wishes.aborted() and isinstance(exception, DeviceFault):
-                result = self._stopped(Outcome.CANCELLED, "stopped on request, before anything was played")
+                result = self._stopped(Ending(Outcome.CANCELLED, "stopped on request, before anything was played"))
                 raise Stopped(result) from exception
             if homing and not isinstance(exception, HardwareError):
-                self._stopped(Outcome.DEVICE_FAULT, f"homing failed: {exception!r}")
+                self._stopped(Ending(Outcome.DEVICE_FAULT, f"homing failed: {exception!r}"))
             raise
 
     def _cleared(self) -> Standing:
@@ -89,7 +90,7 @@ class Player:
         try:
             return self.device.abort()
         except DeviceFault as exception:
-            self._ended(Outcome.DEVICE_FAULT, str(exception), 0, None)
+            self._ended(Ending(Outcome.DEVICE_FAULT, str(exception)))
             raise
 
     def trust(self) -> None:
@@ -134,14 +135,11 @@ class Player:
         try:
             played = self._begun(playback, trajectory)
             ending = played if isinstance(played, Ending) else playback.run(played, self.device.resolution, seen)
-            outcome, message, standing = ending
-            if standing is None:
-                return self._stopped(outcome, message, playback.frame)
-            return self._ended(outcome, message, playback.frame, standing)
+            return self._stopped(ending, playback) if ending.standing is None else self._ended(ending, playback)
         except (DeviceFault, JournalError) as exception:
-            return self._stopped(Outcome.DEVICE_FAULT, str(exception), playback.frame)
+            return self._stopped(Ending(Outcome.DEVICE_FAULT, str(exception)), playback)
         except BaseException as exception:
-            self._stopped(Outcome.CANCELLED, f"playing was interrupted by {exception!r}", playback.frame)
+            self._stopped(Ending(Outcome.CANCELLED, f"playing was interrupted by {exception!r}"), playback)
             raise
 
     def _begun(self, playback: Playback, trajectory: Trajectory) -> Played | Ending:
@@ -159,9 +157,9 @@ class Player:
         self._to(State.RUNNING)
         return played
 
-    def _stopped(self, outcome: Outcome, message: str, frame: int = 0) -> Result:
+    def _stopped(self, ending: Ending, playback: Playback | None = None) -> Result:
         """Stop everything that can be stopped; the axes first, since an arm that is not led stands still."""
-        standing = None
+        outcome, message, standing, misplaced = ending
         with self.journal.forgiving():
             try:
                 standing = self.device.abort()
@@ -173,12 +171,22 @@ class Player:
                         self._arm.hold() if outcome is Outcome.CANCELLED else self._arm.stop()
                 except DeviceFault as exception:
                     outcome, message = Outcome.DEVICE_FAULT, f"{message}; {exception}"
-        return self._ended(outcome, message, frame, standing)
+        return self._ended(Ending(outcome, message, standing, misplaced), playback)
 
-    def _ended(self, outcome: Outcome, message: str, frame: int, standing: Standing | None) -> Result:
-        """The result, recorded if that is possible; what was asked for is done with."""
-        trusted = standing is not None and self._trust.holds(self.device, standing)
+    def _ended(self, ending: Ending, playback: Playback | None = None) -> Result:
+        """The result, recorded if that is possible; what was asked for is done with.
+
+        playback: of the motion that ended, None where none had been prepared.
+        """
+        outcome, message, standing, misplaced = ending
+        away = "" if standing is None or playback is None else playback.misplaced(standing.position)
+        if away:
+            message += f"; {away}"
+        elif misplaced:
+            message += f"; beyond {MISPLACED:g} tolerances the position is not to be trusted"
+        trusted = standing is not None and not (away or misplaced) and self._trust.holds(self.device, standing)
         position = None if standing is None else standing.position
+        frame = 0 if playback is None else playback.frame
         result = Result(outcome, message, frame, position, trusted)
         fine = result.trusted and outcome in (Outcome.SUCCESS, Outcome.INVALID_PLAN, Outcome.CANCELLED)
         with self.journal.forgiving():

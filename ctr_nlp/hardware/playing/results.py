@@ -73,11 +73,15 @@ class Outcome(Enum):
 
 
 class Ending(NamedTuple):
-    """How a motion ends, and a sentence why; standing: None where the device still has to be stopped."""
+    """How a motion ends, and a sentence why; standing: None where the device still has to be stopped.
+
+    misplaced: whether the axes were reported so far from where they should be that they are not to be trusted.
+    """
 
     outcome: Outcome
     message: str
     standing: Standing | None = None
+    misplaced: bool = False
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,10 @@ HOLDING = 2.0
 UNASKED = 10.0
 """s for which somebody else may hold the motion; then it is stopped, from where it can be resumed."""
 
+MISPLACED = 3.0
+"""Tolerances from where the axes should be beyond which a report is not to be trusted: steppers that follow their
+commands are never so far off, so the controller has lost count or somebody has moved an axis."""
+
 EARLY = 0.25
 """s by which the device may run ahead of its schedule: reports are late, never early."""
 
@@ -32,11 +36,12 @@ class Supervisor:
     """Looks at every progress of one motion before anything more is given to the device.
 
     late: s that it may be behind its schedule. at_rest (m,): how far the axes may be found from where they were
-    held, in their units. The tolerance of the path is in Progress.away, whose unit it is.
+    held, in their units. tolerance (m,): of the axes; Progress.away counts in it.
     """
 
     late: float
     at_rest: Array
+    tolerance: Array
     _since: tuple[float, float] | None = field(default=None, init=False)
     """When (s of the clock) and where (s of the motion) the schedule began, anew after every hold."""
     _looked: float | None = field(default=None, init=False)
@@ -63,7 +68,15 @@ class Supervisor:
             (fault, self._silent(progress, now)),
             (off_path, self._pace(progress, now)),
         )
-        return next((Ending(outcome, what) for outcome, what in found if what), None)
+        ending = next((Ending(outcome, what) for outcome, what in found if what), None)
+        return None if ending is None else ending._replace(misplaced=self._misplaced(progress, now))
+
+    def _misplaced(self, progress: Progress, now: float) -> bool:
+        """Whether the axes are reported far from their path or from where they rested, or ahead of their time."""
+        if self._early(progress, now) > EARLY:
+            return True
+        moved = 0.0 if self._rest is None else (abs(progress.position - self._rest) / self.tolerance).max()
+        return max(progress.away, moved) > MISPLACED
 
     def _unexpected(self, progress: Progress) -> str:
         """The device shows nothing that no device shows that plays as it should."""
@@ -119,10 +132,16 @@ class Supervisor:
             return ""
         if self._since is None:
             self._since = now, progress.time
-        begun, at = self._since
-        late = (now - begun) - (progress.time - at)
+        late = -self._early(progress, now)
         if -late > EARLY:
             return f"the axes are {-late:.2g} s ahead of their schedule; {EARLY:g} s are allowed"
         if late > self.late:
             return f"the axes are {late:.2g} s behind their schedule; {self.late:g} s are allowed"
         return ""
+
+    def _early(self, progress: Progress, now: float) -> float:
+        """By how many s a running device is ahead of its schedule, negative where it is behind it."""
+        if progress.state != "running" or self._since is None:
+            return 0.0
+        begun, at = self._since
+        return (progress.time - at) - (now - begun)
