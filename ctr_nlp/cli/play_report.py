@@ -14,6 +14,7 @@ from ctr_nlp.cli.telling import console, print_stderr, print_table, wrote
 from ctr_nlp.exceptions import OptionError, OutputError
 from ctr_nlp.hardware.description import Hardware
 from ctr_nlp.hardware.guiding.loop import ClosedLoop
+from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.motion.trajectory import Trajectory
 from ctr_nlp.hardware.playing.checks import Checked
 from ctr_nlp.hardware.playing.record import Tracking
@@ -61,20 +62,53 @@ def print_trajectory(title: str, trajectory: Trajectory, found: Checked) -> None
 
 
 def report(
-    plan: Plan, hardware: Hardware, result: Result, seen: Tracking | None, out: Path, loop: ClosedLoop | None
-) -> None:
-    """How it went, on the terminal and, where enough was seen, in files; loop: what corrected it."""
+    plan: Plan,
+    hardware: Hardware,
+    result: Result,
+    seen: Tracking | None,
+    journal: Journal,
+    loop: ClosedLoop | None,
+) -> bool:
+    """Tell how it went, on the terminal and, where enough was seen, in files beside the journal.
+
+    Parameters
+    ----------
+    plan : Plan
+        Which was played.
+    hardware : Hardware
+        On which.
+    result : Result
+        How that ended.
+    seen : Tracking, optional
+        Where the axes were when frames were due.
+    journal : Journal
+        Of the session, closed.
+    loop : ClosedLoop, optional
+        What corrected the plan.
+
+    Returns
+    -------
+    bool
+        Whether all that was to be written and remembered was.
+    """
+    out = journal.path.parent
     name, device = plan.meta["problem"]["name"], hardware.connection.device
     where = "trusted" if result.trusted else "not to be trusted"
+    if result.unkept:
+        where += ", but not remembered"
     rows: list[tuple[str, Any, str]] = [
         ("result", result.outcome.value, ""),
         ("last frame passed", f"{result.frame} of {len(plan.time)}", ""),
         ("position of the axes", where, ""),
     ]
-    files = [JOURNAL]
+    files = [] if journal.unwritten else [JOURNAL]
+    missing = [why for why in (result.unkept, journal.unwritten) if why]
     if seen is not None and len(seen.frame):
         letters = [f"{axis.letter} ({axis.unit})" for axis in hardware.axes]
-        files += _written(f"Tracking: {name}, {device} device", seen, letters, out, loop)
+        try:
+            files += _written(f"Tracking: {name}, {device} device", seen, letters, out, loop)
+        except OutputError as exception:
+            missing.append(str(exception))
         for unit in dict.fromkeys(axis.unit for axis in hardware.axes):
             some = [k for k, axis in enumerate(hardware.axes) if axis.unit == unit]
             rows.append(("largest error when a frame was due", float(abs(seen.error[:, some]).max()), unit))
@@ -86,23 +120,23 @@ def report(
     console().print(result.message)
     if not result.trusted:
         console().print("Home the axes, or see that they are where the controller says, before they are used.")
-    wrote(out, files)
+    if files:
+        wrote(out, files)
+    for why in missing:
+        print_stderr(f"error: {why}")
+    return not missing
 
 
 def _written(title: str, seen: Tracking, names: list[str], out: Path, loop: ClosedLoop | None) -> list[str]:
-    """Write tracking.csv and .png, and estimate.csv; without them the motion has been played all the same."""
+    """Write tracking.csv and .png, and estimate.csv; their names. Raises OutputError."""
     from ctr_nlp.figures import save, tracking  # matplotlib is not needed before anything has moved
 
-    try:
-        with published(out, "play") as staging:
-            write_csv(staging / "tracking.csv", by_line(_columns(seen, names)))
-            save(tracking(title, seen.frame, seen.error, seen.late, names), staging / "tracking.png")
-            if loop is not None and loop.estimates:
-                write_csv(staging / ESTIMATE, by_line(closed_loop.columns(loop)))
-            return sorted(path.name for path in staging.iterdir() if path.suffix in (".csv", ".png"))
-    except OutputError as exception:
-        print_stderr(f"error: {exception}")
-        return []
+    with published(out, "play") as staging:
+        write_csv(staging / "tracking.csv", by_line(_columns(seen, names)))
+        save(tracking(title, seen.frame, seen.error, seen.late, names), staging / "tracking.png")
+        if loop is not None and loop.estimates:
+            write_csv(staging / ESTIMATE, by_line(closed_loop.columns(loop)))
+        return sorted(path.name for path in staging.iterdir() if path.suffix in (".csv", ".png"))
 
 
 def _columns(seen: Tracking, names: list[str]) -> dict[str, Array]:

@@ -22,12 +22,13 @@ class Journal:
     """An open file to which records are added, each whole; raises JournalError where that fails.
 
     A record is {"t": s of the clock, "kind": ..., ...}. Bytes are latin-1 text. A file that is there is added to.
-    session: a name that no other session has.
+    session: a name that no other session has. unwritten: why records are missing, "" where none is.
     """
 
     def __init__(self, path: str | Path, clock: Clock) -> None:
         self.path, self._clock, self._strict = Path(path), clock, True
         self.session = uuid.uuid4().hex
+        self.unwritten = ""
         with self._written():
             self._file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
         try:
@@ -50,7 +51,7 @@ class Journal:
 
     @contextmanager
     def forgiving(self) -> Iterator[None]:
-        """Within the block nothing is raised: what stops a robot must not fail for want of a journal."""
+        """Within the block failures are only noted: what stops a robot must not fail for want of a journal."""
         before, self._strict = self._strict, False
         try:
             yield
@@ -62,8 +63,9 @@ class Journal:
         try:
             yield
         except OSError as exception:
+            self.unwritten = f"journal {self.path} cannot be written: {exception}"
             if self._strict:
-                raise JournalError(f"journal {self.path} cannot be written: {exception}") from exception
+                raise JournalError(self.unwritten) from exception
 
     def _write(self, data: bytes) -> None:
         written = os.write(self._file, data)
@@ -73,8 +75,9 @@ class Journal:
         self._end += written
 
     def close(self) -> None:
-        """Nothing can be added afterwards."""
-        os.close(self._file)
+        """Nothing can be added afterwards. A system may tell only now that a disk is full, which is noted."""
+        with self.forgiving(), self._written():
+            os.close(self._file)
 
 
 def read_journal(path: str | Path) -> list[dict[str, Any]]:

@@ -27,10 +27,12 @@ from ctr_nlp.cli.commands.play import JOURNAL
 from ctr_nlp.cli.commands.play import main as play
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.output.manifest import MARK
+from ctr_nlp.hardware import journal as journal_module
 from ctr_nlp.hardware.description import Hardware, bench
 from ctr_nlp.hardware.emulator.firmware import Firmware
 from ctr_nlp.hardware.emulator.serve import serving
 from ctr_nlp.hardware.journal import read_journal
+from ctr_nlp.hardware.playing import trust as trust_module
 from ctr_nlp.hardware.playing.session import prepared
 from ctr_nlp.plan.account import NOT_FOR_PATIENTS
 from ctr_nlp.plan.verdicts import NO, YES, Verdict
@@ -616,10 +618,55 @@ def test_a_result_stands_where_its_table_cannot_be_published(plan: Path, tmp_pat
         recorded(out, "frame", 1)
         (out / "tracking.csv").write_text("mine")
         status, told, said = ended(process)
-    assert (status, said.count("tracking.csv is in the way")) == (0, 1)
+    assert (status, said.count("tracking.csv is in the way")) == (1, 1)
     assert (out / "tracking.csv").read_text() == "mine"
     assert (tmp_path / "out-kept-1" / "tracking.csv").is_file()
     assert f"wrote {out}: {JOURNAL}" in told.replace("\n", "")
+
+
+NO_SPACE = "No space left on device"
+
+
+def test_a_session_whose_journal_cannot_be_ended_is_not_all_well(
+    plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, write = tmp_path / "out", os.write
+
+    def full(file: int, data: bytes) -> int:
+        if b'"kind": "result"' in data:
+            raise OSError(28, NO_SPACE)
+        return write(file, data)
+
+    monkeypatch.setattr(journal_module.os, "write", full)
+    assert main([str(plan), "--out", str(out)]) == 1
+    told = capsys.readouterr()
+    assert told.err.count(f"error: journal {out / JOURNAL} cannot be written: [Errno 28] {NO_SPACE}") == 1
+    assert "success" in told.out
+    assert "tracking.csv" in told.out
+    assert JOURNAL not in told.out
+
+
+def test_a_position_that_cannot_be_remembered_is_not_all_well(
+    plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    firmware, out, whole = Firmware({20: 1}, homed=True), tmp_path / "out", trust_module.whole_file
+
+    def full(path: Path) -> Any:
+        if moves(out):
+            raise OSError(28, NO_SPACE)
+        return whole(path)
+
+    with serving(firmware) as url:
+        arguments = [str(plan), "--hardware", str(rig(tmp_path, url)), "--out", str(out)]
+        with monkeypatch.context() as patch:
+            patch.setattr(trust_module, "whole_file", full)
+            assert main([*arguments, LOOKED]) == 1
+        told = capsys.readouterr()
+        assert "trusted, but not remembered" in told.out
+        assert f"can be trusted cannot be remembered in {os.environ['CTR_NLP_STATE']}" in told.err
+        assert NO_SPACE in told.err
+        assert main(arguments) == 1
+    assert "its end was never told" in capsys.readouterr().err
 
 
 def test_it_refuses_a_folder_that_is_not_ours(plan: Path, tmp_path: Path) -> None:

@@ -45,8 +45,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         prog=prog,
         description="Check a plan for some hardware, go slowly to its first frame, and play it. While it plays, "
         "lines on standard input are obeyed: p pauses, r resumes, a aborts; Ctrl-C aborts too.",
-        epilog="Exit status: 0 where the plan was played to the end, 1 where it was not, 2 where input is bad "
-        "and nothing was sent, 130 after an interruption.",
+        epilog="Exit status: 0 where the plan was played to the end, 1 where it was not or where something could "
+        "not be written, 2 where input is bad and nothing was sent, 130 after an interruption.",
     )
     parser.add_argument("plan", metavar="PLAN.npz", nargs="?", help="not with --commission")
     parser.add_argument("--hardware", metavar="FILE.toml", help="(default: a simulated bench rig)")
@@ -229,9 +229,9 @@ def _played(
             journal.close()
     if told is not None:
         told.ended(result.outcome.value)
-    report(plan, hardware, result, recorder.tracking(), out, loop)
+    whole = report(plan, hardware, result, recorder.tracking(), journal, loop)
     if result.outcome is Outcome.SUCCESS:
-        return SOLVED
+        return SOLVED if whole else SOME_FAILED
     if result.outcome is Outcome.INVALID_PLAN:
         return BAD_INPUT
     return INTERRUPTED if interrupted() else SOME_FAILED

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
@@ -199,8 +199,10 @@ class Player:
                 trusted=result.trusted,
             )
             self._to(State.HOMED if fine else State.FAULT)
-        with suppress(DeviceFault):
+        try:
             self._trust.ended(self.device, result)
+        except DeviceFault as exception:
+            result = replace(result, unkept=str(exception))
         self._wishes.stopped()
         return result
 

@@ -89,7 +89,8 @@ class Result:
     """How it ended and why.
 
     frame: the last that was passed for certain, 0 for none. position: where the axes stand (m,) in their units,
-    None where nothing is known. trusted: whether that is where the motors are.
+    None where nothing is known. trusted: whether that is where the motors are. unkept: why that could not be
+    remembered, so that the next session asks for it again; "" where it was.
     """
 
     outcome: Outcome
@@ -97,3 +98,4 @@ class Result:
     frame: int
     position: Array | None
     trusted: bool
+    unkept: str = ""

@@ -125,8 +125,8 @@ class Memory:
 
     def _unwritten(self, exception: OSError) -> DeviceFault:
         return DeviceFault(
-            f"whether {self._url} can be trusted cannot be remembered in {self._folder} ({exception}): "
-            f"nothing is played; {FOLDER} names another folder"
+            f"whether {self._url} can be trusted cannot be remembered in {self._folder} ({exception}); "
+            f"{FOLDER} names another folder"
         )
 
 
