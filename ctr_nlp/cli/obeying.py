@@ -15,27 +15,47 @@ from ctr_nlp.hardware.playing.player import Player
 WISHES = {"p": "pause", "r": "resume", "a": "abort"}
 
 
+STOPPING = ("SIGTERM", "SIGHUP", "SIGQUIT")
+"""Names of the signals that stop the motors, beside that of Ctrl-C; SIGQUIT is Ctrl-\\."""
+
+BY_SIGNAL = 128
+"""Added to the number of the signal that stopped a program, it is the exit status, as shells have it."""
+
+
 @contextmanager
-def obeying(player: Player, interrupted: Callable[[], bool]) -> Iterator[None]:
+def obeying(player: Player, interrupted: Callable[[], bool]) -> Iterator[Callable[[], int]]:
     """Within the block what is typed, and signals that end programs, are wishes of the player's.
 
-    Ctrl-C is one as often as it is pressed: a stop is never itself interrupted, and always ends.
+    Signals are that as often as they come: a stop is never itself interrupted, and always ends.
+
+    Parameters
+    ----------
+    player : Player
+        Who is to stop, pause or go on.
+    interrupted : callable
+        Whether Ctrl-C was pressed, also before the block began.
+
+    Yields
+    ------
+    callable
+        The number of the first signal that has come, 0 for none.
     """
     threading.Thread(target=_listen, args=(player,), daemon=True).start()
-    signals = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    before = {number: signal.signal(number, lambda *_: player.abort()) for number in signals}
+    came: list[int] = []
     remember = signal.getsignal(signal.SIGINT)
 
-    def interrupt(number: int, frame: Any) -> None:
+    def stop(number: int, frame: Any) -> None:
         player.abort()
-        if callable(remember) and not interrupted():
+        came.append(number)
+        if number == signal.SIGINT and callable(remember) and not interrupted():
             remember(number, frame)
 
-    before[signal.SIGINT] = signal.signal(signal.SIGINT, interrupt)
+    signals = [getattr(signal, name) for name in STOPPING if hasattr(signal, name)]
+    before = {number: signal.signal(number, stop) for number in (*signals, signal.SIGINT)}
     if hasattr(signal, "SIGTTIN"):  # in the background, reading a terminal must fail and not stop the program
         before[signal.SIGTTIN] = signal.signal(signal.SIGTTIN, signal.SIG_IGN)
     try:
-        yield
+        yield lambda: next(iter(came), int(signal.SIGINT) if interrupted() else 0)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -334,7 +334,9 @@ def test_a_dry_run_opens_nothing(plan: Path, tmp_path: Path, capsys: pytest.Capt
 
 
 @unix
-@pytest.mark.parametrize(("number", "status"), [("SIGINT", 130), ("SIGTERM", 1)])
+@pytest.mark.parametrize(
+    ("number", "status"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129), ("SIGQUIT", 131)]
+)
 def test_signals_stop_the_robot(number: str, status: int, plan: Path, tmp_path: Path) -> None:
     firmware, out = Firmware({20: 1}, homed=True), tmp_path / "out"
     with (

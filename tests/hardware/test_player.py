@@ -504,6 +504,28 @@ def test_an_arm_that_falls_behind_stops_both(tmp_path: Path) -> None:
     assert rig.player.state is State.FAULT
 
 
+class Unheard(Simulated):
+    """Axes of which nothing is heard for a while, as over a link that is late."""
+
+    until = -1.0
+    told: Progress
+
+    def update(self) -> Progress:
+        progress = super().update()
+        if self._clock.now() >= self.until or progress.state == "holding":
+            self.told = progress
+        return self.told
+
+
+@pytest.mark.parametrize(("silence", "late"), [(0.45, True), (0.05, False)])
+def test_late_reports_are_not_called_a_fault_of_the_arm(silence: float, late: bool, tmp_path: Path) -> None:
+    rig = Rig(tmp_path, tilting(), device=Unheard, lag=0.0)
+    result = rig.play(At((0.5, lambda: setattr(rig.device, "until", rig.clock.now() + silence))))
+    assert result.outcome is (Outcome.DEVICE_FAULT if late else Outcome.SUCCESS), result.message
+    assert result.message.startswith("the device told no position for 0.4") is late, result.message
+    assert ("its reports are late, and the arm" in result.message) is late
+
+
 def test_a_hold_holds_both_and_both_go_on(tmp_path: Path) -> None:
     rig = Rig(tmp_path, tilting(), lag=0.02)
     rig.player.connect()

@@ -28,7 +28,7 @@ LATE = 0.8
 
 
 def supervisor() -> Supervisor:
-    return Supervisor(LATE, np.array([0.01, 0.02]), np.array([0.5, 0.5]))
+    return Supervisor(LATE, np.array([0.01, 0.02]), np.array([0.5, 0.5]), lambda time: np.array([time, -time]))
 
 
 def progress(time: float, stamp: float, state: str = "running", **changes: Any) -> Progress:
@@ -91,6 +91,23 @@ def test_only_axes_that_are_far_off_are_misplaced(away: float, misplaced: bool) 
     ending = supervisor().violation(progress(0.0, 0.0, away=away), 0.0)
     assert ending is not None
     assert ending.misplaced is misplaced
+
+
+def test_axes_within_tolerance_of_where_they_should_be_are_not_late() -> None:
+    """Where a motion creeps, a small offset is long a time."""
+    by = Supervisor(LATE, np.array([0.01, 0.02]), np.array([0.5, 0.5]), lambda time: np.array([0.1, -0.1]) * time)
+    creeping = [(t, progress(0.0, t, position=np.zeros(2))) for t in np.arange(0.0, 6.0, 0.1)]
+    said = watched(creeping, by)
+    assert not any(said[:50])
+    assert "s behind their schedule" in said[-1]
+
+
+def test_a_stalled_device_is_not_called_late() -> None:
+    stalled = [(t, progress(0.0, t, signs=Signs("", None, t, "an ok was lost"))) for t in np.arange(0.0, 2.0, 0.1)]
+    assert set(watched(stalled)) - {""} >= {
+        "DEVICE_FAULT: nothing has moved for 1.1 s, though the device was given more to do: an ok was lost"
+    }
+    assert not [said for said in watched(stalled) if "schedule" in said]
 
 
 def held(at: float, since: float, until: float, **changes: Any) -> list[tuple[float, Progress]]:

@@ -13,8 +13,8 @@ import numpy as np
 from ctr_nlp.cli import closed_loop, live
 from ctr_nlp.cli.arguments import add_live_option
 from ctr_nlp.cli.commands.commission import commission
-from ctr_nlp.cli.console import BAD_INPUT, INTERRUPTED, SOLVED, SOME_FAILED, Command
-from ctr_nlp.cli.obeying import obeying
+from ctr_nlp.cli.console import BAD_INPUT, SOLVED, SOME_FAILED, Command
+from ctr_nlp.cli.obeying import BY_SIGNAL, obeying
 from ctr_nlp.cli.output.file import path_component
 from ctr_nlp.cli.play_report import JOURNAL, claim, print_trajectory, report
 from ctr_nlp.cli.telling import print_stderr, progress_bar
@@ -44,9 +44,11 @@ def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=prog,
         description="Check a plan for some hardware, go slowly to its first frame, and play it. While it plays, "
-        "lines on standard input are obeyed: p pauses, r resumes, a aborts; Ctrl-C aborts too.",
-        epilog="Exit status: 0 where the plan was played to the end, 1 where it was not or where something could "
-        "not be written, 2 where input is bad and nothing was sent, 130 after an interruption.",
+        "lines on standard input are obeyed: p pauses, r resumes, a aborts; Ctrl-C, Ctrl-\\ and the signals "
+        "SIGTERM and SIGHUP abort too.",
+        epilog="Exit status: 0 where the plan was played to the end, 1 where it was not, as after a, or where "
+        "something could not be written, 2 where input is bad and nothing was sent, 128 + N where signal N "
+        "stopped it: 130 after Ctrl-C, 131 after Ctrl-\\, 143 after SIGTERM, 129 after SIGHUP.",
     )
     parser.add_argument("plan", metavar="PLAN.npz", nargs="?", help="not with --commission")
     parser.add_argument("--hardware", metavar="FILE.toml", help="(default: a simulated bench rig)")
@@ -207,7 +209,11 @@ def _played(
     arm = None if hardware.arm is None else arm_follower(hardware.arm, _tilt(plan, records), clock.now)
     device = device_of(hardware, journal, clock, _stood(hardware, records))
     player, recorder = Player(device, arm, journal, clock, memory_of(hardware.connection)), Recorder()
-    with deferred_interrupt() as interrupted, progress_bar() as labelled, obeying(player, interrupted):
+    with (
+        deferred_interrupt() as interrupted,
+        progress_bar() as labelled,
+        obeying(player, interrupted) as signalled,
+    ):
         if interrupted():
             player.abort()
         seen = _seen(player, recorder, labelled(plan.meta["problem"]["name"]), told)
@@ -234,7 +240,8 @@ def _played(
         return SOLVED if whole else SOME_FAILED
     if result.outcome is Outcome.INVALID_PLAN:
         return BAD_INPUT
-    return INTERRUPTED if interrupted() else SOME_FAILED
+    by_signal = result.outcome is Outcome.CANCELLED and signalled()
+    return BY_SIGNAL + signalled() if by_signal else SOME_FAILED
 
 
 def _stood(hardware: Hardware, records: list[dict[str, Any]] | None) -> Any:

@@ -21,6 +21,10 @@ LONGEST_STEP = 0.1
 """s: a longer silence between two commands does not allow a longer step."""
 
 
+class OutOfStep(DeviceFault):
+    """An arm that is not where the device's progress puts it, or that cannot get there in time."""
+
+
 class ArmFollower(ABC):
     """An arm that tilts the robot. Every method raises DeviceFault where the arm does not do what it should.
 
@@ -88,7 +92,7 @@ class ArmFollower(ABC):
         over = step - self._arm.joint_speed * elapsed
         joint = int(over.argmax())
         if over[joint] > 1e-9:
-            raise DeviceFault(
+            raise OutOfStep(
                 f"joint {joint + 1} ({JOINTS[joint]}) of the arm was to turn {math.degrees(step[joint]):.3g} deg "
                 f"in {elapsed:.3g} s; its largest speed is {math.degrees(self._arm.joint_speed[joint]):.4g} deg/s"
             )

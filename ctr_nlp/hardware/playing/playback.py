@@ -10,7 +10,7 @@ import numpy as np
 from ctr_nlp.exceptions import DeviceFault, TrajectoryError
 from ctr_nlp.hardware.clock import Clock
 from ctr_nlp.hardware.devices import Played, Progress, Standing
-from ctr_nlp.hardware.devices.arms import ArmFollower
+from ctr_nlp.hardware.devices.arms import ArmFollower, OutOfStep
 from ctr_nlp.hardware.journal import Journal
 from ctr_nlp.hardware.motion.lookahead import FollowedPath
 from ctr_nlp.hardware.motion.trajectory import Trajectory
@@ -20,6 +20,9 @@ from ctr_nlp.typing import Array
 
 AHEAD = 0.1
 """s for which the arm goes on without news from the device."""
+
+CATCHING_UP = 0.5
+"""s in which the arm may still be out of step after the device had told nothing for a while."""
 
 IN_STEP = 0.005
 """rad by which the arm may be off where the device's progress, within the skew tolerance, puts it."""
@@ -73,6 +76,9 @@ class Playback:
         self._held = False
         self._between = (0.0, 0.0)
         """s of the motion between which the axes are: what was played, as last seen, and what was given."""
+        self._stamp = self._gap_end = -np.inf
+        self._gap = 0.0
+        """s without news from the device, the longest lately, up to _gap_end (s of the clock)."""
         self.frame = int(trajectory.frames[0])
 
     def check_start(self, standing: Standing) -> None:
@@ -101,10 +107,12 @@ class Playback:
 
         resolution (m,): what the device can tell apart.
         """
-        supervisor = Supervisor(self._trajectory.hardware.late, resolution, self._trajectory.hardware.tolerance)
+        hardware = self._trajectory.hardware
+        supervisor = Supervisor(hardware.late, resolution, hardware.tolerance, self._due)
         while True:
             progress = played.update()
             self._between = progress.time - SEEN_LATE, played.given + STOPPING
+            self._note_gap(progress.stamp)
             self._tell(progress)
             wrong = supervisor.violation(progress, self._clock.now())
             if wrong is None and self._corrects is not None:
@@ -123,6 +131,10 @@ class Playback:
                 self._lead(self._arm, progress)
             played.feed()
             self._clock.sleep(TICK)
+
+    def _due(self, time: float) -> Array:
+        """Where the axes (m,) should be at a time of the motion, s; after its end they rest."""
+        return self._trajectory.positions(min(time, self._trajectory.duration))
 
     def _tell(self, progress: Progress) -> None:
         """Record every frame that has been passed, with the position when that was seen."""
@@ -163,8 +175,28 @@ class Playback:
         self._held = held
         self._to(State.HOLD if held else State.RUNNING)
 
+    def _note_gap(self, stamp: float) -> None:
+        """Remember for how long there was no news from the device, as long as the arm may suffer from it."""
+        gap = stamp - self._stamp if np.isfinite(self._stamp) else 0.0
+        if gap >= self._gap or stamp - self._gap_end > CATCHING_UP:
+            self._gap, self._gap_end = gap, stamp
+        self._stamp = stamp
+
     def _lead(self, arm: ArmFollower, progress: Progress) -> None:
-        """Let the arm follow the device's progress; raises DeviceFault where it does not."""
+        """Let the arm follow the device's progress; raises DeviceFault where it does not, or cannot."""
+        try:
+            self._follow(arm, progress)
+        except OutOfStep as exception:
+            gap = max(self._gap, self._clock.now() - progress.stamp)
+            if gap <= AHEAD:
+                raise
+            raise DeviceFault(
+                f"the device told no position for {gap:.2g} s: its reports are late, and the arm, which goes on "
+                f"for {AHEAD:g} s without them, cannot make up for that ({exception})"
+            ) from exception
+
+    def _follow(self, arm: ArmFollower, progress: Progress) -> None:
+        """Send the arm where it should be now, and see that it is there; raises DeviceFault."""
         described = self._trajectory.hardware.arm
         tolerance = 0.0 if described is None else described.skew_tolerance
         late = self._clock.now() - progress.stamp
@@ -173,7 +205,7 @@ class Playback:
         around = self._trajectory.tilt(now + np.linspace(-1.0, 1.0, 21) * tolerance)
         away = np.linalg.norm(around - arm.tilt(), axis=1).min()
         if away > IN_STEP:
-            raise DeviceFault(
+            raise OutOfStep(
                 f"the arm is not in step: {np.degrees(away):.2g} deg from every tilt within {tolerance:g} s"
             )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from ctr_nlp.hardware.devices import Progress
@@ -36,12 +37,14 @@ class Supervisor:
     """Looks at every progress of one motion before anything more is given to the device.
 
     late: s that it may be behind its schedule. at_rest (m,): how far the axes may be found from where they were
-    held, in their units. tolerance (m,): of the axes; Progress.away counts in it.
+    held, in their units. tolerance (m,): of the axes; Progress.away counts in it. due: where the axes (m,) should
+    be at a time (s) of the motion.
     """
 
     late: float
     at_rest: Array
     tolerance: Array
+    due: Callable[[float], Array]
     _since: tuple[float, float] | None = field(default=None, init=False)
     """When (s of the clock) and where (s of the motion) the schedule began, anew after every hold."""
     _looked: float | None = field(default=None, init=False)
@@ -86,10 +89,8 @@ class Supervisor:
         if signs.override is not None and signs.override != 100:
             return f"the feed override is {signs.override:g} %, and must be 100 %: somebody changed it"
         if signs.stalled > STALLED:
-            return (
-                f"nothing has moved for {signs.stalled:.2g} s, though the device was given more to do: replies or "
-                "lines were lost"
-            )
+            cause = signs.cause or "replies or lines were lost"
+            return f"nothing has moved for {signs.stalled:.2g} s, though the device was given more to do: {cause}"
         return ""
 
     def _path(self, progress: Progress) -> str:
@@ -127,7 +128,11 @@ class Supervisor:
         return ""
 
     def _pace(self, progress: Progress, now: float) -> str:
-        """A running device keeps its schedule, which begins with the first progress and after every hold."""
+        """A running device keeps its schedule, which begins with the first progress and after every hold.
+
+        Axes within their tolerances of where they should be now are not late, however long the motion lingers
+        there. Of a device that has stalled it is told why it has, once that is sure.
+        """
         if progress.state != "running":
             return ""
         if self._since is None:
@@ -135,7 +140,7 @@ class Supervisor:
         late = -self._early(progress, now)
         if -late > EARLY:
             return f"the axes are {-late:.2g} s ahead of their schedule; {EARLY:g} s are allowed"
-        if late > self.late:
+        if late > self.late and not progress.signs.stalled and self._behind(progress, late):
             return f"the axes are {late:.2g} s behind their schedule; {self.late:g} s are allowed"
         return ""
 
@@ -145,3 +150,8 @@ class Supervisor:
             return 0.0
         begun, at = self._since
         return (progress.time - at) - (now - begun)
+
+    def _behind(self, progress: Progress, late: float) -> bool:
+        """Whether an axis is further than its tolerance from where it should be, so many s later in the motion."""
+        away = abs(progress.position - self.due(progress.time + late))
+        return bool((away > self.tolerance).any())

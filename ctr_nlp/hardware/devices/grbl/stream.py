@@ -120,7 +120,18 @@ class Stream:
         idle = self._seen.state == "Idle" and not self._holding and self._planned < self._count
         waiting = self._planned < self._sent or self._sent < self._count
         stalled = self._stamp - max(self._moved, self._fed) if idle and waiting else 0.0
-        return Signs(self._said, self._overrides, max(stalled, 0.0))
+        return Signs(self._said, self._overrides, max(stalled, 0.0), self._cause() if stalled > 0.0 else "")
+
+    def _cause(self) -> str:
+        """Why a controller that was sent lines rests: it has played them and an ok was lost, or it lacks some."""
+        missing = self._sent - self._planned
+        if not missing:
+            return ""
+        there = abs(self._seen.position[self._columns] - self._path.points[self._sent]) <= self._resolution
+        if there.all():
+            lost = f"{missing} `ok` {'was' if missing == 1 else 'were'} lost on the way"
+            return f"it has played all {self._sent} lines that it was sent, but {lost}"
+        return f"of the {self._sent} lines that it was sent, {missing} did not arrive, or were not obeyed"
 
     def _settled(self) -> bool:
         """Whether an idle controller has done all that was planned: it may not have begun with the last of it.
