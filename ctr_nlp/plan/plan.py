@@ -201,11 +201,10 @@ class Plan(Record):
         present = rows(self) | {"to_robot": self.to_robot} | ({} if self.lumen is None else {"lumen": self.lumen})
         present |= {} if self.drawn is None else self.drawn.arrays()
         target, told = checked_path(OutputError, path), self._meta_as_json()
+        saved: dict[str, Any] = {DIGEST: np.array(digest(present, told)), "meta": np.array(told), **present}
         try:
             with whole_file(target) as partial, open(partial, "wb") as file:
-                np.savez_compressed(
-                    file, **{DIGEST: np.array(digest(present, told))}, meta=np.array(told), **present
-                )
+                np.savez_compressed(file, **saved)
         except OSError as error:
             raise OutputError(f"plan cannot be written to {target}: {error}") from error
 
