@@ -26,8 +26,6 @@ BY_SIGNAL = 128
 def obeying(player: Player, interrupted: Callable[[], bool]) -> Iterator[Callable[[], int]]:
     """Within the block what is typed, and signals that end programs, are wishes of the player's.
 
-    Signals are that as often as they come: a stop is never itself interrupted, and always ends.
-
     Parameters
     ----------
     player : Player
@@ -41,24 +39,50 @@ def obeying(player: Player, interrupted: Callable[[], bool]) -> Iterator[Callabl
         The number of the first signal that has come, 0 for none.
     """
     threading.Thread(target=_listen, args=(player,), daemon=True).start()
+    if hasattr(signal, "SIGTTIN"):  # in the background, reading a terminal must fail and not stop the program
+        before = signal.signal(signal.SIGTTIN, signal.SIG_IGN)
+    try:
+        with stopped_by_signals(player.abort, interrupted) as signalled:
+            yield signalled
+    finally:
+        if hasattr(signal, "SIGTTIN"):
+            signal.signal(signal.SIGTTIN, before)
+
+
+@contextmanager
+def stopped_by_signals(stop: Callable[[], None], interrupted: Callable[[], bool]) -> Iterator[Callable[[], int]]:
+    """Within the block signals that end programs ask for a stop, as often as they come.
+
+    A stop is never itself interrupted, and always ends.
+
+    Parameters
+    ----------
+    stop : callable
+        Called for every signal.
+    interrupted : callable
+        Whether Ctrl-C was pressed, also before the block began.
+
+    Yields
+    ------
+    callable
+        The number of the first signal that has come, 0 for none.
+    """
     came: list[int] = []
     remember = signal.getsignal(signal.SIGINT)
 
-    def stop(number: int, frame: Any) -> None:
-        player.abort()
+    def handler(number: int, frame: Any) -> None:
+        stop()
         came.append(number)
         if number == signal.SIGINT and callable(remember) and not interrupted():
             remember(number, frame)
 
     signals = [getattr(signal, name) for name in STOPPING if hasattr(signal, name)]
-    before = {number: signal.signal(number, stop) for number in (*signals, signal.SIGINT)}
-    if hasattr(signal, "SIGTTIN"):  # in the background, reading a terminal must fail and not stop the program
-        before[signal.SIGTTIN] = signal.signal(signal.SIGTTIN, signal.SIG_IGN)
+    before = {number: signal.signal(number, handler) for number in (*signals, signal.SIGINT)}
     try:
         yield lambda: next(iter(came), int(signal.SIGINT) if interrupted() else 0)
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, known in before.items():
+            signal.signal(number, known)
 
 
 def _listen(player: Player) -> None:

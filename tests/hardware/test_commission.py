@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import io
 import json
+import os
+import signal
+import sys
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -203,3 +208,29 @@ def test_a_record_that_cannot_be_read_is_named(text: str, tmp_path: Path) -> Non
         read_commissioned(file)
     with pytest.raises(HardwareError):
         Hardware.from_toml(file)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of Unix")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGQUIT"])
+def test_a_signal_stops_a_step(
+    name: str, rig: Rig, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    number, unheeded = getattr(signal, name), list[int]()
+
+    def send() -> None:
+        while not rig.firmware.moving:
+            time.sleep(0.005)
+        os.kill(os.getpid(), number)
+
+    before = signal.signal(number, lambda *_: unheeded.append(number))
+    try:
+        thread = threading.Thread(target=send)
+        thread.start()
+        assert rig.commission("X+\nY+\n", monkeypatch) == 128 + number
+        thread.join()
+    finally:
+        signal.signal(number, before)
+    assert not unheeded
+    assert 0.0 < rig.firmware.position[0] < 1.0
+    assert rig.firmware.position[1] == 0.0
+    assert "axis X was stopped before it had made its step" in unwrapped(capsys)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 from pathlib import Path
 
-from ctr_nlp.cli.console import INTERRUPTED, SOLVED, SOME_FAILED, Command
+from ctr_nlp.cli.console import SOLVED, SOME_FAILED, Command
+from ctr_nlp.cli.obeying import BY_SIGNAL, stopped_by_signals
 from ctr_nlp.cli.output.file import write_text
 from ctr_nlp.cli.play_report import JOURNAL, claim
 from ctr_nlp.cli.telling import console, print_stderr, print_table, wrote
@@ -44,7 +46,7 @@ def commission(hardware_file: Path, out: str | None) -> int:
             if controller.wrong:
                 console().print("Nothing was moved or kept. Set what is wrong, then commission again.")
                 return SOME_FAILED
-            interrupted = _steps(rig, hardware)
+            signalled = _steps(rig, hardware)
         finally:
             rig.close()
     except DeviceFault as exception:
@@ -55,9 +57,9 @@ def commission(hardware_file: Path, out: str | None) -> int:
         if memory is not None:
             memory.release()
         journal.close()
-    if interrupted:
+    if signalled:
         console().print("Nothing was kept.")
-        return INTERRUPTED
+        return BY_SIGNAL + signalled
     if rig.remaining:
         console().print(
             f"Nothing was kept, since these steps have not been made: {' '.join(rig.remaining)}. Commission "
@@ -90,8 +92,8 @@ def _show(hardware: Hardware, controller: Controller) -> None:
         console().print("No setting goes against safe playing.")
 
 
-def _steps(rig: Commissioning, hardware: Hardware) -> bool:
-    """Move single axes as typed, until an empty line or the end of input; whether that was interrupted."""
+def _steps(rig: Commissioning, hardware: Hardware) -> int:
+    """Move single axes as typed, until an empty line or the end of input; the signal that ended it, 0 for none."""
     letters = " ".join(hardware.letters)
     for sentence in (
         f"With the tubes taken out, type an axis ({letters}) and + or - to move it by {STEP:g} mm or degree, "
@@ -107,12 +109,14 @@ def _steps(rig: Commissioning, hardware: Hardware) -> bool:
             typed = line.strip().upper()
             if not typed or interrupted():
                 break
-            _obey(typed, rig, hardware, interrupted)
-        return interrupted()
+            signalled = _obey(typed, rig, hardware, interrupted)
+            if signalled:
+                return signalled
+        return int(signal.SIGINT) if interrupted() else 0
 
 
-def _obey(typed: str, rig: Commissioning, hardware: Hardware, stop: Asked) -> None:
-    """Do what a typed line asks for, or say that it means nothing."""
+def _obey(typed: str, rig: Commissioning, hardware: Hardware, interrupted: Asked) -> int:
+    """Do what a typed line asks for, or say that it means nothing; the signal that came meanwhile, 0 for none."""
     letter, letters = typed.removeprefix(SKIP).strip(), " ".join(hardware.letters)
     if typed.startswith(SKIP) and letter in hardware.letters:
         rig.skip(letter)
@@ -121,12 +125,24 @@ def _obey(typed: str, rig: Commissioning, hardware: Hardware, stop: Asked) -> No
         message = f"{typed!r} is no axis and direction; type one of {letters} and + or -, or skip and one of them"
         console().print(message)
     else:
+        return _moved(typed[0], SIGNS[typed[1]], rig, interrupted)
+    return 0
+
+
+def _moved(letter: str, direction: int, rig: Commissioning, interrupted: Asked) -> int:
+    """Move an axis by a step, which signals stop; the first that came, 0 for none."""
+    with stopped_by_signals(lambda: None, interrupted) as signalled:
         try:
-            before, after = rig.step(typed[0], SIGNS[typed[1]], stop)
+            before, after = rig.step(letter, direction, lambda: signalled() != 0)
         except HardwareError as exception:
             console().print(str(exception))
+        except DeviceFault as exception:
+            if not signalled():
+                raise
+            console().print(str(exception))
         else:
-            console().print(f"{typed[0]} went from {before:.3f} to {after:.3f}")
+            console().print(f"{letter} went from {before:.3f} to {after:.3f}")
+        return signalled()
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
@@ -136,7 +152,8 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         "by a small step where asked to, and keep its settings beside the hardware file, to be compared at every "
         "start, once every axis has moved both ways.",
         epilog="Exit status: 0 where settings were kept, 1 where a setting is wrong, an axis was not tried or the "
-        "controller fails, 2 where input is bad, 130 after an interruption.",
+        "controller fails, 2 where input is bad, 128 + N where signal N stopped a step: 130 after Ctrl-C, 131 "
+        "after Ctrl-\\, 143 after SIGTERM.",
     )
     parser.add_argument("hardware", metavar="FILE.toml", help="hardware file")
     parser.add_argument(
