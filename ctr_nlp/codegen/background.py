@@ -64,7 +64,7 @@ class Library:
         """The library, made at once where it is not there; raises OptionError where nothing can be compiled."""
         if (found := cache.kept(self.key)) is not None:
             return found
-        with _alone(self.key):
+        with cache.counted_wait(), _alone(self.key):
             return cache.library(self.key, lambda: places.code(tuple(self._functions()), self._lanes))
 
     def soon(self) -> Path | None:

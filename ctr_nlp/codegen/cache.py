@@ -13,7 +13,7 @@ import shutil
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
@@ -99,10 +99,34 @@ def library(key: str, code: Callable[[], str]) -> Path:
     if name not in _made:
         if _whole(place):
             return place / "library.so"
-        _made[name] = _build(code(), chosen)
+        with counted_wait():
+            _made[name] = _build(code(), chosen)
     if not _whole(place):
         _keep(_made[name], place)
     return _made[name]
+
+
+def waited_s() -> float:
+    """Tell for how long this process has waited for libraries, a wait that goes on included.
+
+    Returns
+    -------
+    float
+        Seconds since the process began.
+    """
+    return sum(_ended_waits) + sum(time.monotonic() - begin for begin in _waits[:1])
+
+
+@contextlib.contextmanager
+def counted_wait() -> Iterator[None]:
+    """Count the time of the block as one of waiting for a library; a block within another counts once."""
+    _waits.append(time.monotonic())
+    try:
+        yield
+    finally:
+        if len(_waits) == 1:
+            _ended_waits.append(time.monotonic() - _waits[0])
+        _waits.pop()
 
 
 def kept(key: str) -> Path | None:
@@ -135,6 +159,10 @@ def loaded(package: str, *names: str) -> ctypes.CDLL:
     return ctypes.CDLL(str(library(code, lambda: code)))
 
 
+_waits: list[float] = []
+"""When the waits of this process for libraries began that have not ended, s; those within others come later."""
+_ended_waits: list[float] = []
+"""How long those lasted that have ended, s."""
 _made: dict[str, Path] = {}
 """Libraries that this process has made, by name."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.client
 import os
 import re
+import shutil
 import subprocess
 import sys
 import time
@@ -12,11 +13,13 @@ from dataclasses import replace
 
 import pytest
 from clusters import environment
+from codegen.test_background import toy
 
 from ctr_nlp import Load, table_i_robot
 from ctr_nlp.cli.commands.new import template
 from ctr_nlp.cli.main import main
 from ctr_nlp.exceptions import LoadError, OptionError, OutputError
+from ctr_nlp.solvers.frame.program import Program
 from ctr_nlp.studies.grid.case import DONE, FAILED, LATE, LOST, Case, row_without_plan
 from ctr_nlp.studies.grid.results import Results
 from ctr_nlp.studies.grid.study_file import Study
@@ -65,6 +68,30 @@ class Sleepy(Case):
 
 def made(kind, case):
     return kind(**{name: getattr(case, name) for name in Case.__dataclass_fields__})
+
+
+class Compiling(Case):
+    """A case that tells whether what it solves runs compiled; its program is like no other one's."""
+
+    def row(self, keep=None):
+        return self.columns | {
+            "status": DONE,
+            "process_s": 0.0,
+            "compiled": Program(toy(1.0 + self.frames)).compiled,
+        }
+
+
+@pytest.fixture
+def cold(tmp_path, monkeypatch):
+    """A cache in which nothing is, and a compiler that takes 4 s a program; compiling as users have it."""
+    real, script = shutil.which("cc") or shutil.which("gcc"), tmp_path / "compiler"
+    if real is None:
+        pytest.skip("no C compiler")
+    script.write_text(f'#!/bin/sh\ncase " $* " in *" -E "*) ;; *) sleep 4;; esac\nexec {real} "$@"\n')
+    script.chmod(0o755)
+    monkeypatch.setenv("CC", str(script))
+    monkeypatch.setenv("CTR_NLP_CACHE", str(tmp_path / "cache"))
+    monkeypatch.delenv("CTR_NLP_COMPILE", raising=False)
 
 
 @pytest.fixture(scope="module")
@@ -380,6 +407,15 @@ def test_the_clusters_page_answers_no_other_page(client, headers, expected):
     link.request("GET", "/health", headers=headers)
     assert link.getresponse().status == expected
     link.close()
+
+
+def test_plans_wait_for_compiled_programs_and_are_not_late_for_it(cold, tmp_path):
+    (case,) = study(SMALL | {"settings": {"seed": [0]}}).cases
+    compiling = replace(study(), cases=(made(Compiling, case),))
+    with local_client(1) as client:
+        progress = run_study(compiling, tmp_path / "out", client, patience=3.0)
+    assert (progress.done, progress.failed) == (1, 0)
+    assert Results(tmp_path / "out").frame()["compiled"].tolist() == [True]
 
 
 def test_a_stop_keeps_what_is_done(client, tmp_path):

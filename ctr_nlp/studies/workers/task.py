@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ctr_nlp.codegen import cache
 from ctr_nlp.exceptions import ClusterError
 from ctr_nlp.plan.plan import versions
 from ctr_nlp.studies.grid.case import Case
@@ -20,6 +21,8 @@ TOO_LONG = "ctr_nlp-late"
 """The topic under which a worker tells the digest of the case that takes too long, before it ends itself."""
 TELLING = 0.5
 """s that a worker takes to tell it."""
+LEAST_WAIT = 0.01
+"""s between two looks at whether a case takes too long, at least."""
 EXIT = 70
 """With which it ends itself."""
 
@@ -28,15 +31,38 @@ Worked = tuple[list[dict[str, Any]], float]
 
 
 def work(cases: list[Case], plans: Path | None, patience: float) -> Worked:
-    """The rows of cases, and the seconds that all took; a case that takes longer than patience ends the process.
+    """Make the rows of cases. A case that takes longer than patience ends the process.
 
-    Raises ClusterError where this process has other versions than the one that made the cases, and OutputError
-    where a plan cannot be written.
+    What the cases are solved with is compiled first, for as long as that takes: interpreted functions differ from
+    compiled ones in their last bits, and so would the plans of a study that compiles and one that need not. What
+    the user has said in CTR_NLP_COMPILE counts.
+
+    Parameters
+    ----------
+    cases : list of Case
+        Of one kind.
+    plans : Path or None
+        The folder into which plans are written, too.
+    patience : float
+        Seconds that a case may take, without those for which it waits for a compiler.
+
+    Returns
+    -------
+    tuple of list of dict and float
+        The rows, and the seconds that all took, waiting not included.
+
+    Raises
+    ------
+    ClusterError
+        This process has other versions than the one that made the cases.
+    OutputError
+        A plan cannot be written.
     """
     if replace(cases[0]).digest != cases[0].digest:
         own = ", ".join(f"{name} {version}" for name, version in versions().items())
         raise ClusterError(f"a worker has other versions than the program that asks for the study: it has {own}")
-    begin, rows, worker = time.monotonic(), list[dict[str, Any]](), needed("distributed").get_worker()
+    os.environ.setdefault(cache.SWITCH, "now")
+    begin, rows, worker = _worked_s(), list[dict[str, Any]](), needed("distributed").get_worker()
 
     def ended() -> None:
         worker.log_event(TOO_LONG, cases[len(rows)].digest)
@@ -46,15 +72,27 @@ def work(cases: list[Case], plans: Path | None, patience: float) -> Worked:
     for case in cases:
         with _limited(patience, ended):
             rows.append(case.row(plans))
-    return rows, time.monotonic() - begin
+    return rows, _worked_s() - begin
+
+
+def _worked_s() -> float:
+    """A clock, s, that stands still while this process waits for a compiler."""
+    return time.monotonic() - cache.waited_s()
 
 
 @contextmanager
 def _limited(seconds: float, ended: Callable[[], None]) -> Iterator[None]:
-    """A call is made where the block takes longer."""
-    timer = threading.Timer(seconds, ended)
-    timer.start()
+    """A call is made where the block takes longer, without the time for which it waits for a compiler."""
+    end, left = _worked_s() + seconds, threading.Event()
+
+    def watch() -> None:
+        while not left.wait(max(end - _worked_s(), LEAST_WAIT)):
+            if _worked_s() >= end:
+                ended()
+                return
+
+    threading.Thread(target=watch, daemon=True).start()
     try:
         yield
     finally:
-        timer.cancel()
+        left.set()
