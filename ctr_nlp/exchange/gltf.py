@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ctr_nlp.exceptions import escaped
 from ctr_nlp.exchange.surface import Surface, shown_frames, tube_surfaces, wall_surface
 from ctr_nlp.figures.parts.palette import BLACK, tube_colour
 from ctr_nlp.plan.plan import Plan
@@ -63,7 +64,7 @@ def gltf(plan: Plan) -> bytes:
         roots.append(scene.node("wall", scene.solid({glass: wall})))
     if len(frames) > 1:
         scene.animate(roots[: len(frames)], plan.time[frames] - plan.time[frames[0]], plan.dt)
-    return scene.file(str(plan.meta["problem"]["name"]), roots)
+    return scene.file(escaped(plan.meta["problem"]["name"]), roots)
 
 
 @dataclass

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.io import loadmat, savemat
 
-from ctr_nlp.exceptions import OptionError
+from ctr_nlp.exceptions import OptionError, escaped
 from ctr_nlp.plan.measures import e3
 from ctr_nlp.plan.metrics import by_frame
 from ctr_nlp.plan.plan import Plan
@@ -78,7 +78,7 @@ def _contents(plan: Plan) -> dict[str, Any]:
         "space": problem.get("space") or "",
         "robot": struct,
         "q_limits": np.stack([robot.lower, robot.upper]),
-        "problem": problem["name"],
+        "problem": escaped(problem["name"]),
         "model": plan.evaluated,
     }
 

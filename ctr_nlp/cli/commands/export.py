@@ -11,7 +11,7 @@ from ctr_nlp.cli.output.file import check_file, write_text
 from ctr_nlp.cli.output.folder import check_folder, published
 from ctr_nlp.cli.play_report import print_trajectory
 from ctr_nlp.cli.telling import wrote
-from ctr_nlp.exceptions import OptionError
+from ctr_nlp.exceptions import OptionError, escaped
 from ctr_nlp.exchange import formats
 from ctr_nlp.exchange.formats import SLICER
 from ctr_nlp.exchange.slicer import SPACES
@@ -70,7 +70,7 @@ def _run(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out or beside)
     _check_out(out, to)
     plan = Plan.load(source)
-    title = str(plan.meta["problem"]["name"])
+    title = escaped(plan.meta["problem"]["name"])
     hardware = Hardware.from_toml(arguments.hardware) if arguments.hardware else bench(plan.robot)
     with deferred_interrupt() as interrupted:
         trajectory, found = prepared(plan, hardware, 1.0 if arguments.tempo is None else arguments.tempo)
