@@ -36,9 +36,9 @@ APART, FURTHEST = 0.7, 0.9
 of one that need only not be lost, which it is from simulation.drawn.APART on."""
 EASED = 0.3
 """The part of the margin that one that need only not be lost keeps."""
-ARRIVAL_OF_EACH = 4.0
-"""How many times more the arrival of a scenario counts than that of the nominal robot: few of them are far off,
-and each is only a small part of the mean."""
+PRESSED_MM = 0.8
+"""How far a robot other than the nominal one may press into the wall before it costs much, mm; the nominal one may
+less. Simulated robots are judged by 1 mm (plan.sample_outcomes)."""
 TWIST_STEP = 0.7
 """rad by which the first scenario's tips, relative to the innermost one, may turn beyond its motors in a frame."""
 
@@ -88,7 +88,6 @@ def shared_motion(
         )
     for arrival in (term for term in terms if isinstance(term, Arrival)):
         parameters[:, 1:, frame.place("arrival_radius")] += arrival.wider
-        parameters[:, 1:, frame.place("arrival_weight")] *= ARRIVAL_OF_EACH
     if margins is not None:
         parameters[..., frame.place("margin")] = (margins[:, None] * np.where(eased, EASED, 1.0))[..., None]
     lower, upper = (np.tile(bound, (len(frames), 1)) for bound in (robot.lower, robot.upper))
@@ -144,5 +143,6 @@ def _surroundings(wall: Wall, numbers: Array, loads: Array | None, x: Array) -> 
     """What surrounds robots (T, S, m), scenarios and then others, whose cost is 0; these have the first's."""
     n = 2 * numbers.shape[1] + 2  # a tilt that is held beside the model's unknowns comes after them
     found = wall.of_scenarios(x[:, : len(numbers), :n], numbers, loads)
+    found["contact_allowed"][:, 1:] = np.maximum(found["contact_allowed"][:, 1:], PRESSED_MM)
     others = np.zeros(x.shape[1] - len(numbers), dtype=int)
     return {name: np.concatenate([each, each[:, others]], axis=1) for name, each in found.items()}
