@@ -84,7 +84,9 @@ class NlpFrames:
         check_choice("formulation", formulation, FORMULATIONS)
         described = model_named(default_model(formulation) if model is None else model)
         terms = checked_terms(terms)
-        if formulation == "joint":  # the stages of others each have an objective of their own
+        if formulation == "joint" and described.bears is None:
+            # The stages of others each have an objective of their own. Under a load, single frames whose tip is
+            # led to the end are left unsolved or touch the wall, as they cannot prepare for the end.
             terms = with_arrival(terms, settings, described)
         check_model(problem, described)
         solver = default_solver() if solver is None else solver

@@ -22,11 +22,12 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from ctr_nlp.cli.output import folder as output
-from ctr_nlp.cli.output.file import LONGEST, check_file, locked, path_component, write_text
+from ctr_nlp.cli.output.file import LONGEST, check_file, path_component, write_text
 from ctr_nlp.cli.output.folder import check_folder, place_of, published
 from ctr_nlp.cli.output.manifest import MARK, STANDARD
 from ctr_nlp.exceptions import OutputError
 from ctr_nlp.studies.paper import SECTIONS
+from ctr_nlp.support.folder_lock import locked
 
 unix = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and flock")
 PLAN = {"plan.npz": "first", "errors.csv": "first", "shapes.png": "first"}

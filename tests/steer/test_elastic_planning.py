@@ -408,7 +408,8 @@ def test_stiff_tubes_are_planned_as_on_the_dominant_model(interpreted):
     stiff = {"poisson_ratio": -0.99}
     tubes = Tube(90, 40, 0.012, 4.0, 3.2, youngs_modulus=1e4, **stiff), Tube(150, 80, 0.02, 2.6, 1.6, **stiff)
     problem = along_an_arc(tubes)
-    plans = [solve_per_frame(problem, model=model, direction="backward") for model in ("dominant", "elastic")]
+    told = {"direction": "backward", "settings": Settings(arrival_weight=0.0)}
+    plans = [solve_per_frame(problem, model=model, **told) for model in ("dominant", "elastic")]
     np.testing.assert_allclose(plans[1].shape, plans[0].shape, atol=0.05)
     np.testing.assert_allclose(plans[1].objective, plans[0].objective, atol=1e-2)
     assert plans[1].stability.min() > 0.98

@@ -71,7 +71,7 @@ class ScenarioFrames:
             NlpFrames.of(
                 problem,
                 model=told_on(model),
-                settings=replace(settings, stability_margin=margin, contact_weight=0.0),
+                settings=replace(settings, stability_margin=margin, contact_weight=0.0, arrival_weight=0.0),
                 terms=terms,
             )
             for margin in margins

@@ -12,7 +12,6 @@ import numpy.typing as npt
 from ctr_nlp.exceptions import OptionError
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
-from ctr_nlp.formulations.terms.arrival import with_arrival
 from ctr_nlp.models import Model
 from ctr_nlp.nlp.scenarios import Scenarios
 from ctr_nlp.plan.plan import Plan
@@ -20,7 +19,7 @@ from ctr_nlp.plan.robustness import MOST_LOST
 from ctr_nlp.steer.nlp_frames import DEFAULTS
 from ctr_nlp.steer.passes import Pass, Progress, run_again, run_passes
 from ctr_nlp.steer.per_frame import plan_of
-from ctr_nlp.steer.requests import Direction, check_described, checked_ends, checked_terms
+from ctr_nlp.steer.requests import Direction, check_described, checked_ends
 from ctr_nlp.steer.robust.frames import ScenarioFrames
 from ctr_nlp.steer.robust.tolerated import described, told_unknowns
 from ctr_nlp.steer.robust.trials import Trials
@@ -58,7 +57,6 @@ def solve_robust_per_frame(
     checked_ends(problem, direction, start)
     whole_number(OptionError, "rounds", rounds, 0)
     model, scenarios = described(problem.robot, model, scenarios)
-    terms = with_arrival(checked_terms(terms), settings, model)
     trials = Trials(problem.robot, model, rounds + 1, most_lost)
     with deferred_interrupt() as interrupted:
         solver = ScenarioFrames.of(problem, scenarios, model, settings, terms, MARGINS)
