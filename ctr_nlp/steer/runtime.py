@@ -184,8 +184,8 @@ class Steerer:
             Shape (101, 3) to follow, mm, at uniform sigma.
         part : float
             Part of the motion that has passed, from 0 to 1, where its end is known. In the last tenth of a motion
-            the tip is led to the target's end, as plans are (formulations.terms.arrival). 0, the default, follows
-            the shape alone.
+            the tip is led to the target's end, as in plans (formulations.terms.arrival), unless there is a load.
+            0, the default, follows the shape alone.
 
         Returns
         -------
@@ -216,7 +216,7 @@ class Steerer:
 
 def _stage(robot: Robot, settings: Settings, model: Model, wall: Wall | None) -> tuple[Stage, Arrival | None]:
     """Return the one stage of the joint formulation, and its term of arrival where there is one."""
-    terms = with_arrival((), settings, model)
+    terms = with_arrival((), settings, model) if model.bears is None else ()  # as NlpFrames
     (stage,) = joint(robot, settings, model, terms, walled=wall is not None)
     return stage, next((term for term in terms if isinstance(term, Arrival)), None)
 
