@@ -14,7 +14,6 @@ from ctr_nlp.hardware.playing.player import Player
 
 WISHES = {"p": "pause", "r": "resume", "a": "abort"}
 
-
 STOPPING = ("SIGTERM", "SIGHUP", "SIGQUIT")
 """Names of the signals that stop the motors, beside that of Ctrl-C; SIGQUIT is Ctrl-\\."""
 

@@ -16,7 +16,7 @@ from ctr_nlp.formulations.frames import FrameResult, distinct, reachable, starts
 from ctr_nlp.formulations.joint import joint, tip_steps
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.terms import Term
-from ctr_nlp.formulations.terms.arrival import Arrival, with_arrival
+from ctr_nlp.formulations.terms.arrival import Arrival, find_arrival, with_frame_arrival
 from ctr_nlp.formulations.terms.term import listed
 from ctr_nlp.formulations.wall import ROUNDS, SETTLED, Wall, wall_of
 from ctr_nlp.models import Model, model_named
@@ -84,10 +84,8 @@ class NlpFrames:
         check_choice("formulation", formulation, FORMULATIONS)
         described = model_named(default_model(formulation) if model is None else model)
         terms = checked_terms(terms)
-        if formulation == "joint" and described.bears is None:
-            # The stages of others each have an objective of their own. Under a load, single frames whose tip is
-            # led to the end are left unsolved or touch the wall, as they cannot prepare for the end.
-            terms = with_arrival(terms, settings, described)
+        if formulation == "joint":  # the stages of others each have an objective of their own
+            terms = with_frame_arrival(terms, settings, described)
         check_model(problem, described)
         solver = default_solver() if solver is None else solver
         check_choice("solver", solver, SOLVERS)
@@ -112,8 +110,7 @@ class NlpFrames:
             "options": settings.options() | {"terms": listed(terms)},
         }
         margins, seconds = np.full(problem.frames, margin), time.perf_counter() - begin
-        arrival = next((term for term in terms if isinstance(term, Arrival)), None)
-        rest = margins, wall, None, seconds, description, arrival
+        rest = margins, wall, None, seconds, description, find_arrival(terms)
         return cls(problem, described, settings, free, inside, runs, *rest)
 
     def search(self, frame: int) -> list[FrameResult]:

@@ -127,11 +127,13 @@ def _least_bad(passes: Sequence[Pass], solver: FrameSolver, problem: Problem, si
     if len(passes) == 1:
         return passes[0]
     arrival = solver.arrival if isinstance(solver, NlpFrames) else None
-    price = 0.0 if arrival is None else LAST * MISSED * arrival.weight
 
     def badness(one: Pass) -> tuple[int, float]:
         failed, square = one.badness(problem, simulator)
-        return failed, square + (price * one.missed(problem, simulator, arrival.required) if arrival else 0.0)
+        if arrival is None:
+            return failed, square
+        missed = one.missed(problem, simulator, arrival.required)
+        return failed, square + LAST * MISSED * arrival.weight * missed
 
     return min(passes, key=badness)
 

@@ -12,7 +12,7 @@ from ctr_nlp.exceptions import OptionError, RobotError
 from ctr_nlp.formulations.joint import joint
 from ctr_nlp.formulations.settings import Settings
 from ctr_nlp.formulations.stage import Stage
-from ctr_nlp.formulations.terms.arrival import Arrival, with_arrival
+from ctr_nlp.formulations.terms.arrival import Arrival, find_arrival, with_frame_arrival
 from ctr_nlp.formulations.terms.shape import STRIDE, ShapeDistance
 from ctr_nlp.formulations.wall import ROUNDS, SETTLED, Wall, wall_of
 from ctr_nlp.loads import steady
@@ -216,9 +216,9 @@ class Steerer:
 
 def _stage(robot: Robot, settings: Settings, model: Model, wall: Wall | None) -> tuple[Stage, Arrival | None]:
     """Return the one stage of the joint formulation, and its term of arrival where there is one."""
-    terms = with_arrival((), settings, model) if model.bears is None else ()  # as NlpFrames
+    terms = with_frame_arrival((), settings, model)
     (stage,) = joint(robot, settings, model, terms, walled=wall is not None)
-    return stage, next((term for term in terms if isinstance(term, Arrival)), None)
+    return stage, find_arrival(terms)
 
 
 def _described(wall: Wall) -> Surroundings:

@@ -153,3 +153,27 @@ def with_arrival(terms: Sequence[Term], settings: Settings, model: Model) -> tup
     tolerance = settings.arrival_tolerance
     wider = (AIMED_PERTURBED - AIMED) * tolerance
     return (*terms, Arrival(weight, AIMED * tolerance, REQUIRED * tolerance, wider))
+
+
+def with_frame_arrival(terms: Sequence[Term], settings: Settings, model: Model) -> tuple[Term, ...]:
+    """Return terms of single frames with the arrival that settings ask for; under a load, the terms alone.
+
+    Under a load, single frames whose tip is led to the end are left unsolved or touch the wall: frames that are
+    solved one after the other cannot prepare for the end.
+
+    Parameters
+    ----------
+    terms, settings, model
+        As for `with_arrival`.
+
+    Returns
+    -------
+    tuple of Term
+        The terms, and then at most one Arrival.
+    """
+    return with_arrival(terms, settings, model) if model.bears is None else tuple(terms)
+
+
+def find_arrival(terms: Sequence[Term]) -> Arrival | None:
+    """Return the term that leads the tip to the target's end; None where there is none."""
+    return next((term for term in terms if isinstance(term, Arrival)), None)
