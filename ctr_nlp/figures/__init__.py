@@ -52,7 +52,7 @@ def save(figure: Figure, path: Path) -> Path:
                 FigureCanvasSVG(figure).print_svg(path, metadata={"Date": None})
         else:
             canvas = FigureCanvasAgg(figure)  # Figure.savefig draws a laid-out figure twice
-            canvas.print_png(path, pil_kwargs={"optimize": True})
+            canvas.print_png(path)
     except OSError as error:
         raise OutputError(f"{path} cannot be written: {error}") from error
     return path

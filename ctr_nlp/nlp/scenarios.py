@@ -54,10 +54,10 @@ class Scenarios:
     def __len__(self) -> int:
         return len(self.weights)
 
-    def joined(self, numbers: Array, offsets: Array, forces: Array) -> Scenarios:
-        """These and then others, whose shape errors do not count."""
-        none = np.zeros(len(offsets))
-        pairs = zip(self.each, (numbers, offsets, none, forces), strict=True)
+    def joined(self, numbers: Array, offsets: Array, forces: Array, weight: float = 0.0) -> Scenarios:
+        """These and then others, each of which counts with a weight; by default it need only not be lost."""
+        weights = np.full(len(offsets), weight)
+        pairs = zip(self.each, (numbers, offsets, weights, forces), strict=True)
         return Scenarios(*(np.concatenate(pair) for pair in pairs))
 
     @property

@@ -31,6 +31,8 @@ from ctr_nlp.steer.realised import MOST
 from ctr_nlp.steer.requests import check_described, check_search, checked_motions, checked_terms
 from ctr_nlp.steer.robust.corners import Corners
 from ctr_nlp.steer.robust.guards import guarded
+from ctr_nlp.steer.robust.held import ROUNDS as IMPROVEMENTS
+from ctr_nlp.steer.robust.held import Purpose, improved
 from ctr_nlp.steer.robust.rounds import RELAXATIONS, Judge, Round, best_of, planned_again, relaxed
 from ctr_nlp.steer.robust.search import RobustSearch, Start, Tried
 from ctr_nlp.steer.robust.tolerated import described, told_on, told_unknowns
@@ -140,9 +142,10 @@ def solve_robust(
         raise OptionError(
             "initial and margins are both empty: give motions to start from, or margins to find them"
         )
-    motions = 2 * (2 * (rounds + 1) + RELAXATIONS) + 1
+    motions = 2 * (2 * (rounds + 1) + RELAXATIONS + 2 * IMPROVEMENTS) + 1
     trials = Trials(problem.robot, model, motions, most_lost)
     terms = with_arrival(checked_terms(terms), settings, model)
+    purpose = Purpose(problem, model, settings)
     begin, searched, weight = time.perf_counter(), 0.0, motion_weight
     told = told_on(model)
     with deferred_interrupt() as interrupted:
@@ -171,6 +174,11 @@ def solve_robust(
                 continue
             made += _rounds(search, open_, scenarios, trials, rounds, len(made))
             best, open_ = best_of(made, problem.frames), []
+            if best is not None and best.lost.few and not interrupted():
+                judged = best._replace(failing=purpose(best.tried.solution.q, len(made)))
+                made = [judged if one is best else one for one in made]
+                made += improved(judged, purpose, trials, len(made))
+                best = best_of(made, problem.frames)
             if interrupted() or (best is not None and best.lost.few):
                 break
         if guards and best is not None and not interrupted():

@@ -28,8 +28,36 @@ AFFECTED = 0.1
 these limits cost, it is what may be gained."""
 
 
+SAMPLES = 200
+"""Robots that a motion is judged on."""
+FAILING_ALLOWED = 2
+"""Of these: with 4 of 200 fresh robots that fail, a plan is just certified."""
+
 Judge = Callable[[Array, int, bool], Lost]
 """(q (T, 2d + 2), number of a motion, whether it is a draft) -> the robots lost on it of those drawn for it."""
+
+
+class Failing(NamedTuple):
+    """Robots that fail on a motion, the worst first, and how many hold.
+
+    Attributes
+    ----------
+    numbers, offsets, forces : ndarray
+        Of the F failing robots that keep the branch: (F, d, 8) of the tubes, (F, d) of the motors' zeros in rad,
+        (F, 3) N at the tips.
+    held : float
+        Share of all robots that keep the branch, arrive, and keep off the wall.
+    """
+
+    numbers: Array
+    offsets: Array
+    forces: Array
+    held: float
+
+    @property
+    def enough(self) -> bool:
+        """Whether so many hold that the motion will most likely be certified."""
+        return self.held >= 1 - FAILING_ALLOWED / SAMPLES
 
 
 class Round(NamedTuple):
@@ -41,6 +69,8 @@ class Round(NamedTuple):
     lost: Lost
     corners: int | None = None
     """How many corners of the tolerances are lost; None where that was not looked at."""
+    failing: Failing | None = None
+    """Robots that do not arrive or press into the wall; None where that was not looked at."""
 
     def described(self) -> dict[str, float | None]:
         """For a plan's meta; the objective as mean over frames, mm^2."""
@@ -54,14 +84,18 @@ class Round(NamedTuple):
             "lost": len(self.lost.frames),
             "drawn": self.lost.drawn,
             "corners_lost": self.corners,
+            "held": None if self.failing is None else self.failing.held,
             "contact_weight": 0.0 if self.search.wall is None else self.search.wall.weight,
         }
 
     @property
-    def rank(self) -> tuple[bool, bool, float]:
-        """The least is the best: of those in which few robots were lost one with guards, or of least objective."""
+    def rank(self) -> tuple[bool, bool, float, float]:
+        """The least is the best: of those in which few robots were lost one with guards, then by what holds, or of
+        least objective.
+        """
         least = self.tried.solution.objective if self.lost.few else self.lost.share
-        return not self.lost.few, self.corners is None, least
+        fails = 1.0 if self.failing is None else 1 - self.failing.held
+        return not self.lost.few, self.corners is None, fails, least
 
 
 def best_of(rounds: Sequence[Round], frames: int) -> Round | None:

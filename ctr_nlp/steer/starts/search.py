@@ -26,7 +26,7 @@ from ctr_nlp.steer.attempts import (
     together,
     within_limits,
 )
-from ctr_nlp.steer.motions import filled, thinned, wandered
+from ctr_nlp.steer.motions import at_frames, filled, thinned, wandered
 from ctr_nlp.steer.passes import Forecast, Progress
 from ctr_nlp.steer.realised import realised
 from ctr_nlp.steer.starts.processes import Task, attempt_in_processes
@@ -198,3 +198,24 @@ class Search:
 def drafted(frames: int) -> Index:
     """The numbers of the frames of a draft, from 0; the last is one of them."""
     return thinned(frames, max(1, frames // DRAFTED))
+
+
+def with_draft_frames(problem: Problem) -> tuple[Problem, Index]:
+    """Take the frames of a draft alone.
+
+    Parameters
+    ----------
+    problem : Problem
+        Robot and target.
+
+    Returns
+    -------
+    Problem
+        The same motion in 25 to 49 frames, evenly apart; the problem itself where it has no more.
+    Index
+        Numbers of these frames among those of the problem, from 0.
+    """
+    picked = drafted(problem.frames)
+    if len(picked) == problem.frames:
+        return problem, picked
+    return at_frames(problem, picked, int(picked[-1] - picked[-2])), picked

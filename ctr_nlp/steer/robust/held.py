@@ -1,0 +1,140 @@
+"""Motions on which most simulated robots arrive: those that fail join the scenarios, and it is planned again.
+
+Scenarios have the mean and the covariance of the tolerances, so that what is minimised is a mean over robots. Its
+tails may still miss the target's end or press into the wall. As in a cutting-set method (Mutapcic and Boyd, Optim.
+Methods Softw. 24, 2009), robots that are seen to fail are added until few of them do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ctr_nlp.formulations.around import Beside
+from ctr_nlp.formulations.settings import Settings
+from ctr_nlp.models import Model
+from ctr_nlp.plan.sample_outcomes import SAMPLE_CONTACT_ALLOWED_MM, SampleOutcomes
+from ctr_nlp.robot.draws import Draws, drawn
+from ctr_nlp.simulation.drawn import drawn_motion
+from ctr_nlp.steer.robust.rounds import SAMPLES, Failing, Judge, Round, planned_again, solved_again
+from ctr_nlp.target.lumen import Lumen
+from ctr_nlp.target.problem import Problem
+from ctr_nlp.target.target import SIGMA
+from ctr_nlp.typing import Array, Flags
+
+JOINING = 6
+"""Failing robots that join the scenarios in one round, at most, the worst first."""
+ROUNDS = 3
+"""Times that a motion is planned again for robots that fail."""
+HOPELESS = 0.8
+"""Share that has to hold at first. Below, the robot cannot have all that is asked: the trade-off is reported."""
+SEED = 2**41
+"""From which seeds of the robots count on: others than those that motions are tried for losses with."""
+GROUP = 50
+"""Robots whose whole shapes are in memory at once."""
+
+
+@dataclass(frozen=True)
+class Purpose:
+    """What a motion is for: arriving, with a body that keeps off the wall.
+
+    Attributes
+    ----------
+    problem : Problem
+        Robot with its tolerances, target and lumen.
+    model : Model
+        That robots are simulated on.
+    settings : Settings
+        `arrival_tolerance` and `contact_allowed`, mm; the wall counts where `contact_weight` does.
+    """
+
+    problem: Problem
+    model: Model
+    settings: Settings
+
+    def __call__(self, q: Array, number: int) -> Failing:
+        """Simulate robots drawn for a motion.
+
+        Parameters
+        ----------
+        q : ndarray
+            Configurations (T, 2d + 2).
+        number : int
+            Of the motion; other numbers have other robots.
+
+        Returns
+        -------
+        Failing
+            Those that miss the target's end or press into the wall, by what they exceed the limit by.
+        """
+        robot = self.problem.robot
+        draws = drawn(robot, SAMPLES, SEED + number)
+        groups = [self._fate(q, draws[first : first + GROUP]) for first in range(0, SAMPLES, GROUP)]
+        lost, tip_error, contact = (np.concatenate(each) for each in zip(*groups, strict=True))
+        fate = SampleOutcomes(
+            lost,
+            tip_error,
+            contact,
+            self.settings.arrival_tolerance,
+            max(SAMPLE_CONTACT_ALLOWED_MM, self.settings.contact_allowed),
+            self._lumen is not None,
+        )
+        excess = np.fmax(tip_error - fate.arrival_tolerance, contact - fate.contact_allowed)
+        failing = np.flatnonzero(~fate.held & ~lost & np.isfinite(excess))
+        chosen = draws[failing[np.argsort(-excess[failing])]]
+        return Failing(chosen.numbers, chosen.offsets, chosen.forces, fate.share)
+
+    @property
+    def _lumen(self) -> Lumen | None:
+        """The lumen whose wall counts."""
+        return self.problem.sampled_lumen if self.settings.contact_weight else None
+
+    def _fate(self, q: Array, draws: Draws) -> tuple[Flags, Array, Array]:
+        """Whether each of n robots is lost, its tip's last distance from the target's end, and its contact, mm."""
+        problem, lumen = self.problem, self._lumen
+        found = drawn_motion(problem.robot, draws, q, self.model)
+        tip_error = np.linalg.norm(found.shape[:, -1, -1] - problem.samples[-1].points[-1], axis=-1)
+        contact = np.full(len(draws), np.nan)
+        if lumen is not None:
+            beta = q[:, problem.robot.d : 2 * problem.robot.d]
+            left = Beside(lumen).clearances(problem.robot, beta, found.shape, SIGMA)
+            contact = np.maximum(-np.fmin.reduce(left, axis=(1, 2)), 0.0)
+        return found.lost > 0, tip_error, contact
+
+
+def improved(best: Round, purpose: Purpose, lost: Judge, number: int) -> list[Round]:
+    """Plan again for robots that fail, until few of them do.
+
+    Parameters
+    ----------
+    best : Round
+        A motion over all frames that few robots are lost on, and that `purpose` has looked at.
+    purpose : Purpose
+        Finds the robots that fail.
+    lost : callable
+        Asked of every motion.
+    number : int
+        Of the first motion that comes; each has its own, and robots of its own.
+
+    Returns
+    -------
+    list of Round
+        What was tried, ROUNDS times at most.
+    """
+    search, last, rounds = best.search, best, list[Round]()
+    for _ in range(ROUNDS):
+        found = last.failing
+        assert found is not None
+        if found.enough or found.held < HOPELESS or last.rank > best.rank or search.stop():
+            break
+        numbers, offsets, forces = (each[:JOINING] for each in (found.numbers, found.offsets, found.forces))
+        scenarios = last.scenarios.joined(numbers, offsets, forces, weight=1.0)
+        tried = solved_again(search, last.tried, scenarios)
+        if not tried.shared:
+            break
+        more = planned_again(search, tried, scenarios, lost, 1, number + len(rounds))
+        asked = number + len(rounds) + len(more)
+        last = more[-1]._replace(failing=purpose(more[-1].tried.solution.q, asked))
+        rounds += [*more[:-1], last]
+    return rounds
