@@ -1,4 +1,18 @@
-"""The elastic model of a robot that bears a load, as a Model; its unknowns are x = (phi, beta, w) of tips.py."""
+"""The elastic model of a robot under a load, as a :class:`~ctr_nlp.models.protocol.Model`.
+
+Force and moment are known at the tip, and so the rod is integrated from there to the base (Rucker, Jones, Webster,
+A Geometrically Exact Model for Externally Loaded Concentric-Tube Continuum Robots, IEEE Transactions on Robotics
+26(5), 2010; rod.py). Every tip is then the equilibrium of some configuration q, and the unknowns are those of the
+tip (tips.py):
+
+    x = (psi_1 - psi_d, .., psi_(d-1) - psi_d, psi_d, beta_1, .., beta_d, w_1, w_2)        (2d + 2,)
+
+psi_i, rad, is the angle of tube i at its own tip; beta_i, mm, its extension; and (w_1, w_2, 0), rad, the rotation
+vector of the tip's frame. The motors' angles alpha and the tilt theta of q, eq. (5) of the paper, follow from x.
+
+A load enters as a row of 17 + 3d numbers (:meth:`ctr_nlp.loads.Load.numbers`), never as an object, so that one
+compiled program serves all loads of a kind (:class:`~ctr_nlp.models.loaded.acting.RodKind`).
+"""
 
 from __future__ import annotations
 
@@ -45,9 +59,28 @@ TOGETHER = 128
 
 @dataclass(frozen=True)
 class Loaded(Model):
-    """Torsionally compliant tubes under a load; without one the elastic model, to 0.001 mm.
+    """Torsionally compliant tubes under a load.
 
-    Under a load over time the rows of x and q are the frames of the whole motion; rest is that of its first one.
+    Without a load (``Load()``) the shapes are those of the elastic model to 0.001 mm. Configurations q are
+    (2d + 2,) rows: alpha in rad, beta in mm, theta in rad, eq. (5) of the paper; the unknowns x (2d + 2,) are
+    explained at the top of this module.
+
+    Parameters
+    ----------
+    load : Load or LoadOverTime
+        The load. One that changes over time is spread over a whole motion: methods that take x or q of T frames
+        take the first row for its beginning and the last row for its end, and :meth:`rest` uses its first load.
+
+    Examples
+    --------
+    A rod of 100 mm is bent by 0.01 N at its tip; beam theory has F L^3 / (3 E I) = 0.279 mm.
+
+    >>> import ctr_nlp as ctr
+    >>> rod = ctr.Robot((ctr.Tube(200, 150, 0.0, 1.5, 1.0, youngs_modulus=60_000),))
+    >>> model = ctr.Loaded(ctr.Load(force=(0.0, 0.01, 0.0)))
+    >>> x = model.rest(rod, np.array([0.0, 100.0, 0.0, 0.0]))
+    >>> float(model.points(rod, x[None], np.ones(1))[0, 0, 1].round(3))
+    0.279
     """
 
     load: Load | LoadOverTime
@@ -58,21 +91,33 @@ class Loaded(Model):
 
     @property
     def bears(self) -> Load | LoadOverTime:
-        """The load."""
+        """The load that acts on the robot."""
         return self.load
 
     @property
     def form(self) -> Loaded:
-        """As Model.form: one for each kind of rod."""
+        """The model from which programs are built, one for each kind of rod: the load's numbers are parameters."""
         return FORMS[self.kind]
 
     @property
     def kind(self) -> RodKind:
-        """What kind of rods it makes of robots."""
+        """Kind of rod that the load makes of a robot: which of the load's terms its equations contain."""
         return RodKind.of(self.load)
 
     def check(self, robot: Robot) -> None:
-        """Raise LoadError unless the robot tells its moduli, has no helix, and the load fits it."""
+        """Check that a robot can bear the load.
+
+        Parameters
+        ----------
+        robot : Robot
+            The robot.
+
+        Raises
+        ------
+        LoadError
+            A tube is a helix, a Young's modulus is not in MPa, or the load has densities of another number of
+            tubes.
+        """
         check_kinds(robot.structure.kinds)
         self.load.check(robot)
 
@@ -84,7 +129,32 @@ class Loaded(Model):
         margin: ca.SX | None = None,
         tangents: bool = False,
     ) -> Shape:
-        """As Model.frame, with the load's numbers in it; raises LoadError where these change over time."""
+        """Build the shape of one frame in symbols, with the load's numbers written in as constants.
+
+        Parameters
+        ----------
+        structure : Structure
+            What is compiled of the robot: kinds of its tubes.
+        tubes : Tubes
+            The tubes, outermost first, with numbers or symbols for lengths (mm), curvatures (1/mm) and
+            stiffnesses.
+        places : callable
+            ``places(beta)`` returns the arc lengths (n, 1) of the samples in mm for the extensions beta in mm.
+        margin : SX, optional
+            Least stability margin; with it the shape has determinants that are positive where it is kept.
+        tangents : bool
+            Whether tangents at the samples are wanted, too.
+
+        Returns
+        -------
+        Shape
+            Points in mm and the rest of the frame, as symbols of x.
+
+        Raises
+        ------
+        LoadError
+            The load changes over time, or the robot has a helix.
+        """
         acting = steady(self.load, "a shape without a time").numbers(structure.d)
         return self.frame_under(ca.SX(ca.DM(acting)), structure, tubes, places, margin, tangents)
 
@@ -98,44 +168,180 @@ class Loaded(Model):
         tangents: bool = False,
         tilted: bool = False,
     ) -> Shape:
-        """As Model.frame_under."""
+        """Build the shape of one frame in symbols, under a load whose numbers are symbols, too.
+
+        Parameters
+        ----------
+        load : SX
+            The load's numbers (17 + 3d, 1), in the order of :meth:`ctr_nlp.loads.Load.numbers`. Of them only those
+            count that this model's kind of rod has.
+        structure : Structure
+            What is compiled of the robot: kinds of its tubes.
+        tubes : Tubes
+            The tubes, outermost first, with numbers or symbols for lengths (mm), curvatures (1/mm) and
+            stiffnesses.
+        places : callable
+            ``places(beta)`` returns the arc lengths (n, 1) of the samples in mm for the extensions beta in mm.
+        margin : SX, optional
+            Least stability margin; with it the shape has determinants that are positive where it is kept.
+        tangents : bool
+            Whether tangents at the samples are wanted, too.
+        tilted : bool
+            Whether x has the tilt theta (2,) as further unknowns behind it. Two equations then say that the base
+            points where theta has it, and nothing is singular at theta_x = 90 degrees, where theta as a function
+            of x is.
+
+        Returns
+        -------
+        Shape
+            Points in mm and the rest of the frame, as symbols of x.
+
+        Raises
+        ------
+        LoadError
+            The robot has a helix.
+        """
         acting = loading(ca.vertsplit(load))
         return shape_under(acting, self.kind, structure, tubes, places, margin, tangents, tilted)
 
     def points(self, robot: Robot, x: Array, sigma: Array) -> Array:
-        """As Model.points."""
+        """Compute points of the backbone at given unknowns.
+
+        Parameters
+        ----------
+        robot : Robot
+            The robot.
+        x : (T, 2d + 2) array
+            Unknowns, one row a frame; rad and mm.
+        sigma : (n,) or (T, n) array
+            Arc lengths as parts of beta_d, in [0, 1].
+
+        Returns
+        -------
+        (T, n, 3) array
+            Points in the robot's base frame, mm; NaN where x is.
+        """
         return self._curves(robot, x, sigma)[0]
 
     def tangents(self, robot: Robot, x: Array, sigma: Array) -> Array:
-        """As Model.tangents."""
+        """Compute unit tangents of the backbone at given unknowns.
+
+        Parameters
+        ----------
+        robot : Robot
+            The robot.
+        x : (T, 2d + 2) array
+            Unknowns, one row a frame; rad and mm.
+        sigma : (n,) or (T, n) array
+            Arc lengths as parts of beta_d, in [0, 1].
+
+        Returns
+        -------
+        (T, n, 3) array
+            Tangents in the robot's base frame, towards the tip, of length 1 to the accuracy of the integration.
+        """
         return self._curves(robot, x, sigma)[1]
 
     def _over(self, d: int, rows: int) -> Array:
-        """Numbers (rows, 17 + 3d) of what acts on robots of d tubes in every frame of a motion."""
+        """Return the numbers (rows, 17 + 3d) of the load in every frame of a motion of so many frames.
+
+        d: number of tubes. Frames are evenly spaced in time, from 0, the beginning of the load, to 1, its end.
+        """
         return self.load.over(d, np.linspace(0.0, 1.0, rows))
 
     def _curves(self, robot: Robot, x: Array, sigma: Array) -> tuple[Array, Array]:
+        """Points and tangents (T, n, 3) of one robot at unknowns x (T, 2d + 2) and sigma (n,) or (T, n)."""
         acting = self._over(robot.d, len(x))
         return curves(robot.structure, robot.numbers[None], acting, x, sigma, self.kind)
 
     def points_apart(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
-        """As Model.points_apart."""
+        """Compute points of several robots that differ in their tubes' numbers, in one batch.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure that all robots share.
+        numbers : (n, d, 8) array
+            The tubes' numbers of every robot, in the order of ``robot.structure.NUMBERS``.
+        x : (n, T, 2d + 2) array
+            Unknowns of every robot in every frame; rad and mm.
+        sigma : (m,) or (T, m) array
+            Arc lengths as parts of beta_d, in [0, 1].
+
+        Returns
+        -------
+        (n, T, m, 3) array
+            Points in the robots' base frames, mm.
+        """
         acting = self.acting_apart(len(x), self._over(structure.d, x.shape[1]))
+        # Robots and frames are one axis from here on: every row has its tubes and its load.
         rows = of_rows(numbers, x, sigma)
         found = self.points_under(acting.reshape(len(rows[1]), -1), structure, *rows)
         return found.reshape(*x.shape[:2], *found.shape[1:])
 
     def points_under(self, loads: Array, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
-        """As Model.points_under."""
+        """Compute points of robots each of which bears a load of its own.
+
+        Parameters
+        ----------
+        loads : (T, 17 + 3d) array
+            The numbers of every row's load, in the order of :meth:`ctr_nlp.loads.Load.numbers`, used in place of
+            this model's own load. Of them only those count that this model's kind of rod has.
+        structure : Structure
+            The structure that all robots share.
+        numbers : (T, d, 8) or (1, d, 8) array
+            The tubes' numbers, in the order of ``robot.structure.NUMBERS``: of every row, or once for all.
+        x : (T, 2d + 2) array
+            Unknowns; rad and mm.
+        sigma : (m,) or (T, m) array
+            Arc lengths as parts of beta_d, in [0, 1].
+
+        Returns
+        -------
+        (T, m, 3) array
+            Points in the robots' base frames, mm.
+        """
         return curves(structure, numbers, loads, x, sigma, self.kind)[0]
 
     def acting_apart(self, count: int, acting: Array) -> Array:
-        """Numbers (count, M, 17 + 3d) of what acts on so many robots; acting (M, 17 + 3d): those of the load."""
+        """Give each of several robots the load's numbers; a subclass may give every robot its own.
+
+        Parameters
+        ----------
+        count : int
+            Number n of robots.
+        acting : (M, 17 + 3d) array
+            The load's numbers at M places of a motion.
+
+        Returns
+        -------
+        (n, M, 17 + 3d) array
+            The numbers of what acts on every robot; a read-only view here.
+        """
         return np.broadcast_to(acting, (count, *acting.shape))
 
     def margins(self, robot: Robot, x: Array) -> Array:
-        """As Model.margins; NaN under a load that has no energy."""
+        """Compute stability margins of equilibria.
+
+        The margin is the smallest mu at which (K + V) x = mu K x has a solution, with K the torsional part of the
+        second variation of the energy and V the rest: 1 where no tube acts on another, 0 at the snap, negative
+        where the equilibrium is unstable (stability.py).
+
+        Parameters
+        ----------
+        robot : Robot
+            The robot.
+        x : (T, 2d + 2) array
+            Unknowns, one row a frame; rad and mm.
+
+        Returns
+        -------
+        (T,) array
+            Margins. NaN where x is NaN, and everywhere under a load that has no energy.
+        """
         found, known = np.full(len(x), np.nan), np.isfinite(x).all(axis=1)
+        # A moment, or a force that turns with the tool, does work that depends on the way: there is no energy, and
+        # so no second variation from which a margin could be told.
         if self.load.conservative and known.any():
             equilibria = self._equilibria(robot)
             acting = self._over(robot.d, len(x))
@@ -143,10 +349,24 @@ class Loaded(Model):
         return found
 
     def states(self, robot: Robot, x: Array) -> States:
-        """The states of unknowns x (T, 2d + 2), each an equilibrium of its own configuration."""
+        """Describe the equilibria of unknowns x, each at the configuration that belongs to it.
+
+        Parameters
+        ----------
+        robot : Robot
+            The robot.
+        x : (T, 2d + 2) array
+            Unknowns, one row a frame; rad and mm.
+
+        Returns
+        -------
+        States
+            T equilibria with their configurations, tips, and derivatives of the motors' angles and the tilt.
+        """
         return self._states(self._equilibria(robot), robot, x, self._over(robot.d, len(x)))
 
     def _states(self, equilibria: LoadedEquilibria, robot: Robot, x: Array, acting: Array) -> States:
+        """States of unknowns x (T, 2d + 2) of one robot, under loads acting (T, 17 + 3d)."""
         of_robot = np.repeat(robot.numbers[None], len(x), axis=0)
         return equilibria.states(of_robot, *tips(x, robot.d), x[:, robot.d : 2 * robot.d], acting)
 
@@ -154,59 +374,210 @@ class Loaded(Model):
         return LoadedEquilibria(robot.structure, self.kind)
 
     def rest(self, robot: Robot, q: Array) -> Array:
-        """Where all tubes are turned to together from alpha_d, and then loaded; NaN where it snaps on the way."""
+        """Find the equilibrium of a robot that has no history.
+
+        Unloaded, all tubes are turned from where they are aligned at alpha_d to q; then the load grows from zero
+        while q stays. Both ways are followed, so that the result is the equilibrium that a real robot reaches.
+
+        Parameters
+        ----------
+        robot : Robot
+            The robot.
+        q : (2d + 2,) array
+            Configuration; rad and mm.
+
+        Returns
+        -------
+        (2d + 2,) array
+            Unknowns x; NaN where the robot has no equilibrium there or snaps while the load grows.
+        """
         found: Array = self._follower(robot, self._over(robot.d, 1)).rest(np.asarray(q, dtype=float)[None])[0]
         return found
 
     def guess(self, robot: Robot, q: Array) -> Array:
-        """As if tubes had their motors' angles all along, and bore nothing."""
+        """Estimate unknowns without solving anything, to start a solver from.
+
+        The tubes' tips get the angles of their motors, as if tubes did not twist, and the load is left out.
+
+        Parameters
+        ----------
+        robot : Robot
+            The robot.
+        q : (.., 2d + 2) array
+            Configurations; rad and mm.
+
+        Returns
+        -------
+        (.., 2d + 2) array
+            Approximate unknowns; no equilibria of q under the load.
+        """
         rows = np.reshape(q, (-1, np.shape(q)[-1]))
         return np.reshape(self.unloaded(robot, rows, rows[:, : robot.d]), np.shape(q))
 
     def unloaded(self, robot: Robot, q: Array, angles: Array) -> Array:
-        """The unknowns (T, 2d + 2) of a robot that stands at q (T, 2d + 2) and bears nothing.
+        """Compute unknowns of a robot without a load whose tubes have given angles at their tips.
 
-        angles (T, d): of its tubes' tips, against each other.
+        Such a tip is an equilibrium, with the extensions, the tilt and the alpha_d of q. The other motors' angles
+        are those that belong to the tips: they are not looked at in q.
+
+        Parameters
+        ----------
+        robot : Robot
+            The robot.
+        q : (T, 2d + 2) array
+            Configurations; rad and mm.
+        angles : (T, d) array
+            Angles of the tubes at their tips, rad. Only differences from that of the innermost tube count.
+
+        Returns
+        -------
+        (T, 2d + 2) array
+            Unknowns.
         """
         of_robot = np.repeat(robot.numbers[None], len(q), axis=0)
         return unknowns(*self._equilibria(robot).placed(of_robot, q, angles), q)
 
     def loaded(self, robot: Robot, q: Array, angles: Array) -> Array:
-        """The unknowns (T, 2d + 2) after the load has come at each q (T, 2d + 2), as far as the robot bears it.
+        """Follow the equilibria of unloaded robots while the load grows from zero to its full size.
 
-        angles (T, d): as for unloaded. Where the robot snaps on the way, these are of the equilibrium before that.
+        Parameters
+        ----------
+        robot : Robot
+            The robot.
+        q : (T, 2d + 2) array
+            Configurations, which stay as they are; rad and mm.
+        angles : (T, d) array
+            Angles of the tubes at their tips, rad, as of :meth:`unloaded`: about those of the unloaded equilibrium
+            at q, which is found from them by Newton's method.
+
+        Returns
+        -------
+        (T, 2d + 2) array
+            Unknowns under the load. Where the branch of equilibria ends before the load is complete, those of the
+            last equilibrium that was found on it.
         """
         equilibria, of_robot = self._equilibria(robot), np.repeat(robot.numbers[None], len(q), axis=0)
         free = equilibria.unloaded(of_robot, q, angles)
         return equilibria.along(free, q, self._over(robot.d, len(q)))[0].unknowns
 
     def configuration(self, robot: Robot, x: Array) -> Array:
-        """As Model.configuration; alpha up to whole turns of all tubes together, theta_x within a quarter turn."""
+        """Compute the configurations of unknowns.
+
+        Parameters
+        ----------
+        robot : Robot
+            The robot.
+        x : (T, 2d + 2) array
+            Unknowns, one row a frame; rad and mm.
+
+        Returns
+        -------
+        (T, 2d + 2) array
+            Configurations q. alpha is known up to whole turns of all tubes together, and theta_x is the one within
+            a quarter turn: further tilts have the same shapes in other words
+            (:func:`~ctr_nlp.simulation.forward.other_way`).
+        """
         return self.states(robot, x).q
 
     def extensions(self, robot: Robot, x: Array) -> Array:
-        """As Model.extensions; x holds them where q does."""
+        """Return the extensions beta, which x holds at the same place as q.
+
+        Parameters
+        ----------
+        robot : Robot
+            The robot.
+        x : (T, 2d + 2) array
+            Unknowns; rad and mm.
+
+        Returns
+        -------
+        (T, d) array
+            Extensions, mm.
+        """
         return x[:, robot.d : 2 * robot.d]
 
     def follow(self, robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBSTEPS) -> Followed:
-        """As Model.follow: the load comes in the first frame, and is taken away in the last one.
+        """Follow the equilibria of the robot through a motion.
 
-        x0 is not looked at: a robot is where the load has brought it.
+        The load grows from zero while the robot stands in the first frame, and is taken away in the last one: a
+        real motion begins and ends without it. Between frames the robot moves linearly in q.
+
+        Parameters
+        ----------
+        robot : Robot
+            The robot.
+        q : (T, 2d + 2) array
+            Configurations of the frames; rad and mm. After rows that are NaN the robot comes to rest without a
+            history.
+        x0 : array, optional
+            Ignored: the robot is where the load has brought it.
+        substeps : int
+            Steps from frame to frame at which margins are computed.
+
+        Returns
+        -------
+        Followed
+            Unknowns and margins of the frames; NaN from a snap on, as nobody knows where a loaded robot then comes
+            to rest.
         """
+        # The load is told as parts of the whole motion; a place between frames has that of its own time.
         way = passage(np.asarray(q, dtype=float), substeps)
         return self._follower(robot, self.load.over(robot.d, way.parts)).followed(way, way.q[None])[0]
 
     def follow_apart(
         self, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True
     ) -> list[Followed]:
-        """As Model.follow_apart."""
+        """Follow the equilibria of several robots that differ in their tubes' numbers, in one batch.
+
+        Parameters
+        ----------
+        structure : Structure
+            The structure that all robots share.
+        numbers : (n, d, 8) array
+            The tubes' numbers of every robot, in the order of ``robot.structure.NUMBERS``.
+        way : Passage
+            The sub-steps of the motion: which frames its M places belong to, and where robots begin without a
+            history.
+        q : (n, M, 2d + 2) array
+            Configurations of every robot's tubes at these places; rad and mm.
+        margins : bool
+            Whether stability margins are computed, which takes longer than the unknowns; NaN otherwise.
+
+        Returns
+        -------
+        list of Followed
+            Unknowns and margins of every robot.
+        """
         acting = self.acting_apart(len(numbers), self.load.over(structure.d, way.parts))
         return self.follow_under(acting, structure, numbers, way, q, margins)
 
     def follow_under(
         self, loads: Array, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True
     ) -> list[Followed]:
-        """As Model.follow_under, of loads of its kind."""
+        """Follow the equilibria of several robots each of which bears a load of its own.
+
+        Parameters
+        ----------
+        loads : (n, M, 17 + 3d) array
+            The numbers of every robot's load at the M places of the motion, used in place of this model's own
+            load; of the same kind, and with an energy where that one has.
+        structure : Structure
+            The structure that all robots share.
+        numbers : (n, d, 8) array
+            The tubes' numbers of every robot, in the order of ``robot.structure.NUMBERS``.
+        way : Passage
+            The sub-steps of the motion: which frames its M places belong to, and where robots begin without a
+            history.
+        q : (n, M, 2d + 2) array
+            Configurations of every robot's tubes at these places; rad and mm.
+        margins : bool
+            Whether stability margins are computed, which takes longer than the unknowns; NaN otherwise.
+
+        Returns
+        -------
+        list of Followed
+            Unknowns and margins of every robot.
+        """
         found = list[Followed]()
         for some in (slice(first, first + TOGETHER) for first in range(0, len(numbers), TOGETHER)):
             follower = Follower(structure, numbers[some], self.load, loads[some])
@@ -214,30 +585,62 @@ class Loaded(Model):
         return found
 
     def walker(self, structure: Structure, numbers: Array, q: Array) -> Walker:
-        """As Model.walker; raises LoadError under a load that changes over time."""
+        """Place a robot that is moved step by step, as by its motors.
+
+        Parameters
+        ----------
+        structure : Structure
+            The robot's structure.
+        numbers : (d, 8) array
+            The tubes' numbers, in the order of ``robot.structure.NUMBERS``.
+        q : (2d + 2,) array
+            The configuration at which it stands, without a history; rad and mm.
+
+        Returns
+        -------
+        Walker
+            The robot, under the load.
+
+        Raises
+        ------
+        LoadError
+            The load changes over time: a robot moved by hand has no end of the motion to relate it to.
+        """
         return LoadedWalker(structure, numbers, q, steady(self.load, "a robot that moves step by step"))
 
     def _follower(self, robot: Robot, acting: Array) -> Follower:
-        """The follower of one robot; acting (M, 17 + 3d): at every place of a way."""
+        """The follower of one robot; acting (M, 17 + 3d): the numbers of the load at every place of a motion."""
         return Follower(robot.structure, robot.numbers[None], self.load, acting[None])
 
 
 @dataclass(frozen=True, eq=False)
 class Pushed(Loaded):
-    """The same of n robots, each of which bears one of forces (n, 3), N, beside the load.
+    """A loaded model of n robots each of which has a tip force of its own beside the common load.
 
-    The forces are in the directions of the base. Only robots apart bear them: follow_apart, points_apart.
+    Only the methods for several robots apply the forces: :meth:`follow_apart` and :meth:`points_apart`.
+
+    Parameters
+    ----------
+    load : Load or LoadOverTime
+        The load that all robots bear.
+    forces : (n, 3) array
+        Tip forces in the directions of the base frame, N.
     """
 
     forces: Array
 
     def acting_apart(self, count: int, acting: Array) -> Array:
-        """As Loaded.acting_apart, of the n robots."""
+        """Add every robot's own tip force to the load's numbers acting (M, 17 + 3d).
+
+        Returns (count, M, 17 + 3d); count must be the number n of forces.
+        """
         found = np.array(super().acting_apart(count, acting))
-        found[..., :3] += self.forces[:, None]
+        found[..., :3] += self.forces[:, None]  # the first three numbers are the tip force in base directions
         return found
 
 
+# One load for each of the 16 kinds that a user's load can make. Which numbers it has is of no importance: programs
+# take them as parameters, and only which of them are not zero decides which terms are compiled.
 UNIT = (0.0, 0.0, 1.0)
 _KINDS = itertools.product(("base", "tool"), ((0.0, 0.0, 0.0), UNIT), (None, UNIT), (None, 1.0))
 _LOADS = [
@@ -253,17 +656,43 @@ _LOADS = [
     for axes, moment, along, density in _KINDS
 ]
 FORMS = {RodKind.of(load): Loaded(load) for load in _LOADS}
-"""What programs are made of."""
+"""By the kind of rod, the loaded model from which programs are built."""
 
 
 def curves(
     structure: Structure, numbers: Array, acting: Array, x: Array, sigma: Array, kind: RodKind
 ) -> tuple[Array, Array]:
-    """Points and tangents (T, n, 3) of robots of numbers (T or 1, d, 8) under loads (T or 1, l) of such rods."""
+    """Compute points and tangents of the backbone from the tangents at the integration's nodes.
+
+    Within a piece of :data:`PIECE` steps the tangent is the polynomial through its nodes; points are that
+    polynomial's exact integral, so that points and tangents belong to the same curve.
+
+    Parameters
+    ----------
+    structure : Structure
+        The structure that all robots share.
+    numbers : (T, d, 8) or (1, d, 8) array
+        The tubes' numbers, in the order of ``robot.structure.NUMBERS``: of every row, or once for all.
+    acting : (T, l) or (1, l) array
+        The numbers of what acts: 17 + 3d of a load, and further ones where forces act on pieces of the rod.
+    x : (T, 2d + 2) array
+        Unknowns; rad and mm.
+    sigma : (n,) or (T, n) array
+        Arc lengths as parts of beta_d, in [0, 1].
+    kind : RodKind
+        Which of the numbers the rod's equations contain.
+
+    Returns
+    -------
+    points, tangents : (T, n, 3) array
+        In mm, and unit vectors; in the robots' base frames.
+    """
     d, rows = structure.d, len(x)
     of_robots = np.broadcast_to(numbers, (rows, *numbers.shape[1:]))
     beta, load = x[:, d : 2 * d], np.broadcast_to(acting, (rows, acting.shape[1]))
     ends = Rods(structure, kind)(of_robots, *tips(x, d), beta, load, np.ones((rows, 2)))
+    # Powers of one polynomial through all of a section's nodes, which are evenly spaced, would swing between them
+    # (Runge's phenomenon); of PIECE steps they do not.
     tubes, out, steps = tubes_in_columns(structure, numbers), columns_of(beta), min(kind.steps, PIECE)
     curved = [
         vector
@@ -273,17 +702,20 @@ def curves(
     ]
     parts = kind.divided(sections(tubes, out, np, planes=False))
     pieces = [piece for part in parts for piece in part.divided(kind.steps // steps)]
+    # travels counts steps of two intervals: a piece of `steps` intervals has steps + 1 nodes and powers.
     lengths, turns = shape.travels(tubes, out, pieces, sigma * out[-1], np, steps // 2)
     like = np.zeros((rows, np.shape(sigma)[-1]))
-    base = _vector(ends.axes[:, 2])
+    base = _vector(ends.axes[:, 2])  # the tangent at the opening, from which all further ones are told
     points, tangents = combination(lengths, curved), combination([1.0, *turns], [base, *curved])
     return _stacked(points, like), _stacked(tangents, like)
 
 
 def _vector(rows: Array) -> Vector:
+    """Split rows (T, 3) into their x, y and z, each a column (T, 1) that broadcasts over samples."""
     x, y, z = columns_of(rows)
     return x, y, z
 
 
 def _stacked(vector: Vector, like: Array) -> Array:
+    """Join x, y and z as the last axis, broadcast to the shape (T, n) of an array of zeros."""
     return np.stack([part + like for part in vector], axis=-1)
