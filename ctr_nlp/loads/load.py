@@ -1,4 +1,12 @@
-"""A load: what pulls at a robot's tip, turns it, pushes along its body, and weighs on its tubes."""
+"""A load: what pulls at a robot's tip, turns it, pushes along its body, and weighs on its tubes.
+
+:meth:`Load.numbers` writes it as one row of 17 + 3d numbers, which is all that models see of it:
+
+    0:3    force at the tip, base directions, N          9:12   moment at the tip, tool directions, N mm
+    3:6    force at the tip, tool directions, N         12:15   force along the body, base directions, N/mm
+    6:9    moment at the tip, base directions, N mm     15:17   arc lengths where that begins and ends, mm
+    17:    weight per volume of every tube's material, base directions, N/mm^3, three numbers a tube
+"""
 
 from __future__ import annotations
 
@@ -35,20 +43,48 @@ BEFORE_WEIGHTS = 17
 @packable("load")
 @dataclass(frozen=True)
 class Load:
-    """What acts on a robot all the time.
+    """A load that acts on a robot all the time.
 
-    force: (3,) N at the tip, in the directions of the base frame, or of the tool: z along the tip, x where the
-    pre-curvature of the innermost tube bends it. axial_moment: N mm about the tip's direction, which turns the
-    innermost tube. moment: (3,) N mm at the tip, in the same directions as the force. densities: of the tubes,
-    g/cm^3, a number or one a tube, outermost first (nitinol has 6.45); down: (3,) the direction of gravity in the
-    base frame, of any length, needed where there are densities. distributed_force: (3,) N/mm in the directions of
-    the base frame, which acts along the body between two places, mm from the opening; of a robot that ends before
-    the second one, up to the tip.
-    Lists and arrays are kept as tuples. Raises LoadError.
+    Lists and arrays are kept as tuples, so that loads are equal where their values are.
 
-    A force that turns with the tool has no energy, nor has any moment, be it one that keeps its direction: robots
-    that bear these have shapes and snaps, but no stability margin (Ziegler, Principles of Structural Stability,
-    1968).
+    A force that turns with the tool has no energy, nor has any moment, be it one that keeps its direction in
+    space: under these a robot has shapes and can snap, but has no stability margin (Ziegler, Principles of
+    Structural Stability, 1968).
+
+    Parameters
+    ----------
+    force : (3,) sequence
+        Force at the tip, N, at most 100 N.
+    axes : str
+        Directions in which `force` and `moment` are given: ``"base"``, those of the base frame, or ``"tool"``,
+        which turn with the tip: z along the tip, x where the pre-curvature of the innermost tube bends it.
+    axial_moment : float
+        Moment about the tip's direction, which twists the innermost tube, N mm.
+    densities : float or (d,) sequence, optional
+        Densities of the tubes' materials, g/cm^3: one for all, or one a tube, outermost first. Nitinol has 6.45.
+        By default tubes weigh nothing.
+    down : (3,) sequence, optional
+        Direction of gravity in the base frame, of any length; given exactly where `densities` are.
+    distributed_force : (3,) sequence, optional
+        Force per length along the body in the directions of the base frame, N/mm, at most 10 N/mm.
+    between : (2,) sequence, optional
+        Arc lengths from the opening between which `distributed_force` acts, mm; given exactly where it is. On a
+        robot that ends before the second one, the force acts up to the tip.
+    moment : (3,) sequence
+        Moment at the tip in the directions of `axes`, N mm, at most 1000 N mm.
+
+    Raises
+    ------
+    LoadError
+        A value is no number, of the wrong shape, out of its range, or given without the one that belongs to it.
+
+    Examples
+    --------
+    >>> load = Load(force=(0.0, 0.1, 0.0), densities=6.45, down=(0, 0, -1))
+    >>> print(load)
+    a tip force of (0, 0.1, 0) N and its weight
+    >>> load.conservative, Load(force=(0.0, 0.1, 0.0), axes="tool").conservative
+    (True, False)
     """
 
     force: Any = (0.0, 0.0, 0.0)
@@ -77,6 +113,7 @@ class Load:
         self._check_gravity()
 
     def _check_distributed(self) -> None:
+        """Raise LoadError unless distributed_force and between are both given and sound, or neither is."""
         if (self.distributed_force is None) != (self.between is None):
             given, missing = ("between", "distributed_force")[:: 1 if self.between is not None else -1]
             raise LoadError(f"{given} of a load needs {missing}: a force along the body is told by both")
@@ -93,6 +130,7 @@ class Load:
             )
 
     def _check_gravity(self) -> None:
+        """Raise LoadError unless densities and down are both given and sound, or neither is."""
         if (self.densities is None) != (self.down is None):
             given, missing = ("down", "densities") if self.densities is None else ("densities", "down")
             raise LoadError(f"{given} of a load needs {missing}: gravity is told by both")
@@ -101,6 +139,7 @@ class Load:
         down = floats(LoadError, "down of a load", self.down, (3,))
         if not np.linalg.norm(down) > 0:
             raise LoadError(f"down of a load is {self.down}; it must be a direction, not zero")
+        # How many densities there must be is known only where a robot is: numbers() looks.
         several = isinstance(self.densities, tuple)
         low, high = DENSITIES
         for each in self.densities if several else (self.densities,):
@@ -110,12 +149,12 @@ class Load:
 
     @property
     def conservative(self) -> bool:
-        """Whether the load has an energy, and so a robot that bears it a stability margin."""
+        """Whether the load has an energy, and so the loaded robot a stability margin."""
         return not (self.axial_moment or self.bends or self.follows)
 
     @property
     def follows(self) -> bool:
-        """Whether a force turns with the tool."""
+        """Whether a force acts at the tip that turns with the tool."""
         return self.axes == "tool" and any(self.force)
 
     @property
@@ -125,38 +164,93 @@ class Load:
 
     @property
     def distributed(self) -> bool:
-        """Whether a force acts along the body, beside the weight."""
+        """Whether a force acts along the body, apart from the tubes' weight."""
         return self.distributed_force is not None and any(self.distributed_force)
 
     @property
     def weighs(self) -> bool:
-        """Whether the tubes' own weight counts."""
+        """Whether the tubes have a weight."""
         return self.densities is not None
 
     def check(self, robot: Robot) -> None:
-        """Raise LoadError where a robot cannot be told to bear the load."""
+        """Check that a robot can bear the load.
+
+        Parameters
+        ----------
+        robot : Robot
+            The robot.
+
+        Raises
+        ------
+        LoadError
+            A tube's Young's modulus is not in MPa (:func:`ctr_nlp.loads.with_modulus` gives it one), or there are
+            densities of another number of tubes.
+        """
         check_moduli(robot)
         self.numbers(robot.d)
 
     def numbers(self, d: int) -> Array:
-        """What models need to know of it for robots of d tubes, (17 + 3 d,), all of it 0 without a load.
+        """Write the load as the row of numbers that models take as parameters.
 
-        The force of base axes and that of tool axes, the moments of these, the distributed force, the two places
-        between which it acts, and the weight of what every tube is made of, N/mm^3, as a vector. Raises LoadError
-        where there are densities of another number of tubes.
+        Parameters
+        ----------
+        d : int
+            Number of the robot's tubes.
+
+        Returns
+        -------
+        (17 + 3d,) array
+            In this order: the tip force in base directions and the one in tool directions, N; the tip moments
+            likewise, N mm; the distributed force, N/mm; the two arc lengths between which it acts, mm; and for
+            each tube the weight per volume of its material as a vector, N/mm^3. All are 0 where nothing acts.
+
+        Raises
+        ------
+        LoadError
+            There are densities of another number of tubes.
+
+        Examples
+        --------
+        >>> Load(force=(0.0, 0.1, 0.0)).numbers(3).shape
+        (26,)
+        >>> weighing = Load(densities=6.45, down=(0, 0, -1)).numbers(1)
+        >>> f"{weighing[-1]:.3g} N/mm^3"
+        '-6.33e-05 N/mm^3'
         """
+        # Forces and moments, each in base and in tool directions: those that are not given are 0. A load over time
+        # may change from one directions to the other, and then both count for a while.
         at_tip = np.zeros((2, len(AXES), 3))
         at_tip[:, AXES.index(self.axes)] = self.force, self.moment
+        # The moment about the tip's direction is one about z of the tool, whatever `axes` says of the others.
         at_tip[1, AXES.index("tool"), 2] += self.axial_moment
         along = (*self.distributed_force, *self.between) if self.distributed else np.zeros(5)
         return np.array([*at_tip.flat, *along, *self._weights(d).flat])
 
     def over(self, d: int, part: Array) -> Array:
-        """The same (n, 17 + 3 d) at parts (n,) of a motion, from 0, its first frame, to 1; raises as numbers."""
+        """Return the load's numbers at several times of a motion; they are the same at all.
+
+        Parameters
+        ----------
+        d : int
+            Number of the robot's tubes.
+        part : (n,) array
+            Times as parts of the motion, from 0, its first frame, to 1, its last one. Only their number counts
+            here; a load over time differs from one to the next.
+
+        Returns
+        -------
+        (n, 17 + 3d) array
+            Rows of :meth:`numbers`.
+
+        Raises
+        ------
+        LoadError
+            There are densities of another number of tubes.
+        """
         return np.repeat(self.numbers(d)[None], len(part), axis=0)
 
     def _weights(self, d: int) -> Array:
-        """Of what every tube is made of, (d, 3) N/mm^3."""
+        """Weights per volume of the materials of d tubes as vectors in the base frame, (d, 3) N/mm^3."""
         if self.densities is None:
             return np.zeros((d, 3))
         if isinstance(self.densities, tuple) and len(self.densities) != d:
@@ -164,17 +258,41 @@ class Load:
                 f"densities of a load has {len(self.densities)} numbers; it must be one, or one for each of the "
                 f"robot's {d} tubes"
             )
+        # g/cm^3 times m/s^2 is 1e-6 N/mm^3. Models multiply by the area of a tube's cross-section, which a design
+        # may change, and get a force per length.
         down = np.array(self.down, dtype=float)
         return np.outer(np.broadcast_to(self.densities, d) * PER_MM3 * GRAVITY, down / np.linalg.norm(down))
 
     def to_dict(self) -> dict[str, Any]:
-        """Numbers, strings and lists for strict JSON."""
+        """Return the load as a dict of numbers, strings and lists, fit for strict JSON."""
         plain: dict[str, Any] = strict_json(asdict(self))
         return plain
 
     @classmethod
     def from_dict(cls, data: Any) -> Load:
-        """The load that to_dict wrote; raises LoadError."""
+        """Make the load that :meth:`to_dict` wrote.
+
+        Parameters
+        ----------
+        data : dict
+            Fields of a load by name; those that are missing have their defaults.
+
+        Returns
+        -------
+        Load
+            The load.
+
+        Raises
+        ------
+        LoadError
+            `data` is no dict, has an unknown key, or describes no load.
+
+        Examples
+        --------
+        >>> load = Load(force=(0.0, 0.1, 0.0))
+        >>> Load.from_dict(load.to_dict()) == load
+        True
+        """
         allowed = [f.name for f in fields(cls)]
         if not isinstance(data, dict):
             raise LoadError(f"a load is {data!r:.60}; it must be a table with the keys {', '.join(allowed)}")
@@ -182,7 +300,7 @@ class Load:
         return cls(**data)
 
     def __str__(self) -> str:
-        """In words, as tables and verdicts tell it."""
+        """Describe the load in words, as tables and verdicts print it."""
         told, tool = [], " in the tool's axes" * (self.axes == "tool")
         if any(self.force):
             x, y, z = self.force
@@ -201,7 +319,11 @@ class Load:
 
 
 def _limited(name: str, value: float, most: float, units: tuple[str, ...]) -> None:
-    """Raise LoadError where a value is larger than any robot of this kind bears; units: each a thousandth."""
+    """Raise LoadError where a value is larger than any robot of this kind bears.
+
+    name: of the value in the message; most: the largest size allowed; units: that of the value first, then smaller
+    ones, each a thousandth of the one before, of which the message offers those that make the value plausible.
+    """
     if abs(value) > most:
         smaller = [(value / 1e3**k, f"{value:g} {unit}") for k, unit in enumerate(units) if k]
         meant = [f"{there:g} {units[0]} ({written})" for there, written in smaller if 1e-3 < abs(there) <= most]
@@ -211,4 +333,5 @@ def _limited(name: str, value: float, most: float, units: tuple[str, ...]) -> No
 
 
 def _plausible(value: Any, factor: float, allowed: tuple[float, float]) -> bool:
+    """Whether a value times a factor is a number between the two ends allowed."""
     return isinstance(value, int | float) and allowed[0] <= factor * value <= allowed[1]

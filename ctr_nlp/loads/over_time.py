@@ -25,8 +25,24 @@ KEY, AT = "over_time", "at"
 class LoadOverTime:
     """Loads that a robot bears one after the other during a motion, changing linearly from each to the next.
 
-    loads: (n,) of Load. at: (n,) when each of them acts, as parts of the motion: 0 is its first frame, 1 its last
-    one. Forces along the body must act between the same places in all loads that have one. Raises LoadError.
+    Parameters
+    ----------
+    loads : (n,) sequence of Load
+        The loads, at least two.
+    at : (n,) sequence of float
+        When each of them acts, as a part of the motion: rising from 0, its first frame, to 1, its last one.
+
+    Raises
+    ------
+    LoadError
+        `loads` are no loads, `at` does not rise from 0 to 1, or forces along the body act between different places
+        in different loads: a place where a force ends cannot move.
+
+    Examples
+    --------
+    >>> load = LoadOverTime([Load(), Load(force=(0.0, 0.2, 0.0))], [0.0, 1.0])
+    >>> load.over(3, np.array([0.0, 0.5, 1.0]))[:, 1].tolist()
+    [0.0, 0.1, 0.2]
     """
 
     loads: Sequence[Load]
@@ -48,54 +64,102 @@ class LoadOverTime:
 
     @property
     def conservative(self) -> bool:
-        """As Load.conservative, at every time."""
+        """Whether the load has an energy at every time, and so the loaded robot a stability margin."""
         return all(load.conservative for load in self.loads)
 
     @property
     def follows(self) -> bool:
-        """As Load.follows, at some time."""
+        """Whether at some time a force acts at the tip that turns with the tool."""
         return any(load.follows for load in self.loads)
 
     @property
     def bends(self) -> bool:
-        """As Load.bends, at some time."""
+        """Whether at some time a moment acts at the tip that need not be about its direction."""
         return any(load.bends for load in self.loads)
 
     @property
     def distributed(self) -> bool:
-        """As Load.distributed, at some time."""
+        """Whether at some time a force acts along the body, apart from the tubes' weight."""
         return any(load.distributed for load in self.loads)
 
     @property
     def weighs(self) -> bool:
-        """As Load.weighs, at some time."""
+        """Whether at some time the tubes have a weight."""
         return any(load.weighs for load in self.loads)
 
     def check(self, robot: Robot) -> None:
-        """As Load.check."""
+        """Check that a robot can bear each of the loads.
+
+        Parameters
+        ----------
+        robot : Robot
+            The robot.
+
+        Raises
+        ------
+        LoadError
+            A tube's Young's modulus is not in MPa, or there are densities of another number of tubes.
+        """
         for load in self.loads:
             load.check(robot)
 
     def over(self, d: int, part: Array) -> Array:
-        """As Load.over: numbers (n, 17 + 3 d) at parts (n,) of the motion; raises LoadError."""
+        """Return the load's numbers at several times of a motion, linear between the times that are given.
+
+        Parameters
+        ----------
+        d : int
+            Number of the robot's tubes.
+        part : (n,) array
+            Times as parts of the motion, from 0, its first frame, to 1, its last one.
+
+        Returns
+        -------
+        (n, 17 + 3d) array
+            Rows in the order of :meth:`Load.numbers`.
+
+        Raises
+        ------
+        LoadError
+            There are densities of another number of tubes.
+        """
         known = np.array([load.numbers(d) for load in self.loads])
         for load, row in zip(self.loads, known, strict=True):
+            # A load without a force along the body has 0 for the places between which it acts. Interpolated, these
+            # would wander along the body while the force grows: it has the places of the other loads.
             if self.distributed and not load.distributed:
                 row[BETWEEN] = next(each.between for each in self.loads if each.distributed)
         return np.stack([np.interp(part, self.at, column) for column in known.T], axis=1)
 
     def to_dict(self) -> dict[str, Any]:
-        """Numbers, strings and lists for strict JSON."""
+        """Return the load as a dict of numbers, strings and lists, fit for strict JSON."""
         return {KEY: [{AT: at} | load.to_dict() for at, load in zip(self.at, self.loads, strict=True)]}
 
     def __str__(self) -> str:
-        """In words, as tables and verdicts tell it."""
+        """Describe the load in words, as tables and verdicts print it."""
         told = ", ".join(f"{load} at {at:g}" for at, load in zip(self.at, self.loads, strict=True))
         return f"a load over time ({told} of the motion)"
 
 
 def load_from_dict(data: Any) -> Load | LoadOverTime:
-    """The load, constant or over time, that to_dict wrote; raises LoadError."""
+    """Make the load, constant or over time, that ``to_dict`` of it wrote.
+
+    Parameters
+    ----------
+    data : mapping
+        Fields of a :class:`Load` by name; or under the only key ``"over_time"`` a list of such mappings, each with
+        the further key ``"at"``, a part of the motion.
+
+    Returns
+    -------
+    Load or LoadOverTime
+        The load.
+
+    Raises
+    ------
+    LoadError
+        `data` describes no load.
+    """
     if not isinstance(data, Mapping) or KEY not in data:
         return Load.from_dict(data)
     if len(data) > 1:
@@ -108,7 +172,33 @@ def load_from_dict(data: Any) -> Load | LoadOverTime:
 
 
 def read_load(path: str | Path) -> Load | LoadOverTime:
-    """The load, constant or over time, of a TOML file; raises LoadError."""
+    """Read a load, constant or over time, from a TOML file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file with the fields of a :class:`Load` as keys, or with tables ``[[over_time]]``, each with such keys
+        and ``at``, a part of the motion. ``ctr-nlp new load FILE`` writes one with every key explained.
+
+    Returns
+    -------
+    Load or LoadOverTime
+        The load.
+
+    Raises
+    ------
+    LoadError
+        The file cannot be read, or describes no load; the message names the file.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder, "load.toml")
+    ...     _ = path.write_text("force = [0.0, 0.1, 0.0]")
+    ...     print(read_load(path))
+    a tip force of (0, 0.1, 0) N
+    """
     try:
         return load_from_dict(read_toml(path))
     except CtrError as error:
@@ -116,9 +206,24 @@ def read_load(path: str | Path) -> Load | LoadOverTime:
 
 
 def steady(load: Load | LoadOverTime | None, what: str) -> Load:
-    """The load, or one that is none; raises LoadError where it changes over time, which something does not know.
+    """Return a load that does not change over time.
 
-    what: the beginning of a sentence about it, such as "a Steerer".
+    Parameters
+    ----------
+    load : Load or LoadOverTime, optional
+        The load; None stands for none.
+    what : str
+        What needs such a load, as the beginning of a message: "a Steerer".
+
+    Returns
+    -------
+    Load
+        The load itself, or one that is zero.
+
+    Raises
+    ------
+    LoadError
+        The load changes over time.
     """
     if isinstance(load, LoadOverTime):
         raise LoadError(f"{what} needs a load that stays the same; this one changes over time")
