@@ -37,14 +37,67 @@ def problem_from_file(
     insertion: npt.ArrayLike | None = None,
     tilt: float | None = None,
 ) -> Problem:
-    """The problem of advancing along a path in a file: a centreline file or a mask of the lumen.
+    r"""Make the problem of advancing along a path in a file: a centreline file or a mask of the lumen.
 
-    branch: which one, by name or number from 1. entry, target: points (3,) in mm between which it is followed;
-    insertion: direction (3,) in which the robot is inserted there (default: that of the first 10 mm); all in the
-    file's own coordinates. reverse: the file's lines run from tip to root. smoothing: mm that the followed curve
-    may keep from the path, see Curve.smoothed. trim: which end to drop where the path is longer than the robot
-    reaches. tilt: how far the base may turn about each of its axes, rad, where the robot's limits allow more.
-    The problem's lumen is the whole branch. Raises CurveError, ProblemError, RobotError, OptionError.
+    The path is moved before the robot: its first point goes to the origin, and the insertion direction to +z. The
+    target of frame j is the part of the path that has been advanced along by then, eq. (7).
+
+    Parameters
+    ----------
+    path : str or Path
+        The file; its name tells the kind. Tables are in mm.
+    robot : Robot, optional
+        The robot; by default that of Table I of the paper.
+    frames : int
+        Number of frames, evenly spaced in time.
+    duration : float
+        Time for all of them, s.
+    branch : str or int, optional
+        Which branch of a centreline file is followed: its name, or its number from 1.
+    entry, target : (3,) array_like, optional
+        Points in the file's own coordinates, mm, between which the branch is followed; by default its ends.
+    reverse : bool
+        Whether the file's lines run from tip to root.
+    smoothing : float
+        How far the followed curve may be from the path in the file, mm; see :meth:`Curve.smoothed`.
+    trim : {"start", "end"}, optional
+        Which end to drop where the path is longer than the robot reaches.
+    insertion : (3,) array_like, optional
+        Direction in which the robot is inserted, in the file's own coordinates and of any length; by default the
+        mean direction of the first 10 mm of what is followed.
+    tilt : float, optional
+        Largest angle by which the base may turn about each of its axes, rad, where the robot's limits allow more.
+
+    Returns
+    -------
+    Problem
+        Its ``lumen`` is the whole branch where the file has radii, also what lies beyond `entry` and `target`; its
+        ``to_robot`` takes the file's coordinates to the robot's frame.
+
+    Raises
+    ------
+    CurveError
+        The file cannot be read, or holds no such path.
+    ProblemError
+        The path is longer than the robot reaches and `trim` is not given, or `frames` or `duration` is out of
+        range.
+    RobotError
+        `robot` is no robot.
+    OptionError
+        An option is out of its range or does not go with this kind of file.
+
+    Examples
+    --------
+    A straight lumen of 100 mm and a radius of 4 mm:
+
+    >>> import tempfile
+    >>> rows = [f"0,0,{z},4" for z in range(0, 101, 5)]
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder, "line.csv")
+    ...     _ = path.write_text("\n".join(["x_mm,y_mm,z_mm,radius_mm", *rows]))
+    ...     problem = problem_from_file(path, frames=4)
+    >>> np.round(problem.target.lengths, 6).tolist()
+    [25.0, 50.0, 75.0, 100.0]
     """
     path = checked_path(CurveError, path)
     check_frames(frames)
@@ -56,9 +109,11 @@ def problem_from_file(
     along = None if insertion is None else unit(insertion)
     found = passage(path, branch, entry, target, reverse)
     with blamed(path):
+        # Smoothed before it is trimmed: smoothing changes the length, and what is left must be within reach.
         followed = found.path.smoothed(smoothing)
         if trim is not None:
             followed = trimmed(followed, robot.reach, trim)
+        # Paths are in LPS, the direction in the file's own axes.
         followed, to_robot = placed(followed, None if along is None else found.to_lps[:3, :3] @ along)
     lumen = None if found.branch.radius is None else found.branch.moved(to_robot)
     return Problem(
@@ -73,7 +128,36 @@ def problem_from_file(
 
 
 def read_csv(path: str | Path, smoothing: float = 0.0) -> Curve:
-    """The curve of a CSV file with columns x_mm, y_mm, z_mm and optionally radius_mm; raises CurveError."""
+    r"""Read the curve of a CSV file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file whose first line names the columns x_mm, y_mm and z_mm, and radius_mm where the lumen's radius is
+        known; each further line is a point of the curve.
+    smoothing : float
+        How far the curve may be from the spline through these points, mm; see :meth:`Curve.smoothed`.
+
+    Returns
+    -------
+    Curve
+        In the coordinates of the file, mm, by arc length.
+
+    Raises
+    ------
+    CurveError
+        The file cannot be read, or its points are no curve; the message names the file.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder, "line.csv")
+    ...     _ = path.write_text("\n".join(["x_mm,y_mm,z_mm", *(f"0,0,{z}" for z in range(0, 101, 5))]))
+    ...     curve = read_csv(path)
+    >>> curve
+    Curve(100.00 mm)
+    """
     path = checked_path(CurveError, path)
     (branch,) = checked(path, read_table(path)).branches
     with blamed(path):
@@ -81,7 +165,7 @@ def read_csv(path: str | Path, smoothing: float = 0.0) -> Curve:
 
 
 def _tilting(robot: Robot, tilt: float | None) -> Robot:
-    """The robot with its tilt within tilt rad about each axis too."""
+    """Return the robot with the limits of its tilt narrowed to +-tilt rad about each axis; unchanged for None."""
     if tilt is None:
         return robot
     if not 0 <= number(OptionError, "tilt", tilt, lambda _: True, "be a number", " rad") <= math.pi:
@@ -89,5 +173,6 @@ def _tilting(robot: Robot, tilt: float | None) -> Robot:
         raise OptionError(
             f"tilt is {tilt:g} rad, {math.degrees(tilt):g} degrees; it must lie in [0, pi] rad{meant}"
         )
+    # The last two entries of q are theta_x and theta_y, eq. (5). Narrower limits of the robot's own stay.
     lower, upper = np.clip(robot.lower[-2:], -tilt, None), np.clip(robot.upper[-2:], None, tilt)
     return robot.with_limits(theta=tuple(zip(lower.tolist(), upper.tolist(), strict=True)))
