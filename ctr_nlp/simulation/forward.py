@@ -27,9 +27,38 @@ REMEMBERED = 4
 
 
 def shapes(robot: Robot, q: Array, sigma: Array = SIGMA) -> Array:
-    """Points (T, n, 3) in mm of the dominant model at q (T, 2d + 2) and sigma (n,) or (T, n).
+    """Compute shapes of a robot on the dominant stiffness model, eqs. (1) and (4).
 
-    Raises RobotError, and OptionError where that model does not describe the robot.
+    For other models, see :func:`simulated`: on these the shape depends on how the robot came there.
+
+    Parameters
+    ----------
+    robot : Robot
+        The robot.
+    q : (T, 2d + 2) array
+        Configurations (alpha_1..d, beta_1..d, theta_x, theta_y), eq. (5); rad, mm and rad.
+    sigma : (n,) or (T, n) array
+        Arc lengths as parts of beta_d, in [0, 1]; by default 101 even ones.
+
+    Returns
+    -------
+    (T, n, 3) array
+        Points in the robot's base frame, mm.
+
+    Raises
+    ------
+    RobotError
+        `robot` is no robot, or `q` is no array of such rows.
+    OptionError
+        The dominant model does not describe the robot: a tube is no stiffer than the one within it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import ctr_nlp as ctr
+    >>> q = np.array([[0.0, 1.2, 2.4, 40.0, 90.0, 150.0, 0.0, 0.0]])
+    >>> ctr.shapes(ctr.table_i_robot(), q)[0, -1].round(1).tolist()  # the tip
+    [33.7, 68.1, 109.6]
     """
     q = _checked(robot, q)
     DOMINANT.check(robot)
@@ -37,18 +66,50 @@ def shapes(robot: Robot, q: Array, sigma: Array = SIGMA) -> Array:
 
 
 def tangents(robot: Robot, q: Array, sigma: Array = SIGMA) -> Array:
-    """Unit tangents (T, n, 3) of the dominant model at q (T, 2d + 2) and sigma (n,)."""
+    """Compute unit tangents of a robot's shapes on the dominant stiffness model.
+
+    Parameters
+    ----------
+    robot : Robot
+        The robot.
+    q : (T, 2d + 2) array
+        Configurations; rad, mm and rad.
+    sigma : (n,) or (T, n) array
+        Arc lengths as parts of beta_d, in [0, 1]; by default 101 even ones.
+
+    Returns
+    -------
+    (T, n, 3) array
+        Tangents in the robot's base frame, towards the tip.
+
+    Raises
+    ------
+    RobotError
+        `robot` is no robot, or `q` is no array of such rows.
+    OptionError
+        The dominant model does not describe the robot.
+    """
     q = _checked(robot, q)
     DOMINANT.check(robot)
     return DOMINANT.tangents(robot, q, sigma)
 
 
 class Simulation(NamedTuple):
-    """A robot moved through configurations q (T, 2d + 2), as it would really be.
+    """A robot moved through T configurations, with the shapes that it would really have.
 
-    shape (T, 101, 3) mm at uniform sigma; tip_direction (T, 3); stability, stability_between (T,): margins, NaN
-    where nothing can be unstable; x (T, 2d + 2): the unknowns of its equilibria; snaps: where it leaves one for
-    another.
+    Attributes
+    ----------
+    shape : (T, 101, 3) array
+        Points at uniform sigma in the base frame, mm; NaN where the robot has no equilibrium that is known.
+    tip_direction : (T, 3) array
+        Unit tangents at the tip.
+    stability, stability_between : (T,) array
+        Stability margins in the frames, and the least ones on the way to each from the frame before; NaN where
+        nothing can be unstable.
+    x : (T, n) array
+        The model's unknowns at these equilibria.
+    snaps : tuple of Snap
+        Where the robot leaves one branch of equilibria for another.
     """
 
     shape: Array
@@ -60,9 +121,44 @@ class Simulation(NamedTuple):
 
 
 def simulated(robot: Robot, q: Array, model: str | Model) -> Simulation:
-    """The robot moved through q, frame by frame, on a model."""
+    """Move a robot through configurations, frame by frame, on a model.
+
+    Where a configuration has several equilibria, the robot is in the one that it has been led to. A single
+    configuration has no history: the robot is turned there from where its tubes are aligned.
+
+    Parameters
+    ----------
+    robot : Robot
+        The robot.
+    q : (T, 2d + 2) array
+        Configurations of the frames, between which the robot moves linearly; rad, mm and rad.
+    model : str or Model
+        The kinematic model.
+
+    Returns
+    -------
+    Simulation
+        Shapes, margins and snaps.
+
+    Raises
+    ------
+    RobotError
+        `robot` is no robot, or `q` is no array of such rows.
+    OptionError, LoadError
+        The model is unknown or does not describe the robot, or this cannot bear the model's load.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import ctr_nlp as ctr
+    >>> q = np.array([[0.0, 1.2, 2.4, 40.0, 90.0, 150.0, 0.0, 0.0]])
+    >>> found = simulated(ctr.table_i_robot(), q, "elastic")
+    >>> found.shape[0, -1].round(1).tolist(), found.snaps  # the tip
+    ([75.2, 59.4, 82.0], ())
+    """
     described, q = model_named(model), _checked(robot, q)
     described.check(robot)
+    # One configuration has no way between frames, on which margins could be less than at rest.
     if len(q) == 1 and described.bears is None:
         rest = described.at_rest(robot, q, SIGMA)
         return Simulation(rest.points, rest.tips, rest.margins, rest.margins, rest.x, ())
@@ -112,10 +208,16 @@ def shapes_between(robot: Robot, q: Array, model: str | Model, substeps: int = S
 
 
 class Between(NamedTuple):
-    """Shapes of a robot in M places of a motion.
+    """Shapes of a robot at M places of a motion, in frames and between them.
 
-    frames (M,): the frame, from 0, that a place belongs to or is on the way to. beta (M, d) mm: extensions. shape
-    (M, 101, 3) mm: points at uniform sigma.
+    Attributes
+    ----------
+    frames : (M,) array of int
+        The frame, from 0, that a place belongs to or is on the way to.
+    beta : (M, d) array
+        Extensions, mm.
+    shape : (M, 101, 3) array
+        Points at uniform sigma in the base frame, mm.
     """
 
     frames: Index
@@ -124,21 +226,31 @@ class Between(NamedTuple):
 
 
 class Simulator:
-    """A robot on a model, moved through every motion once: what came of the last REMEMBERED ones is kept."""
+    """A robot on a model whose motions are simulated once and remembered, the last :data:`REMEMBERED` of them.
+
+    Parameters
+    ----------
+    robot : Robot
+        The robot.
+    model : str or Model
+        The kinematic model.
+    """
 
     def __init__(self, robot: Robot, model: str | Model) -> None:
         self.robot, self.model = robot, model_named(model)
         self._through = functools.lru_cache(REMEMBERED)(self._moved)
 
     def __call__(self, q: Array) -> Simulation:
-        """The robot moved through q (T, 2d + 2); arrays are not to be changed."""
+        """Return the Simulation of the robot moved through q (T, 2d + 2), whose arrays must not be changed."""
         return self._through(np.asarray(q, dtype=float).tobytes())
 
     def _moved(self, q: bytes) -> Simulation:
+        """Simulate a motion whose q (T, 2d + 2) is given as the bytes of a float array, which can be a key."""
         return simulated(self.robot, np.frombuffer(q).reshape(-1, len(self.robot.axes)), self.model)
 
 
 def _checked(robot: Robot, q: Array) -> Array:
+    """Return q as an array (n, 2d + 2) of floats; raise RobotError where robot or q is something else."""
     instance(RobotError, "robot", robot, Robot)
     q = configuration("q", q)
     if q.ndim != 2 or q.shape[1] != len(robot.axes):
@@ -147,9 +259,21 @@ def _checked(robot: Robot, q: Array) -> Array:
 
 
 def other_way(robot: Robot, q: Array) -> Array:
-    """The other way to write the shapes of q (.., 2d + 2), up to whole turns of any angle.
+    """Write configurations in the other way that has the same shapes, up to whole turns of any angle.
 
-    R(theta_x, theta_y) Rz(alpha) = R(pi - theta_x, theta_y + pi) Rz(alpha + pi).
+    R(theta_x, theta_y) Rz(alpha) = R(pi - theta_x, theta_y + pi) Rz(alpha + pi), with R of eq. (4).
+
+    Parameters
+    ----------
+    robot : Robot
+        The robot.
+    q : (.., 2d + 2) array
+        Configurations; rad, mm and rad.
+
+    Returns
+    -------
+    (.., 2d + 2) array
+        Configurations of the same shapes.
     """
     turned = np.array(q, dtype=float)
     turned[..., : robot.d] += np.pi
@@ -159,7 +283,34 @@ def other_way(robot: Robot, q: Array) -> Array:
 
 
 def shape_curve(robot: Robot, q: Array) -> Curve:
-    """The dominant model's shape at q (2d + 2,) as a curve with its exact curvature; raises as `shapes`."""
+    """Return the shape of one configuration on the dominant model as a curve to follow, with its exact curvature.
+
+    Parameters
+    ----------
+    robot : Robot
+        The robot.
+    q : (2d + 2,) array
+        Configuration; rad, mm and rad.
+
+    Returns
+    -------
+    Curve
+        Of length beta_d, in the robot's base frame, mm.
+
+    Raises
+    ------
+    RobotError
+        `robot` is no robot, or `q` is no such row.
+    OptionError
+        The dominant model does not describe the robot.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import ctr_nlp as ctr
+    >>> ctr.shape_curve(ctr.table_i_robot(), np.array([0.0, 1.2, 2.4, 40.0, 90.0, 150.0, 0.0, 0.0]))
+    Curve(150.00 mm)
+    """
     instance(RobotError, "robot", robot, Robot)
     DOMINANT.check(robot)
     held = Shape(robot, floats(RobotError, "q", q, (len(robot.axes),)))
@@ -169,24 +320,25 @@ def shape_curve(robot: Robot, q: Array) -> Curve:
 @packable("shape of a robot")
 @dataclass(frozen=True, eq=False)
 class Shape(Kept):
-    """The dominant model's at q (2d + 2,), by arc length (n,) mm."""
+    """The shape of a robot at one q (2d + 2,) on the dominant model, as functions of arc length in mm."""
 
     robot: Robot
     q: Array
 
     @property
     def beta(self) -> Array:
-        """(d,) mm."""
+        """Extensions (d,) of the configuration, mm."""
         return np.asarray(self.robot.split(self.q)[1])
 
     def point(self, s: Array) -> Array:
-        """(n, 3) mm."""
+        """Points (n, 3) in the base frame, mm, at arc lengths s (n,) mm."""
         return shapes(self.robot, self.q[None], s / self.beta[-1])[0]
 
     def tangent(self, s: Array) -> Array:
-        """(n, 3), of length 1."""
+        """Unit tangents (n, 3) in the base frame at arc lengths s (n,) mm."""
         return tangents(self.robot, self.q[None], s / self.beta[-1])[0]
 
     def curvature(self, s: Array) -> Array:
-        """(n,) 1/mm."""
+        """Unsigned curvature (n,) 1/mm at arc lengths s (n,) mm; it jumps where a tube ends."""
+        # At s = beta_i the curvature is still that of tube i: eq. (10) has k_i on (beta_{i-1}, beta_i].
         return shape.curvature(self.robot.tube_numbers, self.beta.tolist(), s, lambda x: np.heaviside(x, 0.0), np)
