@@ -1,7 +1,9 @@
-"""How large a force at its tip a robot bears: raised until it snaps, or leaves its lumen, and what it gives in.
+"""How large a force at its tip a robot bears before it snaps or leaves its lumen, and how far the tip gives in.
 
-All configurations and directions are followed side by side, a row each, through levels of force of which each is
-twice the one before, so that what happens within a level is found to the same part of the force everywhere.
+The force is raised along fixed directions of the base frame, beside the robot's own load, and the branch of
+equilibria is followed until it ends (models/loaded/equilibria.py). All configurations and directions are rows of
+one batch. The force grows through levels each of which is twice the one before, so that whatever happens within a
+level is found to the same part of the force, small or large.
 """
 
 from __future__ import annotations
@@ -33,21 +35,44 @@ Question = Callable[[States], Flags]
 def borne(
     equilibria: LoadedEquilibria, states: States, directions: Array, most: float, asked: Sequence[Question]
 ) -> tuple[Array, list[Array]]:
-    """Forces (T, n) N beside their load, along directions (n, 3) of the base, at which branches of states end.
+    """Find the tip forces at which the branches of equilibria end, and from which on conditions hold.
 
-    And for everything that is asked, those (T, n) from which on it is true, 0 where it is so without a force.
-    Infinity stands for more than most, N.
+    Parameters
+    ----------
+    equilibria : LoadedEquilibria
+        Follows the robot's equilibria.
+    states : States
+        Equilibria of T configurations under their own loads.
+    directions : (n, 3) array
+        Unit vectors in the base frame along which forces are raised.
+    most : float
+        Largest force that is looked at, N.
+    asked : sequence of callable
+        Conditions: each takes states of m rows and returns for which of them it is true, (m,). It must stay true
+        once a force has made it true.
+
+    Returns
+    -------
+    ends : (T, n) array
+        Forces beside the rows' loads at which their branches end, N, to about 0.4 %.
+    found : list of (T, n) arrays
+        For each condition the forces from which on it is true, N: 0 where it is true without a force. In both,
+        infinity stands for more than `most`, and in `found` for never before the branch ends.
     """
     rows, count = len(states.q), len(directions)
+    # A row for each pair of a configuration and a direction: row k n + j has configuration k and direction j.
     now, toward = states.rows(np.repeat(np.arange(rows), count)), np.tile(directions, (rows, 1))
     own, ends = now.load, np.full(rows * count, np.inf)
     found = [np.where(true(now), 0.0, np.inf) for true in asked]
     before, going = 0.0, np.arange(rows * count)
+    # Forces within a level are steps from the one before, on the branch that has been followed so far. A row whose
+    # branch has ended within a level is followed no further.
     for level in most * 2.0 ** -np.arange(LEVELS - 1.0, -1.0, -1.0):
         new, done = _raised(equilibria, now.rows(going), own[going], level * toward[going])
         force = before + done * (level - before)
         ends[going[done < 1]] = force[done < 1]
         for true, since in zip(asked, found, strict=True):
+            # Also on a branch that ended: what became true before its end counts.
             crossing = np.flatnonzero(np.isinf(since[going]) & true(new))
             which, high = going[crossing], force[crossing]
             since[which] = _crossing(equilibria, now.rows(which), own[which], toward[which], before, high, true)
@@ -57,9 +82,21 @@ def borne(
 
 
 def unstable(equilibria: LoadedEquilibria) -> Question:
-    """Whether some direction gives way, also where two do at once and no branch ends, as at Euler's load.
+    """Return the condition that some direction has given way, for loads that have an energy.
 
-    Of loads that have an energy.
+    The branch of equilibria need not end there: at Euler's load two directions give way at once, and the straight
+    rod is an equilibrium of any force. Therefore it is the pivots of the response matrices that are looked at, all
+    of which are positive where the robot is stable (models/loaded/stability.py).
+
+    Parameters
+    ----------
+    equilibria : LoadedEquilibria
+        Follows the robot's equilibria.
+
+    Returns
+    -------
+    callable
+        Takes states of m rows; returns which of them are unstable, (m,).
     """
 
     def true(states: States) -> Flags:
@@ -69,7 +106,11 @@ def unstable(equilibria: LoadedEquilibria) -> Question:
 
 
 def _raised(equilibria: LoadedEquilibria, states: States, own: Array, force: Array) -> tuple[States, Array]:
-    """States as far as their branches go towards forces (T, 3) beside their own loads, and how far, (T,)."""
+    """Follow the branches of states to tip forces (T, 3), N, beside their own loads (T, l).
+
+    Returns the states as far as their branches go, and which part of the way that is, (T,), 1 for all of it.
+    """
+    # The first three numbers of a load are the tip force in base directions; see Load.numbers.
     load = own.copy()
     load[:, :3] += force
     return equilibria.along(states, states.q, load, smallest=PART)
@@ -84,21 +125,45 @@ def _crossing(
     high: Array,
     true: Question,
 ) -> Array:
-    """From which forces (T,) on something is true, between that before, where states are, and high ones (T,)."""
+    """Bisect the forces (T,), N, at which a condition becomes true.
+
+    It is false at the force before, N, where states are, and true at the forces high (T,), N; own (T, l): the
+    rows' own loads; toward (T, 3): the directions; true: the condition.
+    """
     low = np.full(len(high), before)
     for _ in range(BISECTIONS if len(high) else 0):
         middle = (low + high) / 2
         new, _ = _raised(equilibria, states, own, middle[:, None] * toward)
         past = true(new)
+        # Where the condition is still false the branch is followed on from there, which is less far each time.
         states = states.replaced(~past, new.rows(~past))
         low, high = np.where(past, low, middle), np.where(past, middle, high)
     return (low + high) / 2
 
 
 def compliance(robot: Robot, equilibria: LoadedEquilibria, states: States) -> Array:
-    """How tips of states give in to small forces there, (T, 3, 3) mm/N, symmetric where the load has an energy."""
+    """Compute how far the tips of equilibria give in to small forces.
+
+    Central differences of equilibria under forces of 1e-4 N along each axis of the base frame, to both sides.
+
+    Parameters
+    ----------
+    robot : Robot
+        The robot.
+    equilibria : LoadedEquilibria
+        Follows its equilibria.
+    states : States
+        T equilibria.
+
+    Returns
+    -------
+    (T, 3, 3) array
+        Displacements of the tip (rows) per force (columns), mm/N; symmetric where the load has an energy. NaN
+        where the robot snaps under such a force.
+    """
     rows = len(states.q)
     pushed = states.rows(np.repeat(np.arange(rows), 6))
+    # Six rows a state: +x, +y, +z, -x, -y, -z.
     force = np.tile(SMALL * np.concatenate([np.eye(3), -np.eye(3)]), (rows, 1))
     found, done = _raised(equilibria, pushed, pushed.load, force)
     tips = np.where(done[:, None] == 1, shapes(robot, found, np.ones(1), equilibria.rods.kind)[:, 0], np.nan)
@@ -107,5 +172,22 @@ def compliance(robot: Robot, equilibria: LoadedEquilibria, states: States) -> Ar
 
 
 def shapes(robot: Robot, states: States, sigma: Array, kind: RodKind) -> Array:
-    """Points (T, n, 3) mm of states of such rods at sigma (n,) or (T, n)."""
+    """Compute points of the backbone of equilibria under their loads.
+
+    Parameters
+    ----------
+    robot : Robot
+        The robot.
+    states : States
+        T equilibria.
+    sigma : (n,) or (T, n) array
+        Arc lengths as parts of beta_d, in [0, 1].
+    kind : RodKind
+        Kind of rods that the states are of.
+
+    Returns
+    -------
+    (T, n, 3) array
+        Points in the robot's base frame, mm.
+    """
     return curves(robot.structure, robot.numbers[None], states.load, states.unknowns, sigma, kind)[0]
