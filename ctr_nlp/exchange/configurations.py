@@ -35,19 +35,53 @@ NO_SHAPE = "the model finds no shape for the configuration"
 
 @dataclass(frozen=True)
 class Configurations:
-    """Configurations q (T, 2d + 2), rad and mm, a row a frame, and the duration of all frames in s, where told."""
+    """Configurations of the frames of a motion, as a file holds them.
+
+    Attributes
+    ----------
+    q : (T, 2d + 2) array
+        One row a frame: alpha_1..d in rad, beta_1..d in mm, theta_x and theta_y in rad, eq. (5) of the paper.
+    duration : float or None
+        Time for all frames, s; None where the file has no times.
+    """
 
     q: Array
     duration: float | None
 
 
 def read_configurations(path: str | Path) -> Configurations:
-    """The configurations in a file; raises OptionError, which names file, field, value and what is allowed.
+    r"""Read configurations from a file of another program.
 
-    .mat, of MATLAB up to version 7: q (T, 2d + 2), alpha_1..d in rad, beta_1..d in mm, theta_x and theta_y in rad,
-    and optionally time (T,) in s. .csv: a row a frame under a header that names q's entries with their units,
-    alpha_1_rad.., beta_1_mm.., theta_x_rad, theta_y_rad, in any order, and optionally time_s. Times are those of
-    frames one even step after another, the first of them a step after 0, as in a plan.
+    Parameters
+    ----------
+    path : str or Path
+        A ``.mat`` file of MATLAB up to version 7 with a variable q (T, 2d + 2), whose columns are alpha_1..d in
+        rad, beta_1..d in mm, theta_x and theta_y in rad, and optionally time (T,) in s. Or a ``.csv`` file with
+        one row a frame under a header with the columns alpha_1_rad.., beta_1_mm.., theta_x_rad and theta_y_rad, in
+        any order, and optionally time_s. Times are those of a plan: evenly spaced, the first of them one step
+        after 0.
+
+    Returns
+    -------
+    Configurations
+        What the file holds. Whether a robot can be there is checked by :func:`plan_through`.
+
+    Raises
+    ------
+    OptionError
+        The file cannot be read, or a field has a wrong name, shape or value; the message names file, field and
+        value, and says what is allowed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder, "motion.csv")
+    ...     header = "alpha_1_rad,beta_1_mm,theta_x_rad,theta_y_rad,time_s"
+    ...     _ = path.write_text(f"{header}\n0,50,0,0,0.5\n0.1,60,0,0,1.0\n")
+    ...     found = read_configurations(path)
+    >>> found.q.shape, found.duration
+    ((2, 4), 1.0)
     """
     path = checked_path(OptionError, path)
     suffix = path.suffix.lower()
@@ -63,11 +97,41 @@ def read_configurations(path: str | Path) -> Configurations:
 
 
 def plan_through(problem: Problem, q: Array, model: str | Model = DEFAULT_MODEL, source: str = "") -> Plan:
-    """The plan that moves a problem's robot through q (T, 2d + 2), one row for each frame of the problem.
+    """Make the plan that moves a problem's robot through given configurations.
 
-    model: the one that its shapes and margins are those of. source: where q comes from; meta keeps it. Nothing is
-    solved: objective, KKT residual and times of solving are not known. Lengths must be such as the tubes can have;
-    the limits of the robot's drives are left to the plan's verdicts. Raises OptionError, which names the frame.
+    Nothing is optimised, so that objective, KKT residual and solve times of the plan are NaN; shapes, errors,
+    margins and verdicts are those of the robot moved through `q`.
+
+    Parameters
+    ----------
+    problem : Problem
+        Robot and target.
+    q : (T, 2d + 2) array
+        One row for each frame of the problem; rad, mm and rad. The tubes must be able to have these lengths;
+        limits of the robot's drives are not checked here but by the plan's verdicts.
+    model : str or Model
+        The kinematic model on which the robot is moved.
+    source : str
+        Where `q` comes from, for ``plan.options["source"]``.
+
+    Returns
+    -------
+    Plan
+        Frames in which the model finds no shape count as failed.
+
+    Raises
+    ------
+    OptionError
+        `q` has another shape, or a frame is none that the tubes can be in, and the message names it; or the model
+        does not describe the robot.
+
+    Examples
+    --------
+    >>> from ctr_nlp.problems import named
+    >>> problem = named("arc", frames=3)
+    >>> plan = plan_through(problem, np.tile([0, 0, 0, 20, 40, 60, 0, 0], (3, 1)), model="dominant")
+    >>> plan.shape.shape, bool(plan.success.all())
+    ((3, 101, 3), True)
     """
     described, robot = model_named(model), problem.robot
     described.check(robot)
@@ -97,6 +161,7 @@ def plan_through(problem: Problem, q: Array, model: str | Model = DEFAULT_MODEL,
 
 
 def _of_mat(path: Path) -> tuple[Array, Array | None]:
+    """Read q (T, 2d + 2) and the times (T,), or None, of a MATLAB file; raise OptionError."""
     held = variables(path, "q")
     if "q" not in held:
         raise OptionError(f"it has no variable q, only {', '.join(held) or 'nothing'}; it must have q, {ROWS}")
@@ -107,6 +172,7 @@ def _of_mat(path: Path) -> tuple[Array, Array | None]:
 
 
 def _of_csv(path: Path) -> tuple[Array, Array | None]:
+    """Read q (T, 2d + 2) and the times (T,), or None, of a CSV file; raise OptionError."""
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
             lines = [(n, row) for n, row in enumerate(csv.reader(file), start=1) if any(map(str.strip, row))]
@@ -123,7 +189,7 @@ def _of_csv(path: Path) -> tuple[Array, Array | None]:
 
 
 def _columns(tubes: int) -> list[str]:
-    """The names of a table's columns, in the order of q."""
+    """Return the names of a table's columns for a robot of so many tubes, in the order of q."""
     count = range(1, tubes + 1)
     return [*(f"alpha_{i}_rad" for i in count), *(f"beta_{i}_mm" for i in count), "theta_x_rad", "theta_y_rad"]
 
@@ -147,6 +213,7 @@ def _check_header(header: list[str], wanted: list[str]) -> None:
 
 
 def _row(line: int, header: list[str], row: list[str]) -> list[float]:
+    """Return the numbers of one row of a table; line: its number in the file, for messages."""
     if len(row) != len(header):
         raise OptionError(f"line {line} has {len(row)} cells; the header has {len(header)}")
     found = []
@@ -159,6 +226,7 @@ def _row(line: int, header: list[str], row: list[str]) -> list[float]:
 
 
 def _numbers(name: str, value: Any) -> Array:
+    """Return a value as an array of floats; raise OptionError where it holds anything else."""
     try:
         return plain_floats(value)
     except (TypeError, ValueError) as error:
@@ -166,7 +234,7 @@ def _numbers(name: str, value: Any) -> Array:
 
 
 def _check(q: Array, robot: Robot, frames: int) -> None:
-    """Raise OptionError where q is not (frames, 2d + 2), or a frame is none that the tubes can be in."""
+    """Raise OptionError where q is not (frames, 2d + 2), or a frame is none that the robot's tubes can be in."""
     width = len(robot.axes)
     if q.shape != (frames, width):
         turned = "; it seems to be transposed" if q.ndim == 2 and q.shape[0] == width != q.shape[1] else ""
@@ -214,9 +282,10 @@ def _check_angles(row: Array, frame: int, robot: Robot) -> None:
 
 
 def _duration(time: Array, frames: int) -> float:
-    """The duration of frames at times (T,) s; raises OptionError unless these are even steps from the first on."""
+    """Duration of frames at times (T,), all in s; raises OptionError unless these are even steps from 0 on."""
     if time.shape != (frames,):
         raise OptionError(f"time has shape {time.shape}; it must have one value for each of {frames} frames")
+    # Frame j = 1..T is at j dt, as in a plan; the motion takes T dt.
     step = time[0]
     if not (math.isfinite(step) and step > 0) or abs(time - step * np.arange(1, frames + 1)).max() > EVEN * step:
         raise OptionError(
