@@ -1,4 +1,10 @@
-"""A calibration: from measurements to a robot, what is left to doubt, and errors on what was held out."""
+"""Calibration: from measurements to a robot, its remaining uncertainty, and errors on held-out observations.
+
+Symbols are those of "Tubes from measurements" in docs/method.md: y_k is what was measured in observation k, h_k(p)
+what a robot of parameters p would have shown, and p_0 and C_0 mean and covariance of p before measuring. Residuals
+y_k - h_k(p) are rows of 6 + 3n: the tip (3, mm), the direction at the tip (3, components of unit vectors), and n
+points of the shape (3 each, mm).
+"""
 
 from __future__ import annotations
 
@@ -28,17 +34,44 @@ Progress = Callable[[int, int, str], None]
 
 @dataclass(frozen=True, eq=False)
 class Calibration(Kept):
-    """What measurements say of a robot. Residuals are (T, 6 + 3 n): of tip, direction and points, as measured less
-    predicted; NaN where nothing was measured.
+    """Result of :func:`calibrate`: a robot, how well the data determine it, and how large its errors are.
 
-    robot: with the tubes found, and their covariance as tolerances. fit: values, covariance, noise. standing: of
-    every parameter, determined, partly or held. untold: what the data cannot tell, in sentences. before: residuals
-    of the robot as it was described, with bases registered. held_out: of fits that did not see the observation,
-    NaN where that was not asked for. fold (T,): -1 where it was not. retraced (n, 2): observations, and those that
-    had the same pose before. floor: half of what their places differ by on average, mm, which no model without a
-    memory of the motion can explain; None where there are none. bases: of every recording, the rotation (3, 3) and
-    the place (3,) mm of the robot's base for the sensor. next_q (k, 2d + 2): poses that would teach most;
-    next_left (k,): what part of the doubt is left then.
+    Residuals are (T, 6 + 3n) arrays of what was measured less what is predicted, NaN where nothing was measured.
+
+    Attributes
+    ----------
+    robot : Robot
+        With the tubes that fit best, and the covariance that is left as its tolerances.
+    described : Robot
+        The nominal robot that was given.
+    measured : Measurements
+        The T observations that were used, without copies.
+    model : str
+        Name of the kinematic model.
+    fit : Fit
+        Estimated values, their covariance, the noise and the residuals.
+    standing : tuple of str
+        For every parameter ``"determined"``, ``"partly"``, or ``"held"``: fixed at its mean before measuring, as
+        the data say next to nothing of it.
+    untold : tuple of str
+        Sentences that name the parameters, and combinations of them, that the data cannot identify.
+    before : (T, 6 + 3n) array
+        Residuals of the nominal robot, with the bases registered to the measurements.
+    held_out : (T, 6 + 3n) array
+        Residuals of fits that did not see the observation; NaN without folds.
+    fold : (T,) array of int
+        The fold, from 0, that an observation belongs to; -1 without folds.
+    retraced : (n, 2) array of int
+        Observations, and the first ones that had the same pose before.
+    floor : float or None
+        Half the mean distance between places measured at the same pose, mm: an error that no model of the pose
+        alone can explain. None where no pose was repeated.
+    bases : tuple of (rotation, place)
+        For every recording the pose of the robot's base for the sensor: (3, 3), and (3,) mm.
+    next_q : (k, 2d + 2) array
+        Poses whose measurement would teach most, rad and mm.
+    next_left : (k,) array
+        Part of the uncertainty that is left after measuring the poses up to each.
     """
 
     robot: Robot
@@ -59,7 +92,7 @@ class Calibration(Kept):
 
     @property
     def parameters(self) -> Parameters:
-        """What was estimated."""
+        """The parameters that were estimated, with their means and covariance before measuring."""
         return self.fit.parameters
 
 
@@ -76,19 +109,83 @@ def calibrate(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Calibration:
-    """What measurements say of a robot, as robust least squares around its tolerances tell it.
+    """Estimate the parameters of a robot from measured shapes, by robust least squares around its tolerances.
 
-    estimate: kinds of parameters (calibration.parameters.KINDS); by default what has a tolerance, and where time
-    is known lags and the sensor's delay. Where known forces pull at the tip (measured.force), or the model bears a
-    load, which then acts in every observation, stiffnesses show themselves and not their ratios alone: by default
-    the tubes' modulus is estimated, too, of which the robot must tell a first value. registered: whether the
-    sensor's axes are those of the robot's base; otherwise the base's pose is estimated, in every recording.
-    held_out: number of folds for errors held out, 0 for none; block: seconds of a motion that stay together in
-    one. next_count: how many next poses are proposed. seed: of folds and of proposals. Raises LoadError,
-    MeasurementError, OptionError.
+    Minimises the sum over observations of rho((y_k - h_k(p)) / s) plus (p - p_0)^T C_0^-1 (p - p_0), with rho(r) =
+    2 c^2 (sqrt(1 + r^2 / c^2) - 1) and c = 2. p_0 and C_0 come from the robot's tolerances; the noise s is
+    estimated along with p (Huber and Ronchetti, Robust Statistics, 2nd ed., 2009, proposal 2).
+
+    Parameters
+    ----------
+    robot : Robot
+        The nominal robot, with tolerances for what is to be estimated.
+    measured : Measurements
+        The observations.
+    estimate : sequence of str, optional
+        Kinds of parameters, of ``calibration.parameters.KINDS``. By default whatever has a tolerance; where the
+        time is known, also the tubes' backlash and drag and the sensor's delay; and under a load, the tubes'
+        Young's modulus.
+    model : str or Model
+        The kinematic model. If it has a load, or `measured` has forces at the tip, every observation is that of
+        the loaded robot, whose tubes must have Young's moduli in MPa: only then do stiffnesses show themselves,
+        and not just their ratios.
+    registered : bool
+        Whether the sensor's axes are those of the robot's base. Otherwise the pose of the base is estimated, one
+        for every recording.
+    held_out : int
+        Number of folds for cross-validation, at least 2; 0 for none.
+    block : float
+        Time of a motion that stays together in one fold, s.
+    next_count : int
+        How many next poses are proposed.
+    seed : int
+        Of the folds and of the proposals.
+    progress : callable, optional
+        Called as ``progress(done, total, what)`` before each fit, with how many are done of how many and what
+        comes next, and once at the end.
+
+    Returns
+    -------
+    Calibration
+        The robot found, the remaining uncertainty, and errors before, after and held out.
+
+    Raises
+    ------
+    MeasurementError
+        The robot cannot have been at these configurations, or the tubes that fit best are none that can be made.
+    OptionError
+        An option is unknown or out of its range, or a parameter is named that such measurements cannot show.
+    LoadError
+        There is a load and a tube's modulus is not in MPa, or the load changes over time.
+
+    Examples
+    --------
+    The curvature of the inner tube is off by 5 % and found from six measured tips:
+
+    >>> import numpy as np
+    >>> import ctr_nlp as ctr
+    >>> tubes = ctr.Tube(90, 60, 1 / 130, 3.0, 2.4), ctr.Tube(160, 110, 1 / 60, 2.0, 1.4)
+    >>> nominal = ctr.Robot(tubes, tolerances=ctr.Tolerances(curvature=0.1))
+    >>> real = ctr.Robot((tubes[0], ctr.Tube(160, 110, 1.05 / 60, 2.0, 1.4)))
+    >>> q = np.array([[0.0, turn, 30.0, out, 0.0, 0.0] for turn in (0, 1, 2) for out in (50, 80)])
+    >>> none = np.full((6, 3), np.nan)
+    >>> measured = ctr.Measurements(
+    ...     q=q,
+    ...     tip=ctr.shapes(real, q, np.ones(1))[:, 0],
+    ...     direction=none,
+    ...     points=np.zeros((6, 0, 3)),
+    ...     sigma=np.zeros((6, 0)),
+    ...     time=none[:, 0],
+    ...     recording=np.zeros(6, dtype=int),
+    ... )
+    >>> options = {"model": "dominant", "registered": True, "held_out": 0}
+    >>> found = ctr.calibrate(nominal, measured, ["curvature"], **options)
+    >>> found.parameters.names, (found.fit.values.round(3) + 0.0).tolist()
+    (['curvature_1', 'curvature_2'], [0.0, 0.05])
     """
     instance(MeasurementError, "robot", robot, Robot)
     instance(MeasurementError, "measurements", measured, Measurements)
+    # A copy of an observation is no further evidence, and in another fold it would give the held-out one away.
     measured = measured.distinct()
     described = bearing(model_named(model), measured.pushed)
     described.check(robot)
@@ -103,6 +200,7 @@ def calibrate(
     out = np.full(before.shape, np.nan)
     for k in range(held_out):
         told(1 + k, total, f"without fold {k + 1}")
+        # The noise is estimated anew, too: nothing of a fit has seen what is held out.
         found = at(fitted(prediction, fold != k), prediction)
         out[fold == k] = found.residuals[fold == k]
     told(total, total, "done")
@@ -115,7 +213,25 @@ def calibrate(
 
 
 def placed(parameters: Parameters, measured: Measurements, model: Model) -> Prediction:
-    """Predictions with bases where the robot as described fits the measurements of each recording best."""
+    """Make predictions whose bases are registered to the measurements of each recording.
+
+    The base's pose may be anything before measuring. Started from where the nominal robot fits best, a fit has
+    only small rotations to find.
+
+    Parameters
+    ----------
+    parameters : Parameters
+        What is estimated; where the base's pose is not among it, the sensor's axes are the base's.
+    measured : Measurements
+        The observations.
+    model : Model
+        The kinematic model, under a load where one acts.
+
+    Returns
+    -------
+    Prediction
+        The predictions.
+    """
     prediction = Prediction(parameters, measured, model)
     if not parameters.columns(*BASE):
         return prediction
@@ -129,15 +245,29 @@ def placed(parameters: Parameters, measured: Measurements, model: Model) -> Pred
 
 
 def _floor(before: Array, again: Index) -> float | None:
-    """Half the mean distance between places that were measured at the same pose, mm."""
+    """Half the mean distance between places that were measured at the same pose, mm; None where there are none.
+
+    before (T, 6 + 3n): residuals, whose differences at one pose are those of the measurements; again (n, 2): pairs
+    of observations of one pose.
+    """
+    # What is predicted at one pose cancels. Two places that differ by 2 e are both e off their middle, which is
+    # the best that any model of the pose alone can predict.
     known = errors(before[again[:, 0]] - before[again[:, 1]])
     return float(np.nanmean(known)) / 2 if np.isfinite(known).any() else None
 
 
 def distances(residuals: Array) -> Array:
-    """How far measured places are from predicted ones, (T, 1 + n) mm: the tip and the points; NaN where unseen.
+    """Compute how far measured places are from predicted ones.
 
-    Of a place whose coordinates are known in part, by these.
+    Parameters
+    ----------
+    residuals : (T, 6 + 3n) array
+        Measured less predicted; see :class:`Calibration`.
+
+    Returns
+    -------
+    (T, 1 + n) array
+        Distances of the tip and of the points, mm, over those coordinates that were measured; NaN where none was.
     """
     places = np.delete(residuals, slice(3, 6), axis=1)
     places = places.reshape(len(places), places.shape[1] // 3, 3)
@@ -146,7 +276,18 @@ def distances(residuals: Array) -> Array:
 
 
 def errors(residuals: Array) -> Array:
-    """The root mean square of an observation's distances, (T,) mm; NaN where no place was seen."""
+    """Compute the root mean square distance of every observation.
+
+    Parameters
+    ----------
+    residuals : (T, 6 + 3n) array
+        Measured less predicted; see :class:`Calibration`.
+
+    Returns
+    -------
+    (T,) array
+        Over its tip and points, mm; NaN where no place was measured.
+    """
     found = distances(residuals)
     known = np.isfinite(found)
     with np.errstate(invalid="ignore"):
@@ -154,7 +295,7 @@ def errors(residuals: Array) -> Array:
 
 
 def summary_of(found: Array) -> dict[str, float] | None:
-    """Mean, 95 % quantile and largest of errors (T,), mm; None where there are none."""
+    """Summarise errors found (T,), mm, by their mean, 95 % quantile and maximum; None where none is finite."""
     known = found[np.isfinite(found)]
     if not len(known):
         return None

@@ -1,4 +1,9 @@
-"""What data tell of parameters and what they cannot tell apart, in words."""
+"""Which parameters the data identify, and which combinations of them they cannot tell apart, in words.
+
+All is judged in units of the standard deviations sigma before measuring: with the data's information matrix I, the
+scaled matrix is sigma I sigma. Along a unit vector v of these units the data bring v^T (sigma I sigma) v of
+information, where 1 is as much as was known before.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +27,19 @@ NAMED = 0.35
 
 
 def standing(fit: Fit) -> list[str]:
-    """Of every parameter: determined, partly or held at the value of before."""
+    """Classify every parameter of a fit.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+
+    Returns
+    -------
+    list of str
+        ``"held"`` where the fit fixed the parameter at its mean before measuring; ``"determined"`` where at most
+        half of its standard deviation before is left; else ``"partly"``.
+    """
     names = {True: "determined", False: "partly"}
     return [
         "held" if held else names[bool(left <= DETERMINED)] for held, left in zip(fit.held, fit.left, strict=True)
@@ -30,11 +47,23 @@ def standing(fit: Fit) -> list[str]:
 
 
 def untold(fit: Fit) -> list[str]:
-    """What the data do not tell or cannot tell apart, a sentence each."""
+    """Say which parameters and combinations of parameters the data cannot identify.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+
+    Returns
+    -------
+    list of str
+        Sentences: of combinations that no shape can show, of single parameters, and of further combinations.
+    """
     parameters = fit.parameters
     scaled = fit.information * np.outer(parameters.sigma, parameters.sigma)
     sentences, known = list[str](), list[Array]()
     for direction, sentence in _invariances(parameters):
+        # Under an arm that tilts, or a load, such a direction may well show itself.
         if direction @ scaled @ direction < TOLD:
             known.append(direction)
             sentences.append(sentence)
@@ -42,6 +71,8 @@ def untold(fit: Fit) -> list[str]:
     if len(weak):
         sentences.append(f"the data hardly tell {listed([parameters.each[k].words for k in weak])}")
         known += list(np.eye(len(parameters))[weak])
+    # Eigenvectors within what has been named already would only name it again, mixed: there the information is
+    # raised beyond all others, so that weak eigenvectors lie in the rest.
     away = _orthogonal(known, len(parameters))
     sizes, axes = np.linalg.eigh(away @ scaled @ away + BEYOND * (np.eye(len(parameters)) - away))
     sentences += [_named(parameters, axes[:, k]) for k, size in enumerate(sizes) if size < TOLD]
@@ -49,32 +80,38 @@ def untold(fit: Fit) -> list[str]:
 
 
 def listed(words: Sequence[str]) -> str:
-    """Words as a list in a sentence: a, b and c."""
+    """Join words to a list in a sentence: a, b and c."""
     return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
 
 
 def _invariances(parameters: Parameters) -> list[tuple[Array, str]]:
-    """Directions, over standard deviations and of length 1, along which no shape changes; what to say of them."""
+    """Directions of parameters along which no shape changes, and a sentence about each.
+
+    Directions are unit vectors (P,) of parameters over their standard deviations before measuring.
+    """
     found, d = list[tuple[Array, str]](), parameters.robot.d
     zeros, rolls = parameters.columns("motor_zero"), parameters.columns("base_roll")
     if len(zeros) == d and rolls:
+        # All tubes turned by an angle, and the base turned back by it, are the same shape for the sensor.
         direction = np.zeros(len(parameters))
         direction[zeros], direction[rolls] = 1.0, -1.0
         found.append((direction, "the common zero of all tubes cannot be told from the base's roll"))
     stiffness, modulus = parameters.columns("bending_stiffness"), parameters.columns(MODULUS)
     if len(stiffness) == d:
+        # Without a load, moments balance whatever unit stiffnesses are in; with one, the modulus is that unit.
         direction = np.zeros(len(parameters))
         direction[stiffness], direction[modulus] = 1.0, -1.0
         sentence = "only ratios of the tubes' stiffnesses show, not how stiff all are together"
         if modulus:
             sentence = "what is common to the tubes' stiffnesses cannot be told from their modulus"
         found.append((direction, sentence))
+    # In units of the standard deviations before measuring, as information is looked at.
     scaled = [(direction / parameters.sigma, sentence) for direction, sentence in found]
     return [(direction / np.linalg.norm(direction), sentence) for direction, sentence in scaled]
 
 
 def _orthogonal(directions: Sequence[Array], size: int) -> Array:
-    """What takes directions out of vectors (size,)."""
+    """Return the projection (size, size) onto the complement of the span of directions (size,)."""
     if not directions:
         return np.eye(size)
     basis, _ = np.linalg.qr(np.stack(directions, axis=1))
@@ -82,7 +119,7 @@ def _orthogonal(directions: Sequence[Array], size: int) -> Array:
 
 
 def _named(parameters: Parameters, direction: Array) -> str:
-    """A sentence for a direction of which the data tell nothing."""
+    """Write the sentence for a direction (P,) of scaled parameters that the data do not determine."""
     weights = abs(direction) / abs(direction).max()
     chosen = sorted(np.flatnonzero(weights >= NAMED), key=lambda k: -weights[k])
     each = [parameters.each[k] for k in chosen]

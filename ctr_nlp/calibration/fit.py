@@ -1,4 +1,14 @@
-"""Values that fit measurements best, by robust least squares around what was known before."""
+"""Values of parameters that fit measurements best, by robust least squares around their prior.
+
+In the symbols of docs/method.md, "Tubes from measurements": minimised is
+
+    sum_k rho((y_k - h_k(p)) / s) + (p - p_0)^T C_0^-1 (p - p_0),    rho(r) = 2 c^2 (sqrt(1 + r^2 / c^2) - 1),
+
+with c = SOFT. The noise s is estimated from the residuals by Huber's proposal 2, the fit is made again with it,
+and so on until s stays. The covariance of p is that of an M-estimator with a normal prior: the inverse of C_0^-1 +
+e J^T J / s^2, where e is the efficiency of rho at these residuals, divided by how many observations stand for one
+where residuals are correlated in time (Huber and Ronchetti, Robust Statistics, 2nd ed., 2009).
+"""
 
 from __future__ import annotations
 
@@ -39,9 +49,16 @@ INSIDE = 1e-3
 
 
 class Noise(NamedTuple):
-    """Standard deviations of a measured coordinate, mm, and of a component of a direction, rad; NaN for none.
+    """Noise of the measurements.
 
-    alike: correlation of residuals that follow each other in a motion, 0 where there is none.
+    Attributes
+    ----------
+    position : float
+        Standard deviation of a measured coordinate, mm; NaN where there is none.
+    direction : float
+        Standard deviation of a component of a measured direction, rad; NaN where there is none.
+    alike : float
+        Correlation of residuals that follow each other in a motion; 0 where there is none.
     """
 
     position: float
@@ -50,16 +67,33 @@ class Noise(NamedTuple):
 
     @property
     def inflation(self) -> float:
-        """Of how many observations one stands where residuals are alike, at least 1."""
+        """Number of observations that count as one, at least 1.
+
+        That of a series whose residuals, n steps apart, have the correlation alike^n.
+        """
         return (1 + self.alike) / (1 - self.alike)
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Values (P,) of parameters and their covariance (P, P); residuals (T, 6 + 3 n), measured less predicted.
+    """Estimated parameters of a robot.
 
-    information (P, P): what the data alone tell, as the inverse of a covariance. held (P,): which parameters keep
-    the value of before since the data hardly tell them.
+    Attributes
+    ----------
+    parameters : Parameters
+        The P parameters, with their means and covariance before measuring.
+    values : (P,) array
+        Estimates, in the parameters' units.
+    covariance : (P, P) array
+        Of these after measuring.
+    information : (P, P) array
+        What the data alone say: the inverse of a covariance, without the prior.
+    residuals : (T, 6 + 3n) array
+        Measured less predicted, NaN where nothing was measured; mm, and components of unit vectors.
+    noise : Noise
+        Estimated from these residuals.
+    held : (P,) array of bool
+        Parameters that are fixed at their means before measuring, as the data hardly say anything of them.
     """
 
     parameters: Parameters
@@ -72,21 +106,35 @@ class Fit:
 
     @property
     def sigma(self) -> Array:
-        """Standard deviations (P,)."""
+        """Standard deviations (P,) of the estimates."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def left(self) -> Array:
-        """Which part of the standard deviations of before the data leave, (P,)."""
+        """Standard deviations (P,) after measuring as parts of those before."""
         return self.sigma / self.parameters.sigma
 
 
 def fitted(prediction: Prediction, rows: Flags | None = None, start: Array | None = None) -> Fit:
-    """The values that fit the observations of some rows (T,) best, by default all.
+    """Estimate parameters from some of the observations.
 
-    The sum of soft_l1 of residuals over their noise, and of squares of what parameters differ from the values of
-    before over their standard deviations (covariance). The noise is estimated from residuals and fitted with
-    again until it stays. What the data hardly tell is then held at the value of before.
+    Minimises the objective at the top of this module. First all parameters are free, and the noise is estimated
+    again after every few steps until it stays; then those of which the data say next to nothing are fixed at their
+    means, and the rest is solved to the end.
+
+    Parameters
+    ----------
+    prediction : Prediction
+        What is measured, and what is predicted for values of the parameters.
+    rows : (T,) array of bool, optional
+        The observations that are used, by default all; of a motion at most MOST_ROWS of them.
+    start : (P,) array, optional
+        Initial guess; by default the means before measuring.
+
+    Returns
+    -------
+    Fit
+        The estimates; residuals are those of all observations.
     """
     measured, parameters = prediction.measured, prediction.parameters
     used = thinned(measured.seen & (True if rows is None else rows)) if measured.timed else measured.seen
@@ -94,11 +142,13 @@ def fitted(prediction: Prediction, rows: Flags | None = None, start: Array | Non
     problem = _Problem(prediction, used)
     free, values = np.ones(len(parameters), dtype=bool), _inside(parameters, start)
     noise = problem.noise(values, np.zeros(0, dtype=int))
+    # A few steps for each estimate of the noise: fitting to the end with a noise that is still wrong is in vain.
     for _ in range(ROUNDS):
         values = problem.solved(values, free, noise, STEPS)
         before, noise = noise, problem.noise(values, np.flatnonzero(free))
         if _same(before, noise):
             break
+    # What the data say next to nothing of would only follow rounding and the errors of the model.
     held = problem.fit(values, free, noise).left > HELD
     free, values = ~held, np.where(held, parameters.mean, values)
     values = problem.solved(values, free, noise, MOST_STEPS)
@@ -106,14 +156,29 @@ def fitted(prediction: Prediction, rows: Flags | None = None, start: Array | Non
 
 
 def thinned(rows: Flags) -> Flags:
-    """Rows (T,) of a motion, at most MOST_ROWS of those that there are: neighbours hardly differ."""
+    """Return at most MOST_ROWS of the rows (T,) that are true, evenly: neighbours of a motion hardly differ."""
     found, chosen = np.zeros(len(rows), dtype=bool), np.flatnonzero(rows)
     found[chosen[:: -(-len(chosen) // MOST_ROWS) or 1]] = True
     return found
 
 
 def posterior(parameters: Parameters, information: Array) -> Array:
-    """The covariance (P, P) of parameters after what data tell, (P, P)."""
+    """Compute the covariance of parameters after measuring: the inverse of C_0^-1 + information.
+
+    Parameters
+    ----------
+    parameters : Parameters
+        The P parameters, with their covariance C_0 before measuring.
+    information : (P, P) array
+        What the data say; it may be singular.
+
+    Returns
+    -------
+    (P, P) array
+        The covariance, symmetric and positive semidefinite whatever rounding does.
+    """
+    # With S S^T = C_0, (C_0^-1 + I)^-1 = S (1 + S^T I S)^-1 S^T, which needs no inverse of C_0 or I and stays
+    # symmetric. Negative eigenvalues of S^T I S are rounding.
     scaled = np.linalg.inv(parameters.whitened)
     core = scaled.T @ information @ scaled
     sizes, axes = np.linalg.eigh((core + core.T) / 2)
@@ -122,13 +187,28 @@ def posterior(parameters: Parameters, information: Array) -> Array:
 
 
 def information_of(changes: Array, known: Flags, noise: Noise) -> Array:
-    """What observations tell of parameters, (T, P, P): from derivatives (T, 6 + 3 n, P) at entries known."""
+    """Compute J^T J / s^2 of every observation.
+
+    Parameters
+    ----------
+    changes : (T, 6 + 3n, P) array
+        Derivatives of what is predicted over the parameters.
+    known : (T, 6 + 3n) array of bool
+        Which entries are measured.
+    noise : Noise
+        Standard deviations s of the entries.
+
+    Returns
+    -------
+    (T, P, P) array
+        Information of every observation.
+    """
     weighed = np.where(known[..., None], changes, 0.0) / _scales(noise, changes.shape[1])[:, None]
     return np.asarray(np.einsum("tkp,tkq->tpq", weighed, weighed))
 
 
 class _Problem:
-    """Residuals of some observations, as functions of parameters' values."""
+    """Residuals of the observations in some rows (T,), as functions of the parameters' values (P,)."""
 
     def __init__(self, prediction: Prediction, rows: Flags) -> None:
         self._prediction, self._rows = prediction, rows
@@ -137,7 +217,7 @@ class _Problem:
         self._known = np.isfinite(self._measured) & rows[:, None]
 
     def solved(self, values: Array, free: Flags, noise: Noise, steps: int) -> Array:
-        """The best values (P,) from others, after so many steps at most; those not free stay."""
+        """Improve values (P,) in at most so many steps of a trust-region method; those not free (P,) stay."""
         chosen = np.flatnonzero(free)
         if not len(chosen):
             return values
@@ -145,6 +225,8 @@ class _Problem:
         weights, whitened = 1 / _scales(noise, self._measured.shape[1]), self._parameters.whitened
         count = int(self._known.sum())
 
+        # The unknowns u are values over their standard deviations before measuring, so that steps in mm, rad and
+        # parts are of one size.
         def all_values(u: Array) -> Array:
             found = np.array(values)
             found[chosen] = u * sigma[chosen]
@@ -158,35 +240,38 @@ class _Problem:
 
         def slopes(u: Array) -> Array:
             _, changes = self._prediction.with_changes(all_values(u), self._rows)
-            rows = -(changes * weights[:, None])[self._known]
+            rows = -(changes * weights[:, None])[self._known]  # residuals are measured less predicted
             return np.asarray(np.vstack([rows, whitened])[:, chosen] * sigma[chosen])
 
         def loss(squares: Array) -> Array:
             return _soft_l1(squares, count)
 
         bounds = low[chosen] / sigma[chosen], high[chosen] / sigma[chosen]
+        # The method wants a start strictly within bounds.
         begin = np.clip(values[chosen] / sigma[chosen], bounds[0] + INSIDE, bounds[1] - INSIDE)
         options: dict[str, Any] = {"xtol": 1e-5, "ftol": 1e-6, "gtol": 1e-8, "max_nfev": steps}
         done = least_squares(residuals, begin, slopes, bounds, loss=loss, **options)
         return all_values(done.x)
 
     def _weighed(self, values: Array, weights: Array) -> Array:
-        """Residuals over their noise, (T, 6 + 3 n)."""
+        """Residuals (T, 6 + 3n) at values (P,), times weights (6 + 3n,); LOST where there is no equilibrium."""
         found = (self._measured - self._prediction.seen(values).flat()) * weights
+        # A robot without an equilibrium must cost something finite, and more than one that is merely off.
         return np.where(np.isfinite(found) | ~self._known, found, LOST)
 
     def noise(self, values: Array, free: Index) -> Noise:
-        """The noise of residuals at values of which some were fitted."""
+        """Estimate the noise from the residuals at values (P,), of which those at the indices free were fitted."""
         residuals = self._measured - self._prediction.seen(values).flat()
         residuals[~self._known] = np.nan
         count = np.isfinite(residuals).sum()
+        # Residuals of a fit are smaller than the noise, by the degrees of freedom that it has used up.
         spent = max(1 - len(free) / max(count, 1), 1 / max(count, 1))
         position = np.delete(residuals, slice(3, 6), axis=1)
         size = _spread(position, spent, LEAST_NOISE[0]), _spread(residuals[:, 3:6], spent, LEAST_NOISE[1])
         return Noise(*size, self._alike(residuals / _scales(Noise(*size), residuals.shape[1])))
 
     def _alike(self, residuals: Array) -> float:
-        """The correlation of residuals, over their noise and clipped, that follow each other in a motion."""
+        """Correlation of residuals (T, 6 + 3n), over their noise and clipped, that follow each other in time."""
         measured = self._prediction.measured
         if not measured.timed:
             return 0.0
@@ -199,10 +284,12 @@ class _Problem:
         return float(np.clip(np.nanmean(pairs) / np.nanmean(clipped**2), 0.0, 0.99))
 
     def fit(self, values: Array, free: Flags, noise: Noise) -> Fit:
-        """With the covariance of values."""
+        """Return the Fit of values (P,), with their covariance and the residuals of all observations."""
         seen, changes = self._prediction.with_changes(values, self._rows)
         residuals = self._measured - seen.flat()
         weighed = (residuals / _scales(noise, residuals.shape[1]))[self._known]
+        # J^T J / s^2 is the information of independent normal residuals under least squares. The soft loss makes
+        # use of a part of it, and of residuals that resemble their neighbours several count as one.
         factor = _efficiency(weighed[np.isfinite(weighed)]) / noise.inflation
         information = information_of(changes, self._known, noise).sum(axis=0) * factor
         covariance = posterior(self._parameters, information)
@@ -210,24 +297,31 @@ class _Problem:
 
 
 def _inside(parameters: Parameters, start: Array | None) -> Array:
-    """Where a fit starts: within bounds, at what was known before."""
+    """Return an initial guess (P,) well within the parameters' bounds, by default near their prior means."""
     low, high = parameters.bounds
     near = 0.1 * parameters.sigma
     return np.clip(parameters.mean if start is None else start, low + near, np.maximum(high - near, low + near))
 
 
 def _soft_l1(squares: Array, count: int) -> Array:
-    """Rho of squares (m,) and its first two derivatives, (3, m): soft for the first so many, then the square."""
+    """Return rho of squares (m,) and its first two derivatives over them, (3, m), for scipy's least_squares.
+
+    The first `count` are squared residuals and get the soft loss; the others are those of the prior and stay
+    squares.
+    """
     found = np.stack([squares, np.ones_like(squares), np.zeros_like(squares)])
+    # scipy takes rho as a function of z = r^2: rho = 2 c^2 (sqrt(1 + z / c^2) - 1), rho' and rho''.
     t = 1 + squares[:count] / SOFT**2
     found[:, :count] = 2 * SOFT**2 * (np.sqrt(t) - 1), t**-0.5, -0.5 * t**-1.5 / SOFT**2
     return found
 
 
 def _efficiency(residuals: Array) -> float:
-    """What soft_l1 makes of as much information as least squares have, where residuals are over their noise."""
+    """Efficiency of the soft loss against least squares at residuals (m,) that are over their noise."""
     if not len(residuals):
         return 1.0
+    # An M-estimator's asymptotic covariance is E[psi^2] / E[psi']^2 (J^T J)^-1, with psi = r / sqrt(1 + r^2 /
+    # c^2), the slope of rho / 2: here psi^2 = r^2 / t and psi' = t^-1.5.
     t = 1 + (residuals / SOFT) ** 2
     return float(np.mean(t**-1.5) ** 2 / np.mean(residuals**2 / t))
 
@@ -235,11 +329,13 @@ def _efficiency(residuals: Array) -> float:
 def _spread(residuals: Array, spent: float, least: float) -> float:
     """The standard deviation of residuals, most of them normal, by Huber's proposal 2; NaN where there are none.
 
-    spent: the share of degrees of freedom that a fit has left.
+    spent: the share of degrees of freedom that the fit has left; least: the smallest result.
     """
     found = residuals[np.isfinite(residuals)]
     if not len(found):
         return math.nan
+    # From the median's estimate on (1.4826 for normal residuals), the fixed point of s^2 = mean(min(|r|, c s)^2) /
+    # WITHIN: far residuals count as if they were c s.
     size = max(1.4826 * float(np.median(abs(found))), least)
     for _ in range(50):
         size = max(
@@ -256,11 +352,12 @@ def _scales(noise: Noise, width: int) -> Array:
 
 
 def _same(one: Noise, other: Noise) -> bool:
+    """Whether two estimates of the noise differ by at most SETTLED; one that is NaN stays so."""
     pairs = zip(one[:2], other[:2], strict=True)
     return all(abs(a - b) <= SETTLED * b or math.isnan(a) for a, b in pairs)
 
 
 def at(fit: Fit, prediction: Prediction) -> Fit:
-    """A fit with the residuals that it leaves in all observations."""
+    """Return a fit with the residuals that it leaves in all observations of a prediction."""
     residuals = flat_measured(prediction.measured) - prediction.seen(fit.values).flat()
     return replace(fit, residuals=residuals)

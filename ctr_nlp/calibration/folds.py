@@ -1,4 +1,4 @@
-"""Folds of observations for errors held out, such that what is held out was not seen elsewhere."""
+"""Folds of observations for cross-validation, such that no held-out pose is in another fold."""
 
 from __future__ import annotations
 
@@ -18,16 +18,31 @@ BLOCK = 3.0
 
 
 def same_poses(robot: Robot, measured: Measurements, near: float = NEAR) -> Index:
-    """For every observation the first one that has its pose, or one near it, (T,).
+    """Find for every observation the first one that has its pose.
 
-    Near is what differs by less than so many mm, robot.mm_per_unit to the rad. Poses are compared with those that
-    stand for others, so that a slow motion is not one pose from end to end. Recordings share their poses.
+    Poses are compared only with those that stand for others, not with neighbours of neighbours, so that a slow
+    motion is not one pose from end to end. Recordings share their poses.
+
+    Parameters
+    ----------
+    robot : Robot
+        The robot, whose ``mm_per_unit`` (10 mm to the rad) makes one distance of all entries of q.
+    measured : Measurements
+        T observations.
+    near : float
+        Distance within which poses count as the same, mm.
+
+    Returns
+    -------
+    (T,) array of int
+        The first observation of each one's pose, from 0.
     """
     scaled, found = measured.q * robot.mm_per_unit, np.full(len(measured), -1)
     around = cKDTree(scaled).query_ball_point(scaled, near)
     for row, others in enumerate(around):
         if found[row] < 0:
             found[row] = row
+            # One that has its pose from an earlier observation keeps it.
             late = [other for other in others if found[other] < 0]
             found[late] = row
     return found
@@ -36,13 +51,39 @@ def same_poses(robot: Robot, measured: Measurements, near: float = NEAR) -> Inde
 def folds(
     robot: Robot, measured: Measurements, count: int = 5, block: float = BLOCK, near: float = NEAR, seed: int = 0
 ) -> Index:
-    """To which of so many folds, from 0, each observation belongs, (T,); raises OptionError.
+    """Deal observations out to folds.
 
-    Poses that are repeated or retraced are in the fold of the first of them. Those of a motion are dealt out in
-    blocks of so many seconds, in turn; poses measured one by one at random, by a seed.
+    Poses that are repeated or retraced are in the fold of the first of them. Motions are dealt out in blocks of
+    time, one fold after the other; poses measured one by one at random.
+
+    Parameters
+    ----------
+    robot : Robot
+        The robot.
+    measured : Measurements
+        T observations.
+    count : int
+        Number of folds, at least 2.
+    block : float
+        Time of a motion that stays together, s.
+    near : float
+        Distance within which poses count as the same, mm; see :func:`same_poses`.
+    seed : int
+        Of the random order.
+
+    Returns
+    -------
+    (T,) array of int
+        The fold of every observation, from 0.
+
+    Raises
+    ------
+    OptionError
+        `count` or `block` is out of its range, or there are fewer different poses or blocks than folds.
     """
     count = whole_number(OptionError, "number of folds", count, 2)
     number(OptionError, "block of a fold", block, lambda s: s > 0, "be positive", " s")
+    # Folds are dealt to the first observations of poses; all others of a pose go with theirs.
     first = same_poses(robot, measured, near)
     leaders = np.unique(first)
     if measured.timed:
@@ -65,7 +106,24 @@ def folds(
 
 
 def retraced(robot: Robot, measured: Measurements, block: float = BLOCK, near: float = NEAR) -> Index:
-    """Observations with the first one that had the same pose, in a motion by more than block s away, (n, 2)."""
+    """Find observations whose pose had been measured before.
+
+    Parameters
+    ----------
+    robot : Robot
+        The robot.
+    measured : Measurements
+        The observations.
+    block : float
+        Time, s, that must lie between two observations of one motion; neighbours are no repetition.
+    near : float
+        Distance within which poses count as the same, mm; see :func:`same_poses`.
+
+    Returns
+    -------
+    (n, 2) array of int
+        Such observations, and the first ones that had their pose; from 0.
+    """
     first = same_poses(robot, measured, near)
     again = first != np.arange(len(measured))
     if measured.timed:

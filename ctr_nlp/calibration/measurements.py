@@ -19,15 +19,37 @@ SLACK = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Measurements(Kept):
-    """T observations of a robot; whatever was not measured is NaN. Raises MeasurementError.
+    """T observations of a robot: its configurations, and what a sensor measured of its shape at each.
 
-    q (T, 2d + 2): commanded configurations, rad and mm. tip (T, 3) mm; direction (T, 3): unit tangents at the tip.
-    points (T, n, 3) mm: of the shape, at sigma (T, n) in [0, 1], which is arc length over beta_d; single
-    coordinates may be NaN. All are in the sensor's axes, which are those of the robot's base or unknown. time (T,)
-    s, or NaN where poses were measured one by one. recording (T,): from 0; the sensor may stand elsewhere in each,
-    and the time of each grows. repeated: how many further copies of these observations were given. force (T, 3):
-    known forces at the tip, N, such as weights that hang there, in the axes of the robot's base; (3,) for the same
-    at all.
+    Whatever was not measured is NaN. Places and directions are in the sensor's axes, which are those of the
+    robot's base or unknown.
+
+    Parameters
+    ----------
+    q : (T, 2d + 2) array
+        Commanded configurations; rad, mm and rad.
+    tip : (T, 3) array
+        The tip, mm.
+    direction : (T, 3) array
+        Unit tangents at the tip.
+    points : (T, n, 3) array
+        Points of the shape, mm; single coordinates may be NaN.
+    sigma : (T, n) array
+        Where on the robot these are: arc length over beta_d, in [0, 1].
+    time : (T,) array
+        Time, s; NaN where poses were measured one by one.
+    recording : (T,) array of int
+        Recordings, from 0. The sensor may stand elsewhere in each, and the time of each grows by itself.
+    repeated : int
+        How many further copies of these observations were given.
+    force : (T, 3) or (3,) array
+        Known forces at the tip in the directions of the robot's base, N, such as weights that hang there; one for
+        all observations is repeated. 0 by default.
+
+    Raises
+    ------
+    MeasurementError
+        Arrays do not fit each other, a force is not known, or nothing was measured.
     """
 
     q: Array
@@ -71,40 +93,56 @@ class Measurements(Kept):
         return len(self.q)
 
     def __getitem__(self, chosen: Flags | Index | slice) -> Measurements:
-        """Some of the observations."""
+        """Return the chosen observations: an index array, a mask (T,) or a slice."""
         arrays = {f.name: getattr(self, f.name)[chosen] for f in fields(self) if f.name != "repeated"}
         return replace(self, **arrays)
 
     @property
     def seen(self) -> Flags:
-        """Which observations say something of the shape, (T,)."""
+        """Mask (T,) of the observations in which anything of the shape was measured."""
         flat = np.concatenate([self.tip, self.direction, self.points.reshape(len(self.q), -1)], axis=1)
         return np.asarray(np.isfinite(flat).any(axis=1))
 
     @property
     def timed(self) -> bool:
-        """Whether these are motions, of which the time is known."""
+        """Whether these are motions, at known times, instead of poses measured one by one."""
         return bool(np.isfinite(self.time).all())
 
     @property
     def pushed(self) -> bool:
-        """Whether a force acts at the tip in any of them."""
+        """Whether a force acts at the tip in any observation."""
         return bool(self.force.any())
 
     @property
     def fresh(self) -> Flags:
-        """Where a recording begins, (T,); every observation is a beginning where no time is known."""
+        """Mask (T,) of the observations before which nothing is known of the motion.
+
+        These are the first of every recording, and all where no time is known.
+        """
         if not self.timed:
             return np.ones(len(self), dtype=bool)
         return np.asarray(np.diff(self.recording, prepend=-1) != 0)
 
     @property
     def recordings(self) -> int:
-        """How many there are."""
+        """Number of recordings."""
         return int(self.recording.max()) + 1
 
     def check(self, robot: Robot) -> None:
-        """Raise MeasurementError unless a robot can have been at all configurations."""
+        """Check that a robot can have been at all configurations.
+
+        Parameters
+        ----------
+        robot : Robot
+            The robot.
+
+        Raises
+        ------
+        MeasurementError
+            `q` has another number of columns; an entry is not finite, an angle was likely given in degrees, or
+            extensions break their order or exceed a tube's length; or a point lies beyond the robot's ends. The
+            message names the observation, from 1.
+        """
         if self.q.shape[1] != len(robot.axes):
             raise MeasurementError(
                 f"q of measurements has {self.q.shape[1]} columns; it must have {len(robot.axes)}: "
@@ -121,13 +159,26 @@ class Measurements(Kept):
                 )
 
     def distinct(self) -> Measurements:
-        """Without copies of an observation, each recording in the order of time; repeated counts the copies."""
+        """Return the observations without copies, each recording in the order of time.
+
+        Returns
+        -------
+        Measurements
+            ``repeated`` counts the copies that were left out.
+
+        Raises
+        ------
+        MeasurementError
+            Two different observations of one recording have the same time, or an angle of a motion jumps by more
+            than half a turn from one to the next.
+        """
         order = np.lexsort((np.where(np.isfinite(self.time), self.time, 0.0), self.recording))
         columns = [
             *(self.recording[:, None], self.time[:, None], self.q, self.force, self.tip, self.direction),
             *(self.sigma, self.points.reshape(len(self), -1)),
         ]
         table = np.hstack(columns)
+        # NaN is not equal to itself; infinity, which nothing measured is, stands for it.
         _, first = np.unique(np.where(np.isfinite(table), table, math.inf), axis=0, return_index=True)
         kept = order[np.isin(order, first)]
         found = self[kept]
@@ -141,7 +192,7 @@ class Measurements(Kept):
     def _check_turns(self) -> None:
         """Raise MeasurementError where an angle of a motion jumps by more than half a turn."""
         jumps = abs(np.diff(self.q, axis=0)) > math.pi
-        jumps[:, self.q.shape[1] // 2 - 1 : -2] = False
+        jumps[:, self.q.shape[1] // 2 - 1 : -2] = False  # extensions, mm
         for row, axis in np.argwhere(jumps & ~self.fresh[1:, None])[:1]:
             (before, after), (begin, end) = self.q[row : row + 2, axis], self.time[row : row + 2]
             name = f"alpha_{axis + 1}" if axis < self.q.shape[1] - 2 else "theta"
@@ -152,6 +203,10 @@ class Measurements(Kept):
 
 
 def _check_configuration(robot: Robot, row: int, q: Array, lengths: Array) -> None:
+    """Raise MeasurementError unless a robot of tubes of lengths (d,), mm, can be at q (2d + 2,).
+
+    row: the observation's number, from 1, for messages.
+    """
     where = f"of observation {row}"
     for axis, value in zip(robot.axes, q, strict=True):
         if not math.isfinite(value):
