@@ -1,4 +1,9 @@
-"""What a calibration estimates: parameters by name, with what is known of each before anything is measured."""
+"""What a calibration estimates: parameters by name, with mean and covariance before anything is measured.
+
+Parameters of tubes are differences from the nominal robot, as in robot/tolerances.py: parts of its own number for
+curvature, bending stiffness and torsional ratio, mm for the curved length, rad for the zero of a motor. Their
+prior p_0 is 0, and its covariance C_0 comes from the robot's tolerances, or from SIGMAS where it has none.
+"""
 
 from __future__ import annotations
 
@@ -66,9 +71,17 @@ WORDS = {"rotation_lag": "play", "lag_per_overlap": "play per mm of overlap", "b
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number: its kind, of which tube (from 1) or recording (from 1), and what is known of it beforehand.
+    """One number that is estimated, and what is known of it before measuring.
 
-    mean, sigma, low, high: in unit; parts are parts of the robot's own number.
+    Attributes
+    ----------
+    kind : str
+        Kind of parameter, of KINDS or BASE.
+    number : int or None
+        The tube or the recording that it belongs to, from 1; None where it belongs to the whole robot.
+    sigma, mean, low, high : float
+        Standard deviation, mean, and bounds before measuring, in `unit`. A unit of "part" is a part of the nominal
+        robot's number.
     """
 
     kind: str
@@ -80,17 +93,17 @@ class Parameter:
 
     @property
     def unit(self) -> str:
-        """Of its value."""
+        """Unit of the value: "part", "mm", "rad", "rad/mm" or "s"."""
         return UNITS[self.kind]
 
     @property
     def name(self) -> str:
-        """In tables and files, such as curvature_2."""
+        """Name in tables and files, such as curvature_2."""
         return self.kind if self.number is None else f"{self.kind}_{self.number}"
 
     @property
     def words(self) -> str:
-        """In a sentence."""
+        """Name in a sentence, such as "curvature of tube 2"."""
         said = WORDS.get(self.kind, self.kind.replace("_", " "))
         whose = "recording" if self.kind in BASE else "tube"
         return said if self.number is None else f"{said} of {whose} {self.number}"
@@ -98,7 +111,15 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Parameters:
-    """The parameters of a robot that are estimated; columns of values (n, P) are theirs, in order."""
+    """The P parameters of a robot that are estimated; arrays of values (.., P) have them in this order.
+
+    Attributes
+    ----------
+    robot : Robot
+        The nominal robot.
+    each : tuple of Parameter
+        The parameters.
+    """
 
     robot: Robot
     each: tuple[Parameter, ...]
@@ -108,22 +129,22 @@ class Parameters:
 
     @property
     def names(self) -> list[str]:
-        """Of each."""
+        """Names of the parameters, in order."""
         return [one.name for one in self.each]
 
     @cached_property
     def mean(self) -> Array:
-        """Before measuring, (P,)."""
+        """Means p_0 (P,) before measuring."""
         return np.array([one.mean for one in self.each])
 
     @cached_property
     def sigma(self) -> Array:
-        """Standard deviations before measuring, (P,)."""
+        """Standard deviations (P,) before measuring."""
         return np.array([one.sigma for one in self.each])
 
     @cached_property
     def covariance(self) -> Array:
-        """Before measuring, (P, P): with the correlations of tubes' parts that the robot's tolerances may tell."""
+        """Covariance C_0 (P, P) before measuring, with the correlations that the robot's tolerances may have."""
         found, all_parts = np.diag(self.sigma**2), _covariance(self.robot)
         columns = self.columns(*NAMES)
         places = [len(NAMES) * self.tube(k) + NAMES.index(self.each[k].kind) for k in columns]
@@ -135,7 +156,9 @@ class Parameters:
 
     @cached_property
     def whitened(self) -> Array:
-        """A matrix (P, P) that makes of differences from the mean independent ones of variance 1."""
+        """Matrix W (P, P) with W^T W = C_0^-1: W (p - p_0) are independent numbers of variance 1."""
+        # Scaled to correlations first: variances of mm^2 and rad^2 lie far apart. Tubes whose numbers are tied
+        # have a singular matrix, which Cholesky's method takes only with some variance of their own.
         scaled = self.covariance / np.outer(self.sigma, self.sigma)
         root = np.linalg.cholesky(scaled + ROUNDING * np.eye(len(self)))
         return np.asarray(np.linalg.inv(root) / self.sigma)
@@ -147,41 +170,68 @@ class Parameters:
 
     @cached_property
     def structure(self) -> Structure:
-        """Of robots of any values: where lengths are estimated, any transmission may show."""
+        """Structure of robots with any values of the parameters.
+
+        Where curved lengths are estimated, the straight transmission of any tube may come out of the opening.
+        """
         found = self.robot.structure
         if any(one.kind == "curved_length" for one in self.each):
             return Structure(found.kinds, (True,) * found.d, found.gap)
         return found
 
     def columns(self, *kinds: str) -> list[int]:
-        """Where parameters of some kinds stand."""
+        """Return the indices of all parameters of some kinds."""
         return [k for k, one in enumerate(self.each) if one.kind in kinds]
 
     def of_tubes(self, values: Array, kind: str) -> Array:
-        """One kind's values (.., d) of all tubes; 0 where they are not estimated."""
+        """Return one kind's values of all tubes, (.., d), from values (.., P); 0 where they are not estimated."""
         found = np.zeros((*values.shape[:-1], self.robot.d))
         for k in self.columns(kind):
             found[..., self.tube(k)] = values[..., k]
         return found
 
     def parts(self, values: Array) -> Array:
-        """By how much tubes differ from the robot's (.., d, 5), in the order of robot.tolerances.NAMES."""
+        """Compute by how much tubes differ from the nominal ones.
+
+        Parameters
+        ----------
+        values : (.., P) array
+            Values of the parameters.
+
+        Returns
+        -------
+        (.., d, 5) array
+            Differences in the order of ``robot.tolerances.NAMES``: parts, mm and rad.
+        """
         found = np.stack([self.of_tubes(values, name) for name in NAMES], axis=-1)
         for k in self.columns(MODULUS):
+            # To first order: (1 + a)(1 + m) = 1 + a + m.
             found[..., NAMES.index("bending_stiffness")] += values[..., k, None]
         return found
 
     @property
     def parts_over(self) -> Array:
-        """How these parts, (5 d,) tube by tube, grow with every parameter, (5 d, P)."""
+        """Derivatives (5d, P) of the differences of :meth:`parts`, tube by tube, over the parameters."""
         return np.stack([self.parts(unit).ravel() for unit in np.eye(len(self))], axis=1)
 
     def numbers_over(self, column: int) -> Array:
-        """How the tubes' numbers (d, 8), in the order of NUMBERS, grow with a parameter."""
+        """Compute the derivatives of the tubes' numbers over one parameter, which are constant.
+
+        Parameters
+        ----------
+        column : int
+            Index of the parameter.
+
+        Returns
+        -------
+        (d, 8) array
+            Derivatives in the order of ``robot.structure.NUMBERS``, each in its unit per unit of the parameter.
+        """
         one, found = self.each[column], np.zeros((self.robot.d, len(NUMBERS)))
         if one.kind == MODULUS:
             number = NUMBERS.index("bending_stiffness")
             found[:, number] = self.robot.numbers[:, number]
+        # Parts scale the nominal number, a length is added to it; a motor's zero is no number of a tube.
         scaled = {"curvature": ("root_curvature", "tip_curvature")}.get(one.kind, (one.kind,))
         for name in scaled if one.kind in NAMES and one.kind != "motor_zero" else ():
             number, i = NUMBERS.index(name), self.tube(column)
@@ -189,23 +239,37 @@ class Parameters:
         return found
 
     def lag(self, values: Array) -> Lag:
-        """The lag of tubes of values (.., P)."""
+        """Return the backlash and drag of the tubes for values (.., P)."""
+        # A fit keeps values above their bound 0, but for rounding.
         return Lag(*(np.maximum(self.of_tubes(values, kind), 0.0) for kind in LAGS))
 
     def delay(self, values: Array) -> float:
-        """The sensor's, s, of values (P,)."""
+        """Return the delay of the sensor, s, for values (P,)."""
         return float(sum(values[k] for k in self.columns(DELAY)))
 
     def tube(self, column: int) -> int:
-        """Of which tube a parameter is, from 0."""
+        """Return the tube, from 0, that the parameter at index column belongs to."""
         number = self.each[column].number
         assert number is not None
         return number - 1
 
 
 def default_kinds(robot: Robot, measured: Measurements, bears: bool = False) -> tuple[str, ...]:
-    """What is estimated where nothing is named: what has a tolerance, under a load the modulus, and where time is
-    known lag and delay.
+    """Choose the kinds of parameters that are estimated where none are named.
+
+    Parameters
+    ----------
+    robot : Robot
+        The nominal robot: whatever has a tolerance is estimated.
+    measured : Measurements
+        The observations: where their time is known, backlash, drag and the sensor's delay are estimated.
+    bears : bool
+        Whether the robot bears a load: then the Young's modulus is estimated.
+
+    Returns
+    -------
+    tuple of str
+        Kinds of parameters.
     """
     bands = robot.tolerances.bands(robot.tubes)
     known = [name for name, band in zip(NAMES, bands.T, strict=True) if band.any()]
@@ -219,10 +283,32 @@ def parameters_of(
     registered: bool = False,
     bears: bool = False,
 ) -> Parameters:
-    """The parameters of some kinds, with priors from the robot's tolerances; raises OptionError.
+    """Make the parameters of some kinds, with means and covariance from the robot's tolerances.
 
-    A kind that is named and has no tolerance is known to within SIGMAS. registered: whether the sensor's axes are
-    the base's. bears: whether the robot bears a load.
+    Parameters
+    ----------
+    robot : Robot
+        The nominal robot.
+    measured : Measurements
+        The observations.
+    kinds : sequence of str, optional
+        Of KINDS; by default :func:`default_kinds`. One that is named and has no tolerance has the standard
+        deviation of SIGMAS.
+    registered : bool
+        Whether the sensor's axes are those of the robot's base; otherwise the base's pose is estimated, too, in
+        every recording.
+    bears : bool
+        Whether the robot bears a load.
+
+    Returns
+    -------
+    parameters : Parameters
+        Without those that can change no shape, such as the curvature of a straight tube.
+
+    Raises
+    ------
+    OptionError
+        A kind is unknown, cannot show in such measurements, or nothing is left to be estimated.
     """
     asked = default_kinds(robot, measured, bears) if kinds is None else tuple(dict.fromkeys(kinds))
     for kind in asked:
@@ -247,12 +333,15 @@ def parameters_of(
 
 
 def _of_kind(robot: Robot, kind: str, bears: bool) -> list[Parameter]:
+    """The parameters of one kind, one for each tube or one alone; bears: whether the robot bears a load."""
     if kind in (DELAY, OFFSET):
         return [Parameter(kind, None, SIGMAS[kind])]
     if kind == MODULUS:
         return [Parameter(kind, None, SIGMAS[kind], low=LEAST - 1)]
     tubes = range(robot.d)
     if kind in LAGS:
+        # A lag that is uniform in [0, L] has the root mean square L / sqrt(3). The mean before measuring is 0:
+        # what is estimated is drawn towards a robot that does not lag.
         known = robot.tolerances.lags(robot.d) / math.sqrt(3) if kind == LAGS[0] else np.zeros(robot.d)
         return [Parameter(kind, i + 1, float(known[i]) or SIGMAS[kind], low=0.0) for i in tubes]
     sigmas = np.sqrt(np.diag(_covariance(robot)).reshape(robot.d, len(NAMES))[:, NAMES.index(kind)])
@@ -263,13 +352,15 @@ def _of_kind(robot: Robot, kind: str, bears: bool) -> list[Parameter]:
 
 
 def _covariance(robot: Robot) -> Array:
+    """Covariance (5d, 5d) of the differences of tubes by the robot's tolerances."""
     root = robot.tolerances.root(robot.tubes)
     return np.asarray(root @ root.T)
 
 
 def _shows(robot: Robot, kind: str, i: int, bears: bool) -> bool:
-    """Whether a number of a tube can change any shape: a straight one has no curvature, one tube no ratios, whose
-    stiffness shows under a load alone.
+    """Whether a number of tube i, from 0, can change any shape.
+
+    A straight tube has no curvature, and of a single tube only a load shows the stiffness: there are no ratios.
     """
     if kind in ("curvature", "curved_length"):
         return robot.structure.kinds[i] != "straight"
@@ -277,7 +368,7 @@ def _shows(robot: Robot, kind: str, i: int, bears: bool) -> bool:
 
 
 def _range(robot: Robot, kind: str, i: int) -> tuple[float, float]:
-    """Least and largest value: beyond them no tube can be described."""
+    """Least and largest value of a parameter of tube i, from 0: beyond them no tube can be described."""
     tube = robot.tubes[i]
     if kind == "motor_zero":
         return -math.pi, math.pi

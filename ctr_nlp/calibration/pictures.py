@@ -1,4 +1,4 @@
-"""Pictures of a calibration: residuals, measured against fitted, parameters with their doubt, correlations."""
+"""Figures of a calibration: residuals, measured over fitted, parameters with their uncertainty, correlations."""
 
 from __future__ import annotations
 
@@ -20,7 +20,25 @@ MOST_AXES = 8
 
 
 def save_all(found: Calibration, folder: Path) -> list[Path]:
-    """Write residuals.png, measured.png, parameters.png and correlations.png; raises OutputError."""
+    """Write residuals.png, measured.png, parameters.png and correlations.png.
+
+    Parameters
+    ----------
+    found : Calibration
+        The calibration.
+    folder : Path
+        The folder that they are written into.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    OutputError
+        A file cannot be written.
+    """
     pictures = {
         "residuals": residuals,
         "measured": against_fitted,
@@ -32,7 +50,7 @@ def save_all(found: Calibration, folder: Path) -> list[Path]:
 
 @matplotlib.rc_context(STYLE)
 def residuals(found: Calibration) -> Figure:
-    """Errors of every observation, in mm, over each axis of q that was moved: as described, fitted, held out."""
+    """Draw errors of all observations found, mm, over each entry of q that was moved."""
     q = found.measured.q
     moved = [k for k in range(q.shape[1]) if np.ptp(q[:, k]) > 1e-9][:MOST_AXES] or [0]
     figure, axes = panels([found.described.axes[k] for k in moved], min(3, len(moved)), (2.6, 2.2))
@@ -55,7 +73,7 @@ def residuals(found: Calibration) -> Figure:
 
 @matplotlib.rc_context(STYLE)
 def against_fitted(found: Calibration) -> Figure:
-    """Every measured coordinate over the fitted one, x, y and z in the sensor's axes, mm."""
+    """Draw every measured coordinate found over the predicted one, x, y and z in the sensor's axes, mm."""
     figure, axes = panels(["x", "y", "z"], 3, (2.6, 2.6))
     for axis, panel in enumerate(axes):
         measured = _coordinates(flat_measured(found.measured), axis)
@@ -72,7 +90,7 @@ def against_fitted(found: Calibration) -> Figure:
 
 @matplotlib.rc_context(STYLE)
 def parameters(found: Calibration) -> Figure:
-    """Every parameter before and after, with two standard deviations to either side, each in its own of before."""
+    """Draw the parameters found with two standard deviations, in units of those before measuring."""
     chosen = [k for k, one in enumerate(found.parameters.each) if not one.kind.startswith("base_")]
     chosen = chosen or list(range(len(found.parameters)))
     figure = Figure(figsize=(6.0, 1.0 + 0.26 * len(chosen)), layout="constrained")
@@ -92,7 +110,7 @@ def parameters(found: Calibration) -> Figure:
 
 @matplotlib.rc_context(STYLE)
 def correlations(found: Calibration) -> Figure:
-    """How what is left to doubt of parameters goes together."""
+    """Draw the correlations of the parameters found that are left after measuring."""
     count, sigma = len(found.parameters), found.fit.sigma
     side = max(3.5, 1.6 + 0.2 * count)
     figure = Figure(figsize=(side + 0.6, side), layout="constrained")
@@ -106,5 +124,5 @@ def correlations(found: Calibration) -> Figure:
 
 
 def _coordinates(flat: Array, axis: int) -> Array:
-    """One coordinate of tips and points (T, 6 + 3 n), side by side."""
+    """One coordinate of tips and points, from rows (T, 6 + 3n): axis 0, 1 or 2, all observations in one array."""
     return np.delete(flat, slice(3, 6), axis=1)[:, axis::3].ravel()

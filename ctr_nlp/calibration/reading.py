@@ -40,7 +40,7 @@ UNIT = 0.05
 
 
 class _Table(NamedTuple):
-    """A file: its name, the columns that it has, and their values (T, columns), with the line of each row."""
+    """A file of measurements: its name, its columns and their values (T, columns), and the line of each row."""
 
     path: Path
     names: tuple[str, ...]
@@ -48,7 +48,7 @@ class _Table(NamedTuple):
     lines: tuple[int, ...]
 
     def columns(self, names: Sequence[str]) -> Array:
-        """Of those names, (T, n); NaN for those that are not there."""
+        """Return the values (T, n) of the columns of n names; NaN for columns that are not there."""
         found = np.full((len(self.values), len(names)), np.nan)
         for k, name in enumerate(names):
             if name in self.names:
@@ -57,9 +57,38 @@ class _Table(NamedTuple):
 
 
 def read_measurements(path: str | Path | Sequence[str | Path], robot: Robot) -> Measurements:
-    """The observations of a CSV file, or of several, each a recording of its own; raises MeasurementError.
+    r"""Read the observations of one CSV file, or of several, each of which is a recording.
 
-    Messages name file, line, column and value. Copies of an observation are left out, and counted in `repeated`.
+    Parameters
+    ----------
+    path : str, Path or sequence of these
+        Files with the columns at the top of this module: the configuration, alpha in rad and beta in mm; and any
+        of tip, rotation at the tip, points of the shape in mm, time_s in s and forces at the tip in N.
+    robot : Robot
+        The robot, whose axes name the columns of the configuration.
+
+    Returns
+    -------
+    Measurements
+        Without copies of an observation, which ``repeated`` counts.
+
+    Raises
+    ------
+    MeasurementError
+        A file cannot be read, a column is missing or unknown, or a value cannot be; the message names file, line,
+        column and value.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import ctr_nlp as ctr
+    >>> robot = ctr.Robot((ctr.Tube(90, 60, 1 / 130, 3.0, 2.4),))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder, "measured.csv")
+    ...     _ = path.write_text("alpha_1,beta_1,tip_x,tip_y,tip_z\n0,40,0.1,6.1,39.4\n1,40,-5,3.2,39.4\n")
+    ...     measured = read_measurements(path, robot)
+    >>> len(measured), measured.tip[0].tolist()
+    (2, [0.1, 6.1, 39.4])
     """
     paths = [path] if isinstance(path, str | Path) else list(path)
     if not paths:
@@ -78,6 +107,7 @@ def read_measurements(path: str | Path | Sequence[str | Path], robot: Robot) -> 
 
 
 def _table(path: Path, robot: Robot) -> _Table:
+    """Read a file; raise MeasurementError where it is none of measurements of the robot."""
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
             rows = list(csv.reader(file))
@@ -113,6 +143,7 @@ def _check_names(path: Path, names: tuple[str, ...], robot: Robot) -> None:
 
 
 def _row(path: Path, line: int, names: tuple[str, ...], row: Sequence[str]) -> list[float]:
+    """Return the numbers of a row, NaN where a cell is empty; line: its number in the file, for messages."""
     if len(row) != len(names):
         raise MeasurementError(f"line {line} of {path} has {len(row)} cells; the first line names {len(names)}")
     found = []
@@ -133,6 +164,7 @@ def _points(table: _Table) -> list[int]:
 
 
 def _observations(table: _Table, robot: Robot, recording: int, most: int) -> Measurements:
+    """Make the observations of a table; recording: its number, from 0; most: points an observation may have."""
     q = table.columns(robot.axes)
     absent = [k for k, name in enumerate(robot.axes) if name in THETA and name not in table.names]
     q[:, absent] = 0.0
@@ -150,7 +182,7 @@ def _observations(table: _Table, robot: Robot, recording: int, most: int) -> Mea
 
 
 def _forces(table: _Table) -> Array:
-    """At the tip, (T, 3) N; 0 along axes that have no column."""
+    """Forces at the tip (T, 3), N; 0 along axes that have no column."""
     found = table.columns(FORCE)
     found[:, [name not in table.names for name in FORCE]] = 0.0
     for row, axis in np.argwhere(~np.isfinite(found)):
@@ -166,7 +198,10 @@ def _forces(table: _Table) -> Array:
 
 
 def _places(table: _Table, number: int, points: Array, reach: Array) -> Array:
-    """The sigma (T,) of a point, where it was seen."""
+    """Where on the robot a point was measured, as sigma (T,); NaN where it was not measured and no place is given.
+
+    number: of the point, from 1; points (T, 3): where it was measured, mm; reach (T,): beta_d, mm.
+    """
     sigma, s = table.columns([f"p{number}_sigma", f"p{number}_s"]).T
     with np.errstate(divide="ignore", invalid="ignore"):
         found = np.where(np.isfinite(sigma), sigma, s / reach)
@@ -184,7 +219,7 @@ def _places(table: _Table, number: int, points: Array, reach: Array) -> Array:
 
 
 def _directions(table: _Table) -> Array:
-    """Unit tangents at the tip, (T, 3): where quaternions turn the z axis to."""
+    """Unit tangents at the tip, (T, 3): the z axis turned by the measured quaternions."""
     quaternions = table.columns(QUATERNION)
     size = np.linalg.norm(quaternions, axis=1)
     for row in np.flatnonzero(abs(size - 1) > UNIT):
@@ -192,5 +227,6 @@ def _directions(table: _Table) -> Array:
             f"{', '.join(QUATERNION)} in line {table.lines[row]} of {table.path} are {quaternions[row].tolist()}, "
             f"of length {size[row]:.3g}; a quaternion of a rotation has length 1"
         )
+    # The third column of the rotation matrix: where z, which runs along the robot, points.
     w, x, y, z = (quaternions / size[:, None]).T
     return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)

@@ -1,4 +1,4 @@
-"""The robot that a fit describes: tubes of the values found, and what is left to doubt as tolerances."""
+"""The robot that a fit describes: tubes of the values found, and the remaining uncertainty as tolerances."""
 
 from __future__ import annotations
 
@@ -21,10 +21,27 @@ LARGEST_LAG = math.pi / 2
 
 
 def calibrated_robot(fit: Fit, measured: Measurements) -> Robot:
-    """The robot with the tubes that fit best, and the covariance of what is left to doubt as its tolerances.
+    """Make the robot with the tubes that fit best, and the covariance that is left as its tolerances.
 
-    Motors' zeros are no numbers of tubes: what they are off by is in the fit alone, and their covariance in the
-    tolerances. Stiffness is told by youngs_modulus. Raises MeasurementError where no such tubes can be made.
+    A motor's zero is no number of a tube: its value stays in the fit, and only its covariance is among the
+    tolerances. Stiffness becomes the tubes' youngs_modulus.
+
+    Parameters
+    ----------
+    fit : Fit
+        The estimates.
+    measured : Measurements
+        The observations, at whose configurations the largest backlash is taken.
+
+    Returns
+    -------
+    Robot
+        The calibrated robot.
+
+    Raises
+    ------
+    MeasurementError
+        No tubes can be made with these values.
     """
     parameters = fit.parameters
     robot, parts = parameters.robot, parameters.parts(fit.values)
@@ -38,20 +55,23 @@ def calibrated_robot(fit: Fit, measured: Measurements) -> Robot:
 
 
 def _covariance(fit: Fit) -> Array:
-    """Of what is left to doubt of all parts, (5 d, 5 d); what was not estimated is as it was."""
+    """Covariance (5d, 5d) that is left of all tubes' differences; as before for those that were not estimated."""
     parameters = fit.parameters
     root = parameters.robot.tolerances.root(parameters.robot.tubes)
     over, covariance = parameters.parts_over, np.array(root @ root.T)
+    # Parts that no parameter changes keep their covariance; their correlations with the others are dropped.
     estimated = over.any(axis=1)
     kept = np.outer(~estimated, ~estimated)
     return np.asarray(np.where(kept, covariance, over @ fit.covariance @ over.T))
 
 
 def _lag(fit: Fit, measured: Measurements) -> Any:
-    """The largest lag of every tube that was found, rad; as it was where none was estimated."""
+    """Largest backlash of every tube that was found, rad; as before where none was estimated."""
     parameters = fit.parameters
     if not parameters.columns(*LAGS):
         return parameters.robot.tolerances.rotation_lag
     found = parameters.lag(fit.values)
+    # A tolerance is one angle a tube: play is the largest at the overlaps that were measured. Drag depends on
+    # speed and has no place there.
     most = overlaps(parameters.robot, measured.q).max(axis=0)
     return np.minimum(found.play + found.play_per_mm * most, LARGEST_LAG)
