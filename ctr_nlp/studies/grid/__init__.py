@@ -1,1 +1,1 @@
-"""Studies of thousands of plans, on many processes and machines, whose results are kept as they come."""
+"""Studies of many plans: the file that describes one, its cases, their rows, and figures of these."""

@@ -1,4 +1,4 @@
-"""One plan of a study: what it is made from, and the row that comes of it."""
+"""One plan of a study: what it is made from, and the row of numbers that describes it."""
 
 from __future__ import annotations
 
@@ -39,12 +39,42 @@ PATIENCE_S = "patience_s"
 
 @dataclass(frozen=True)
 class Case:
-    """A problem, a robot and settings. problem: a name, a centreline file, or synthetic:SEED; content: the digest
-    of the file, nothing for others. robot: as Robot.to_dict has it, as JSON, of a name; None for the problem's
-    own. settings: names and values of Settings. draws: robots that the plan is tried on, 0 for none; seed: of
-    these. walled: whether the problem keeps its wall, where it has one. measures: keys of MEASURES that are taken
-    of the plan beside its summary. options: of problem_from_file, by name. load: what the robot bears, as to_dict
-    of a load has it, as JSON, of a name; None for none. youngs_modulus: MPa, of a robot that tells only ratios.
+    """Everything that one plan of a study is made from; cases can be compared, pickled and written as JSON.
+
+    Attributes
+    ----------
+    problem : str
+        A problem's name, the path of a centreline file, or ``synthetic:SEED``.
+    content : str
+        Digest of the file; empty for other problems.
+    robot_name : str
+        Name of the robot in tables.
+    robot : str or None
+        The robot as JSON of :meth:`Robot.to_dict`; None for the problem's own.
+    model : str
+        Name of the kinematic model.
+    method : str
+        How the motion is planned, of METHODS.
+    frames : int
+        Number of frames.
+    settings : tuple of (str, value)
+        Fields of :class:`Settings` that differ from their defaults.
+    draws : int
+        How many Monte Carlo samples of the robot the plan is tried on; 0 for none.
+    seed : int
+        Of these samples.
+    options : tuple of (str, value)
+        Arguments of :func:`problem_from_file`.
+    walled : bool
+        Whether the problem keeps its lumen's wall, where it has one.
+    measures : tuple of str
+        What is measured of the plan beside its summary, of MEASURES.
+    load_name : str
+        Name of the load in tables.
+    load : str or None
+        The load as JSON of its ``to_dict``; None for none.
+    youngs_modulus : float or None
+        Young's modulus, MPa, for a robot that has only ratios of moduli.
     """
 
     problem: str
@@ -66,31 +96,44 @@ class Case:
 
     @cached_property
     def digest(self) -> str:
-        """Of all that the row depends on: the case, and the versions of what computes it."""
+        """Digest of all that the row depends on: the case, and the versions of what computes it."""
+        # Another version of the solver or of numpy may find another plan: its rows are not mixed with these.
         told = json.dumps([asdict(self), versions()], sort_keys=True)
         return hashlib.sha256(told.encode()).hexdigest()[:32]
 
     @property
     def kind(self) -> tuple[str, ...]:
-        """What cases have in common that take about as long as each other."""
+        """Method, model, frames, and whether there are samples: cases of one kind take about the same time."""
         return self.method, self.model, str(self.frames), str(self.draws > 0)
 
     @property
     def columns(self) -> dict[str, Any]:
-        """The first columns of its row."""
+        """The first columns of the row: the digest and what the case was asked for."""
         named_so = {f"set_{name}": value for name, value in self.settings}
         own = ("problem", "robot_name", "model", "method", "frames", "draws", "seed")
         found = {"digest": self.digest} | {name: getattr(self, name) for name in own}
         return found | {"load": self.load_name} | named_so
 
     def loaded(self) -> Problem:
-        """The problem with its robot; raises CtrError."""
+        """Make the problem, with its robot.
+
+        Returns
+        -------
+        Problem
+            Without a wall where the case has none, and with Young's moduli in MPa where it gives one.
+
+        Raises
+        ------
+        CtrError
+            The problem's file or the robot is none, or they do not go together.
+        """
         problem = self._loaded()
         if self.youngs_modulus is not None:
             problem = replace(problem, robot=with_modulus(problem.robot, self.youngs_modulus))
         return problem if self.walled else replace(problem, lumen=None)
 
     def _loaded(self) -> Problem:
+        """Make the problem as its source has it, with the case's robot."""
         robot = None if self.robot is None else Robot.from_dict(json.loads(self.robot))
         if self.problem.startswith(SYNTHETIC):
             problem = synthetic_problem(int(self.problem.removeprefix(SYNTHETIC)), self.frames)
@@ -100,7 +143,23 @@ class Case:
         return problem_from_file(self.problem, frames=self.frames, robot=robot, **dict(self.options))
 
     def planned(self, problem: Problem) -> Plan:
-        """The plan of the problem as it was loaded, tried on draws where there are any; raises CtrError."""
+        """Plan the motion, and try it on samples of the robot where the case asks for them.
+
+        Parameters
+        ----------
+        problem : Problem
+            The problem of :meth:`loaded`.
+
+        Returns
+        -------
+        Plan
+            The plan; frames may have failed.
+
+        Raises
+        ------
+        CtrError
+            There is no plan for these options.
+        """
         settings, model = Settings(**dict(self.settings)), model_named(self.model)
         if self.load is not None:
             model = under(model, load_from_dict(json.loads(self.load)))
@@ -114,9 +173,23 @@ class Case:
         return plan.check(self.draws, self.seed) if self.draws else plan
 
     def row(self, keep: Path | None = None) -> dict[str, Any]:
-        """The row of the plan, or of why there is none; keep: the folder into which the plan is written, too.
+        """Plan the motion and describe it, or why there is no plan, in a row.
 
-        Raises OutputError where the plan cannot be written.
+        Parameters
+        ----------
+        keep : Path, optional
+            Folder into which the plan is written, too.
+
+        Returns
+        -------
+        dict
+            Columns by name. ``status`` is ``"done"`` where there is a plan, solved or not, else ``"failed"``, and
+            then ``reason`` says why; ``process_s`` is the time it took the process, s.
+
+        Raises
+        ------
+        OutputError
+            The plan cannot be written.
         """
         begin, columns = time.process_time(), self.columns
         try:
@@ -135,7 +208,20 @@ class Case:
         return columns | found | columns | {"process_s": time.process_time() - begin}
 
     def keep(self, plan: Plan, folder: Path) -> None:
-        """Write its plan into a folder, under its digest; raises OutputError."""
+        """Write the plan into a folder, under the case's digest.
+
+        Parameters
+        ----------
+        plan : Plan
+            The plan of this case.
+        folder : Path
+            The folder, which is made where it is not there.
+
+        Raises
+        ------
+        OutputError
+            The plan cannot be written.
+        """
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -143,17 +229,34 @@ class Case:
         plan.save(self.place(folder))
 
     def place(self, folder: Path) -> Path:
-        """Where its plan is kept in a folder."""
+        """Return the path of the plan in a folder."""
         return folder / f"{self.digest}.npz"
 
 
 def row_without_plan(case: Case, status: str, reason: str, process_s: float) -> dict[str, Any]:
-    """The row of a case of which there is no plan, and why."""
+    """Make the row of a case that has no plan.
+
+    Parameters
+    ----------
+    case : Case
+        The case.
+    status : str
+        FAILED, LATE or LOST.
+    reason : str
+        Why there is no plan, in a sentence.
+    process_s : float
+        Time that it took, s.
+
+    Returns
+    -------
+    dict
+        Columns by name.
+    """
     return case.columns | {"status": status, "reason": reason, "process_s": process_s}
 
 
 def content_of(path: str) -> str:
-    """The digest of a file, raises OptionError where it cannot be read."""
+    """Return the digest of the file at a path; raise OptionError where it cannot be read."""
     try:
         return hashlib.sha256(Path(path).read_bytes()).hexdigest()
     except OSError as error:
@@ -161,7 +264,7 @@ def content_of(path: str) -> str:
 
 
 def _numbers(plan: Plan) -> dict[str, Any]:
-    """A plan's summary and verdicts as columns, and its versions."""
+    """The summary and the verdicts of a plan as columns, and the versions of what computed them."""
     found = dict(_flat(strict_json(summary(plan))))
     found |= verdict_columns(plan)
     found["complete"] = plan.complete
@@ -169,7 +272,7 @@ def _numbers(plan: Plan) -> dict[str, Any]:
 
 
 def _flat(told: Mapping[str, Any], before: str = "") -> list[tuple[str, Any]]:
-    """Numbers, words and truth values of nested mappings, under names joined by underscores; no lists."""
+    """Pairs of names and values of nested mappings, with names joined by underscores; lists are left out."""
     found = list[tuple[str, Any]]()
     for name, value in told.items():
         if isinstance(value, Mapping):

@@ -1,4 +1,8 @@
-"""Rows of a study by a column: what is printed and drawn of them, read a part and a few columns at a time."""
+"""Rows of a study grouped by a column, for tables and figures.
+
+Studies may have more rows than memory holds: they are read a part and a few columns at a time, and of each value
+four bytes are kept.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +29,7 @@ WORST = 5
 
 
 class Bad(NamedTuple):
-    """One of the plans of the largest e3, mm."""
+    """One of the plans with the largest e3: that error, mm, the case's digest, and names of problem and robot."""
 
     error: float
     digest: str
@@ -34,7 +38,7 @@ class Bad(NamedTuple):
 
 
 class Failure(NamedTuple):
-    """Why plans failed, how many did, and the digest of one of them."""
+    """Why some cases have no plan, how many they are, and the digest of one of them."""
 
     reason: str
     plans: int
@@ -43,7 +47,17 @@ class Failure(NamedTuple):
 
 @dataclass
 class Group:
-    """Plans with one value of a column; values: of other columns, those that are numbers, row after row."""
+    """Plans that have one value of a column in common.
+
+    Attributes
+    ----------
+    name : str
+        That value.
+    plans, failed : int
+        Number of cases, and of those without a plan.
+    values : dict
+        For each other column the values that are numbers, a list of float32 arrays.
+    """
 
     name: str
     plans: int = 0
@@ -51,7 +65,7 @@ class Group:
     values: dict[str, list[Any]] = field(default_factory=dict)
 
     def grow(self, rows: Any, shown: Sequence[str]) -> None:
-        """Take rows, a pandas frame, with their values of some columns."""
+        """Add rows, a pandas frame, with their values of the columns shown."""
         self.plans += len(rows)
         self.failed += int((rows["status"] != DONE).sum())
         for name in shown:
@@ -59,12 +73,12 @@ class Group:
             self.values.setdefault(name, []).append(values[np.isfinite(values)])
 
     def of(self, column: str) -> Array:
-        """All values of a column in float32, (n,)."""
+        """Return all values of a column, (n,) float32."""
         found: Array = np.concatenate([np.zeros(0, np.float32), *self.values.get(column, [])])
         return found
 
     def quantile(self, column: str, share: float) -> float:
-        """NaN where there is no value."""
+        """Return the value of a column that a share in [0, 1] of plans is at most; NaN where there is no value."""
         values = self.of(column)
         return float(np.quantile(values, share)) if len(values) else float("nan")
 
@@ -94,15 +108,33 @@ class Groups:
 
     @property
     def passed(self) -> bool:
-        """Whether no plan was left unsolved and no verdict is *no*."""
+        """Whether every frame was solved and no verdict is *no*."""
         return self.complete and not any(words[NO] for words in self.verdicts.values())
 
 
 def grouped(results: Results, digests: Collection[str], column: str, shown: Sequence[str]) -> Groups:
-    """The rows of some cases by a column, with the values of others.
+    """Group the rows of some cases by a column.
 
-    Of the rows only these columns are read, and of their values four bytes each are kept. Raises OptionError for
-    a column that no row has, and where there is no row of those cases.
+    Parameters
+    ----------
+    results : Results
+        The rows of a study.
+    digests : collection of str
+        The cases whose rows count.
+    column : str
+        Column by which rows are grouped.
+    shown : sequence of str
+        Columns whose values are kept.
+
+    Returns
+    -------
+    Groups
+        In the order of the column's values.
+
+    Raises
+    ------
+    OptionError
+        A column is in no row, or there is no row of these cases.
     """
     known = results.columns
     if missing := [name for name in (column, *shown) if name not in known]:
@@ -111,6 +143,7 @@ def grouped(results: Results, digests: Collection[str], column: str, shown: Sequ
     complete, own = True, set(digests)
     named = {f"verdict_{name}": name for name in Verdicts._fields}
     words = {name: Counter[str]() for key, name in named.items() if key in known}
+    # Rows of cases that the study's file no longer has, or of older versions, may be in the folder, too.
     for frame in results.parts([*dict.fromkeys([*ALWAYS, column, *shown, *named])]):
         part = frame[frame["digest"].isin(own)]
         done = part[part["status"] == DONE]
@@ -134,7 +167,7 @@ def grouped(results: Results, digests: Collection[str], column: str, shown: Sequ
 
 
 def _order(name: str) -> tuple[float, str]:
-    """Numbers by their size, before words."""
+    """Sort key of a group's name: numbers by their size, before words."""
     try:
         return float(name), name
     except ValueError:

@@ -1,4 +1,4 @@
-"""Pictures of a study's plans by a column: how a number is distributed in each group, and two of them weighed."""
+"""Figures of a study's groups: how a number is distributed in each, and the trade-off between two numbers."""
 
 from __future__ import annotations
 
@@ -28,9 +28,22 @@ UNITS = {
 
 @matplotlib.rc_context(STYLE)
 def by_group(found: Groups, column: str, against: str | None = None) -> Figure:
-    """Quantiles of a column in every group, and over medians of another column those of the first.
+    """Draw quantiles of a column in every group, and its medians over those of another column.
 
-    A line goes through the groups of which no other one is smaller in both.
+    Parameters
+    ----------
+    found : Groups
+        The groups.
+    column : str
+        Column that is drawn.
+    against : str, optional
+        Column of the second panel's abscissa, in which a line joins the Pareto-optimal groups: those to which no
+        other is smaller in both. Without it there is no second panel.
+
+    Returns
+    -------
+    Figure
+        Without groups in which the column has no values.
     """
     groups = [group for group in found.groups if len(group.of(column))]
     size = min(7.5, 1.4 + 0.22 * len(groups))
@@ -47,6 +60,7 @@ def by_group(found: Groups, column: str, against: str | None = None) -> Figure:
 
 
 def _quantiles(axes: Axes, groups: Sequence[Group], column: str, by: str) -> None:
+    """Draw the quantiles of a column in every group, one line each; by: the column of the groups."""
     for place, group in enumerate(groups):
         least, low, middle, high, most = (group.quantile(column, share) for share in SHARES)
         axes.plot([least, most], [place, place], color=BLUE, lw=1.0, solid_capstyle="butt")
@@ -62,6 +76,7 @@ def _quantiles(axes: Axes, groups: Sequence[Group], column: str, by: str) -> Non
 
 
 def _weighed(axes: Axes, groups: Sequence[Group], column: str, against: str) -> None:
+    """Draw medians of a column over those of another one, and the line through the Pareto-optimal groups."""
     medians = np.array([[group.quantile(name, 0.5) for name in (against, column)] for group in groups])
     axes.plot(*medians.T, color=BLUE, marker="o", ms=4, ls="")
     front = medians[best(medians)]
@@ -83,7 +98,19 @@ def _weighed(axes: Axes, groups: Sequence[Group], column: str, against: str) -> 
 
 
 def best(medians: Array) -> Flags:
-    """Which of rows (n, 2) no other row is below in both columns, (n,) of truth values; NaN is never best."""
+    """Find the Pareto-optimal rows of medians.
+
+    Parameters
+    ----------
+    medians : (n, 2) array
+        Two numbers a row, of which less is better.
+
+    Returns
+    -------
+    (n,) array of bool
+        Rows to which no other one is at most as large in both columns and smaller in one; never rows with NaN.
+    """
+    # [i, j]: what row j has more than row i. NaN makes every comparison false, so that it dominates nothing.
     differences = medians[None] - medians[:, None]
     below = np.all(differences <= 0, axis=2) & np.any(differences < 0, axis=2)
     kept: Flags = np.isfinite(medians).all(axis=1) & ~np.any(below, axis=1)
@@ -91,4 +118,5 @@ def best(medians: Array) -> Flags:
 
 
 def _called(column: str) -> str:
+    """Label of a column on axes, with its unit where that is known."""
     return UNITS.get(column, printable(column))

@@ -14,9 +14,26 @@ REPORTS = ("reached", "survival")
 
 
 def reported(report: str, rows: Sequence[Mapping[str, Any]], folder: Path) -> list[str]:
-    """Write the page, the table and the picture of a report of REPORTS into a folder; what they say, in sentences.
+    """Write the page, the table and the figure of a report into a folder.
 
-    Raises OptionError where plans that the report sets beside each other are missing for every problem.
+    Parameters
+    ----------
+    report : str
+        Which report, of REPORTS.
+    rows : sequence of mapping
+        The rows of the study.
+    folder : Path
+        The folder.
+
+    Returns
+    -------
+    list of str
+        What the report found, in sentences.
+
+    Raises
+    ------
+    OptionError
+        No problem of the study has all the plans that the report compares.
     """
     room = f"ctr_nlp.studies.{report}"
     found = importlib.import_module(f"{room}.cases").from_rows(rows)

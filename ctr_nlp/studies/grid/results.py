@@ -1,4 +1,8 @@
-"""The rows of a study in Parquet files: written as they come, each file whole or not at all, and read back."""
+"""The rows of a study in Parquet files, written while it runs, each file whole or not at all.
+
+Files are never changed, so that a program that dies loses only what it had not written; a study goes on where it
+was stopped by asking which digests have rows.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +32,20 @@ LOST_FILE = "lost-"
 
 @dataclass(frozen=True)
 class Results:
-    """A folder of rows. One program at a time adds to it (:meth:`sole_writer`)."""
+    """The rows of a study in a folder; one program at a time adds to them (:meth:`sole_writer`).
+
+    Parameters
+    ----------
+    folder : str or Path
+        The study's folder; rows are in files in its folder ``rows``.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     Results(folder).known()  # of a study that has not begun
+    set()
+    """
 
     folder: Path
 
@@ -70,24 +87,64 @@ class Results:
                 pass
 
     def known(self) -> set[str]:
-        """Digests of the cases that have rows; raises OutputError."""
+        """Return the digests of the cases that have rows.
+
+        Returns
+        -------
+        set of str
+            Empty where there are no rows yet.
+        """
         if not self._files:
             return set()
         return set(self._dataset().to_table(columns=["digest"]).column("digest").to_pylist())
 
     def add(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Keep rows, if there are any, in a file of their own; raises OutputError where that cannot be written."""
+        """Write rows into a file of their own; nothing where there are none.
+
+        Parameters
+        ----------
+        rows : sequence of mapping
+            Columns by name; rows need not have the same.
+
+        Raises
+        ------
+        OutputError
+            The file cannot be written.
+        """
         if rows:
             self._write(rows, "")
 
     def add_lost(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Keep rows of cases that are to be tried again some day, each in a file of its own; raises as add."""
+        """Write rows of cases that may be tried again, each into a file of its own, which can be deleted.
+
+        Parameters
+        ----------
+        rows : sequence of mapping
+            Columns by name, with ``status`` and ``patience_s``.
+
+        Raises
+        ------
+        OutputError
+            A file cannot be written.
+        """
         for row in rows:
             self._write([row], LOST_FILE)
 
     def forget_lost(self, patience: float) -> None:
-        """Delete the rows of cases whose workers died, and of those that took too long but may take longer now,
-        patience in s. Raises OutputError.
+        """Delete rows of cases that are to be tried again.
+
+        These are the cases whose workers died, and those that took too long while they had less time than they
+        have now.
+
+        Parameters
+        ----------
+        patience : float
+            Time that a case may take now, s.
+
+        Raises
+        ------
+        OutputError
+            A file cannot be deleted.
         """
         parquet = needed("pyarrow.parquet")
         try:
@@ -99,6 +156,7 @@ class Results:
             raise OutputError(f"rows of the study cannot be deleted: {error}") from error
 
     def _write(self, rows: Sequence[Mapping[str, Any]], begin: str) -> None:
+        """Write rows into a new file whose name begins so; raise OutputError where that cannot be done."""
         arrow, parquet = needed("pyarrow"), needed("pyarrow.parquet")
         place = self.folder / ROWS
         try:
@@ -112,15 +170,29 @@ class Results:
 
     @property
     def columns(self) -> list[str]:
-        """Names of all columns; raises OptionError where there are no rows."""
+        """Names of all columns that any row has; raises OptionError where there are no rows."""
         return list(self._dataset().schema.names)
 
     def parts(self, columns: Sequence[str]) -> Iterator[pd.DataFrame]:
-        """All rows, part by part, so that they may be more than memory holds; of these columns those that exist.
+        """Read all rows part by part, so that there may be more than memory holds.
 
-        Raises as columns.
+        Parameters
+        ----------
+        columns : sequence of str
+            Columns that are read; those that no row has are left out.
+
+        Yields
+        ------
+        pandas.DataFrame
+            At least PART rows each, but for the last.
+
+        Raises
+        ------
+        OptionError
+            There are no rows.
         """
         dataset, arrow, part, rows = self._dataset(), needed("pyarrow"), list[Any](), 0
+        # Batches are as small as files are; pandas' costs are per frame, and so several are joined.
         for batch in dataset.to_batches(columns=[name for name in columns if name in dataset.schema.names]):
             part.append(batch)
             rows += len(batch)
@@ -131,17 +203,28 @@ class Results:
             yield arrow.Table.from_batches(part).to_pandas()
 
     def frame(self) -> pd.DataFrame:
-        """All rows, in the order of their digests; raises OptionError where there are none."""
+        """Read all rows.
+
+        Returns
+        -------
+        pandas.DataFrame
+            In the order of the cases' digests.
+
+        Raises
+        ------
+        OptionError
+            There are no rows.
+        """
         found: pd.DataFrame = self._dataset().to_table().to_pandas()
         return found.sort_values("digest", ignore_index=True)
 
     @property
     def _files(self) -> list[str]:
-        """Those that were written whole: what a writer that was killed has left is hidden (whole_file)."""
+        """Complete files of rows: a writer that was killed leaves a hidden one behind (support/whole_file.py)."""
         return sorted(str(path) for path in (self.folder / ROWS).glob("*.parquet") if path.name[0] != ".")
 
     def _dataset(self) -> Any:
-        """All files as one; raises OptionError where there are none. Every file's columns are read anew."""
+        """Open all files as one dataset with the columns of all; raise OptionError where there are none."""
         files = self._files
         if not files:
             raise OptionError(f"{self.folder} holds no rows of a study")
@@ -151,7 +234,7 @@ class Results:
 
 
 def _column(arrow: Any, values: list[Any]) -> Any:
-    """Numbers are all floating: a column may be whole numbers in one file and not in another."""
+    """Make a column of values; numbers are floats, as a column may have whole numbers in one file only."""
     if all(value is None or (isinstance(value, int | float) and not isinstance(value, bool)) for value in values):
         return arrow.array(values, arrow.float64())
     return arrow.array(values)

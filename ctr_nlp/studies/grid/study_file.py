@@ -1,4 +1,4 @@
-"""What a study asks for: a file that names problems, robots and settings, and the cases that these combine to."""
+"""A study's file, which names problems, robots and settings, and the cases to which these combine."""
 
 from __future__ import annotations
 
@@ -36,7 +36,22 @@ OWN = "its own"
 
 @dataclass(frozen=True)
 class Study:
-    """A name, and cases of which no two are alike; report: the page that it ends with, of REPORTS, or None."""
+    """A study of many plans: its name and its cases.
+
+    Parameters
+    ----------
+    name : str
+        Name of its output folder.
+    cases : tuple of Case
+        At least one, and no two alike.
+    report : str, optional
+        Page that the study ends with, of ``studies.grid.reports.REPORTS``.
+
+    Raises
+    ------
+    OptionError
+        There are no cases, or one of them is there twice.
+    """
 
     name: str
     cases: tuple[Case, ...]
@@ -56,7 +71,23 @@ class Study:
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Study:
-        """The study of a file; names of files in it are relative to its folder. Raises OptionError."""
+        """Read a study from a TOML file.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file; names of files in it are relative to its folder. ``examples/study.toml`` explains every key.
+
+        Returns
+        -------
+        Study
+            Every combination of what the file lists.
+
+        Raises
+        ------
+        OptionError
+            The file cannot be read, or does not describe a study; the message names the file.
+        """
         told = read_toml(path)
         try:
             return cls.from_dict(told, Path(path).resolve().parent)
@@ -65,7 +96,33 @@ class Study:
 
     @classmethod
     def from_dict(cls, told: Mapping[str, Any], folder: Path) -> Study:
-        """The study that a mapping describes, as of a file in a folder. Raises CtrError."""
+        """Make the study that a mapping describes.
+
+        Parameters
+        ----------
+        told : mapping
+            Keys and values of a study's file; see ``examples/study.toml``.
+        folder : Path
+            Folder to which names of files are relative.
+
+        Returns
+        -------
+        Study
+            Every combination of problems, robots, models, methods, loads and settings. Of Monte Carlo samples
+            every problem has a seed of its own.
+
+        Raises
+        ------
+        CtrError
+            A key is unknown, or a value is out of its range.
+
+        Examples
+        --------
+        >>> described = {"problems": {"names": ["arc", "cos"]}, "methods": ["joint", "horizon"], "frames": 5}
+        >>> study = Study.from_dict(described, Path("."))
+        >>> [(case.problem, case.method) for case in study.cases]
+        [('arc', 'joint'), ('arc', 'horizon'), ('cos', 'joint'), ('cos', 'horizon')]
+        """
         check_table(told, KEYS, "a study")
         problems = tuple(_problems(told.get("problems", {}), folder))
         robots, every_way = tuple(_robots(told.get("robots", {}), folder)), tuple(ways(told, folder))
@@ -107,7 +164,7 @@ class Study:
 
 
 def _problems(told: Any, folder: Path) -> Iterator[tuple[str, str]]:
-    """Names, and digests of files."""
+    """Problems of the table [problems], each with the digest of its file, which is empty where it has none."""
     check_table(told, OF_PROBLEMS, "problems of a study")
     for name in told.get("names", ()):
         check_choice("a problem of a study", name, NAMES)
@@ -122,7 +179,7 @@ def _problems(told: Any, folder: Path) -> Iterator[tuple[str, str]]:
 
 
 def _robots(told: Any, folder: Path) -> Iterator[tuple[str, str | None]]:
-    """Names, and robots as JSON; the problems' own where none are told."""
+    """Names and JSON of the robots of the table [robots]; the problems' own robots where there is none."""
     check_table(told, OF_ROBOTS, "robots of a study")
     if not told:
         yield OWN, None
@@ -135,6 +192,7 @@ def _robots(told: Any, folder: Path) -> Iterator[tuple[str, str | None]]:
             raise OptionError("drawn robots of a study need of, a robot file, and count")
         base = Robot.from_toml(folder / asked["of"])
         count = whole_number(OptionError, "count of drawn robots", asked["count"], 1)
+        # Each robot is built as drawn, and as uncertain as the one that it is drawn from.
         none = np.zeros((5 * base.d, 5 * base.d))
         for number, parts in enumerate(drawn(base, count, asked.get("seed", 0)).parts):
             robot = known_robot(base, parts, none, 0.0)
@@ -142,4 +200,5 @@ def _robots(told: Any, folder: Path) -> Iterator[tuple[str, str | None]]:
 
 
 def _as_json(robot: Robot) -> str:
+    """Write a robot as JSON with sorted keys, so that equal robots have equal text."""
     return json.dumps(robot.to_dict(), sort_keys=True)

@@ -29,7 +29,7 @@ SAMPLERS: Mapping[str, type[qmc.QMCEngine]] = {"sobol": qmc.Sobol, "latin-hyperc
 
 @dataclass(frozen=True)
 class Way:
-    """How a problem is planned, and what is measured of the plan; fields as those of Case."""
+    """How a problem is planned, and what is measured of the plan; fields mean the same as those of Case."""
 
     model: str
     method: str
@@ -40,9 +40,27 @@ class Way:
 
 
 def ways(told: Mapping[str, Any], folder: Path) -> Iterator[Way]:
-    """Those of a study's tables [[ways]] one after the other, or of the study itself, whose files are in a folder.
+    """Combine the models, methods, loads and settings of a study.
 
-    Raises LoadError, OptionError.
+    Parameters
+    ----------
+    told : mapping
+        The study's file. Its tables ``[[ways]]`` are combined each by itself; without any, keys of the study
+        itself are taken.
+    folder : Path
+        Folder to which names of load files are relative.
+
+    Yields
+    ------
+    Way
+        One combination after the other.
+
+    Raises
+    ------
+    LoadError
+        A load's file cannot be read or holds no load.
+    OptionError
+        A key is unknown, a value is out of its range, or a load does not go with a model.
     """
     tables = told.get("ways")
     if tables is None:
@@ -62,13 +80,13 @@ def ways(told: Mapping[str, Any], folder: Path) -> Iterator[Way]:
             check_choice("a model of a study", model, MODELS)
             check_choice("a method of a study", method, METHODS)
             if load is not None:
-                under(model, load)
+                under(model, load)  # raises where the model knows no loads, before anything is planned
             written = None if load is None else json.dumps(load.to_dict())
             yield Way(model, method, name, written, settings, measures)
 
 
 def _load(name: Any, folder: Path) -> tuple[str, Load | LoadOverTime | None]:
-    """What a load of a study is called, and the load; None for none."""
+    """Return the name of a load in tables and the load itself, or None for none."""
     instance(OptionError, "a load of a study", name, str)
     if name == NO_LOAD:
         return NO_LOAD, None
@@ -76,27 +94,28 @@ def _load(name: Any, folder: Path) -> tuple[str, Load | LoadOverTime | None]:
 
 
 def check_table(told: Any, allowed: Sequence[str], of: str) -> None:
-    """Raise OptionError unless something is a mapping whose keys are all allowed."""
+    """Raise OptionError unless told is a mapping whose keys are all allowed; of: its name in the message."""
     if not isinstance(told, Mapping):
         raise OptionError(f"{of} is {told!r:.60}; it must be a table with the keys {', '.join(allowed)}")
     check_keys(OptionError, of, told, allowed)
 
 
 def _settings(told: Mapping[str, Any]) -> Iterator[tuple[tuple[str, Any], ...]]:
-    """Every combination of the settings that are listed, each with every sample of those that are sampled."""
+    """Every combination of the settings that a table lists, each with every sample of those that are sampled."""
     listed = told.get("settings", {})
     check_table(listed, tuple(Settings.__dataclass_fields__), "settings of a study")
     grid = itertools.product(*([(name, value) for value in _listed(values)] for name, values in listed.items()))
     for chosen, sampled in itertools.product(grid, _sampled(told.get("sample"))):
         if both := {name for name, _ in chosen} & {name for name, _ in sampled}:
             raise OptionError(f"{sorted(both)[0]} of a study is both listed and sampled; leave one out")
+        # Sorted, so that the order of keys in a file does not make another case, with another digest.
         found = tuple(sorted((*chosen, *sampled)))
         Settings(**dict(found))
         yield found
 
 
 def _sampled(told: Any) -> list[tuple[tuple[str, Any], ...]]:
-    """Settings sampled evenly within their ranges; one empty sample where none are."""
+    """Settings sampled evenly within the ranges of a table; one empty sample where there is no table."""
     if told is None:
         return [()]
     check_table(told, OF_SAMPLE, "sample of a study")
@@ -114,4 +133,5 @@ def _sampled(told: Any) -> list[tuple[tuple[str, Any], ...]]:
 
 
 def _listed(value: Any) -> list[Any]:
+    """Return a list as it is, and anything else as the only entry of one."""
     return value if isinstance(value, list) else [value]
