@@ -1,1 +1,1 @@
-"""Forces that plans bear: at their tips, and of the walls that they touch."""
+"""Forces on the robot of a plan: the largest ones at its tip, and those of the walls that it touches."""

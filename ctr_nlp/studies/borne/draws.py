@@ -1,4 +1,4 @@
-"""Robust plans on robots that are not quite known while a force comes and goes at the tip, from any side."""
+"""Robust plans on simulated robots within the tolerances, while a tip force from any side comes and goes."""
 
 from __future__ import annotations
 
@@ -33,11 +33,26 @@ MARGIN = Settings(stability_margin=0.3)
 
 @dataclass(frozen=True)
 class Withstood:
-    """What a robust plan does under a force of force N, planned for one of planned_for N.
+    """Result of a robust plan, made for one tip force, under another one.
 
-    certified: whether the search's own draws bore it. e3: as planned, mm; e3_drawn: its mean over draws that each
-    bear the force from one side. lost: draws that are lost under it from any of 26 sides; lost_without: under
-    none, both of draws. seconds: of planning, process time.
+    Attributes
+    ----------
+    problem : str
+        Name of the problem.
+    planned_for, force : float
+        Tip forces that the plan was made for, and under which it is tried, N.
+    solved : bool
+        Whether all frames were solved.
+    certified : bool
+        Whether the plan's own samples met the required share.
+    e3, e3_drawn : float
+        Error as planned, and its mean over samples that each bear the force from one side, mm.
+    draws : int
+        Number of samples.
+    lost, lost_without : int
+        Samples that snap or end on another branch under the force from any of the sides, and without a force.
+    seconds : float
+        Process time of planning, s.
     """
 
     problem: str
@@ -54,9 +69,25 @@ class Withstood:
 
 
 def lost_from_any_side(plan: Plan, force: float, draws: int = DRAWS, sides: int = SIDES) -> Flags:
-    """Which draws (n,) of a plan's robot are lost while a force, N, comes in the first frame and goes in the last
-    one, from any of 6, 14 or 26 sides; a force of 0 has none.
+    """Find the simulated robots that fail while a force comes in the first frame and goes in the last one.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan, whose robot's tolerances are sampled, but for its tip force.
+    force : float
+        Force at the tip, N; 0 for none.
+    draws : int
+        Number n of Monte Carlo samples.
+    sides : int
+        Number of directions that the force comes from: 6, 14 or 26.
+
+    Returns
+    -------
+    (n,) array of bool
+        Samples that snap, have no equilibrium or end on another branch from any of these sides.
     """
+    # The force is put on by hand, the same for all samples: theirs would each come from a direction of its own.
     robot = replace(plan.robot, tolerances=replace(plan.robot.tolerances, tip_force=0.0))
     known, lost = drawn(robot, draws, SEED), np.zeros(draws, dtype=bool)
     for direction in directions_of(sides) if force else np.zeros((1, 3)):
@@ -72,7 +103,26 @@ def withstood(
     draws: int = DRAWS,
     most_lost: float = MOST_LOST,
 ) -> list[Withstood]:
-    """One robust plan of a problem, and what it does under each of some forces, N; most_lost: as solve_robust."""
+    """Plan a problem robustly for a tip force, and try the plan under several.
+
+    Parameters
+    ----------
+    problem : Problem
+        Robot and target.
+    planned_for : float
+        Tip force that the plan is made for, N.
+    forces : sequence of float
+        Tip forces that it is tried under, N.
+    draws : int
+        Number of Monte Carlo samples.
+    most_lost : float
+        Share of robots that may fail; see :func:`solve_robust`.
+
+    Returns
+    -------
+    list of Withstood
+        One result a force.
+    """
     tolerances = replace(problem.robot.tolerances, tip_force=planned_for)
     begin = time.process_time()
     tolerant = replace(problem, robot=replace(problem.robot, tolerances=tolerances))
@@ -98,8 +148,9 @@ def withstood(
 
 
 def _drawn_e3(plan: Plan, force: float, draws: int) -> float:
-    """The mean e3 of draws that each bear the force from one side, mm."""
+    """Mean e3, mm, of samples that each bear the force, N, from a side of their own; NaN where it is unknown."""
     tolerances = replace(plan.robot.tolerances, tip_force=force)
+    # A plan samples the robot in its meta: with this tip force among the tolerances every sample bears one.
     told = replace(plan, meta=plan.meta | {"robot": replace(plan.robot, tolerances=tolerances).to_dict()})
     errors = told.robustness(draws, SEED).errors
     return math.nan if errors is None else errors.mean
@@ -107,8 +158,20 @@ def _drawn_e3(plan: Plan, force: float, draws: int) -> float:
 
 @dataclass(frozen=True)
 class Compensated:
-    """Plans of a problem without a force and for a known one, N: e3 of both, mm, of the first under the force, and
-    whether the second snaps anywhere while the force comes, stays and goes.
+    """Result of planning with and without knowledge of a constant tip force.
+
+    Attributes
+    ----------
+    problem : str
+        Name of the problem.
+    force : float
+        Size of the force, N.
+    e3_without, e3_unaware, e3 : float
+        Errors, mm: of the plan made without the force, of the same plan under it, and of the plan made for it.
+    solved : bool
+        Whether all frames of the plan made for the force were solved.
+    snaps : bool
+        Whether that plan snaps while the force comes, stays and goes.
     """
 
     problem: str
@@ -121,7 +184,20 @@ class Compensated:
 
 
 def compensated(problem: Problem, force: float) -> Compensated:
-    """A problem planned with and without knowledge of a force across the robot."""
+    """Plan a problem with and without knowledge of a force across the robot.
+
+    Parameters
+    ----------
+    problem : Problem
+        Robot, with Young's moduli in MPa, and target.
+    force : float
+        Size of the force along the base's y axis, N.
+
+    Returns
+    -------
+    Compensated
+        Errors of both plans.
+    """
     load = Load(tuple(force * part for part in ACROSS))
     free = solve_horizon(problem, model="elastic", settings=MARGIN)
     plan = solve_horizon(problem, model=Loaded(load), settings=MARGIN)

@@ -1,4 +1,4 @@
-"""The tip forces that a plan bears: in every frame and many directions, before it snaps or leaves its lumen."""
+"""The tip forces that a plan bears in every frame and many directions before it snaps or leaves its lumen."""
 
 from __future__ import annotations
 
@@ -35,7 +35,17 @@ SIGMA = np.linspace(0.0, 1.0, 34)
 
 
 class Worst(NamedTuple):
-    """The least of some forces: N, infinity where all are more than was looked for; frame, from 1; direction."""
+    """The least of several forces.
+
+    Attributes
+    ----------
+    force : float
+        Its size, N; infinity where all are larger than was looked at.
+    frame : int
+        The frame, from 1.
+    direction : (3,) array
+        Its direction in the base frame.
+    """
 
     force: float
     frame: int
@@ -44,12 +54,25 @@ class Worst(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Forces(Kept):
-    """What F frames of a plan bear at the tip, beside what the plan's robot bears already.
+    """Tip forces that F frames of a plan bear, beside the load that the plan is evaluated under.
 
-    frames (F,): from 1. directions (n, 3), of length 1, in the base frame. snaps (F, n): the force in N under
-    which the robot snaps; leaves (F, n): under which it is further beyond its lumen's wall than off, mm; both
-    infinity where that is more than most, N, and leaves also where no wall counts. compliance (F, 3, 3): mm/N, by
-    how much the tip gives in (rows) to small forces (columns).
+    Attributes
+    ----------
+    frames : (F,) array of int
+        The frames, from 1.
+    directions : (n, 3) array
+        Unit vectors in the base frame.
+    snaps : (F, n) array
+        Forces under which the robot snaps, N; infinity where that is more than `most`.
+    leaves : (F, n) array
+        Forces under which the robot is further than `off` beyond its lumen's wall, N; infinity where that is more
+        than `most`, and everywhere where no wall counts.
+    compliance : (F, 3, 3) array
+        Displacements of the tip (rows) per small force (columns), mm/N.
+    most : float
+        Largest force that was looked at, N.
+    off : float or None
+        Depth beyond the wall from which on the robot has left its lumen, mm; None where no wall counts.
     """
 
     frames: Index
@@ -62,30 +85,38 @@ class Forces(Kept):
 
     @property
     def bears(self) -> Array:
-        """What every frame bears in every direction, (F, n) N."""
+        """Forces that frames bear in every direction, (F, n) N, before the robot snaps or leaves its lumen."""
         return np.minimum(self.snaps, self.leaves)
 
     @cached_property
     def snap(self) -> Worst:
-        """The least force that snaps the plan."""
+        """The least force that snaps the robot."""
         return self._least(self.snaps)
 
     @cached_property
     def leave(self) -> Worst | None:
-        """The least force under which it leaves its lumen; None where no wall counts."""
+        """The least force under which the robot leaves its lumen; None where no wall counts."""
         return None if self.off is None else self._least(self.leaves)
 
     def _least(self, forces: Array) -> Worst:
+        """The least of forces (F, n), N, with its frame and direction."""
         frame, direction = np.unravel_index(forces.argmin(), forces.shape)
         return Worst(float(forces[frame, direction]), int(self.frames[frame]), self.directions[direction])
 
     @property
     def softest(self) -> Array:
-        """By how much the tip gives in to a small force in the worst direction, (F,) mm/N."""
+        """Displacement of the tip per small force in the direction in which it gives in most, (F,) mm/N."""
+        # The spectral norm: the largest displacement of any force of 1 N.
         return np.asarray(np.linalg.norm(self.compliance, 2, axis=(1, 2)))
 
     def summary(self) -> dict[str, Any]:
-        """Numbers for strict JSON; None where a force is more than most_N."""
+        """Return all numbers by name, with their units in the names.
+
+        Returns
+        -------
+        dict
+            Fit for strict JSON; None stands for forces of more than ``most_N``.
+        """
         told = {"snap": self.snap} | ({} if self.leave is None else {"leave": self.leave})
         worst = {
             f"least_to_{name}": {
@@ -106,7 +137,14 @@ class Forces(Kept):
         }
 
     def rows(self) -> list[dict[str, Any]]:
-        """A row a frame: the least forces over all directions, the direction of the least, and compliance."""
+        """Return a table with one row a frame.
+
+        Returns
+        -------
+        list of dict
+            The least forces over all directions, N, empty where they are more than was looked at; the direction x,
+            y, z of the smaller one; and the largest compliance, mm/N.
+        """
         found = []
         for k, frame in enumerate(self.frames.tolist()):
             x, y, z = self.directions[self.bears[k].argmin()].round(4).tolist()
@@ -120,12 +158,50 @@ class Forces(Kept):
 def forces(
     plan: Plan, *, every: int = 1, directions: int = 26, most: float = MOST, off: float | None = None
 ) -> Forces:
-    """The tip forces that a plan bears on the elastic model, raised in many directions of the base frame.
+    """Find the tip forces that a plan bears, on the elastic model.
 
-    every: which of the frames, from the first; directions: 6, 14 or 26; most: N up to which forces are raised;
-    off: mm beyond its lumen's wall from which on a robot has left it, None where only snaps count. Forces act
-    beside the load that the plan is evaluated under. Frames in which the robot has no shape are left out. Raises
-    LoadError, and OptionError where off is asked for and no lumen is known.
+    In every frame forces are raised along many directions of the base frame, beside the load that the plan is
+    evaluated under, until the branch of equilibria ends or, at Euler's load, gives way in two directions at once.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan; its robot needs Young's moduli in MPa (:meth:`Plan.with_modulus`).
+    every : int
+        Only every so many frames are looked at, from the first on.
+    directions : int
+        Number of directions: 6 along the axes, 14 with the corners of a cube, or 26 with the middles of its edges.
+    most : float
+        Force up to which is looked, N.
+    off : float, optional
+        Depth beyond the lumen's wall from which on the robot has left its lumen, mm; by default only snaps count.
+
+    Returns
+    -------
+    Forces
+        Without frames in which the robot has no shape or does not bear the plan's own load.
+
+    Raises
+    ------
+    LoadError
+        A tube has no Young's modulus in MPa, or no frame is left.
+    OptionError
+        An option is out of its range, or `off` is given and the plan knows no lumen.
+
+    Examples
+    --------
+    A straight rod gives in as a cantilever, L^3 / (3 E I), and buckles under Euler's load, which is
+    pi^2 E I / (4 L^2) = 2.95 N:
+
+    >>> import ctr_nlp as ctr
+    >>> rod = ctr.Robot((ctr.Tube(200, 150, 0.0, 1.5, 1.0, youngs_modulus=60_000),))
+    >>> line = ctr.curve_from_points([[0, 0, z] for z in range(0, 101, 5)])
+    >>> problem = ctr.Problem("rod", rod, ctr.growing(line, 2))
+    >>> found = ctr.forces(ctr.plan_through(problem, np.array([[0, 50, 0, 0], [0, 100, 0, 0]])), directions=6)
+    >>> found.softest.round(1).tolist()
+    [3.5, 27.9]
+    >>> round(found.snap.force, 1), found.snap.frame, found.snap.direction.tolist()
+    (3.0, 2, [0.0, 0.0, -1.0])
     """
     instance(OptionError, "plan", plan, Plan)
     if directions not in COUNTS:
@@ -141,6 +217,8 @@ def forces(
         raise LoadError("the plan has no frame in which its robot stands under its load; no more can be borne")
     asked = [] if off is None else [_left(plan, off, equilibria.rods.kind)]
     snaps, found = borne(equilibria, states, way, most, asked + [unstable(equilibria)] * load.conservative)
+    # A branch that goes on after two directions have given way at once is followed, but no robot stays on it.
+    # Without an energy there is no such criterion, and only the ends of branches count.
     if load.conservative:
         snaps = np.minimum(snaps, found.pop())
     leaves = found[0] if found else np.full(snaps.shape, np.inf)
@@ -149,9 +227,21 @@ def forces(
 
 
 def directions_of(count: int) -> Array:
-    """So many of the directions from a cube's middle to its faces, then its corners, then its edges, (n, 3)."""
+    """Return evenly spread directions: from a cube's middle to its faces, then its corners, then its edges.
+
+    Parameters
+    ----------
+    count : int
+        Number n of directions: 6, 14 or 26.
+
+    Returns
+    -------
+    (n, 3) array
+        Unit vectors.
+    """
     steps = np.array([step for step in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(step)])
     parts = abs(steps).sum(axis=1)
+    # 1, 2 or 3 entries other than 0: towards a face, an edge or a corner. 6, 14 and 26 are the first of one list.
     order = np.concatenate([np.flatnonzero(parts == size) for size in (1, 3, 2)])
     found = steps[order[:count]]
     return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
@@ -160,19 +250,24 @@ def directions_of(count: int) -> Array:
 def _standing(
     plan: Plan, load: Load | LoadOverTime, equilibria: LoadedEquilibria, every: int
 ) -> tuple[Index, States]:
-    """Which frames, from 0, the robot stands in under its load, and its states there."""
+    """Find the frames, from 0, in which the robot of a plan bears its load, and its states there.
+
+    every: only every so many frames are looked at.
+    """
+    # The branch is that of the motion without a load; in each frame the load of its time then grows from zero.
     x, d = MODELS[Loaded.name].follow(plan.robot, plan.q).x, plan.robot.d
     which = np.flatnonzero(np.isfinite(x).all(axis=1))
     which = which[which % every == 0]
     of_robot = np.repeat(plan.robot.numbers[None], len(which), axis=0)
     states = equilibria.unloaded(of_robot, plan.q[which], tip_angles(x[which], d))
+    # Of all frames, so that those that are looked at have the load of their own time.
     acting = load.over(d, np.linspace(0.0, 1.0, len(x)))
     loaded, done = equilibria.along(states, states.q, acting[which])
     return which[done == 1], loaded.rows(done == 1)
 
 
 def _left(plan: Plan, off: float, kind: RodKind) -> Question:
-    """Whether states (T,) are further beyond the wall of a plan's lumen than off, mm."""
+    """Return the condition that a robot is further beyond the wall of the plan's lumen than off, mm."""
     if plan.lumen is None:
         raise OptionError("off is asked for, and the plan knows no wall of a lumen")
     beside, robot = Beside(Lumen(plan.lumen)), plan.robot
@@ -185,4 +280,5 @@ def _left(plan: Plan, off: float, kind: RodKind) -> Question:
 
 
 def _finite(force: float) -> float | None:
+    """Return a force, or None for an infinite one, which strict JSON does not have."""
     return None if math.isinf(force) else force

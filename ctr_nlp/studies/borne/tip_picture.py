@@ -1,4 +1,4 @@
-"""The tip forces that a plan bears as a picture, apart from the numbers, which need no matplotlib."""
+"""The tip forces that a plan bears as a figure; apart from the numbers, which need no matplotlib."""
 
 from __future__ import annotations
 
@@ -23,7 +23,20 @@ PLANES = (0, 1), (2, 0), (2, 1)
 
 @rc_context(STYLE)
 def picture(found: Forces, problem: str) -> Figure:
-    """What every frame bears, how soft its tip is, and what the worst frame bears in three planes."""
+    """Draw the tip forces that a plan bears, how soft its tip is, and the worst frame's forces in three planes.
+
+    Parameters
+    ----------
+    found : Forces
+        The forces.
+    problem : str
+        Name of the problem, for the title.
+
+    Returns
+    -------
+    Figure
+        Forces over frames above, and polar panels below.
+    """
     figure = Figure(figsize=(6.6, 5.8), layout="constrained")
     parts: Any = figure.subfigures(2, 1, height_ratios=(1.15, 1))
     above, below = parts
@@ -59,7 +72,7 @@ def _by_frame(axes: Axes, found: Forces) -> None:
 
 
 def _polar(axes: Any, found: Forces, worst: int, plane: tuple[int, int]) -> None:
-    """What the worst frame bears in the directions that lie in a plane."""
+    """Draw the forces that frame number `worst` of those found bears in the directions that lie in a plane."""
     x, y = (found.directions[:, k] for k in plane)
     inside = np.flatnonzero(np.hypot(x, y) > 1 - 1e-9)
     angle = np.arctan2(y[inside], x[inside])
@@ -75,5 +88,5 @@ def _polar(axes: Any, found: Forces, worst: int, plane: tuple[int, int]) -> None
 
 
 def _nice(values: Array) -> float:
-    """The least of them, from which on a scale is logarithmic."""
+    """The least of values, N, from which on a scale is logarithmic."""
     return float(max(values.min(), 1e-4))

@@ -1,4 +1,4 @@
-"""Forces of contact: with what a plan's robot is pressed into the wall of its lumen, and which it could avoid."""
+"""Contact forces: how hard a plan's robot is pressed into the wall of its lumen, and which part is avoidable."""
 
 from __future__ import annotations
 
@@ -26,10 +26,18 @@ LEAST, MOST = 1e-6, 1e3
 
 @dataclass(frozen=True, eq=False)
 class WallForces(Touching):
-    """A plan of T frames whose robot is pressed into a wall of a stiffness, N/mm for every mm, along K pieces.
+    """Contact forces of a plan's robot with an elastic wall, in T frames and on K pieces of the robot.
 
-    depth_alone (T,): how deep the robot would be in a wall that does not push, mm. tip (T,): by how much the wall
-    moves the tip, mm. Where the lumen is narrow, the robot cannot avoid the wall.
+    See :class:`~ctr_nlp.simulation.touching.Touching` for the forces and where they act.
+
+    Attributes
+    ----------
+    stiffness : float
+        Of the wall, N/mm for every mm of length.
+    depth_alone : (T,) array
+        How deep the robot would be in a wall that does not push, mm.
+    tip : (T,) array
+        How far the wall moves the tip, mm.
     """
 
     stiffness: float
@@ -38,27 +46,33 @@ class WallForces(Touching):
 
     @property
     def known(self) -> Flags:
-        """In which frames (T,) the robot is known to stand."""
+        """Mask (T,) of the frames in which the robot has an equilibrium; after a snap none is known."""
         return np.asarray(np.isfinite(self.force).all(axis=1))
 
     @property
     def total(self) -> Array:
-        """The sum of the forces' sizes in every frame, (T,) N."""
+        """Sum of the forces' sizes in every frame, (T,) N."""
         return np.asarray(self.force.sum(axis=1))
 
     @property
     def avoidable(self) -> Array:
-        """Of that, (T,) N, what acts where the lumen is wider than the robot: a shape need not touch there."""
+        """Part of the total that acts where the lumen is wider than the robot, and need not act, (T,) N."""
         return np.asarray(np.where(self.narrow, 0.0, self.force).sum(axis=1))
 
     @property
     def worst(self) -> int | None:
-        """The frame, from 1, with the largest total; None where nothing is touched."""
+        """The frame, from 1, with the largest total; None where the robot touches nothing."""
         total = np.nan_to_num(self.total)
         return int(total.argmax()) + 1 if total.max(initial=0.0) > 0 else None
 
     def summary(self) -> dict[str, Any]:
-        """Numbers for strict JSON."""
+        """Return the largest numbers by name, with their units in the names.
+
+        Returns
+        -------
+        dict
+            Fit for strict JSON; None where nothing is known.
+        """
         worst, known = self.worst, self.known
         at = 0 if worst is None else worst - 1
         return {
@@ -74,7 +88,13 @@ class WallForces(Touching):
         }
 
     def rows(self) -> list[dict[str, Any]]:
-        """A row a frame; empty cells where the robot has snapped."""
+        """Return a table with one row a frame.
+
+        Returns
+        -------
+        list of dict
+            Forces in N and depths in mm by name; empty after a snap.
+        """
         numbers = {
             "total_N": self.total,
             "avoidable_N": self.avoidable,
@@ -90,11 +110,42 @@ class WallForces(Touching):
 
 
 def wall_forces(plan: Plan, stiffness: float = STIFFNESS) -> WallForces:
-    """With what a plan's robot is pressed into the wall of its lumen, on the elastic model.
+    """Find the forces with which a plan's robot and the wall of its lumen press on each other.
 
-    stiffness: of the wall, N/mm for every mm of the robot. The wall acts beside the load that the plan is
-    evaluated under. Raises LoadError where the robot has no moduli in MPa, and OptionError where no lumen is known
-    or a frame has no configuration.
+    The robot is that of the elastic model. The wall is an elastic foundation: every mm of the robot is pushed with
+    the stiffness times its depth, towards the lumen's path, without friction. This acts beside the load that the
+    plan is evaluated under.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan; its robot needs Young's moduli in MPa (:meth:`Plan.with_modulus`).
+    stiffness : float
+        Of the wall, N/mm for every mm of the robot; by default that of an airway.
+
+    Returns
+    -------
+    WallForces
+        Forces and depths in every frame, NaN from a snap on.
+
+    Raises
+    ------
+    LoadError
+        A tube has no Young's modulus in MPa.
+    OptionError
+        `stiffness` is out of its range, the plan knows no lumen, or a frame has no configuration.
+
+    Examples
+    --------
+    A straight rod in a bent lumen:
+
+    >>> import ctr_nlp as ctr
+    >>> rod = ctr.Robot((ctr.Tube(200, 150, 0.0, 1.5, 1.0, youngs_modulus=60_000),))
+    >>> bend = ctr.curve_from_points([[0, 0.002 * z**2, z] for z in range(0, 101, 5)], np.full(21, 1.5))
+    >>> problem = ctr.Problem("rod", rod, ctr.growing(bend, 2))
+    >>> found = ctr.wall_forces(ctr.plan_through(problem, np.array([[0, 30, 0, 0], [0, 60, 0, 0]])))
+    >>> found.total.round(2).tolist(), found.worst
+    ([0.14, 0.82], 2)
     """
     instance(OptionError, "plan", plan, Plan)
     allowed = f"lie in [{LEAST:g}, {MOST:g}] N/mm²"
@@ -113,10 +164,12 @@ def wall_forces(plan: Plan, stiffness: float = STIFFNESS) -> WallForces:
     return WallForces(
         **vars(found),
         stiffness=value,
+        # Clearance is negative beyond the wall.
         depth_alone=np.maximum(-alone.clearance.min(axis=1), 0.0),
         tip=np.linalg.norm(found.shape[:, -1] - alone.shape[:, -1], axis=1),
     )
 
 
 def _cell(value: float) -> float | str:
+    """Round a value for a table; empty where it is not finite."""
     return round(float(value), 5) if math.isfinite(value) else ""

@@ -1,4 +1,4 @@
-"""Forces of contact as a picture, apart from the numbers, which need no matplotlib."""
+"""Contact forces as a figure; apart from the numbers, which need no matplotlib."""
 
 from __future__ import annotations
 
@@ -14,7 +14,20 @@ from ctr_nlp.studies.borne.wall import WallForces
 
 @rc_context(STYLE)
 def picture(found: WallForces, problem: str) -> Figure:
-    """Where along the robot the wall pushes in every frame, with how much in all, and how deep the robot is."""
+    """Draw where along the robot the wall pushes in every frame, the total force, and how deep the robot is.
+
+    Parameters
+    ----------
+    found : WallForces
+        The forces.
+    problem : str
+        Name of the problem, for the title.
+
+    Returns
+    -------
+    Figure
+        Three panels over frames.
+    """
     figure = Figure(figsize=(6.6, 6.2), layout="constrained")
     where, total, depth = figure.subplots(3, sharex=True, height_ratios=(1.6, 1, 1))
     _where(where, found, figure)
@@ -37,7 +50,7 @@ def picture(found: WallForces, problem: str) -> Figure:
 
 
 def _where(axes: Axes, found: WallForces, figure: Figure) -> None:
-    """Force per length over frames and along the robot."""
+    """Draw the forces found per length, N/mm, over frames and along the robot."""
     per_length = np.divide(found.force, found.length, out=np.zeros_like(found.force), where=found.length > 0)
     frames = np.broadcast_to(np.arange(len(found.force))[:, None] + 1.0, found.along.shape)
     busy = np.isfinite(per_length) & (per_length > 0)
