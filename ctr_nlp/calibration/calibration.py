@@ -29,7 +29,7 @@ from ctr_nlp.support.values import instance
 from ctr_nlp.typing import Array, Index
 
 Progress = Callable[[int, int, str], None]
-"""Called with how many fits are done, of how many, and what was done last."""
+"""Called as ``progress(done, total, what)``: fits done, of how many, and which comes next."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,14 +16,13 @@ from ctr_nlp.calibration.parameters import DELAY, LAGS, MODULUS, Parameters
 from ctr_nlp.typing import Array
 
 DETERMINED = 0.5
-"""The data determine a parameter of whose standard deviation before they leave at most this part."""
+"""A parameter is determined where at most this part of its standard deviation before measuring is left."""
 TOLD = 1.0
-"""A direction of parameters, each over its standard deviation before, of which data tell less is not told by them.
-"""
+"""Least information along a direction of scaled parameters that the data identify; the prior's is 1."""
 BEYOND = 1e9
-"""What stands for the information along directions that are not looked at."""
+"""Information that is put on directions which are not to be looked at."""
 NAMED = 0.35
-"""Parameters of at least this part of the largest in such a direction are named."""
+"""Parameters with at least this part of the largest entry of an unidentified direction are named."""
 
 
 def standing(fit: Fit) -> list[str]:

@@ -24,28 +24,28 @@ from ctr_nlp.calibration.prediction import Prediction, flat_measured
 from ctr_nlp.typing import Array, Flags, Index
 
 SOFT = 2.0
-"""Standard deviations of the noise beyond which a residual counts less than its square: linearly, in the end."""
+"""c of rho, in standard deviations of the noise: beyond it a residual counts linearly, and not as its square."""
 CLIPPED = 2.0
 """Standard deviations at which residuals are clipped where the noise is estimated from them (Huber, proposal 2).
 """
 WITHIN = 0.9205369256363228
 """The mean of min(|z|, CLIPPED)^2 over a standard normal z."""
 ROUNDS, STEPS = 12, 4
-"""At most so many estimates of the noise, each followed by so many steps of a fit; the last one is to the end."""
+"""Largest number of estimates of the noise, and of steps of the fit between two of them."""
 MOST_ROWS = 400
 """Observations of a motion that a fit takes, evenly among more."""
 MOST_STEPS = 40
-"""Of the last fit."""
+"""Largest number of steps of the last fit, whose noise has settled."""
 SETTLED = 0.02
-"""By which part the noise may still change in the last round."""
+"""Relative change of the noise below which it has settled."""
 LOST = 30.0
-"""Standard deviations by which a place counts as missed where a robot has no equilibrium."""
+"""Residual, in standard deviations, of what is measured where the predicted robot has no equilibrium."""
 LEAST_NOISE = 1e-4, 1e-6
-"""mm and rad: noise that is taken for none."""
+"""Least noise of positions, mm, and of directions, rad: residuals of exact data are divided by it, too."""
 HELD = 0.95
-"""A parameter keeps the value of before where the data leave more than this part of its standard deviation."""
+"""A parameter is fixed at its prior mean where more than this part of its standard deviation is left."""
 INSIDE = 1e-3
-"""Standard deviations by which a fit starts within bounds."""
+"""Least distance of an initial guess from bounds, in prior standard deviations."""
 
 
 class Noise(NamedTuple):
@@ -217,7 +217,7 @@ class _Problem:
         self._known = np.isfinite(self._measured) & rows[:, None]
 
     def solved(self, values: Array, free: Flags, noise: Noise, steps: int) -> Array:
-        """Improve values (P,) in at most so many steps of a trust-region method; those not free (P,) stay."""
+        """Improve those values (P,) that are free (P,), at a given noise, in at most so many steps."""
         chosen = np.flatnonzero(free)
         if not len(chosen):
             return values
@@ -284,7 +284,7 @@ class _Problem:
         return float(np.clip(np.nanmean(pairs) / np.nanmean(clipped**2), 0.0, 0.99))
 
     def fit(self, values: Array, free: Flags, noise: Noise) -> Fit:
-        """Return the Fit of values (P,), with their covariance and the residuals of all observations."""
+        """Return the Fit of values (P,), those free (P,) fitted, with their covariance at this noise."""
         seen, changes = self._prediction.with_changes(values, self._rows)
         residuals = self._measured - seen.flat()
         weighed = (residuals / _scales(noise, residuals.shape[1]))[self._known]

@@ -14,7 +14,7 @@ from ctr_nlp.typing import Index
 NEAR = 1.0
 """mm: poses whose q differ by less, with 10 mm to the rad, are the same."""
 BLOCK = 3.0
-"""s of a motion that stay together."""
+"""Time of a motion that stays together in one fold, s."""
 
 
 def same_poses(robot: Robot, measured: Measurements, near: float = NEAR) -> Index:

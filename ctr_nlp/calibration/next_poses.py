@@ -19,11 +19,11 @@ from ctr_nlp.support.values import whole_number
 from ctr_nlp.typing import Array
 
 CANDIDATES = 300
-"""Random poses among which is chosen."""
+"""Number of random poses to choose from."""
 MARGIN = 0.3
 """Least stability margin of a pose that is proposed, on the robot as calibrated."""
 MOST_TURN = math.pi
-"""rad: within which tubes are turned to either side where their motors have no limits."""
+"""Largest angle of tubes to either side where their motors have no limits, rad."""
 
 
 def next_poses(

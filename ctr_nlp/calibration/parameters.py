@@ -25,14 +25,14 @@ from ctr_nlp.simulation.lag import Lag
 from ctr_nlp.typing import Array
 
 LAGS = "rotation_lag", "lag_per_overlap", "drag"
-"""Of every tube: play to either side, its growth with the overlap, and the time constant of viscous drag."""
+"""Lag of each tube: backlash to either side, its growth with the overlap, the time constant of viscous drag."""
 MODULUS = "youngs_modulus"
-"""Of all tubes alike, as a part of their own: how stiff they are together, which shows under loads alone."""
+"""Common factor of all tubes' stiffnesses, as a part of their own; only loads show it."""
 DELAY, OFFSET = "sensor_delay", "tip_offset"
 BASE = "base_x", "base_y", "base_z", "base_turn_x", "base_turn_y", "base_roll"
-"""Where the robot's base is for the sensor, in every recording: mm in the sensor's axes, rad about the base's."""
+"""Pose of the robot's base for the sensor, one a recording: mm in the sensor's axes, rad about the base's."""
 KINDS = (*NAMES, MODULUS, *LAGS, DELAY, OFFSET)
-"""What may be asked for by name; the base's pose is estimated wherever it is unknown."""
+"""Kinds of parameters that may be named; the base's pose is estimated wherever it is unknown."""
 UNITS = {
     "curvature": "part",
     "bending_stiffness": "part",
@@ -61,9 +61,9 @@ SIGMAS = {
     "tip_offset": 5.0,
     **dict(zip(BASE, (1000.0,) * 3 + (1.0,) * 3, strict=True)),
 }
-"""Standard deviations before measuring, of what is asked for and has no tolerance in the robot's file."""
+"""Prior standard deviations of kinds that are named and have no tolerance in the robot's file."""
 ROUNDING = 1e-9
-"""What is added to variances, as a part of them, so that parameters known to be tied can be told apart."""
+"""Part by which variances are raised, so that the covariance of tied parameters is not singular."""
 MOST_RATIO = 1.5
 """The largest torsional ratio, that of a Poisson's ratio of 0.5."""
 WORDS = {"rotation_lag": "play", "lag_per_overlap": "play per mm of overlap", "base_roll": "roll of the base"}

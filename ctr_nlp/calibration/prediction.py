@@ -25,11 +25,11 @@ from ctr_nlp.simulation.sensitivities import shown_changes
 from ctr_nlp.typing import Array, Flags
 
 AHEAD = 2e-3
-"""Part of the robot's length between the places at its tip whose differences give the direction there."""
+"""Distance of the places at the tip whose differences give its direction, as a part of the robot's length."""
 STENCIL = np.array([3.0, -4.0, 1.0])
-"""Their weights, at the tip, one and two steps before it: differences of second order."""
+"""Weights of the tip and of the places one and two steps before it: a one-sided second-order difference."""
 STEP = 1e-6
-"""rad and s by which rotations of the base, delays and lags are changed to see what they do."""
+"""Step of numerical derivatives over rotations of the base, rad, and over delays and lags."""
 
 
 class Seen(NamedTuple):

@@ -17,7 +17,7 @@ from ctr_nlp.simulation.lag import overlaps
 from ctr_nlp.typing import Array
 
 LARGEST_LAG = math.pi / 2
-"""rad: what tolerances may say of a lag."""
+"""Largest lag that tolerances may have, rad."""
 
 
 def calibrated_robot(fit: Fit, measured: Measurements) -> Robot:

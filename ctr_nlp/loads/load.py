@@ -25,19 +25,19 @@ from ctr_nlp.support.values import check_keys, floats, number, strict_json, unch
 from ctr_nlp.typing import Array
 
 AXES = "base", "tool"
-"""In which a force and a moment at the tip may be given."""
+"""Frames in which a force and a moment at the tip may be given: the robot's base, or its tip."""
 FORCE, MOMENT, PER_LENGTH = 100.0, 1000.0, 10.0
 """Largest tip force, N, moment, N mm, and force per length, N/mm: some hundred times what robots bear."""
 DENSITIES = (0.5, 25.0)
 """Least and largest density of a tube, g/cm^3, from light polymers to beyond platinum."""
 GRAVITY = 9.80665
-"""m/s^2."""
+"""Standard acceleration of gravity, m/s^2."""
 PER_MM3 = 1e-6
-"""kg/mm^3 that one g/cm^3 is."""
+"""One g/cm^3 in kg/mm^3."""
 BETWEEN = slice(15, 17)
-"""Of a load's numbers, the places between which a force acts along the body."""
+"""Where a load's numbers have the arc lengths, mm, between which a force acts along the body."""
 BEFORE_WEIGHTS = 17
-"""Numbers of a load before the weights of what tubes are made of, of which there are three a tube."""
+"""How many numbers of a load come before the weights of the tubes' materials, which are three a tube."""
 
 
 @packable("load")

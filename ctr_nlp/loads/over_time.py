@@ -17,7 +17,7 @@ from ctr_nlp.support.values import floats, instance, read_toml
 from ctr_nlp.typing import Array
 
 KEY, AT = "over_time", "at"
-"""The list of loads in a file or a plan, and when each of them acts."""
+"""Keys of files and plans: the list of loads, and the time of each as a part of the motion."""
 
 
 @packable("load over time")

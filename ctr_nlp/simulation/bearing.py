@@ -22,14 +22,14 @@ from ctr_nlp.typing import Array, Flags
 LEVELS = 10
 """Doublings of the force from the least level to the largest force."""
 PART = 2.0**-8
-"""The least step, as a part of a level: the end of a branch is found to so small a part of the force."""
+"""Least step as a part of a level: the end of a branch is found to this part of the force."""
 BISECTIONS = 7
-"""Of the level within which something comes true of a robot."""
+"""How often the level is halved within which a condition becomes true."""
 SMALL = 1e-4
-"""N at the tip, whose displacements tell the compliance."""
+"""Force at the tip whose displacements give the compliance, N."""
 
 Question = Callable[[States], Flags]
-"""Whether something is true of states, (T,)."""
+"""A condition: takes T states, returns for which of them it is true, (T,)."""
 
 
 def borne(

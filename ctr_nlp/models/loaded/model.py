@@ -51,10 +51,10 @@ from ctr_nlp.robot.structure import Structure, Tubes, tubes_in_columns
 from ctr_nlp.typing import Array, Vector
 
 PIECE = 6
-"""Steps of integration through whose tangents one polynomial goes: through more, evenly spaced, it swings between
+"""Steps of integration whose tangents one polynomial goes through; with more, evenly spaced, it oscillates between
 them."""
 TOGETHER = 128
-"""Robots that are followed side by side: of more, all places would need too much memory."""
+"""Robots in one batch that is followed; with more, the states at all places would need too much memory."""
 
 
 @dataclass(frozen=True)
@@ -371,6 +371,7 @@ class Loaded(Model):
         return equilibria.states(of_robot, *tips(x, robot.d), x[:, robot.d : 2 * robot.d], acting)
 
     def _equilibria(self, robot: Robot) -> LoadedEquilibria:
+        """Solver of equilibria of robots of this structure, under loads of this kind."""
         return LoadedEquilibria(robot.structure, self.kind)
 
     def rest(self, robot: Robot, q: Array) -> Array:
@@ -656,7 +657,7 @@ _LOADS = [
     for axes, moment, along, density in _KINDS
 ]
 FORMS = {RodKind.of(load): Loaded(load) for load in _LOADS}
-"""By the kind of rod, the loaded model from which programs are built."""
+"""The loaded model from which programs are built, by the kind of rod."""
 
 
 def curves(

@@ -24,11 +24,11 @@ from ctr_nlp.target.problem import Problem
 from ctr_nlp.typing import Flags
 
 DRAWS, SEED, SIDES = 200, 1, 26
-"""Robots that a plan is tried on, which its own search does not see, and the sides from which a force comes."""
+"""Monte Carlo samples that a plan is tried on, their seed, which is not that of planning, and sides of a force."""
 ACROSS = (0.0, 1.0, 0.0)
-"""The direction of a force that is known."""
+"""Direction of a force that is known when planning."""
 MARGIN = Settings(stability_margin=0.3)
-"""Of plans that know it, and of those without it that they are compared with: about what robust plans have."""
+"""Settings of plans for a known force and of those beside them: about the margin that robust plans have."""
 
 
 @dataclass(frozen=True)

@@ -29,9 +29,9 @@ from ctr_nlp.typing import Array, Flags, Index
 COUNTS = 6, 14, 26
 """Numbers of directions: along the axes; also towards corners of a cube; also towards the middles of its edges."""
 MOST = 5.0
-"""N up to which forces are raised."""
+"""Force up to which is looked, N."""
 SIGMA = np.linspace(0.0, 1.0, 34)
-"""Places along the robot whose clearance is looked at."""
+"""Places along the robot, as parts of its length, whose clearance from the wall is computed."""
 
 
 class Worst(NamedTuple):

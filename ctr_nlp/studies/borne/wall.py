@@ -21,7 +21,7 @@ STIFFNESS = 0.032
 Mechanics and Friction, 2010: a cylinder's side) with E = 30.5 kPa (Eskandari, Arvayo, Levenston, Mechanical
 properties of the airway tree, J. Appl. Physiol. 125, 2018: of pigs, along the airway, where it is stiffest)."""
 LEAST, MOST = 1e-6, 1e3
-"""Of stiffnesses that are taken, from gels to bone."""
+"""Range of stiffnesses of a wall, N/mm^2, from gels to bone."""
 
 
 @dataclass(frozen=True, eq=False)

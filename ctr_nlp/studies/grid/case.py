@@ -30,11 +30,11 @@ from ctr_nlp.target.problem import Problem
 METHODS = "horizon", "joint", "two-stage", "robust-horizon", "robust-joint"
 """Ways in which a case may be planned."""
 DONE, FAILED, LATE, LOST = "done", "failed", "late", "lost"
-"""Words of a row's status: there is a plan, solved or not; there is none; it took too long; its workers died."""
+"""A row's status: there is a plan, solved or not; there is none; it took too long; its workers died."""
 NO_LOAD = "none"
 """The name of no load."""
 PATIENCE_S = "patience_s"
-"""The column of rows of cases that took too long: s that they had."""
+"""Column of cases that took too long: the time that they had, s."""
 
 
 @dataclass(frozen=True)

@@ -21,11 +21,11 @@ from ctr_nlp.studies.grid.results import Results
 from ctr_nlp.typing import Array
 
 ERROR = "e3"
-"""The column by which plans are good or bad."""
+"""Column by which plans are ranked."""
 ALWAYS = "digest", "status", "reason", "problem", "robot_name", "complete", ERROR
 """Columns that are read whatever is asked for."""
 WORST = 5
-"""Plans of the largest error that are told."""
+"""Number of plans with the largest errors that are listed."""
 
 
 class Bad(NamedTuple):

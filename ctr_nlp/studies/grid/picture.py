@@ -15,15 +15,15 @@ from ctr_nlp.studies.grid.groups import ERROR, Group, Groups
 from ctr_nlp.typing import Array, Flags
 
 NAMED = 30
-"""Groups that have room for their names."""
+"""Largest number of groups that are all labelled."""
 SHARES = 0.05, 0.25, 0.5, 0.75, 0.95
-"""Of the plans of a group, between whose values bars are drawn."""
+"""Quantiles of a group that its bars show."""
 UNITS = {
     ERROR: "e3 (mm)",
     "robustness_e3_mean": "mean e3 over draws (mm)",
     "robustness_lost_share": "share of draws lost",
 }
-"""How columns are called on axes; others by their names."""
+"""Labels of columns on axes; other columns have their names."""
 
 
 @matplotlib.rc_context(STYLE)

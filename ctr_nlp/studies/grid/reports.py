@@ -10,7 +10,7 @@ from typing import Any
 from ctr_nlp.exceptions import OptionError
 
 REPORTS = ("reached", "survival")
-"""Their names, which are those of the rooms that make them."""
+"""Names of the reports, each that of the package in ctr_nlp.studies that makes it."""
 
 
 def reported(report: str, rows: Sequence[Mapping[str, Any]], folder: Path) -> list[str]:
