@@ -124,6 +124,8 @@ def plan_through(problem: Problem, q: Array, model: str | Model = DEFAULT_MODEL,
     OptionError
         `q` has another shape, or a frame is none that the tubes can be in, and the message names it; or the model
         does not describe the robot.
+    LoadError
+        The robot cannot bear the model's load.
 
     Examples
     --------
