@@ -1,8 +1,10 @@
-"""CasADi functions as C that finds, beside every number, how it follows the unknowns: its slopes, in vectors.
+"""CasADi functions as C that finds, beside every number, its slopes over the unknowns, in vectors.
 
 As straight code of numbers, second derivatives have each operation once more for every unknown. That is longer
-than what a processor keeps at hand, so that it waits for code and not for results. Here a number is followed by
-one vector with its slopes over up to LANES unknowns (forward differentiation in as many directions at once).
+than what a processor keeps in its instruction cache, so that it waits for code. Here a number is followed by one
+vector with its slopes over up to LANES unknowns: forward differentiation in as many directions together. For r =
+op(a, b), with slopes r', a', b' (rows over the unknowns), r' = op_a a' + op_b b'; SLOPES has op_a and op_b.
+Applied to a gradient, this gives the Hessian.
 """
 
 from __future__ import annotations
@@ -26,19 +28,22 @@ from ctr_nlp.codegen.vector import (
 )
 
 PART = 100
-"""Instructions in one part of the body; with their slopes they are as long as those of vector.py."""
+"""Instructions in one part of the body; with their slopes these are as long as the parts in vector.py."""
 _NONE, _ONE, _SIGN = "", "1.0", "(one_where({0} > 0.0) - one_where({0} < 0.0))"
+"""Factors that many operations share: none (the slope is 0), one, and the sign of the argument."""
 _LESS = "(0.5 * (one_where({{{0}}} < {{{1}}}) + one_where({{{0}}} <= {{{1}}})))"
-"""1 where one number is less than another, 0 where it is more; half where they are equal, as CasADi has it."""
+"""1 if one number is less than another, 0 if it is more, and half where they are equal, as in CasADi."""
 SLOPES = {
     ca.OP_ADD: (_ONE, _ONE),
     ca.OP_SUB: (_ONE, "-1.0"),
     ca.OP_MUL: ("{1}", "{0}"),
+    # Results {r} are reused where they save an operation: d(a / b)/db = -(a / b) / b.
     ca.OP_DIV: ("(1.0 / {1})", "(-{r} / {1})"),
     ca.OP_NEG: ("-1.0",),
     ca.OP_SQ: ("(2.0 * {0})",),
     ca.OP_TWICE: ("2.0",),
     ca.OP_INV: ("(-{r} * {r})",),
+    # Comparisons are piecewise constant: slope 0, as in CasADi, also where they jump.
     ca.OP_LT: (_NONE, _NONE),
     ca.OP_LE: (_NONE, _NONE),
     ca.OP_EQ: (_NONE, _NONE),
@@ -46,6 +51,7 @@ SLOPES = {
     ca.OP_NOT: (_NONE,),
     ca.OP_AND: (_NONE, _NONE),
     ca.OP_OR: (_NONE, _NONE),
+    # The value, not the condition, has a slope, and only where it is chosen.
     ca.OP_IF_ELSE_ZERO: (_NONE, "one_where({0} != 0.0)"),
     ca.OP_FMIN: (_LESS.format(0, 1), _LESS.format(1, 0)),
     ca.OP_FMAX: (_LESS.format(1, 0), _LESS.format(0, 1)),
@@ -67,43 +73,47 @@ SLOPES = {
     ca.OP_CEIL: (_NONE,),
     ca.OP_ATAN2: ("({1} / ({0} * {0} + {1} * {1}))", "(-{0} / ({0} * {0} + {1} * {1}))"),
     ca.OP_POW: ("({1} * pow({0}, {1} - 1.0))", "(log({0}) * {r})"),
+    # The exponent is a constant: no slope over it, and no logarithm of a base that may be negative.
     ca.OP_CONSTPOW: ("({1} * pow({0}, {1} - 1.0))", _NONE),
     ca.OP_COPYSIGN: (f"(copysign(1.0, {{1}}) * {_SIGN})", _NONE),
 }
-"""How the result {r} of an operation follows each number {0}, {1} that it takes; empty where it does not."""
+"""Factors op_a, op_b of each operation: by the result {r} and the arguments {0}, {1}; empty where the
+slope is 0.
+"""
 
 
 class Chunk(NamedTuple):
-    """Unknowns whose slopes are in one vector: the first of them, and how many there are."""
+    """Unknowns whose slopes are in one vector: the first of them, and their number."""
 
     first: int
     unknowns: int
 
     @classmethod
     def all_of(cls, unknowns: int) -> list[Chunk]:
-        """Those that hold so many unknowns."""
+        """The chunks for so many unknowns."""
         return [cls(first, min(LANES, unknowns - first)) for first in range(0, unknowns, LANES)]
 
     @property
     def lanes(self) -> int:
-        """Of the vector: a power of two."""
+        """Lanes of the vector: the next power of two, since compilers have no other vectors."""
+        # The last chunk may have fewer unknowns than LANES: a smaller vector is enough for it.
         return 1 << (self.unknowns - 1).bit_length()
 
     @property
     def kind(self) -> str:
-        """The vector's type in C."""
+        """Type of the vector in C."""
         return f"D{self.lanes}"
 
     def unit(self, unknown: int) -> str:
-        """The slopes of one of the unknowns itself, in C."""
+        """C for the slopes of one of the unknowns over the chunk: 1 in its own lane."""
         entries = ", ".join(_ONE if lane == unknown - self.first else "0.0" for lane in range(self.lanes))
         return f"({self.kind}){{{entries}}}"
 
 
 class Directed(NamedTuple):
-    """A function whose first input are the unknowns, and the outputs whose slopes over these are wanted.
+    """A function whose first input is the unknowns, and the outputs whose slopes over these are wanted.
 
-    slopes: by the number of such an output, which entries of its Jacobian are told, column by column.
+    slopes: for the number of each such output, the entries of its Jacobian that are stored, column by column.
     """
 
     function: ca.Function
@@ -111,7 +121,7 @@ class Directed(NamedTuple):
 
 
 def directed_code(functions: Sequence[Directed]) -> str:
-    """A file of C for functions with dense inputs and outputs, which all have as many unknowns.
+    """A file of C for functions with dense inputs and outputs, all with the same number of unknowns.
 
     Each becomes `static void NAME(const double **arg, double **res)`. Results are the outputs, and then, in the
     order of their numbers, the slopes that are wanted. Names of outputs that begin with EARLY mean what they mean
@@ -126,9 +136,10 @@ def directed_code(functions: Sequence[Directed]) -> str:
 
 
 class _Body:
-    """A function's instructions, of which each takes the results of others: taken; by their numbers.
+    """Instructions of a function, with the slopes that each needs.
 
-    sloped: of which chunks the slopes of each result are found.
+    taken: for each instruction, the instructions whose results it takes. sloped: for each, the chunks over which
+    its slopes are found.
     """
 
     def __init__(self, directed: Directed) -> None:
@@ -141,8 +152,10 @@ class _Body:
         self.sloped = self._sloped()
 
     def _taken(self) -> list[list[int]]:
+        """For each instruction, the instructions that made its arguments; slots of the work vector are reused."""
         made, taken = dict[int, int](), list[list[int]]()
         for k, (operation, to, of) in enumerate(self.instructions):
+            # An output takes one slot, an operation at most two.
             slots = [] if operation in (ca.OP_CONST, ca.OP_INPUT) else of[: 1 if operation == ca.OP_OUTPUT else 2]
             taken.append([made[slot] for slot in slots])
             if operation != ca.OP_OUTPUT:
@@ -150,16 +163,19 @@ class _Body:
         return taken
 
     def _follows(self, k: int) -> list[int]:
-        """The instructions whose results the result of k follows with slopes other than 0."""
+        """Instructions whose results the result of k follows with slopes other than 0."""
         operation = self.instructions[k][0]
         if operation == ca.OP_OUTPUT:
             return self.taken[k]
         return [j for j, slope in zip(self.taken[k], SLOPES.get(operation, ()), strict=False) if slope]
 
     def _sloped(self) -> list[set[int]]:
-        """Slopes that are not always 0, and that outputs need."""
+        """For each instruction the chunks over which its slopes are not always 0 and are needed by outputs."""
+        # Forward: chunks that a result depends on. Backward: chunks that some wanted output needs it for.
+        # Only what is in both is computed.
         moved, needed = list[set[int]](), [set[int]() for _ in self.instructions]
         for k, (operation, _, of) in enumerate(self.instructions):
+            # Entry j of input 0 is unknown j: it follows itself alone, in one chunk.
             own = {of[1] // LANES} if self.chunks and operation == ca.OP_INPUT and of[0] == 0 else set()
             moved.append(own.union(*(moved[j] for j in self._follows(k))))
         for k in reversed(range(len(moved))):
@@ -172,8 +188,9 @@ class _Body:
         return needed
 
     def code(self) -> str:
-        """The whole, part by part: what later parts need goes on in the work vectors w and v0, v1, ..."""
+        """C of the whole, part by part: what later parts need is stored in the work vectors w and v0, v1, ..."""
         name, size = self.function.name(), self.function.sz_w()
+        # A work vector for numbers, and one for each chunk's slopes, with the same slots.
         works = [("double", "w"), *((chunk.kind, f"v{c}") for c, chunk in enumerate(self.chunks))]
         parameters = "".join(f", {kind} *{work}" for kind, work in works)
         given = "".join(f", {work}" for _, work in works)
@@ -185,11 +202,13 @@ class _Body:
         )
         calls = [f"    {name}_{k}(arg, res{given});\n" for k in range(len(parts))]
         if self.pause:
+            # A part begins right after the pause, so that the call comes between two parts.
             calls.insert(self.starts.index(self.pause), f"    {name}_pause(arg, res);\n")
         room = "".join(f"    {kind} {work}[{size}];\n" for kind, work in works)
         return f"{bodies}static void {name}(const double **arg, double **res) {{\n{room}{''.join(calls)}}}\n"
 
     def _parts(self) -> list[list[str]]:
+        """Lines of C, part by part: each number is followed by its slopes."""
         later = needed_later(self.function, self.starts)
         parts, here = list[list[str]](), dict[int, str]()
         for k, (operation, to, of) in enumerate(self.instructions):
@@ -202,6 +221,7 @@ class _Body:
                 continue
             sloped = sorted(self.sloped[k])
             lines = [f"double t{k} = {value_of(self.function, k, here)};"]
+            # t7 is the result of instruction 7, t7_0 its slopes over chunk 0.
             lines += [f"{self.chunks[c].kind} t{k}_{c} = {self._slopes(k, c, here)};" for c in sloped]
             if k in later:
                 lines += [f"w[{to[0]}] = t{k};", *(f"v{c}[{to[0]}] = t{k}_{c};" for c in sloped)]
@@ -210,7 +230,7 @@ class _Body:
         return parts
 
     def _slopes(self, k: int, c: int, here: dict[int, str]) -> str:
-        """Those of a result over a chunk."""
+        """C for the slopes of the result of k over chunk c: sum of factors times the arguments' slopes."""
         operation, _, of = self.instructions[k]
         if operation == ca.OP_INPUT:
             return self.chunks[c].unit(of[1])
@@ -219,16 +239,20 @@ class _Body:
         return " + ".join(
             f"{slope.format(*names, r=f't{k}')} * {_vector(slot, c, here)}"
             for slot, j, slope in slopes
+            # Arguments that do not depend on the chunk's unknowns have slopes 0, which are not stored
+            # anywhere.
             if slope and c in self.sloped[j]
         )
 
     def _slopes_found(self, k: int, here: dict[int, str]) -> list[str]:
-        """The entries of a Jacobian's row."""
+        """C that stores the entries of a Jacobian's row when its output is found."""
         _, (number, row), of = self.instructions[k]
         if number not in self.wanted:
             return []
+        # Slopes come after all outputs, in the order of the outputs' numbers.
         result = self.function.n_out() + sorted(self.wanted).index(number)
         pattern, lines = self.wanted[number], list[str]()
+        # get_triplet lists entries column by column, the order in which they are stored.
         for entry, (at, column) in enumerate(zip(*pattern.get_triplet(), strict=True)):
             if at == row:
                 c = column // LANES
@@ -238,5 +262,5 @@ class _Body:
 
 
 def _vector(slot: int, c: int, here: dict[int, str]) -> str:
-    """Where slopes over chunk c stand of the result in a slot."""
+    """C for the slopes over chunk c of the result in a slot: of this part, or stored by an earlier one."""
     return f"{here[slot]}_{c}" if slot in here else f"v{c}[{slot}]"

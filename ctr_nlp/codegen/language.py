@@ -1,4 +1,8 @@
-"""The language that functions are written in: C for numbers, or for vectors of as many frames as lanes."""
+"""The C that functions are written in: for single numbers, or for vectors with one frame in each lane.
+
+Both kinds define the same names (V, all, gathered, ...), so that the same generated text is code for one frame or
+for LANES frames. Vectors use GCC's vector extension, which clang knows, too.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,7 @@ from collections.abc import Iterable
 import casadi as ca
 
 LANES = 8
-"""Frames in a vector: what AVX-512 holds; compilers take two or four vectors where they are shorter."""
+"""Number of frames in a vector: what AVX-512 holds; compilers take two or four vectors where they are shorter."""
 QUICK = "CTR_NLP_QUICK"
 """Environment variable: 1 compiles long straight code of numbers as that of vectors, in half of the time."""
 _QUICK = '#pragma GCC optimize("Og")\n'
@@ -30,6 +34,7 @@ static inline V masked(M m, V a) { return m ? a : 0.0; }
 static inline V choose(M m, V a, V b) { return m ? a : b; }
 static inline V one_where(M m) { return m; }
 """
+"""Names of the language for one frame: V is a double."""
 _SINES = """\
 #include <math.h>
 #ifdef LIBMVEC
@@ -40,6 +45,7 @@ __attribute__((simd("notinbranch"))) double cos(double);
 #define SIMD
 #endif
 """
+"""Declarations that let the compiler call glibc's vector library for sines and cosines, where it is linked."""
 _VECTOR = """\
 #define EACH for (int l = 0; l < LANES; ++l)
 typedef double V __attribute__((vector_size(8 * LANES)));
@@ -54,6 +60,9 @@ static inline V masked(M m, V a) { return (V)(m & (M)a); }
 static inline V choose(M m, V a, V b) { return (V)((m & (M)a) | (~m & (M)b)); }
 static inline V one_where(M m) { return masked(m, all(1.0)); }
 """
+"""Names of the language for vectors: V has a double for each lane, M an integer mask, and `gathered`, `scattered`
+read and write entries of different frames, whose numbers lie `step` apart.
+"""
 
 OPERATIONS = {
     ca.OP_ADD: "{0} + {1}",
@@ -64,6 +73,7 @@ OPERATIONS = {
     ca.OP_SQ: "{0} * {0}",
     ca.OP_TWICE: "{0} + {0}",
     ca.OP_INV: "1.0 / {0}",
+    # GCC's comparisons of vectors give masks (all bits or none); CasADi wants 1 or 0.
     ca.OP_LT: "one_where({0} < {1})",
     ca.OP_LE: "one_where({0} <= {1})",
     ca.OP_EQ: "one_where({0} == {1})",
@@ -71,12 +81,15 @@ OPERATIONS = {
     ca.OP_NOT: "one_where({0} == 0.0)",
     ca.OP_AND: "one_where(({0} != 0.0) & ({1} != 0.0))",
     ca.OP_OR: "one_where(({0} != 0.0) | ({1} != 0.0))",
+    # Masking bits instead of multiplying by 0 or 1: a value that is not chosen may be infinite or NaN.
     ca.OP_IF_ELSE_ZERO: "masked({0} != 0.0, {1})",
+    # C's fmin for numbers: NaN is ignored where the other is a number. {1} != {1} is true for NaN only.
     ca.OP_FMIN: "choose(({0} < {1}) | ({1} != {1}), {0}, {1})",
     ca.OP_FMAX: "choose(({0} > {1}) | ({1} != {1}), {0}, {1})",
+    # sign(NaN) is NaN, and sign(0) is 0.
     ca.OP_SIGN: "choose({0} != {0}, {0}, one_where({0} > 0.0) - one_where({0} < 0.0))",
 }
-"""What the language has for vectors."""
+"""Operations that C has for vectors as for numbers, in terms of their arguments {0} and {1}."""
 BY_LANE = {
     ca.OP_FABS: "fabs",
     ca.OP_SQRT: "sqrt",
@@ -98,29 +111,34 @@ BY_LANE = {
     ca.OP_CONSTPOW: "pow",
     ca.OP_COPYSIGN: "copysign",
 }
-"""What the C library has for numbers."""
+"""Operations that are functions of the C library, called lane by lane."""
 TWO = "atan2", "pow", "copysign"
-"""Those of them that take two."""
+"""The functions of BY_LANE with two arguments."""
 DEFINED = (
     *("V", "M", "gathered", "scattered", "all", "masked", "choose", "one_where"),
     *(f"by_lane_{called}" for called in sorted(set(BY_LANE.values()))),
 )
-"""Names that code for numbers and code for vectors both define."""
+"""Names that code for numbers and code for vectors both define; renamed where both are in one file."""
 
 
 def head(operations: Iterable[int], lanes: int | None) -> str:
-    """What a file begins with that has such operations; lanes: None for numbers in loops over frames."""
+    """The beginning of a file with these operations.
+
+    lanes: frames in a vector; 1 for numbers; None for loops over any number of frames, which take numbers.
+    """
     width = lanes or 1
     helpers = {_by_lane(BY_LANE[operation], width) for operation in set(operations) & BY_LANE.keys()}
+    # Files of long vector code are compiled with little effort; the short loops over lanes gain from more.
     if width > 1:
         helpers = {_OPTIMIZED.format(helper) for helper in helpers}
+    # Code for one frame calls the C library itself; loops over frames need LANES, too.
     sines = "" if lanes == 1 else f"#define LANES {lanes or LANES}\n{_SINES}"
     begin = _SCALAR if width == 1 else _VECTOR % _each(width)
     return "".join([effort(lanes), sines, begin, *sorted(helpers)])
 
 
 def _each(lanes: int) -> dict[str, str]:
-    """What is written lane by lane, since compilers leave short loops in code that they compile quickly."""
+    """Expressions written out lane by lane: at low effort, compilers leave short loops as they are."""
     return {
         "gathered": ", ".join(f"a[{lane} * step]" for lane in range(lanes)),
         "scattered": " ".join(f"to[{lane} * step] = a[{lane}];" for lane in range(lanes)),
@@ -128,22 +146,23 @@ def _each(lanes: int) -> dict[str, str]:
 
 
 def number_in_c(number: float) -> str:
-    """A number as C has it."""
+    """A number in C; repr has all digits, so that it is read as the same number."""
     written = repr(number)
     return {"inf": "INFINITY", "-inf": "-INFINITY", "nan": "NAN"}.get(written, written)
 
 
 def effort(lanes: int | None) -> str:
-    """How hard the compiler is to try, as C; lanes: None for loops over any number of frames."""
+    """Pragmas for how hard the compiler tries; lanes: None for loops over any number of frames."""
     if lanes is None:
         return _FULL
     return _LEAN if lanes == 1 and os.environ.get(QUICK) != "1" else _QUICK
 
 
 def _by_lane(called: str, lanes: int) -> str:
-    """A function of the C library for vectors; all lanes in one call where a library offers that."""
+    """A C library function for vectors; with a vector library, one call computes all lanes."""
     names = "ab" if called in TWO else "a"
     parameters = ", ".join(f"V {name}" for name in names)
+    # A number needs no loop over lanes: the C library is called in place.
     if lanes == 1:
         return f"static inline V by_lane_{called}({parameters}) {{ return {called}({', '.join(names)}); }}\n"
     pointers = ", ".join(f"const double *restrict {name}" for name in names)

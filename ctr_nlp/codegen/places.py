@@ -1,4 +1,8 @@
-"""Functions that look at many places alike, as C: places are taken LANES at once, and what they share once."""
+"""Functions with many alike places, as C: places are evaluated LANES together, and what they share once.
+
+A whole function has three parts (nlp/parted.py): one that finds shared quantities and all else with slopes
+(`directed`), one for a place, called for LANES places at a time in between, and one that joins both.
+"""
 
 from __future__ import annotations
 
@@ -43,15 +47,17 @@ static void at_places(Place one, const double **arg, long inputs, const double *
     }
 }
 """
+"""The loop over places in C. The last vector may overlap the one before; its repeated places count 0 in sums."""
 
 
 class AtPlaces(NamedTuple):
-    """A function of one of many places, at least LANES.
+    """A function of one of many alike places, at least LANES of them.
 
-    Its inputs are those of the whole but the last, and its early outputs, shared by all places (with names that
-    begin with SAME); then, with names that begin with BESIDE, those inputs again, constants (k, places), and
-    whether a place counts, 1 or 0. Of these an entry is that of the first place, and what comes after it is that
-    of the next one. Its two outputs (BESIDE): what is summed over places that count, and what is found of each.
+    Its inputs are, with names that begin with SAME and shared by all places, the whole function's but the last and
+    its early outputs; then, with names that begin with BESIDE, those inputs again, constants (k, places), and
+    whether a place counts, 1 or 0. Of the latter, an entry is that of the first place, and the number after it
+    that of the next one. Its two outputs (BESIDE) are the parts of sums over places that count, and the results of
+    each place.
     """
 
     function: ca.Function
@@ -59,22 +65,22 @@ class AtPlaces(NamedTuple):
 
     @property
     def sizes(self) -> tuple[int, int, int]:
-        """Places, sums, and how much is found of each."""
+        """Number of places, of sums, and of results of each place."""
         return self.constants.shape[1], self.function.numel_out(0), self.function.numel_out(1)
 
     @property
     def numbers(self) -> int:
-        """That the whole gets: sums, and then, of each thing that is found, those of all places."""
+        """How many numbers the whole gets: the sums, and then, for each result, those of all places."""
         places, sums, found = self.sizes
         return sums + found * places
 
 
 class Whole(NamedTuple):
-    """A function that is called name: one of the unknowns and others, and then another of all that this one finds.
+    """A function called `name`, in parts: one of the unknowns and other inputs, and one of all that this finds.
 
-    directed: its last input is what is found at places, which it gives as inputs and as what it finds early, with
-    slopes: the outputs whose names begin with EARLY come first. joined: of what is found at places and then of the
-    results of directed, in their order (directions.py).
+    directed: its last input are the results at places, which are evaluated in its pause, from its other inputs and
+    early outputs with their slopes; outputs whose names begin with EARLY come first. joined: of the results at
+    places and then those of directed, in their order (directions.py).
     """
 
     name: str
@@ -84,16 +90,21 @@ class Whole(NamedTuple):
 
     @property
     def early(self) -> list[int]:
-        """The results of directed that places are given."""
+        """Numbers of directed's results that places are given: early outputs, then their slopes."""
         function, slopes = self.directed.function, sorted(self.directed.slopes)
+        # Early results with wanted slopes have these after all outputs, in the order of the outputs'
+        # numbers.
         early = [k for k in range(function.n_out()) if function.name_out(k).startswith(EARLY)]
         return early + [function.n_out() + slopes.index(k) for k in early if k in slopes]
 
 
 def code(functions: Sequence[ca.Function | Whole], lanes: int | None) -> str:
-    """A file of C for functions, of so many frames at once, None for any number; those with places are of one."""
+    """A file of C for functions of `lanes` frames together, None for any number; those with places are of one
+    frame.
+    """
     wholes = [each for each in functions if isinstance(each, Whole)]
     plain = tuple(each for each in functions if isinstance(each, ca.Function))
+    # Places are a matter of code for one frame; for many frames tapes put frames in the lanes instead.
     if lanes is None:
         return tape_code(plain)
     if not wholes:
@@ -102,12 +113,15 @@ def code(functions: Sequence[ca.Function | Whole], lanes: int | None) -> str:
     return "".join(
         [
             "#include <math.h>\n#include <string.h>\n#pragma GCC push_options\n",
+            # Vector code for places and number code for the rest define the same names: the former's get
+            # another ending, and its compiler options are undone afterwards.
             *(f"#define {name} {name}_beside\n" for name in DEFINED),
             vector_code(each, LANES),
             *(f"#undef {name}\n" for name in DEFINED),
             "#pragma GCC pop_options\n",
             _AT_PLACES,
             *(_pause(whole) for whole in wholes if whole.at_places),
+            # The join needs no slopes: the same generator writes it, without any.
             directed_code([part for whole in wholes for part in (whole.directed, Directed(whole.joined, {}))]),
             *(_called(whole) for whole in wholes),
         ]
@@ -115,15 +129,18 @@ def code(functions: Sequence[ca.Function | Whole], lanes: int | None) -> str:
 
 
 def _pause(whole: Whole) -> str:
-    """What is called when all early outputs are found."""
+    """C of the function that evaluates the places when all early outputs are found."""
     inputs, lines, to = whole.directed.function.n_in() - 1, list[str](), 0
     early = ", ".join(f"res[{k}]" for k in whole.early)
     for at in whole.at_places:
         sizes = ", ".join(map(str, at.sizes))
+        # Constants of all places, constant after constant, so that neighbouring places are neighbours in
+        # memory.
         numbers = ", ".join(map(repr, at.constants.ravel().tolist()))
         lines += [
             f"    {{\n        static const double constants[] = {{{numbers}}};\n",
             f"        at_places({at.function.name()}, arg, {inputs}, early, {len(whole.early)}, constants, "
+            # The last input of the directed function is filled here, before the rest of it is read.
             f"{sizes}, (double *)arg[{inputs}] + {to});\n    }}\n",
         ]
         to += at.numbers
@@ -134,9 +151,10 @@ def _pause(whole: Whole) -> str:
 
 
 def _called(whole: Whole) -> str:
-    """The function as it is called from outside, and by casadi.external."""
+    """C of the function as it is called from outside, and by casadi.external."""
     directed, joined = whole.directed.function, whole.joined
     inputs, results = directed.n_in() - 1, [f"found_{k}" for k in range(joined.n_in() - 1)]
+    # C has no arrays of length 0.
     sizes = [max(joined.numel_in(k), 1) for k in range(joined.n_in())]
     room = ", ".join(f"{name}[{size}]" for name, size in zip(["places", *results], sizes, strict=True))
     given = ", ".join([*(f"arg[{k}]" for k in range(inputs)), "places"])

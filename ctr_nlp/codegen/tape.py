@@ -1,6 +1,6 @@
-"""CasADi functions as tapes: lists of instructions that a short loop of C carries out for many frames at once.
+"""CasADi functions as tapes: lists of instructions that a short loop of C carries out for many frames together.
 
-Straight code for a large function is millions of bytes, which a processor fetches anew for every few frames, and
+Straight code for a large function is millions of bytes, which a processor fetches again for every few frames, and
 more slowly than it computes; and a compiler needs half a minute for it. A tape is data, an eighth as large, which
 is read once for up to BLOCK frames. It is made in the time that it takes to list the instructions.
 """
@@ -15,9 +15,11 @@ from ctr_nlp.codegen.language import BY_LANE, LANES, OPERATIONS, TWO, head, numb
 from ctr_nlp.codegen.vector import interface, known_operations, without_repetition
 
 BLOCK = 64
-"""Frames that a tape is read for at once, at most: with more, numbers do not stay in the processor's caches."""
+"""Largest number of frames that a tape is read for together: with more, numbers do not stay in the processor's
+caches.
+"""
 BITS = 19
-"""Of each number in an instruction; the rest of 64 tells the operation."""
+"""Bits of each of the three numbers in an instruction; the rest of 64 is the operation."""
 _PLAYER = """\
 #include <stdlib.h>
 #define EACH SIMD for (long l = 0; l < n; ++l)
@@ -70,6 +72,7 @@ static int played_for_all(const Tape *tape, const double *const *arg, double *co
 }}
 
 """
+"""The loop that carries out tapes, with a case for each operation that a file uses."""
 
 
 def tape_code(functions: tuple[ca.Function, ...]) -> str:
@@ -79,14 +82,17 @@ def tape_code(functions: tuple[ca.Function, ...]) -> str:
     each frame, and can be loaded by casadi.external as that of LANES frames, whose columns are side by side.
     Raises NotImplementedError for operations without C, and for functions that are too large.
     """
+    # The interpreter loop does every instruction, so that repeated ones would cost as often.
     functions = tuple(without_repetition(function) for function in functions)
     used = known_operations(functions)
     return head(used, None) + _player(used) + "".join(_tape(function) for function in functions)
 
 
 def _player(used: set[int]) -> str:
-    """The loop, with cases for the operations that are used."""
+    """The loop in C, with cases for the operations that are used."""
     numbers = {"bits": BITS, "mask": (1 << BITS) - 1, "block": BLOCK}
+    # Instructions that move numbers have other operands than operations, and cases of their own in the
+    # loop.
     moves = {"constant": ca.OP_CONST, "input": ca.OP_INPUT, "output": ca.OP_OUTPUT}
     cases = "".join(
         f"        case {operation}:\n            EACH to[l] = {_value(operation)};\n            break;\n"
@@ -96,7 +102,7 @@ def _player(used: set[int]) -> str:
 
 
 def _value(operation: int) -> str:
-    """What an operation finds of one frame."""
+    """C for the result of an operation, for frame l."""
     of = "a[l]", "b[l]"
     if operation in OPERATIONS:
         return OPERATIONS[operation].format(*of)
@@ -105,11 +111,13 @@ def _value(operation: int) -> str:
 
 
 def _tape(function: ca.Function) -> str:
-    """A function's tape, and what is called from outside."""
+    """C of one function: its tape, and its entry points for rows and for CasADi."""
     name, constants = function.name(), list[float]()
     instructions = [_instruction(function, k, constants) for k in range(function.n_instructions())]
     sizes_in = [function.numel_in(i) for i in range(function.n_in())]
     sizes_out = [function.numel_out(i) for i in range(function.n_out())]
+    # casadi.external sees LANES frames as columns. Column after column of a dense matrix is the same memory
+    # as row after row, so that the rows' entry point serves both.
     for_casadi = interface(function, f"    return {name}_rows(arg, res, LANES);\n", LANES)
     arrays = {
         "const Instruction": ("instructions", [f"{each}u" for each in instructions]),
@@ -129,21 +137,27 @@ int {name}_rows(const double **arg, double **res, long rows) {{
 
 
 def _instruction(function: ca.Function, k: int, constants: list[float]) -> int:
-    """Instruction k as one number; a constant that it takes is put at the end of those before."""
+    """Instruction k as one number; a constant that it takes is appended to constants."""
     operation, to, of = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
     if operation == ca.OP_CONST:
         of = [len(constants), 0]
         constants.append(function.instruction_constant(k))
     elif operation == ca.OP_OUTPUT:
+        # An output's destination is (which output, entry): the entry takes the place of the second
+        # argument.
         of, to = [of[0], to[1]], to[:1]
+    # One-argument operations repeat it as the second, which their case does not read.
     numbers = of[0], of[-1], to[0]
     if max(numbers) >> BITS:
         raise NotImplementedError(f"{function.name()} has numbers beyond {1 << BITS}, which no instruction tells")
     found: int = operation
+    # From the highest bits: operation, second argument, first argument, destination, as the loop reads
+    # them.
     for number in numbers[1], numbers[0], numbers[2]:
         found = found << BITS | number
     return found
 
 
 def _array(kind: str, name: str, values: Iterable[str]) -> str:
+    """A static array in C; an empty one gets a 0, since C has no arrays of length 0."""
     return f"static {kind} {name}[] = {{{', '.join(values) or 0}}};\n"

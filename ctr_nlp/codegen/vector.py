@@ -1,7 +1,7 @@
-"""CasADi functions as C that evaluates several frames at once, a frame in each lane of the processor's vectors.
+"""CasADi functions as C that evaluates several frames together, a frame in each lane of the processor's vectors.
 
-CasADi's own C takes one frame after the other, in one body that compilers need minutes for. Here every number is
-a vector, and the body comes in parts, so that compilers' time grows in proportion.
+CasADi's own C takes one frame after the other, in one body that compilers need minutes for. Here every number is a
+vector, and the body is cut into parts, so that compile time grows in proportion to length.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ import casadi as ca
 from ctr_nlp.codegen.language import BY_LANE, LANES, OPERATIONS, head, number_in_c
 
 SAME = "same_"
-"""How the names of inputs begin that all frames share."""
+"""Prefix of names of inputs that all frames share."""
 BESIDE = "beside_"
-"""How the names of inputs and outputs begin whose entries have their lanes side by side.
+"""Prefix of names of inputs and outputs whose entries have their lanes next to each other in memory.
 
-An entry of an output is a vector. Those of an input overlap: what comes after an entry is its next lane.
+An entry of an output is a vector. Those of an input overlap: the number after an entry is its next lane.
 """
 EARLY = "early_"
-"""How the names of outputs begin that are found first; then `NAME_pause(arg, res)` is called, which is to be in C
-before: it may read them and fill inputs that are read after.
+"""Prefix of names of outputs that are found first. After them `NAME_pause(arg, res)` is called, which must be in C
+before: it may read them and fill inputs that are read later.
 """
 PART = 300
 """Instructions in one part of the body."""
@@ -37,11 +37,12 @@ def vector_code(functions: tuple[ca.Function, ...], lanes: int = LANES) -> str:
     With one lane numbers are numbers. Raises NotImplementedError for operations without C.
     """
     functions = tuple(without_repetition(function) for function in functions)
+    # Repetitions are removed first, so that operations are listed as they will be written.
     return head(known_operations(functions), lanes) + "".join(_function(each, lanes) for each in functions)
 
 
 def known_operations(functions: tuple[ca.Function, ...]) -> set[int]:
-    """The operations of functions; raises NotImplementedError for those without C."""
+    """The operations that functions use; raises NotImplementedError for those without C."""
     used = {function.instruction_id(k) for function in functions for k in range(function.n_instructions())}
     if unknown := used - OPERATIONS.keys() - BY_LANE.keys() - {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT}:
         names = ", ".join(function.name() for function in functions)
@@ -50,43 +51,50 @@ def known_operations(functions: tuple[ca.Function, ...]) -> set[int]:
 
 
 def without_repetition(function: ca.Function) -> ca.Function:
-    """The same function with each operation on the same numbers done once."""
+    """The function with common subexpressions eliminated."""
     inputs = [ca.SX.sym(function.name_in(i), *function.size_in(i)) for i in range(function.n_in())]
+    # Names are kept, since their prefixes say how inputs and outputs are laid out.
     names = function.name_in(), function.name_out()
     return ca.Function(function.name(), inputs, function.call(inputs), *names, {"cse": True})
 
 
 def _function(function: ca.Function, lanes: int) -> str:
+    """C of one function: its parts, and the function that calls them."""
     name, pause = function.name(), pause_after(function)
     parts = _parts(function, pause)
     bodies = "".join(
+        # Not inlined: one large body would take the compiler's time again.
         f"static __attribute__((noinline)) void {name}_{k}"
         f"(const double *const *arg, double *const *res, V *w) {{\n{''.join(part)}}}\n"
         for k, part in enumerate(parts)
     )
     calls = [f"    {name}_{k}(arg, res, v);\n" for k in range(len(parts))]
     if pause:
+        # Parts before the pause are whole parts of PART instructions, the last one shorter: so many calls
+        # come first.
         calls.insert(-(-pause // PART), f"    {name}_pause(arg, res);\n")
     body = "".join([f"    V v[{function.sz_w()}];\n", *calls, "    return 0;\n"])
     return bodies + interface(function, body, lanes)
 
 
 def pause_after(function: ca.Function) -> int:
-    """How many instructions come until all early outputs have been found; 0 where there are none."""
+    """Number of instructions until all early outputs have been found; 0 where there are none."""
     early = sum(function.name_out(i).startswith(EARLY) for i in range(function.n_out()))
     outputs = (k for k in range(function.n_instructions()) if function.instruction_id(k) == ca.OP_OUTPUT)
     return max((k + 1 for k in outputs if function.instruction_output(k)[0] < early), default=0)
 
 
 def starts_of(function: ca.Function, pause: int, part: int) -> list[int]:
-    """The instructions with which parts of that length begin; one of them is that after a pause."""
+    """Numbers of the instructions with which parts begin; one part begins right after a pause."""
     return [*range(0, pause, part), *range(pause, function.n_instructions(), part)]
 
 
 def _parts(function: ca.Function, pause: int) -> list[list[str]]:
-    """The body, part by part: numbers have names of their own, and go on to later parts in the work vector w."""
+    """The body, part by part: numbers have names of their own, and reach later parts in the work vector w."""
     starts = starts_of(function, pause, PART)
     needed = needed_later(function, starts)
+    # Named numbers let the compiler keep them in registers. Only those that a later part needs are stored
+    # in w: each part is a C function, and sees nothing else of the others.
     parts: list[list[str]] = []
     here: dict[int, str] = {}
     for k in range(function.n_instructions()):
@@ -105,7 +113,7 @@ def _parts(function: ca.Function, pause: int) -> list[list[str]]:
 
 
 def told_in(function: ca.Function, to: list[int], value: str) -> str:
-    """An entry of an output takes a value, in C."""
+    """C that stores a value in an entry of an output."""
     number, entry = to
     if function.name_out(number).startswith(BESIDE):
         return f"put({value}, res[{number}] + {entry} * LANES);\n"
@@ -113,17 +121,22 @@ def told_in(function: ca.Function, to: list[int], value: str) -> str:
 
 
 def instruction_of(function: ca.Function, k: int) -> tuple[int, list[int], list[int]]:
-    """Operation, where its result goes and what it takes: slots of the work vector, or which input or output."""
+    """Operation, destination and arguments of instruction k: slots of the work vector, or which input or output
+    entry.
+    """
     return function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
 
 
 def needed_later(function: ca.Function, starts: list[int]) -> set[int]:
-    """Instructions whose results are used in a later part than their own, of parts that begin so."""
+    """Instructions whose results a later part than their own uses, for parts with these starts."""
+    # Which instruction filled each slot last; slots are reused, so that a slot alone does not identify a
+    # number.
     made: dict[int, int] = {}
     needed = set()
     for k in range(function.n_instructions()):
         operation, to, of = instruction_of(function, k)
         if operation not in (ca.OP_INPUT, ca.OP_CONST):
+            # The part of instruction k starts at the last start that is not after k.
             begun = starts[bisect.bisect(starts, k) - 1]
             needed |= {made[slot] for slot in of if made[slot] < begun}
         if operation != ca.OP_OUTPUT:
@@ -132,16 +145,17 @@ def needed_later(function: ca.Function, starts: list[int]) -> set[int]:
 
 
 def _shared(function: ca.Function, number: int) -> bool:
+    """Whether all frames share input `number`."""
     return bool(function.name_in(number).startswith(SAME))
 
 
 def name_of(slot: int, here: dict[int, str]) -> str:
-    """Where the number in a slot of the work vector is, in C. here: names of those that this part has made."""
+    """C for the number in a slot of the work vector. here: names of the numbers that this part has made."""
     return here.get(slot, f"w[{slot}]")
 
 
 def value_of(function: ca.Function, k: int, here: dict[int, str]) -> str:
-    """What instruction k finds, in C."""
+    """C for the result of instruction k."""
     operation, _, of = instruction_of(function, k)
     if operation == ca.OP_CONST:
         return f"all({number_in_c(function.instruction_constant(k))})"
@@ -150,6 +164,7 @@ def value_of(function: ca.Function, k: int, here: dict[int, str]) -> str:
     if operation == ca.OP_INPUT and function.name_in(of[0]).startswith(BESIDE):
         return f"taken(arg[{of[0]}] + {of[1]})"
     if operation == ca.OP_INPUT:
+        # Frames are columns: entry e of lane l stands at e + l * (entries of one frame).
         return f"gathered(arg[{of[0]}] + {of[1]}, {function.numel_in(of[0])})"
     names = [name_of(slot, here) for slot in of]
     if operation in OPERATIONS:
@@ -158,7 +173,7 @@ def value_of(function: ca.Function, k: int, here: dict[int, str]) -> str:
 
 
 def interface(function: ca.Function, body: str, lanes: int) -> str:
-    """The functions that casadi.external looks for, around the body of that which evaluates."""
+    """The functions that casadi.external looks for, around the body of the one that evaluates."""
     of_lanes = [1 if _shared(function, i) else lanes for i in range(function.n_in())]
     sizes_in = [(*function.size_in(i), times) for i, times in enumerate(of_lanes)]
     sizes_out = [(*function.size_out(i), lanes) for i in range(function.n_out())]
@@ -166,7 +181,9 @@ def interface(function: ca.Function, body: str, lanes: int) -> str:
 
 
 def for_casadi(name: str, body: str, sizes_in: Sizes, sizes_out: Sizes) -> str:
-    """The same of a function of that name and such dense inputs and outputs."""
+    """The functions that casadi.external looks for, for a function of that name with such dense inputs and
+    outputs.
+    """
     return f"""\
 int {name}(const double **arg, double **res, long long *iw, double *w, int mem) {{
 {body}}}
@@ -176,6 +193,8 @@ long long {name}_n_out(void) {{ return {len(sizes_out)}; }}
 
 
 def _sparsities(name: str, sizes: Sizes) -> str:
+    """The function that tells CasADi the shapes of inputs or outputs."""
+    # CasADi's compact pattern of a dense matrix: rows, columns, 1.
     rows = ", ".join(f"{{{rows}, {times * columns}, 1}}" for rows, columns, times in sizes)
     return (
         f"const long long *{name}(long long i) {{\n    static const long long dense[][3] = {{{rows}}};\n"

@@ -1,8 +1,13 @@
-"""Rows of places along a robot that are one expression in different numbers, found among the rows of a program.
+"""Rows of sample points that are one expression in different numbers, found among the rows of a program.
 
-A place's rows are those that depend on inner quantities of their own: what is travelled to a sample. Places are
-alike where their rows are made by the same operations on the same unknowns and shared quantities, and differ in
-constants and in parameters that follow each other from place to place.
+A program compares the robot with its target at many places along it (eq. (8) at equal sigma), and each place has
+the same rows: residuals in x, y and z, or a clearance. Code for one place, evaluated for LANES places in one
+vector, is shorter and faster than code for all. This module finds such groups in the finished expressions, so that
+no term needs to declare them.
+
+A place's rows are those that depend on inner quantities of their own, such as the length travelled to a sample.
+Places are alike if their rows are made by the same operations on the same unknowns and shared quantities, and
+differ only in constants and in parameters that follow each other from place to place.
 """
 
 from __future__ import annotations
@@ -20,12 +25,12 @@ from ctr_nlp.typing import Array, Flags, Index
 
 
 class Alike(NamedTuple):
-    """Places that are alike, at least LANES of them.
+    """Places whose rows are one expression, at least LANES of them.
 
-    rows (places, k): which rows each place has, among residuals and then constraints. value (k, 1): these, in the
-    symbols z of inner quantities of the place, x, shared symbols, parameters and the symbols of numbers. z_value:
-    of these quantities, in all others. parameters: symbols, and where in p they stand for the first place;
-    constants: symbols, and their values at all places.
+    rows (places, k): the numbers of each place's rows, among residuals and then constraints. value (k, 1): the
+    rows' expression, in the symbols z of the place's inner quantities, x, shared symbols, parameters and the
+    symbols of numbers. z_value: the expressions of z, in all others. parameters: symbols, and where in p they
+    stand for the first place; constants: symbols, and their values at all places.
     """
 
     rows: Index
@@ -45,13 +50,17 @@ class _Place(NamedTuple):
 
 
 def alike(written: Written) -> tuple[tuple[Alike, ...], Index]:
-    """Groups of places that are alike, and which symbols of the first layer they take as given."""
+    """Groups of places whose rows are one expression, and which symbols of the first layer they take as given."""
     symbols, values = written.first_layer
     later, rows = ca.vertcat(ca.SX(0, 1), *(layer[0] for layer in written.inner[1:])), written.rows
     uses = depends(written.without(written.inner[1:], [rows])[0], symbols)
+    # A quantity that fewer than LANES rows use belongs to a place; one that more use, to all of them. A
+    # place has a few rows only, of which each may use the same quantity.
     own = uses.any(axis=0) & (uses.sum(axis=0) < LANES)
     shared, mine = np.flatnonzero(~own), np.flatnonzero(own).tolist()
     own_layer = [(symbols[mine], values[mine])]
+    # Quantities of later layers in x, p and shared symbols, without the place's own symbols: the place has
+    # to compute these itself.
     (quantities,) = written.without([*own_layer, *written.inner[1:]], [later])
     (rows,) = written.without(own_layer, [rows])
     given, direct = [written.x, written.p, symbols[shared.tolist()]], depends(rows, later)
@@ -60,20 +69,22 @@ def alike(written: Written) -> tuple[tuple[Alike, ...], Index]:
         used = np.flatnonzero(direct[of_place].any(axis=0)).tolist()
         made = ca.Function("place", [*given, later[used]], [rows[of_place], quantities[used]], {"cse": True})
         place = _Place(of_place, *_operations(made))
+        # The key holds all that must agree: the operations, the number of inner quantities, and whether
+        # rows are residuals, whose squares count, or constraints.
         groups[place.operations, len(used), of_place[0] < written.residual.numel()].append(place)
     found = (_joined(given, count, places) for (_, count, _), places in groups.items() if len(places) >= LANES)
     return tuple(each for each in found if each is not None), shared
 
 
 def depends(expression: ca.SX, symbols: ca.SX) -> Flags:
-    """Which entries depend on which symbols."""
+    """Whether each entry of an expression depends on each symbol, (entries, symbols), by structure."""
     if not symbols.numel():
         return np.zeros((expression.numel(), 0), dtype=bool)
     return np.asarray(ca.DM(ca.jacobian_sparsity(expression, symbols), 1).full() > 0)
 
 
 def _places(uses: Flags, residuals: int) -> list[list[int]]:
-    """Rows with quantities of their own, place by place; residuals and constraints apart."""
+    """The rows of each place: rows that use the same own quantities, residuals and constraints apart."""
     found: dict[Any, list[int]] = defaultdict(list)
     for row in np.flatnonzero(uses.any(axis=1)).tolist():
         found[row < residuals, uses[row].tobytes()].append(row)
@@ -81,13 +92,20 @@ def _places(uses: Flags, residuals: int) -> list[list[int]]:
 
 
 def _operations(function: ca.Function) -> tuple[tuple[Any, ...], list[float | int]]:
-    """What a function of (x, p, shared, z) does, with places for numbers, and these: constants, entries of p."""
+    """The operations of a function of (x, p, shared, z), with gaps for numbers; and these numbers.
+
+    Numbers are the constants (float) and the positions in p (int), in the order of the gaps.
+    """
+    # CasADi reuses slots of its work vector. Two functions are compared by which earlier instruction made
+    # each argument instead, as slots may be assigned differently.
     made, numbers, operations = dict[int, int](), list[float | int](), list[Any]()
     for k in range(function.n_instructions()):
         operation, to = function.instruction_id(k), function.instruction_output(k)
         of: Sequence[int] = function.instruction_input(k)
         if operation == ca.OP_CONST:
             numbers.append(function.instruction_constant(k))
+        # Input 1 is p: its entry differs from place to place, so it is a number and not part of the
+        # operation.
         elif operation == ca.OP_INPUT and of[0] == 1:
             numbers.append(of[1])
             of = of[:1]
@@ -102,14 +120,16 @@ def _operations(function: ca.Function) -> tuple[tuple[Any, ...], list[float | in
 
 
 def _joined(given: list[ca.SX], count: int, places: list[_Place]) -> Alike | None:
-    """Places with the same operations as one; None where their parameters or rows do not follow each other."""
+    """Places with the same operations as one; None if their parameters or rows do not follow each other."""
     rows, follow = np.array([place.rows for place in places]), np.arange(len(places))
+    # The generated code reads and writes neighbouring entries for neighbouring places, lane by lane.
     if (rows != rows[0] + follow[:, None]).any():
         return None
     columns = zip(*(place.numbers for place in places), strict=True)
     taken: dict[Any, ca.SX] = {}
     parameters, constants, leaves = list[tuple[ca.SX, int]](), list[tuple[ca.SX, Array]](), list[ca.SX]()
     for column in columns:
+        # The types tell the constant 1.0 from entry 1 of p, which are equal as numbers.
         key = tuple(map(type, column)), column
         if len(set(column)) == 1:
             leaves.append(given[1][column[0]] if isinstance(column[0], int) else ca.SX(column[0]))
@@ -125,17 +145,20 @@ def _joined(given: list[ca.SX], count: int, places: list[_Place]) -> Alike | Non
         leaves.append(taken[key])
     z = ca.SX.sym("z", count)
     value, z_value = _evaluated(places[0].operations, [*given, z], leaves)
+    # Derivatives are taken in two steps, over z and then over the rest (at_place.py). A place without inner
+    # quantities has its rows as z, so that both cases are one.
     if not count:
         z, value, z_value = (own := ca.SX.sym("z", value.numel())), own, value
     return Alike(rows, value, z, z_value, tuple(parameters), tuple(constants))
 
 
 def _evaluated(operations: Sequence[Any], inputs: list[ca.SX], numbers: list[ca.SX]) -> tuple[ca.SX, ca.SX]:
-    """The two results of operations, with numbers in their places."""
+    """The two results of a list of operations, with numbers (expressions) put into its gaps."""
     left, done, results = iter(numbers), list[ca.SX](), (list[ca.SX](), list[ca.SX]())
     for operation, *of in operations:
         if operation == ca.OP_OUTPUT:
             results[of[1]].append(done[of[0]])
+            # Keeps `done` as long as the list of instructions, whose numbers the arguments are.
             done.append(done[of[0]])
         elif operation == ca.OP_CONST or (operation == ca.OP_INPUT and of[0] == 1):
             done.append(next(left))

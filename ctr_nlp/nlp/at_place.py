@@ -1,4 +1,15 @@
-"""What one of many places that are alike adds to a program: its rows, and their derivatives over x."""
+"""The contribution of one of many alike places to a program: its rows, and their derivatives over x.
+
+With b = (shared quantities, x), the place's own quantities z(b) and its rows r(z, b), the chain rule is applied in
+three steps, r over u = (z, b), z over b, and b over x:
+
+    r_x  = r_u u_x,      u_x = (z_b b_x, b_x)
+    L_xx = u_x' (L_uu) u_x + b_x' (sum_k force_k d2z_k/db2) b_x + sum_k pull_k d2b_k/dx2
+
+with L = lam_f |r|^2 for residuals and lam_g . r for constraints (objective in mm^2), force = L_z and pull = L_b.
+The middle sum (`bend`) and `pull` are added up over all places before they meet b_x and d2b/dx2, so that these
+products are formed once, not once a place.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +26,15 @@ from ctr_nlp.codegen.vector import BESIDE, SAME
 from ctr_nlp.nlp.alike import Alike
 
 SUMS = 1, 2, 5
-"""How many of the sums there are, by the order of derivatives."""
+"""Number of entries of Sums that are needed, by the order of derivatives: f; with its gradient; all five."""
 
 
 class Common(NamedTuple):
-    """What places are given, as symbols.
+    """The symbols that all places are given.
 
-    Unknowns, parameters, shared quantities, those of their slopes over x that are not always 0 and where these
-    stand, and the multipliers of objective and constraints.
+    x, p: unknowns and parameters. shared: quantities of the first layer that places share. slopes: entries of
+    their Jacobian over x that may differ from 0, at the places of pattern. lam_f, lam_g: multipliers of objective
+    and constraints.
     """
 
     x: ca.SX
@@ -34,29 +46,29 @@ class Common(NamedTuple):
     lam_g: ca.SX
 
     def inputs(self, order: int) -> list[ca.SX]:
-        """Of functions with derivatives up to an order."""
+        """Inputs of functions with derivatives up to an order."""
         return [self.x, self.p, *([self.lam_f, self.lam_g] if order == 2 else [])]
 
     def early(self, order: int) -> list[ca.SX]:
-        """What is found before places are looked at."""
+        """Results that are found before places are evaluated, which are given to these."""
         return [self.shared, *([self.slopes] if order else [])]
 
     @property
     def base(self) -> ca.SX:
-        """Shared quantities, then x."""
+        """b: shared quantities, then x."""
         return ca.vertcat(self.shared, self.x)
 
     @property
     def base_x(self) -> ca.SX:
-        """Their slopes over x."""
+        """The Jacobian of b over x."""
         return ca.vertcat(ca.SX(self.pattern, self.slopes), ca.SX.eye(self.x.numel()))
 
 
 class Sums(NamedTuple):
-    """What places add up to: f, of squares, and over x its gradient (n, 1) and half of the Hessian (n, n).
+    """Sums over places: f, of squares, and over x its gradient (n, 1) and half of the Hessian (n, n).
 
-    That half is the upper triangle. pull: what multiplies second derivatives of shared quantities. bend: second
-    derivatives over these and x, upper triangle.
+    That half is the upper triangle. pull: factors of the second derivatives of shared quantities. bend: second
+    derivatives over b, the shared quantities and x, upper triangle.
     """
 
     f: ca.SX
@@ -67,7 +79,7 @@ class Sums(NamedTuple):
 
     @classmethod
     def of(cls, common: Common, every: Sequence[Sums]) -> Sums:
-        """Those of several."""
+        """Add up the Sums of several groups of places."""
         n, base = common.x.numel(), common.base.numel()
         none = cls(ca.SX(1, 1), ca.SX(n, 1), ca.SX(n, n), ca.SX(base - n, 1), ca.SX(base, base))
         return cls(*(sum(parts[1:], parts[0]) for parts in zip(none, *every, strict=True)))
@@ -82,11 +94,9 @@ class Rows(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A place of a group. first: its first place's constraints; None where rows are residuals.
+    """A place of a group of alike places, with its rows and derivatives as expressions.
 
-    Derivatives of rows r(z(b), b) are taken in two steps, as those of a Written: over quantities z of the place's
-    own and over b, shared ones and x. What multiplies second derivatives of b is summed over places, so that these
-    are taken once.
+    first: the constraints of the group's first place; None if rows are residuals.
     """
 
     common: Common
@@ -95,24 +105,36 @@ class Place:
 
     @cached_property
     def _value_u(self) -> ca.SX:
+        """r_u, the Jacobian of the rows over u = (z, b)."""
         return ca.jacobian(self.group.value, ca.vertcat(self.group.z, self.common.base))
 
     @cached_property
     def _u_x(self) -> ca.SX:
+        """u_x, the Jacobian of u = (z, b) over x."""
         z_base = ca.jacobian(self.group.z_value, self.common.base)
         return ca.vertcat(z_base @ self.common.base_x, self.common.base_x)
 
     def _sums(self, counts: ca.SX, lam_g: ca.SX) -> Sums:
-        """lam_g: multipliers, from the place's own on."""
+        """The place's part of Sums.
+
+        counts: 1, or 0 for a place that has been evaluated before, in the last vector. lam_g: multipliers of
+        constraints, from the place's own on.
+        """
         value, z, base, n = self.group.value, self.group.z, self.common.base, self.common.x.numel()
         value_x, u = self._value_u @ self._u_x, ca.vertcat(z, base)
+        # push = L_r, the slope of the Lagrangian over the rows: lam_g for constraints, 2 lam_f r for
+        # residuals.
         push, f, gradient, half = counts * lam_g[self.first or []], ca.SX(0), ca.SX(n, 1), ca.SX(n, n)
         if self.first is None:
             push, f = 2 * counts * self.common.lam_f * value, counts * ca.sumsqr(value)
+            # Only residuals have a Gauss-Newton part, 2 lam_f r_x' r_x.
             gradient, half = 2 * counts * value_x.T @ value, 2 * counts * self.common.lam_f * value_x.T @ value_x
+        # Stand-ins keep the factors constant while second derivatives are taken (as in
+        # Written.derivatives).
         pushes, pulls = ca.SX.sym("pushes", value.numel()), ca.SX.sym("pulls", z.numel())
         half += self._u_x.T @ ca.hessian(ca.dot(pushes, value), u)[0] @ self._u_x
         force = self._value_u.T @ push
+        # L_b: through z, and directly.
         pull = ca.jacobian(self.group.z_value, base).T @ force[: z.numel()] + force[z.numel() :]
         bend = ca.triu(ca.hessian(ca.dot(pulls, self.group.z_value), base)[0])
         half, bend = ca.substitute(
@@ -122,15 +144,17 @@ class Place:
 
     @cached_property
     def _patterns(self) -> tuple[ca.Sparsity, ...]:
-        """Of the sums: which of their entries may differ from 0."""
+        """Sparsity of each entry of Sums: the entries that may differ from 0."""
         n, m = self.common.x.numel(), self.common.shared.numel()
         bend = self._sums(ca.SX.sym("counts"), self.common.lam_g).bend.sparsity()
         return ca.Sparsity.dense(1), ca.Sparsity.dense(n), ca.Sparsity.upper(n), ca.Sparsity.dense(m), bend
 
     def function(self, order: int, name: str) -> AtPlaces:
-        """What a place adds to sums, and its rows, with derivatives up to an order."""
+        """The function of one place: its part of the sums, and its rows, with derivatives up to an order."""
         common, group, places = self.common, self.group, len(self.group.rows)
         shared = common.inputs(order) + common.early(order)
+        # Every input a second time, read with an offset of so many entries as the place is after the first:
+        # that is where a place finds parameters and multipliers of its own.
         apart = [ca.SX.sym("apart", each.numel()) for each in common.inputs(order)]
         constants = np.array([values for _, values in group.constants]).reshape(-1, places)
         fixed, counts = ca.SX.sym("fixed", constants.size), ca.SX.sym("counts")
@@ -139,6 +163,8 @@ class Place:
         rows = [] if self.first is None else [group.value, ca.vec(ca.densify(self._value_u @ self._u_x))]
         results = [ca.vertcat(*added[: SUMS[order]]), ca.vertcat(ca.SX(0, 1), *rows[: 1 + order])]
         results = ca.substitute(results, [group.z], [group.z_value])
+        # Parameters of the first place at p[first], constants of all places in one column, constant after
+        # constant. The next lane of either is the next place.
         numbers = [(symbol, apart[1][first]) for symbol, first in group.parameters]
         numbers += [(symbol, fixed[k * places]) for k, (symbol, _) in enumerate(group.constants)]
         symbols, values = (ca.vertcat(ca.SX(0, 1), *(pair[k] for pair in numbers)) for k in range(2))
@@ -149,7 +175,9 @@ class Place:
         return AtPlaces(function, constants)
 
     def taken(self, order: int, numbers: ca.SX) -> tuple[Sums, Rows]:
-        """What the function has found at all places: sums, and rows thing by thing and then place by place."""
+        """Split the numbers that the function found at all places: sums, and rows entry by entry and then place by
+        place.
+        """
         patterns, constraints = self._patterns, 0 if self.first is None else self.group.rows.size
         ends = np.cumsum([0, *(pattern.nnz() for pattern in patterns[: SUMS[order]])]).tolist()
         parts = [ca.SX(*pattern.shape) for pattern in patterns]
@@ -157,5 +185,7 @@ class Place:
             parts[k] = ca.SX(patterns[k], numbers[ends[k] : ends[k + 1]])
         found = numbers[ends[-1] :]
         n = self.common.x.numel()
+        # Entries come column by column of the Jacobian; within a column, row r of all places and then row r
+        # + 1 of all places, which is the order of Alike.rows read by columns.
         jacobian = ca.reshape(found[constraints:], constraints if order else 0, n)
         return Sums(*parts), Rows(ca.reshape(found[:constraints], constraints, 1), jacobian)

@@ -1,6 +1,8 @@
-"""A program's functions in parts: what places do that are alike is a function of one of them, for many at once.
+"""A program's functions in parts: the rows of alike places as one function, evaluated for many places together.
 
-All else is found with its slopes over the unknowns (codegen/directions.py), and then joined with what places add.
+The rest of the program (other rows, shared quantities) is evaluated with its slopes over the unknowns by forward
+differentiation (codegen/directions.py), and then joined with the sums and rows of the places (at_place.py). The
+order of evaluation is: shared quantities, places, rest, join.
 """
 
 from __future__ import annotations
@@ -31,10 +33,10 @@ def parted(written: Written) -> list[Whole]:
 
 @dataclass(frozen=True, eq=False)
 class _Parts:
-    """Places, and the rest: the program without their rows.
+    """The places of a program, and the rest: the program without their rows.
 
-    values: of the quantities that places share, the first of the rest's first layer.
-    kept: which constraints the rest has; order: where each one is among these and then those of places.
+    values: of the quantities that places share, which come first in the rest's first layer. kept: numbers of the
+    constraints that the rest has; order: position of each constraint among these and then those of places.
     """
 
     places: tuple[Place, ...]
@@ -46,13 +48,15 @@ class _Parts:
 
     @classmethod
     def of(cls, written: Written) -> _Parts:
-        """Those of a program."""
+        """Split a program into places and the rest."""
         groups, indices = alike(written)
+        # Without groups nothing is shared, and the whole program is the rest.
         shared, (symbols, values) = indices.tolist() if groups else [], written.first_layer
         residuals, pattern = written.residual.numel(), ca.jacobian_sparsity(values[shared], written.x)
         entries = ca.SX.sym("slopes", pattern.nnz())
         multipliers = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", written.g.numel())
         common = Common(written.x, written.p, symbols[shared], entries, pattern, *multipliers)
+        # Residuals come before constraints among the rows: a negative number is a residual.
         firsts = [(group.rows[0] - residuals).tolist() for group in groups]
         places = (
             Place(common, group, first if first[0] >= 0 else None)
@@ -62,6 +66,7 @@ class _Parts:
         left = np.setdiff1d(np.arange(written.rows.numel()), taken)
         kept = (left[left >= residuals] - residuals).tolist()
         rest = replace(written, residual=written.residual[left[left < residuals].tolist()], g=written.g[kept])
+        # argsort inverts the permutation: entry i of the result is where constraint i stands in the list.
         order = np.argsort([*kept, *(taken[taken >= residuals] - residuals)]).tolist()
         return cls(tuple(places), _without_unused(rest, shared), common, values[shared], order, kept)
 
@@ -78,16 +83,20 @@ class _Parts:
         return Whole(NAMES[order], directed, tuple(functions), joined)
 
     def _directed(self, order: int, found: ca.SX, pull: ca.SX) -> Directed:
-        """What places share, and then objective, constraints and half of the Hessian of the rest.
+        """Shared quantities first, and then objective, constraints and, for order 2, the gradient of the rest.
 
-        That Hessian is of lam_f objective + lam_g g + pull values: the slopes of the gradient, which is told.
+        Slopes of that gradient over x are half of the Hessian of lam_f objective + lam_g g + pull . values, where
+        pull is found at the places in between.
         """
         n, inputs = self.common.x.numel(), self.common.inputs(order)
+        # Substituted, not nested: forward differentiation needs no layers.
         residual, cost, g = self.rest.outright
         f = ca.sumsqr(residual) + cost
         outputs = [self.values, f, g]
         patterns = [self.common.pattern, ca.Sparsity.dense(1, n), ca.Sparsity.dense(len(self.kept), n)]
         if order == 2:
+            # The places' `pull` multiplies second derivatives of shared quantities: adding pull . values to
+            # the Lagrangian gives these in the same sweep.
             lagrangian = self.common.lam_f * f + ca.dot(self.common.lam_g[self.kept], g)
             outputs.append(ca.gradient(lagrangian + ca.dot(pull, self.values), self.common.x))
             patterns.append(ca.Sparsity.upper(n))
@@ -103,7 +112,7 @@ class _Parts:
     def _joined(
         self, order: int, directed: Directed, found: ca.SX, total: Sums, rows: Sequence[Rows]
     ) -> ca.Function:
-        """The whole program, of what was found at places and of the rest."""
+        """The whole program's results, from those found at places and those of the rest."""
         function, patterns = directed.function, list(directed.slopes.values())
         results = [ca.SX.sym("result", *function.size_out(k)) for k in range(function.n_out())]
         entries = [ca.SX.sym("entries", pattern.nnz()) for pattern in patterns]
@@ -113,6 +122,7 @@ class _Parts:
             values_x, f_x, g_x, *half = map(ca.SX, patterns, entries)
             jacobian = ca.vertcat(g_x, *(each.jacobian for each in rows))[self.order, :]
             outputs = [outputs[0], f_x.T + total.gradient, outputs[1], jacobian]
+            # b_x' bend b_x: second derivatives over (shared, x), summed over places, taken to x once.
             base_x = ca.vertcat(values_x, ca.SX.eye(self.common.x.numel()))
             bent = ca.triu(base_x.T @ ca.triu2symm(total.bend) @ base_x)
             outputs += [ca.triu2symm(each + total.half + bent) for each in half]
@@ -121,11 +131,12 @@ class _Parts:
 
 
 def _without_unused(written: Written, first: list[int]) -> Written:
-    """The same without inner quantities that nothing needs; those of the first layer that are named come first."""
+    """The program without inner quantities that nothing needs; those of the first layer in `first` come first."""
     needed, inner = ca.vertcat(written.rows, written.cost), list[tuple[ca.SX, ca.SX]]()
     for number, (symbols, values) in reversed(list(enumerate(written.inner))):
         used = np.flatnonzero(depends(needed, symbols).any(axis=0)).tolist()
         picked = used if number else [*first, *(k for k in used if k not in first)]
         inner.insert(0, (symbols[picked], values[picked]))
+        # Values of a layer are written in earlier layers, which are therefore looked at afterwards.
         needed = ca.vertcat(needed, values[picked])
     return replace(written, inner=tuple(inner))

@@ -1,4 +1,9 @@
-"""The expressions of a program as they are written, and their derivatives; nothing here knows names or bounds."""
+"""The expressions of a program as they are written, and their derivatives; nothing here knows names or bounds.
+
+Expressions may be nested: residuals r(u), with u = (v, x) and inner quantities v(x), in several layers. The chain
+rule is applied layer by layer, which needs fewer operations than differentiating the substituted expression;
+`Written.derivatives` has the formulas. Units are those of nlp.py.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +16,11 @@ import casadi as ca
 
 
 class FrameFunctions(NamedTuple):
-    """What a solver of many frames evaluates, as symbols or compiled.
+    """The functions of one frame that a solver evaluates, as symbols or compiled.
 
     value: (x, p) -> (objective, g). slopes: (x, p) -> (objective, its gradient, g, the dense Jacobian of g).
-    expansion: (x, p, lam_f, lam_g) -> slopes and the dense exact Hessian of lam_f objective + lam_g g.
-    lanes: for how many frames at once, side by side as `map` lays them out; codegen.mapped takes any number.
+    expansion: (x, p, lam_f, lam_g) -> slopes and the dense exact Hessian of lam_f objective + lam_g g. lanes:
+    number of frames that one call evaluates, side by side as `map` lays them out; codegen.mapped takes any number.
     """
 
     value: ca.Function
@@ -28,8 +33,8 @@ class FrameFunctions(NamedTuple):
 class Written:
     """Residuals, costs and constraint values in x, parameters p and the symbols of inner quantities; all columns.
 
-    inner: symbols and values of each layer, of which later ones may be written in the symbols of those before.
-    Pickled, it is one function; what it becomes has symbols of its own.
+    inner: symbols and values of each layer, of which later ones may be written in the symbols of those before. It
+    is pickled as one CasADi function, and unpickled with new symbols.
     """
 
     x: ca.SX
@@ -41,13 +46,14 @@ class Written:
 
     @classmethod
     def of(cls, function: ca.Function) -> Written:
-        """What the function of another was made of, in new symbols."""
+        """Rebuild the expressions from the `function` of another Written, in new symbols."""
         symbols = [ca.SX.sym(function.name_in(i), *function.size_in(i)) for i in range(function.n_in())]
         residual, cost, g, *values = function.call(symbols)
         x, p, *inner = symbols
         return cls(x, p, residual, cost, g, tuple(zip(inner, values, strict=True)))
 
     def __reduce__(self) -> tuple[Callable[[ca.Function], Written], tuple[ca.Function]]:
+        # SX symbols cannot be pickled, a ca.Function can: background processes are given programs this way.
         return Written.of, (self.function,)
 
     @cached_property
@@ -68,13 +74,14 @@ class Written:
 
     @staticmethod
     def without(layers: Sequence[tuple[ca.SX, ca.SX]], expressions: list[ca.SX]) -> list[ca.SX]:
-        """Expressions that are written in symbols of layers, without these."""
+        """Expressions with the symbols of some layers replaced by their values."""
+        # From the last layer to the first: values of later layers contain symbols of earlier ones.
         for symbols, values in reversed(layers):
             expressions = ca.substitute(expressions, [symbols], [values])
         return expressions
 
     def in_x(self, expressions: list[ca.SX]) -> list[ca.SX]:
-        """Expressions that are written in inner symbols, without these."""
+        """Expressions with all inner symbols replaced by their values."""
         return self.without(self.inner, expressions)
 
     @cached_property
@@ -85,9 +92,9 @@ class Written:
 
     @cached_property
     def functions(self) -> FrameFunctions:
-        """Value and second-order expansion, for solvers that take many of these at once.
+        """Value, slopes and second-order expansion, for solvers that evaluate these often.
 
-        Operations that are repeated stay: whoever makes machine code of them finds these, which takes seconds.
+        Common subexpressions are not eliminated here, which takes seconds: the generator of machine code does it.
         """
         residual, cost, g = self.outright
         lam_f, lam_g = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", g.numel())
@@ -102,7 +109,7 @@ class Written:
         )
 
     def derived(self) -> tuple[ca.Function, ...]:
-        """The same three, to be compiled."""
+        """Value, slopes and expansion as a tuple of functions, to be compiled."""
         return self.functions[:3]
 
     def derivatives(self, lam_f: ca.SX, lam_g: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -111,6 +118,9 @@ class Written:
         With L(u) = lam_f (|r(u)|^2 + cost(u)) + lam_g g(u) of u(x), the Hessian is u_x' L_uu u_x + sum L_u u_xx,
         where of L_uu the part 2 r_u' r_u becomes 2 J'J with J = r_u u_x; and so on for u(v(x)), layer by layer.
         """
+        # Forward through the layers: u are the quantities so far, u_x their Jacobian over x. For each layer
+        # keep the quantities below, their Jacobian over x, all quantities in terms of those below, and the
+        # Jacobian of that step.
         u, u_x, layers = self.x, ca.SX.eye(self.x.numel()), list[tuple[ca.SX, ca.SX, ca.SX, ca.SX]]()
         for symbols, values in self.inner:
             at = ca.vertcat(values, u)
@@ -119,12 +129,20 @@ class Written:
             u, u_x = ca.vertcat(symbols, u), step @ u_x
         r, cost, g = self.residual, self.cost, self.g
         r_u, g_u = ca.jacobian(r, u), ca.jacobian(g, u)
+        # slope = dr/dx; pull = d(|r|^2 + cost)/du, from which the gradient is u_x' pull.
         slope, pull = r_u @ u_x, ca.densify(2 * r_u.T @ r + ca.gradient(cost, u))
+        # The residuals' curvature is sum_k 2 lam_f r_k d2r_k/du2. Stand-ins for the factors 2 lam_f r keep
+        # these constant while `pushes . r` is differentiated; their values are substituted at the end.
         pushes = ca.SX.sym("pushes", r.numel())
         straight = ca.dot(pushes, r) + lam_f * cost + ca.dot(lam_g, g)
+        # Gauss-Newton part 2 lam_f J'J plus the curvature of the outermost expressions. Only upper
+        # triangles are formed, since the Hessian is symmetric.
         half = ca.triu(2 * lam_f * slope.T @ slope + u_x.T @ ca.hessian(straight, u)[0] @ u_x)
         stand_ins, given = [pushes], [ca.densify(2 * lam_f * r)]
+        # force = L_u, what the Lagrangian's slope over u multiplies second derivatives of u(v) with.
         force = ca.densify(lam_f * pull + g_u.T @ lam_g)
+        # Backward through the layers: each adds below_x' (sum_k force_k d2u_k/dbelow2) below_x, and hands
+        # the force down by the transposed Jacobian of its step.
         for below, below_x, at, step in reversed(layers):
             pulls = ca.SX.sym("pulls", at.numel())
             half += ca.triu(below_x.T @ ca.hessian(ca.dot(pulls, at), below)[0] @ below_x)
