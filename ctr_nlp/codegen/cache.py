@@ -1,4 +1,9 @@
-"""C code to shared libraries, by the C compiler at hand, kept in the user's cache folder."""
+"""C code to shared libraries, by the C compiler at hand, stored in the user's cache folder.
+
+A library's name is a digest of its source's key, the compiler's command and all that the compiler says of its
+version and target: another compiler or machine finds nothing. Folders are put in place by one rename, so that what
+is there is complete even if processes build the same library at once or are killed.
+"""
 
 from __future__ import annotations
 
@@ -23,12 +28,16 @@ import platformdirs
 from ctr_nlp.exceptions import OptionError
 
 SWITCH, FOLDER = "CTR_NLP_COMPILE", "CTR_NLP_CACHE"
-"""Environment variables: 0 switches compiling off, and `now` lets programs wait for it; a folder for libraries."""
+"""Environment variables. CTR_NLP_COMPILE: 0 switches compiling off, `now` makes programs wait for it.
+CTR_NLP_CACHE: a folder for libraries.
+"""
 FLAGS = ("-O2", "-fPIC", "-shared", "-fno-math-errno", "-Wno-psabi")
-"""Higher levels take longer to compile and gain a tenth at most."""
+"""Options for the compiler. Higher levels take longer to compile and gain a tenth at most. -fno-math-errno:
+without it, functions such as sqrt must set errno and cannot be vectorised.
+"""
 BRIEF = ("--param=max-cselib-memory-locations=10", "--param=max-cse-insns=50")
 """How far GCC looks back for values that are in registers already: its defaults of 500 and 1000 take half of the
-time that long straight code of vectors needs, and hardly change what comes of it.
+time that long straight code of vectors needs, and hardly change the result.
 """
 LIBRARIES = (
     ("-DLIBMVEC", "-mprefer-vector-width=512", "-fopenmp-simd", "-Wl,--no-undefined", "-lmvec", "-lm"),
@@ -36,12 +45,13 @@ LIBRARIES = (
 )
 """What is linked, in order of preference: glibc has sines of whole vectors."""
 TRIAL = "#include <math.h>\ndouble trial(double x) { return sin(x); }\n"
+"""Smallest program that shows whether compiling and linking work."""
 ABANDONED = 3600.0
-"""Builds that were not finished after so many s never will be."""
+"""Age in s after which the folder of an unfinished build is removed."""
 
 
 class Compiler(NamedTuple):
-    """A C compiler: how it is called, and all that it says of its version and of the machine it writes for."""
+    """A C compiler: its command, and all that it says of its version and of the machine it writes for."""
 
     command: tuple[str, ...]
     identity: str
@@ -51,9 +61,13 @@ class Compiler(NamedTuple):
 def compiler() -> Compiler | None:
     """The C compiler named by CC, or cc, gcc or clang; None where there is none that works."""
     for name in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
+        # Not every compiler has GCC's --param, and not every one knows the processor: try with less each
+        # time.
         for target in (["-march=native", *BRIEF], ["-march=native"], []):
             with contextlib.suppress(OSError, ValueError):
                 command = (*shlex.split(name), *target, *FLAGS)
+                # With -v the compiler prints version and target, native options resolved, even for an empty
+                # file.
                 said = _run([*command, "-E", "-v", "-x", "c", os.devnull])
                 if said.returncode == 0:
                     return Compiler(command, said.stderr)
@@ -65,11 +79,12 @@ def _run(command: list[str], folder: Path | None = None) -> subprocess.Completed
 
 
 def missing() -> str | None:
-    """Why nothing can be compiled, or None where it can; said once where a user might mend it."""
+    """Reason why nothing can be compiled, or None where it can; logged once if a user might mend it."""
     if os.environ.get(SWITCH) == "0":
         return f"{SWITCH} is 0"
     try:
         library(TRIAL, lambda: TRIAL)
+    # No compiler, or one that cannot link, is no error of the user's: CasADi's interpreter takes over.
     except OptionError as error:
         say(f"{error}; everything is solved without compiled code, several times slower")
         return str(error)
@@ -78,12 +93,12 @@ def missing() -> str | None:
 
 @functools.cache
 def say(text: str) -> None:
-    """Tell a user, once a process."""
+    """Log a warning, once a process for each text."""
     logging.getLogger("ctr_nlp").warning(text)
 
 
 def folder() -> Path:
-    """Where libraries are kept: CTR_NLP_CACHE, or ctr_nlp in the user's cache folder."""
+    """Folder for libraries: CTR_NLP_CACHE, or ctr_nlp in the user's cache folder."""
     return Path(os.environ.get(FOLDER) or platformdirs.user_cache_dir("ctr_nlp", appauthor=False))
 
 
@@ -91,8 +106,9 @@ def library(key: str, code: Callable[[], str]) -> Path:
     """The shared library made from code() once a key, compiler and machine; raises OptionError.
 
     key: text that changes whenever code() does. In the cache, a library and the digest of both have a folder of
-    their own, which takes its name in one step: whatever is there is whole, and what does not match its digest or
-    belongs to another user is made anew. A library that this process made itself it loads from a place of its own.
+    their own, which takes its name in one step: whatever is there is complete, and what does not match its digest
+    or belongs to another user is built again. A library that this process built itself is loaded from a folder of
+    its own.
     """
     name, chosen = _named(key)
     place = folder() / name
@@ -101,6 +117,7 @@ def library(key: str, code: Callable[[], str]) -> Path:
             return place / "library.so"
         with counted_wait():
             _made[name] = _build(code(), chosen)
+    # Another process may have stored the same library meanwhile; then it stays.
     if not _whole(place):
         _keep(_made[name], place)
     return _made[name]
@@ -130,7 +147,7 @@ def counted_wait() -> Iterator[None]:
 
 
 def kept(key: str) -> Path | None:
-    """The library of a key where it has been made before, else None; raises OptionError as library."""
+    """The library of a key if it has been built before, else None; raises OptionError as library."""
     name, _ = _named(key)
     place = folder() / name
     return _made.get(name) or (place / "library.so" if _whole(place) else None)
@@ -148,6 +165,7 @@ def _named(key: str) -> tuple[str, Compiler]:
 
 @functools.lru_cache(maxsize=64)
 def _hashed(key: str, chosen: Compiler, linked: tuple[tuple[str, ...], ...]) -> str:
+    """Digest of everything that what is compiled depends on: key, command, libraries, compiler and target."""
     parts = [key, *chosen.command, *map(" ".join, linked), chosen.identity]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
 
@@ -160,23 +178,26 @@ def loaded(package: str, *names: str) -> ctypes.CDLL:
 
 
 _waits: list[float] = []
-"""When the waits of this process for libraries began that have not ended, s; those within others come later."""
+"""Start times in s of waits of this process for libraries that have not ended; inner ones come later."""
 _ended_waits: list[float] = []
-"""How long those lasted that have ended, s."""
+"""Durations in s of the waits that have ended."""
 _made: dict[str, Path] = {}
-"""Libraries that this process has made, by name."""
+"""Paths of libraries that this process has built, by name."""
 
 
 @functools.cache
 def _own() -> tempfile.TemporaryDirectory[str]:
-    """A folder that lives as long as this process."""
+    """A temporary folder that lives as long as this process."""
     return tempfile.TemporaryDirectory(prefix="ctr_nlp-")
 
 
 def _build(code: str, chosen: Compiler) -> Path:
+    """Compile code in a folder of this process, with the first set of libraries that can be linked."""
     try:
         made = Path(tempfile.mkdtemp(dir=_own().name))
         (made / "code.c").write_text(code, encoding="utf-8")
+        # With glibc's vector sines if they can be linked, else without; --no-undefined makes the first try
+        # fail in time.
         for linked in LIBRARIES:
             run = _run([*chosen.command, "-o", "library.so", "code.c", *linked], made)
             if run.returncode == 0:
@@ -187,18 +208,24 @@ def _build(code: str, chosen: Compiler) -> Path:
 
 
 def _keep(made: Path, kept: Path) -> None:
-    """Put a library into the cache in place of what is not whole, if anything can be written there."""
+    """Store a library in the cache, in place of one that is not complete, if anything can be written there."""
     place = kept.parent
     try:
         place.mkdir(mode=0o700, parents=True, exist_ok=True)
         _sweep(place)
+        # Built beside its place, in the same file system, so that renaming it is one step for all other
+        # processes.
         with tempfile.TemporaryDirectory(prefix="building-", dir=place, ignore_cleanup_errors=True) as new:
             good = Path(new) / "good"
             good.mkdir(mode=0o700)
             shutil.copy(made, good)
+            # The source is kept beside the library for people who look into it.
             shutil.copy(made.with_name("code.c"), good)
             (good / "sha256").write_text(_digest(good / made.name, kept.name), encoding="ascii")
             with contextlib.suppress(OSError):
+                # A folder cannot be renamed onto one that is not empty. The first rename fails where
+                # nothing is there, the second where another process has just stored the same library, which
+                # then stays.
                 kept.rename(Path(new) / "bad")
             with contextlib.suppress(OSError):
                 good.rename(kept)
@@ -207,7 +234,7 @@ def _keep(made: Path, kept: Path) -> None:
 
 
 def _sweep(place: Path) -> None:
-    """Remove what killed processes left."""
+    """Remove folders of builds that killed processes left."""
     for left in place.glob("building-*"):
         with contextlib.suppress(OSError):
             if time.time() - left.lstat().st_mtime > ABANDONED:
@@ -215,10 +242,12 @@ def _sweep(place: Path) -> None:
 
 
 def _whole(kept: Path) -> bool:
-    """Whether a library is ours and what was built under its name."""
+    """Whether a library belongs to this user and is what was built under its name."""
     try:
         library, digest = ((kept / name).stat() for name in ("library.so", "sha256"))
+        # A library that another user put into a shared folder would be run with this user's rights.
         ours = not hasattr(os, "getuid") or library.st_uid == os.getuid()
+        # Digests are read again only if either file has changed: inode, size and time say so.
         return ours and _matching(kept, *((of.st_ino, of.st_size, of.st_mtime_ns) for of in (library, digest)))
     except (OSError, UnicodeDecodeError):
         return False
@@ -226,9 +255,12 @@ def _whole(kept: Path) -> bool:
 
 @functools.lru_cache(maxsize=64)
 def _matching(kept: Path, *as_they_are: tuple[int, ...]) -> bool:
-    """Whether a library matches its digest; as_they_are: what changes with either file."""
+    """Whether a library matches its digest; as_they_are: inode, size and time of both files, for the cache of
+    results.
+    """
     return (kept / "sha256").read_text(encoding="ascii") == _digest(kept / "library.so", kept.name)
 
 
 def _digest(path: Path, name: str) -> str:
+    """Digest of a library and its name, so that a library under another's name does not match."""
     return hashlib.sha256(name.encode() + path.read_bytes()).hexdigest()

@@ -1,4 +1,9 @@
-"""A function of one frame for all frames of a motion."""
+"""A function of one frame evaluated for all frames of a motion, from arrays with a row a frame.
+
+A library of tapes has an entry point for any number of rows, which reads and writes numpy's arrays in place.
+Interpreted functions are mapped by CasADi over the same arrays: a column-major matrix (entries, T) is the same
+memory as a row-major array (T, entries).
+"""
 
 from __future__ import annotations
 
@@ -13,21 +18,24 @@ from ctr_nlp.typing import Array
 
 _WHOLE = ctypes.CFUNCTYPE(None)
 _tapes: dict[ca.Function, ctypes._FuncPointer] = {}
-"""What evaluates any number of rows, of functions that were loaded as tapes."""
+"""Entry points for any number of rows, of functions that were loaded as tapes."""
 
 
 def external(name: str, path: str) -> ca.Function:
-    """A function from a library of tape.tape_code: that of LANES frames side by side, and of one for Mapped."""
+    """A function from a library of tape.tape_code, for LANES frames side by side; Mapped finds its rows' entry
+    point.
+    """
     function = ca.external(name, path)
     _tapes[function] = ctypes.CDLL(path)[f"{name}_rows"]
     return function
 
 
 _FIELDS = ctypes.c_void_p * 4, ctypes.c_void_p * 5
+"""Pointers to at most four inputs (x, p, lam_f, lam_g) and five outputs (nlp.written.FrameFunctions)."""
 
 
 class InC(ctypes.Structure):
-    """A mapped function for C: the struct Mapped of solvers/motion/banded.c."""
+    """A mapped function as C calls it: the struct Mapped of solvers/motion/banded.c."""
 
     _fields_ = [
         ("of_rows", ctypes.c_void_p),
@@ -38,18 +46,21 @@ class InC(ctypes.Structure):
 
 
 class Mapped:
-    """A function of one frame evaluated for all, without copies on the way; a row a frame.
+    """A function of one frame evaluated for all frames, without copies on the way; a row a frame.
 
-    inputs, outputs: arrays (T, entries) that the function reads and writes. What a call returns is overwritten
-    by the next.
+    inputs, outputs: arrays (T, entries) that the function reads and writes. The arrays that a call returns are
+    overwritten by the next.
     """
 
     def __init__(self, function: ca.Function, frames: int) -> None:
+        """Allocate arrays for so many frames of a function, interpreted or loaded by `external`."""
         self._tape = _tapes.get(function)
+        # A function loaded from a tape has LANES frames' columns; each row needs the entries of one.
         lanes = 1 if self._tape is None else LANES
         self.inputs = [np.zeros((frames, function.numel_in(i) // lanes)) for i in range(function.n_in())]
         self.outputs = [np.zeros((frames, function.numel_out(i) // lanes)) for i in range(function.n_out())]
         self._rows = ctypes.c_long(frames)
+        # CasADi maps over columns; `map` evaluates them one after another within one call.
         self._run = self._interpreted(function.map(frames)) if self._tape is None else self._played(self._tape)
 
     @property
@@ -57,7 +68,8 @@ class Mapped:
         return self.inputs, self.outputs
 
     def _played(self, tape: Callable[..., int]) -> Callable[[], None]:
-        """What evaluates a function of all frames, by its tape."""
+        """A call that evaluates the function by its tape."""
+        # Addresses are taken once: inputs and outputs must never be replaced by other arrays, only filled.
         places = [(ctypes.c_void_p * len(arrays))(*map(_address, arrays)) for arrays in self._arrays]
 
         def run() -> None:
@@ -67,7 +79,7 @@ class Mapped:
         return run
 
     def _interpreted(self, function: ca.Function) -> Callable[[], None]:
-        """The same, by CasADi; function: mapped over them."""
+        """A call that evaluates the function by CasADi; function: already mapped over all frames."""
         self._buffer, run = function.buffer()
         for put, arrays in zip((self._buffer.set_arg, self._buffer.set_res), self._arrays, strict=True):
             for i, array in enumerate(arrays):
@@ -75,21 +87,27 @@ class Mapped:
         return run
 
     def __call__(self, x: Array, *multipliers: Array) -> list[Array]:
-        """Results (T, entries) at x (T n,), for a row of parameters each, and multipliers where it takes any.
+        """Results (T, entries) at x (T n,), with the rows of parameters that are there, and multipliers if it
+        takes any.
 
         Raises MemoryError.
         """
+        # inputs[1] are the parameters, which are filled beforehand and stay from call to call.
         for array, values in zip(self.inputs[:1] + self.inputs[2:], (x, *multipliers), strict=True):
+            # ravel of a contiguous array is a view: values are copied into the array that the function
+            # reads.
             array.ravel()[:] = values
         self._run()
         return self.outputs
 
     def in_c(self) -> InC:
-        """The same for C, as long as this lives."""
+        """The function for C, valid as long as this object lives."""
         of_rows = None if self._tape is None else ctypes.cast(self._tape, ctypes.c_void_p)
         into, out = (kind(*map(_address, arrays)) for kind, arrays in zip(_FIELDS, self._arrays, strict=True))
+        # C calls the tape directly, or a Python callback that evaluates the interpreted function whole.
         return InC(of_rows, _WHOLE(self._run) if self._tape is None else _WHOLE(), self._rows, into, out)
 
 
 def _address(array: Array) -> int:
+    """Address of an array's first entry."""
     return array.ctypes.data
