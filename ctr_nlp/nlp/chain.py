@@ -1,4 +1,14 @@
-"""All frames of a motion in one nonlinear program: a frame's Nlp once a frame, linked by linear differences."""
+"""All frames of a motion in one nonlinear program: a frame's Nlp repeated, coupled by linear differences.
+
+    minimise  sum_j f_j(x_j) + sum_k w_k (A q + b)_k^2     subject to bounds of x_j, g_j(x_j) and A q + b
+
+with x_j the unknowns and q_j the configuration in frame j, which is picked from x_j and g_j. The second sum is the
+motion term of eq. (9), the rows A q + b are speeds and accelerations (links.py). Units are mm and rad, the
+objective is in mm^2.
+
+Derivatives of frames are block-diagonal; only links couple frames. So everything here keeps frames as rows of
+arrays (T, ..) and treats links as one sparse matrix.
+"""
 
 from __future__ import annotations
 
@@ -29,12 +39,13 @@ OF_ROWS = (
     "reached",
     "_row_frames",
 )
-"""What is known of a chain's rows, and shared by all chains that have the same."""
+"""Properties that depend on a chain's rows alone, shared by chains with the same rows."""
 
 
 class Slopes(NamedTuple):
-    """A chain about a point: objective mm^2, its gradient (T n,), the rows' values; jacobian (T, m, n) of the
-    frames' constraints.
+    """First derivatives of a chain at a point.
+
+    objective: mm^2; gradient: (T n,); value: of all rows; jacobian (T, m, n): of the frames' constraints.
     """
 
     objective: float
@@ -44,7 +55,9 @@ class Slopes(NamedTuple):
 
 
 class _Evaluators:
-    """Value, slopes and expansion of all frames, for parameters (p, T); anew where other functions are given."""
+    """Value, slopes and expansion of all frames, for parameters (p, T); rebuilt when `functions` returns
+    others.
+    """
 
     def __init__(self, functions: Callable[[], FrameFunctions], parameters: Array) -> None:
         self._functions, self._parameters = functions, parameters
@@ -52,7 +65,8 @@ class _Evaluators:
         self._mapped = dict[int, Mapped]()
 
     def __call__(self, which: int) -> Mapped:
-        """One of the three, counted from 0, as given now."""
+        """The evaluator number `which` of value, slopes and expansion, of the functions as they are now."""
+        # Functions change when compiled ones, made in the background, take the place of interpreted ones.
         found = self._functions()
         if found is not self._of:
             self._of, self._mapped = found, {}
@@ -64,7 +78,7 @@ class _Evaluators:
 
 
 class Excess(NamedTuple):
-    """By how much a point leaves what is allowed: amount in units of the row, frame from 1."""
+    """A row that leaves its bounds: its name, the frame (from 1) and by how much, in units of the row."""
 
     name: str
     frame: int
@@ -76,14 +90,15 @@ class Chain:
     """Minimise the sum of all frames' objectives and of all links' costs, within bounds, constraints and links.
 
     frame: the Nlp of every frame, with n unknowns x and m constraint values g, from which it picks a configuration
-    q of k entries. axes: names of these; scale (k,): what a unit of each counts as, mm.
-    parameters (p, T): packed, a column a frame. lower, upper (T, n): equal where an unknown is fixed.
-    functions: gives the frame's, as symbols or, once they are, compiled. surroundings: where some parameters hold
-    near a motion only, these (T, ..), by name, of the robot's unknowns (T, n - slacks), and the slacks (T,) that
-    they need there. held: lower and upper bounds (T, m) of the frames' constraints; None for the frame's own.
+    q of k entries. axes: names of these; scale (k,): mm that a unit of each counts as. parameters (p, T): packed,
+    a column a frame. lower, upper (T, n): bounds of x, equal where an unknown is fixed. functions: returns the
+    frame's functions, interpreted or, as soon as that is done, compiled. surroundings: None, or a function of the
+    robot's unknowns (T, n - slacks) that returns parameters (T, ..) by name that hold near these only, and the
+    slacks (T,) that they need there. held: lower and upper bounds (T, m) of the frames' constraints; None for the
+    frame's own.
 
-    x is (T n,), frame by frame. Rows are, in this order: x itself; the frames' constraints, frame by frame;
-    the links, one after the other.
+    x is (T n,), frame by frame. Rows are, in this order: x itself; the frames' constraints, frame by frame; the
+    links, one after the other.
     """
 
     frame: Nlp
@@ -104,7 +119,7 @@ class Chain:
 
     @property
     def unknowns(self) -> int:
-        """n, of one frame."""
+        """n, the number of unknowns of one frame."""
         return self.frame.x.numel()
 
     def robot_of(self, x: Array) -> Array:
@@ -112,7 +127,10 @@ class Chain:
         return x.reshape(self.frames, -1)[:, : self.unknowns - self.frame.slacks]
 
     def around(self, motion: Array) -> tuple[Chain, Array]:
-        """The chain near to a motion, (T, n - slacks) or its entries in one row, and that motion as x (T n,)."""
+        """The chain linearised near a motion, and that motion as x (T n,).
+
+        motion: (T, n - slacks), or its entries in one row. Slacks get the values that they need there.
+        """
         unknowns = motion.reshape(self.frames, -1)
         if self.surroundings is None:
             return self, np.pad(unknowns, ((0, 0), (0, self.frame.slacks))).ravel()
@@ -120,27 +138,30 @@ class Chain:
         return self.with_parameters(values), np.column_stack([unknowns, slack]).ravel()
 
     def with_parameters(self, values: Mapping[str, Array]) -> Chain:
-        """The same chain with other values (T, ..) of some parameters."""
+        """A chain with other values (T, ..) of some parameters, and the rest unchanged."""
         parameters = self.parameters.copy()
         for name, value in values.items():
+            # A parameter is packed column by column (Nlp.pack), a column of `parameters` a frame.
             columns = [each.ravel(order="F") for each in np.asarray(value)]
             parameters[self.frame.place(name)] = np.transpose(columns)
         return self._with(parameters=parameters)
 
     def with_cost(self, factor: float) -> Chain:
-        """The same chain with the links' costs times a factor."""
+        """A chain whose links cost `factor` times as much."""
         return self._with(links=tuple(replace(link, weight=link.weight * factor) for link in self.links))
 
     def _with(self, **changes: Any) -> Chain:
-        """The same chain with other parameters, costs or functions, which have no part in its rows."""
+        """A chain with other parameters, costs or functions, none of which the rows depend on."""
         found = replace(self, **changes)
+        # dataclasses.replace drops cached properties; those of the rows are still valid and are taken over.
         vars(found).update({name: getattr(self, name) for name in OF_ROWS})
         return found
 
     def nearest(self, x: Array) -> Chain:
         """The chain that finds the point nearest to x (T n,), in mm, among those within all bounds.
 
-        An unknown counts as the axis of the same number, of which there must be as many.
+        Distances are |scale (x - to)|^2 with the unknown number i scaled as axis number i, of which there must be
+        as many.
         """
         own, to = self.frame, ca.SX.sym("to", self.unknowns)
         frame = Nlp(
@@ -154,6 +175,7 @@ class Chain:
             inner=own.inner,
             picks=own.picks,
         )
+        # `to` is the last parameter, so its values are rows after all others.
         parameters = np.vstack([self.parameters, x.reshape(self.frames, self.unknowns).T])
         return replace(self.with_cost(0.0), frame=frame, parameters=parameters, functions=lambda: frame.functions)
 
@@ -166,6 +188,8 @@ class Chain:
     def linking(self) -> sp.csr_array:
         """The matrices of all links over the frames' rows, (l, T (n + m)): all x, and then all g."""
         over_q, rows = self.difference, self.frames * (self.unknowns + self.frame.g.numel())
+        # Renaming columns moves the matrix from q to the rows from which q is picked. Two entries may meet
+        # in one column; then they are summed.
         entries = over_q.data, self._picked[over_q.indices], over_q.indptr
         found = sp.csr_array(entries, shape=(len(self.offset), rows), copy=True)
         found.sum_duplicates()
@@ -173,19 +197,21 @@ class Chain:
 
     @cached_property
     def _picked(self) -> Index:
-        """The rows that q's entries are, (T k,)."""
+        """The rows that the entries of q are picked from, (T k,)."""
         picks, n, m = self.frame.configuration, self.unknowns, self.frame.g.numel()
         frame = np.arange(self.frames)[:, None]
+        # A pick below n is an entry of x, one from n on a constraint; constraints of all frames come after
+        # all x.
         return np.where(picks < n, frame * n + picks, self.lower.size + frame * m + picks - n).ravel()
 
     @cached_property
     def bent(self) -> bool:
-        """Whether links pass through constraints, so that they need not be linear in x."""
+        """Whether links pass through constraints, and so need not be linear in x."""
         return bool(self.linking.indices.max(initial=0) >= self.lower.size)
 
     @cached_property
     def curved(self) -> bool:
-        """Whether constraints of frames are not linear."""
+        """Whether any constraint of a frame is nonlinear."""
         return bool(self.frame.g_nonlinear.any())
 
     @cached_property
@@ -203,12 +229,12 @@ class Chain:
 
     @cached_property
     def offset(self) -> Array:
-        """Of all links, (l,)."""
+        """Constants b of all links A q + b, (l,)."""
         return self._linked(lambda link: link.offset)
 
     @cached_property
     def weight(self) -> Array:
-        """Of all links, (l,), mm^2 per squared unit of a row."""
+        """Weights of the links' squares in the objective, (l,), mm^2 per squared unit of a row."""
         return self._linked(lambda link: link.weight)
 
     @cached_property
@@ -221,12 +247,14 @@ class Chain:
         )
 
     def as_given_now(self) -> Chain:
-        """The same, with the functions that are given now: for whoever holds on to arrays that these write."""
+        """A copy with the functions fixed to those available now, for callers that keep the arrays that these
+        write.
+        """
         now = self.functions()
         return self._with(functions=lambda: now)
 
     def evaluators(self) -> list[Mapped]:
-        """What evaluates values, and expansions, of all frames now."""
+        """The evaluators of values and of expansions of all frames, with the functions available now."""
         return [self._evaluators(0), self._evaluators(2)]
 
     @cached_property
@@ -240,12 +268,14 @@ class Chain:
     def frame_expansion(self, x: Array, multipliers: Array) -> list[Array]:
         """Second-order expansions of the frames at x; the next call overwrites them.
 
-        multipliers: of all rows. Objectives (T, 1), gradients (T, n), constraints (T, m), their Jacobians (T, n m)
-        by columns, and Hessians (T, n n) of the Lagrangian. B' diag(2 weight) B is left out, with B the links'
-        Jacobian: it has entries between frames.
+        multipliers: of all rows. Returns objectives (T, 1), gradients (T, n), constraints (T, m), their Jacobians
+        (T, n m) by columns, and Hessians (T, n n) of the Lagrangian. B' diag(2 weight) B is left out, with B the
+        links' Jacobian: it has entries between frames.
         """
         end = x.size + self.frames * self.frame.g.numel()
         of_frames = multipliers[x.size : end]
+        # A link A q(g(x)) + b bends with g: its multiplier and its cost's slope 2 w (A q + b) act on the
+        # curvature of g like multipliers of g, so they are added to these.
         if self.bent:
             _, linked = self._rows(x, self.frame_values(x)[1])
             of_frames = of_frames + (self._transposed @ (multipliers[end:] + 2 * self.weight * linked))[x.size :]
@@ -258,14 +288,17 @@ class Chain:
         return float(f.sum() + self.weight @ linked**2), value
 
     def configurations(self, value: Array) -> Array:
-        """The frames' q, (T, k), from values of all rows."""
+        """The configurations q of the frames, (T, k), from values of all rows."""
         return value[self._picked].reshape(self.frames, -1)
 
     def by_frame(self, x: Array) -> tuple[Array, Array]:
-        """What each frame adds to the objective, (T,) mm^2: by itself, and by the links that end at it."""
+        """Contributions of each frame to the objective, (T,) mm^2: its own, and that of the links that end at
+        it.
+        """
         f, g = self.frame_values(x)
         cost = np.zeros(self.frames)
         frame = np.concatenate([link.frame for link in self.links])
+        # Several links may end at one frame: np.add.at adds all of them, cost[frame] += would keep one.
         np.add.at(cost, frame, self.weight * self._rows(x, g)[1] ** 2)
         return f.ravel().copy(), cost
 
@@ -273,33 +306,39 @@ class Chain:
         """First derivatives at x."""
         f, gradient, g, columns = self._evaluators(1)(x)
         value, linked = self._rows(x, g)
+        # CasADi stores matrices by columns: (T, n m) is read as (T, n, m) and transposed to (T, m, n).
         jacobian = columns.reshape(self.frames, self.unknowns, -1).transpose(0, 2, 1).copy()
+        # Gradient of the links' costs: the transposed Jacobian times 2 w (A q + b), which is no
+        # constraint's multiplier but enters in the same place.
         pulls = np.concatenate([np.zeros(x.size + g.size), 2 * self.weight * linked])
         gradient = gradient.ravel() + self.transposed(jacobian, pulls)
         return Slopes(float(f.sum() + self.weight @ linked**2), gradient, value, jacobian)
 
     def transposed(self, jacobian: Array, rows: Array) -> Array:
-        """The transposed Jacobian of all rows times rows, (T n,)."""
+        """The transposed Jacobian of all rows times a vector over the rows, (T n,)."""
         frames, m, n = jacobian.shape
+        # Links reach x directly or through g: first A' to both, then g's part through the frames'
+        # Jacobians.
         of_x, of_g, of_links = np.split(rows, [frames * n, frames * (n + m)])
         through_x, through_g = np.split(self._transposed @ of_links, [frames * n])
         product = ((of_g + through_g).reshape(frames, 1, m) @ jacobian).ravel()
         return of_x + product + through_x
 
     def violation(self, value: Array) -> float:
-        """By how much rows leave their bounds at most."""
+        """Largest amount by which any row leaves its bounds; negative where all are strictly inside."""
         low, high = self.bounds
         return float(np.maximum(low - value, value - high).max())
 
     def excesses(self, value: Array, tolerance: float) -> list[Excess]:
         """The rows that leave their bounds by more than tolerance, worst first."""
         low, high = self.bounds
+        # NaN counts as infinite: a row that could not be evaluated is the worst of all.
         amount = np.nan_to_num(np.maximum(low - value, value - high), nan=np.inf)
         worst = [int(i) for i in np.argsort(-amount) if amount[i] > tolerance]
         return [Excess(*self.place(row), float(amount[row])) for row in worst]
 
     def place(self, row: int) -> tuple[str, int]:
-        """What a row limits and in which frame, from 1."""
+        """Name of the quantity that a row limits, and the frame it belongs to, from 1."""
         own = self._own_names
         for names in (own[: self.unknowns], own[self.unknowns :]):
             if row < self.frames * len(names):
@@ -313,7 +352,7 @@ class Chain:
 
     @cached_property
     def _own_names(self) -> list[str]:
-        """What the rows of a frame limit, of x and then of g; axes where these are picked."""
+        """Names of a frame's rows, of x and then of g; a row that is picked for q is named after its axis."""
         names = [f"limits of {self.frame.x[i]}" for i in range(self.unknowns)]
         names += [c.name for c in self.frame.constraints for _ in range(c.value.numel())]
         for axis, pick in zip(self.axes, self.frame.configuration, strict=True):
@@ -321,15 +360,17 @@ class Chain:
         return names
 
     def kkt(self, x: Array, multipliers: Array) -> Array:
-        """How far each frame is from a KKT point, (T,), from the problem alone and not from what a solver says.
+        """How far each frame is from a KKT point, (T,), from the problem alone and not from what a solver reports.
 
         The largest of its stationarity (mm^2 per unit of x), infeasibility (units of a row) and complementarity
         (mm^2). multipliers: of all rows, positive at upper bounds.
         """
         at = self.slopes(x)
+        # A fixed unknown may have any slope: its bounds, which meet, can take any multiplier.
         slope = np.where(self.free, at.gradient + self.transposed(at.jacobian, multipliers), 0.0)
         low, high = self.bounds
         outside = np.maximum(np.maximum(low - at.value, at.value - high), 0.0)
+        # As in nlp.kkt_residual: the multiplier's sign names the bound, and an infinite one must have none.
         to_bound = np.abs(np.where(multipliers > 0, high, low) - at.value)
         slack = np.abs(multipliers) * np.where(np.isfinite(to_bound), to_bound, 1.0)
         found = np.abs(slope).reshape(self.frames, -1).max(axis=1)
@@ -343,7 +384,10 @@ class Chain:
 
     @cached_property
     def reached(self) -> Flags:
-        """Which rows some free unknown changes; solvers leave the others alone."""
+        """Whether any free unknown changes a row; solvers leave the other rows alone."""
+        # A product of booleans is an `or` of `and`s: a constraint is reached if any x that it depends on is
+        # free. A row that only fixed unknowns enter is a constant: no solver can mend what it misses by
+        # rounding.
         of_frames = (self.free.reshape(self.frames, -1) @ self.frame.g_depends.T).ravel()
         own = np.concatenate([self.free, of_frames])
         return np.concatenate([own, abs(self.linking) @ own]) > 0

@@ -1,4 +1,9 @@
-"""Linear links between the frames of a chain: differences of first or higher order, with bounds and costs."""
+"""Linear links between the frames of a chain: differences of first or higher order, with bounds and costs.
+
+With q_j the configuration in frame j (rad, mm), a first difference q_{j+1} - q_j is bounded by v dt (speed) and
+costs lambda |W (q_{j+1} - q_j)|^2 / dt^2, eq. (9); a second difference q_{j+1} - 2 q_j + q_{j-1} is bounded by a
+dt^2 (acceleration). Known configurations before the first and after the last frame become constant offsets.
+"""
 
 from __future__ import annotations
 
@@ -37,9 +42,10 @@ class Link:
 def differences(
     frames: int, order: int, before: Sequence[Array], after: Sequence[Array], n: int
 ) -> tuple[sp.csr_array, Array, Index, Index]:
-    """Differences of a given order along q, with known q before the first and after the last frame.
+    """Differences of a given order along q (frames, n), with known q before the first and after the last frame.
 
-    Returns matrix and offset, and frame and axis of every row; rows in which nothing is unknown are left out.
+    before, after: known configurations (n,), in order. Returns matrix and offset, and frame and axis of every row;
+    rows in which nothing is unknown are left out.
     """
     known = [*before, *after]
     matrix, outer, frame, axis = _stencil(frames, order, len(before), len(after), n)
@@ -48,14 +54,19 @@ def differences(
 
 @functools.lru_cache(maxsize=KEPT)
 def _stencil(frames: int, order: int, before: int, after: int, n: int) -> tuple[sp.csr_array, Any, Index, Index]:
-    """The matrix over what is unknown, that over frames that are known, and frame and axis of every row."""
+    """The difference matrix over the unknown frames, that over the known ones, and frame and axis of every row."""
+    # Order k is k times a first difference, of known and unknown frames alike.
     stencil = sp.identity(before + frames + after, format="csr")
     for _ in range(order):
         stencil = stencil[1:] - stencil[:-1]
     inner = slice(before, before + frames)
+    # Rows among known frames alone would be constants: no unknown could satisfy their bounds.
     some = np.flatnonzero(abs(stencil[:, inner]).sum(axis=1) > 0)
     stencil = stencil[some]
     outer = sp.hstack([stencil[:, :before], stencil[:, before + frames :]])
+    # The same stencil for each of the n entries of q, which follow each other within a frame.
     matrix = sp.csr_array(sp.kron(stencil[:, inner], sp.identity(n)))
+    # A difference of order k spans k + 1 frames and belongs to its last one; to the last unknown frame
+    # where it ends among the known ones.
     frame = np.clip(some + order - before, 0, frames - 1)
     return matrix, outer, np.repeat(frame, n), np.tile(np.arange(n), len(some))

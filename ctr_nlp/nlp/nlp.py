@@ -1,4 +1,12 @@
-"""A nonlinear program as symbols, names and bounds; nothing here knows a solver."""
+"""The nonlinear program of one frame, as symbols, names and bounds; nothing here knows a solver.
+
+    minimise  f(x) = sum |residual(x)|^2 + sum cost(x)     subject to  l <= (x, g(x)) <= u
+
+with the unknowns x (rad and mm), the objective f in mm^2 and the constraints g. Eqs. (8), (9), (11) and (12) of
+the paper become residuals and costs, eqs. (2) and (3) constraints and bounds. All numbers that change from frame
+to frame or from robot to robot are parameters p, so that one program serves them all. Multipliers have CasADi's
+sign: positive at upper bounds.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +52,7 @@ class Constraint:
 
 @dataclass(frozen=True)
 class Inner:
-    """Quantities between x and the terms of an Nlp, which may be written in their symbols.
+    """Quantities between x and the terms of an Nlp, in whose symbols the terms may be written.
 
     Where residuals are simple in a few quantities and these depend on few x each, as points that are sums of
     lengths times directions, derivatives taken in two steps need a third fewer operations. Layers of them follow
@@ -56,7 +64,8 @@ class Inner:
 
     @classmethod
     def of(cls, values: Sequence[ca.SX]) -> Inner:
-        """Values with a symbol of the same shape for each."""
+        """Make a layer of values, with a new symbol of the same shape for each."""
+        # Dense, since a symbol is: entries that are zero by structure would have no symbol to match.
         dense = tuple(ca.densify(value) for value in values)
         return cls(tuple(ca.SX.sym("inner", *value.shape) for value in dense), dense)
 
@@ -71,10 +80,10 @@ class Inner:
 class Nlp:
     """Minimise sum |residual|^2 + sum cost over x, subject to constraints and bounds.
 
-    x (n, 1), within lower and upper (n,); of the configuration, other bounds may come with a solve, as a robot's
-    limits do; parameters by name. picks: which of x's entries and then g's are the configuration; None where x
-    itself is, but for slacks. slacks: how many of x's last entries only tell by how much soft constraints are
-    missed.
+    x: the unknowns (n, 1), within lower and upper (n,). The bounds of the configuration may be replaced for one
+    solve, as by a robot's limits. parameters: symbols by name. picks: positions of the configuration's entries
+    among x and then g; None where the configuration is x itself, without its slacks. slacks: number of x's last
+    entries that only measure by how much soft constraints are violated.
     """
 
     name: str
@@ -96,7 +105,7 @@ class Nlp:
 
     @cached_property
     def written(self) -> Written:
-        """The expressions of its terms, as they are written."""
+        """The expressions of the program's terms, in the symbols of inner quantities."""
         residual, g = (
             ca.vertcat(ca.SX(0, 1), *(term.value for term in terms))
             for terms in (self.residuals, self.constraints)
@@ -133,11 +142,15 @@ class Nlp:
 
     @property
     def q(self) -> ca.SX:
-        """The configuration, as it is written."""
+        """The configuration (k, 1), in the symbols of inner quantities."""
         return ca.vertcat(self.x, self.written.g)[self.configuration.tolist()]
 
     def row_bounds(self, lower: Array | None = None, upper: Array | None = None) -> tuple[Array, Array]:
-        """Lower and upper bounds of x and then g, (n + m,); those of the configuration as given."""
+        """Lower and upper bounds of x and then g, (n + m,).
+
+        lower, upper (k,): bounds of the configuration, which replace the program's own. The configuration may lie
+        in g: on the elastic model alpha is a function of x, and a limit of a motor is a constraint.
+        """
         rows = [np.concatenate(pair) for pair in zip((self.lower, self.upper), self.g_bounds, strict=True)]
         for row, given in zip(rows, (lower, upper), strict=True):
             if given is not None:
@@ -146,17 +159,18 @@ class Nlp:
 
     @cached_property
     def g_depends(self) -> Flags:
-        """Which x each entry of g may depend on, (m, n)."""
+        """Whether each entry of g may depend on each entry of x, (m, n), by structure."""
         pattern = ca.jacobian_sparsity(self.g, self.x)
         return np.asarray(ca.DM(pattern, 1).full() > 0)
 
     @cached_property
     def g_nonlinear(self) -> Flags:
-        """Which entries of g are not linear in x, (m,)."""
+        """Whether each entry of g is nonlinear in x, (m,)."""
+        # Order 2 asks for nonlinear dependence; True asks for the entries of g, not those of x.
         return np.array(ca.which_depends(self.g, self.x, 2, True), dtype=bool)
 
     def place(self, name: str) -> slice:
-        """Where a parameter stands among p's entries."""
+        """Positions of a parameter among the entries of p."""
         sizes = {key: symbol.numel() for key, symbol in self.parameters.items()}
         begin = sum(itertools.islice(sizes.values(), list(sizes).index(name)))
         return slice(begin, begin + sizes[name])
@@ -174,18 +188,20 @@ class Nlp:
             shape = value.shape + (1,) * (2 - value.ndim)
             if shape != symbol.shape:
                 raise ValueError(f"parameter {name} of {self.name} has shape {value.shape}, not {symbol.shape}")
+            # Column by column, as ca.vec packs the symbols in p.
             columns.append(value.ravel(order="F"))
         return np.concatenate(columns)
 
     @property
     def functions(self) -> FrameFunctions:
-        """Value and second-order expansion, interpreted."""
+        """Value, slopes and second-order expansion of the program, evaluated by CasADi's interpreter."""
         return self.written.functions
 
     @cached_property
     def kkt_function(self) -> ca.Function:
         """(x, p, lam_x, lam_g) -> (gradient of the Lagrangian, g)."""
         lam_x, lam_g = ca.SX.sym("lam_x", self.x.numel()), ca.SX.sym("lam_g", self.g.numel())
+        # Stationarity: df/dx + (dg/dx)' lam_g + lam_x = 0, where lam_x belongs to the bounds of x.
         gradient = ca.gradient(self.objective + ca.dot(lam_g, self.g), self.x) + lam_x
         return ca.Function("kkt", [self.x, self.p, lam_x, lam_g], [gradient, self.g], {"cse": True})
 
@@ -193,16 +209,18 @@ class Nlp:
 def kkt_residual(
     nlp: Nlp, x: Array, p: Array, lower: Array | None, upper: Array | None, lam_x: Array, lam_g: Array
 ) -> float:
-    """How far x is from a KKT point, computed from the problem alone and not from what a solver says.
+    """How far x is from a KKT point, computed from the problem alone and not from what a solver reports.
 
-    lower, upper: of the configuration, where they are not the program's own.
-    The largest of: stationarity (mm^2 per unit of x), infeasibility (units of x and g) and complementarity
-    (mm^2). CasADi's sign: positive multipliers belong to upper bounds.
+    lower, upper (k,): bounds of the configuration, where they are not the program's own (None). lam_x, lam_g:
+    multipliers, positive at upper bounds. The result is the largest of stationarity (mm^2 per unit of x),
+    infeasibility (units of x and g) and complementarity (mm^2).
     """
     gradient, g = (value.full().ravel() for value in nlp.kkt_function(x, p, lam_x, lam_g))
     values, multipliers = np.concatenate([x, g]), np.concatenate([lam_x, lam_g])
     lows, highs = nlp.row_bounds(lower, upper)
     infeasible = np.maximum(np.maximum(lows - values, values - highs), 0.0)
+    # Complementarity is |multiplier| times the distance to the bound that the multiplier's sign names.
+    # Where that bound is infinite, the multiplier must be 0: then its own size counts.
     to_bound = np.where(multipliers > 0, highs, lows) - values
     slack = np.where(np.isfinite(to_bound), np.abs(to_bound), 1.0)
     residuals = np.abs(gradient), infeasible, np.abs(multipliers) * slack

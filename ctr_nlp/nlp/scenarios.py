@@ -1,4 +1,12 @@
-"""A motion that several robots make together: each frame's program once for every one of them, q shared."""
+"""A motion that several robots make together: each frame's program once for every robot, with the motors shared.
+
+    minimise  sum_j sum_s w_s f_j(phi_{s,j}, q_j; tubes_s) + links(q)
+    subject to  alpha(phi_{s,j}, q_j; tubes_s) = alpha_j + offset_s   for every scenario s and frame j
+
+with q_j = (alpha, beta, theta) in frame j, in rad and mm, tips phi_{s,j} of scenario s in rad, weights w_s that
+sum to 1, and the frame's objective f_j (mm^2). These records only say what the program is; formulations/shared
+makes them, and solvers/scenarios solves it. See "Plans for robots that are not quite known" in docs/method.md.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +28,7 @@ from ctr_nlp.typing import Array, Index
 
 @dataclass(frozen=True)
 class Scenarios:
-    """S robots that are moved alike; the first is the one as described, and others are compared with it.
+    """S robots whose motors move alike; the first is the nominal one, and the others are compared with it.
 
     numbers (S, d, 8): of the tubes, in the order of structure.NUMBERS. offsets (S, d): of the motors' zeros, added
     to alpha, rad. weights (S,): how much each one's shape error counts, >= 0 and not all 0. forces (S, 3): at
@@ -34,6 +42,7 @@ class Scenarios:
 
     def __post_init__(self) -> None:
         if not len(self.forces):
+            # The dataclass is frozen; its own arrays may only be set this way.
             object.__setattr__(self, "forces", np.zeros((len(self.weights), 3)))
         for name in ("numbers", "offsets", "weights", "forces"):
             object.__setattr__(self, name, frozen(np.array(getattr(self, name), dtype=float)))
@@ -55,23 +64,26 @@ class Scenarios:
         return len(self.weights)
 
     def joined(self, numbers: Array, offsets: Array, forces: Array, weight: float = 0.0) -> Scenarios:
-        """These and then others, each of which counts with a weight; by default it need only not be lost."""
+        """These robots followed by others (k, ..), whose errors count with a weight.
+
+        By default, 0, the others only have to stay stable and near the nominal robot's branch.
+        """
         weights = np.full(len(offsets), weight)
         pairs = zip(self.each, (numbers, offsets, weights, forces), strict=True)
         return Scenarios(*(np.concatenate(pair) for pair in pairs))
 
     @property
     def pushed(self) -> bool:
-        """Whether a force acts at the tip of any."""
+        """Whether a force acts at the tip of any robot."""
         return bool(self.forces.any())
 
     @property
     def each(self) -> tuple[Array, Array, Array, Array]:
-        """The arrays, in order."""
+        """The four arrays, in the order of the fields."""
         return self.numbers, self.offsets, self.weights, self.forces
 
     def shrunk(self, part: float, since: int = 0) -> Scenarios:
-        """The same robots, from number `since` on differing from the first by only a part of what they do."""
+        """Robots that differ from the first by only a `part` of what these do, from number `since` on."""
         parts = np.where(np.arange(len(self)) < since, 1.0, part)[:, None]
         numbers = self.numbers[0] + parts[..., None] * (self.numbers - self.numbers[0])
         offsets, forces = (of[0] + parts * (of - of[0]) for of in (self.offsets, self.forces))
@@ -80,9 +92,9 @@ class Scenarios:
 
 @dataclass(frozen=True)
 class Guards:
-    """Robots that need only not be lost: K of them in every one of T frames, others in each.
+    """Robots that only have to stay stable: K of them in each of T frames, different ones in each frame.
 
-    numbers (T, K, d, 8), offsets (T, K, d), forces (T, K, 3): as of Scenarios.
+    numbers (T, K, d, 8), offsets (T, K, d), forces (T, K, 3): units as in Scenarios.
     """
 
     numbers: Array
@@ -90,17 +102,17 @@ class Guards:
     forces: Array
 
     def at(self, picked: Index | list[int]) -> Guards:
-        """Those of some frames."""
+        """The guards of the frames `picked`."""
         return Guards(self.numbers[picked], self.offsets[picked], self.forces[picked])
 
 
 @dataclass(frozen=True)
 class Common:
-    """Unknowns p (P,) that all frames and scenarios have in common.
+    """Unknowns p (P,) that all frames and scenarios have in common, such as the numbers of designed tubes.
 
-    program: over p. Its first rows are k further unknowns of a frame, of the first scenario, those of others being
-    factors (S, k) of them; its other rows and its objective are p's own. parameters: of the program. lower, upper
-    (P,): of p, equal where it is fixed.
+    program: over p. Its first rows are k further unknowns of a frame, of the first scenario; those of other
+    scenarios are factors (S, k) times these. Its other rows and its objective concern p alone. parameters: of the
+    program. lower, upper (P,): of p, equal where it is fixed.
     """
 
     program: Nlp
@@ -127,14 +139,15 @@ class Lighter:
 
 
 def with_guards(of_scenarios: Array, of_guards: Array | None, frames: int) -> Array:
-    """What scenarios have in every frame (S, ..), with what guards have (T, K, ..), (T, S + K, ..)."""
+    """Values of scenarios (S, ..) in every frame, followed by those of its guards (T, K, ..): (T, S + K, ..)."""
     found = np.repeat(of_scenarios[None], frames, axis=0)
     return found if of_guards is None else np.concatenate([found, of_guards], axis=1)
 
 
 def robots_at(q: Array, phi: Array, held: Index) -> Array:
-    """The unknowns (T, S, m) of robots with tips phi (T, S, k) at q (T, n), whose beta and theta stand where held
-    (n - d,) says.
+    """The unknowns (T, S, m) of robots with tips phi (T, S, k) at the shared q (T, n).
+
+    held (n - d,): which of a robot's m unknowns are beta and theta, the last n - d entries of q.
     """
     frames, count, k = phi.shape
     found = np.empty((frames, count, k + len(held)))
@@ -147,19 +160,19 @@ def robots_at(q: Array, phi: Array, held: Index) -> Array:
 class SharedMotion:
     """Minimise the scenarios' mean shape error and the links' costs over q (T, n) and the tips (T, S, k).
 
-    The S robots of a frame are the scenarios and, where there are any, its guards, whose errors do not count.
-    frame: the program of one robot in one frame over its unknowns x (m,) and what common unknowns give it, where
-    there are any: these are then solved for, too. held (n - d,): where x holds beta and theta, which are q's. Its
-    other k entries each robot has of its own: d tips' angles and, under a load, the turn of the tip's axes. The
-    frame's first k rows are their equations: alpha is what q and the offsets say, and under a load the base points
-    aside by 0. parameters (T S, p): a row for every robot of every frame. lower, upper (T, n): of q, equal where
-    it is fixed. apart (S,): by how much a scenario's tips, relative to the innermost one, may differ from the
-    first scenario's, rad. twist_steps (T,): rad by which the first's may turn beyond its motors on the way to each
+    The S robots of a frame are the scenarios and, if there are any, its guards, whose errors do not count. frame:
+    the program of one robot in one frame, over its unknowns x (m,) and those that common unknowns give it, which
+    are then solved for, too. held (n - d,): which entries of x are beta and theta, which are q's. The other k
+    entries each robot has of its own: d tip angles and, under a load, the turn of the tip's axes. The frame's
+    first k rows are their equations: alpha is what q and the offsets say, and under a load the base points aside
+    by 0. parameters (T S, p): a row for every robot of every frame. lower, upper (T, n): of q, equal where it is
+    fixed. apart (S,): by how much a scenario's tips, relative to the innermost one, may differ from the first
+    scenario's, rad. twist_steps (T,): rad by which the first's may turn beyond its motors on the way to each
     frame; infinite where none is before it.
-    surroundings: where some parameters hold near a motion only, these (T, S, ..), by name, of all robots' unknowns
-    (T, S, m).
-    free: the program without the wall, for robots that this is far from; bare: that without any objective, for
-    robots whose errors do not count. None: the whole program serves.
+
+    surroundings: None, or a function of all robots' unknowns (T, S, m) that returns parameters (T, S, ..) by name
+    that hold near these only. free: the program without the wall, for robots that this is far from; bare: the
+    program without any objective, for robots whose errors do not count. None: the whole program serves.
     """
 
     frame: Nlp
@@ -194,28 +207,32 @@ class SharedMotion:
     def weights(self) -> Array:
         """The share (S,) of every robot in the mean."""
         shares = self.scenarios.weights / self.scenarios.weights.sum()
+        # Guards come after the scenarios and have no part in the mean.
         return np.append(shares, np.zeros(len(self.apart) - len(shares)))
 
     @cached_property
     def offsets(self) -> Array:
-        """Of the robots' motors, (T, S, d) rad."""
+        """Offsets of the robots' motors, (T, S, d) rad."""
         of_guards = None if self.guards is None else self.guards.offsets
         return with_guards(self.scenarios.offsets, of_guards, len(self.lower))
 
     @cached_property
     def own_rows(self) -> Index:
-        """Which of a frame's constraints each scenario has of its own: those that its tips change."""
+        """Constraints of a frame that each scenario has of its own: those that depend on its tips."""
+        # The first k rows are the equations, which are no constraints with bounds: solvers eliminate them.
         return np.flatnonzero(self.frame.g_depends[:, self.own].any(axis=1))[len(self.own) :]
 
     @cached_property
     def common_rows(self) -> Index:
-        """Which of them are the same for all."""
+        """Constraints of a frame that depend on the shared q alone and so are the same for all robots."""
         return np.flatnonzero(~self.frame.g_depends[:, self.own].any(axis=1))
 
     @cached_property
     def row_bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds (T, m) of a frame's rows: of scenario after scenario its own, and how far its
-        tips are from the first's; then the common ones.
+        """Lower and upper bounds (T, m) of a frame's rows.
+
+        First each scenario's own rows, scenario by scenario; then how far its tips, relative to the innermost one,
+        are from the first scenario's, d - 1 each; then the common rows.
         """
         bounds = list[Array]()
         for bound, side in zip(self.frame.g_bounds, (-self.apart, self.apart), strict=True):
@@ -226,7 +243,9 @@ class SharedMotion:
         return bounds[0], bounds[1]
 
     def by_robot(self, rows: Array) -> Array:
-        """Sums (T, S) of values (T, m) of the frames' rows that each robot has of its own, or with the first."""
+        """Sums (T, S) of values (T, m) over the rows that each robot has of its own, or together with
+        the first.
+        """
         frames, count, _, d = self.sizes
         size = count * len(self.own_rows)
         found = rows[:, :size].reshape(frames, count, -1).sum(axis=2)
@@ -234,9 +253,9 @@ class SharedMotion:
         return np.asarray(found)
 
     def unknowns(self, q: Array, phi: Array, given: Array) -> Array:
-        """Those (T, S, m + g) of every robot in every frame, at q (T, n) and tips phi (T, S, k).
+        """Unknowns (T, S, m + g) of every robot in every frame, at q (T, n) and tips phi (T, S, k).
 
-        given (S, g): what common unknowns give every scenario.
+        given (S, g): values that common unknowns give every scenario.
         """
         of_given = np.broadcast_to(given, (len(q), *given.shape))
         return np.concatenate([robots_at(q, phi, self.held), of_given], axis=2)
