@@ -1,4 +1,9 @@
-"""NLP solvers behind one call each: Nlp -> NlpSolver -> Solution, and Chain -> a chain solver -> Solution."""
+"""NLP solvers, one call each: Nlp -> NlpSolver -> Solution, and Chain -> a chain solver -> Solution.
+
+`frame` solves the program of one frame (SQP in C, or IPOPT), `motion` that of all frames of one robot (a banded
+interior-point method in C, or IPOPT), `scenarios` that of several robots that share their motors. All judge
+success by the KKT conditions of the problem itself, never by a solver's own status.
+"""
 
 from collections.abc import Callable
 
@@ -12,7 +17,7 @@ from ctr_nlp.solvers.motion.ipopt import IpoptSolver
 from ctr_nlp.solvers.motion.watch import Iterate, Watch
 
 SOLVERS: dict[str, Callable[[Nlp], NlpSolver]] = {"ipopt": Ipopt, "sqp": Sqp}
-"""Every solver of a frame by the name that options use."""
+"""Solvers of a frame, by the names that options use."""
 
 ChainSolver = BandedSolver | IpoptSolver
 
@@ -20,16 +25,16 @@ CHAIN_SOLVERS: dict[str, Callable[[Chain], ChainSolver]] = {
     "banded": BandedSolver,
     "ipopt": IpoptSolver,
 }
-"""Every solver of chains by the name that options use; each is called with (x0, watch[, first barrier])."""
+"""Solvers of chains, by the names that options use; each is called with (x0, watch[, first barrier])."""
 
 
 def default_solver() -> str:
-    """The faster one that works here: sqp is compiled."""
+    """Name of the fastest frame solver that works here: sqp needs a C compiler."""
     return "ipopt" if cache.missing() else "sqp"
 
 
 def default_chain_solver() -> str:
-    """The faster one that works here: banded is compiled."""
+    """Name of the fastest chain solver that works here: banded needs a C compiler."""
     return "ipopt" if cache.missing() else "banded"
 
 

@@ -1,4 +1,8 @@
-"""A frame's functions as machine code, by a C compiler where there is one."""
+"""A frame's functions as machine code, where a C compiler is at hand, and interpreted by CasADi elsewhere.
+
+The code of a program depends on the program and on the modules that derive it; both are part of the key under
+which a library is cached.
+"""
 
 from __future__ import annotations
 
@@ -16,40 +20,50 @@ from ctr_nlp.nlp.nlp import Nlp
 from ctr_nlp.nlp.written import FrameFunctions
 
 KEPT = 64
-"""Programs whose libraries a process remembers."""
+"""Number of programs whose libraries a process remembers."""
 
 
 def compiled(nlp: Nlp, lanes: int | None = None) -> FrameFunctions:
-    """A program's functions for one frame, or for any number (None) of them at once, as Library.
+    """A program's functions for `lanes` frames together, or for any number of them (None), from its library.
 
-    Raises OptionError where nothing can be compiled.
+    Waits for the compiler. Raises OptionError where nothing can be compiled.
     """
     return _external(str(library(nlp, lanes).now()), lanes)
 
 
 @functools.lru_cache(maxsize=KEPT)
 def library(nlp: Nlp, lanes: int | None) -> Library:
-    """The shared library of a program's functions, which depend on the program and on what derives it."""
+    """The shared library of a program's functions for `lanes` frames together, or for any number (None)."""
+    # A tape (any number of frames) is made of the plain functions, straight code for one frame of the
+    # functions in parts, with alike places evaluated together (nlp/parted.py).
     derived = nlp.written.derived if lanes is None else functools.partial(parted.parted, nlp.written)
     return Library(f"{_deriver()}\n{nlp.written.function.serialize()}", derived, lanes)
 
 
 @functools.cache
 def _deriver() -> str:
+    """Source of the modules that turn a program into functions: a change to them is a change to what is
+    compiled.
+    """
     return "".join(map(inspect.getsource, (written, alike, at_place, parted)))
 
 
 def fastest(nlp: Nlp) -> Callable[[], FrameFunctions]:
-    """What gives a program's functions: compiled as soon as that has been done, and interpreted until then."""
+    """A function that returns a program's functions: compiled as soon as the background process is done, else
+    interpreted.
+    """
     return (lambda: nlp.functions) if cache.missing() else _Fastest(nlp)
 
 
 class _Fastest:
+    """Returns interpreted functions until the library, which is made in the background, can be loaded."""
+
     def __init__(self, nlp: Nlp) -> None:
         self._nlp, self._library = nlp, library(nlp, None)
         self._found: FrameFunctions | None = None
 
     def __call__(self) -> FrameFunctions:
+        # Once found, the compiled functions stay; until then each call looks again.
         if self._found is None and (path := self._library.soon()) is not None:
             self._found = _external(str(path), None)
         return self._found or self._nlp.functions
@@ -57,6 +71,8 @@ class _Fastest:
 
 @functools.lru_cache(maxsize=KEPT)
 def _external(path: str, lanes: int | None) -> FrameFunctions:
+    """The three functions of a library, loaded once a process."""
+    # Libraries for any number of frames are tapes, whose row-wise entry point codegen.mapped needs as well.
     load = external if lanes is None else ca.external
     value, slopes, expansion = (load(name, path) for name in FrameFunctions._fields[:3])
     return FrameFunctions(value, slopes, expansion, lanes or vector.LANES)

@@ -1,1 +1,1 @@
-"""Solvers of one Nlp after another."""
+"""Solvers of the program of one frame, and of many frames one after another."""

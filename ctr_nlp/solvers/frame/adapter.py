@@ -1,4 +1,8 @@
-"""What solves one Nlp after another: the call that all solvers share, and IPOPT behind it."""
+"""The interface of all solvers of a frame's program, and IPOPT behind it.
+
+A solution is checked against the problem itself (nlp.kkt_residual): residuals of stationarity and complementarity
+in mm^2 per rad or mm, violations in rad or mm. IPOPT: Waechter and Biegler, Math. Program. 106 (2006).
+"""
 
 from __future__ import annotations
 
@@ -15,21 +19,21 @@ from ctr_nlp.nlp.nlp import Nlp, kkt_residual
 from ctr_nlp.typing import Array
 
 FEASIBLE = 1e-6
-"""A point that leaves bounds or constraints by more than this (rad, mm) is no solution, whatever a solver says."""
+"""Largest violation of bounds and constraints at a solution, rad or mm, whatever a solver reports."""
 OPTIMAL = 1e-2
-"""Nor is one with a larger KKT residual (mm^2 per rad or mm); most solves reach 1e-6."""
+"""Largest KKT residual at a solution, mm^2 per rad or mm; most solves reach 1e-6."""
 
 KEPT = 16
-"""Programs for which a process keeps IPOPT."""
+"""Number of programs for which a process keeps an IPOPT instance."""
 
 
 @dataclass(frozen=True)
 class Solution:
-    """What a solver found.
+    """The point that a solver ended at, and whether it is a solution.
 
-    x (n,); objective mm^2; kkt: residual computed from the Nlp alone; success: the point is finite, feasible and a
-    KKT point, whatever the solver says; status: the solver's own word; lam_x, lam_g: multipliers to warm-start
-    from; q: the configuration at x.
+    x (n,): the point; objective: mm^2; kkt: residual computed from the Nlp alone; success: the point is finite,
+    feasible and a KKT point, whatever the solver reports; status: the solver's own word; lam_x, lam_g: multipliers
+    to warm-start from; q: the configuration at x.
     """
 
     x: Array
@@ -44,7 +48,9 @@ class Solution:
 
 
 class Reach(NamedTuple):
-    """Limits of a configuration (k,), and by how much its entries may change from frame to frame."""
+    """Limits low, high (k,) of a configuration, and the largest change `most` of its entries from frame to
+    frame.
+    """
 
     low: Array
     high: Array
@@ -52,12 +58,12 @@ class Reach(NamedTuple):
 
 
 class Surroundings(NamedTuple):
-    """What gives the parameters of a program that hold near a robot only, where a slack is its last unknown.
+    """Where run.c finds the parameters of a program that hold near a robot only, with a slack as last unknown.
 
-    call, of: addresses of a function of C and of what it is given first, then x, then the parameter named load
-    where the program has it, then room for the parameter named described and, after it, the slack needed there,
-    mm. Slack costs the parameter named weight a mm, mm^2, hard times as much beyond the parameter named allowed,
-    mm, where that sets in over rounded mm, and firm a mm^2. A frame is solved again around its solution until that
+    call, of: addresses of a function of C and of its first argument; it then takes x, the parameter named load if
+    the program has it, and room for the parameter named described followed by the slack needed there, mm. Slack
+    costs the parameter named weight a mm, mm^2, and hard times as much beyond the parameter named allowed, mm,
+    where that sets in over rounded mm, and firm a mm^2. A frame is solved again around its solution until that
     needs the same slack within settled mm, or rounds times.
     """
 
@@ -99,8 +105,8 @@ class NlpSolver(ABC):
     ) -> Solution:
         """Solve from x0 (n,), which may lie outside the bounds, for packed parameters p (len(nlp.p),).
 
-        lower, upper: bounds of the configuration, where they are not the program's own. warm: the solution of a
-        neighbouring problem, whose multipliers to start from.
+        lower, upper (k,): bounds of the configuration, where they are not the program's own. warm: the solution of
+        a neighbouring problem, whose multipliers to start from.
         """
 
     def follow(
@@ -112,15 +118,18 @@ class NlpSolver(ABC):
         warm: Solution | None,
         near: Surroundings | None = None,
     ) -> list[Timed]:
-        """Solutions for parameters p (frames, n_p), each from the one before, up to the first that is not found.
+        """Solve for parameters p (frames, n_p), each frame from the one before, up to the first that is not
+        solved.
 
-        Those named previous are the configuration here (k,) before the first, then the last that was found. near:
-        what gives parameters that hold near a robot only. A solver that takes one program at a time finds none.
+        x0 (n,): start of the first frame. reach: limits, and steps from frame to frame. here (k,): the
+        configuration before the first frame; the parameter named previous is set to it, and then to that of the
+        last solved frame. warm: a solution to take multipliers from. near: source of parameters that hold near a
+        robot only. A solver that takes one program at a time returns an empty list.
         """
         return []
 
     def each(self, x0: Array, p: Array, reach: Reach) -> list[Solution]:
-        """The solutions for parameters p (n_p,) from starts x0 (starts, n), without those that are not found."""
+        """Solve for parameters p (n_p,) within reach from every start x0 (starts, n); only the solutions found."""
         found = (self(x, p, reach.low, reach.high) for x in x0)
         return [solution for solution in found if solution.success]
 
@@ -145,7 +154,7 @@ class Ipopt(NlpSolver):
         upper: Array | None = None,
         warm: Solution | None = None,
     ) -> Solution:
-        """As NlpSolver."""
+        """Solve by IPOPT; arguments as in NlpSolver.__call__."""
         n, (low, high) = len(x0), self.nlp.row_bounds(lower, upper)
         arguments: dict[str, Any] = {
             "p": p,
@@ -154,30 +163,38 @@ class Ipopt(NlpSolver):
             "lbg": low[n:],
             "ubg": high[n:],
         }
+        # A neighbouring frame has nearly the same active limits: its multipliers are a good guess.
         if warm is not None:
+            # Without these, CasADi starts from multipliers 0; warm_start_init_point makes IPOPT use what it
+            # is given.
             arguments |= {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}
+        # The nearest point within the bounds, where OPTIONS let IPOPT leave it.
         result = self._solve(x0=np.clip(x0, low[:n], high[:n]), **arguments)
         status, iterations = outcome(self._solve)
         x, lam_x, lam_g = (result[key].full().ravel() for key in ("x", "lam_x", "lam_g"))
         g = result["g"].full().ravel()
         rows = np.concatenate([x, g])
+        # Before x is clipped: clipping hides what IPOPT's relaxed bounds let through.
         violation = np.maximum(low - rows, rows - high).max()
+        # What is left after IPOPT's relaxed bounds, so that motors' limits are kept exactly.
         x = np.clip(x, low[:n], high[:n])
+        # From the problem alone: IPOPT's own tolerances refer to a scaled problem.
         kkt = kkt_residual(self.nlp, x, p, lower, upper, lam_x, lam_g)
         success = bool(violation <= FEASIBLE) and kkt <= OPTIMAL
+        # On models whose unknowns are not q, some of q's entries are values of constraints.
         q = np.concatenate([x, g])[self.nlp.configuration]
         return Solution(x, float(result["f"]), kkt, success, status, iterations, lam_x, lam_g, q)
 
 
 @functools.lru_cache(maxsize=KEPT)
 def _ipopt(nlp: Nlp, thread: int) -> ca.Function:
-    """IPOPT for a program; two threads must not share one."""
+    """The IPOPT instance of a program and a thread; two threads must not share one."""
     problem = {"x": nlp.x, "p": nlp.p, "f": nlp.objective, "g": nlp.g}
     return ca.nlpsol("ipopt", "ipopt", problem, COMMON | {"ipopt": OPTIONS})
 
 
 def outcome(solve: ca.Function) -> tuple[str, int]:
-    """Status and iterations of the last call."""
+    """Status and number of iterations of the last call of `solve`."""
     stats = solve.stats()
     return str(stats["return_status"]), int(stats["iter_count"])
 
@@ -188,15 +205,19 @@ COMMON: dict[str, Any] = {
     "show_eval_warnings": False,
     "error_on_fail": False,
 }
+"""Options of CasADi's interface, for frames and for chains."""
 
 
 OPTIONS: dict[str, Any] = {
     "sb": "yes",
     "print_level": 0,
     "max_iter": 300,
+    # Tighter than OPTIMAL: what IPOPT accepts is judged again in units of the problem.
     "tol": 1e-8,
     "bound_relax_factor": 1e-10,
     "warm_start_init_point": "yes",
+    # A warm start is near the solution: a large first barrier would lead away from it (see Ipopt for
+    # mu_min).
     "mu_strategy": "adaptive",
     "mu_init": 1e-4,
     "mu_min": 1e-9,
@@ -206,3 +227,6 @@ OPTIONS: dict[str, Any] = {
     "warm_start_slack_bound_frac": 1e-9,
     "warm_start_mult_bound_push": 1e-9,
 }
+"""Options of IPOPT for a frame. Bounds are kept (relaxed by 1e-10 only), since motors have hard limits. Pushes of
+1e-9 leave a warm start where it is, instead of moving it into the interior.
+"""

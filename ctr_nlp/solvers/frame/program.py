@@ -1,4 +1,8 @@
-"""An Nlp in C: the SQP of sqp.c around its functions, which are compiled, or interpreted until they are."""
+"""An Nlp in C: the SQP method of sqp.c with the program's functions, compiled, or interpreted until they are.
+
+C and Python share memory: a Program's arrays are read and written by sqp.c in place. Structures here repeat the
+fields of the structs in C, in the same order.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +21,11 @@ from ctr_nlp.typing import Array
 TOLERANCE = 1e-6
 """Largest KKT residual at a solution, mm^2 per unit of x."""
 MOST_ITERATIONS = 200
-"""After which a program ends without a solution: one that IPOPT solves instead takes as long as a thousand."""
+"""Iterations after which a program ends without a solution; IPOPT solving it instead takes as long as a
+thousand.
+"""
 NAMES = FrameFunctions._fields[:3]
+"""Names of the functions, and of the struct's fields that point to them."""
 
 _Numbers = ctypes.POINTER(ctypes.c_double)
 _Called = ctypes.CFUNCTYPE(
@@ -29,10 +36,11 @@ _Called = ctypes.CFUNCTYPE(
     ctypes.c_void_p,
     ctypes.c_int,
 )
+"""Signature of CasADi's functions in C: (arguments, results, integer work, real work, memory) -> 0 for success."""
 
 
 class Outcome(ctypes.Structure):
-    """What sqp.c is given and finds: the struct of the same fields there."""
+    """The struct Program of sqp.c: what a run is given, and what it finds."""
 
     objective: float
     kkt: float
@@ -53,7 +61,7 @@ class Outcome(ctypes.Structure):
 
 
 class Program:
-    """A program whose arrays are filled, and read again after a run; not from two threads at once.
+    """A program whose arrays are filled before a run and read after it; not from two threads at once.
 
     x (n,): the start, then the solution. p: packed parameters. lower, upper (n + m,): bounds of x and of the
     constraints. multipliers (n + m,): of these, positive at upper bounds; rows (n + m,): their values at the
@@ -61,69 +69,79 @@ class Program:
     """
 
     def __init__(self, nlp: Nlp, wait: bool = False, most: int = MOST_ITERATIONS) -> None:
-        """Build; wait: until the functions are compiled. most: iterations of a run.
+        """Build a program in C for an Nlp.
 
-        Raises OptionError where nothing can be compiled.
+        wait: until the functions are compiled, instead of interpreting them at first. most: largest number of
+        iterations of a run. Raises OptionError where nothing can be compiled.
         """
         n, m = nlp.x.numel(), nlp.g.numel()
         low, high = nlp.g_bounds
         self.nlp = nlp
+        # x's own bounds and the constraints' in one array, as sqp.c treats both as rows.
         self.lower, self.upper = np.concatenate([nlp.lower, low]), np.concatenate([nlp.upper, high])
         self.p, self.x, self.multipliers = np.zeros(nlp.p.numel()), np.zeros(n), np.zeros(n + m)
         self.rows = np.zeros(n + m)
         given = (array.ctypes.data for array in (self.p, self.lower, self.upper))
         found = (array.ctypes.data for array in (self.x, self.multipliers, self.rows))
+        # Kept, as the struct is made again when compiled functions are loaded.
         self._sizes, self._places = (n, m), (*given, TOLERANCE, most, *found)
         self._run, self._keep = cache.loaded(__package__, "sqp.c", "run.c").sqp, list[Any]()
         self._point({})
         self._library = library(nlp, 1)
+        # Without `wait`, the first solves are interpreted while another process compiles.
         self.compiled = self._load(self._library.now() if wait else self._library.soon())
         if not self.compiled:
             self._interpret()
 
     def _load(self, path: Any) -> bool:
-        """Take the functions from a library, where there is one."""
+        """Load the functions from the library at `path`; False where that is None, not made yet."""
         if path is None:
             return False
         loaded = ctypes.CDLL(str(path))
+        # Addresses do not keep a library or a callback alive; this reference does.
         self._keep = [loaded]
         self._point({name: ctypes.cast(loaded[name], ctypes.c_void_p).value or 0 for name in NAMES})
         return True
 
     def _interpret(self) -> None:
+        """Let C call CasADi's interpreter until the compiled functions can be loaded."""
         self._keep = [_callback(function) for function in self.nlp.functions[:3]]
         addresses = (ctypes.cast(call, ctypes.c_void_p).value or 0 for call, _ in self._keep)
         self._point(dict(zip(NAMES, addresses, strict=True)))
 
     def _point(self, addresses: dict[str, int]) -> None:
-        """Take functions by their addresses."""
+        """Point the struct to functions by their addresses; a new struct, so that nothing of the old one stays."""
         self.functions = addresses
         self._program = Outcome(*self._sizes, *(addresses.get(name) for name in NAMES), *self._places)
         self._reference = ctypes.byref(self._program)
 
     @property
     def address(self) -> int:
-        """Of the program in C; another one once its functions have been compiled."""
+        """Address of the struct in C; it changes when compiled functions are loaded."""
         return ctypes.addressof(self._program)
 
     def refresh(self) -> None:
-        """Take compiled functions, where they have come meanwhile."""
+        """Load compiled functions, if they have been made meanwhile."""
         if not self.compiled:
             self.compiled = self._load(self._library.soon())
 
     def run(self) -> Outcome:
-        """Solve; what was found beside x and multipliers is overwritten by the next run."""
+        """Solve; the results beside x, multipliers and rows are overwritten by the next run."""
         self.refresh()
         self._run(self._reference)
         return self._program
 
 
 def _callback(function: ca.Function) -> tuple[Any, Any]:
-    """A CasADi function as a function of C, as casadi.external's are, and what must live as long."""
+    """A CasADi function as a callback for C, with the signature of casadi.external's, and the objects it needs
+    alive.
+    """
     buffer, evaluate = function.buffer()
     inputs = [np.zeros(function.numel_in(i)) for i in range(function.n_in())]
     outputs = [np.zeros(function.numel_out(i)) for i in range(function.n_out())]
     for i, array in enumerate(inputs):
+        # The buffer evaluates between fixed arrays, without allocation; C's arguments are copied in and
+        # out.
         buffer.set_arg(i, array.data)  # type: ignore[call-arg]
     for i, array in enumerate(outputs):
         buffer.set_res(i, array.data)  # type: ignore[call-arg]
@@ -132,6 +150,8 @@ def _callback(function: ca.Function) -> tuple[Any, Any]:
         for i, array in enumerate(inputs):
             _copied(array, given[i], array.ctypes.data, given[i])
         evaluate()
+        # By CasADi's convention, a null pointer is a result that is not wanted (or an argument of zeros, of
+        # which sqp.c has none).
         for i, array in enumerate(outputs):
             _copied(array, wanted[i], wanted[i], array.ctypes.data)
         return 0
@@ -140,6 +160,6 @@ def _callback(function: ca.Function) -> tuple[Any, Any]:
 
 
 def _copied(array: Array, pointer: Any, to: Any, source: Any) -> None:
-    """Copy between an array and a pointer of C, unless that is null."""
+    """Copy array.nbytes bytes from source to `to`, unless C's `pointer` is null."""
     if pointer:
         ctypes.memmove(to, source, array.nbytes)

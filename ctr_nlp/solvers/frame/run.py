@@ -1,4 +1,8 @@
-"""Frames of one Nlp solved one after the other, each from the one before it, in one call of run.c."""
+"""Frames of one Nlp solved one after the other, each from the one before it, in one call of run.c.
+
+Frame by frame the program of eq. (9) is small. run.c therefore does for all frames what a caller would, without
+returning to Python: it sets the bounds |q - q_before| <= most, the parameter `previous` and the start, and solves.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,7 @@ from ctr_nlp.typing import Array
 
 
 class _Given(ctypes.Structure):
-    """The struct Run of run.c."""
+    """The struct Run of run.c, field by field."""
 
     _fields_ = [
         *((name, ctypes.c_void_p) for name in ("around", "of")),
@@ -32,32 +36,38 @@ class _Given(ctypes.Structure):
 
 
 _RUN = ctypes.CFUNCTYPE(ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_long, ctypes.c_void_p)
-"""The function run of run.c."""
+"""Signature of the function run of run.c: (struct Run, struct Program, frames, starts or null) -> frames
+solved.
+"""
 
 
 class Run:
-    """Room for so many frames of a program, filled before a call and read after it; not from two threads at once.
+    """Arrays for the frames of a program, filled before a call and read after it; not from two threads at once.
 
     p (frames, n_p): packed parameters, but for those named previous, which are the configuration of the frame
-    before. low, high, most (k,): within which the program's configuration may be, and by how much each entry may
-    change from frame to frame. here (k,): the configuration before the first frame, then of the last that was
-    solved. x (frames, n), rows (frames, n + m), multipliers, objective mm^2, kkt, iterations, status, seconds, and
-    whether it was solved are what was found of each frame.
+    before. low, high, most (k,): limits of the program's configuration, and by how much each entry may change from
+    frame to frame. here (k,): the configuration before the first frame, then of the last that was solved. Results,
+    a row a frame: x (frames, n), rows (frames, n + m), multipliers, objective mm^2, kkt, iterations, status,
+    seconds, and whether the frame was solved.
     """
 
     def __init__(self, program: Program, frames: int, optimal: float, goes_on: bool = False) -> None:
-        """optimal: the KKT residual up to which a frame counts as solved; all of them must be feasible.
+        """Allocate for so many frames of a program.
 
-        goes_on: whether a frame is begun where the movement of x in the frames before leads, where that is better.
+        optimal: the KKT residual up to which a frame counts as solved; all of them must be feasible. goes_on:
+        whether a frame is started from an extrapolation of x in the frames before, if its merit is better there.
         """
         nlp, (n, rows) = program.nlp, (len(program.x), len(program.rows))
+        # C reads the picks as long integers, whatever numpy's default is.
         self._picks = np.ascontiguousarray(nlp.configuration, dtype=np.int64)
         self.program, self.p = program, np.zeros((frames, len(program.p)))
         self.low, self.high, self.most, self.here = np.zeros((4, len(self._picks)))
         self.x, self.rows, self.multipliers = (np.zeros((frames, width)) for width in (n, rows, rows))
         self.objective, self.kkt, self.seconds = np.zeros((3, frames))
+        # course: x's last step, its change from the step before, and the expected next step (run.c).
         self.starts, self._course = np.zeros((frames, n)), np.zeros((3, n))
         self.iterations, self.status, self.solved = np.zeros((3, frames), dtype=np.int64)
+        # Only programs with a motion term have the configuration of the frame before as a parameter.
         previous = nlp.place("previous") if "previous" in nlp.parameters else slice(0, 0)
         limits = self._picks, self.p, self.low, self.high, self.most
         found = self.x, self.rows, self.multipliers, self.objective, self.kkt, self.seconds
@@ -77,13 +87,18 @@ class Run:
         self._run = _RUN(("run", cache.loaded(__package__, "sqp.c", "run.c")))
 
     def keep_near(self, near: Surroundings | None) -> None:
-        """From now on, solve every frame again around its solution; None: as it is, once."""
+        """Choose how frames are solved from now on: again around their solutions with parameters from near, or
+        once (None).
+        """
         nlp = self.program.nlp
+        # Null pointers and zeros: run.c then solves every frame once, as it is.
         of_near: tuple[float | None, ...] = (None, None, *[0] * 6, *[0.0] * 4, None)
         if near is not None:
             place, weight, allowed = (nlp.place(name) for name in (near.described, near.weight, near.allowed))
             size = place.stop - place.start
+            # The described parameter, and after it the slack needed.
             self._found = np.zeros(size + 1)
+            # A program without a load has no such parameter; the position is then not read.
             load = nlp.place(near.load).start if near.load in nlp.parameters else 0
             sizes = load, place.start, size, weight.start, allowed.start, near.rounds
             costs = near.firm, near.hard, near.rounded, near.settled
@@ -92,15 +107,17 @@ class Run:
         self._reference = ctypes.byref(self._given)
 
     def stand(self, here: Array, x: Array) -> None:
-        """Begin the next call at configuration here (k,) and at unknowns x, slacks of 0 after them, at rest."""
+        """Start the next call at configuration here (k,) and unknowns x, with slacks of 0 after them, and at
+        rest.
+        """
         self.here[:], self._course[:], self.program.x[:] = here, 0.0, 0.0
         self.program.x[: len(x)] = x
 
     def __call__(self, frames: int, from_starts: bool = False) -> int:
-        """Solve the first so many frames from the program's x and multipliers; how many were solved.
+        """Solve the first so many frames from the program's x and multipliers; returns how many were solved.
 
-        Where one is not, it is the last that was tried: what was found of it is there too. from_starts: each from
-        its own row of starts instead, whatever comes of the others.
+        If one is not solved, it is the last that was tried, and its results are there too. from_starts: solve each
+        from its own row of starts instead, whatever comes of the others.
         """
         self.program.refresh()
         starts = self.starts.ctypes.data if from_starts else None
