@@ -1,1 +1,1 @@
-"""Solvers of chains of Nlps."""
+"""Solvers of chains: all frames of one robot's motion in one nonlinear program."""

@@ -1,9 +1,17 @@
 """A primal-dual interior-point method for chains, whose Newton systems are banded.
 
-Time and memory are linear in the number of frames. Hessians are exact; where the whole is not positive definite,
-the eigenvalues of each frame's own lose their signs (Dauphin et al., Identifying and attacking the saddle point
-problem, 2014). After Nocedal and Wright, Numerical Optimization (2006), chapter 19, and Waechter and Biegler,
-Math. Program. 106 (2006); where constraints are curved, slacks follow their values along a step.
+Every row r(x) of a chain gets a slack s = r(x), and a logarithmic barrier mu keeps slacks within their bounds:
+
+    minimise  f(x) - mu sum log(s - l) - mu sum log(u - s)     subject to  r(x) = s
+
+for mu falling to LAST_BARRIER (mm^2). Slacks and multipliers are eliminated from a Newton step, which leaves H +
+A' diag(sigma) A over x alone, with A the rows' Jacobian and sigma = z_l / (s - l) + z_u / (u - s). Frames meet
+only in links between neighbours, so that the matrix is a band: time and memory are linear in the number of frames.
+
+Hessians are exact; where the whole is not positive definite, the eigenvalues of each frame's own lose their signs
+(Dauphin et al., Identifying and attacking the saddle point problem, 2014). After Nocedal and Wright, Numerical
+Optimization (2006), chapter 19, and Waechter and Biegler, Math. Program. 106 (2006); where constraints are curved,
+slacks follow their values along a step.
 """
 
 from __future__ import annotations
@@ -21,22 +29,29 @@ from ctr_nlp.typing import Array
 TOLERANCE = 1e-6
 """Largest stationarity (mm^2 per unit of x) and complementarity (mm^2) at a solution."""
 LAST_BARRIER = 1e-7
-"""mm^2."""
+"""Barrier at which the method ends, mm^2."""
 CLOSE, SHRINK = 20.0, 0.05
-"""A barrier problem is solved to so many times its barrier, and the next has this part of it."""
+"""A barrier problem is solved until its residual is CLOSE times its barrier; the next barrier is SHRINK times this
+one.
+"""
 MOST_ITERATIONS = 500
+"""Iterations after which a solve ends without a solution."""
 PUSH = 1e-3
 """How far slacks start within their bounds, rad or mm."""
 DAMPING = 1e-6
 """Added to the diagonal of the Newton matrix, mm^2 per squared unit of x; more where rounding calls for it."""
 MOST_DAMPING = 1e6
+"""Largest damping that is tried, mm^2 per squared unit of x."""
 MOST_HALVINGS = 25
+"""Halvings of a step after which it counts as too small."""
 LOOSE = 2.0
-"""A penalty so many times what the multipliers need is lowered: beside curved constraints it holds steps back."""
+"""A penalty this many times larger than the multipliers need is lowered: beside curved constraints it shortens
+steps.
+"""
 DIVERGED = 1e12
 """Multipliers grow beyond this (mm^2 per unit of a row) where no point is feasible."""
 TOGETHER = 16
-"""Iterations in one call of C; between calls Ctrl-C is heeded, and progress told."""
+"""Iterations in one call of C; between calls Ctrl-C is handled, and progress reported."""
 STATUS = (
     "",
     "Solve_Succeeded",
@@ -45,18 +60,20 @@ STATUS = (
     "Search_Direction_Becomes_Too_Small",
     "Maximum_Iterations_Exceeded",
 )
-"""As numbered in banded.c."""
+"""Status texts, in the order in which banded.c numbers them; the first means that work goes on."""
 STALL, STALLED = 6, 1e-8
 """Where samples cross from tube to tube second derivatives jump, and near such a point Newton steps go to and fro:
 a barrier problem is left when so many iterations lower the merit by less than this part."""
 
 
 class BandedSolver:
-    """Solves chains whose frames have inequality constraints only; surest from a feasible start."""
+    """Solver of chains whose frames have inequality constraints only; most reliable from a feasible start."""
 
     def __init__(self, chain: Chain) -> None:
         """Prepare for a chain; raises OptionError where a frame has equations, or nothing can be compiled."""
         low, high = chain.frame.g_bounds
+        # A slack between bounds that meet has hardly any interior (rows.RELAX). Bounds of x that meet are no
+        # such case: Rows takes those unknowns out of the system.
         if (low == high).any():
             raise OptionError(
                 f"solver is 'banded' and {chain.frame.name} has equations; it takes inequalities only"
@@ -69,17 +86,21 @@ class BandedSolver:
     ) -> Solution:
         """Solve from x0 (T n,), and from multipliers of all rows where a neighbouring chain's are known."""
         loop, low, high = self._loop, self.chain.lower.ravel(), self.chain.upper.ravel()
+        # Fixed unknowns take their values here, as they never move.
         loop.start(np.clip(x0, low, high), barrier, PUSH, multipliers)
+        # Only a caller that wants every iterate needs C to come back after each.
         status, points = "", TOGETHER if isinstance(watch, Watch) and not watch.each else 1
         while not status:
             status = STATUS[loop.iterate(points)]
             told = loop.told
             if told is not None and watch(told):
                 status = status or "Interrupted"
+        # Slacks are inside relaxed bounds; clipping takes rounding off bounds of x.
         return judged(self.chain, np.clip(loop.rows.x, low, high), loop.rows.multipliers, status, loop.number)
 
 
 def _numbers() -> dict[str, float]:
+    """Real-valued settings by the names of loop.NUMBERS."""
     return {
         "tolerance": TOLERANCE,
         "feasible": FEASIBLE,
@@ -95,4 +116,5 @@ def _numbers() -> dict[str, float]:
 
 
 def _counts() -> dict[str, int]:
+    """Integer settings by the names of loop.COUNTS."""
     return {"most_iterations": MOST_ITERATIONS, "most_halvings": MOST_HALVINGS, "stall": STALL}

@@ -1,4 +1,9 @@
-"""Chains by IPOPT, with the same exact derivatives as every other solver of chains."""
+"""Chains solved by IPOPT, with the same exact derivatives as every other solver of chains.
+
+The program is that of nlp/chain.py, with objective in mm^2 and unknowns in rad and mm. The gradient, Jacobian and
+Hessian of the whole are put together from the frames' blocks and the links' constant matrix, instead of being
+derived by CasADi from the whole expression. IPOPT: Waechter and Biegler, Math. Program. 106 (2006).
+"""
 
 from __future__ import annotations
 
@@ -22,21 +27,26 @@ OPTIONS: dict[str, Any] = {
     "tol": 1e-6,
     "bound_relax_factor": 1e-10,
 }
+"""Options of IPOPT; bounds are relaxed by 1e-10 only, since motors have hard limits."""
 
 
 class IpoptSolver:
-    """Solves any chain, from any start, feasible or not."""
+    """Solver of any chain, from any start, feasible or not."""
 
     def __init__(self, chain: Chain, follow: bool = True) -> None:
-        """Build; follow=False saves the time that following every iterate takes: the Watch is not called."""
+        """Build for a chain; follow=False saves the time of reporting every iterate, and the Watch is not
+        called.
+        """
         self.chain = chain
         self._callback = _Callback(chain)
+        # no_nlp_grad: the gradient of the whole Lagrangian is a function that nothing here calls.
         self._options = COMMON | _derivatives(chain) | {"no_nlp_grad": True}
         if follow:
             self._options["iteration_callback"] = self._callback
         self._built: dict[float, ca.Function] = {}
 
     def _solver(self, barrier: float) -> ca.Function:
+        """The IPOPT instance that starts with a barrier, mm^2; built once for each."""
         if barrier not in self._built:
             options = self._options | {"ipopt": OPTIONS | {"mu_init": barrier}}
             self._built[barrier] = ca.nlpsol("ipopt", "ipopt", _problem(self.chain), options)
@@ -45,21 +55,27 @@ class IpoptSolver:
     def __call__(
         self, x0: Array, watch: Watch, barrier: float = WIDE, multipliers: Array | None = None
     ) -> Solution:
-        """Solve from x0 (T n,); IPOPT begins with multipliers of its own."""
+        """Solve from x0 (T n,); IPOPT starts with multipliers of its own, and `multipliers` is ignored.
+
+        watch: reported every iterate. barrier: the first one, mm^2.
+        """
         chain, size = self.chain, x0.size
         low, high = chain.bounds
         self._callback.follow(watch)
+        # A start within its bounds; fixed unknowns take their values.
         x0 = np.clip(x0, low[:size], high[:size])
         solve = self._solver(barrier)
+        # Rows that only fixed unknowns enter are constants: rounding may put them outside their bounds.
         lbg, ubg = np.where(chain.reached, low, -np.inf)[size:], np.where(chain.reached, high, np.inf)[size:]
         result = solve(x0=x0, lbx=low[:size], ubx=high[:size], lbg=lbg, ubg=ubg)
         x, lam_x, lam_g = (result[key].full().ravel() for key in ("x", "lam_x", "lam_g"))
+        # Off the relaxed bounds, before the point is judged.
         x = np.clip(x, low[:size], high[:size])
         return judged(chain, x, np.concatenate([lam_x, lam_g]), *outcome(solve))
 
 
 class _Callback(ca.Callback):
-    """Hands every iterate of IPOPT to a Watch. CasADi holds no reference: the solver must."""
+    """Hands every iterate of IPOPT to a Watch. CasADi keeps no reference to it, so the solver must."""
 
     def __init__(self, chain: Chain) -> None:
         super().__init__()
@@ -69,21 +85,25 @@ class _Callback(ca.Callback):
         self.construct("iteration", {})
 
     def follow(self, watch: Watch) -> None:
-        """Hand iterates to another Watch from now on."""
+        """Hand iterates to another Watch, counted from 0."""
         self.watch, self.number = watch, 0
 
     def get_n_in(self) -> int:
+        """Number of inputs: all outputs of an NLP solver."""
         return int(ca.nlpsol_n_out())
 
     def get_n_out(self) -> int:
+        """Number of outputs: one, whether to stop."""
         return 1
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        """Shape of an input; those that CasADi does not report are empty."""
         rows = self._chain.lower.size
         g = self._chain.bounds[0].size - rows
         return ca.Sparsity.dense({"x": rows, "lam_x": rows, "f": 1, "g": g, "lam_g": g}.get(ca.nlpsol_out(i), 0))
 
     def eval(self, values: Sequence[ca.DM]) -> list[float]:
+        """Report an iterate; a result other than 0 stops IPOPT."""
         found = dict(zip(ca.nlpsol_out(), values, strict=True))
         x, g, lam_x, lam_g = (found[key].full().ravel() for key in ("x", "g", "lam_x", "lam_g"))
         violation = self._chain.violation(np.concatenate([x, g]))
@@ -94,14 +114,17 @@ class _Callback(ca.Callback):
 
 
 def _problem(chain: Chain) -> dict[str, ca.MX]:
+    """The chain as nlpsol takes it, in matrix symbols."""
     x = ca.MX.sym("x", chain.lower.size)
     f, g = _values(chain, x)
     return {"x": x, "f": f, "g": g}
 
 
 def _mapped(chain: Chain, function: ca.Function, *columns: ca.MX) -> list[ca.MX]:
-    """A function of the frame over all frames; what has a column a frame is filled up to whole calls."""
+    """A function of a frame evaluated for all frames; arguments have one column a frame."""
     lanes = chain.functions().lanes
+    # Compiled functions take `lanes` frames a call. The last call is filled up with copies of the last
+    # frame, whose results are cut off again.
     calls = -(-chain.frames // lanes)
     more = calls * lanes - chain.frames
     filled = (ca.horzcat(each, ca.repmat(each[:, -1], 1, more)) for each in columns)
@@ -110,10 +133,12 @@ def _mapped(chain: Chain, function: ca.Function, *columns: ca.MX) -> list[ca.MX]
 
 
 def _columns(chain: Chain, x: ca.MX) -> ca.MX:
+    """The unknowns x (T n,) as a matrix (n, T), a column a frame."""
     return ca.reshape(x, chain.unknowns, chain.frames)
 
 
 def _values(chain: Chain, x: ca.MX) -> tuple[ca.MX, ca.MX]:
+    """Objective and rows after x of the whole chain: the frames' constraints, then the links."""
     f, g = _mapped(chain, chain.functions().value, _columns(chain, x), ca.MX(chain.parameters))
     own = ca.vertcat(x, ca.vec(g))
     linked = _dm(chain.linking) @ own + ca.DM(chain.offset)
@@ -121,21 +146,27 @@ def _values(chain: Chain, x: ca.MX) -> tuple[ca.MX, ca.MX]:
 
 
 def _derivatives(chain: Chain) -> dict[str, ca.Function]:
-    """Gradient, Jacobian and Hessian as nlpsol asks for them."""
+    """Functions for gradient, Jacobian and Hessian, with the names and arguments that nlpsol asks for."""
     x, p, lam_f = ca.MX.sym("x", chain.lower.size), ca.MX.sym("p", 0, 0), ca.MX.sym("lam_f")
     lam_g = ca.MX.sym("lam_g", chain.bounds[0].size - chain.lower.size)
     frames, n, m = chain.frames, chain.unknowns, chain.frame.g.numel()
+    # d(w a^2) = 2 w a da, so the weights come with a factor 2 everywhere below.
     weight, end = 2 * ca.DM(chain.weight), frames * m
     f, g = _values(chain, x)
     at = _columns(chain, x), ca.MX(chain.parameters)
     _, gradient, _, jacobian = _mapped(chain, chain.functions().slopes, *at)
     jacobian = _diagonal(jacobian, m, n, frames)
+    # The links' matrix acts on x directly and on the frames' constraints g; through these it depends on x
+    # by their Jacobian.
     on_x, on_g = ca.horzsplit(_dm(chain.linking), [0, chain.lower.size, chain.linking.shape[1]])
     links = on_x + on_g @ jacobian if chain.bent else on_x
     gradient = ca.vec(gradient) + links.T @ (weight * g[end:])
+    # Multipliers of g: its own, and what links pull with, their multipliers and their costs' slopes. With
+    # these, the frames' Hessians include the curvature of links that pass through constraints.
     pulled = lam_g[:end] + on_g.T @ (lam_g[end:] + lam_f * weight * g[end:])
     lam = ca.repmat(lam_f, 1, frames), ca.reshape(pulled, m, frames)
     *_, hessian = _mapped(chain, chain.functions().expansion, *at, *lam)
+    # The links' costs add 2 w B'B, with B their Jacobian; IPOPT reads the upper triangle only.
     hessian = ca.triu(_diagonal(hessian, n, n, frames) + lam_f * (links.T @ ca.diag(weight) @ links))
     jacobian = ca.vertcat(jacobian, links)
     return {
@@ -152,12 +183,14 @@ def _derivatives(chain: Chain) -> dict[str, ca.Function]:
 
 
 def _dm(matrix: Any) -> ca.DM:
+    """A scipy matrix as a sparse CasADi matrix, which is stored by columns with sorted rows."""
     columns = sp.csc_matrix(matrix)
     columns.sort_indices()
     return ca.DM(columns)
 
 
 def _diagonal(blocks: ca.MX, rows: int, columns: int, frames: int) -> ca.MX:
-    """Dense blocks side by side (rows, columns * frames), on a diagonal instead."""
+    """Dense blocks side by side (rows, columns * frames), as the blocks of a block-diagonal matrix."""
     pattern = ca.diagcat(*[ca.Sparsity.dense(rows, columns)] * frames)
+    # Both store entries column by column, so the nonzeros are the same numbers in the same order.
     return ca.MX(pattern, ca.vec(blocks))

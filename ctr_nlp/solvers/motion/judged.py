@@ -1,4 +1,4 @@
-"""What solvers of chains have in common."""
+"""Parts that all solvers of chains share: first barriers, and how a point becomes a Solution."""
 
 from __future__ import annotations
 
@@ -9,14 +9,20 @@ from ctr_nlp.solvers.frame.adapter import FEASIBLE, OPTIMAL, Solution
 from ctr_nlp.typing import Array
 
 WIDE, CLOSE, NEAR = 1e-2, 1e-4, 1e-6
-"""First barriers, mm^2: one that lets the objective decide which limits become active, one for starts at which
-most of these are known, and one that stays in the basin of the start."""
+"""First barriers, mm^2: WIDE lets the objective decide which limits become active, CLOSE is for starts at which
+most active limits are known, and NEAR stays in the basin of the start.
+"""
 
 
 def judged(chain: Chain, x: Array, multipliers: Array, status: str, iterations: int) -> Solution:
-    """A point as a Solution: success is what the chain itself says of it, whatever the solver does."""
+    """A point x (T n,) as a Solution; success depends on the chain itself, whatever the solver reports.
+
+    multipliers: of all rows. status, iterations: the solver's.
+    """
     objective, value = chain.evaluate(x)
+    # The worst frame decides: a horizon is solved only if all its frames are.
     kkt = float(chain.kkt(x, multipliers).max())
+    # Feasible to FEASIBLE (rad, mm) and a KKT point to OPTIMAL, from the chain alone.
     success = chain.violation(value) <= FEASIBLE and kkt <= OPTIMAL
     of_x, of_g = np.split(multipliers, [x.size])
     return Solution(

@@ -1,4 +1,8 @@
-"""The iterations of a barrier method in C: the struct Loop of banded.c, and what is told of an iterate."""
+"""The iterations of a barrier method in C: the struct Loop of banded.c, and the iterate that it reports.
+
+C runs several iterations before it returns to Python. The method is described in banded.py; barriers and
+objectives are in mm^2.
+"""
 
 from __future__ import annotations
 
@@ -17,10 +21,14 @@ NUMBERS = (
     *("tolerance", "feasible", "last_barrier", "close", "shrink", "damping", "most_damping", "diverged"),
     *("loose", "stalled"),
 )
+"""Names of the real-valued settings, in the order of the struct's fields."""
 COUNTS = "most_iterations", "most_halvings", "stall"
+"""Names of the integer settings, in the order of the struct's fields."""
 
 
 class _Loop(ctypes.Structure):
+    """The struct Loop of banded.c, field by field."""
+
     barrier: float
     penalty: float
     number: int
@@ -46,15 +54,16 @@ class _Loop(ctypes.Structure):
     ]
 
     def start(self, barrier: float) -> None:
-        """Begin with a barrier in mm^2."""
+        """Reset the counters, with a barrier in mm^2."""
         self.barrier, self.penalty, self.number, self.expanded, self.merits = barrier, 1.0, 0, 0, 0
 
 
 class Loop:
-    """A barrier method on a chain, so many iterations at a time; not from two threads at once."""
+    """A barrier method on a chain, a number of iterations at a time; not from two threads at once."""
 
     def __init__(self, chain: Chain, numbers: dict[str, float], counts: dict[str, int]) -> None:
-        """Prepare; numbers and counts by name, as NUMBERS and COUNTS. Raises OptionError as Rows.
+        """Prepare for a chain; numbers and counts by the names in NUMBERS and COUNTS. Raises OptionError as Rows
+        does.
 
         Functions of the chain that are compiled later are left to the next loop: C keeps addresses of arrays.
         """
@@ -62,8 +71,13 @@ class Loop:
         self.rows, self._told = Rows(chain), np.zeros(chain.lower.size)
         values, expansion = chain.evaluators()
         self._mapped = [each.in_c() for each in (values, expansion)]
+        # x of the values, x and the constraints' multipliers of the expansion: C writes these before it
+        # evaluates.
         inputs = values.inputs[0], expansion.inputs[0], expansion.inputs[3]
+        # Fifth result of the expansion, after objective, gradient, constraints and their Jacobian.
         hessian = expansion.outputs[4]
+        # Room for the convexified Hessians, and for the merit of every iteration, by which stalling is
+        # seen.
         self._room = np.empty_like(hessian), np.zeros(counts["most_iterations"] + 2)
         self._loop = _Loop(
             self.rows.address,
@@ -76,13 +90,16 @@ class Loop:
         self._reference = ctypes.byref(self._loop)
 
     def start(self, x: Array, barrier: float, push: float, multipliers: Array | None = None) -> None:
-        """Put the point at x (T n,), as Rows.start."""
+        """Put the point at x (T n,) with a barrier in mm^2; push and multipliers as in Rows.start."""
         self.rows.start(x, barrier, push, multipliers)
         self._loop.start(barrier)
 
     def iterate(self, points: int) -> int:
-        """Go on to so many further points; why the work has ended, as numbered in banded.c, or 0."""
+        """Continue for up to `points` further points; the reason why the work ended, as numbered in banded.c, or
+        0.
+        """
         status = int(self._iterate(self._reference, ctypes.c_long(points)))
+        # C swaps the point with the trial by exchanging pointers; Python's views follow.
         self.rows.follow()
         return status
 
@@ -93,7 +110,7 @@ class Loop:
 
     @property
     def told(self) -> Iterate | None:
-        """The best feasible of the points that were come to last, else the last; None where there was none."""
+        """The best feasible point of the last call, else its last point; None if there was none."""
         loop = self._loop
         numbers = loop.told_number, loop.told_objective, loop.told_violation, loop.told_error
         return Iterate(*numbers, self._told.copy()) if loop.known else None

@@ -1,4 +1,7 @@
-"""Following a solver at work: its progress, its best feasible point so far, and whether it is to stop."""
+"""Observation of a running solver: its progress, its best feasible point so far, and whether it is to stop.
+
+An interior-point method's last iterate need not be its best feasible one; a caller that stops early takes `best`.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from ctr_nlp.typing import Array
 
 
 class Iterate(NamedTuple):
-    """One iteration. objective: mm^2; violation: units of x; error: KKT residual; x (n,)."""
+    """One iteration of a solver. objective: mm^2; violation: rad or mm; error: KKT residual; x (n,)."""
 
     number: int
     objective: float
@@ -22,10 +25,10 @@ class Iterate(NamedTuple):
 
 
 class Watch:
-    """Called with every iterate; answers whether to stop.
+    """Callback for every iterate; its answer says whether to stop.
 
-    best: the feasible iterate of least objective, first among them, or None. The last bits of a bound may be
-    exceeded by up to FEASIBLE.
+    best: the feasible iterate of least objective, the first among equals, or None. Bounds may be exceeded by up to
+    FEASIBLE, which covers rounding.
     """
 
     def __init__(
@@ -42,16 +45,18 @@ class Watch:
 
     @property
     def each(self) -> bool:
-        """Whether every iterate is wanted, and not just the best of some."""
+        """Whether every iterate is reported, and not only the best of several."""
         return self._report is not None
 
     def _keep(self, iterate: Iterate) -> None:
+        """Remember the iterate if it is feasible and better than the best."""
         least = np.inf if self.best is None else self.best.objective
+        # NaN compares false: an iterate that could not be evaluated is never the best.
         if iterate.violation <= FEASIBLE and iterate.objective < least:
             self.best = iterate
 
     def __call__(self, iterate: Iterate) -> bool:
-        """Take note of an iterate; True ends the work."""
+        """Record and report an iterate; True ends the work."""
         self._keep(iterate)
         if self._report is not None:
             self._report(iterate)
