@@ -1,5 +1,7 @@
-"""Solving motions that scenarios share: their tips are eliminated from every Newton step, and the rest is
-banded.
+"""Interior-point solver of motions that several robots share (nlp/scenarios.py).
+
+Each scenario's tips are eliminated from every Newton step by its own equations, so that the remaining system has
+the unknowns of the shared q alone and is banded, however many scenarios there are.
 """
 
 from ctr_nlp.solvers.scenarios.interior import SharedSolver

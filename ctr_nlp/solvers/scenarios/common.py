@@ -1,4 +1,10 @@
-"""What unknowns that all frames have in common give each frame, and what they cost and keep themselves."""
+"""Unknowns p that all frames have in common: what they give each frame, what they cost, and their own rows.
+
+The program over p (nlp.scenarios.Common) has rows g: the first k are further unknowns of the first scenario in
+every frame, y_1 = g_{1..k}(p), and those of scenario s are y_s = factors_s y_1, entry by entry. Designed tubes are
+the use: p are curvatures, lengths and diameters, y the numbers of the tubes in the model
+(formulations/shared/design.py).
+"""
 
 from __future__ import annotations
 
@@ -10,11 +16,13 @@ from ctr_nlp.nlp.scenarios import Common, SharedMotion
 from ctr_nlp.typing import Array
 
 NONE = np.zeros(0)
-"""Common unknowns of a motion that has none."""
+"""The common unknowns p of a motion that has none."""
 
 
 class Given(NamedTuple):
-    """At p (P,): the further unknowns (S, k) of scenarios; the cost, mm^2; the rows (c,) that are p's own."""
+    """Values at p (P,): the further unknowns (S, k) of scenarios; the cost, mm^2; the rows (c,) that concern p
+    alone.
+    """
 
     values: Array
     cost: float
@@ -22,8 +30,9 @@ class Given(NamedTuple):
 
 
 class GivenSlopes(NamedTuple):
-    """At p: derivatives over p of the further unknowns (S, k, P), the cost (P,) and the rows (c, P); the second
-    ones (P, P) of the cost, and of the Lagrangian as far as it depends on p through these.
+    """Derivatives over p: of the further unknowns (S, k, P), the cost (P,) and the rows (c, P).
+
+    hessian (P, P): second derivatives of the cost, and of the Lagrangian as far as it depends on p through these.
     """
 
     values: Array
@@ -41,12 +50,14 @@ class CommonValues:
         self.factors = np.zeros((count, 0)) if common is None else common.factors
         self.lower, self.upper = (NONE, NONE) if common is None else (common.lower, common.upper)
         k = self.factors.shape[1]
+        # Row bounds of p's own rows alone; the first k rows are values for frames and have none.
         bounds = (NONE, NONE) if common is None else common.program.g_bounds
         self.row_lower, self.row_upper = (bound[k:] for bound in bounds)
         self._common: Common | None = common
 
     def __call__(self, p: Array) -> Given:
-        """The values at p (P,)."""
+        """Further unknowns, cost and rows at p (P,)."""
+        # Arrays without entries let all formulas be the same with and without common unknowns.
         if self._common is None:
             return Given(self.factors, 0.0, NONE)
         cost, g = (out.full().ravel() for out in self._common.program.functions.value(p, self._common.parameters))
@@ -54,12 +65,15 @@ class CommonValues:
         return Given(self.factors * g[:k], float(cost[0]), g[k:])
 
     def slopes(self, p: Array, pulls: Array, rows: Array) -> GivenSlopes:
-        """The derivatives at p (P,).
+        """Derivatives at p (P,).
 
-        pulls (S, k): the Lagrangian's slopes over the further unknowns; rows (c,): multipliers of p's own.
+        pulls (S, k): the Lagrangian's slopes over the further unknowns, summed over frames; rows (c,): multipliers
+        of p's own rows.
         """
         if self._common is None:
             return GivenSlopes(np.zeros((*self.factors.shape, 0)), NONE, np.zeros((0, 0)), np.zeros((0, 0)))
+        # Chain rule: y_s = factors_s g(p), so the curvature of g counts with sum_s factors_s dL/dy_s.
+        # Passed as the multipliers of g's first rows, these factors make one expansion give it all.
         k, multipliers = self.factors.shape[1], np.append((self.factors * pulls).sum(axis=0), rows)
         expansion = self._common.program.functions.expansion
         found = expansion(p, self._common.parameters, 1.0, multipliers)

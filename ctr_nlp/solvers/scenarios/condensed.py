@@ -1,11 +1,14 @@
-"""Derivatives of a shared motion with the scenarios' tips eliminated, as far as they are linear.
+"""Derivatives of a shared motion with the scenarios' tips eliminated, to first order.
 
-Every scenario of a frame has as many equations, alpha(phi_s, beta) = alpha + offset_s and under a load those of
-its base beside them, as its tips have unknowns, so that about a point a step of the tips is one of q:
-dphi_s = Z_s dq + c_s, where c_s makes good what the equations miss. What is
-left of a Newton system then has the unknowns of q alone, however many scenarios there are. The tips themselves
-stay unknowns: they need not keep their equations on the way, which near a fold is what lets a method move at all.
-Where frames have unknowns p in common, these stand beside q: dphi_s = Z_s dq + W_s dp + c_s.
+In every frame, scenario s has as many equations c(phi_s, q) = alpha(phi_s, beta) - alpha - offset_s = 0 (rad), and
+under a load those of its base beside them, as it has tip unknowns phi_s. Linearised about a point, with A =
+(dc/dphi)^-1,
+
+    dphi_s = Z_s dq + c_s,     Z_s = -A dc/dq,     c_s = -A c    (what makes good the equations' residual).
+
+The remaining Newton system has the unknowns of q alone, Z' H Z, however many scenarios there are. The tips
+themselves stay unknowns: they need not satisfy their equations on the way, which near a fold is what lets a method
+move at all. Where frames have unknowns p in common, these stand beside q: dphi_s = Z_s dq + W_s dp + c_s.
 """
 
 from __future__ import annotations
@@ -23,8 +26,10 @@ from ctr_nlp.typing import Array, Index
 
 
 class Values(NamedTuple):
-    """At a point. objective: mm^2; rows: q, the frames' rows, the links, steps of twists, p, p's own rows;
-    missing (T, S, k): of the equations, rad.
+    """Values of a shared motion at a point.
+
+    objective: mm^2; rows: q, the frames' rows, the links, steps of twists, p, p's own rows, in this order; missing
+    (T, S, k): residuals of the equations, rad.
     """
 
     objective: float
@@ -34,13 +39,14 @@ class Values(NamedTuple):
 
 @dataclass(frozen=True)
 class Expansion:
-    """About a point. at: the values there. Of every scenario of every frame, with m unknowns x (phi, beta,
-    theta, what p gives): gradient (T, S, m) and hessian (T, S, m, m) of the objective and, of the latter, of the
-    Lagrangian; own (T, S, c, m): the Jacobian of its own rows; inverse (T, S, k, k): of the equations' over phi,
-    whose places (k,) among a robot's unknowns are tips; turns (T, S, m, n + P): dx over (dq, dp); repair
-    (T, S, m): the c of dx. Of the frames: jacobian (T, r, n + P)
-    of the rows over q and p, and ahead (T, r): what the repair changes them by; twists (T, d - 1, n + P): that of
-    the first scenario's twists. given: of p alone.
+    """Derivatives of a shared motion about a point.
+
+    at: the values there. Of every scenario of every frame, with m unknowns x (phi, beta, theta, and what p gives):
+    gradient (T, S, m) of the objective and hessian (T, S, m, m) of the Lagrangian; own (T, S, c, m): the Jacobian
+    of its own rows; inverse (T, S, k, k): of the equations' Jacobian over phi, whose places (k,) among a robot's
+    unknowns are tips; turns (T, S, m, n + P): dx over (dq, dp); repair (T, S, m): the constant part c of dx. Of
+    the frames: jacobian (T, r, n + P) of the rows over q and p, and ahead (T, r): what the repair changes them by;
+    twists (T, d - 1, n + P): slopes of the first scenario's twists. given: derivatives over p alone.
     """
 
     at: Values
@@ -57,14 +63,19 @@ class Expansion:
     given: GivenSlopes
 
     def over_q(self, of_x: Array) -> Array:
-        """A gradient (T, S, m) over the scenarios' unknowns as one over q and p, (T, n + P)."""
+        """A gradient (T, S, m) over the scenarios' unknowns as one over q and p, (T, n + P), summed over
+        scenarios.
+        """
         return np.asarray((self.turns.swapaxes(-1, -2) @ of_x[..., None])[..., 0].sum(axis=1))
 
     def quadratic(self, damping: float) -> tuple[Array, Array]:
-        """The Hessian (T, n + P, n + P) over q and p, but for what p adds by itself, and what the repair adds to
-        the gradient (T, n + P); damping: added to every second derivative over q and over tips.
+        """The Hessian over q and p, (T, n + P, n + P), and what the repair adds to the gradient, (T, n + P).
+
+        damping: added to every second derivative over q and over tips. What p adds by itself (given) is not in it.
         """
         tips, turns = self.tips, self.turns
+        # With dx = Z du + c, the quadratic model dx' H dx / 2 has the Hessian Z' H Z and the extra slope Z'
+        # H c.
         curved = self.hessian @ turns
         bent = (self.hessian @ self.repair[..., None])[..., 0]
         if damping:
@@ -72,23 +83,30 @@ class Expansion:
             bent[..., tips] += damping * self.repair[..., tips]
         found = (turns.swapaxes(-1, -2) @ curved).sum(axis=1)
         n = found.shape[-1] - self.given.hessian.shape[-1]
+        # On q itself as well as on tips: near a fold tips turn far for little turns of motors, and damping
+        # of the tips is what keeps such steps short.
         found[:, range(n), range(n)] += damping
         return found, self.over_q(bent)
 
     def step(self, dq: Array) -> Array:
-        """The step (T, S, m) of the scenarios' unknowns that belongs to one of q and p, (T, n + P)."""
+        """The step (T, S, m) of the scenarios' unknowns that goes with a step of q and p, (T, n + P)."""
         return np.asarray((self.turns @ dq[:, None, :, None])[..., 0] + self.repair)
 
     def multipliers(self, rows: Array, turned: Array, step: Array | None = None, damping: float = 0.0) -> Array:
-        """Of the equations, (T, S, k): those at which tips are stationary, after a step where there is one.
+        """Multipliers of the equations, (T, S, k), at which the Lagrangian is stationary over the tips.
 
-        rows: multipliers (T, m) of the frames' rows; turned (T, d - 1): what those of twists pull the first
-        robot's tips with.
+        rows: multipliers (T, m) of the frames' rows; turned (T, d - 1): pull of the twists' multipliers on the
+        first robot's tips. step (T, S, m): a step after which it is to be stationary, with its damping; None for
+        the point itself.
         """
         (count, size), tips, relative = self.own.shape[1:3], self.tips, turned.shape[1]
         own = rows[:, : count * size].reshape(len(rows), count, size, 1)
+        # Stationarity over phi: gradient_phi + own_phi' lam + (dc/dphi)' y = 0, so y = -A' (the rest), A =
+        # (dc/dphi)^-1.
         slope = self.gradient[..., tips] + (self.own[..., tips].swapaxes(-1, -2) @ own)[..., 0]
         others = rows[:, count * size : count * size + (count - 1) * relative]
+        # Rows phi_s - phi_1 pull scenario s by their multipliers, and the first scenario by minus their
+        # sum.
         apart = others.reshape(len(rows), count - 1, relative)
         slope[:, 1:, :relative] += apart
         slope[:, 0, :relative] += turned - apart.sum(axis=1)
@@ -98,7 +116,7 @@ class Expansion:
 
 
 class Condensed:
-    """Values and derivatives of a shared motion. Not from two threads at once."""
+    """Values and derivatives of a shared motion with eliminated tips. Not from two threads at once."""
 
     def __init__(self, motion: SharedMotion) -> None:
         """Prepare."""
@@ -120,14 +138,16 @@ class Condensed:
         )
 
     def value(self, q: Array, phi: Array, p: Array = NONE) -> Values:
-        """At q (T, n), phi (T, S, k) and p (P,)."""
+        """Values at q (T, n), phi (T, S, k) and p (P,)."""
         given = self.common(p)
         f, g = self._evaluated(0, self.motion.unknowns(q, phi, given.values))
         return self._values(q, phi, p, given, f, g)
 
     def look(self, q: Array, phi: Array, p: Array = NONE, settled: float = 0.0) -> bool:
-        """Describe what surrounds the robots as it is near to a point; whether that changes the objective there,
-        robot by robot, by more than this part. Where it does not, what was described stays.
+        """Linearise what surrounds the robots near a point; True if that changes the objective there.
+
+        The objective's change is taken robot by robot and compared with settled times the objective. Where it is
+        smaller, the parameters that were there before stay, and the result is False.
         """
         motion, evaluated = self.motion, self._evaluated
         if motion.surroundings is None:
@@ -136,10 +156,13 @@ class Condensed:
         known, far = parameters.copy(), evaluated.far
         before = evaluated(0, x)[0].ravel().copy()
         for name, value in motion.surroundings(x).items():
+            # Parameters are packed column by column: a matrix (rows, columns) a robot becomes (columns,
+            # rows) and then a row.
             columns = value.reshape(len(known), *value.shape[2:], *(1,) * (4 - value.ndim))
             parameters[:, motion.frame.place(name)] = columns.transpose(0, 2, 1).reshape(len(known), -1)
         evaluated.regroup(far if motion.free is None else evaluated.contact_costs(x) <= FAR_COST)
         after = evaluated(0, x)[0].ravel()
+        # Sizes, not the sum: changes of opposite sign on two robots would cancel.
         changed = self._shares @ abs(after - before) > settled * (1 + self._shares @ abs(before))
         if not changed:
             parameters[:] = known
@@ -147,12 +170,12 @@ class Condensed:
         return bool(changed)
 
     def by_robot(self, q: Array, phi: Array, p: Array = NONE) -> Array:
-        """The objective of every robot in every frame, without links, (T, S) mm^2."""
+        """Objective of every robot in every frame, without links, (T, S) mm^2."""
         f, _ = self._evaluated(0, self.motion.unknowns(q, phi, self.common(p).values))
         return np.array(f.reshape(len(q), -1))
 
     def by_frame(self, q: Array, phi: Array) -> Array:
-        """What each frame adds to the objective, with the links that end at it, (T,) mm^2."""
+        """Contribution of each frame to the objective, with the links that end at it, (T,) mm^2."""
         found = self.by_robot(q, phi) @ self.motion.weights
         linked = self.linking @ q.ravel() + self._link_offset
         np.add.at(found, np.concatenate([link.frame for link in self.motion.links]), self.link_weight * linked**2)
@@ -161,14 +184,18 @@ class Condensed:
     def expand(
         self, q: Array, phi: Array, equations: Array, rows: Array, p: Array = NONE, of_p: Array = NONE
     ) -> Expansion:
-        """About q, phi and p, with multipliers of the equations (T, S, k), of the frames' rows (T, r), and of p's
-        own rows, of_p (c,).
+        """Derivatives about q (T, n), phi (T, S, k) and p (P,).
+
+        equations (T, S, k), rows (T, r), of_p (c,): multipliers of the equations, of the frames' rows, and of p's
+        own.
         """
         motion, given = self.motion, self.common(p)
         frames, count, n, d = motion.sizes
         tips, own, common = motion.own, motion.own_rows, motion.common_rows
         k, robot = len(tips), len(tips) + len(motion.held)
         m = robot + given.values.shape[1]
+        # Multipliers of each robot's g, in the order of the frame's program: equations, own rows, and
+        # common rows, which are counted with the first robot alone.
         pulls = np.zeros((frames, count, motion.frame.g.numel()))
         pulls[..., :k] = equations
         pulls[..., own] = rows[:, : count * len(own)].reshape(frames, count, -1)
@@ -177,19 +204,28 @@ class Condensed:
         f, gradient, g, jacobian, hessian = self._evaluated(2, x, self._shares, pulls)
         at = self._values(q, phi, p, given, f, g)
         gradient = gradient.reshape(frames, count, m) * motion.weights[:, None]
+        # Jacobians come by columns: (m, rows) of each robot, transposed to (rows, m).
         slopes = jacobian.reshape(frames, count, m, -1).swapaxes(-1, -2)
+        # dL/dy of the further unknowns y that p gives (the robot's last entries), for the curvature of
+        # y(p).
         pulled = gradient[..., robot:] + (slopes[..., robot:].swapaxes(-1, -2) @ pulls[..., None])[..., 0]
         of_given = self.common.slopes(p, pulled.sum(axis=0), of_p)
         inverse: Array = np.linalg.inv(slopes[..., :k, tips]).astype(float)
+        # dx over (q, p): beta and theta are q's own entries from d on, further unknowns follow p, tips
+        # follow both.
         turns = np.zeros((frames, count, m, n + len(p)))
         turns[..., motion.held, range(d, n)] = 1.0
         turns[..., robot:, n:] = of_given.values
+        # dphi over (beta, theta, p) = -A dc/d(beta, theta, p). alpha enters c as -alpha, so dphi/dalpha =
+        # A's first d columns.
         turned = -inverse @ (slopes[..., :k, :] @ turns)
         turned[..., :d] = inverse[..., :d]
         turns[..., tips, :] = turned
         repair = np.zeros((frames, count, m))
         repair[..., tips] = -(inverse @ at.missing[..., None])[..., 0]
         of_own = slopes[..., own, :]
+        # The first d - 1 tips are relative to the innermost tube's; the innermost one's turn moves the
+        # robot as a whole and need not agree between scenarios.
         apart = turns[:, 1:, : d - 1] - turns[:, :1, : d - 1]
         moved = repair[:, 1:, : d - 1] - repair[:, :1, : d - 1]
         parts = [of_own @ turns, apart, slopes[:, 0, common, :] @ turns[:, 0]]
@@ -210,25 +246,30 @@ class Condensed:
         )
 
     def _values(self, q: Array, phi: Array, p: Array, given: Given, f: Array, g: Array) -> Values:
+        """Values from the results f, g of all robots' programs."""
         frames, count, _, d = self.motion.sizes
         each = g.reshape(frames, count, -1)
         own, apart = each[..., self.motion.own_rows], phi[:, 1:, : d - 1] - phi[:, :1, : d - 1]
         rows = [part.reshape(frames, -1) for part in (own, apart, each[:, 0, self.motion.common_rows])]
         linked = self.linking @ q.ravel() + self._link_offset
-        counted = self._shares > 0  # others may be anywhere on the way
+        # A robot without weight may have no finite objective, and 0 times that is not 0.
+        counted = self._shares > 0
         objective = float(self._shares[counted] @ f.ravel()[counted] + self.link_weight @ linked**2) + given.cost
         of_frames, twists = np.concatenate(rows, axis=1).ravel(), self.twists.values(q, phi)
         value = np.concatenate([q.ravel(), of_frames, linked, twists, p, given.rows])
         return Values(objective, value, self._missing(each, q))
 
     def _missing(self, rows: Array, q: Array) -> Array:
-        """By what rows (T, S, m) of the frames say that tips miss their equations at q (T, n), (T, S, k).
+        """Residuals (T, S, k) of the equations that determine tips, from rows (T, S, m) of the frames, at q (T,
+        n).
 
-        Where the tip's axes are unknowns, angles of motors are known but for whole turns of all tubes together.
+        Where the tip's axes are unknowns, angles of motors are known only up to whole turns of all tubes together.
         """
         k, d = len(self.motion.own), self.motion.d
         found = rows[..., :k].copy()
         found[..., :d] -= q[:, None, :d] + self._offsets
         if k > d:
+            # The innermost tube's residual says how many whole turns the robot has been turned by; all
+            # tubes share them.
             found[..., :d] -= 2 * np.pi * np.round(found[..., d - 1 : d] / (2 * np.pi))
         return np.asarray(found)

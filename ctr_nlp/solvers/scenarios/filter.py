@@ -1,7 +1,8 @@
-"""Which trial points are taken: those that no earlier point beats in both objective and feasibility.
+"""Acceptance of trial points by a filter: a trial must beat every earlier point in objective or in feasibility.
 
-A penalty that adds the two up holds steps back as long as equations are curved; a filter does not. After Waechter
-and Biegler, Math. Program. 106 (2006), section 2.3, with their constants.
+A penalty that adds the two up shortens steps as long as equations are curved; a filter does not. After Waechter
+and Biegler, Math. Program. 106 (2006), section 2.3, with their constants: theta is `missing` (sum of what
+equations and rows miss, rad and mm), phi the `objective` with the barrier (mm^2).
 """
 
 from __future__ import annotations
@@ -10,17 +11,19 @@ import math
 from typing import NamedTuple
 
 LITTLE = 1e-5
-"""Part by which feasibility, or by as much of it the objective, must improve."""
+"""gamma_theta, gamma_phi: part of theta by which theta, or phi in mm^2, must improve."""
 ARMIJO = 1e-8
+"""eta_phi: part of the predicted decrease of the objective that a step must reach."""
 STEEP, SLANTED = 2.3, 1.1
-"""Exponents of slope and infeasibility, by which one tells that the objective is what counts."""
+"""Exponents s_phi and s_theta in the switching condition, which tells whether the objective is what counts."""
 FURTHEST, NEAREST = 1e4, 1e-4
-"""Infeasibility that is never exceeded, and below which the objective may count, as parts of the first one."""
+"""theta_max and theta_min as parts of the first theta: never exceeded, and below which the objective may count."""
 ROUNDING = 1e-11
+"""Part of the objective that is rounding: near a solution it may rise by as much."""
 
 
 class Merit(NamedTuple):
-    """Of a point. missing: the sum of what equations and rows miss; objective: with the barrier."""
+    """Merit of a point. missing: the sum of what equations and rows miss; objective: with the barrier, mm^2."""
 
     missing: float
     objective: float
@@ -30,28 +33,36 @@ class Filter:
     """The points that trials must beat; one object a solve."""
 
     def __init__(self, first: float) -> None:
-        """first: what the start misses."""
+        """Start an empty filter; first: what the start misses, the unit of infeasibility."""
         self._unit, self._kept = max(1.0, first), list[Merit]()
 
     def clear(self) -> None:
-        """Forget all points: another barrier makes another objective."""
+        """Forget all points, as their objectives are those of another barrier."""
         self._kept.clear()
 
     def keep(self, here: Merit) -> None:
-        """Trials must beat this point from now on."""
+        """Add a point, with a margin, which trials must beat from now on."""
         self._kept.append(Merit((1 - LITTLE) * here.missing, here.objective - LITTLE * here.missing))
 
     def counts(self, here: Merit, slope: float, part: float) -> bool:
-        """Whether a part of a step, along which the objective falls by slope, must lower the objective."""
+        """Whether a part of a step, along which the objective changes at the rate slope, must lower the
+        objective.
+        """
+        # Switching condition: the predicted decrease outweighs the infeasibility, and this is small
+        # already.
         steep = slope < 0 and part * (-slope) ** STEEP > here.missing**SLANTED
         return steep and here.missing <= NEAREST * self._unit
 
     def takes(self, here: Merit, trial: Merit, slope: float, part: float) -> bool:
-        """Whether a trial, a part of a step from here, is a step forward."""
+        """Whether a trial is accepted: a part of a step from here, along which the objective changes at the rate
+        slope.
+        """
         if not all(map(math.isfinite, trial)) or trial.missing > FURTHEST * self._unit:
             return False
         if any(trial.missing >= kept.missing and trial.objective >= kept.objective for kept in self._kept):
             return False
+        # Where the objective counts it must decrease enough (Armijo); elsewhere one of the two measures
+        # must improve.
         room = ROUNDING * (1 + abs(here.objective))
         if self.counts(here, slope, part):
             return trial.objective <= here.objective + ARMIJO * part * slope + room

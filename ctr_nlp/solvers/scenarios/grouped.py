@@ -1,8 +1,9 @@
-"""Values and derivatives of every robot in every frame, each by the lightest program that says the same.
+"""Values and derivatives of every robot in every frame, each by the lightest program that gives the same numbers.
 
 Second derivatives take most of the time of a solve, and those of the wall two thirds of them. Robots that the wall
-is far from are therefore evaluated without its term, and robots whose errors do not count (which need only keep a
-stability margin) without any term of the objective. What is found is the same as by the whole program.
+is far from are therefore evaluated without its term, and robots whose errors do not count (which only have to keep
+a stability margin) without any term of the objective. Results are those of the whole program. Objectives are in
+mm^2, unknowns in rad and mm, a row for every robot of every frame.
 """
 
 from __future__ import annotations
@@ -57,6 +58,8 @@ class Grouped:
         """
         motion, every = self._motion, np.arange(self.parameters.shape[1])
         self._far = far
+        # Three disjoint kinds of rows: no objective at all, no wall, everything. Rows whose errors do not
+        # count need no look at the wall.
         bare = np.zeros(len(far), dtype=bool) if motion.bare is None else ~self._counted
         free = np.zeros(len(far), dtype=bool) if motion.free is None else far & ~bare
         kinds = [(motion.functions, every, ~(bare | free))]
@@ -91,19 +94,22 @@ class Grouped:
         """
         flat = x.reshape(len(self.parameters), -1)
         given = [each.reshape(len(flat), -1) for each in multipliers]
+        # All rows in one group keep their order: no copies are needed.
         if len(self._groups) == 1:
             return self._groups[0].maps[order](flat.ravel(), *(each.ravel() for each in given))
         found = list[Array]()
         for group in self._groups:
             own = (each[group.rows].ravel() for each in given)
             results = group.maps[order](flat[group.rows].ravel(), *own)
+            # Widths are known from the first group's results; all groups' programs have as many rows and
+            # unknowns.
             found = found or [np.empty((len(flat), each.shape[1])) for each in results]
             for whole, part in zip(found, results, strict=True):
                 whole[group.rows] = part
         return found
 
     def contact_costs(self, x: Array) -> Array:
-        """Find what contact costs every robot in every frame, with the parameters as they are.
+        """Cost of contact of every robot in every frame, with the parameters as they are.
 
         Parameters
         ----------
@@ -122,4 +128,5 @@ class Grouped:
             value = Mapped(functions()[0], len(flat))
             value.inputs[1][:] = self.parameters[:, columns]
             found.append(value(flat.ravel())[0].ravel().copy())
+        # The wall is the only term that the free program lacks.
         return found[0] - found[1]

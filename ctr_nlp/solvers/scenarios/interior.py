@@ -1,8 +1,9 @@
-"""An interior-point method for motions that scenarios share, with a filter line search.
+"""An interior-point method with a filter line search for motions that several robots share.
 
 Its Newton systems have the unknowns of q alone and are banded (condensed.py). Where a Hessian is not positive
-definite, the same is added to its diagonal over q and over every tip: near a fold tips turn far for little turns
-of motors, and steps are kept short where tips would. After Waechter and Biegler, Math. Program. 106 (2006).
+definite, the same number is added to its diagonal over q and over every tip: near a fold tips turn far for little
+turns of motors, and steps are shortened where tips would turn far. After Waechter and Biegler, Math. Program. 106
+(2006). The barrier mu is in mm^2, unknowns are in rad and mm.
 """
 
 from __future__ import annotations
@@ -23,36 +24,46 @@ from ctr_nlp.solvers.scenarios.rows import LEFT, Point, SharedRows, SharedSoluti
 from ctr_nlp.typing import Array
 
 FINE, COARSE = 1e-6, 1e-4
-"""Last barriers, mm^2: less than the first changes no motion. The second takes half as many steps; robust plans of
-four airways have objectives that are larger by 0.1 to 0.5 % with it, and mean errors by half of that."""
+"""Last barriers, mm^2: less than FINE changes no motion. COARSE takes half as many steps; robust plans of four
+airways have objectives that are larger by 0.1 to 0.5 % with it, and mean errors by half of that.
+"""
 TOLERANCE, LEAST_TOLERANCE = 3.0, 1e-5
 """Largest residual at a solution in last barriers, and in any case, mm^2 per unit of q and mm^2."""
 MISSED = 1e-7
 """What equations and rows miss at most at a solution, rad and mm."""
 CLOSE, SHRINK = 20.0, 0.05
-"""A barrier problem is solved to so many times its barrier, and the next has this part of it."""
+"""A barrier problem is solved until its residual is CLOSE times its barrier; the next barrier is SHRINK times this
+one.
+"""
 MOST_ITERATIONS, MOST_HALVINGS, CORRECTIONS = 200, 25, 4
+"""Limits: Newton steps in a solve, halvings of a step, and corrections of tips at a whole step."""
 DAMPING, MORE, MUCH_MORE, LESS, MOST_DAMPING = 1e-3, 4.0, 30.0, 10.0, 1e10
 """First damping, mm^2 per squared unit; factors from trial to trial, where one is known and where none is; the
 next starts from the last by this divisor; the largest. A trial costs a tenth of a step."""
 MOST_RISE = 3.0
-"""By how many times itself a step may raise the objective. What contact costs is steep: steps that bring robots
-nearer to their equilibria may throw them far through the wall, from where the way back takes long."""
+"""Times the objective by which a step may raise it. Contact is steep: steps that bring robots nearer to their
+equilibria may throw them far through the wall, from where the way back takes long.
+"""
 STALL, STALLED = 6, 1e-9
 """A barrier problem is left when so many iterations at feasible points lower it by less than this part."""
 RETRIES, FIRMER = 4, 100.0
-"""Times that a step of which nothing is taken is damped by so much more."""
+"""Times that a step of which no part is accepted is computed again, with FIRMER times the damping."""
 ROUGH_BARRIER, ROUGH_PROGRESS, ROUGH_STEPS, ROUGH_MISSED = 5e-4, 1e-3, 4, 1e-2
-"""A rough solve ends at this barrier, mm^2, once the objective has changed by less than the second part of itself
-in so many steps, where rows and equations miss no more than the last, rad and mm."""
+"""A rough solve ends at this barrier, mm^2, once the objective has changed by less than ROUGH_PROGRESS of itself
+in ROUGH_STEPS steps, where rows and equations miss no more than ROUGH_MISSED, rad and mm.
+"""
 SETTLED, LOOKS = 1e-3, 6
-"""What surrounds the robots is as it was solved for where the objective changes by no more than this part; times
-that it is looked at."""
+"""Part of the objective by which what surrounds the robots may change it at a solution; and how often it is looked
+at.
+"""
 
 
 class _Step(NamedTuple):
-    """du (T n + P,): of q and p; dx (T, S, m): of the scenarios' unknowns; slope: of the barrier objective along
-    the step.
+    """A Newton step, as parts for every kind of unknown.
+
+    du (T n + P,): of q and p; dx (T, S, m): of the scenarios' unknowns; slack, at_lower, at_upper: of the rows'
+    slacks and multipliers; equations (T, S, k): of the equations' multipliers; slope: of the barrier objective
+    along the step.
     """
 
     du: Array
@@ -65,14 +76,14 @@ class _Step(NamedTuple):
 
 
 class SharedSolver:
-    """Solves shared motions from any start; surest where the nominal robot keeps a good margin.
+    """Solver of shared motions from any start; most reliable where the nominal robot has a good margin.
 
-    Where parameters hold near a motion only, it goes on from its solution with those that hold there, until these
-    stay as they are.
+    Where parameters hold near a motion only, it continues from its solution with those that hold there, until
+    these do not change any more.
     """
 
     def __init__(self, motion: SharedMotion, last: float = FINE) -> None:
-        """Prepare; last: barrier, mm^2."""
+        """Prepare for a motion; last: the barrier at which a solve ends, mm^2."""
         self._rows, self._last = SharedRows(motion), last
 
     def __call__(
@@ -85,10 +96,11 @@ class SharedSolver:
         p: Array = NONE,
         rough: bool = False,
     ) -> SharedSolution:
-        """Solve from q (T, n) and tips phi (T, S, k), which need not be in equilibrium, in at most so many steps.
+        """Solve from q (T, n) and tips phi (T, S, k), which need not be in equilibrium, in at most `most` steps.
 
-        barrier: the first, mm^2; p (P,): common unknowns, where there are any. rough: whether to end near a
-        solution already, which is enough to start other solves from, and takes half as long.
+        barrier: the first, mm^2; stop: asked before every step whether to end; p (P,): common unknowns, if there
+        are any. rough: whether to end near a solution already, which is enough to start other solves from and
+        takes half as long.
         """
         run, status = _Run(self._rows, q, phi, p, barrier, self._last, rough), ""
         while not status:
@@ -100,7 +112,7 @@ class SharedSolver:
 
 
 def _progress(objectives: list[float]) -> float:
-    """By which part of itself the objective has changed over the last steps; infinite where these are too few."""
+    """Change of the objective over the last steps as a part of itself; infinite if there are too few."""
     recent = objectives[-ROUGH_STEPS:]
     if len(recent) < ROUGH_STEPS:
         return np.inf
@@ -108,7 +120,7 @@ def _progress(objectives: list[float]) -> float:
 
 
 class _Run:
-    """One solve on its way."""
+    """One solve: the current point, its expansion, the barrier, the damping and the filter."""
 
     def __init__(
         self, rows: SharedRows, q: Array, phi: Array, p: Array, barrier: float, last: float, rough: bool = False
@@ -118,6 +130,8 @@ class _Run:
         self._looks = 0
         rows.condensed.look(q, phi, p)
         start = rows.start(q, phi, p, barrier)
+        # Multipliers at which the start is stationary over tips. From zero, the first Hessian would lack
+        # the curvature of the equations.
         equations = rows.equations(rows.expand(start), start.multipliers)
         self.point = replace(start, equations=equations)
         self._about = rows.expand(self.point)
@@ -125,18 +139,22 @@ class _Run:
         self._objectives = list[float]()
 
     def status(self) -> str:
-        """Why the work has ended, or nothing; lowers the barrier where its problem is solved."""
+        """The reason why the work has ended, or ""; lowers the barrier where its problem is solved."""
         errors, known = self._rows.errors(self.point, self._about), self._objectives
         slow = self._rough and errors.missed <= ROUGH_MISSED and _progress(known) <= ROUGH_PROGRESS
         if slow and self._barrier <= ROUGH_BARRIER:
             return "" if self._changed() else "Solved_Roughly"
         if errors.against(0.0) <= max(TOLERANCE * self._last, LEAST_TOLERANCE) and errors.missed <= MISSED:
             return "" if self._changed() else "Solve_Succeeded"
+        # A barrier problem whose objective no longer falls at feasible points counts as solved, though its
+        # residual may be larger: Newton steps can go to and fro (motion/banded.py, STALL).
         stalled = errors.missed <= MISSED and len(known) > STALL
         stalled = stalled and known[-STALL] - known[-1] < STALLED * (1 + abs(known[-1]))
         if stalled and self._barrier == self._last:
             return "" if self._changed() else "Solved_To_Acceptable_Level"
         stalled = stalled or slow
+        # Several barriers may be passed at once; after each the filter starts anew, since its objectives
+        # contain the barrier.
         while self._barrier > self._last and (stalled or errors.against(self._barrier) < CLOSE * self._barrier):
             self._barrier, stalled = max(self._last, SHRINK * self._barrier), False
             self._filter.clear()
@@ -144,7 +162,9 @@ class _Run:
         return ""
 
     def _changed(self) -> bool:
-        """Look again at what surrounds the robots; whether that is something else than was solved for."""
+        """Look at the surroundings again; True if they differ from those that were solved for, so that work goes
+        on.
+        """
         point, self._looks = self.point, self._looks + 1
         if self._looks > LOOKS or not self._rows.condensed.look(point.q, point.phi, point.p, SETTLED):
             return False
@@ -154,7 +174,7 @@ class _Run:
         return True
 
     def advance(self) -> str:
-        """One step; why there is none, or nothing."""
+        """Make one step; returns the reason why there is none, or ""."""
         least, point = 0.0, None
         for _ in range(RETRIES):
             step = self._newton(least)
@@ -172,13 +192,17 @@ class _Run:
         return ""
 
     def _newton(self, least: float) -> _Step | None:
-        """The step downhill, damped as far as it needs and at least so much; None where none is."""
+        """The downhill step, damped as far as it needs and by at least `least`; None where there is none."""
         rows, about, point = self._rows, self._about, self.point
         per_lower, per_upper = 1 / (point.slack - rows.low), 1 / (rows.high - point.slack)
+        # sigma = z_l / (s - l) + z_u / (u - s), from eliminating slacks and bound multipliers
+        # (motion/rows.py).
         sigma = point.at_lower * per_lower + point.at_upper * per_upper
+        # Row residuals as they will be after the repair of the equations, which is part of every step.
         missed = about.at.rows + rows.repaired(about) - point.slack
         right = rows.slope(about) + rows.pulled(about, self._barrier * (per_upper - per_lower) + sigma * missed)
         parts = rows.split(sigma)
+        # A' diag(sigma) A, frame by frame; links and twists, which span two frames, go into the band.
         squares = about.jacobian.swapaxes(1, 2) @ (about.jacobian * parts.frames[..., None])
         corner = about.given.hessian + about.given.rows.T @ (about.given.rows * parts.own[:, None])
         links, damping = rows.links.band(parts.links), least
@@ -189,6 +213,8 @@ class _Run:
             diagonal = np.append(parts.q, parts.p)
             du = solved(links, hessian + squares, on_p, diagonal, -(right + rows.gathered(bent)), rows.free)
             if du is not None:
+                # The last damping that was needed is where the next search for one begins (Waechter and
+                # Biegler, section 3.1).
                 self._damping = damping or self._damping
                 step = self._completed(about, du, damping)
                 return step if np.isfinite(step.slope) else None
@@ -198,11 +224,12 @@ class _Run:
         return None
 
     def _completed(self, about: Expansion, du: Array, damping: float) -> _Step:
-        """The whole step that belongs to du (T n + P,)."""
+        """The whole step that belongs to du (T n + P,), with slacks and multipliers."""
         rows, point, barrier = self._rows, self.point, self._barrier
         low, high = point.slack - rows.low, rows.high - point.slack
         dx = about.step(rows.by_frame(du))
         slack = about.at.rows - point.slack + rows.moved(about, du)
+        # From z (s - l) = mu, linearised: (z + dz)(s - l) + z ds = mu, and likewise at upper bounds.
         at_lower = (barrier - point.at_lower * slack) / low - point.at_lower
         at_upper = (barrier + point.at_upper * slack) / high - point.at_upper
         after = point.multipliers + at_upper - at_lower
@@ -212,9 +239,9 @@ class _Run:
         return _Step(du, dx, slack, at_lower, at_upper, equations, float(slope))
 
     def _searched(self, step: _Step) -> Point | None:
-        """As far along a step as the filter takes; None where it takes nothing.
+        """The point as far along a step as the filter accepts; None where it accepts nothing.
 
-        A whole step that misses more than before is corrected: equations are curved.
+        Where a whole step misses more than before, its tips are corrected, since equations are curved.
         """
         rows, point, about = self._rows, self.point, self._about
         here = rows.merit(about.at, point.slack, self._barrier)
@@ -222,6 +249,8 @@ class _Run:
         for halving in range(MOST_HALVINGS):
             q = point.q + part * step.du[: point.q.size].reshape(point.q.shape)
             phi, p = point.phi + part * step.dx[..., about.tips], point.p + part * step.du[point.q.size :]
+            # Second-order correction: it costs one evaluation, as a halving does. Only whole steps are
+            # corrected.
             for _ in range(1 if halving else CORRECTIONS):
                 values = rows.condensed.value(q, phi, p)
                 slack = rows.trial_slack(values.rows, point.slack + part * step.slack, point.slack)
@@ -236,13 +265,17 @@ class _Run:
                     return Point(q, phi, p, slack, *pulls, point.equations + part * step.equations)
                 if trial.missing < here.missing or not np.isfinite(trial.missing):
                     break
+                # A part of a step may leave the rest of the residual; only what curvature adds is
+                # corrected, with the inverse that is known.
                 missing = values.missing - (1 - part) * about.at.missing
                 phi = phi - (about.inverse @ missing[..., None])[..., 0]
             part /= 2
         return None
 
     def _parts(self, step: _Step) -> tuple[float, float]:
-        """How much of a step keeps slacks within their bounds, and how much keeps multipliers positive."""
+        """The parts of a step that keep slacks within their bounds, and multipliers positive (fraction to the
+        boundary).
+        """
         rows, point, keep = self._rows, self.point, 1 - LEFT
         low, high = point.slack - rows.low, rows.high - point.slack
         primal = max(keep, (-step.slack / low).max(), (step.slack / high).max())

@@ -1,4 +1,8 @@
-"""The links of a shared motion, as a band over q."""
+"""The links of a shared motion as a band over q: their costs (eq. (9), mm^2) and their bounds' barrier terms.
+
+With links A q + b, weights w and sigma from the barrier, they add A' diag(2 w + sigma) A to the Newton matrix. Its
+pattern is that of A'A, which is precomputed: one product of entries of A for each pair in a row.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,9 @@ from ctr_nlp.typing import Array
 
 
 class LinkBand:
-    """What links add to gradients and, as bands (width + 1, T n) of a symmetric matrix, to Newton systems."""
+    """Gradients of the links, and their part of Newton systems as a band (width + 1, T n) of a symmetric
+    matrix.
+    """
 
     def __init__(self, motion: SharedMotion) -> None:
         """Prepare."""
@@ -17,6 +23,8 @@ class LinkBand:
         self._matrix, self._shape, self.weight = motion.linking, (frames, n), motion.of_links("weight")
         entries = self._matrix.tocoo()
         starts, columns, data = self._matrix.indptr, self._matrix.indices, self._matrix.data
+        # Pairs of entries in one row of A, once each: only the lower half of the symmetric product is
+        # stored.
         pairs = [
             (row, a, b)
             for row, (first, stop) in enumerate(zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True))
@@ -26,25 +34,29 @@ class LinkBand:
         ]
         self._row, first, second = np.array(pairs, dtype=int).reshape(-1, 3).T
         below = columns[first] - columns[second]
+        # Wide enough, too, for blocks of a frame and for rows over two neighbouring frames (twists.py).
         self._width = max(2 * n - 1, int(below.max(initial=0)))
         self._place = below * entries.shape[1] + columns[second]
         self._product = data[first] * data[second]
 
     def pulled(self, rows: Array) -> Array:
-        """The transposed matrix times rows (l,), as (T, n)."""
+        """The transposed matrix times a vector (l,) over the links, as (T, n)."""
         return np.asarray(self._matrix.T @ rows).reshape(self._shape)
 
     def moved(self, dq: Array) -> Array:
-        """The matrix times dq (T n,), (l,)."""
+        """The matrix times a step dq (T n,), (l,)."""
         return np.asarray(self._matrix @ dq)
 
     def slope(self, rows: Array) -> Array:
-        """The gradient (T, n) of the links' costs, where their values are rows (l,)."""
+        """Gradient (T, n) of the links' costs, with rows (l,) the links' values."""
         return self.pulled(2 * self.weight * rows)
 
     def band(self, sigma: Array) -> Array:
-        """The second derivatives of the links' costs and what sigma (l,) adds to them."""
+        """Second derivatives of the links' costs plus sigma (l,) times the squares of their Jacobian, as
+        a band.
+        """
         weights = self._product * (2 * self.weight + sigma)[self._row]
         size = self._matrix.shape[1]
+        # bincount adds up pairs of different rows that meet at one place of the band.
         found: Array = np.bincount(self._place, weights, (self._width + 1) * size).astype(float)
         return found.reshape(self._width + 1, size)

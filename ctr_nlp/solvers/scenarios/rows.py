@@ -1,4 +1,8 @@
-"""A point of a shared motion's barrier problem: its rows with slacks and multipliers, and what it misses."""
+"""A point of a shared motion's barrier problem: its rows with slacks and multipliers, and its errors.
+
+The barrier problem is that of solvers/motion/rows.py, rows r = s with l <= s <= u and a barrier in mm^2, with the
+tips' equations (rad) beside the rows. Jacobians are those of condensed.py, over (q, p) with tips eliminated.
+"""
 
 from __future__ import annotations
 
@@ -16,20 +20,20 @@ from ctr_nlp.solvers.scenarios.links import LinkBand
 from ctr_nlp.typing import Array, Flags, Index
 
 PUSH, RELAX, INFINITE, LEFT = 1e-2, 1e-9, 1e20, 0.005
-"""How far slacks start within bounds, how far bounds are moved outwards, what stands for none, and what part of
-its distance from a bound a step leaves."""
+"""Four numbers: how far slacks start within bounds and how far bounds are moved outwards (rad or mm), what stands
+for an infinite bound, and the part of its distance from a bound that a step leaves.
+"""
 
 
 @dataclass(frozen=True)
 class SharedSolution:
     """A point of a shared motion: q (T, n), tips phi (T, S, k), the objective in mm^2, common unknowns p (P,).
 
-    held (n - d,): where a robot's unknowns hold beta and theta (SharedMotion).
-    prices (c,): multipliers of p's own rows, mm^2 a unit, positive at upper bounds. burdens (T, S): what it
-    costs that a robot keeps its margin and its distance in a frame: the multipliers' sizes, mm^2 a unit.
-
     violation: of bounds; missing: of the scenarios' equations; kkt: residual of all conditions of optimality, from
-    the program itself. success: whether it is a solution.
+    the program itself. success: whether it is a solution. held (n - d,): where a robot's unknowns hold beta and
+    theta (SharedMotion). prices (c,): multipliers of p's own rows, mm^2 a unit, positive at upper bounds. burdens
+    (T, S): price at which a robot keeps its margin and its distance in a frame: the sum of its multipliers' sizes,
+    mm^2 a unit. rough: whether the solve was to end near a solution only.
     """
 
     q: Array
@@ -48,13 +52,14 @@ class SharedSolution:
 
     @property
     def x(self) -> Array:
-        """The model's unknowns (T, n) of the first robot, without a tilt that is held beside them."""
+        """The model's unknowns (T, n) of the first robot, without a tilt that is stored beside them."""
         return robots_at(self.q, self.phi[:, :1], self.held)[:, 0, : self.q.shape[1]]
 
     @property
     def success(self) -> bool:
-        """Whether this is a solution: all robots are in equilibrium and keep their rows, and none
-        is better nearby. After a rough solve, whether it ended as it should.
+        """Whether this is a solution: all robots are in equilibrium and satisfy their rows, at a KKT point.
+
+        After a rough solve: whether it ended as it should.
         """
         if self.rough:
             return self.status.startswith("Solve")
@@ -75,13 +80,15 @@ class Point:
 
     @property
     def multipliers(self) -> Array:
-        """Of all rows, positive at upper bounds."""
+        """Multipliers of all rows, positive at upper bounds."""
         return self.at_upper - self.at_lower
 
 
 class Errors(NamedTuple):
-    """Of a point. stationarity: of the Lagrangian; missed: by rows and equations; least, most: products of slacks
-    and multipliers, mm^2.
+    """Residuals of the barrier problem's conditions at a point.
+
+    stationarity: of the Lagrangian, mm^2 per unit of q; missed: by rows and equations, rad and mm; least, most:
+    smallest and largest product of a slack's distance and its multiplier, mm^2.
     """
 
     stationarity: float
@@ -90,13 +97,13 @@ class Errors(NamedTuple):
     most: float
 
     def against(self, barrier: float) -> float:
-        """The residual of a barrier problem; with barrier 0, of the problem itself."""
+        """The residual of a barrier problem with this barrier, mm^2; with barrier 0, of the problem itself."""
         return max(self.stationarity, self.missed, abs(self.least - barrier), abs(self.most - barrier))
 
 
 class Parts(NamedTuple):
-    """Values of all rows, those of: q (T, n), frames (T, m), links (l,), steps of twists (k,), p (P,) and p's own
-    (c,).
+    """Numbers of all rows by kind: of q (T, n), frames (T, m), links (l,), steps of twists (k,), p (P,) and p's
+    own (c,).
     """
 
     q: Array
@@ -108,14 +115,14 @@ class Parts(NamedTuple):
 
     @property
     def joined(self) -> Array:
-        """All as one."""
+        """All kinds in one vector, in this order."""
         return np.concatenate([part.ravel() for part in self])
 
 
 class SharedRows:
-    """The rows of a shared motion: q itself, the frames' rows, the links, steps of twists, p itself, p's own rows.
+    """Rows of a shared motion: q itself, the frames' rows, the links, steps of twists, p itself, p's own rows.
 
-    A step of q and p is one column, q's entries first, (T n + P,); free: which of them may change.
+    A step of q and p is one vector, q's entries first, (T n + P,); free: which of them may change.
     """
 
     def __init__(self, motion: SharedMotion) -> None:
@@ -131,16 +138,18 @@ class SharedRows:
         sizes = of_q.size, motion.row_bounds[0].size, len(self.links.weight), self.twists.bounds[0].size, of_p.size
         self._ends = np.cumsum(sizes)
         still = self._still(motion, of_q, of_p)
+        # As in motion/rows.py: constant rows get no bounds, the others are relaxed by RELAX.
         self.low = np.where(still | np.isinf(lower), -INFINITE, lower - RELAX)
         self.high = np.where(still | np.isinf(upper), INFINITE, upper + RELAX)
         self._bounds = np.where(still, -np.inf, lower), np.where(still, np.inf, upper)
         self._box, self._common_box = (motion.lower, motion.upper), (common.lower, common.upper)
 
     def _still(self, motion: SharedMotion, of_q: Flags, of_p: Flags) -> Flags:
-        """Rows that no free unknown changes."""
+        """Whether no free unknown changes a row: such rows get no bounds, which rounding could break."""
         rows = np.ones(motion.row_bounds[0].shape, dtype=bool)
         if len(motion.common_rows):
             depends = motion.frame.g_depends[np.ix_(motion.common_rows, motion.held)]
+            # Rows that depend on tips always change with these; common rows depend on beta and theta alone.
             rows[:, -len(motion.common_rows) :] = of_q[:, motion.d :] @ depends.T
         links = abs(motion.linking) @ of_q.ravel() > 0
         own = np.full(len(self.condensed.common.row_lower), of_p.any())
@@ -148,11 +157,15 @@ class SharedRows:
         return ~np.concatenate([part.ravel() for part in parts])
 
     def start(self, q: Array, phi: Array, p: Array, barrier: float) -> Point:
-        """A point at q, phi and p, with slacks within their bounds."""
+        """A point at q (T, n), phi (T, S, k) and p (P,), with slacks within their bounds and multipliers for this
+        barrier, mm^2.
+        """
         q, p = np.clip(q, *self._box), np.clip(p, *self._common_box)
         rows = self.condensed.value(q, phi, p).rows
+        # As in motion/rows.py: at most a tenth of the room between two bounds.
         within = np.minimum(PUSH, 0.1 * (self.high - self.low))
         slack = np.clip(rows, self.low + within, self.high - within)
+        # On the central path: z (s - l) = mu.
         pulls = barrier / (slack - self.low), barrier / (self.high - slack)
         return Point(q, np.array(phi), p, slack, *pulls, np.zeros(phi.shape))
 
@@ -165,36 +178,41 @@ class SharedRows:
         return self.condensed.expand(q, point.phi, point.equations, rows.frames, p, rows.own)
 
     def split(self, rows: Array) -> Parts:
-        """Values of all rows, part by part."""
+        """A vector over all rows, as Parts."""
         of_q, of_frames, *others = np.split(rows, self._ends)
         return Parts(of_q.reshape(self._shape), of_frames.reshape(self._shape[0], -1), *others)
 
     def equations(self, about: Expansion, rows: Array, step: Array | None = None, damping: float = 0.0) -> Array:
-        """Multipliers (T, S, k) of the equations that go with those of all rows (Expansion.multipliers)."""
+        """Multipliers (T, S, k) of the equations that go with those of all rows, rows (Expansion.multipliers).
+
+        about: the expansion; step, damping: a step after which the Lagrangian is to be stationary over tips.
+        """
         parts = self.split(rows)
         return about.multipliers(parts.frames, self.twists.of_tips(parts.twists), step, damping)
 
     def by_frame(self, step: Array) -> Array:
-        """A step (T n + P,) as what every frame sees of it, (T, n + P)."""
+        """A step (T n + P,) as seen by every frame: its own part of q, and p, (T, n + P)."""
         of_q, of_p = np.split(step, [step.size - self._size])
         frames = self._shape[0]
         return np.concatenate([of_q.reshape(self._shape), np.broadcast_to(of_p, (frames, of_p.size))], axis=1)
 
     def gathered(self, of_frames: Array) -> Array:
-        """Slopes (T, n + P) of what frames add to a sum, as one (T n + P,)."""
+        """Slopes (T, n + P) that frames contribute to a sum, as one vector (T n + P,): p's parts are added up."""
         n = self._shape[1]
         return np.append(of_frames[:, :n].ravel(), of_frames[:, n:].sum(axis=0))
 
     def pulled(self, about: Expansion, rows: Array) -> Array:
-        """The transposed Jacobian of all rows, over q and p, times rows: (T n + P,)."""
+        """The transposed Jacobian of all rows over (q, p), times a vector over the rows: (T n + P,)."""
         parts = self.split(rows)
+        # Frames' rows reach q and p through tips, too: about.jacobian has these eliminated.
         through = (about.jacobian.swapaxes(1, 2) @ parts.frames[..., None])[..., 0]
         through += self.twists.pulled(about.twists, parts.twists)
+        # Rows q and p have unit Jacobians; links and p's own rows depend on q and p without tips.
         direct = parts.q + self.links.pulled(parts.links), parts.p + about.given.rows.T @ parts.own
         return self.gathered(through) + np.append(*direct)
 
     def moved(self, about: Expansion, step: Array) -> Array:
-        """By what a step (T n + P,) changes all rows, with what the equations' repair does."""
+        """Change of all rows by a step (T n + P,) of q and p, including that by the equations' repair."""
         of_frames = self.by_frame(step)
         through = (about.jacobian @ of_frames[..., None])[..., 0]
         dq, dp = np.split(step, [step.size - self._size])
@@ -203,49 +221,64 @@ class SharedRows:
         return direct.joined + self.repaired(about)
 
     def repaired(self, about: Expansion) -> Array:
-        """By what the equations' repair alone changes all rows."""
+        """Change of all rows by the equations' repair alone, at fixed q and p."""
         none, twists = self.split(np.zeros(len(self.low))), self.twists.repaired(about.repair[:, 0])
         return none._replace(frames=about.ahead, twists=twists).joined
 
     def own_slope(self, about: Expansion) -> Array:
-        """The gradient (T n + P,) of the links' costs and of p's own."""
+        """Gradient (T n + P,) of the links' costs and of p's own cost."""
         return np.append(self.links.slope(self.split(about.at.rows).links), about.given.cost)
 
     def slope(self, about: Expansion) -> Array:
-        """The objective's gradient (T n + P,), with tips as their equations say."""
+        """Gradient of the objective (T n + P,), with tips following q and p as their equations say."""
         return self.gathered(about.over_q(about.gradient)) + self.own_slope(about)
 
     def errors(self, point: Point, about: Expansion) -> Errors:
-        """How far a point is from a solution."""
+        """Residuals of the conditions at a point, from its expansion."""
         lower = point.at_lower * (point.slack - self.low)
         upper = point.at_upper * (self.high - point.slack)
+        # Rows against their slacks, and the tips' equations.
         missed = abs(about.at.rows - point.slack).max(), abs(about.at.missing).max()
         spread = min(lower.min(), upper.min()), max(lower.max(), upper.max())
         return Errors(self._stationarity(point, about), float(max(missed)), float(spread[0]), float(spread[1]))
 
     def _stationarity(self, point: Point, about: Expansion) -> float:
+        """Largest slope of the Lagrangian over free unknowns; tips are stationary by their equations'
+        multipliers.
+        """
         return float(abs((self.slope(about) + self.pulled(about, point.multipliers)) * self.free).max())
 
     def merit(self, values: Values, slack: Array, barrier: float) -> Merit:
-        """What a point misses, and its objective with the barrier."""
+        """Merit of a point: the sum of what rows and equations miss, and the objective with the barrier."""
+        # A slack at or beyond its bound makes the logarithm infinite or NaN: the filter refuses such a
+        # point.
         with np.errstate(invalid="ignore", divide="ignore"):
             logs = np.log(slack - self.low).sum() + np.log(self.high - slack).sum()
         missing = abs(values.rows - slack).sum() + abs(values.missing).sum()
         return Merit(float(missing), float(values.objective - barrier * logs))
 
     def trial_slack(self, rows: Array, slack: Array, before: Array) -> Array:
-        """Slacks of a trial: the rows' own values where these keep as far from bounds as a step
-        from before must.
+        """Slacks of a trial point with these row values; slack is where the step leads, before where it began.
+
+        A slack becomes the row's own value where that keeps the part LEFT of its former distance from both bounds.
+        The trial then misses nothing in that row, however curved it is.
         """
+        # Rounding must not put a slack on its bound.
         edge = 1e-14 * (1 + np.minimum(abs(self.low), abs(self.high)))
+        # The rule that a step must leave a part of the distance to bounds, asked of the rows' true values.
         good = (rows - self.low >= LEFT * (before - self.low)) & (self.high - rows >= LEFT * (self.high - before))
         return np.where(good, rows, np.clip(slack, self.low + edge, self.high - edge))
 
     def judged(self, point: Point, status: str, iterations: int, rough: bool = False) -> SharedSolution:
-        """The point as a solution: what the program itself says of it, within bounds as they were given."""
+        """The point as a solution, judged by the program itself and within bounds as they were given.
+
+        status, iterations: of the solver; rough: whether it was to end near a solution only.
+        """
         q, p, (lower, upper) = np.clip(point.q, *self._box), np.clip(point.p, *self._common_box), self._bounds
+        # Of the point after clipping, which is the one that is returned; multipliers stay.
         about = self._expanded(point, q, p)
         violation = float(np.maximum(lower - about.at.rows, about.at.rows - upper).max(initial=0.0))
+        # Complementarity at the bounds as given, not at the relaxed ones that the method works with.
         to_bound = abs(np.where(point.multipliers > 0, upper, lower) - about.at.rows)
         products = abs(point.multipliers) * np.where(np.isfinite(to_bound), to_bound, 1.0)
         missing = float(abs(about.at.missing).max())

@@ -1,9 +1,10 @@
-"""How far the described robot's tips turn beyond its motors from frame to frame: rows over two frames each.
+"""Limits on how far the nominal robot's tips turn beyond its motors from frame to frame: rows over two frames
+each.
 
-Twist i is phi_i - alpha_i of the first scenario, whose phi_i is relative to the innermost tube's tip: what tube i
-is turned against that one beyond its motor, less what the innermost one turns. Margins at frames do not see a fork
-between them; where these must not change by much, a motion cannot cross one there. A robot that turns by much as a
-whole in a frame crosses one, too, so that its turn is not left out.
+Twist i (rad) is phi_i - alpha_i of the first scenario, whose phi_i is relative to the innermost tube's tip: what
+tube i is turned against that tip beyond its motor, less what the innermost tube turns. Margins at frames do not
+see a bifurcation between them; a motion whose twists hardly change from frame to frame cannot cross one there. A
+robot that turns by much as a whole in a frame crosses one, too, so that its turn is not left out.
 """
 
 from __future__ import annotations
@@ -15,76 +16,91 @@ from ctr_nlp.typing import Array, Flags
 
 
 class TwistSteps:
-    """Changes of twists on the way to every frame before which there is one, (k (d - 1),) as rows of a motion.
+    """Changes of twists on the way to every frame that has one before it, (k (d - 1),), as rows of a motion.
 
-    slopes (T, d - 1, n + P): of the twists of every frame over its q and over p.
+    Methods take slopes (T, d - 1, n + P) of the twists of every frame over its q and over p.
     """
 
     def __init__(self, motion: SharedMotion) -> None:
         """Prepare."""
         self._d, most = motion.d, motion.twist_steps
         self._frames = len(most)
+        # An infinite limit marks the first frame of each task: no frame comes before it.
         self._after = np.flatnonzero(np.isfinite(most))
         self._most = np.repeat(most[self._after], self._d - 1)
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """Of the rows, rad."""
+        """Lower and upper bounds of the rows, rad."""
         return -self._most, self._most
 
     def free(self, of_q: Flags) -> Flags:
-        """Which rows a free unknown changes; of_q (T, n): those that are."""
+        """Whether a free unknown changes a row; of_q (T, n): which entries of q are free."""
         moving = np.asarray(of_q.any(axis=1))
         return np.repeat(moving[self._after] | moving[self._after - 1], self._d - 1)
 
     def values(self, q: Array, phi: Array) -> Array:
-        """At q (T, n) and tips phi (T, S, k), rad."""
+        """Values of the rows at q (T, n) and tips phi (T, S, k), rad."""
         d = self._d
         return self._changed(phi[:, 0, : d - 1] - q[:, : d - 1]).ravel()
 
     def slopes(self, turns: Array) -> Array:
-        """Of twists, from the derivatives turns (T, m, n + P) of the first robot's unknowns."""
+        """Slopes of the twists over q and p, from the derivatives turns (T, m, n + P) of the first robot's
+        unknowns.
+        """
         d = self._d
         found = turns[:, : d - 1].copy()
+        # The - alpha_i in a twist; alpha is the first part of q.
         found[:, range(d - 1), range(d - 1)] -= 1.0
         return found
 
     def repaired(self, repair: Array) -> Array:
-        """By what a change (T, m) of the first robot's unknowns at fixed q changes the rows."""
+        """Change of the rows by a change repair (T, m) of the first robot's unknowns at fixed q."""
         return self._changed(repair[:, : self._d - 1]).ravel()
 
     def moved(self, slopes: Array, step: Array) -> Array:
-        """By what a step of q and p, as every frame sees it, (T, n + P), changes the rows."""
+        """Change of the rows by a step of q and p, as every frame sees it, (T, n + P)."""
         return self._changed((slopes @ step[..., None])[..., 0]).ravel()
 
     def pulled(self, slopes: Array, rows: Array) -> Array:
-        """The transposed Jacobian times rows, frame by frame (T, n + P)."""
+        """The transposed Jacobian times a vector over the rows, frame by frame (T, n + P)."""
         return np.asarray((slopes.swapaxes(1, 2) @ self._spread(rows)[..., None])[..., 0])
 
     def of_tips(self, rows: Array) -> Array:
-        """The transposed Jacobian over the first robot's first d - 1 tips alone times rows, (T, d - 1)."""
+        """The transposed Jacobian over the first robot's first d - 1 tips alone, times a vector over the rows: (T,
+        d - 1).
+        """
         return self._spread(rows)
 
     def square(self, slopes: Array, sigma: Array, blocks: Array, band: Array) -> None:
-        """Add the transposed Jacobian times sigma times itself to a system's blocks and band (bordered.py)."""
+        """Add J' diag(sigma) J of the rows to a system's blocks and band (bordered.py).
+
+        slopes: of the twists; sigma: of the rows; blocks (T, n + P, n + P); band: (width + 1, T n).
+        """
         n, after = band.shape[1] // len(slopes), self._after
         here, there, weights = slopes[after], slopes[after - 1], sigma.reshape(-1, self._d - 1, 1)
         for frames, own in ((after, here), (after - 1, -there)):
+            # A row is twist(after) - twist(before): over q, either frame has a part of its own; over p,
+            # both add up to one slope.
             over = np.concatenate([own[..., :n], (here - there)[..., n:]], axis=2)
             square = over.swapaxes(1, 2) @ (weights * over)
             if frames is not after:
                 square[:, n:, n:] = 0.0  # p's own part belongs to a row, not to each of its frames
             blocks[frames] += square
+        # The block between the two frames, below the diagonal: row `after`, column `after - 1`.
         coupled = -here[..., :n].swapaxes(1, 2) @ (weights * there[..., :n])
         rows, columns = np.indices((n, n))
+        # scipy's lower form: entry (i, j) of the matrix stands in row i - j, column j of the band.
         band[n + rows - columns, (after[:, None, None] - 1) * n + columns] += coupled
 
     def _changed(self, twists: Array) -> Array:
-        """Twists (T, ..) as their changes on the way to frames."""
+        """Twists (T, ..) as their changes on the way to each frame that has one before it."""
         return np.asarray(twists[self._after] - twists[self._after - 1])
 
     def _spread(self, rows: Array) -> Array:
-        """Rows as what they pull every frame's twists with, (T, d - 1)."""
+        """A vector over the rows as its pull on every frame's twists, (T, d - 1): plus in the frame, minus in the
+        one before.
+        """
         each = rows.reshape(-1, self._d - 1)
         found = np.zeros((self._frames, self._d - 1))
         found[self._after] += each
