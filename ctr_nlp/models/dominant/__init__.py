@@ -1,4 +1,6 @@
-"""The dominant-stiffness model: between two tubes' tips, the stiffest tube there alone sets the curvature."""
+"""The dominant-stiffness model, eqs. (1)-(4): between two tubes' tips, the stiffest tube alone sets the
+curvature.
+"""
 
 from ctr_nlp.models.dominant.model import Dominant
 

@@ -1,4 +1,8 @@
-"""The dominant-stiffness model as a Model: its unknowns are q, and nothing can be unstable."""
+"""The dominant-stiffness model, eqs. (1)-(4), as a Model: its unknowns are q, and nothing can be unstable.
+
+The geometry is in shape.py; here it is arranged as a matrix product of lengths, which depend on beta and sigma,
+and directions, which depend on q alone. q = (alpha, beta, theta) in rad and mm.
+"""
 
 from __future__ import annotations
 
@@ -16,15 +20,19 @@ from ctr_nlp.robot.structure import Structure, Tubes, tubes_in_columns
 from ctr_nlp.typing import Array, Vector
 
 DOMINATES = 1 + 1e-9
-"""Least ratio of the bending stiffnesses of a tube and of the next one within it; rounding does not dominate."""
+"""Least ratio of the bending stiffnesses of a tube and of the next one within it: equal but for rounding is not
+stiffer.
+"""
 
 
 CHUNK = 128
-"""Shapes whose samples are computed at once: what fits into a processor's nearest memory."""
+"""Number of shapes whose samples are computed together: what fits into a processor's nearest cache."""
 
 
 class Dominant(Model):
-    """Eqs. (1)-(4)."""
+    """The paper's model: a shape for each q, curvatures that alpha does not change, no torsion and no
+    stability.
+    """
 
     name = "dominant"
     bends_by_extension = True
@@ -47,30 +55,38 @@ class Dominant(Model):
         margin: ca.SX | None = None,
         tangents: bool = False,
     ) -> Shape:
-        """As Model.frame."""
+        """The shape of one frame as symbols; arguments as in Model.frame. margin is ignored: nothing can be
+        unstable.
+        """
         x, d = ca.SX.sym("q", 2 * structure.d + 2), structure.d
         q = ca.vertsplit(x)
         beta = q[d : 2 * d]
+        # Three layers of inner quantities: lengths travelled on each tube (a row a sample), directions of
+        # each tube's plane, and what the tangent gains on each tube.
         lengths, turns = list[ca.SX](), list[ca.SX]()
         for travel in shape.travels(tubes, beta, places(beta), ca):
             lengths.append(ca.horzcat(*travel.lengths))
             turns += [ca.horzcat(*travel.gains(ca))] if tangents else []
+        # One matrix (3, 2) or, of a helix, (3, 3) for each tube.
         planes = [matrix_of(plane) for plane in shape.directions(tubes, q, ca)]
         inner = Inner.of([*lengths, *planes, *turns])
+        # Inner.symbols has d lengths, then d planes, then (with tangents) d turns.
         travelled, directed, turned = (inner.symbols[k * d : (k + 1) * d] for k in range(3))
         bends = [vector for plane in directed for vector in vectors_of(plane)]
         points = combination([column for each in travelled for column in ca.horzsplit(each)], bends)
         found = None
         if tangents:
+            # The tangent at the base, which is the second direction of the first tube, plus the gains on
+            # all tubes.
             found = combination([1.0, *(c for each in turned for c in ca.horzsplit(each))], [bends[1], *bends])
         return Shape(x, x[:d], tuple(beta), points, inner, found)
 
     def points(self, robot: Robot, x: Array, sigma: Array) -> Array:
-        """As Model.points."""
+        """Points (T, n, 3) in mm at q (T, 2d + 2) and sigma (n,) or (T, n), of one robot."""
         return _points(robot.tube_numbers, x, sigma)
 
     def points_apart(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
-        """As Model.points_apart."""
+        """Points (n, T, m, 3) in mm of robots that differ in numbers; arguments as in Model.points_apart."""
         tubes, each, sigma = of_rows(numbers, x, sigma)
         points = np.empty((len(each), np.shape(sigma)[-1], 3))
         for at in (slice(first, first + CHUNK) for first in range(0, len(each), CHUNK)):
@@ -79,19 +95,24 @@ class Dominant(Model):
         return points.reshape(*x.shape[:2], *points.shape[1:])
 
     def tangents(self, robot: Robot, x: Array, sigma: Array) -> Array:
-        """As Model.tangents."""
+        """Unit tangents (T, n, 3) at q (T, 2d + 2) and sigma (n,) or (T, n)."""
         return _stacked(shape.backbone(robot.tube_numbers, shape.columns_of(x), sigma, np).tangents)
 
 
 def _points(tubes: Tubes, q: Array, sigma: Array) -> Array:
-    """Points (T, n, 3) in mm at q (T, 2d + 2): what is travelled on tubes times where that goes."""
+    """Points (T, n, 3) in mm at q (T, 2d + 2): lengths travelled on tubes times directions.
+
+    tubes: with numbers, or columns (T, 1) of numbers. sigma: (n,) or (T, n).
+    """
     columns, d = shape.columns_of(q), len(tubes)
     travelled = shape.travels(tubes, columns[d : 2 * d], sigma * columns[2 * d - 1], np)
     planes = shape.directions(tubes, columns, np)
     lengths = np.stack([part for travel in travelled for part in travel.lengths], axis=1)
     vectors = np.stack([_stacked(vector)[:, 0] for plane in planes for vector in plane], axis=1)
+    # (T, n, k) times (T, k, 3): one batched product for all samples of all shapes.
     return np.asarray(lengths.swapaxes(1, 2) @ vectors)
 
 
 def _stacked(vector: Vector) -> Array:
+    """x, y and z as the last axis of one array."""
     return np.stack(np.broadcast_arrays(*vector), axis=-1)

@@ -1,7 +1,14 @@
-"""The dominant-stiffness model, eqs. (1)-(4): between beta_{i-1} and beta_i, tube i alone sets the curvature.
+"""Geometry of the dominant-stiffness model, eqs. (1)-(4): between beta_{i-1} and beta_i, tube i alone sets the
+curvature.
 
-One source for symbols and numbers: `xp` is casadi (fields are SX, samples run down a column) or numpy
-(fields broadcast: configurations down, samples across).
+A point is a sum over tubes, C(s) = sum_i (a_i N_i + b_i T_i + c_i B_i): lengths a, b, c in mm travelled on tube i
+to arc length s, times the directions at the beginning of its segment: N_i where it bends to, T_i the tangent, and
+B_i = T_i x N_i across both, which only a helix needs. Lengths depend on beta and s, directions on q alone:
+programs differentiate sums of products, and batches are matrix products. Tangents are the same sums of gains.
+
+Curvatures k are in 1/mm, torsions and angles in rad/mm and rad; x is a distance from a tube's tip in mm, so that
+the tip's end is at 0 and the curved part ends at x = curved_length. One source for symbols and numbers: `xp` is
+casadi (fields are SX, samples run down a column) or numpy (fields broadcast: configurations down, samples across).
 """
 
 from __future__ import annotations
@@ -14,19 +21,21 @@ import numpy as np
 from ctr_nlp.robot.structure import TubeNumbers, Tubes
 from ctr_nlp.typing import Vector
 
+# Gauss-Legendre nodes and weights on [-1, 1], for curvatures that are linear in arc length: their integrals
+# of sines are Fresnel's, which casadi has not.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 """Within 1e-5 mm for curvatures up to 0.04 /mm that change their side along 180 mm, 1e-9 mm along 60 mm."""
 
 
 class Backbone(NamedTuple):
-    """points: x, y, z of the samples in mm. tangents: x, y, z of the unit tangents there."""
+    """The shape at samples. points: x, y, z in mm. tangents: x, y, z of the unit tangents."""
 
     points: Vector
     tangents: Vector
 
 
 class Travel(NamedTuple):
-    """Travel on one tube in its own plane, mm, and the angle turned, rad."""
+    """Travel on one tube in its own plane: side and along in mm, and the angle turned, rad."""
 
     side: Any
     along: Any
@@ -34,18 +43,19 @@ class Travel(NamedTuple):
 
     @property
     def lengths(self) -> tuple[Any, ...]:
-        """Along where the tube bends to and along the tangent, at the beginning, mm."""
+        """Lengths along N (where the tube bends to) and T (the tangent) at the beginning of its segment, mm."""
         return self.side, self.along
 
     def gains(self, xp: Any) -> tuple[Any, ...]:
-        """What the tangent gains in the same directions."""
+        """Gain of the tangent along N and T: (sin, cos - 1) of the angle turned."""
         return xp.sin(self.angle), xp.cos(self.angle) - 1
 
 
 class Winding(NamedTuple):
-    """Travel on a helix of a curvature k and a torsion, 1/mm: mm `straight`, then `length` of its curved part.
+    """Travel on a helix of curvature k and torsion, 1/mm: `straight` mm, then `length` mm of its curved part.
 
-    Its frame of Frenet turns about one axis (Darboux vector) by w = sqrt(k^2 + torsion^2) a mm.
+    Its Frenet frame turns about a fixed axis, the Darboux vector k B + torsion T, by w = sqrt(k^2 + torsion^2) a
+    mm.
     """
 
     k: Any
@@ -58,24 +68,29 @@ class Winding(NamedTuple):
     def _turned(self) -> tuple[Any, Any, Any]:
         """w, sin(w length) and 1 - cos(w length)."""
         w = self.xp.sqrt(self.k**2 + self.torsion**2)
+        # 1 - cos(a) = 2 sin(a / 2)^2, without the cancellation at small angles.
         sin, half = self.xp.sin(w * self.length), self.xp.sin(w * self.length / 2)
         return w, sin, 2 * half * half
 
     @property
     def lengths(self) -> tuple[Any, ...]:
-        """Along where the tube bends to, along the tangent and across both, at the beginning, mm."""
+        """Lengths along N, T and B at the beginning of its curved part, mm."""
         (w, sin, rest), k, torsion = self._turned, self.k, self.torsion
+        # The tangent at length s is T + k sin(ws)/w N - k^2 (1 - cos(ws))/w^2 T + k torsion (1 -
+        # cos(ws))/w^2 B; these are its integrals.
         late = (self.length - sin / w) / w**2
         return k * rest / w**2, self.straight + self.length - k**2 * late, k * torsion * late
 
     def gains(self, xp: Any) -> tuple[Any, ...]:
-        """What the tangent gains in the same directions."""
+        """Gain of the tangent along N, T and B."""
         (w, sin, rest), k = self._turned, self.k
         return k * sin / w, -(k**2) * rest / w**2, k * self.torsion * rest / w**2
 
     def after(self, bend: Vector, across: Vector, t: Vector) -> tuple[Vector, Vector, Vector]:
-        """The frame of Frenet at the end."""
+        """The Frenet frame (N, B, T) at the end, from that at the beginning: bend N, across B and tangent t."""
         (w, sin, rest), k, torsion = self._turned, self.k, self.torsion
+        # about: unit axis of the turn. outwards: perpendicular to it and to N, the direction in which N
+        # turns.
         about = combined(k / w, across, torsion / w, t)
         outwards = combined(torsion / w, across, -k / w, t)
         side, turned = combined(1 - rest, bend, sin, outwards), combined(1 - rest, outwards, -sin, bend)
@@ -83,12 +98,12 @@ class Winding(NamedTuple):
 
 
 def columns_of(q: Any) -> list[Any]:
-    """The entries (T, 1) of configurations or unknowns (T, n), as numpy takes them here."""
+    """Columns (T, 1) of configurations or unknowns (T, n), in the layout that numpy takes here."""
     return [column[:, None] for column in np.asarray(q, dtype=float).T]
 
 
 def backbone(tubes: Tubes, q: Sequence[Any], sigma: Any, xp: Any) -> Backbone:
-    """The shape C(s | q) at s = sigma beta_d, eqs. (1) and (4); q: the 2d + 2 entries."""
+    """The shape C(s | q) at s = sigma beta_d, eqs. (1) and (4); q: its 2d + 2 entries, sigma in [0, 1]."""
     travelled = travels(tubes, q[len(tubes) : 2 * len(tubes)], sigma * q[2 * len(tubes) - 1], xp)
     planes = directions(tubes, q, xp)
     point, tangent = (0.0, 0.0, 0.0), planes[0][1]
@@ -99,71 +114,90 @@ def backbone(tubes: Tubes, q: Sequence[Any], sigma: Any, xp: Any) -> Backbone:
 
 
 def travels(tubes: Tubes, beta: Sequence[Any], s: Any, xp: Any) -> list[Travel | Winding]:
-    """What is travelled on every tube to arc lengths s, mm.
+    """Lengths travelled on each tube to arc lengths s, mm.
 
     The expression has the same structure whichever tube a sample lies on; positions are C1 in beta, also where
     rounding has put a tube's end before that of the tube around it.
     """
     start, before, travelled = 0 * beta[0], 0 * beta[0], list[Travel | Winding]()
     for i in range(len(tubes)):
+        # A sample beyond tube i's tip travels all of its segment, one before it nothing beyond s: clamping
+        # replaces the cases of eq. (1).
         here = xp.fmin(s, beta[i])
         travelled.append(_on_tube(tubes, i, beta[i] - start, beta[i] - start - (here - before), xp))
+        # Segment i begins at beta_{i-1}. Distances from the tip: beta_i - start at its beginning, and less
+        # by what has been travelled.
         start, before = beta[i], here
     return travelled
 
 
 def directions(tubes: Tubes, q: Sequence[Any], xp: Any) -> list[tuple[Vector, ...]]:
-    """Where every tube bends to, the tangent and, of a helix, across both, at the beginning of its segment."""
+    """For each tube where it bends to, the tangent and, of a helix, the direction across, where its segment
+    begins.
+    """
     alpha, beta, (theta_x, theta_y) = q[: len(tubes)], q[len(tubes) : 2 * len(tubes)], q[2 * len(tubes) :]
     d1, d2, t = base_frame(theta_x, theta_y, xp)
     start, planes = 0 * beta[0], list[tuple[Vector, ...]]()
     for i in range(len(tubes)):
         travel, turn = _on_tube(tubes, i, beta[i] - start, 0 * start, xp), alpha[i]
         if isinstance(travel, Winding):
+            # alpha is the direction where the curved part begins, in the robot's hidden part; from there to
+            # the segment's beginning the helix has turned by its own torsion.
             turn = turn + tubes[i].spin * (tubes[i].curved_length - travel.length)
         cos, sin = xp.cos(turn), xp.sin(turn)
         bend, normal = combined(cos, d1, sin, d2), combined(-sin, d1, cos, d2)
         if isinstance(travel, Winding):
             planes.append((bend, t, normal))
             bend, normal, t = travel.after(bend, normal, t)
+            # Direction at the helix's tip: turning back by it leaves axes that have not spun, from which
+            # the next tube's alpha is measured.
             turn = alpha[i] + tubes[i].spin * tubes[i].curved_length
             cos, sin = xp.cos(turn), xp.sin(turn)
         else:
             planes.append((bend, t))
             c, z = xp.cos(travel.angle), xp.sin(travel.angle)
+            # Rotation by the angle turned, in the plane of N and T.
             bend, t = combined(c, bend, -z, t), combined(z, bend, c, t)
+        # Undo the turn by alpha_i: alpha is absolute, eq. (5), so the next tube's is measured from the same
+        # axes.
         d1, d2 = combined(cos, bend, -sin, normal), combined(sin, bend, cos, normal)
         start = beta[i]
     return planes
 
 
 def _on_tube(tubes: Tubes, i: int, x_from: Any, x_to: Any, xp: Any) -> Travel | Winding:
-    """Travel on tube i between distances from its tip."""
+    """Travel on tube i between distances x_from and x_to from its tip, x_from >= x_to, mm."""
     tube = tubes[i]
     if tube.kind == "helix":
+        # Distances beyond the curved part lie on its straight part: clamping splits the travel.
         curved_from, curved_to = (xp.fmin(x, tube.curved_length) for x in (x_from, x_to))
         length = curved_from - curved_to
         return Winding(tube.tip_curvature, tube.spin, length, x_from - x_to - length, xp)
     if not tubes[i].shown:
         return planar(tube, x_from, x_to, xp)
     end = tube.curved_length
+    # The straight transmission comes first, as it is further from the tip.
     lead = xp.fmax(x_from, end) - xp.fmax(x_to, end)
     side, along, angle = planar(tube, xp.fmin(x_from, end), xp.fmin(x_to, end), xp)
     return Travel(side, lead + along, angle)
 
 
 def planar(tube: TubeNumbers, x_from: Any, x_to: Any, xp: Any) -> Travel:
-    """Travel on the curved part of a tube between distances from its tip."""
+    """Travel on the curved part of a tube between distances from its tip, mm."""
     length = x_from - x_to
     if tube.kind == "straight":
         return Travel(0 * length, length, 0 * length)
     if tube.kind == "arc":
         k = tube.tip_curvature
+        # side = (1 - cos kL) / k and along = sin(kL) / k, by half angles: without cancellation at small
+        # angles.
         sin, cos = xp.sin(k / 2 * length), xp.cos(k / 2 * length)
         return Travel(2 / k * sin * sin, 2 / k * sin * cos, k * length)
+    # Linear curvature: sides and lengths are integrals of the sine and cosine of the angle turned so far.
     angle_from = _turning(tube, x_from)
     side = along = 0.0
     for node, weight in zip((_NODES + 1) / 2, _WEIGHTS / 2, strict=True):
+        # Angle turned from the beginning of the travel to the node.
         angle = angle_from - _turning(tube, x_from - node * length)
         side, along = side + weight * xp.sin(angle), along + weight * xp.cos(angle)
     return Travel(side * length, along * length, angle_from - _turning(tube, x_to))
@@ -175,20 +209,27 @@ def _turning(tube: TubeNumbers, x: Any) -> Any:
 
 
 def base_frame(theta_x: Any, theta_y: Any, xp: Any) -> tuple[Vector, Vector, Vector]:
-    """The columns of R = Ry(theta_y) Rx(theta_x), eq. (4)."""
+    """The columns of R = Ry(theta_y) Rx(theta_x), eq. (4): the base's axes in space; the third is the insertion
+    direction.
+    """
     cx, sx, cy, sy = xp.cos(theta_x), xp.sin(theta_x), xp.cos(theta_y), xp.sin(theta_y)
     return (cy, 0.0, -sy), (sy * sx, cx, cy * sx), (sy * cx, -sx, cy * cx)
 
 
 def combined(a: Any, u: Vector, b: Any, v: Vector) -> Vector:
-    """A u + b v."""
+    """The vector a u + b v."""
     return a * u[0] + b * v[0], a * u[1] + b * v[1], a * u[2] + b * v[2]
 
 
 def curvature(tubes: Tubes, beta: Sequence[Any], s: Any, step: Any, xp: Any) -> Any:
-    """k(s | beta) in 1/mm, eq. (10), whatever alpha is; step(x) goes from 0 to 1 as x mm passes 0."""
+    """Curvature k(s | beta) in 1/mm, eq. (10), whatever alpha is.
+
+    step(x) goes from 0 to 1 as x mm passes 0: the Heaviside function, or a smooth one that programs can
+    differentiate.
+    """
     value = _profile(tubes, 0, beta[0] - s, step, xp)
     for i in range(1, len(tubes)):
+        # At s = beta_{i-1}, tube i takes over from tube i - 1.
         jump = _profile(tubes, i, beta[i] - s, step, xp) - _profile(tubes, i - 1, beta[i - 1] - s, step, xp)
         value = value + jump * step(s - beta[i - 1])
     return value
@@ -197,6 +238,8 @@ def curvature(tubes: Tubes, beta: Sequence[Any], s: Any, step: Any, xp: Any) -> 
 def _profile(tubes: Tubes, i: int, x: Any, step: Any, xp: Any) -> Any:
     """Pre-curvature of tube i at x mm from its tip, 1/mm."""
     tube = tubes[i]
+    # Clamped, so that a smoothed step does not extrapolate the linear curvature beyond the tube's curved
+    # part.
     value = tube.tip_curvature + tube.slope * xp.fmin(xp.fmax(x, 0.0), tube.curved_length)
     return value * step(tube.curved_length - x) if tubes[i].shown else value
 
@@ -205,4 +248,5 @@ def curved_part(tubes: Tubes, i: int, start: Any, end: Any, xp: Any) -> tuple[An
     """Where between start and end (mm) tube i begins to curve, k there (1/mm) and dk/ds (1/mm^2)."""
     tube = tubes[i]
     low = xp.fmax(start, end - tube.curved_length) if tubes[i].shown else start
+    # slope is per mm from the tip towards the root, that is against s: hence the sign of dk/ds.
     return low, tube.tip_curvature + tube.slope * (end - low), -tube.slope
