@@ -1,4 +1,11 @@
-"""What a model is: symbols of a frame for programs, and numbers in batch for everything else."""
+"""The interface of a model: symbols of a frame for programs, and batches of numbers for everything else.
+
+A frame's shape is given as sums of lengths times directions, in layers of inner quantities (nlp.Inner), so that
+programs can differentiate it cheaply. Symbols: q = (alpha, beta, theta) of eq. (5), rad and mm; x (n_x,): the
+model's unknowns, which are q itself or determine it; sigma = s / beta_d in [0, 1]; numbers (d, 8) of the tubes, in
+the order of robot.structure.NUMBERS; load (17 + 3d,), see loads.Load. T stands for frames, n and m for robots or
+samples.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +28,9 @@ from ctr_nlp.robot.structure import NUMBERS, Structure, Tubes, tubes_of
 from ctr_nlp.typing import Array, Flags, Index, Vector
 
 SUBSTEPS = 10
-"""Steps from frame to frame in which margins are looked at."""
+"""Steps from frame to frame in which stability margins are evaluated."""
 Places = Callable[[Sequence[ca.SX]], ca.SX]
-"""Arc lengths (n, 1) of samples, mm, for beta."""
+"""A function from beta to the arc lengths (n, 1) of samples, mm."""
 
 
 @dataclass(frozen=True)
@@ -31,11 +38,12 @@ class Shape:
     """A robot's shape at some samples, as symbols; everything but x is written in the symbols of inner.
 
     x (n, 1): the unknowns. alpha (d, 1): the motors' angles; beta: d extensions. points: x, y, z of the samples,
-    mm, and tangents there, where asked for, in axes whose directions are base (None: the base frame itself).
-    stability: determinants (k, 1) that are positive where the margin asked for is held, or None. picks: where the
-    configuration stands among x's entries, then alpha's and then theta's, and after it further entries that say in
-    which of several equilibria the robot is; None where x is q. theta (2, 1): the tilt, where x does not hold it.
-    aside (2, 1): where x holds the tilt beside unknowns that tell it, rad by which the base points elsewhere.
+    mm, and tangents there, if asked for, in axes whose directions are base (None: the base frame itself).
+    stability: determinants (k, 1) that are positive where the stability margin is at least the one asked for, or
+    None. picks: positions of the configuration among x's entries, then alpha's and then theta's, and after it
+    further entries that say in which of several equilibria the robot is; None where x is q. theta (2, 1): the
+    tilt, where x does not hold it. aside (2, 1): where x holds the tilt beside unknowns that determine it, the
+    angles in rad by which the base points elsewhere.
     """
 
     x: ca.SX
@@ -52,26 +60,33 @@ class Shape:
 
     @property
     def rows(self) -> dict[str, ca.SX]:
-        """By name, what of the configuration x does not hold, in the order of picks, and then what must be 0."""
+        """The part of the configuration that x does not hold, in the order of picks, and then what must be 0; by
+        name.
+        """
         found = {"alpha": self.alpha, "theta": self.theta, "aside": self.aside}
         return {name: value for name, value in found.items() if value is not None}
 
     def seen(self, vectors: ca.SX) -> Vector:
-        """Vectors (n, 3) of the base frame in the axes of `points`."""
+        """Vectors (n, 3) of the base frame, in the axes of `points`."""
         if self.base is None:
             return columns_of(vectors)
+        # Axes are orthonormal: the components along them are dot products. Turning the target's constant
+        # points once is cheaper than turning the robot's, which have derivatives.
         x, y, z = (sum(vectors[:, i] * axis[i] for i in range(3)) for axis in self.base)
         return x, y, z
 
     def placed(self, vectors: Vector) -> Vector:
         """Points or tangents in the base frame."""
+        # None means that the model computes in the base frame: turning by the identity would cost
+        # operations.
         return vectors if self.base is None else combination(vectors, self.base)
 
 
 class Snap(NamedTuple):
-    """frame: on the way to which, from 1. tubes: whose tips jump, from 1. jump: of the one furthest, rad.
+    """A loss of stability during a motion.
 
-    jump is None where it is not known where the robot comes to rest.
+    frame: the frame on the way to which it happens, from 1. tubes: tubes whose tips jump, from 1. jump: largest
+    jump of a tip, rad; None where it is not known where the robot comes to rest.
     """
 
     frame: int
@@ -80,7 +95,7 @@ class Snap(NamedTuple):
 
 
 class Followed(NamedTuple):
-    """A robot's unknowns x (T, n) along a motion; NaN where its configuration is, or where none are found.
+    """The unknowns x (T, n) of a robot along a motion; NaN where its configuration is, or where none are found.
 
     stability (T,): margins at frames; stability_between (T,): least margins on the way from the frame before, at
     most 0 where the robot snaps; NaN where nothing can be unstable.
@@ -106,11 +121,10 @@ class Rest(NamedTuple):
 
 
 class Passage(NamedTuple):
-    """Places q (M, 2d + 2) on the way through a total of frames, of which those that are NaN have none.
+    """Sub-steps q (M, 2d + 2) of a motion through `total` frames; frames that are NaN have none.
 
-    frames (M,): to which frame a place belongs, or on the way to which it is, from 0; its last place is the frame
-    itself. fresh (M,): where a robot comes to rest without a history, in the first frame and after those that are
-    NaN.
+    frames (M,): the frame that a sub-step is in or leads to, from 0; a frame's last sub-step is the frame itself.
+    fresh (M,): where a robot comes to rest without a history, in the first frame and after those that are NaN.
     """
 
     q: Array
@@ -120,31 +134,36 @@ class Passage(NamedTuple):
 
     @property
     def parts(self) -> Array:
-        """Which part of the whole motion has been done at every place, (M,), from 0, its first frame, to 1."""
+        """The part of the whole motion that has passed at every sub-step, (M,), from 0 in the first frame to 1."""
         places = np.bincount(self.frames, minlength=self.total)[self.frames]
+        # frames is sorted: searchsorted finds the first sub-step of each frame, so number counts within it
+        # from 1.
         number = 1 + np.arange(len(self.frames)) - np.searchsorted(self.frames, self.frames)
         return np.asarray((self.frames - 1 + number / places) / max(self.total - 1, 1))
 
 
 def passage(q: Array, substeps: int) -> Passage:
-    """The way through frames q (T, 2d + 2), linearly and in so many substeps between them."""
+    """Sub-steps of a motion through frames q (T, 2d + 2), linear and `substeps` many between neighbours."""
     known = np.asarray(np.isfinite(q).all(axis=1))
+    # A frame is led to in substeps only from a frame before that is known; else it is one sub-step, a fresh
+    # start.
     joined = known & np.concatenate([[False], known[:-1]])
     steps = np.where(joined, substeps, known.astype(int))
     frames = np.repeat(np.arange(len(q)), steps)
     part = (np.arange(len(frames)) - (np.cumsum(steps) - steps)[frames] + 1) / steps[frames]
     before, after = q[frames - joined[frames]], q[frames]
+    # The last sub-step is the frame itself, without rounding: states are compared with goals for equality.
     places = np.where((part == 1)[:, None], after, before + part[:, None] * (after - before))
     return Passage(places, frames, ~joined[frames], len(q))
 
 
 class Model(ABC):
-    """Configuration to backbone. A new model defines name and frame; register makes it known under its name.
+    """From configuration to backbone. A new model defines name and frame; register makes it known under its name.
 
-    The defaults suit a model whose unknowns are the configuration q (2d + 2,) itself and whose robot has one shape
-    for each. several_equilibria: whether q alone does not determine the unknowns x: then x has d tips' angles
-    first, and rest, guess, configuration and follow must be defined. can_snap: whether an equilibrium can become
-    unstable. bends_by_extension: whether curvatures depend on beta alone, which two-stage formulations need.
+    The defaults suit a model whose unknowns are the configuration q (2d + 2,) itself, with one shape for each.
+    several_equilibria: whether q alone does not determine the unknowns x; then x has d tip angles first, and rest,
+    guess, configuration and follow must be defined. can_snap: whether an equilibrium can become unstable.
+    bends_by_extension: whether curvatures depend on beta alone, which two-stage formulations need.
     """
 
     name: str
@@ -156,7 +175,7 @@ class Model(ABC):
         """Raise OptionError unless the model describes a robot."""
 
     def fast(self, structure: Structure) -> bool:
-        """Whether shapes and margins of such robots take microseconds, not milliseconds, by now.
+        """Whether shapes and margins of robots of this structure take microseconds, not milliseconds, by now.
 
         Where that needs compiled code, the first call begins to compile it in the background.
         """
@@ -173,23 +192,28 @@ class Model(ABC):
     ) -> Shape:
         """The shape of one frame at places, as symbols; tubes: with symbols for numbers.
 
-        margin: the least stability margin that Shape.stability is for. tangents: whether these are wanted too.
+        structure: kinds of the tubes. margin: the least stability margin that Shape.stability is for, a symbol, or
+        None. tangents: whether these are wanted, too.
         """
 
     @property
     def bears(self) -> Load | LoadOverTime | None:
-        """The load that comes and goes while a robot stands; with one, frame_under must be defined."""
+        """The load on the robot, which comes and goes while it stands; None for none. With one, frame_under must
+        be defined.
+        """
         return None
 
     @property
     def told(self) -> dict[str, Any]:
-        """What plans tell of the model that they were made on (Plan.meta)."""
+        """Metadata of plans made on this model (Plan.meta): its name, and its load if it has one."""
         found: dict[str, Any] = {"model": self.name}
         return found if self.bears is None else found | {"planned_load": self.bears.to_dict()}
 
     @property
     def form(self) -> Model:
-        """The model that programs are made of: one for all that differ in numbers alone."""
+        """The model that programs are made of: one for all models that differ in numbers alone, so that they share
+        programs.
+        """
         return self
 
     def frame_under(
@@ -202,9 +226,11 @@ class Model(ABC):
         tangents: bool = False,
         tilted: bool = False,
     ) -> Shape:
-        """As frame, under a load whose numbers (17 + 3d, 1) are symbols; raises OptionError where none acts.
+        """The shape of one frame under a load whose numbers (17 + 3d, 1) are symbols; other arguments as in
+        `frame`.
 
-        tilted: whether x holds the tilt, too, after unknowns that tell it.
+        tilted: whether x holds the tilt, too, after unknowns that determine it. Raises OptionError on models
+        without loads.
         """
         raise OptionError(f"model is {self.name!r}, which bears no load")
 
@@ -217,9 +243,11 @@ class Model(ABC):
         return self._sampled(robot, x, sigma)[1]
 
     def _sampled(self, robot: Robot, x: Array, sigma: Array) -> tuple[Array, Array]:
+        """Points and tangents (T, n, 3), frame by frame, by CasADi's interpreter."""
         sigma = np.broadcast_to(sigma, (len(x), np.shape(sigma)[-1]))
         function = samples(self, robot.structure, sigma.shape[1])
         numbers = robot.numbers
+        # The empty argument is the load: models without one have no numbers there.
         found = [function(row, at, numbers, []) for row, at in zip(x, sigma, strict=True)]
         points, tangents = (np.array([each[k].full() for each in found]) for k in range(2))
         return points, tangents
@@ -230,6 +258,7 @@ class Model(ABC):
         sigma (m,) or (T, m).
         """
         tubes, each, at = of_rows(numbers, x, sigma)
+        # One sigma for all rows, or one a row: both as (n T, m).
         rows = zip(each, np.broadcast_to(at, (len(each), np.shape(at)[-1])), tubes, strict=True)
         function = samples(self, structure, np.shape(sigma)[-1])
         return np.reshape([function(*row, [])[0].full() for row in rows], (*x.shape[:2], -1, 3))
@@ -242,7 +271,9 @@ class Model(ABC):
         raise OptionError(f"model is {self.name!r}, which bears no load")
 
     def margins(self, robot: Robot, x: Array) -> Array:
-        """Stability margins (T,) at unknowns x (T, n_x); NaN where nothing can be unstable."""
+        """Stability margins (T,) at unknowns x (T, n_x), from 1 down to 0 at the snap; NaN where nothing can be
+        unstable.
+        """
         return np.full(len(x), np.nan)
 
     def rest(self, robot: Robot, q: Array) -> Array:
@@ -250,13 +281,14 @@ class Model(ABC):
         return np.copy(q)
 
     def at_rest(self, robot: Robot, q: Array, sigma: Array) -> Rest:
-        """A robot that stands at every q (T, 2d + 2) without a history; points at sigma (m,)."""
+        """A robot that stands at each q (T, 2d + 2) without a history; points at sigma (m,)."""
         x = np.array([self.rest(robot, each) for each in q])
+        # sigma = 1 is the tip.
         tips = self.tangents(robot, x, np.ones(1))[:, 0]
         return Rest(x, self.points(robot, x, sigma), tips, self.margins(robot, x))
 
     def guess(self, robot: Robot, q: Array) -> Array:
-        """Roughly the unknowns (.., n_x) at q (.., 2d + 2), found fast: to start a solver from."""
+        """A fast estimate of the unknowns (.., n_x) at q (.., 2d + 2), to start a solver from."""
         return np.copy(q)
 
     def configuration(self, robot: Robot, x: Array) -> Array:
@@ -271,7 +303,7 @@ class Model(ABC):
         """The unknowns of a robot moved through frames q (T, 2d + 2), linearly and in substeps between them.
 
         x0 (n_x,): where it is in the first frame; None for one that comes to rest there. After frames that are NaN
-        it comes to rest anew.
+        it comes to rest again without a history.
         """
         unknown = np.full(len(q), np.nan)
         return Followed(np.array(q, dtype=float), unknown, unknown)
@@ -279,8 +311,10 @@ class Model(ABC):
     def follow_under(
         self, loads: Array, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True
     ) -> list[Followed]:
-        """As follow_apart, of robots that bear loads (n, M, 17 + 3d) at the places; raises OptionError where the
-        model knows none.
+        """Follow robots with loads (n, M, 17 + 3d) at the sub-steps of a way; arguments and result as in
+        follow_apart.
+
+        Raises OptionError on models without loads.
         """
         raise OptionError(f"model is {self.name!r}, which bears no load")
 
@@ -293,15 +327,18 @@ class Model(ABC):
     def follow_apart(
         self, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True
     ) -> list[Followed]:
-        """The unknowns of robots that differ in numbers (n, d, 8), at their own places q (n, M, 2d + 2) on a way.
+        """The unknowns of robots that differ in numbers (n, d, 8), each at its own sub-steps q (n, M, 2d + 2) of a
+        way.
 
-        margins: whether stability is asked for, which takes longer than the unknowns; it is NaN where not.
-        Raises OptionError where the model has several equilibria and does not say which these robots are in.
+        margins: whether stability is asked for, which takes longer than the unknowns; it is NaN where not. Raises
+        OptionError where the model has several equilibria and does not say which these robots are in.
         """
         if self.several_equilibria:
             raise OptionError(
                 f"model is {self.name!r}, and does not follow robots that differ from the one described"
             )
+        # The last sub-step of each frame is the frame itself; with one shape for each q, the others do not
+        # matter.
         ends, unknown = np.flatnonzero(np.diff(way.frames, append=-1)), np.full(way.total, np.nan)
         x = np.full((len(q), way.total, q.shape[2]), np.nan)
         x[:, way.frames[ends]] = q[:, ends]
@@ -309,25 +346,30 @@ class Model(ABC):
 
 
 def of_rows(numbers: Array, x: Array, sigma: Array) -> tuple[Array, Array, Array]:
-    """Numbers (n, d, 8), unknowns x (n, T, n_x) and sigma (T, m) of robots apart, as rows (n T, ..).
+    """Flatten a batch of separate robots: numbers (n, d, 8), x (n, T, n_x) and sigma (T, m), as rows (n T, ..).
 
     A sigma (m,), which is the same for all of them, stays as it is.
     """
     count, frames = x.shape[:2]
+    # Robot by robot, all frames of each: the order of x.reshape.
     at = sigma if np.ndim(sigma) == 1 else np.tile(sigma, (count, 1))
     return np.repeat(numbers, frames, axis=0), x.reshape(count * frames, -1), at
 
 
 @functools.lru_cache(maxsize=64)
 def samples(model: Model, structure: Structure, count: int) -> ca.Function:
-    """(x, sigma (count,), numbers (d, 8), load) -> points and tangents (count, 3), mm, in the base frame.
+    """Compile-once function (x, sigma (count,), numbers (d, 8), load) -> points and tangents (count, 3) in the
+    base frame.
 
-    load: its numbers; of a model that bears none, nothing.
+    Points are in mm. load: its numbers; empty for a model without one.
     """
     sigma, numbers = ca.SX.sym("sigma", count), ca.SX.sym("numbers", structure.d, len(NUMBERS))
     tubes = symbolic_tubes(structure, numbers)
+    # sigma is relative to the robot's length beta_d: s = sigma beta_d.
     shape, load = frame_bearing(model, structure, tubes, lambda beta: sigma * beta[-1], tangents=True)
     assert shape.tangents is not None
+    # Points and tangents are written in inner symbols, which a plain function must not contain: substitute
+    # their values.
     written = [ca.SX(ca.horzcat(*shape.placed(vectors))) for vectors in (shape.points, shape.tangents)]
     symbols, values = shape.inner.columns
     found = ca.substitute(written, [symbols], [values])
@@ -342,7 +384,10 @@ def frame_bearing(
     margin: ca.SX | None = None,
     tangents: bool = False,
 ) -> tuple[Shape, ca.SX]:
-    """A model's frame, and a symbol of the numbers of what robots bear, none of them where they bear nothing."""
+    """A model's frame, and a symbol for the numbers of its load, which is empty for a model without one.
+
+    margin, tangents: as in Model.frame.
+    """
     if model.bears is None:
         return model.frame(structure, tubes, places, margin, tangents), ca.SX(0, 1)
     load = ca.SX.sym("load", BEFORE_WEIGHTS + 3 * structure.d)
@@ -355,23 +400,23 @@ def symbolic_tubes(structure: Structure, numbers: ca.SX) -> Tubes:
 
 
 def combination(weights: Sequence[object], vectors: Sequence[Vector]) -> Vector:
-    """The sum of weights times vectors."""
+    """The sum of weights times vectors, component by component."""
     x, y, z = (sum(w * v[i] for w, v in zip(weights, vectors, strict=True)) for i in range(3))
     return x, y, z
 
 
 def columns_of(vectors: ca.SX) -> Vector:
-    """x, y and z of vectors (n, 3)."""
+    """x, y and z of vectors (n, 3), each (n, 1)."""
     x, y, z = ca.horzsplit(vectors)
     return x, y, z
 
 
 def matrix_of(vectors: Sequence[Vector]) -> ca.SX:
-    """Vectors side by side, (3, n)."""
+    """Vectors side by side as columns, (3, n)."""
     return ca.horzcat(*(ca.vertcat(ca.SX(0, 1), *vector) for vector in vectors))
 
 
 def vectors_of(matrix: ca.SX) -> list[Vector]:
-    """The columns of a matrix (3, n)."""
+    """The columns of a matrix (3, n) as vectors."""
     columns = (ca.vertsplit(column) for column in ca.horzsplit(matrix))
     return [(x, y, z) for x, y, z in columns]

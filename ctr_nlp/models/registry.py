@@ -1,4 +1,4 @@
-"""The models that there are, by name: ours, those that a user registers, those that installed packages bring."""
+"""The models by name: the package's own, those that a user registers, and those of installed packages."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from ctr_nlp.support.values import check_choice
 from ctr_nlp.typing import Array
 
 GROUP = "ctr_nlp.models"
-"""The entry points under which a package offers models: name = "module:object", a Model."""
+"""Entry-point group under which a package offers models: name = "module:object", a Model."""
 
 
 class Registry(Mapping[str, Model]):
-    """Models by name."""
+    """Models by name; those of installed packages are loaded at the first look-up."""
 
     def __init__(self, *models: Model) -> None:
         self._known = {model.name: model for model in models}
@@ -31,12 +31,16 @@ class Registry(Mapping[str, Model]):
         name = getattr(model, "name", None)
         if not isinstance(model, Model) or not isinstance(name, str) or not name:
             raise OptionError(f"a model to register is {model!r:.80}; it must be a Model with a name")
+        # The same class may be registered again, as when a notebook's cell is run twice.
         if type(self._known.get(name, model)) is not type(model):
             raise OptionError(f"name of a model is {name!r}, which {self._known[name]!r} has already")
+        # Later registrations replace earlier ones of the same class.
         self._known[name] = model
         return model
 
     def _all(self) -> dict[str, Model]:
+        """All models, after the entry points have been searched."""
+        # Set before loading: a package's module may itself look up a model while it is imported.
         if not self._searched:
             self._searched = True
             for entry in importlib.metadata.entry_points(group=GROUP):
@@ -55,7 +59,7 @@ class Registry(Mapping[str, Model]):
 
 
 DEFAULT_MODEL = "elastic"
-"""The model that plans are made on unless another is asked for."""
+"""Name of the model that plans are made on unless another is asked for."""
 MODELS = Registry(Dominant(), Elastic())
 """Every model by the name that options use."""
 
@@ -63,7 +67,7 @@ register = MODELS.register
 
 
 def model_named(model: str | Model, name: str = "model") -> Model:
-    """The model of a name, or the one given; name: of the option. Raises OptionError."""
+    """The model of a name, or the one given; `name` is the option's, for messages. Raises OptionError."""
     if isinstance(model, Model):
         return model
     check_choice(name, model, MODELS)
@@ -71,22 +75,23 @@ def model_named(model: str | Model, name: str = "model") -> Model:
 
 
 def under(model: str | Model, load: Load | LoadOverTime) -> Model:
-    """A model of robots that bear a load; raises OptionError where it knows none."""
+    """A model of robots with a load; raises OptionError where `model` has no loaded counterpart."""
     described = model_named(model)
+    # Loaded has the name of the elastic model, the only one with a loaded counterpart.
     if described.name != Loaded.name:
         raise OptionError(f"a load does not go with the {described.name} model; it goes with {Loaded.name}")
     return Loaded(load)
 
 
 def bearing(model: Model, pushed: bool) -> Model:
-    """A model, or where robots are pushed at their tips, that model of loaded robots; raises OptionError."""
+    """A model, or if robots have tip forces (pushed), its model of loaded robots; raises OptionError."""
     return under(model, Load()) if pushed and model.bears is None else model
 
 
 def pushed(model: str | Model, forces: Array) -> Model:
-    """A model of robots that each bear one of forces (n, 3), N, at their tips, beside what they bear on it.
+    """A model of robots with one of the tip forces (n, 3), N, each, in addition to the load of `model`.
 
-    That model itself where all forces are 0; raises OptionError where it knows no loads.
+    It is `model` itself if all forces are 0; raises OptionError where that cannot be loaded.
     """
     described = model_named(model)
     if not forces.any():

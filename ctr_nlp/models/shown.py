@@ -1,9 +1,15 @@
-"""How what a robot shows changes with its motors, and with other quantities while these stand still.
+"""Slopes of what a robot shows over its motors, and over other quantities while the motors stand still.
 
-Let y be those unknowns x of a model that are no part of the configuration, and c(x; z) what of the
-configuration x does not hold: the motors' angles and, of loaded robots, the tilt. A shape p(x; z) changes at a
-held configuration by dp = p_z dz + p_y dy with dy = -A c_z dz, A = (c_y)^-1; with what of the configuration c is,
-by p_y A dc; and with what of it x holds, r, by (p_r - p_y A c_r) dr.
+Let y be the unknowns x of a model that are no part of the configuration q, r those that are, c(x; z) the part of q
+that x does not hold (the motors' angles and, of loaded robots, the tilt), and z other quantities, such as numbers
+of tubes. By the implicit function theorem, with A = (c_y)^-1, a shape p(x; z) changes
+
+    over z at fixed q:     dp = (p_z - p_y A c_z) dz
+    over c, a part of q:   dp = p_y A dc
+    over r at fixed c:     dp = (p_r - p_y A c_r) dr
+
+in mm per rad or mm. This is dphi/dp = -(dalpha/dphi)^-1 dalpha/dp in docs/method.md, "What changes with the tubes'
+numbers".
 """
 
 from __future__ import annotations
@@ -16,24 +22,30 @@ from ctr_nlp.models.protocol import Shape
 
 
 def shown_slopes(shape: Shape, rows: ca.SX, others: ca.SX) -> Callable[[ca.SX], ca.SX]:
-    """What makes of expressions in x and others (k, 1) their slopes (.., 2d + 2 + k) over alpha, beta, theta, and
-    over others with these held.
+    """Return a function that maps an expression in x and others to its total derivatives (.., 2d + 2 + k).
 
-    rows: Shape.rows side by side, in x and others: what of the configuration x does not hold.
+    They are over alpha, beta, theta, and over others (k, 1) with these fixed; unknowns that are no part of the
+    configuration are eliminated by the implicit function theorem. shape: the model's frame. rows: Shape.rows side
+    by side, in x and others: the part of the configuration that x does not hold.
     """
     unknowns, places = shape.x.numel(), shape.picks or tuple(range(shape.x.numel()))
     q = list(places[: 2 * len(shape.beta) + 2])
     own = [k for k in range(unknowns) if k not in q]
+    # A = (c_y)^-1; where x is q itself, nothing has to be eliminated.
     into = ca.inv(ca.jacobian(rows, shape.x)[:, own]) if own else ca.SX(0, 0)
 
     def straight(of: ca.SX) -> ca.SX:
-        """Slopes over q, as far as x holds it, and over others."""
+        """Partial slopes over q, as far as x holds it, and over others."""
+        # The configuration is numbered through x and then rows: over its entries among the rows, which are
+        # results, the partial slope is 0.
         over_x = ca.horzcat(ca.jacobian(of, shape.x), ca.SX(of.numel(), rows.numel()))
         return ca.horzcat(over_x[:, q], ca.jacobian(of, others))
 
     def slopes(of: ca.SX) -> ca.SX:
         if not own:
             return straight(of)
+        # dy/dc = A in the columns of q that are rows, and dy/d(r, others) = -A c_(r, others) in the other
+        # columns.
         held = ca.horzcat(ca.SX(len(own), unknowns), into)[:, q]
         of_own = ca.horzcat(held, ca.SX(len(own), others.numel())) - into @ straight(rows)
         return straight(of) + ca.jacobian(of, shape.x)[:, own] @ of_own

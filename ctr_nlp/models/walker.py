@@ -1,4 +1,7 @@
-"""One robot that is moved step by step, as its motors are, and stays on the equilibrium that it is in."""
+"""One robot that is moved step by step, as its motors are, and stays on its branch of equilibria.
+
+In contrast to Model.follow, the motion need not be known beforehand: simulators and controllers move a Walker.
+"""
 
 from __future__ import annotations
 
@@ -12,29 +15,31 @@ from ctr_nlp.typing import Array
 
 
 class Walker(ABC):
-    """A robot at rest at q (2d + 2,), in an equilibrium of unknowns x (n_x,). One object a thread."""
+    """A robot at rest at q (2d + 2,), in an equilibrium with unknowns x (n_x,). One object a thread."""
 
     q: Array
     x: Array
 
     @abstractmethod
     def go(self, q: Array) -> list[Array]:
-        """Move linearly to q (2d + 2,); by what the tips jumped (d,) rad on the way, one entry a snap.
+        """Move linearly to q (2d + 2,).
 
-        Where no equilibrium is found there, x is NaN from then on.
+        Returns, for each snap on the way, the angles (d,) in rad by which the tips jumped. If no equilibrium is
+        found at q, x is NaN from then on.
         """
 
     @abstractmethod
     def become(self, numbers: Array, x: Array | None = None) -> list[Array]:
-        """Go on as a robot of other numbers (d, 8), at the same q; by what tips jumped (d,) rad, an entry a snap.
+        """Continue as a robot of other numbers (d, 8) at the same q, as when an estimate of them changes.
 
-        x (n_x,): about where it will be, None where it is.
+        x (n_x,): roughly where it will be; None for where it is. Returns the tips' jumps (d,) rad, an entry for
+        each snap.
         """
 
     def bear(self, load: Array) -> list[Array]:
-        """Go on under another load of the same kind, of numbers (17 + 3d,); by what tips jumped, an entry a snap.
+        """Continue under another load of the same kind, with numbers (17 + 3d,).
 
-        Raises OptionError where the model knows no loads.
+        Returns the tips' jumps (d,) rad, an entry for each snap. Raises OptionError where the model has no loads.
         """
         raise OptionError("the model of the robot that moves step by step bears no load")
 
@@ -43,7 +48,7 @@ class Walker(ABC):
         """The stability margin; NaN where nothing can be unstable."""
 
     def copy(self) -> Walker:
-        """Another one in the same place, for the same thread."""
+        """Another walker in the same place, for the same thread."""
         return copy.copy(self)
 
 
@@ -54,14 +59,14 @@ class Rigid(Walker):
         self.q = self.x = np.array(q, dtype=float)
 
     def go(self, q: Array) -> list[Array]:
-        """As Walker."""
+        """Move to q (2d + 2,), which needs no search for an equilibrium; never a snap."""
         self.q = self.x = np.array(q, dtype=float)
         return []
 
     def become(self, numbers: Array, x: Array | None = None) -> list[Array]:
-        """Nothing but numbers changes."""
+        """Do nothing: other numbers change the shape, but neither q nor x, which is q."""
         return []
 
     def margin(self) -> float:
-        """Nothing can be unstable."""
+        """NaN, since nothing can be unstable."""
         return float("nan")
