@@ -1,4 +1,9 @@
-"""The elastic model in C: branch.c, margin.c, energy.c, fall.c, rest.c and shape.c around generated functions."""
+"""The elastic model in C: the files in c/ around functions that are generated for each structure of a robot.
+
+A structure's functions (motors' angles, energy, shape) are derived once as symbols from torsion.py, energy.py and
+shape.py, compiled, and called by hand-written C that follows branches, falls and evaluates batches. equilibria.py
+has the method in Python, for use without a compiler. Angles are in rad, lengths in mm.
+"""
 
 from __future__ import annotations
 
@@ -21,31 +26,40 @@ from ctr_nlp.robot.structure import NUMBERS, Structure, Tubes
 from ctr_nlp.typing import Array, Flags, Index
 
 MOST_TUBES = 8
-"""That branch.c has room for."""
+"""Largest number of tubes that branch.c has room for."""
 CODE = tuple(f"c/{name}.c" for name in ("branch", "margin", "energy", "fall", "rest", "abreast", "shape"))
+"""The files of C, in the order in which they are compiled as one."""
 FUNCTIONS = "motors", "energy", "second", "shape", "points", "motors_beside"
-"""That the struct Elastic of branch.c holds; the last two for LANES arc lengths or robots at once."""
+"""Functions that the struct Elastic of branch.c points to; the last two for LANES arc lengths or robots
+together.
+"""
 
 STRIDE = 1.0
-"""rad that tubes are turned by at once on the way from the aligned robot."""
+"""Angle in rad that tubes are turned by in one step from the aligned robot."""
 CONVERGED, NEAR, ITERATIONS = 1e-7, 1e-2, 8
-"""rad of the last Newton step, whose error is about its square, and of that on the way; steps at most."""
+"""Newton's method: the last step in rad, whose error is about its square, that at intermediate points, and most
+steps.
+"""
 STRAY = 0.1
-"""rad: an equilibrium further than this from its prediction may belong to another branch."""
+"""Distance in rad beyond which an equilibrium may belong to another branch than the one that predicted it."""
 LEAP = 0.2
-"""rad that tips may be predicted to turn against each other in one step, beyond what their motors turn: further
+"""Angle in rad that tips may be predicted to turn against each other in one step, beyond their motors: further
 away, and as near to the prediction by chance, there is another branch.
 """
 SMALLEST = 2.0**-20
-"""Part of a step at which a branch that cannot be followed is held to end."""
+"""Part of a step at which a branch that cannot be followed counts as ended."""
 PUSH = 0.1
-"""rad that tubes are turned by against each other where a branch ends, over what lies between discretisations."""
+"""Angle in rad that tubes are turned by against each other where a branch ends, to leave the old equilibrium: more
+than the difference between the two discretisations (Galerkin's and Nystroem's).
+"""
 FALL, FALLS = 0.2, 20
-"""rad that tubes turn by against each other in one step of a fall; falls at most on one step of a motion."""
+"""Largest angle in rad by which tubes turn against each other in one step of a fall; and most falls in one step of
+a motion (FALLS).
+"""
 
 
 class State(ctypes.Structure):
-    """The struct State of branch.c."""
+    """An equilibrium: the struct State of branch.c."""
 
     q: ctypes.Array[ctypes.c_double]
     x: ctypes.Array[ctypes.c_double]
@@ -61,7 +75,7 @@ class State(ctypes.Structure):
 
 
 class _Elastic(ctypes.Structure):
-    """The struct Elastic of branch.c."""
+    """The struct Elastic of branch.c, field by field."""
 
     _fields_ = [
         *((name, ctypes.c_long) for name in ("d", "rows", "against", "vectors")),
@@ -76,10 +90,14 @@ class _Elastic(ctypes.Structure):
 
 
 class Compiled:
-    """A structure's equilibria in C; any thread may call. numbers (T or 1, 8d): of the tubes, a row a robot."""
+    """Equilibria of a structure in C; any thread may call. numbers (T or 1, 8d): of the tubes, a row a robot."""
 
     def __init__(self, structure: Structure, alone: Path, beside: Path) -> None:
-        """Take the functions from their libraries; raises OptionError where nothing can be compiled."""
+        """Load the functions of a structure from their libraries; raises OptionError where nothing can be
+        compiled.
+
+        alone: the library of functions for one robot; beside: of those for LANES arc lengths or robots.
+        """
         made = symbolic(structure)
         libraries = [
             *([ctypes.CDLL(str(alone))] * len(made.alone)),
@@ -91,6 +109,7 @@ class Compiled:
             ctypes.cast(library[name], ctypes.c_void_p).value
             for library, name in zip(libraries, FUNCTIONS, strict=True)
         )
+        # C has addresses only: without this reference Python would free what they point to.
         self._keep = libraries, couples
         places = *(each.ctypes.data for each in couples), *addresses
         steps = CONVERGED, NEAR, STRAY, LEAP, SMALLEST, STRIDE, PUSH, FALL, ITERATIONS
@@ -100,16 +119,18 @@ class Compiled:
         self.motors = ca.external("motors", str(alone))
 
     def walk(self, numbers: Array, state: State, goals: Array) -> Array:
-        """The equilibria (count, 2d + 2) at as many goals (T, 2d + 2) as a branch reaches; the state goes on."""
+        """Equilibria (count, 2d + 2) at as many goals (T, 2d + 2) as the branch reaches; the state moves on."""
         goals, x = np.ascontiguousarray(goals, dtype=float), np.empty(goals.shape)
         given = _address(numbers), ctypes.byref(state), _address(goals)
         return x[: self._run.walk(self._reference, *given, ctypes.c_long(len(goals)), _address(x))]
 
     def walk_abreast(self, numbers: Array, states: ctypes.Array[State], goals: Array) -> tuple[Array, Index]:
-        """The equilibria (n, T, 2d + 2) of up to LANES robots at goals (n, T, 2d + 2), and how many of each were
-        reached in whole steps (n,); the states (n,) go on so far.
+        """Equilibria (n, T, 2d + 2) of up to LANES robots at goals (n, T, 2d + 2), a robot in each lane.
+
+        The second result (n,) is how many goals each reached in whole steps; the states (n,) move on so far.
         """
         count, places, size = goals.shape
+        # Lanes without a robot of their own repeat the first ones; their results are dropped.
         every = np.ascontiguousarray(numbers[np.arange(LANES) % count])
         goals, x, reached = np.ascontiguousarray(goals), np.empty(goals.shape), np.zeros(LANES, dtype=np.int64)
         sizes = (ctypes.c_long(each) for each in (places * size, places))
@@ -118,20 +139,22 @@ class Compiled:
         return x, reached[:count]
 
     def follow(self, numbers: Array, state: State, goal: Array) -> tuple[bool, Array]:
-        """Whether the state could go on to goal (2d + 2,), and its tips' jumps on the way (falls, d), rad."""
+        """Move a state to goal (2d + 2,): whether it gets there, and its tips' jumps on the way (falls, d),
+        rad.
+        """
         goal, jumps, falls = np.ascontiguousarray(goal), np.zeros((FALLS, self._elastic.d)), ctypes.c_long(0)
         given = _address(numbers), ctypes.byref(state), _address(goal), _address(jumps), ctypes.byref(falls)
         return bool(self._run.follow(self._reference, *given)), jumps[: falls.value]
 
     def settle(self, numbers: Array, q: Array) -> tuple[ctypes.Array[State], Flags]:
-        """The states (T,) that all tubes are turned to from alpha_d at q (T, 2d + 2); whether each was found."""
+        """States (T,) to which all tubes are turned from alpha_d at q (T, 2d + 2), and whether each was found."""
         q, rows = np.ascontiguousarray(q, dtype=float), ctypes.c_long(len(q))
         states, found = (State * len(q))(), np.zeros(len(q), dtype=np.int64)
         self._run.settle(self._reference, *_stepped(numbers), _address(q), rows, states, _address(found))
         return states, found.astype(bool)
 
     def margins(self, numbers: Array, x: Array) -> Array:
-        """The margins (T,) of x (T, 2d + 2); NaN where x is."""
+        """Stability margins (T,) of x (T, 2d + 2); NaN where x is."""
         x, found = np.ascontiguousarray(x, dtype=float), np.empty(len(x))
         self._run.margins(self._reference, *_stepped(numbers), _address(x), ctypes.c_long(len(x)), _address(found))
         return found
@@ -147,31 +170,33 @@ class Compiled:
         return points, tips
 
     def rests(self, numbers: Array, q: Array, sigma: Array) -> Rest:
-        """One robot, of numbers (1, 8d), at rest at every q (T, 2d + 2) without history; points at sigma (m,)."""
+        """One robot, of numbers (1, 8d), at rest at each q (T, 2d + 2) without a history; points at sigma (m,)."""
         q, sigma = np.ascontiguousarray(q, dtype=float), np.ascontiguousarray(sigma, dtype=float)
         rows, n, m = *q.shape, len(sigma)
         found = np.empty((rows, n + 4 + 3 * m))
         at = _address(numbers), _address(q), ctypes.c_long(rows), _address(sigma), ctypes.c_long(m)
         self._run.rests(self._reference, *at, _address(found))
+        # C writes for each row: the unknowns, the tip's direction (3), the margin, and the points.
         points = found[:, n + 4 :].reshape(rows, m, 3)
         return Rest(found[:, :n], points, found[:, n : n + 3], found[:, n + 3])
 
 
 def _address(array: np.ndarray[Any, Any]) -> ctypes.c_void_p:
+    """Address of an array's first entry."""
     return ctypes.c_void_p(array.ctypes.data)
 
 
 def _stepped(numbers: Array) -> tuple[ctypes.c_void_p, ctypes.c_long]:
-    """Numbers of tubes, and how far apart those of two rows are."""
+    """Address of the tubes' numbers, and the distance between two rows of them: 0 where one robot has all rows."""
     return _address(numbers), ctypes.c_long(numbers.shape[1] if len(numbers) > 1 else 0)
 
 
 class Symbolic(NamedTuple):
-    """Functions of a structure, in the order of FUNCTIONS: alone; the last two, for LANES at once; the energy.
+    """Functions of a structure, in the order of FUNCTIONS: alone; the last two, for LANES together; the energy.
 
     motors: (x, numbers (d, 8)) -> alpha and slopes over phi but the last. energy: -> strength, angles, turns, ends
-    and made of Symbols, turns and ends transposed. second: -> the same in Symbols. shape: -> vectors (3, n) and
-    the direction of the tip. points: (arc length, vectors, extensions (d,), numbers) -> the point there (3,), mm.
+    and made of Symbols, turns and ends transposed. second: -> second of Symbols. shape: -> vectors (3, n) and the
+    direction of the tip. points: (arc length, vectors, extensions (d,), numbers) -> the point there (3,), mm.
     """
 
     alone: tuple[ca.Function, ...]
@@ -180,13 +205,13 @@ class Symbolic(NamedTuple):
 
     @property
     def vectors(self) -> int:
-        """How many a shape is made of."""
+        """Number of vectors that a shape is the sum of."""
         return int(self.beside[0].size_in(1)[1])
 
 
 @functools.lru_cache(maxsize=64)
 def symbolic(structure: Structure) -> Symbolic:
-    """What is compiled for a structure."""
+    """The functions to be compiled for a structure, as symbols."""
     d = structure.d
     x, numbers, s = ca.SX.sym("x", 2 * d + 2), ca.SX.sym("numbers", d, len(NUMBERS)), ca.SX.sym("s")
     tubes, entries = symbolic_tubes(structure, numbers), ca.vertsplit(x)
@@ -200,8 +225,10 @@ def symbolic(structure: Structure) -> Symbolic:
     travels, _ = shape.travels(tubes, beta, parts, s, ca)
     _, turns = shape.travels(tubes, beta, parts, beta[-1], ca)
     tip = combination(combination([1.0, *turns], [(0.0, 0.0, 1.0), *vectors]), base)
+    # d alpha / d phi_d is a column of ones, as turning all tubes turns all motors: it need not be computed.
     motors = [alpha, ca.densify(ca.jacobian(alpha, x[: d - 1]))]
     placing = [matrix_of(placed), ca.vertcat(*tip)]
+    # Transposed, as CasADi writes by columns and C reads turns and ends row by row.
     energies = [of.strength, of.angles, of.turns.T, of.ends.T, of.made]
     made: list[list[Any]] = [motors, energies, [of.second], placing]
     alone = [
@@ -209,6 +236,7 @@ def symbolic(structure: Structure) -> Symbolic:
         for name, values in zip(FUNCTIONS, made, strict=False)
     ]
     given = s, ca.SX.sym("vectors", 3, len(placed)), ca.SX.sym("beta", d), numbers
+    # As a function of given vectors: they are computed once a shape, points once a sample.
     (point,) = ca.substitute([given[1] @ ca.vertcat(*travels)], [ca.vertcat(*beta)], [given[2]])
     names = "s", f"{SAME}vectors", f"{SAME}beta", f"{SAME}numbers"
     points = ca.Function("points", given, [ca.densify(point)], names, ["point"])
@@ -216,14 +244,18 @@ def symbolic(structure: Structure) -> Symbolic:
 
 
 def compiled(structure: Structure) -> Compiled | None:
-    """What all robots of a structure share; None until it has been made, and where nothing can be compiled."""
+    """The compiled code of a structure; None until it has been compiled, and where nothing can be."""
     if os.environ.get(cache.SWITCH) == "0" or structure.d > MOST_TUBES:
         return None
     return _soon(structure)()
 
 
 class _Soon:
+    """Compiled code of a structure as soon as the background process is done."""
+
     def __init__(self, structure: Structure) -> None:
+        # The carriages' gap is a constraint of programs; equilibria do not depend on it, so robots with and
+        # without share code.
         self._structure = replace(structure, gap=False)
         made = symbolic(self._structure)
         self._alone, self._beside = (
@@ -244,6 +276,6 @@ _soon = functools.lru_cache(maxsize=64)(_Soon)
 
 
 def numbers_of(tubes: Tubes) -> Array:
-    """Numbers of tubes as `Compiled` takes them, a row for every robot."""
+    """Numbers of tubes in the layout of `Compiled`: (T or 1, 8d), number by number and then tube by tube."""
     numbers = [tube[2 + k] for k in range(len(NUMBERS)) for tube in tubes]
     return np.stack(np.broadcast_arrays(*map(np.ravel, numbers)), axis=1)

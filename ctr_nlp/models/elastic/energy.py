@@ -1,5 +1,11 @@
 """The elastic model's energy by Galerkin's method: tubes' twists are polynomials in every section.
 
+The energy of docs/method.md, E = sum_i int GJ_i/2 psi_i'^2 ds - int |sum_i EI_i k_i e(psi_i)|^2 / (2 sum_i EI_i)
+ds, depends on the angles through differences only: up to a constant its second part is the sum over pairs of tubes
+of - int EI_i EI_j k_i k_j cos(psi_i - psi_j) / sum EI ds. The motors are held, and a twist psi_i' (rad/mm) is a
+sum of Legendre polynomials in every section and a constant in the transmission, normalised so that the first part
+is |a|^2 / 2.
+
 Its second variation K + V has the stability margin as an eigenvalue, and its gradient is what a robot falls along.
 One source for symbols and numbers: `xp` is casadi or numpy.
 """
@@ -20,19 +26,22 @@ from ctr_nlp.robot.structure import Tubes
 from ctr_nlp.typing import Array, Index
 
 DEGREE = 3
-"""Of the polynomials that the tubes' angles are in every section, in Galerkin's method."""
+"""Number of polynomials, of degrees 0 to DEGREE - 1, that a tube's twist is a sum of in every section."""
 NODES = np.linspace(0.0, 1.0, 2 * STEPS + 1)
-"""Fractions of a section's length."""
+"""Fractions of a section's length at which angles are compared: the nodes of torsion.twist."""
 ANGLES = [np.sqrt(2 * n + 1) * Legendre.basis(n, domain=(0, 1)).integ(lbnd=0)(NODES) for n in range(DEGREE)]
-"""What twists by orthonormal polynomials turn tubes by there."""
+"""Angles at NODES by which twists by orthonormal polynomials turn a tube: their integrals from the section's
+base.
+"""
 
 
 class Energy(NamedTuple):
     """E(a) = |a|^2 / 2 - sum strength cos(angle), with the tubes' twist a combination of n unit twists by a (n,).
 
     Angles (rows,), rad, are those between two tubes at a node: couples (rows, d) alpha + made + turns (rows, n) a.
-    Those of the tips are alpha + made + ends (d, n) a. made (rows + d,): what helices turn by of themselves, first
-    of the rows, then of the tips. strength (rows,): EI_i EI_j k_i k_j / sum EI times the node's weight.
+    Those of the tips are alpha + made + ends (d, n) a. made (rows + d,): angles by which helices turn by
+    themselves, first of the rows, then of the tips. strength (rows,): EI_i EI_j k_i k_j / sum EI times the node's
+    weight.
     """
 
     strength: Array
@@ -42,33 +51,36 @@ class Energy(NamedTuple):
     made: Array
 
     def height(self, a: Array, angles: Array) -> float:
-        """E(a)."""
+        """The energy E(a), with angles (rows,) those that a gives."""
         return float(a @ a / 2 - self.strength @ np.cos(angles))
 
     def gradient(self, a: Array, angles: Array) -> Array:
-        """dE/da, (n,)."""
+        """The gradient dE/da, (n,)."""
         return a + (self.strength * np.sin(angles)) @ self.turns
 
     def hessian(self, angles: Array) -> Array:
-        """K + V, (n, n), in which K is the identity."""
+        """The second variation K + V, (n, n), in which K is the identity."""
         return np.eye(self.turns.shape[1]) + (self.strength * np.cos(angles) * self.turns.T) @ self.turns
 
 
 def differences(tubes: Tubes, x: Array) -> Array:
-    """The angles (T, rows) of Energy at every x (T, 2d + 2)."""
+    """The angles (T, rows) between tubes, rows as in Energy, at every x (T, 2d + 2)."""
     columns = columns_of(x)
     parts = sections(tubes, columns[len(tubes) : 2 * len(tubes)], np)
     nodes = twist(tubes, columns, parts, np).nodes
     found = [node.angles[i] - node.angles[j] for k, i, j in _couples(parts) for node in nodes[k]]
+    # broadcast_arrays with the first column gives every angle the T rows that a constant one lacks; that
+    # column is dropped again, and zeros keep the result two-dimensional where no tubes act on each other.
     return np.hstack([np.zeros((len(x), 0)), *np.broadcast_arrays(*found, columns[0])[:-1]])
 
 
 def energies(tubes: Tubes, x: Array) -> Iterator[Energy]:
-    """The Energy at the beta of every x (T, 2d + 2)."""
+    """The Energy at the beta of every x (T, 2d + 2), one after the other."""
     columns = columns_of(x)
     parts = sections(tubes, columns[len(tubes) : 2 * len(tubes)], np)
     twists = _twists(tubes, columns, parts, np)
     couples, turns = _couples(parts), _pattern(parts, twists)
+    # couples: each row is alpha_i - alpha_j.
     signs = np.array([np.eye(len(tubes))[i] - np.eye(len(tubes))[j] for _, i, j in couples for _ in NODES])
     ends = _ends(tubes, twists)
     none = np.zeros((len(x), 0))
@@ -78,15 +90,17 @@ def energies(tubes: Tubes, x: Array) -> Iterator[Energy]:
     ]
     made = np.hstack(_made(tubes, columns, parts, np))
     for of_rows, of_twists, of_tubes in zip(np.hstack(strength or [none]), scale, made, strict=True):
+        # Twists of empty sections have scale 0: they would be eigenvectors with eigenvalue 1 and are left
+        # out.
         there = of_twists > 0
         turned, ended = (each[:, there] * of_twists[there] for each in (turns, ends))
         yield Energy(of_rows, signs, turned, ended, of_tubes)
 
 
 class Symbols(NamedTuple):
-    """The Energy in symbols for any beta, of m twists that turn tubes against each other: others stay zero.
+    """The Energy in symbols for any beta, of m twists that turn tubes against each other; other twists stay zero.
 
-    strength, angles (rows, 1), turns (rows, m), ends (d, m), made (rows + d, 1): as of Energy. couples (2, rows):
+    strength, angles (rows, 1), turns (rows, m), ends (d, m), made (rows + d, 1): as in Energy. couples (2, rows):
     the tubes of an angle. second (m, m): K + V, whose eigenvalues below 1 are those of all twists.
     """
 
@@ -120,10 +134,13 @@ def in_symbols(tubes: Tubes, x: Sequence[Any]) -> Symbols:
 def _second(
     tubes: Tubes, parts: Sequence[Section], twists: Sequence[_Twist], against: ca.SX, weights: Sequence[ca.SX]
 ) -> ca.SX:
-    """K + V (m, m) of the twists against each other; weights (1, nodes) of every couple's angles.
+    """The matrix K + V (m, m) of the twists against each other; weights (1, nodes) of every couple's angles.
 
-    What turns two tubes against each other is a sum of one and ANGLES, so that V is made of moments of weights.
+    What turns two tubes against each other is a sum of a constant and ANGLES, so that V is made of moments of
+    weights.
     """
+    # Within section k, a twist of k itself turns by ANGLES[degree], one of a section nearer to the base by
+    # a constant, its angle at that section's end.
     basis = np.array([np.ones(len(NODES)), *ANGLES])
     found = ca.SX.eye(against.shape[1])
     for (k, i, j), weight in zip(_couples(parts), weights, strict=True):
@@ -133,17 +150,23 @@ def _second(
             if sign and (one.section == k or (one.section < k and one.end)):
                 turns[1 + one.degree if one.section == k else 0, column] = sign * one.scale
         turns = turns @ against
+        # V = sum over couples and nodes of weight (turn of i - turn of j)(turn of i - turn of j)'.
         found += turns.T @ (basis @ ca.diag(weight) @ basis.T) @ turns
     return found
 
 
 def _against(tubes: Tubes, parts: Sequence[Section], twists: Sequence[_Twist]) -> ca.SX:
-    """An orthonormal basis (n, m) of the twists without those of a section by which all tubes turn alike."""
+    """An orthonormal basis (n, m) of twists, without the one in each section and degree by which all tubes turn
+    alike.
+    """
     columns = list[ca.SX]()
     for k, degree in sorted({(one.section, one.degree) for one in twists}):
         rows = [row for row, one in enumerate(twists) if (one.section, one.degree) == (k, degree)]
         own = ca.SX.eye(len(rows))
         if k >= 0:  # Householder's reflection of the common twist onto the last column, which is left out
+            # Unit twists turn by angles proportional to 1 / sqrt(GJ), so that all tubes turn alike by
+            # coefficients proportional to sqrt(GJ). Such a twist changes no difference: V is 0 there, the
+            # eigenvalue 1.
             acting = [tubes[twists[row].tube] for row in rows]
             alike = ca.vertcat(*(ca.sqrt(tube.bending_stiffness / tube.torsional_ratio) for tube in acting))
             normal = alike / ca.norm_2(alike) + own[:, -1]
@@ -155,7 +178,9 @@ def _against(tubes: Tubes, parts: Sequence[Section], twists: Sequence[_Twist]) -
 
 
 class _Twist(NamedTuple):
-    """A tube's twist in a section (-1: its transmission): a Legendre polynomial; scale (T, 1) makes its K one."""
+    """A tube's unit twist in a section (-1: its transmission), a Legendre polynomial; scale (T, 1) makes its K
+    one.
+    """
 
     tube: int
     section: int
@@ -164,50 +189,59 @@ class _Twist(NamedTuple):
 
     @property
     def end(self) -> float:
-        """By what it turns the tube's tip, but for the scale."""
+        """Angle by which it turns the tube's tip, without the scale: polynomials of higher degree have the
+        mean 0.
+        """
         return float(self.degree == 0)
 
     def angles(self, section: int, tube: int) -> Array:
-        """By what it turns a tube at a section's nodes, but for the scale."""
+        """Angles by which it turns a tube at a section's nodes, without the scale."""
         if tube != self.tube or section < self.section:
             return np.zeros(len(NODES))
+        # The motor is held: nothing turns between it and the twist's section, and everything beyond turns
+        # by its end.
         return ANGLES[self.degree] if section == self.section else np.full(len(NODES), self.end)
 
 
 def _twists(tubes: Tubes, columns: Sequence[Any], parts: Sequence[Section], xp: Any) -> list[_Twist]:
-    """Of the transmissions, and up to DEGREE of every tube where others act on it."""
+    """Unit twists: of the transmissions, and below DEGREE of every tube where others act on it."""
     acting = {k: part.active for k, part in enumerate(parts) if len(part.active) > 1}
     found = []
     for i in sorted({i for active in acting.values() for i in active}):
         tube = tubes[i]
+        # 1 / GJ. With psi' = scale P(s) / length and the mean of P^2 equal to 1, int GJ psi'^2 ds = GJ
+        # scale^2 / length = 1.
         compliance = tube.torsional_ratio / tube.bending_stiffness
         lengths = {-1: tube.length - columns[len(tubes) + i]}
         lengths |= {k: parts[k].length for k, active in acting.items() if i in active}
         for k, length in lengths.items():
             scale = xp.sqrt(compliance * xp.fmax(length, 0.0))
+            # No moment acts along a transmission, so that its twist is constant: degree 0 alone.
             found += [_Twist(i, k, n, scale) for n in range(1 if k == -1 else DEGREE)]
     return found
 
 
 def _couples(parts: Sequence[Section]) -> list[tuple[int, int, int]]:
-    """Sections, and two tubes in each that act on each other there."""
+    """Each section and pair of tubes in it that act on each other there."""
     return [(k, i, j) for k, part in enumerate(parts) for i, j in itertools.combinations(part.active, 2)]
 
 
 def _pattern(parts: Sequence[Section], twists: Sequence[_Twist]) -> Array:
-    """What twists (columns) turn two tubes by against each other at the nodes (rows), but for the scales."""
+    """Angles by which twists (columns) turn two tubes against each other at the nodes (rows), without the
+    scales.
+    """
     couples = _couples(parts)
     found = [one.angles(k, i) - one.angles(k, j) for one in twists for k, i, j in couples]
     return np.reshape(found, (len(twists), len(couples) * len(NODES))).T
 
 
 def _ends(tubes: Tubes, twists: Sequence[_Twist]) -> Array:
-    """By what twists (columns) turn the tubes' tips (rows), but for the scales."""
+    """Angles by which twists (columns) turn the tubes' tips (rows), without the scales."""
     return np.reshape([[one.end * (one.tube == i) for one in twists] for i in range(len(tubes))], (len(tubes), -1))
 
 
 def _made(tubes: Tubes, columns: Sequence[Any], parts: Sequence[Section], xp: Any) -> list[Any]:
-    """What helices turn by of themselves: couples at nodes, (T, nodes) each, then tips, (T, 1) each."""
+    """Angles by which helices turn by themselves: couples at nodes, (T, nodes) each, then tips, (T, 1) each."""
     nodes = ca.DM(NODES).T if xp is ca else NODES
     none = 0 * columns[0]
     found = []
@@ -218,7 +252,8 @@ def _made(tubes: Tubes, columns: Sequence[Any], parts: Sequence[Section], xp: An
 
 
 def _strength(tubes: Tubes, columns: Sequence[Any], part: Section, i: int, j: int, xp: Any) -> Any:
-    """How strongly two tubes act on each other at a section's nodes, (T, nodes), by Simpson's rule."""
+    """Strength with which two tubes act on each other at a section's nodes, (T, nodes), by Simpson's rule."""
+    # Weights 1 4 2 4 ... 1 of 2 STEPS intervals, as parts of the section's length.
     simpson = np.array([1.0, *[4.0, 2.0] * (STEPS - 1), 4.0, 1.0]) / (6 * STEPS)
     nodes, weights = (ca.DM(row).T if xp is ca else row for row in (NODES, simpson))
     k = curvatures_at(tubes, columns, part, part.start + part.length * nodes)

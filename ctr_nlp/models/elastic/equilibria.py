@@ -1,8 +1,9 @@
-"""Equilibria of the elastic model, one configuration after the other.
+"""Equilibria of the elastic model, one configuration after another.
 
-alpha(x) is solved for phi by Newton's method, from a prediction along the tangent. A step that turns far from its
-prediction, or passes a singular d alpha / d phi, is halved until it is clear that the stable branch ends there;
-then the robot falls down the gradient of its energy into another equilibrium.
+alpha(x) = alpha is solved for phi by Newton's method, from a prediction along the tangent (path following). A step
+that turns far from its prediction, or passes a singular d alpha / d phi, is halved until it is clear that the
+stable branch ends there (a fold, where the robot snaps); then the robot falls down the gradient of its energy into
+another equilibrium. Angles in rad, extensions in mm. The files in c/ do so in C, with better predictors.
 """
 
 from __future__ import annotations
@@ -36,13 +37,13 @@ from ctr_nlp.robot.structure import Structure, tubes_of
 from ctr_nlp.typing import Array
 
 TINY = 1e-300
-"""What stands for 0 in a denominator; where tubes slide without turning, angles do not change."""
+"""Replaces 0 in a denominator; where tubes slide without turning, angles do not change."""
 STEPS = 2000
-"""Steps of a fall at most."""
+"""Largest number of steps of a fall."""
 
 
 class State(NamedTuple):
-    """An equilibrium x at q, (2d + 2,) both; stable: whether it is.
+    """An equilibrium x at q, (2d + 2,) both; stable: whether it is stable.
 
     slopes (d, d): of alpha over phi; determinant: of these.
     """
@@ -61,42 +62,50 @@ class State(NamedTuple):
 
 
 class Equilibria:
-    """Follows a robot's equilibria; one object a thread."""
+    """Finds and follows a robot's equilibria; one object a thread."""
 
     def __init__(self, structure: Structure, numbers: Array) -> None:
-        """Numbers (d, 8) of the tubes, in the order of structure.NUMBERS."""
+        """Prepare for tubes of numbers (d, 8), in the order of structure.NUMBERS."""
         self._d, self._tubes = structure.d, tubes_of(structure, numbers.tolist())
         self._numbers, self._compiled = numbers.ravel(order="F")[None], compiled(structure)
         self._structure = structure
 
     @cached_property
     def _motors(self) -> Mapped:
+        """Function (x, numbers) -> alpha and its slopes, compiled or interpreted, with this robot's numbers filled
+        in.
+        """
         code = self._compiled
         found = Mapped(code.motors if code else symbolic(replace(self._structure, gap=False)).alone[0], 1)
         found.inputs[1][0] = self._numbers
         return found
 
     def settled(self, q: Array) -> State | None:
-        """The equilibrium at q that all tubes are turned to from where their tips bend alike, towards alpha_d."""
+        """The equilibrium at q to which all tubes are turned from where their tips bend alike, towards alpha_d; or
+        None.
+        """
         if self._compiled is not None:
             states, found = self._compiled.settle(self._numbers, q[None])
             return _read(states[0], self._d, q) if found[0] else None
         d, x = self._d, np.array(q, dtype=float)
         x[: d - 1] = 0.0
+        # With tips alike (phi_i = 0) the robot is on the stable branch; the motors' angles there are where
+        # the way begins.
         aligned = np.concatenate([self._turned(x)[0], q[d:]])
         state = self._solved(aligned, x, True)
         most = STRIDE / max(abs(q - aligned).max(), TINY)
         return state and self._onwards(self._along(state, q, most), q)[0]
 
     def nearest(self, q: Array, x: Array) -> State | None:
-        """The equilibrium at q near x (2d + 2,), stable or not; the settled one where there is none."""
+        """The equilibrium at q near x (2d + 2,), stable or not; the settled one if there is none."""
         state = self._solved(q, x, False)
         return self.settled(q) if state is None else state._replace(stable=self._holds(state))
 
     def followed(self, state: State, goal: Array) -> tuple[State | None, list[Array]]:
-        """The equilibrium at goal (2d + 2,) of a robot moved there in a line; what its tips jumped by (d,) rad.
+        """The equilibrium at goal (2d + 2,) of a robot moved there in a line, and what its tips jumped by (d,)
+        rad, each.
 
-        None where no equilibrium is found.
+        The equilibrium is None where none is found.
         """
         if self._compiled is None:
             return self._onwards(self._along(state, goal), goal)
@@ -105,7 +114,9 @@ class Equilibria:
         return _read(code, self._d, goal) if there else None, list(jumps)
 
     def walked(self, state: State, goals: Array) -> tuple[Array, State]:
-        """The equilibria (n, 2d + 2) at as many of goals (T, 2d + 2) as are reached without a fall; the last."""
+        """Equilibria (n, 2d + 2) at as many of goals (T, 2d + 2) as are reached without a fall, and the last
+        state.
+        """
         if self._compiled is None:
             found = [state.x[:0]]
             for goal in goals:
@@ -120,8 +131,12 @@ class Equilibria:
         return x, _read(code, self._d, goals[min(len(x), len(goals) - 1)])
 
     def _onwards(self, state: State, goal: Array) -> tuple[State | None, list[Array]]:
-        """The same from where a branch was followed to."""
+        """The equilibrium at goal and the jumps, from a state to which a branch was followed on the way there.
+
+        Falls and branches alternate until goal is reached. None where no equilibrium is found.
+        """
         jumps = list[Array]()
+        # Identity, not equality: a state's q is the goal's own array exactly if the goal was reached.
         while state.q is not goal:
             fallen = self._fallen(state, goal) if len(jumps) < FALLS else None
             if fallen is None:
@@ -131,7 +146,7 @@ class Equilibria:
         return state, jumps
 
     def _along(self, state: State, goal: Array, most: float = 1.0) -> State:
-        """The equilibrium as far towards goal as its branch goes, in steps of at most so much of the way."""
+        """The equilibrium as far towards goal as its branch goes, in steps of at most `most` of the way."""
         start, done, part = state.q, 0.0, min(1.0, most)
         while part >= SMALLEST:
             new = self._step(state, _between(start, goal, done + part))
@@ -139,55 +154,78 @@ class Equilibria:
                 part /= 2
             else:
                 state, done = new, done + part
+                # Steps grow again after a success; the last one ends at the goal.
                 part = min(2 * part, most, 1 - done)
         return state
 
     def _step(self, state: State, goal: Array) -> State | None:
-        """The equilibrium at goal on the branch of one nearby."""
+        """The equilibrium at goal on the branch of a nearby state; None where it is not clear that it is on that
+        branch.
+        """
         predicted, d = self._predicted(state, goal), self._d
         turns, motors = (predicted - state.x)[: d - 1], (goal - state.q)[:d]
+        # `not <` is true for NaN as well.
         if not abs(turns).max(initial=0.0) < LEAP + abs(motors[:-1] - motors[-1]).max(initial=0.0):
             return None
         new = self._solved(goal, predicted, state.stable)
         if new is None or not abs(new.x - predicted).max() < STRAY:
             return None
+        # det d alpha / d phi is positive on the stable branch from aligned tubes, and its first zero is the
+        # snap: a change of sign means that a fold was passed. Only an unstable branch may be followed
+        # through one, and whether it is stable then has to be looked at.
         if new.determinant * state.determinant > 0:
             return new
         return None if state.stable else new._replace(stable=self._holds(new))
 
     def _predicted(self, state: State, goal: Array) -> Array:
-        """The x at goal that the tangent of the branch leads to."""
+        """The x at goal to which the branch's tangent leads."""
+        # At the goal's beta and the old tips, alpha is off by goal - alpha(here); one linear step turns
+        # tips by that.
         d, here = self._d, np.concatenate([state.x[: self._d], goal[self._d :]])
         *_, turn, singular = lapack.dgesv(state.slopes, goal[:d] - self._turned(here)[0])
         here[:d] += 0.0 if singular else turn
         return here
 
     def _turned(self, x: Array) -> tuple[Array, Array]:
-        """The motors' angles (d,) at x and their slopes over phi (d, d); turning all tubes turns the robot."""
+        """The motors' angles (d,) at x and their slopes over phi (d, d).
+
+        The last column is ones, since turning all tubes turns the robot.
+        """
         alpha, columns = self._motors(x)
         return alpha[0], np.column_stack([columns.reshape(-1, self._d).T, np.ones(self._d)])
 
     def _solved(self, q: Array, x: Array, stable: bool) -> State | None:
-        """The equilibrium at q (2d + 2,) that Newton's method finds from x (2d + 2,)."""
+        """The equilibrium at q (2d + 2,) that Newton's method finds from x (2d + 2,); None where it does not
+        converge.
+
+        stable: what the state is said to be.
+        """
         d = self._d
         x = np.concatenate([x[:d], q[d:]])
         for _ in range(ITERATIONS):
             alpha, slopes = self._turned(x)
             factors, pivots, turn, singular = lapack.dgesv(slopes, q[:d] - alpha)
             size = abs(turn).max()
+            # A step of 1 rad is no correction of a prediction: Newton's method is leaving.
             if singular or not size < 1:
                 return None
             x[:d] += turn
             if size < CONVERGED:
+                # The determinant from the LU factors: the product of the diagonal, negative for an odd
+                # number of row swaps.
                 swaps = np.count_nonzero(pivots != np.arange(d))
                 return State(q, x, slopes, (-1) ** swaps * factors.diagonal().prod(), stable)
         return None
 
     def _holds(self, state: State) -> bool:
+        """Whether a state is stable, by its margin."""
         return bool(stability.margins(self._tubes, state.x[None])[0] > 0)
 
     def _fallen(self, state: State, goal: Array) -> State | None:
-        """A stable equilibrium that a robot falls into where its branch ends on the way to goal; just past it."""
+        """A stable equilibrium into which a robot falls where its branch ends on the way to goal; just past the
+        end.
+        """
+        # Just past the end of the branch first, then further and further, up to goal itself.
         for part in SMALLEST ** np.linspace(1, 0, 11):
             past = _between(state.q, goal, part)
             x = self._settling(state, past)
@@ -197,51 +235,65 @@ class Equilibria:
         return None
 
     def _settling(self, state: State, past: Array) -> Array | None:
-        """About the equilibrium at `past` that a robot falls into from one nearby, if any."""
+        """Roughly the equilibrium at `past` into which a robot falls from a state nearby, if any."""
         d, on = self._d, self._predicted(state, past) - state.x
         (of,) = energy.energies(self._tubes, past[None])
+        # A small step along the predicted direction, as a finite difference of angles: only its direction
+        # is used.
         step = on * min(1e-4 / max(abs(on[:d]).max(), TINY), 1e-2 / max(abs(on).max(), TINY))
         here, ahead = energy.differences(self._tubes, np.stack([state.x, state.x + step]))
         rows = len(of.strength)
         a = _fall(of, of.couples @ past[:d] + of.made[:rows], here, ahead - here)
         if a is None:
             return None
+        # The fall's coefficients a as tip angles; then relative to the innermost tube's, as x has them.
         tips = past[:d] + of.made[rows:] + of.ends @ a
         return np.concatenate([tips[:-1] - tips[-1], tips[-1:], past[d:]])
 
 
 def _between(start: Array, goal: Array, part: float) -> Array:
+    """The point a part of the way from start to goal; goal itself, not a copy, at its end."""
     return goal if part == 1 else start + part * (goal - start)
 
 
 def _fall(energy: Energy, motors: Array, angles: Array, towards: Array) -> Array | None:
-    """The least energy that a robot comes to down its gradient, from angles (rows,) of an equilibrium, as a (n,).
+    """The minimum of energy that a robot comes to down its gradient, as coefficients a (n,); None for none.
 
-    motors (rows,): angles between the tubes' motors; towards (rows,): how angles last changed. None where it comes
-    to none.
+    angles (rows,): of the equilibrium that it leaves. motors (rows,): angles between the tubes' motors; towards
+    (rows,): how angles last changed.
     """
+    # At an equilibrium the gradient a + strength sin(angles) turns is 0, which gives its a.
     a: Array = -(energy.strength * np.sin(angles)) @ energy.turns
     _, modes = np.linalg.eigh(energy.hessian(angles))
+    # At a fold the softest mode's eigenvalue vanishes: that is the direction in which the robot leaves, on
+    # the side to which it was moving.
     push, time = energy.turns @ modes[:, 0], 8.0
     a = a + modes[:, 0] * np.copysign(PUSH / abs(push).max(), push @ towards)
     for _ in range(STEPS):
         change, time = _step_down(energy, motors, a, time)
         a, size = a + change, abs(energy.turns @ change).max()
+        # A small step says little if its time was short: at a minimum, long ones are small as well.
         if size < CONVERGED and time > 40:
             return a
+        # The next step is to turn by about 0.8 FALL; where this one turned by less than FALL / 10, it is 8
+        # times as long.
         time *= 0.8 * FALL / size if size > FALL / 10 else 8
     return None
 
 
 def _step_down(energy: Energy, motors: Array, a: Array, time: float) -> tuple[Array, float]:
-    """A step (n,) down the gradient for about the time given, at most FALL rad and never uphill; the time it took.
+    """A step (n,) down the gradient for about the given time, at most FALL rad and never uphill; and the time it
+    took.
 
-    By Rosenbrock's method of second order that is L-stable: ROS2 of Verwer, Spee, Blom and Hundsdorfer, SIAM
-    J. Sci. Comput. 20, 1999.
+    By Rosenbrock's method of second order that is L-stable: ROS2 of Verwer, Spee, Blom and Hundsdorfer, SIAM J.
+    Sci. Comput. 20, 1999.
     """
+    # The gradient flow a' = -dE/da is stiff; L-stability damps its fast parts. gamma = 1 - 1/sqrt(2).
     gamma, angles = 1 - np.sqrt(0.5), motors + energy.turns @ a
     slope, bent, height = energy.gradient(a, angles), energy.hessian(angles), energy.height(a, angles)
     while True:
+        # I + gamma time (K + V). Where it is not positive definite, the time is too long for the local
+        # curvature.
         factors, broken = lapack.dpotrf(np.eye(len(a)) + gamma * time * bent, lower=1)
         size = 0.0
         if not broken:
@@ -254,15 +306,17 @@ def _step_down(energy: Energy, motors: Array, a: Array, time: float) -> tuple[Ar
             size = abs(turn).max()
             if size < 1e-6 or (size <= FALL and energy.height(a + change, angles + turn) < height):
                 return change, time
+        # Shorter in proportion where the step was too far; half where it went uphill or nothing could be
+        # solved.
         time *= max(0.1, 0.8 * FALL / size) if size > FALL else 0.5
 
 
 def walked_abreast(structure: Structure, numbers: Array, goals: Array) -> list[tuple[Array, State] | None]:
-    """The equilibria (k, 2d + 2) of up to LANES robots of numbers (n, d, 8) that settle at the first of goals
-    (n, T, 2d + 2) and reach the next ones in whole steps, and the last of them.
+    """Equilibria of up to LANES robots of numbers (n, d, 8) along goals (n, T, 2d + 2), a robot in each lane.
 
-    What is found of a robot does not depend on those beside it. None for one that does not settle, and for all
-    without compiled code.
+    Each robot settles at its first goal and follows its branch in whole steps. Returns for each the equilibria (k,
+    2d + 2) at the goals that it reached, and the last state; None for one that does not settle, and for all
+    without compiled code. What is found of a robot does not depend on those beside it.
     """
     code, count = compiled(structure), len(numbers)
     if code is None:
@@ -270,6 +324,7 @@ def walked_abreast(structure: Structure, numbers: Array, goals: Array) -> list[t
     every = np.arange(LANES) % count
     flat = np.ascontiguousarray(numbers.swapaxes(1, 2)).reshape(count, -1)[every]
     states, settled = code.settle(flat, goals[every, 0])
+    # A copy: walking changes the states in place.
     begin = np.ctypeslib.as_array(states)["x"][:, : goals.shape[2]].copy()
     x, reached = code.walk_abreast(flat, states, goals[:, 1:])
     known = [np.concatenate([begin[k : k + 1], x[k, :far]]) for k, far in enumerate(reached.tolist())]
@@ -278,7 +333,7 @@ def walked_abreast(structure: Structure, numbers: Array, goals: Array) -> list[t
 
 
 def _written(state: State) -> compiled_code.State:
-    """A state for C."""
+    """A state as the struct of C."""
     found = compiled_code.State(determinant=state.determinant, stable=state.stable)
     for array, values in ((found.q, state.q), (found.x, state.x), (found.slopes, state.slopes.ravel(order="F"))):
         np.ctypeslib.as_array(array)[: len(values)] = values
@@ -286,7 +341,8 @@ def _written(state: State) -> compiled_code.State:
 
 
 def _read(code: compiled_code.State, d: int, goal: Array) -> State:
-    """A state from C; its q is goal itself where that is reached."""
+    """A state from the struct of C; its q is goal itself where that is reached."""
     q, x = np.array(code.q[: 2 * d + 2]), np.array(code.x[: 2 * d + 2])
+    # C has matrices by columns.
     slopes = np.array(code.slopes[: d * d]).reshape(d, d).T
     return State(goal if (q == goal).all() else q, x, slopes, code.determinant, bool(code.stable))

@@ -1,4 +1,8 @@
-"""The equilibria that a robot is really in, along motions."""
+"""The equilibria that a robot is really in along motions: which of several it is in depends on how it came there.
+
+Branches are followed by path following (equilibria.py) from sub-step to sub-step; where one ends, the robot snaps.
+x are unknowns (rad, mm), q configurations (rad, mm), margins have no unit.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,7 @@ from ctr_nlp.robot.structure import NUMBERS, Structure, tubes_in_columns, tubes_
 from ctr_nlp.typing import Array
 
 JUMP = 0.1
-"""rad: a tip that turns less while the robot leaves a branch has not snapped."""
+"""Angle in rad: a tip that turns by less while the robot leaves a branch has not snapped."""
 
 
 def settled(robot: Robot, q: Array) -> Array:
@@ -38,6 +42,7 @@ def settled_apart(structure: Structure, numbers: Array, q: Array) -> tuple[Array
             state = Equilibria(structure, numbers[row]).settled(q[row])
             x[row] = np.nan if state is None else state.x
     else:
+        # C takes numbers as CasADi does, by columns of (d, 8): number by number.
         flat = np.ascontiguousarray(numbers.swapaxes(1, 2)[known]).reshape(len(known), structure.d * len(NUMBERS))
         states, found = code.settle(flat, q[known])
         x[known[found]] = np.ctypeslib.as_array(states)["x"][found, : q.shape[1]]
@@ -45,10 +50,10 @@ def settled_apart(structure: Structure, numbers: Array, q: Array) -> tuple[Array
 
 
 def follow(robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBSTEPS) -> Followed:
-    """The equilibria of a robot moved through frames q (T, 2d + 2), linearly and in so many substeps between them.
+    """The equilibria of a robot moved through frames q (T, 2d + 2), linearly and in substeps between them.
 
-    x0: the equilibrium of the first frame, which may be unstable; else it is settled. After frames that are NaN
-    the robot settles anew. An unstable branch that the motion starts on is followed as long as it exists.
+    x0: the equilibrium of the first frame, which may be unstable; else the robot settles there. After frames that
+    are NaN it settles anew. An unstable branch that the motion starts on is followed as long as it exists.
     """
     q = np.asarray(q, dtype=float)
     way = passage(q, substeps)
@@ -58,10 +63,13 @@ def follow(robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBS
 def followed_apart(
     structure: Structure, numbers: Array, way: Passage, places: Array, margins: bool = True
 ) -> list[Followed]:
-    """The same of robots of numbers (n, d, 8), each at its own places (n, M, 2d + 2) on a way.
+    """The equilibria of robots of numbers (n, d, 8), each at its own places (n, M, 2d + 2), the sub-steps of a
+    way.
 
-    Those that walk abreast do so as far as whole steps lead, and go on one by one from there.
+    Up to LANES robots walk abreast as far as whole steps lead, and continue one by one from there. margins:
+    whether stability is computed.
     """
+    # Abreast only up to the first fresh start, since robots settle one by one.
     found, (stop, *_) = list[Followed](), [*np.flatnonzero(way.fresh[1:]) + 1, len(way.fresh)]
     for first in range(0, len(numbers), LANES):
         group = slice(first, first + LANES)
@@ -80,9 +88,10 @@ def followed(
     margins: bool = True,
     begun: tuple[Array, State] | None = None,
 ) -> Followed:
-    """The same of a robot of numbers (d, 8) at its own places (M, 2d + 2) on a way, with margins or without.
+    """The equilibria of a robot of numbers (d, 8) at its own places (M, 2d + 2), the sub-steps of a way.
 
-    begun: equilibria (k, 2d + 2) at the first places, k > 0, and the last of them; None where none is known.
+    x0: its equilibrium in the first frame, None to let it settle. margins: whether stability is computed. begun:
+    equilibria (k, 2d + 2) at the first places, k > 0, and the last state; None where none is known.
     """
     equilibria, last = Equilibria(structure, numbers), np.searchsorted(way.frames, way.frames, side="right") - 1
     x, snaps, at, state = np.full(places.shape, np.nan), list[Snap](), 0, None
@@ -108,7 +117,11 @@ def followed(
 def _branches(
     equilibria: Equilibria, way: Passage, places: Array, at: int, state: State | None, x: Array, snaps: list[Snap]
 ) -> tuple[int, State | None]:
-    """Follow one branch after the other from a place up to the next fresh one; where that is, and what is left."""
+    """Follow one branch after the other from place `at` up to the next fresh start, and record equilibria and
+    snaps.
+
+    Returns the place reached, and the state there; None where no equilibrium was found.
+    """
     assert state is not None
     fresh = np.flatnonzero(way.fresh[at + 1 :])
     stop = at + 1 + fresh[0] if len(fresh) else len(places)
@@ -127,16 +140,19 @@ def _branches(
 
 
 def _snap(frame: int, jump: Array) -> Snap:
+    """A snap on the way to a frame, from the angles (d,) by which the tips jumped."""
     return Snap(frame, tuple(int(i) + 1 for i in np.flatnonzero(abs(jump) > JUMP)), float(abs(jump).max()))
 
 
 def _at_frames(way: Passage, x: Array, margins: Array, snaps: tuple[Snap, ...]) -> Followed:
-    """Equilibria and margins at frames, from those x (M, 2d + 2) and margins (M,) at all places."""
+    """Equilibria and margins at frames, from x (M, 2d + 2) and margins (M,) at all sub-steps."""
     ends = np.flatnonzero(np.diff(way.frames, append=-1))
     at, between = np.full((2, way.total), np.nan)
     here = np.full((way.total, x.shape[1]), np.nan)
     here[way.frames[ends]], at[way.frames[ends]] = x[ends], margins[ends]
+    # np.fmin ignores NaN margins (not computed, or no equilibrium) at sub-steps between frames.
     between[way.frames[ends]] = np.inf
     np.fmin.at(between, way.frames, margins)
+    # A snap lies between two sub-steps, where no margin was looked at: there it was 0.
     np.minimum.at(between, [snap.frame - 1 for snap in snaps], 0.0)
     return Followed(here, at, np.where(np.isfinite(at), between, np.nan), snaps)

@@ -1,4 +1,8 @@
-"""The elastic model as a Model: its unknowns are x = (phi, beta, theta) of torsion.py, every x an equilibrium."""
+"""The elastic model as a Model: its unknowns are x = (phi, beta, theta) of torsion.py, every x an equilibrium.
+
+Angles in rad, extensions in mm. alpha is a function of x, so that limits and speeds of motors are constraints of
+programs; the stability margin is held through determinants (stability.py).
+"""
 
 from __future__ import annotations
 
@@ -34,7 +38,7 @@ STEPS = 2
 
 
 CHUNK = 64
-"""Shapes whose samples are computed at once: what fits into a processor's nearest memory."""
+"""Number of shapes whose samples are computed together: what fits into a processor's nearest cache."""
 
 
 class Elastic(Model):
@@ -45,7 +49,9 @@ class Elastic(Model):
     can_snap = True
 
     def fast(self, structure: Structure) -> bool:
-        """As Model.fast."""
+        """Whether compiled code for this structure is ready; the first call begins to compile it in the
+        background.
+        """
         return compiled(structure) is not None
 
     def frame(
@@ -56,19 +62,22 @@ class Elastic(Model):
         margin: ca.SX | None = None,
         tangents: bool = False,
     ) -> Shape:
-        """As Model.frame."""
+        """The shape of one frame as symbols; arguments as in Model.frame."""
         d, x = structure.d, ca.SX.sym("x", 2 * structure.d + 2)
         entries = ca.vertsplit(x)
         beta = entries[d : 2 * d]
         parts = torsion.sections(tubes, beta, ca)
         twisted = torsion.twist(tubes, entries, parts, ca, STEPS)
         lengths, turns = shape.travels(tubes, beta, parts, places(beta), ca, STEPS)
+        # Layer by layer: lengths, a row a sample; vectors as columns; the axes; alpha; then margins and
+        # turns if asked for.
         values = [
             ca.horzcat(*lengths),
             matrix_of(shape.curves(tubes, entries, parts, twisted, ca)),
             matrix_of(shape.turned_base(tubes, entries, ca)),
             ca.vertcat(*torsion.motors(tubes, entries, twisted)),
         ]
+        # A single tube has no other to be twisted by, and is always stable.
         if margin is not None and d > 1:
             responses = stability.responses(tubes, beta, parts, twisted.nodes, margin, ca)
             values.append(ca.vertcat(*(stability.determinant(response) for response in responses)))
@@ -82,74 +91,80 @@ class Elastic(Model):
         points = combination(ca.horzsplit(travelled), vectors)
         found = None
         if tangents:
+            # The tangent at the base is the third axis, (0, 0, 1); vectors of all sections add their gains.
             found = combination([1.0, *ca.horzsplit(others[-1])], [(0.0, 0.0, 1.0), *vectors])
+        # q = (alpha, beta, theta): alpha from the rows after x, beta and theta from x. Then the tips, which
+        # tell in which of several equilibria the robot is.
         picks = (*range(2 * d + 2, 3 * d + 2), *range(d, 2 * d + 2), *range(d))
         margins = others[0] if stable else None
         return Shape(x, alpha, tuple(beta), points, inner, found, (first, second, third), margins, picks)
 
     def points(self, robot: Robot, x: Array, sigma: Array) -> Array:
-        """As Model.points."""
+        """Points (T, n, 3) in mm at x (T, 2d + 2) and sigma (n,) or (T, n), of one robot."""
         return _points(robot.structure, robot.numbers[None], x, sigma)
 
     def points_apart(self, structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
-        """As Model.points_apart."""
+        """Points (n, T, m, 3) in mm of robots that differ in numbers; arguments as in Model.points_apart."""
         found = _points(structure, *of_rows(numbers, x, sigma))
         return found.reshape(*x.shape[:2], *found.shape[1:])
 
     def at_rest(self, robot: Robot, q: Array, sigma: Array) -> Rest:
-        """As Model.at_rest."""
+        """A robot that stands at each q (T, 2d + 2) without a history; points at sigma (m,)."""
         code = compiled(robot.structure)
         if code is None:
             return super().at_rest(robot, q, sigma)
         return code.rests(robot.numbers.ravel(order="F")[None], q, sigma)
 
     def tangents(self, robot: Robot, x: Array, sigma: Array) -> Array:
-        """As Model.tangents."""
+        """Unit tangents (T, n, 3) at x (T, 2d + 2) and sigma (n,) or (T, n)."""
         found = shape.backbone(robot.tube_numbers, columns_of(x), sigma, np).tangents
         return _stacked(found, len(x), np.shape(sigma)[-1])
 
     def margins(self, robot: Robot, x: Array) -> Array:
-        """As Model.margins: by Galerkin's method, stability.py."""
+        """Stability margins (T,) at x (T, 2d + 2), by Galerkin's method (stability.py)."""
         return stability.margins(robot.tube_numbers, x)
 
     def rest(self, robot: Robot, q: Array) -> Array:
-        """The equilibrium that all tubes are turned to together from alpha_d; NaN where none is found."""
+        """The equilibrium at q (2d + 2,) to which all tubes are turned together from alpha_d; NaN where none is
+        found.
+        """
         return settled(robot, q)
 
     def guess(self, robot: Robot, q: Array) -> Array:
-        """As if no tube were twisted."""
+        """Unknowns (.., 2d + 2) at q (.., 2d + 2) of tubes that are not twisted."""
         x = np.array(q, dtype=float)
+        # A helix's direction turns by its own torsion along its curved part; phi_i is relative to phi_d.
         x[..., : robot.d] += [tube.spin * tube.curved_length for tube in robot.tube_numbers]
         x[..., : robot.d - 1] -= x[..., robot.d - 1 : robot.d]
         return x
 
     def configuration(self, robot: Robot, x: Array) -> Array:
-        """As Model.configuration; alpha is explicit in x."""
+        """The configurations q (T, 2d + 2) of unknowns x (T, 2d + 2); alpha is explicit in x."""
         tubes, columns, d = robot.tube_numbers, columns_of(x), robot.d
         twisted = torsion.twist(tubes, columns, torsion.sections(tubes, columns[d : 2 * d], np), np)
         return np.hstack([*torsion.motors(tubes, columns, twisted), *columns[d:]])
 
     def extensions(self, robot: Robot, x: Array) -> Array:
-        """As Model.extensions; x holds them where q does."""
+        """The extensions beta (T, d) in mm, which x holds where q does."""
         return x[:, robot.d : 2 * robot.d]
 
     def follow(self, robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBSTEPS) -> Followed:
-        """As Model.follow; following.py."""
+        """The equilibria along a motion through frames q (T, 2d + 2); see following.follow."""
         return follow(robot, q, x0, substeps)
 
     def walker(self, structure: Structure, numbers: Array, q: Array) -> Walker:
-        """As Model.walker; walking.py."""
+        """A robot to be moved step by step; see walking.ElasticWalker."""
         return ElasticWalker(structure, numbers, q)
 
     def follow_apart(
         self, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True
     ) -> list[Followed]:
-        """As Model.follow_apart."""
+        """The equilibria of robots that differ in numbers along a way; see following.followed_apart."""
         return followed_apart(structure, numbers, way, q, margins)
 
 
 def _points(structure: Structure, numbers: Array, x: Array, sigma: Array) -> Array:
-    """Points (T, n, 3) in mm of robots of numbers (T or 1, d, 8) at unknowns x (T, 2d + 2)."""
+    """Points (T, n, 3) in mm of robots of numbers (T or 1, d, 8) at x (T, 2d + 2) and sigma (n,) or (T, n)."""
     if (code := compiled(structure)) is not None:
         return code.shapes(numbers.swapaxes(1, 2).reshape(len(numbers), -1), x, sigma)[0]
     tubes, columns, d = tubes_in_columns(structure, numbers), columns_of(x), structure.d
@@ -159,6 +174,8 @@ def _points(structure: Structure, numbers: Array, x: Array, sigma: Array) -> Arr
         np.concatenate([_stacked(vector, len(x), 1) for vector in some], axis=1)
         for some in (vectors, shape.turned_base(tubes, columns, np))
     )
+    # Vectors (T, k, 3) in the robot's axes times these axes: one small product a shape, before samples
+    # enter.
     placed, points = directions @ base, np.empty((len(x), np.shape(sigma)[-1], 3))
     for at in (slice(first, first + CHUNK) for first in range(0, len(x), CHUNK)):
         own, beta = numbers[at] if len(numbers) > 1 else numbers, columns_of(x[at, d : 2 * d])
@@ -172,4 +189,5 @@ def _points(structure: Structure, numbers: Array, x: Array, sigma: Array) -> Arr
 
 
 def _stacked(vector: Vector, *shape: int) -> Array:
+    """x, y and z, broadcast to a shape, as the last axis of one array."""
     return np.stack([np.broadcast_to(part, shape) for part in vector], axis=-1)

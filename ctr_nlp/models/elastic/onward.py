@@ -1,4 +1,4 @@
-"""The elastic model of a robot that moves on: in which equilibrium it is, the way that it has come decides."""
+"""The elastic model of a robot that continues a motion: its history decides which equilibrium it is in."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ELASTIC = Elastic()
 
 
 class Onward(Elastic):
-    """Robots that have come through places before (n, 2d + 2) of the tubes, n > 1, when a motion begins.
+    """Robots that have come through configurations before (n, 2d + 2), n > 1, when a motion begins.
 
     A robot of the plain elastic model comes to rest in the first frame of a motion instead, from where all its
     tubes are aligned; where tubes are turned far against each other, that is another equilibrium.
@@ -26,15 +26,19 @@ class Onward(Elastic):
 
     @property
     def form(self) -> Model:
-        """As Model.form."""
+        """The plain elastic model: programs do not depend on the history."""
         return ELASTIC
 
     def rest(self, robot: Robot, q: Array) -> Array:
-        """As Model.rest, of a robot that has come that way."""
+        """The equilibrium x (2d + 2,) at q (2d + 2,) of a robot that has come through the configurations
+        before.
+        """
         return self.follow(robot, np.asarray(q, dtype=float)[None]).x[0]
 
     def follow(self, robot: Robot, q: Array, x0: Array | None = None, substeps: int = SUBSTEPS) -> Followed:
-        """As Model.follow."""
+        """The equilibria along frames q (T, 2d + 2), after the configurations before unless x0 says where it
+        begins.
+        """
         if x0 is not None:
             return follow(robot, q, x0, substeps)
         return _later(follow(robot, np.vstack([self.before, q]), None, substeps), len(self.before))
@@ -42,7 +46,12 @@ class Onward(Elastic):
     def follow_apart(
         self, structure: Structure, numbers: Array, way: Passage, q: Array, margins: bool = True
     ) -> list[Followed]:
-        """As Model.follow_apart; robots have come as far beside the places before as their first ones are."""
+        """The equilibria of robots that differ in numbers along a way, each after a history of its own.
+
+        A robot's history is parallel to the configurations before, at the distance of its first configuration from
+        the way's.
+        """
+        # As many sub-steps to each configuration of the history as to the motion's last frame.
         count, substeps = len(self.before), int((way.frames == way.frames[-1]).sum())
         come = passage(np.vstack([self.before, way.q[:1]]), substeps)
         whole = Passage(
@@ -57,6 +66,6 @@ class Onward(Elastic):
 
 
 def _later(found: Followed, count: int) -> Followed:
-    """What comes after so many frames; a robot that has snapped in these has done so by the first."""
+    """The frames after the first `count`; a snap within those counts as one on the way to the first frame."""
     snaps = tuple(snap._replace(frame=max(snap.frame - count, 1)) for snap in found.snaps)
     return Followed(found.x[count:], found.stability[count:], found.stability_between[count:], snaps)

@@ -1,7 +1,12 @@
 """The shape of the elastic model: tubes that twist each other (torsion.py) share one curve.
 
-One source for symbols and numbers, as in dominant.py: `xp` is casadi or numpy. A shape is a sum of lengths, which
-depend on beta and sigma, times vectors, which depend on x alone, in axes turned with the innermost tube's tip.
+The tangent t turns with the bending vector u (1/mm) of torsion.py in a frame (d1, d2, t) that does not spin about
+t (Bishop's frame): t' = u_x d1 + u_y d2, d1' = -u_x t, d2' = -u_y t. Frames are integrated from node to node by
+Magnus' series to order 4, and between nodes the tangent is a polynomial whose integral is the position (mm).
+
+One source for symbols and numbers, as in models/dominant/shape.py: `xp` is casadi or numpy. A shape is a sum of
+lengths, which depend on beta and sigma, times vectors, which depend on x alone, in axes turned with the innermost
+tube's tip.
 """
 
 from __future__ import annotations
@@ -22,13 +27,13 @@ Axes = tuple[Vector, Vector, Vector]
 """Three unit vectors."""
 
 TINY = 1e-4
-"""mm: sections shorter than this count as none."""
+"""Length in mm below which sections count as empty."""
 SERIES = 7
 """Terms of the series of sin(a)/a and (1 - cos(a))/a^2, where a is the angle turned from node to node."""
 
 
 def backbone(tubes: Tubes, x: Sequence[Any], sigma: Any, xp: Any, steps: int = STEPS) -> Backbone:
-    """The shape at s = sigma beta_d; x: the 2d + 2 unknowns of torsion.py."""
+    """The shape at s = sigma beta_d; x: the 2d + 2 unknowns of torsion.py, sigma in [0, 1]."""
     beta = x[len(tubes) : 2 * len(tubes)]
     parts = sections(tubes, beta, xp)
     vectors = curves(tubes, x, parts, twist(tubes, x, parts, xp, steps), xp)
@@ -39,7 +44,7 @@ def backbone(tubes: Tubes, x: Sequence[Any], sigma: Any, xp: Any, steps: int = S
 
 
 def curves(tubes: Tubes, x: Sequence[Any], parts: Sequence[Section], twisted: Twist, xp: Any) -> list[Vector]:
-    """The vectors that a shape is made of, section by section.
+    """The vectors of which a shape is the sum, section by section.
 
     Of a plane section: where it bends to, and its tangent at the beginning. Of another: the coefficients of powers
     of the fraction of its length in the polynomial through the tangents at all nodes.
@@ -48,10 +53,13 @@ def curves(tubes: Tubes, x: Sequence[Any], parts: Sequence[Section], twisted: Tw
     axes: Axes = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
     for part, nodes in zip(parts, twisted.nodes, strict=True):
         if part.plane:
+            # At most one active tube: the sum is its angle, or 0.
             psi = sum(nodes[0].angles[i] for i in part.active)
             cos, sin = xp.cos(psi), xp.sin(psi)
             found += [combined(cos, axes[0], sin, axes[1]), axes[2]]
             angle = _arc(tubes, beta, part, part.length, xp).angle
+            # The whole section is one turn, about the axis perpendicular to the direction in which it
+            # bends.
             axes = turned(axes, (-angle * sin, angle * cos, 0.0))
         else:
             triads = _triads(axes, part, nodes, xp)
@@ -61,7 +69,8 @@ def curves(tubes: Tubes, x: Sequence[Any], parts: Sequence[Section], twisted: Tw
 
 
 def powers(tangents: Sequence[Vector]) -> list[Vector]:
-    """Coefficients of powers of the fraction of a section's length in the polynomial through its tangents."""
+    """Coefficients of powers of the fraction of a section's length, of the polynomial through its tangents."""
+    # The inverse of Vandermonde's matrix for evenly spaced nodes maps values to coefficients.
     to_powers = np.linalg.inv(np.vander(np.linspace(0.0, 1.0, len(tangents)), increasing=True))
     return [combination(row, tangents) for row in to_powers]
 
@@ -69,7 +78,7 @@ def powers(tangents: Sequence[Vector]) -> list[Vector]:
 def travels(
     tubes: Tubes, beta: Sequence[Any], parts: Sequence[Section], s: Any, xp: Any, steps: int = STEPS
 ) -> tuple[list[Any], list[Any]]:
-    """For each of these vectors: travel along it to arc lengths s, mm, and how much of it the tangent gains."""
+    """Lengths along each vector of `curves` to arc lengths s, mm, and how much of each the tangent gains."""
     lengths, turns, before = list[Any](), list[Any](), 0 * s
     for part in parts:
         here = xp.fmin(s, part.start + part.length)
@@ -78,9 +87,14 @@ def travels(
             lengths += [side, along]
             turns += [xp.sin(angle), xp.cos(angle) - 1]
         else:
+            # (here - before) / length, which is 0 instead of NaN, with finite derivatives, where a section
+            # is empty.
             fraction = (here - before) * (part.length / (part.length**2 + TINY**2))
             powers = list(itertools.accumulate([fraction] * (2 * steps), lambda a, b: a * b, initial=1.0))
+            # The integral of f^(n-1) over the arc length travelled so far is (here - before) f^(n-1) / n.
             lengths += [(here - before) / n * power for n, power in enumerate(powers, start=1)]
+            # The constant coefficient is the tangent at the section's beginning, which earlier sections
+            # have gained.
             turns += [0.0, *powers[1:]]
         before = here
     return lengths, turns
@@ -95,24 +109,27 @@ def turned_base(tubes: Tubes, x: Sequence[Any], xp: Any) -> Axes:
 
 
 def _arc(tubes: Tubes, beta: Sequence[Any], part: Section, length: Any, xp: Any) -> Travel:
-    """Travel over a length from the beginning of a plane section."""
+    """Travel over a length (mm) from the beginning of a plane section, with at most one curved tube."""
     if not part.active:
         return Travel(0 * length, length, 0 * length)
     (i,) = part.active
     tube, share = tubes[i], part.shares[i]
+    # Straight tubes beside it share the bending: the curve has the tube's share of its pre-curvature.
     bent = tube._replace(root_curvature=share * tube.root_curvature, tip_curvature=share * tube.tip_curvature)
     x_from, straight = beta[i] - part.start, 0.0
     x_to = x_from - length
     if tubes[i].shown:
         x_from, x_to = xp.fmin(x_from, tube.curved_length), xp.fmin(x_to, tube.curved_length)
+        # Beyond the curved part, towards the root, the tube is straight; that part comes first.
         straight = length - (x_from - x_to)
     side, along, angle = planar(bent, x_from, x_to, xp)
     return Travel(side, straight + along, angle)
 
 
 def _triads(axes: Axes, part: Section, nodes: Sequence[Node], xp: Any) -> list[Axes]:
-    """The Bishop frames at a section's nodes, turned from node to node by Magnus' series to order 4."""
+    """Bishop frames at a section's nodes, from those at its beginning, by Magnus' series to order 4."""
     u, h, found = [bending(part, node, xp) for node in nodes], part.length / (len(nodes) - 1), [axes]
+    # Three nodes at a time: both halves use the quadratic through the bending vectors at all three.
     for k in range(0, len(nodes) - 1, 2):
         a, b, c = u[k : k + 3]
         found.append(turned(found[-1], _turn(h, a, b, c, a, b)))
@@ -121,14 +138,23 @@ def _triads(axes: Axes, part: Section, nodes: Sequence[Node], xp: Any) -> list[A
 
 
 def _turn(h: Any, near: Any, middle: Any, far: Any, first: Any, last: Any) -> Vector:
-    """Magnus' series from bending vectors at three nodes, over the h between the first and the last of two."""
+    """Rotation vector of Magnus' series over a length h between two nodes, in the axes at its beginning, rad.
+
+    near, middle, far: bending vectors at three nodes, in this order from the one that h begins or ends at; first,
+    last: at both ends of h.
+    """
+    # Integral of u over half of the three nodes' interval: weights 5/12, 8/12, -1/12 of the quadratic.
     x, y = (h * (5 / 12 * near[i] + 8 / 12 * middle[i] - 1 / 12 * far[i]) for i in range(2))
+    # The axes turn about t x u = (-u_y, u_x, 0). The last entry is the commutator term: without it, the
+    # series is of order 2.
     return -y, x, h**2 / 12 * (first[0] * last[1] - first[1] * last[0])
 
 
 def turned(axes: Axes, turn: Vector) -> Axes:
-    """Axes after a turn about a vector in its own axes, rad, by Rodrigues' formula."""
+    """Axes after a turn about a vector in these axes, rad, by Rodrigues' formula."""
     x, y, z = turn
+    # s = sin(a)/a and c = 2 (1 - cos(a))/a^2 by Horner's scheme in a^2: smooth at a = 0, where quotients
+    # are not.
     square, s, c = x * x + y * y + z * z, 1.0, 1.0
     for n in range(SERIES, 0, -1):
         s = 1 - square / (2 * n * (2 * n + 1)) * s

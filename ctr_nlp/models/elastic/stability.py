@@ -1,7 +1,13 @@
-"""Whether an equilibrium of the elastic model is stable, and how far from the snap.
+"""Whether an equilibrium of the elastic model is stable, and how far it is from snapping.
 
 With K the torsional part of the energy's second variation, transmissions included, and V its bending part, the
 margin mu is the smallest eigenvalue of (K + V) x = mu K x: 1 where tubes do not act on each other, 0 at the snap.
+It has no unit.
+
+Two ways lead to it. Evaluations solve the eigenproblem by Galerkin's method (energy.py). Programs need a smooth
+constraint instead: mu > margin means that ((1 - margin) K + V) is positive definite, which by Jacobi's condition
+holds as long as solutions of the linearised balance of moments, on tubes of (1 - margin) GJ, do not become
+singular anywhere from the tips to the motors (Gilbert et al. 2016 for margin 0).
 """
 
 from __future__ import annotations
@@ -27,23 +33,27 @@ def responses(
     xp: Any,
     held: bool = False,
 ) -> list[list[list[Any]]]:
-    """How angles follow those at the tips, on tubes of (1 - margin) GJ; places: Twist.nodes.
+    """Derivatives of the tubes' angles over those at the tips, on tubes of (1 - margin) GJ.
 
-    Matrices [tube][tip]: of psi at the base of every section in which tubes twist each other, from tip to base,
-    and then with one transmission after the other; with margin 0 the last is d alpha / d phi. By Jacobi's
-    condition, in steps that let one eigenvalue pass at a time, the margin exceeds the one given as long as no
-    determinant on the way loses its sign. They are d - 1 each way, of angles relative to the innermost tube's,
-    unless a moment from outside holds the direction in which all are turned together: then d.
+    parts: sections; places: Twist.nodes; beta: extensions, mm. Returns matrices [tube][tip]: of psi at the base of
+    every section in which tubes twist each other, from tip to base, and then with one transmission after the
+    other; with margin 0 the last is d alpha / d phi. By Jacobi's condition, in steps that let one eigenvalue pass
+    at a time, the margin exceeds the one given as long as no determinant on the way loses its sign. They are d - 1
+    each way, of angles relative to the innermost tube's, unless a moment from outside holds the direction in which
+    all are turned together (held): then d.
     """
     d = len(tubes)
     free = d if held else d - 1
+    # At the tips the response is the identity, with rate 0: psi'(beta_i) = 0 for every tip angle.
     columns = [[1.0 if i == j else 0.0 for i in range(d)] for j in range(free)]
     rates: list[list[Any]] = [[0.0] * d for _ in columns]
     found = []
     for part, nodes in zip(reversed(parts), reversed(places), strict=True):
+        # A plane section: tubes do not act on each other, and responses go on linearly.
         if len(nodes) == 1:
             columns = [moved(y, (-part.length, rate)) for y, rate in zip(columns, rates, strict=True)]
             continue
+        # A step spans three nodes: its ends and its middle, where the angles are known from torsion.py.
         h = -2 * part.length / (len(nodes) - 1)
         stiff = [_stiffness(tubes, part, node, 1 / (1 - margin), xp) for node in nodes]
         for k in range(len(nodes) - 1, 0, -2):
@@ -55,6 +65,8 @@ def responses(
         found.append(_seen(columns, held))
     for i, tube in enumerate(tubes):
         for y, rate in zip(columns, rates, strict=True):
+            # The transmission of tube i, as in torsion.motors; one after the other, so that eigenvalues
+            # pass one by one.
             y[i] = y[i] - rate[i] * (tube.length - beta[i])
         found.append(_seen(columns, held))
     return found
@@ -63,7 +75,10 @@ def responses(
 def _stepped(
     values: Sequence[Any], rates: Sequence[Any], h: Any, *ks: Sequence[Any]
 ) -> tuple[list[Any], list[Any]]:
-    """Values and rates after a step h of Nystroem's method of order 4, from its three second derivatives."""
+    """Values and rates after a step h of Nystroem's method of order 4, from its three second derivatives.
+
+    They are at the beginning, in the middle and at the end of the step.
+    """
     a, b, c = ks
     return (
         moved(values, (h, rates), (h**2 / 6, a), (h**2 / 3, b)),
@@ -72,34 +87,45 @@ def _stepped(
 
 
 def _stiffness(tubes: Tubes, part: Section, node: Node, factor: float, xp: Any) -> list[list[Any]]:
-    """The derivatives [tube][tube] of factor psi'', 1/mm^2."""
+    """The derivatives [tube][tube] of factor psi'' over the angles, 1/mm^2.
+
+    factor is 1 / (1 - margin): softer tubes twist more.
+    """
     found: list[list[Any]] = [[0.0] * len(tubes) for _ in tubes]
     cos, sin = ({i: turn(node.angles[i]) for i in part.active} for turn in (xp.cos, xp.sin))
     for i in part.active:
         own = factor * tubes[i].torsional_ratio * node.curvatures[i]
         for j in part.active:
             if j != i:
+                # psi_i'' = k_i EI_i/GJ_i sum_j share_j k_j sin(psi_i - psi_j): its derivative over psi_i is
+                # the sum of the cosines, over psi_j minus one of them.
                 pull = own * part.shares[j] * node.curvatures[j] * (cos[i] * cos[j] + sin[i] * sin[j])
                 found[i][i], found[i][j] = found[i][i] + pull, -pull
         if node.outside is not None:
+            # A moment from outside bends towards a fixed direction: the derivative of u x e(psi) over psi
+            # is u . e(psi).
             x, y = node.outside
             found[i][i] = found[i][i] + own * (x * cos[i] + y * sin[i])
     return found
 
 
 def _times(matrix: Sequence[Sequence[Any]], y: Sequence[Any]) -> list[Any]:
+    """A matrix [row][column] times a vector."""
     return [sum(a * b for a, b in zip(row, y, strict=True)) for row in matrix]
 
 
 def _seen(columns: Sequence[Sequence[Any]], held: bool) -> list[list[Any]]:
-    """[tube][tip], less the innermost tube's row unless turns of all are held."""
+    """Responses as [tube][tip], less the innermost tube's row unless turns of all tubes are held."""
     if held:
         return [list(row) for row in zip(*columns, strict=True)]
+    # Turning all tubes together is no deformation without a moment from outside.
     return [[column[i] - column[-1] for column in columns] for i in range(len(columns))]
 
 
 def determinant(matrix: Sequence[Sequence[Any]]) -> Any:
-    """By expansion along the first row; for the few tubes that there are."""
+    """Determinant by expansion along the first row; for the few tubes that there are, and without pivoting:
+    smooth.
+    """
     if not matrix:
         return 1.0
     first, *others = matrix
@@ -108,7 +134,7 @@ def determinant(matrix: Sequence[Sequence[Any]]) -> Any:
 
 
 def margins(tubes: Tubes, x: Array) -> Array:
-    """The margin (T,) of every x (T, 2d + 2), by Galerkin's method; NaN where x is."""
+    """The stability margin (T,) of every x (T, 2d + 2), by Galerkin's method; NaN where x is."""
     code = compiled(Structure(tuple(tube.kind for tube in tubes), tuple(tube.shown for tube in tubes)))
     if code is not None:
         return code.margins(numbers_of(tubes), x)
@@ -116,5 +142,7 @@ def margins(tubes: Tubes, x: Array) -> Array:
     pairs = zip(energies(tubes, x), differences(tubes, x), strict=True)
     for row, (energy, angles) in enumerate(pairs):
         if known[row]:
+            # K is the identity in these coordinates: an ordinary eigenproblem. No twists at all have the
+            # margin 1.
             found[row] = np.linalg.eigvalsh(energy.hessian(angles)).min(initial=1.0)
     return found

@@ -1,19 +1,20 @@
 """How tubes twist each other: the torsionally compliant model (Dupont 2010, Rucker 2010), unloaded, frictionless.
 
-Its unknowns are x = (phi, beta, theta): phi_d is the angle psi_d of the innermost tube at its tip, and phi_i that
-of tube i at its own, less phi_d. From the tips, which are untwisted, the balance of moments,
+Its unknowns are x = (phi, beta, theta) in rad and mm: phi_d is the angle psi_d of the innermost tube at its tip,
+and phi_i that of tube i at its own, less phi_d. From the tips, which are untwisted, the balance of moments,
 
     GJ_i psi_i'' = EI_i k_i u x e(psi_i),   u = sum_i EI_i k_i e(psi_i) / sum_i EI_i,   psi_i'(beta_i) = 0,
 
 is integrated to the base, and on through the straight transmissions to the motors: alpha is an explicit, smooth
 function of x, every x is an equilibrium, and there is no equation to solve. alpha alone does not determine x:
-where d alpha / d phi is singular, the robot snaps.
+where d alpha / d phi is singular, the robot snaps. Here u is the bending vector and k_i the pre-curvature in 1/mm,
+e(psi) = (cos psi, sin psi), and a prime is d/ds.
 
 The pre-curvature of a helix turns along the tube, by tau a mm. Its psi is the direction in which it bends, so that
 psi_i' = tau_i where it is untwisted; alpha is that direction where its curved part begins, if it is untwisted.
 
-Angles within are relative to phi_d, since turning all tubes turns the whole robot. One source for symbols and
-numbers, as in dominant.py: `xp` is casadi or numpy.
+Angles here are relative to phi_d, since turning all tubes turns the whole robot. One source for symbols and
+numbers, as in models/dominant/shape.py: `xp` is casadi or numpy.
 """
 
 from __future__ import annotations
@@ -27,8 +28,11 @@ from ctr_nlp.robot.structure import Tubes
 STEPS = 4
 """Steps of integration a section: angles of motors are good to 3e-5 rad near a fold, shapes to 0.001 mm."""
 STAGES = (1 / 5, (1 / 50,)), (2 / 3, (-1 / 27, 7 / 27)), (1.0, (3 / 10, -2 / 35, 9 / 35))
-"""Of Nystroem's method, after the first: the part of the step, and weights of the second derivatives before it."""
+"""Stages of Nystroem's method after the first: the part of the step, and weights of the second derivatives before
+it.
+"""
 OF_ANGLES = 14 / 336, 100 / 336, 54 / 336, 0.0
+"""Weights of the second derivatives at the four stages in what a step adds to angles (the rates' are OF_RATES)."""
 OF_RATES = 14 / 336, 125 / 336, 162 / 336, 35 / 336
 """Weights of the second derivatives at its four stages in what a step adds to angles and to rates."""
 
@@ -36,9 +40,9 @@ OF_RATES = 14 / 336, 125 / 336, 162 / 336, 35 / 336
 class Section(NamedTuple):
     """Part of the robot along which the same tubes are present and curved; start and length in mm.
 
-    shares: of every tube in the bending stiffness of those present. curved: 0 or 1 for every tube. present: the
+    shares: each tube's part of the bending stiffness of those present. curved: 0 or 1 for every tube. present: the
     tubes that are there; active: those of them that may be curved. plane: whether these are at most one, with a
-    known share, and no helix: it bends in a plane.
+    known share, and no helix: the section then bends in a plane.
     """
 
     start: Any
@@ -50,7 +54,7 @@ class Section(NamedTuple):
     plane: bool
 
     def divided(self, count: int) -> list[Section]:
-        """So many pieces of the same length, from base to tip."""
+        """The section as so many pieces of the same length, from base to tip."""
         length = self.length / count
         return [self._replace(start=self.start + k * length, length=length) for k in range(count)]
 
@@ -67,8 +71,9 @@ class Node(NamedTuple):
 
 
 class Twist(NamedTuple):
-    """nodes: of every section from base to tip; one, at the base, of plane ones, else 2 steps + 1, evenly spaced.
+    """The tubes' angles along the robot.
 
+    nodes: of every section from base to tip; one, at the base, of plane sections, else 2 steps + 1, evenly spaced.
     angles, rates: at the base, rad and rad/mm.
     """
 
@@ -78,13 +83,15 @@ class Twist(NamedTuple):
 
 
 def sections(tubes: Tubes, beta: Sequence[Any], xp: Any, planes: bool = True) -> list[Section]:
-    """Between neighbouring ends of tubes, and within these of straight parts that can be pushed out.
+    """Sections between neighbouring tube tips, divided where a straight part that can be pushed out begins.
 
     planes: whether tubes that are alone bend in a plane, as without a load; then the last one, its straight part
     included, needs no division, unless it is a helix.
     """
     d, found = len(tubes), list[Section]()
     divided = d - 1 if planes and tubes[-1].kind != "helix" else d
+    # Where the curved part of each tube begins, mm from the base, if its straight part can show: 0 while
+    # that is hidden.
     starts = [
         xp.fmax(beta[i] - tube.curved_length, 0.0) if tubes[i].shown else None for i, tube in enumerate(tubes)
     ]
@@ -92,9 +99,12 @@ def sections(tubes: Tubes, beta: Sequence[Any], xp: Any, planes: bool = True) ->
         present, edges = (0.0,) * i + (1.0,) * (d - i), [low, high]
         for start in starts[i:] if i < divided else ():
             if start is not None:
+                # Clamped into every interval, so that there are as many sections wherever starts lie: some
+                # have length 0. A program's structure must not depend on its numbers.
                 inside = (xp.fmax(a, xp.fmin(b, start)) for a, b in itertools.pairwise(edges))
                 edges = [low, *inside, high]
         for a, b in itertools.pairwise(edges):
+            # Within a section a tube is curved throughout or not at all; its midpoint tells which.
             curved = [
                 here if start is None or i == divided else here * ((a + b) / 2 >= start)
                 for here, start in zip(present, starts, strict=True)
@@ -105,39 +115,52 @@ def sections(tubes: Tubes, beta: Sequence[Any], xp: Any, planes: bool = True) ->
 
 
 def _section(tubes: Tubes, a: Any, b: Any, present: Sequence[float], curved: Sequence[Any]) -> Section:
+    """The section from a to b (mm) with the tubes present and curved, each 0 or 1 for every tube."""
     stiffness = [here * tube.bending_stiffness for here, tube in zip(present, tubes, strict=True)]
     shares = tuple(EI / sum(stiffness) for EI in stiffness)
     there = tuple(i for i, here in enumerate(present) if here)
     active = tuple(i for i in there if tubes[i].kind != "straight")
+    # A tube alone has no other to twist it: its psi'' is 0. A helix's direction turns nevertheless.
     plane = len(active) <= 1 and all(tubes[i].kind != "helix" for i in active)
     return Section(a, b - a, shares, tuple(curved), there, active, plane)
 
 
 def twist(tubes: Tubes, x: Sequence[Any], parts: Sequence[Section], xp: Any, steps: int = STEPS) -> Twist:
-    """The tubes' angles, integrated from their tips to the base by Nystroem's method of order 5.
+    """The tubes' angles at x, integrated from their tips to the base by Nystroem's method of order 5.
 
-    (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, section II.14, table 14.1.)
+    parts: the sections; steps: of integration in each. (Hairer, Norsett, Wanner, Solving Ordinary Differential
+    Equations I, section II.14, table 14.1.)
     """
     d = len(tubes)
+    # Untwisted at the tips: psi' is the helix's own torsion, 0 for other tubes.
     rates, nodes = [tube.spin for tube in tubes], list[list[Node]]()
+    # All tubes start at the robot's tip, beta_d, as if each went on untwisted beyond its own tip: it then
+    # arrives at beta_i with phi_i, and no case distinguishes sections with and without it.
     ahead = ((rate, x[2 * d - 1] - beta) for rate, beta in zip(rates, x[d : 2 * d], strict=True))
     angles = [phi + rate * beyond for phi, (rate, beyond) in zip([*x[: d - 1], 0.0], ahead, strict=True)]
     for part in reversed(parts):
         if part.plane:
+            # psi'' = 0 in a plane section: angles are linear in s.
             angles = moved(angles, (-part.length, rates))
             nodes.append([Node(angles, curvatures_at(tubes, x, part, part.start))])
             continue
+        # Backwards, from the tip to the base.
         h = -part.length / steps
+        # Nodes are collected from tip to base, and turned round at the end.
         found = [Node(angles, curvatures_at(tubes, x, part, part.start + part.length))]
         for k in range(steps, 0, -1):
             begin = angles, rates
             ks = [_moments(tubes, part, found[-1], xp)]
             for place, row in STAGES:
                 there = curvatures_at(tubes, x, part, part.start + part.length * ((k - place) / steps))
+                # Nystroem's stage: y(c h) = y + c h y' + h^2 sum a_j k_j, for y'' = f(s, y) without y'.
                 changes = ((h**2 * weight, of) for weight, of in zip(row, ks, strict=True) if weight)
                 ks.append(_moments(tubes, part, Node(moved(angles, (h * place, rates), *changes), there), xp))
             angles = moved(angles, (h, rates), *((h**2 * w, of) for w, of in zip(OF_ANGLES, ks, strict=True) if w))
+            # After the angles, which need the rates at the step's beginning.
             rates = moved(rates, *((h * w, of) for w, of in zip(OF_RATES, ks, strict=True)))
+            # Shapes and stability need angles in the middle of steps, too: from an interpolant, not from
+            # more stages.
             middle = _between(begin, (angles, rates), (ks[0], ks[-1]), h)
             for part_of_step, at in ((0.5, middle), (1.0, angles)):
                 s = part.start + part.length * ((k - part_of_step) / steps)
@@ -147,28 +170,31 @@ def twist(tubes: Tubes, x: Sequence[Any], parts: Sequence[Section], xp: Any, ste
 
 
 def motors(tubes: Tubes, x: Sequence[Any], twisted: Twist) -> list[Any]:
-    """alpha_i = psi_i(0) - psi_i'(0) (L_i - beta_i), rad; a helix does not turn by itself on its straight part."""
+    """Angles of the motors (d,), rad: alpha_i = psi_i(0) - psi_i'(0) (L_i - beta_i)."""
     d = len(tubes)
     ends = zip(twisted.angles, twisted.rates, tubes, x[d : 2 * d], strict=True)
     return [
+        # Nothing bends the straight transmission, so its twist is constant. A helix's direction turns on
+        # the hidden part of its curved part, but not on the straight part of length L_i - Lc_i: the last
+        # summand takes that back. x[d - 1] is phi_d, which angles are relative to.
         x[d - 1] + angle - rate * (tube.length - beta) + tube.spin * (tube.length - tube.curved_length)
         for angle, rate, tube, beta in ends
     ]
 
 
 def turned_untwisted(tubes: Tubes, x: Sequence[Any], i: int, s: Any) -> Any:
-    """The direction in which tube i bends at s, rad, where it is untwisted and its motor is at 0."""
+    """The direction in which tube i bends at s (mm), rad, where it is untwisted and its motor is at 0."""
     return tubes[i].spin * (tubes[i].curved_length - x[len(tubes) + i] + s)
 
 
 def bending(part: Section, node: Node, xp: Any) -> tuple[Any, Any]:
-    """The bending vector u, 1/mm."""
+    """The bending vector u = sum of shares times k e(psi) over the active tubes, 1/mm, as x and y."""
     here = [(part.shares[i] * node.curvatures[i], node.angles[i]) for i in part.active]
     return sum(k * xp.cos(psi) for k, psi in here), sum(k * xp.sin(psi) for k, psi in here)
 
 
 def curvatures_at(tubes: Tubes, x: Sequence[Any], part: Section, s: Any) -> list[Any]:
-    """Pre-curvature of every tube at s of a section, 1/mm; 0.0 where not active."""
+    """Pre-curvature of every tube at s of a section, 1/mm; 0.0 where it is not active."""
     found: list[Any] = [0.0] * len(tubes)
     for i in part.active:
         tube = tubes[i]
@@ -177,22 +203,28 @@ def curvatures_at(tubes: Tubes, x: Sequence[Any], part: Section, s: Any) -> list
 
 
 def _moments(tubes: Tubes, part: Section, node: Node, xp: Any) -> list[Any]:
-    """The psi'' of every tube, rad/mm^2."""
+    """Second derivatives psi'' of every tube, rad/mm^2, from the balance of moments."""
     (x, y), found = bending(part, node, xp), [0.0] * len(tubes)
     for i in part.active:
+        # torsional_ratio is EI / GJ = 1 + Poisson's ratio; u x e(psi) = u_x sin(psi) - u_y cos(psi).
         psi, k = node.angles[i], tubes[i].torsional_ratio * node.curvatures[i]
         found[i] = k * (x * xp.sin(psi) - y * xp.cos(psi))
     return found
 
 
 def _between(begin: Any, end: Any, seconds: Any, h: Any) -> list[Any]:
-    """Angles halfway through a step h, by the polynomial with both ends' angles, rates and second derivatives."""
+    """Angles halfway through a step h, by the quintic polynomial with both ends' angles, rates and second
+    derivatives.
+
+    begin, end: angles and rates; seconds: second derivatives at both ends.
+    """
     (first, first_rates), (last, last_rates), (a, b) = begin, end, seconds
+    # Quintic Hermite at 1/2: (y0 + y1) / 2 + 5 h (y0' - y1') / 32 + h^2 (y0'' + y1'') / 64.
     middle = [(one + other) / 2 for one, other in zip(first, last, strict=True)]
     slopes = (h * 5 / 32, first_rates), (-h * 5 / 32, last_rates)
     return moved(middle, *slopes, (h**2 / 64, a), (h**2 / 64, b))
 
 
 def moved(values: Sequence[Any], *changes: tuple[Any, Sequence[Any]]) -> list[Any]:
-    """Values plus factors times changes."""
+    """Values plus the sum of factors times changes, entry by entry."""
     return [value + sum(factor * change[i] for factor, change in changes) for i, value in enumerate(values)]

@@ -1,4 +1,7 @@
-"""One elastic robot that is moved step by step: Walker."""
+"""One elastic robot that is moved step by step (models/walker.py): it stays on its branch until that ends.
+
+Configurations q and unknowns x (2d + 2,) in rad and mm; equilibria.py follows branches.
+"""
 
 from __future__ import annotations
 
@@ -13,25 +16,27 @@ from ctr_nlp.robot.structure import Structure, tubes_of
 from ctr_nlp.typing import Array
 
 NEAR = 0.05
-"""rad that tips may be predicted to turn by in one step from a robot's numbers to others: half of what would
-belong to another branch."""
+"""Angle in rad that tips may be predicted to turn by in one step from a robot's numbers to others: half of what
+would belong to another branch.
+"""
 
 
 class ElasticWalker(Walker):
-    """Follows one branch of equilibria after the other, as following.py does along whole motions."""
+    """A robot that follows one branch of equilibria after the other, as following.py does along whole motions."""
 
     def __init__(self, structure: Structure, numbers: Array, q: Array) -> None:
-        """At rest at q (2d + 2,), to which all tubes were turned together from alpha_d."""
+        """Place a robot of numbers (d, 8) at rest at q (2d + 2,), all tubes turned there together from alpha_d."""
         self._structure, self._numbers = structure, np.array(numbers)
         self._equilibria = Equilibria(structure, self._numbers)
         self._take(self._equilibria.settled(np.array(q, dtype=float)), q)
 
     def _take(self, state: State | None, q: Array) -> None:
+        """Be in a state at q; x is NaN for None."""
         self._state, self.q = state, np.array(q, dtype=float)
         self.x = np.full(len(q), np.nan) if state is None else state.x
 
     def go(self, q: Array) -> list[Array]:
-        """As Walker."""
+        """Move linearly to q (2d + 2,); the tips' jumps (d,) rad, an entry for each snap."""
         q, jumps = np.array(q, dtype=float), list[Array]()
         if self._state is not None:
             state, jumps = self._equilibria.followed(self._state, q)
@@ -39,7 +44,11 @@ class ElasticWalker(Walker):
         return [jump for jump in jumps if abs(jump).max() > JUMP]
 
     def become(self, numbers: Array, x: Array | None = None) -> list[Array]:
-        """As Walker; in steps, where a robot of other numbers is far away."""
+        """Continue as a robot of other numbers (d, 8), in steps if that robot's x is far away; the tips' jumps
+        (d,) rad.
+
+        x (2d + 2,): roughly where it will be; None for where it is.
+        """
         before, jumps, change = self._numbers, list[Array](), np.zeros(len(self.q))
         if x is not None and self._state is not None:
             change = x - self.x
@@ -49,6 +58,8 @@ class ElasticWalker(Walker):
             there = before + (self._numbers - before) * (k / steps)
             self._equilibria = Equilibria(self._structure, there)
             if self._state is not None:
+                # Numbers and unknowns change in proportion: each step's prediction is within NEAR of the
+                # last equilibrium.
                 near = self._state.x + change / steps
                 state, fell = self._equilibria.followed(self._state._replace(x=near), self.q)
                 self._take(state, self.q)
@@ -56,7 +67,7 @@ class ElasticWalker(Walker):
         return jumps
 
     def margin(self) -> float:
-        """As Walker."""
+        """The stability margin of the equilibrium."""
         code = compiled(self._structure)
         if code is not None:
             return float(code.margins(self._numbers.ravel(order="F")[None], self.x[None])[0])
