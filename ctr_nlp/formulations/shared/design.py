@@ -1,9 +1,12 @@
-"""Tubes as unknowns that the frames of several tasks have in common, and what of them can be made.
+"""Tubes as unknowns that the frames of several tasks have in common, and the rules by which they can be made.
 
 Unknowns p: of every tube its pre-curvature (at the root and at the tip where these differ) in 1/(100 mm), then the
 length of its curved part in 100 mm, then its outer and inner diameter in mm; these units make all entries of one
-order. Bending stiffnesses follow from diameters and moduli. Straight transmissions keep their lengths, and a tube
-is pushed out by no more than its curved part.
+order. Bending stiffnesses follow from diameters and moduli, EI = E pi (D^4 - d^4) / 64. Straight transmissions
+keep their lengths, and a tube is pushed out by no more than its curved part.
+
+Strains are those of docs/method.md, "The robot": k D / 2 of a tube bent into its pre-curvature, and D / 2 |k - sum
+EI_j k_j / sum EI_j| of one deployed beside others that are all turned alike.
 """
 
 from __future__ import annotations
@@ -27,24 +30,26 @@ from ctr_nlp.robot.tube import Tube
 from ctr_nlp.typing import Array, Index
 
 FREED = "curvature", "bending_stiffness", "curved_length", "length"
-"""Numbers of tubes that a design decides, in the order in which frames take them; area too, where they weigh."""
+"""Numbers of tubes that a design decides, in the order in which frames take them; area too, where tubes weigh."""
 HUNDRED_MM = 100.0
-"""The unit of lengths of curved parts among p, mm, and of radii."""
+"""Unit of lengths of curved parts among p, mm, and of radii."""
 SHORTEST = 10.0
 """Least length of a curved part, mm."""
 STRAIGHTEST = 1e-4
-"""Least curvature at the tip of a tube that is to be curved, 1/mm: less is another structure."""
+"""Least curvature at the tip of a curved tube, 1/mm: a straight one is another structure."""
 ALIKE = 1e-9
-"""Part by which the curvatures of a part with a linear one differ at least."""
+"""Least relative difference of root and tip curvature where the curvature is linear: equal ones are another
+structure.
+"""
 INSIDE = 1e-7
-"""How far within its bounds a rule is kept, so that rounding does not break it."""
+"""Distance within its bounds by which a rule is kept, so that rounding does not break it."""
 
 DIGITS = 12
-"""Of rules that are told, and of lengths in mm: sums of decimal numbers are off by less."""
+"""Digits after the point of rules' values, and of lengths in mm: sums of decimal numbers are off by less."""
 
 
 class Kept(NamedTuple):
-    """A rule of manufacture on some tubes: its value, and the bounds within which that must lie."""
+    """A rule of manufacture on some tubes: its value, and the bounds between which that must lie."""
 
     name: str
     value: float
@@ -56,10 +61,9 @@ class Kept(NamedTuple):
 class DesignedTubes:
     """The tubes of a robot as unknowns p (P,), within rules.
 
-    fixed: names of entries that stay as they are. weighs: whether the tubes' own weight counts.
-
-    No curved part becomes longer than the robot's reach. Raises OptionError where a name is unknown, where no
-    tubes keep the rules, and where straight parts of tubes can be pushed out, which is another structure.
+    fixed: names of entries that stay as they are. weighs: whether the tubes' own weight counts. No curved part
+    becomes longer than the robot's reach. Raises OptionError where a name is unknown, where no tubes satisfy the
+    rules, and where straight parts of tubes can be pushed out, which is another structure.
     """
 
     robot: Robot
@@ -69,6 +73,7 @@ class DesignedTubes:
 
     def __post_init__(self) -> None:
         self.rules.check_tubes(self.robot.d)
+        # A tube whose straight part shows has more sections; p may change the structure only in numbers.
         if any(self.robot.structure.shown):
             raise OptionError(
                 "limits of beta let straight transmissions come out; a design needs limits of beta that are at "
@@ -80,17 +85,17 @@ class DesignedTubes:
 
     @property
     def freed(self) -> tuple[str, ...]:
-        """The numbers of tubes that are unknowns of a frame."""
+        """Names of the tubes' numbers that are unknowns of a frame."""
         return FREED + ("area",) * self.weighs
 
     @cached_property
     def _curvatures(self) -> tuple[tuple[int, tuple[int, ...]], ...]:
-        """The tube, from 0, and the columns among its numbers of every pre-curvature among p."""
+        """For each pre-curvature among p, its tube, from 0, and its columns among that tube's numbers."""
         return freed_places(self.robot.structure, ("curvature",))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Those of p's entries, with the number of the tube, from 1."""
+        """Names of p's entries, with the number of the tube, from 1."""
         kinds = ("curvature" if len(columns) > 1 else NUMBERS[columns[0]] for _, columns in self._curvatures)
         curvatures = [f"{kind}_{i + 1}" for kind, (i, _) in zip(kinds, self._curvatures, strict=True)]
         tubes, ends = range(1, self.robot.d + 1), ("outer_diameter", "inner_diameter")
@@ -102,13 +107,13 @@ class DesignedTubes:
 
     @cached_property
     def _at_roots(self) -> Index:
-        """Which of p's entries are curvatures at roots, which may be negative: that at the tip is another."""
+        """Positions in p of curvatures at roots, which may be negative: only the tip's has to be positive."""
         root = (NUMBERS.index("root_curvature"),)
         return np.array([k for k, (_, columns) in enumerate(self._curvatures) if columns == root], dtype=int)
 
     @cached_property
     def _transmissions(self) -> Array:
-        """Lengths (d,) of the straight parts, mm."""
+        """Lengths (d,) of the straight parts, mm, which a design keeps."""
         return np.array([tube.length - tube.curved_length for tube in self.robot.tubes])
 
     @cached_property
@@ -132,6 +137,7 @@ class DesignedTubes:
             curved, straight = round(HUNDRED_MM * float(lengths[i]), DIGITS), float(self._transmissions[i])
             whole = straight + curved
             tubes.append(Tube(whole, curved, bent, outer, inner, tube.poisson_ratio, tube.youngs_modulus))
+        # Limits of beta follow from the new lengths.
         limits = replace(self.robot.limits, beta=None)
         return replace(self.robot, tubes=tuple(tubes), limits=limits)
 
@@ -139,26 +145,31 @@ class DesignedTubes:
         """Curvatures (c,), lengths (d,) and diameters (d, 2) of p, in its units."""
         count, d = len(self._curvatures), self.robot.d
         diameters = p[count + d :]
+        # CasADi fills columns first, numpy rows: p has outer and inner diameter of one tube next to each
+        # other.
         shaped = ca.reshape(diameters, 2, d).T if isinstance(p, ca.SX) else diameters.reshape(d, 2)
         return p[:count], p[count : count + d], shaped
 
     @cached_property
     def box(self) -> tuple[Array, Array]:
-        """Bounds (P,) of p."""
+        """Lower and upper bounds (P,) of p."""
         count, d = len(self._curvatures), self.robot.d
         lower = np.full(len(self.names), self.rules.channel)
         upper = np.full(len(self.names), self.rules.outer)
+        # Curvatures are positive, since a negative one is the same tube turned by pi; a root's may have the
+        # other sign.
         lower[:count], upper[:count] = HUNDRED_MM * STRAIGHTEST, HUNDRED_MM / self.rules.bend_radius
         if not self.rules.one_sided:
             lower[self._at_roots] = -HUNDRED_MM / self.rules.bend_radius
         lower[count : count + d], upper[count : count + d] = np.array([SHORTEST, self.robot.reach]) / HUNDRED_MM
+        # The innermost tube's curved part stays as long as the robot's reach.
         lower[count + d - 1] = upper[count + d - 1]
         held = np.array([name in self.fixed for name in self.names])
         return np.where(held, self.own, lower), np.where(held, self.own, upper)
 
     @cached_property
     def program(self) -> Nlp:
-        """The program over p: rows that give frames their freed numbers, then the rules; and a pull to near.
+        """The program over p: rows that give frames their freed numbers, then the rules; and a pull towards near.
 
         Parameters: near (P, 1), pull (1, 1) in mm^2 a squared unit.
         """
@@ -168,9 +179,11 @@ class DesignedTubes:
         outer, inner = ca.horzsplit(diameters)
         whole = lengths + ca.DM(self._transmissions)
         moduli = ca.DM([tube.youngs_modulus for tube in self.robot.tubes])
+        # Second moment of area of a ring.
         stiffness = moduli * (math.pi / 64) * (outer**4 - inner**4)
         near, pull = ca.SX.sym("near", p.numel()), ca.SX.sym("pull")
         areas = (math.pi / 4) * (outer**2 - inner**2)
+        # In the order of FREED, which frames take them in.
         given = ca.vertcat(curvatures, stiffness, lengths, whole, *[areas] * self.weighs)
         free = np.full(given.numel(), np.inf)
         return Nlp(
@@ -189,6 +202,7 @@ class DesignedTubes:
     def _rules(
         self, curvatures: ca.SX, stiffness: ca.SX, lengths: ca.SX, outer: ca.SX, inner: ca.SX
     ) -> list[tuple[str, ca.SX, float, float]]:
+        """Rules of manufacture: name, value, and lower and upper bound, each."""
         rules, d, gap = self.rules, self.robot.d, self.robot.carriage_gap or 0.0
         found = [
             (
@@ -200,8 +214,10 @@ class DesignedTubes:
             for k, (i, columns) in enumerate(self._curvatures)
         ]
         for i in range(d):
+            # Thickness of the tube's wall, mm.
             found.append((f"wall of tube {i + 1}", (outer[i] - inner[i]) / 2, rules.wall, math.inf))
         for i in range(d - 1):
+            # Difference of diameters: twice the gap on each side.
             between = inner[i] - outer[i + 1]
             found.append((f"clearance of tubes {i + 1} and {i + 2}", between, rules.clearance, math.inf))
             longer = lengths[i + 1] - lengths[i]
@@ -211,9 +227,12 @@ class DesignedTubes:
             [curvatures[k] for k, (at, _) in enumerate(self._curvatures) if at == i] or [ca.SX(0)]
             for i in range(d)
         ]
+        # Sections of the deployed robot: from the tube `first` inwards all are present, and share one
+        # curve.
         for first in range(d - 1):
             inside = range(first, d)
             together = sum(stiffness[i] for i in inside)
+            # Linear curvatures are extreme at root or tip; strains are checked at both.
             ends = sorted({0, *(len(each) - 1 for each in own[first:])})
             for end in ends:
                 where = "" if len(ends) == 1 else f" at the {'tips' if end else 'roots'}"
@@ -226,14 +245,18 @@ class DesignedTubes:
         return found
 
     def common(self, scenarios: Scenarios, near: Array, pull: float) -> Common:
-        """What frames have in common, pulled to near (P,) by so many mm^2 a squared unit."""
+        """Common unknowns of a shared motion: this program, pulled towards near (P,) by so many mm^2 a squared
+        unit.
+        """
         places = freed_places(self.robot.structure, self.freed)
         numbers = scenarios.numbers[:, [i for i, _ in places], [columns[0] for _, columns in places]]
         parameters = self.program.pack({"near": near, "pull": pull})
+        # Scenario s has the nominal number times a factor: relative tolerances stay what they are while
+        # tubes change.
         return Common(self.program, numbers / numbers[0], parameters, *self.box)
 
     def kept(self, p: Array) -> list[Kept]:
-        """The rules at p, one a row."""
+        """The rules' values and bounds at p."""
         parameters = self.program.pack({"near": p, "pull": 0.0})
         g = self.program.functions.value(p, parameters)[1].full().ravel()
         found, at = list[Kept](), 0
@@ -247,19 +270,21 @@ class DesignedTubes:
         return found
 
     def keeps(self, p: Array) -> bool:
-        """Whether tubes of p can be made."""
+        """Whether the tubes of p can be made."""
         lower, upper = self.box
         good = all(rule.lower <= rule.value <= rule.upper for rule in self.kept(p))
         return good and bool(((lower <= p) & (p <= upper)).all())
 
 
 def _where(columns: Sequence[int]) -> str:
-    """At which end of a curved part a pre-curvature is, by its columns in NUMBERS; nothing for that of an arc."""
+    """Text for the end of a curved part at which a pre-curvature is, by its columns in NUMBERS; empty for an
+    arc.
+    """
     return "" if len(columns) > 1 else f" at its {NUMBERS[columns[0]].partition('_')[0]}"
 
 
 def varying(robot: Robot) -> Robot:
-    """The same robot with arcs as curved parts whose curvature is linear, and all but constant."""
+    """The robot with arcs as curved parts of linear curvature, all but constant."""
     tubes = (
         replace(tube, curvature=(tube.root_curvature, tube.tip_curvature * (1 + ALIKE))) if kind == "arc" else tube
         for tube, kind in zip(robot.tubes, robot.structure.kinds, strict=True)
@@ -268,4 +293,5 @@ def varying(robot: Robot) -> Robot:
 
 
 def _within(name: str, value: ca.SX, lower: float, upper: float) -> Constraint:
+    """A constraint that keeps a rule INSIDE its bounds."""
     return Constraint(name, value, np.array([lower + INSIDE]), np.array([upper - INSIDE]))

@@ -1,12 +1,13 @@
-"""Scenarios: robots of slightly other tubes that make the same motion, planned for together.
+"""Scenarios: robots of slightly different tubes that make the same motion, planned for together.
 
 alpha, beta and theta of every frame belong to all of S robots, and each has tips phi of its own, which its motors'
-angles and their offsets determine: alpha(phi_s, beta; tubes_s) = alpha + offset_s. What is minimised is the
-weighted mean of their shape errors and the motion (9); each keeps a stability margin, and tips near the first's,
-so that all are on one branch of a fork, which the margin does not see. Nor does it see a fork between two frames:
-the first's tips turn by little more than its motors from frame to frame.
-Guards are scenarios that need only not be lost: less margin does for them, and tips that are further away.
-Robots may bear a load, each a force of its own at its tip beside it. Then the turn w of the tip's axes is also an
+angles and their offsets determine: alpha(phi_s, beta; tubes_s) = alpha + offset_s, in rad. The weighted mean of
+their shape errors and the motion (9) are minimised, in mm^2. Each robot keeps a stability margin, and tips near
+the first's, so that all are on one branch at a bifurcation, which the margin does not see. Nor does it see a
+bifurcation between two frames: the first's tips turn by little more than its motors from frame to frame. Guards
+are scenarios that only have to stay stable: less margin does for them, and tips that are further away.
+
+Robots may have a load, each a force of its own at its tip beside it. Then the turn w of the tip's axes is also an
 unknown of each robot's own, and an equation says that its base points where theta has it (models/loaded/shape.py).
 """
 
@@ -32,19 +33,23 @@ from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array, Index
 
 APART, FURTHEST = 0.7, 0.9
-"""rad by which a scenario's tips, relative to the innermost one, may differ from the first scenario's; and those
-of one that need only not be lost, which it is from simulation.drawn.APART on."""
+"""Angles in rad by which a scenario's tips, relative to the innermost one, may differ from the first scenario's
+(APART), and those of a guard (FURTHEST), which counts as lost from simulation.drawn.APART on.
+"""
 EASED = 0.3
-"""The part of the margin that one that need only not be lost keeps."""
+"""Part of the margin that a guard keeps."""
 PRESSED_MM = 0.8
-"""How far a robot other than the nominal one may press into the wall before it costs much, mm; the nominal one may
-less. Simulated robots are judged by 1 mm (plan.sample_outcomes)."""
+"""Depth in mm by which a robot other than the nominal one may press into the wall before it costs much; the
+nominal one may less. Simulated robots are judged by 1 mm (plan.sample_outcomes).
+"""
 TWIST_STEP = 0.7
-"""rad by which the first scenario's tips, relative to the innermost one, may turn beyond its motors in a frame."""
+"""Angle in rad by which the first scenario's tips, relative to the innermost one, may turn beyond its motors in a
+frame.
+"""
 
 
 def check_shared(robot: Robot, model: Model, scenarios: Scenarios) -> None:
-    """Raise OptionError unless scenarios are of a robot, and bear forces on a model that knows loads alone."""
+    """Raise OptionError unless scenarios fit the robot, and have forces only on a model with loads."""
     if model.bears is None and scenarios.pushed:
         raise OptionError(f"scenarios bear forces, which the {model.name} model without a load does not know")
     if scenarios.offsets.shape[1] != robot.d:
@@ -68,25 +73,30 @@ def shared_motion(
 ) -> SharedMotion:
     """The motion through frames, dt s apart, of scenarios of a robot.
 
-    As horizon, but for tips that may turn as they do, and for the wall, which is no matter of slacks but a smooth
-    cost (terms.touch). margins (T,): the least of every scenario in each frame, None for any; no matter
-    on a model that cannot snap. guards: of these frames. Raises OptionError.
+    motion_weight, ends, model, functions, extra: as in horizon.horizon; but tips may turn as they do, and the wall
+    is not a matter of slacks but a smooth cost (terms.touch). margins (T,): the least of every scenario in each
+    frame, None for any; unused on a model that cannot snap. wall: of the lumen. freed: numbers of tubes that are
+    unknowns (frame.program). guards: of these frames. Raises OptionError.
     """
     check_shared(robot, model, scenarios)
     margins = margins if model.can_snap else None
+    # Any number: it only adds the term, whose parameter is set frame by frame below.
     margin = None if margins is None else 0.0
     terms = (*terms_of(robot, model, margin, extra), *([] if wall is None else [Touch(robot.d)]))
     frame = program("frame", robot.structure, model, terms, freed)
     each = packed(frame, [filled(robot, terms, at) for at in frames])
+    # (T, S + K, d, 8): scenarios are the same in every frame, guards differ.
     numbers = with_guards(scenarios.numbers, None if guards is None else guards.numbers, len(frames))
     eased = np.arange(numbers.shape[1]) >= len(scenarios)
     parameters = np.repeat(each[:, None], len(eased), axis=1)
+    # Swapped, as parameters are packed by columns of (d, 8).
     parameters[..., frame.place("tubes")] = numbers.swapaxes(2, 3).reshape(*numbers.shape[:2], -1)
     if model.bears is not None:
         parameters[..., frame.place(Bears.name)][..., :3] += with_guards(
             scenarios.forces, None if guards is None else guards.forces, len(frames)
         )
     for arrival in (term for term in terms if isinstance(term, Arrival)):
+        # Robots but the nominal one may end further from the target at no cost.
         parameters[:, 1:, frame.place("arrival_radius")] += arrival.wider
     if margins is not None:
         parameters[..., frame.place("margin")] = (margins[:, None] * np.where(eased, EASED, 1.0))[..., None]
@@ -99,9 +109,11 @@ def shared_motion(
     loads = None if model.bears is None else parameters[:, : len(scenarios), frame.place(Bears.name)]
     near = None if wall is None else partial(_surroundings, wall, scenarios.numbers, loads)
     apart = np.where(eased, FURTHEST, APART)
+    # No frame before the first: no limit.
     twists = np.append(np.inf, np.full(len(frames) - 1, TWIST_STEP))
     rest = flat, lower, upper, links, apart, twists
     lighter = partial(_lighter, frame, robot, model, freed=freed, functions=functions)
+    # Touch is the last of the terms.
     without_wall = None if wall is None else lighter(terms[:-1])
     constraints = [term for term in terms if not term.objective_only]
     bare = lighter(constraints) if len(constraints) < len(terms) else None
@@ -128,21 +140,26 @@ def _lighter(
     freed: tuple[str, ...],
     functions: Callable[[Nlp], Callable[[], FrameFunctions]],
 ) -> Lighter:
-    """Build the program of a frame with some of the terms of the whole one."""
+    """Build the program of a frame with some of the terms of the whole one.
+
+    Its constraints must be those of the whole program, so that rows agree. freed, functions: as for the whole.
+    """
     nlp = program("frame", robot.structure, model, terms, freed)
+    # Where each of its parameters stands in the whole program's, name by name.
     places = [np.arange(whole.p.numel())[whole.place(name)] for name in nlp.parameters]
     return Lighter(functions(nlp), np.concatenate(places))
 
 
 def _held(frame: Nlp, robot: Robot) -> Index:
-    """Where a frame's unknowns hold beta and theta."""
+    """Positions of beta and theta among a frame's unknowns, (d + 2,)."""
     return frame.configuration[robot.d : len(robot.axes)]
 
 
 def _surroundings(wall: Wall, numbers: Array, loads: Array | None, x: Array) -> dict[str, Array]:
-    """What surrounds robots (T, S, m), scenarios and then others, whose cost is 0; these have the first's."""
-    n = 2 * numbers.shape[1] + 2  # a tilt that is held beside the model's unknowns comes after them
+    """Parameters that describe the wall near robots x (T, S, m); robots whose cost is 0 get the first one's."""
+    n = 2 * numbers.shape[1] + 2  # a tilt that is stored beside the model's unknowns comes after them
     found = wall.of_scenarios(x[:, : len(numbers), :n], numbers, loads)
+    # The nominal robot keeps its own limit; perturbed ones may press deeper.
     found["contact_allowed"][:, 1:] = np.maximum(found["contact_allowed"][:, 1:], PRESSED_MM)
     others = np.zeros(x.shape[1] - len(numbers), dtype=int)
     return {name: np.concatenate([each, each[:, others]], axis=1) for name, each in found.items()}

@@ -1,4 +1,8 @@
-"""Motions of several tasks as one, with the tubes that they have in common."""
+"""Motions of several tasks as one motion, with the tubes that they have in common.
+
+Frames of all tasks follow each other in one SharedMotion. No link joins the last frame of one task with the first
+of the next: only the common unknowns p (design.py) couple them.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +21,10 @@ from ctr_nlp.nlp.scenarios import Common, SharedMotion
 
 
 def shared_tubes(motions: Sequence[SharedMotion], common: Common) -> SharedMotion:
-    """Motions of the same scenarios, each of a task of its own, as one with common unknowns."""
+    """Join motions of the same scenarios, each of a task of its own, as one with common unknowns."""
     sizes = [motion.lower.size for motion in motions]
     begins, frames = np.cumsum([0, *sizes]), np.cumsum([0, *(len(motion.lower) for motion in motions)])
+    # Each task's links move behind the unknowns and frames of the tasks before it.
     links = [
         _moved(link, int(begin), sum(sizes), int(frame))
         for motion, begin, frame in zip(motions, begins, frames, strict=False)
@@ -29,6 +34,8 @@ def shared_tubes(motions: Sequence[SharedMotion], common: Common) -> SharedMotio
         name: np.concatenate([getattr(motion, name) for motion in motions])
         for name in ("parameters", "lower", "upper", "twist_steps")
     }
+    # Everything but frames, links and common unknowns is the same for all tasks: tubes, scenarios and the
+    # program.
     return replace(motions[0], **of_frames, links=tuple(links), common=common)
 
 
@@ -46,7 +53,8 @@ class WithinCurved(Term):
 
 
 def _moved(link: Link, begin: int, size: int, frame: int) -> Link:
-    """A link over so many unknowns, of which its own begin at an entry, and its frames at a frame."""
+    """A link over `size` unknowns, its own beginning at entry `begin`, and its frames at `frame`."""
     found = link.matrix.tocoo()
+    # The same entries, with columns shifted to the task's own unknowns.
     matrix = sp.csr_array((found.data, (found.row, found.col + begin)), shape=(found.shape[0], size))
     return replace(link, matrix=matrix, frame=link.frame + frame)
