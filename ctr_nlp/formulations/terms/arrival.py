@@ -61,6 +61,8 @@ def smooth_excess(value: Any, width: float = ROUNDED) -> Any:
     """
     above = ca.fmax(value, 0)
     within = ca.fmin(above, width)
+    # Both pieces in one expression: w^2 / (2 width) below width, where within = above, and above - width /
+    # 2 beyond.
     return within * (above - within / 2) / width
 
 
@@ -114,6 +116,7 @@ class Arrival(AtTip):
         funnel = FUNNEL * (1 - part) / LAST
         return {
             "arrival_end": end,
+            # A parameter, so that frames before the last part have the same program.
             "arrival_weight": self.weight if part > 1 - LAST else 0.0,
             "arrival_radius": self.radius + funnel,
             "arrival_required": self.required + funnel,
@@ -121,6 +124,7 @@ class Arrival(AtTip):
 
     def build(self, body: Body, parameters: Symbols) -> Parts:
         """One cost, written in the tip's position."""
+        # As a layer of its own: second derivatives are taken over three coordinates instead of over x.
         tip = Inner.of([ca.SX(ca.horzcat(*body.points))])
         away = tip.symbols[0] - parameters["arrival_end"]
         distance = ca.sqrt(ca.sumsqr(away) + NEAREST**2)
@@ -146,6 +150,8 @@ def with_arrival(terms: Sequence[Term], settings: Settings, model: Model) -> tup
     tuple of Term
         The terms, and then at most one Arrival.
     """
+    # On models that cannot snap the end counts only if asked for: the paper's experiments stay as they
+    # were.
     usual = ARRIVAL_WEIGHT if model.can_snap else 0.0
     weight = usual if settings.arrival_weight is None else settings.arrival_weight
     if not weight or any(isinstance(term, Arrival) for term in terms):

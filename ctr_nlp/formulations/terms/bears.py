@@ -1,4 +1,4 @@
-"""The load that a robot bears, on models that know one: numbers for the shape, and no cost."""
+"""The load on the robot, on models with loads: parameters for the shape, and no cost of its own."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ctr_nlp.target.target import Frame
 
 @dataclass(frozen=True, eq=False)
 class Bears(Term):
-    """The numbers (17 + 3d,) of a load (loads.Load.over) that a robot bears in every frame, of so many tubes."""
+    """The numbers (17 + 3d,) of a load in every frame, for so many tubes (loads.Load.over)."""
 
     load: Load | LoadOverTime
     tubes: int
@@ -25,17 +25,18 @@ class Bears(Term):
 
     @property
     def key(self) -> Hashable:
-        """The numbers are parameters."""
+        """The type alone; the numbers are parameters."""
         return type(self)
 
     def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
-        """load: N, N mm, N/mm and mm."""
+        """Shape of the load's numbers: N, N mm, N/mm and mm."""
         return {self.name: (BEFORE_WEIGHTS + 3 * structure.d, 1)}
 
     def build(self, body: Body, parameters: Symbols) -> Parts:
-        """Nothing beside the shape, which was made with the load."""
+        """No contribution: the shape has been computed with the load."""
         return Parts()
 
     def fill(self, frame: Frame) -> Mapping[str, Any]:
-        """The numbers in that part of the motion."""
+        """The load's numbers in that part of the motion."""
+        # Loads that change over time are evaluated at the frame's part of the motion.
         return {self.name: self.load.over(self.tubes, np.array([frame.part]))[0]}

@@ -1,4 +1,10 @@
-"""The lumen's wall as a soft constraint."""
+"""The lumen's wall as a soft constraint.
+
+At places on the robot, r(p) - |C - p| - rho + z >= c with one slack z >= 0 for all of them (mm), at a cost w z: an
+exact penalty, for which z = 0 wherever the clearance c can be kept at a smaller cost. r is the lumen's radius at
+the path's nearest point p, and rho the tube's outer radius. Near a configuration the path is described to second
+order and the radius to first (formulations/wall.py).
+"""
 
 from __future__ import annotations
 
@@ -18,54 +24,63 @@ from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array, Vector
 
 PLACES = 12
-"""On every tube's visible part; the last is its tip."""
+"""Places on every tube's visible part; the last is its tip."""
 COLUMNS = 13
-"""Numbers that describe the wall at a place: centre, tangent, bend, room, taper, behind and ahead."""
+"""Numbers that describe the wall at a place: centre (3), tangent (3), bend (3), room, taper, behind and ahead."""
 ROOM = 9
-"""Which of them the room is."""
+"""Column of the room; the ones before it are vectors."""
 FAR = 1e3
-"""mm: room enough."""
+"""Room in mm that no robot fills: it stands for no wall."""
 FIRM = 1e-3
-"""What keeps Hessians definite, where contact costs nothing too."""
+"""Coefficient of the slack's square in its cost, mm^2 a mm^2: it keeps Hessians definite where contact costs
+nothing, too.
+"""
 HARD = 20.0
 """How many times more contact costs beyond what is allowed. By default a mm costs, in mm^2 and in one frame, 30 of
 contact that is allowed, 150 of the tip's distance beyond its tolerance (terms/arrival.py), and 600 of contact
-beyond what is allowed: that is the order of priorities, before the shape's error."""
+beyond what is allowed: that is the order of priorities, before the shape's error.
+"""
 CENTRED = 0.01
-"""mm: what rounds off the distance to the path where that is 0."""
+"""Distance in mm that rounds off the distance to the path where that is 0, and its slope undefined."""
 
 
 def left(points: Vector, path: Sequence[Vector], wall: Sequence[ca.SX]) -> ca.SX:
-    """What is left (n, 1) of the room that the lumen leaves a robot beside a path, mm; negative in contact.
+    """Room (n, 1) that the lumen leaves a robot beside a path, mm; negative in contact.
 
-    points: x, y, z, each (n, 1) mm. path: its point near to each, its tangent and its bend, 1/mm, in the same
-    axes. wall, each (n, 1): the room there, mm, how much more there is a mm further, and how far the path goes on
+    points: x, y, z, each (n, 1) mm. path: its point near each, its tangent and its bend, 1/mm, in the same axes.
+    wall, each (n, 1): the room there, mm, how much more there is a mm further, and how far the path continues
     behind and ahead, mm.
     """
     (centre, tangent, bend), (room, taper, behind, ahead) = path, wall
     away = [points[i] - centre[i] for i in range(3)]
+    # Along the tangent to the foot of the perpendicular, but not beyond the path's ends.
     further = ca.fmax(ca.fmin(sum(away[i] * tangent[i] for i in range(3)), ahead), -behind)
+    # The path to second order: centre + f tangent + f^2 / 2 bend.
     across = [away[i] - further * tangent[i] - further**2 / 2 * bend[i] for i in range(3)]
+    # CENTRED keeps the root's slope finite on the path itself, where the direction to the wall is
+    # undefined.
     distance = ca.sqrt(sum(part**2 for part in across) + CENTRED**2)
     return room + taper * further - distance
 
 
 def seen(body: Body, wall: ca.SX) -> tuple[Inner, ca.SX]:
-    """The robot's points as inner symbols, and what is left there, written in these; wall: a row a place."""
+    """The robot's points as inner symbols, and the room there, written in these; wall: a row a place."""
+    # As a layer of their own: the wall's second derivatives are taken over three coordinates a place, not
+    # over x.
     points = Inner.of([ca.SX(ca.horzcat(*body.points))])
     at, *path = (columns_of(each) for each in (points.symbols[0], wall[:, :3], wall[:, 3:6], wall[:, 6:9]))
     return points, left(at, path, ca.horzsplit(wall[:, ROOM:]))
 
 
 def contact(slack: Any, weight: Any, allowed: Any) -> Any:
-    """Return the exact penalty on the depth of contact, mm^2.
+    """The exact penalty on the depth of contact, mm^2.
 
     Parameters
     ----------
     slack : float, array or casadi expression
         Depth by which the clearance is missed, mm.
     weight : float or casadi expression
-        What a mm of it costs, mm^2.
+        Cost of a mm of it, mm^2.
     allowed : float or casadi expression
         Depth from which a mm costs HARD times as much, mm.
 
@@ -78,7 +93,7 @@ def contact(slack: Any, weight: Any, allowed: Any) -> Any:
 
 
 def arc_lengths(beta: Sequence[Any], count: int = PLACES) -> list[Any]:
-    """Arc lengths, mm, of so many places on every tube's visible part, the last of which is its tip."""
+    """Arc lengths, mm, of `count` places on every tube's visible part, the last of which is its tip."""
     starts = [0 * beta[0], *(beta[i] for i in range(len(beta) - 1))]
     fractions = np.arange(1.0, count + 1) / count
     return [start + fractions * (end - start) for start, end in zip(starts, beta, strict=True)]
@@ -90,34 +105,39 @@ def wall_parameters(d: int) -> dict[str, tuple[int, int]]:
 
 
 def far_away(d: int) -> dict[str, Any]:
-    """Parameters of a frame of d tubes that no wall is near to."""
+    """Parameters of a frame of d tubes with no wall nearby."""
     wall = np.zeros((d * PLACES, COLUMNS))
+    # Zero vectors and much room: rows that are always satisfied, and a weight of 0.
     wall[:, ROOM] = FAR
     return {"wall": wall, "contact_weight": 0.0, "contact_allowed": 0.0}
 
 
 @dataclass(frozen=True)
 class Lumen(Term):
-    """Clearance at PLACES places of every tube's visible part, and what contact costs; d: number of tubes.
+    """Clearance at PLACES places of every tube's visible part, and the cost of contact; d: number of tubes.
 
-    A step gives what the wall is like near to the robot (wall.py); without that, none is near.
+    A step gives the parameters that describe the wall near the robot (wall.py); without them, none is near.
     """
 
     d: int
     name = "lumen"
 
     def places(self, beta: Sequence[ca.SX]) -> ca.SX:
-        """On every tube."""
+        """Arc lengths of the places on every tube, mm."""
         return ca.vertcat(*arc_lengths(beta))
 
     def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
-        """wall: a row of COLUMNS a place. contact_weight: mm^2 a mm. contact_allowed: mm."""
+        """Shapes of the parameters: wall, a row of COLUMNS a place; contact_weight, mm^2 a mm; contact_allowed,
+        mm.
+        """
         return wall_parameters(self.d)
 
     def build(self, body: Body, parameters: Symbols) -> Parts:
-        """One smooth row a place, and one slack."""
+        """One smooth constraint a place, and one slack for all."""
         slack = ca.SX.sym("slack")
         points, room = seen(body, parameters["wall"])
+        # room + slack >= 0 at every place: the slack is the deepest contact, and its cost counts once a
+        # frame.
         bounds = np.zeros(room.numel()), np.full(room.numel(), np.inf)
         return Parts(
             costs=(Cost("contact", contact(slack, parameters["contact_weight"], parameters["contact_allowed"])),),
@@ -127,5 +147,5 @@ class Lumen(Term):
         )
 
     def fill(self, frame: Frame) -> Mapping[str, Array]:
-        """No wall near."""
+        """Parameters for no wall nearby."""
         return far_away(self.d)

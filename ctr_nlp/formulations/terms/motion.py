@@ -1,4 +1,8 @@
-"""What moving costs, eq. (9)."""
+"""The cost of moving, eq. (9): lambda |W (q - previous)|^2 / dt^2 in mm^2, for one frame.
+
+lambda is in s^2, dt in s; W turns units of q into mm: 10 mm/rad for angles, 1 for beta. Over a horizon, links have
+this cost instead (formulations/horizon.py).
+"""
 
 from __future__ import annotations
 
@@ -18,29 +22,33 @@ from ctr_nlp.typing import Array
 
 
 def change(q: ca.SX, previous: ca.SX, mm_per_unit: Array, root: ca.SX) -> Residual:
-    """Change of configuration over one frame, eq. (9).
+    """Change of configuration over one frame, eq. (9), as a residual in mm.
 
-    root: sqrt(lambda) / dt, with lambda in s^2 and dt in s; 0 where there is no frame before.
+    mm_per_unit: the diagonal of W. root: sqrt(lambda) / dt; 0 where there is no frame before.
     """
     return Residual("motion", root * ca.DM(mm_per_unit) * (q - previous))
 
 
 @dataclass(frozen=True)
 class Motion(Term):
-    """lambda |W (q - previous)|^2 / dt^2; a step overrides what fill gives, which is that of a first frame."""
+    """The term lambda |W (q - previous)|^2 / dt^2; a step overrides what fill gives, which is for a first
+    frame.
+    """
 
     d: int
     name = "motion"
 
     def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
-        """previous: q one frame before. motion_root: sqrt(lambda) / dt."""
+        """Shapes of the parameters: q one frame before, and sqrt(lambda) / dt."""
         return {"previous": (2 * self.d + 2, 1), "motion_root": (1, 1)}
 
     def build(self, body: Body, parameters: Symbols) -> Parts:
-        """Eq. (9)."""
+        """The residual of eq. (9)."""
+        # W of eq. (9): 10 mm/rad for angles and 1 for extensions.
         scale = mm_per_unit(self.d)
         return Parts(residuals=(change(body.q, parameters["previous"], scale, parameters["motion_root"]),))
 
     def fill(self, frame: Frame) -> Mapping[str, Any]:
-        """Those of a frame with none before it."""
+        """Values for a frame with none before it, which costs nothing."""
+        # motion_root = 0 switches the term off; `previous` then does not matter.
         return {"previous": np.zeros(2 * self.d + 2), "motion_root": 0.0}

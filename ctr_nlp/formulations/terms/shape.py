@@ -1,4 +1,8 @@
-"""The distance between the robot's shape and its target, eq. (8)."""
+"""The distance between the robot's shape and its target, eq. (8), at equal sigma = s / beta_d.
+
+The integral over sigma is a sum over samples with trapezoidal weights; residuals carry the weights' square roots
+and are in mm.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +27,7 @@ STRIDE = 5
 
 
 def distance(points: Vector, target: Vector, root: Any) -> Residual:
-    """Distance from the robot to its target at equal sigma, eq. (8).
+    """Distance from the robot to its target at equal sigma, eq. (8), as residuals.
 
     points, target: x, y, z, each (n, 1) mm. root: square roots (n, 1) of quadrature weights.
     """
@@ -48,11 +52,12 @@ class ShapeDistance(Term):
             weights = floats(OptionError, "depth_weights", self.depth_weights, (len(SIGMA),))
             if weights.min() < 0 or weights.max() <= 0:
                 raise OptionError("depth_weights has numbers below 0, or none above; give weights >= 0")
+            # The dataclass is frozen; the checked array replaces what was given.
             object.__setattr__(self, "depth_weights", weights)
 
     @property
     def key(self) -> Hashable:
-        """The weights are parameters."""
+        """The type and the stride; weights are parameters."""
         return type(self), self.stride
 
     def places(self, beta: Sequence[ca.SX]) -> ca.SX:
@@ -60,12 +65,16 @@ class ShapeDistance(Term):
         return ca.DM(SIGMA[:: self.stride]) * beta[-1]
 
     def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
-        """target: points, mm, in the base frame. shape_roots: square roots of the quadrature's weights."""
+        """Shapes of the parameters: target points in mm in the base frame, and square roots of the quadrature's
+        weights.
+        """
         count = len(SIGMA[:: self.stride])
         return {"target": (count, 3), "shape_roots": (count, 1)}
 
     def build(self, body: Body, parameters: Symbols) -> Parts:
         """Eq. (8), in the model's own axes."""
+        # Distances do not depend on axes: turning the target's points into the model's costs fewer
+        # operations.
         seen = body.shape.seen(parameters["target"])
         return Parts(residuals=(distance(body.own_points, seen, parameters["shape_roots"]),))
 
@@ -77,9 +86,12 @@ class ShapeDistance(Term):
     def roots(self) -> Array:
         """Square roots (n,) of trapezoidal weights times depth weights; the squares sum to 1."""
         weights = np.full(len(SIGMA[:: self.stride]), self.stride / (len(SIGMA) - 1))
+        # Trapezoidal rule: half a cell at both ends.
         weights[[0, -1]] /= 2
         if self.depth_weights is not None:
             weights = weights * self.depth_weights[:: self.stride]
+            # The squares of the roots sum to 1 again, so that the motion weight keeps its meaning beside
+            # weighted distances.
             weights = weights / weights.sum()
         roots: Array = np.sqrt(weights)
         return roots

@@ -1,4 +1,8 @@
-"""What a term is, and the part of a robot's shape that it is given."""
+"""The interface of a term of a frame's program, and the part of a robot's shape that it is given.
+
+Objectives are in mm^2: residuals in mm are squared, costs are not. Terms know arc lengths, points and tangents,
+not how a model computes them.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +21,15 @@ from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Vector
 
 Symbols = Mapping[str, ca.SX]
+"""Symbols of parameters, by name."""
 
 
 @dataclass(frozen=True)
 class Body:
     """The robot as a term sees it, in symbols: its configuration, and its shape at the term's own places.
 
-    q (2d + 2, 1). tubes: with symbols for numbers. margin: the symbol of the least stability margin, or None.
+    q (2d + 2, 1). tubes: with symbols for numbers. shape: at the places of all terms; span: which of them are this
+    term's.
     """
 
     q: ca.SX
@@ -48,24 +54,26 @@ class Body:
 
     @property
     def own_points(self) -> Vector:
-        """The same points in the model's own axes, in which it needs fewer operations; see Shape.seen."""
+        """Points of the places in the model's own axes, in which it needs fewer operations; see Shape.seen."""
         return self._spanned(self.shape.points)
 
     @property
     def own_tangents(self) -> Vector:
-        """The same tangents in the model's own axes."""
+        """Unit tangents at the places in the model's own axes."""
         assert self.shape.tangents is not None
         return self._spanned(self.shape.tangents)
 
     def _spanned(self, vectors: Vector) -> Vector:
+        # The model computes the samples of all terms in one column; span picks this term's.
         x, y, z = (axis[self.span] for axis in vectors)
         return x, y, z
 
 
 @dataclass(frozen=True)
 class Parts:
-    """What a term adds to a program. inner: layers of quantities between shape and term. slack: one more
-    unknown, >= 0.
+    """Contributions of a term to a program.
+
+    inner: layers of quantities between shape and term. slack: one more unknown, >= 0.
     """
 
     residuals: tuple[Residual, ...] = ()
@@ -90,8 +98,9 @@ class Term(ABC):
     objective_only = False
 
     def __str__(self) -> str:
-        """In one line, for a plan's options; of many numbers, how many."""
+        """The term in one line, for a plan's options; an array is told by its number of entries."""
         names: list[str] = [f.name for f in fields(self)] if is_dataclass(self) else []
+        # Long arrays would fill a plan's options: only their size is written.
         held = {name: np.asarray(getattr(self, name)) for name in names}
         told = (
             f"{name}={value.size} numbers" if value.size > 1 else f"{name}={value.item()}"
@@ -101,7 +110,7 @@ class Term(ABC):
 
     @property
     def key(self) -> Hashable:
-        """What build depends on: terms of equal keys share a compiled program."""
+        """Everything that `build` depends on: terms of equal keys share a compiled program."""
         return self
 
     def places(self, beta: Sequence[ca.SX]) -> ca.SX:
@@ -114,7 +123,10 @@ class Term(ABC):
 
     @abstractmethod
     def build(self, body: Body, parameters: Symbols) -> Parts:
-        """What the term adds, as symbols."""
+        """The term's contributions, as symbols.
+
+        body: the robot at the term's places. parameters: symbols of this and other terms' parameters, by name.
+        """
 
     def fill(self, frame: Frame) -> Mapping[str, Any]:
         """Values of the parameters for a target frame, by name."""

@@ -1,4 +1,8 @@
-"""Where the robot's tip is to be, and where it is to point."""
+"""The tip's position and direction as terms of the objective.
+
+Residuals are sqrt(weight) times a distance in mm, or times an angle in rad with a weight in mm^2/rad^2. Targets
+and weights are parameters, one for all frames or one a frame.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +23,9 @@ from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
 ROUNDED = 1e-12
-"""Added to the squared distance of two directions, so that their angle has a slope where it is 0."""
+"""Added to the squared distance of two unit vectors, so that their angle has a slope where it is 0."""
 OPPOSITE = 0.999
-"""sin(angle / 2) is taken for no more than this: at opposite directions the slope of the angle is infinite."""
+"""Largest sin(angle / 2) that is used: at opposite directions the slope of the angle is infinite."""
 
 
 class AtTip(Term):
@@ -35,13 +39,15 @@ class AtTip(Term):
         return type(self)
 
     def places(self, beta: Sequence[ca.SX]) -> ca.SX:
-        """The tip."""
+        """Arc length of the tip, mm."""
         return beta[-1]
 
 
 @dataclass(frozen=True, eq=False)
 class _Tip(AtTip):
-    """weight: a number >= 0, or one a frame (T,). wanted: (3,), or (T, 3), or None for the target's own."""
+    """A tip term. weight: a number >= 0, or one a frame (T,). wanted: (3,), or (T, 3), or None for the target's
+    own.
+    """
 
     weight: float | Array = 1.0
     wanted: Array | None = None
@@ -55,19 +61,22 @@ class _Tip(AtTip):
             object.__setattr__(self, "wanted", self._checked(np.atleast_2d(self.wanted)))
 
     def _checked(self, wanted: npt.ArrayLike) -> Array:
+        """The wanted vectors as an array (1 or T, 3); raises OptionError."""
         return floats(OptionError, f"wanted {self.name}", wanted, (None, 3))
 
     def parameters(self, structure: Structure) -> Mapping[str, tuple[int, int]]:
-        """What is wanted, and the square root of the weight."""
+        """Shapes of the parameters: the wanted vector, and the square root of the weight."""
         return {f"{self.name}_wanted": (1, 3), f"{self.name}_root": (1, 1)}
 
     def fill(self, frame: Frame) -> Mapping[str, Any]:
-        """What is wanted in this frame."""
+        """The wanted vector and the root of the weight in this frame."""
         wanted = self._of(frame) if self.wanted is None else self._at(self.wanted, frame)
+        # Residuals are squared: the weight enters as its square root.
         root = float(np.sqrt(self._at(np.asarray(self.weight), frame)))
         return {f"{self.name}_wanted": wanted[None], f"{self.name}_root": root}
 
     def _at(self, values: Array, frame: Frame) -> Any:
+        """The row of values for a frame; a single row is for all. Raises OptionError where there is none."""
         if len(values) == 1:
             return values[0]
         if frame.number >= len(values):
@@ -75,16 +84,18 @@ class _Tip(AtTip):
         return values[frame.number]
 
     def _of(self, frame: Frame) -> Array:
+        """The target's own vector in a frame."""
         raise NotImplementedError
 
     def _difference(self, at: Any, parameters: Symbols) -> ca.SX:
+        """The tip's vector less the wanted one, (3, 1)."""
         wanted = parameters[f"{self.name}_wanted"]
         return ca.vertcat(*(at[i] - wanted[i] for i in range(3)))
 
 
 @dataclass(frozen=True, eq=False)
 class TipPosition(_Tip):
-    """weight |p - wanted|^2, mm^2, where p is the tip and wanted (mm) by default the target's end."""
+    """The term weight |p - wanted|^2, mm^2, where p is the tip and wanted (mm) by default the target's end."""
 
     name = "tip_position"
 
@@ -99,7 +110,7 @@ class TipPosition(_Tip):
 
 @dataclass(frozen=True, eq=False)
 class TipDirection(_Tip):
-    """weight angle^2, mm^2, with the angle (rad) from the tip's tangent to a wanted direction.
+    """The term weight angle^2, mm^2, with the angle (rad) from the tip's tangent to a wanted direction.
 
     The weight is in mm^2/rad^2; the direction is by default that of the target's end.
     """
@@ -112,11 +123,14 @@ class TipDirection(_Tip):
         lengths = np.linalg.norm(wanted, axis=1)
         if lengths.min() == 0:
             raise OptionError(f"wanted {self.name} has the row (0, 0, 0), which has no direction")
+        # Unit vectors: the angle is found from their difference.
         return wanted / lengths[:, None]
 
     def build(self, body: Body, parameters: Symbols) -> Parts:
         """The angle, as a vector along the difference of the two directions."""
         difference = self._difference(body.tangents, parameters)
+        # |t - w| = 2 sin(angle / 2) for unit vectors, which is accurate at small angles, where acos(t . w)
+        # is not. With half = sin(angle / 2), the residual's length is 2 half asin(half) / half = angle.
         half = ca.fmin(ca.sqrt(ca.sumsqr(difference) + ROUNDED) / 2, OPPOSITE)
         value = parameters[f"{self.name}_root"] * (ca.asin(half) / half) * difference
         return Parts(residuals=(Residual(self.name, value),))
