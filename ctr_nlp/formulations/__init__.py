@@ -1,4 +1,9 @@
-"""Formulations of one frame: a tuple of stages, each an Nlp and how its parameters are filled."""
+"""Formulations of one frame: a tuple of stages, each an Nlp and how its parameters are filled.
+
+`joint` solves eq. (9) for all of q, `two_stage` eqs. (10)-(12) as the paper does; `horizon` has all frames in one
+program, and `shared` several robots or tasks. `terms` are the parts of an objective, one a file; `frame` puts a
+model and terms together; `wall` and `around` describe a lumen near the robot.
+"""
 
 from collections.abc import Callable, Sequence
 
@@ -17,7 +22,7 @@ FORMULATIONS: dict[str, Callable[[Robot, Settings, Model, Sequence[Term]], tuple
 }
 """Every frame formulation by the name that options use."""
 TWO_STAGE = ("two-stage", "two-stage-exact")
-"""Formulations that find beta from the target's curvature first, and alpha after it."""
+"""Names of the formulations that find beta from the target's curvature first, and alpha after it."""
 
 
 def default_model(formulation: str) -> str:

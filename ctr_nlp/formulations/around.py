@@ -1,4 +1,8 @@
-"""What wall.py says of a lumen's wall, found in C: wall.c, with the robot's points from compiled functions."""
+"""The lumen's wall near a robot, found in C: wall.c, with the robot's points from compiled functions.
+
+wall.py says what is looked for, and has it in numpy for use without a compiler. Lengths in mm, unknowns x in rad
+and mm. Samples along the robot are evaluated side by side, one in each lane of a vector.
+"""
 
 from __future__ import annotations
 
@@ -22,15 +26,18 @@ from ctr_nlp.target.lumen import SPACING, Lumen, outer_radii, outer_radius
 from ctr_nlp.typing import Array
 
 LANES = vector.LANES
-"""Parts of the robot that are looked at side by side."""
+"""Samples that are evaluated side by side."""
 _LONGS = "unknowns", "loaded", "tubes", "places", "finer", "samples", "lanes", "nodes"
+"""Names of the integer fields of the struct Wall, in its order; then those of given arrays, of numbers, and of
+room.
+"""
 _GIVEN = "shares", "numbers", "table", "along", "path", "radius", "outer"
 _NUMBERS = "clearance", "centred", "tiny", "spacing", "widest"
 _OWN = "x", "load", "at", "kept_x", "kept_load", "kept"
 
 
 class _InC(ctypes.Structure):
-    """The struct Wall of wall.c."""
+    """The struct Wall of wall.c, field by field."""
 
     known: int
     _fields_ = [
@@ -43,14 +50,14 @@ class _InC(ctypes.Structure):
     ]
 
     def forget(self) -> None:
-        """Let nothing count as found before."""
+        """Let nothing count as found before: the next call looks at every point."""
         self.known = 0
 
 
 class Around:
     """A lumen's wall around a robot on a model, in C; not from two threads at once.
 
-    finer: samples a place. clearance, mm, is to be kept. tiny: what stands for nothing in a denominator.
+    finer: samples a place. clearance, mm: to be kept. tiny: replaces 0 in a denominator.
     """
 
     def __init__(
@@ -58,12 +65,14 @@ class Around:
     ) -> None:
         """Prepare; raises OptionError where nothing can be compiled."""
         count, d = robot.d * PLACES * finer, robot.d
+        # Rounded up to whole vectors; samples more than there are stand at the tip (_shares).
         samples = -(-count // LANES)
         self._points, self._made = _points_in_c(model.form, robot.structure, samples)
         unknowns, self._loaded = self._points.numel_in(0), 0 if model.bears is None else self._points.numel_in(3)
         rows = d * PLACES
         given = (
             _shares(d, PLACES * finer, samples),
+            # Every lane needs the numbers of the tubes, as its own column.
             np.tile(robot.numbers.ravel(order="F"), LANES),
             *(np.ascontiguousarray(each) for each in (lumen.table[:, :3], lumen.along, *lumen.pieces)),
             outer_radius(robot),
@@ -71,6 +80,7 @@ class Around:
         sizes = [LANES * unknowns, LANES * self._loaded, LANES * samples * 3]
         sizes += [unknowns, self._loaded, rows * COLUMNS + 1]
         self._arrays = [*given, *map(np.zeros, sizes)]
+        # C keeps addresses: the arrays must live as long as the struct, in self._arrays.
         addresses = [array.ctypes.data for array in self._arrays]
         self._fixed = (
             *(unknowns, self._loaded, d, PLACES, finer, samples, LANES, len(lumen.along)),
@@ -79,6 +89,7 @@ class Around:
             *addresses[len(given) :],
         )
         self._rows, self._numbers = rows, self._arrays[_GIVEN.index("numbers")]
+        # The robot's numbers, to go back to after other robots' were used.
         self._own = self._numbers.copy()
         self._wall = _InC(None, *self._fixed)
         self._library = cache.loaded(__package__, "wall.c")
@@ -88,14 +99,16 @@ class Around:
         """Whether the functions have been compiled; wait: until they have."""
         if self._compiled is None and (path := self._made.now() if wait else self._made.soon()) is not None:
             self._compiled = ctypes.CDLL(str(path))
+            # Until the points' function is compiled the struct has a null pointer there, and is not called.
             points = ctypes.cast(self._compiled[self._points.name()], ctypes.c_void_p).value
             self._wall = _InC(points, *self._fixed)
         return self._compiled is not None
 
     def __call__(self, x: Array, numbers: Array | None = None, loads: Array | None = None) -> tuple[Array, Array]:
-        """What describes the wall, (T, d PLACES, COLUMNS), near unknowns x (T, n), and slacks (T,) needed, mm.
+        """Numbers that describe the wall, (T, d PLACES, COLUMNS), near unknowns x (T, n), and slacks (T,) needed,
+        mm.
 
-        numbers (d, 8): of the tubes, where they are not the robot's. loads (T, 17 + 3d): on models that know some.
+        numbers (d, 8): of the tubes, where they are not the robot's. loads (T, 17 + 3d): on models with loads.
         Raises ValueError for other unknowns or loads than the model's.
         """
         loads = np.zeros((len(x), 0)) if loads is None else np.ascontiguousarray(loads, dtype=float)
@@ -107,13 +120,18 @@ class Around:
         of_tubes = self._own if numbers is None else np.tile(numbers.ravel(order="F"), LANES)
         if not np.array_equal(of_tubes, self._numbers):
             self._numbers[:] = of_tubes
+            # C skips points that it has found at the same x; with other tubes these are elsewhere.
             self._wall.forget()
         given = ctypes.c_long(len(x)), x.ctypes, loads.ctypes, found.ctypes
         self._library.around_all(ctypes.byref(self._wall), *given)
+        # C writes column after column of (d PLACES, COLUMNS), as programs pack parameters.
         return found[:, :-1].reshape(len(x), COLUMNS, self._rows).transpose(0, 2, 1), found[:, -1].copy()
 
     def surroundings(self, settled: float, rounds: int) -> Surroundings:
-        """What run.c calls at every frame; as long as this object lives."""
+        """Addresses and costs for run.c, which calls around at every frame; valid as long as this object lives.
+
+        settled: mm by which slacks may differ in the last round; rounds: most of them.
+        """
         call = ctypes.cast(self._library.around, ctypes.c_void_p).value or 0
         named = Bears.name, "wall", "contact_weight", "contact_allowed"
         costs = FIRM, HARD, ROUNDED
@@ -121,7 +139,7 @@ class Around:
 
 
 class Beside:
-    """What is left of a lumen beside points: its radius less the distance to its path; in C where that can be."""
+    """Room in a lumen beside points: its radius less the distance to its path; in C where possible."""
 
     def __init__(self, lumen: Lumen) -> None:
         """Prepare."""
@@ -133,17 +151,18 @@ class Beside:
         self._wall = _InC(nodes=len(lumen.along), spacing=SPACING, widest=widest, **addresses)
 
     def __call__(self, points: Array) -> Array:
-        """At points (.., 3) in mm, (..,) mm; NaN at points that are."""
+        """Room at points (.., 3) in mm, (..,) mm; NaN at points that are NaN."""
         if cache.missing():
             near = self._lumen.near(points)
             return np.asarray(near.radius - near.distance)
+        # C reads and writes plain rows of doubles.
         points, found = np.ascontiguousarray(points, dtype=float), np.empty(points.shape[:-1])
         call = cache.loaded(__package__, "wall.c").left_beside
         call(ctypes.byref(self._wall), ctypes.c_long(found.size), points.ctypes, found.ctypes)
         return found
 
     def clearances(self, robot: Robot, beta: Array, shape: Array, sigma: Array) -> Array:
-        """What is left between the wall and a robot's outermost tube, (.., T, n) mm; negative beyond the wall.
+        """Clearance between the wall and a robot's outermost tube, (.., T, n) mm; negative beyond the wall.
 
         beta (T, d): extensions; shape (.., T, n, 3) mm: points at sigma (n,), NaN where there are none.
         """
@@ -151,10 +170,12 @@ class Beside:
 
 
 def _shares(d: int, count: int, samples: int) -> Array:
-    """How much of every extension the arc lengths of count samples a tube are: (samples, d) by columns, by lanes.
+    """Coefficients of the extensions in arc lengths of count samples a tube: (samples, d) by columns, by lanes.
 
-    As terms.lumen.arc_lengths; samples more than there are stand at the innermost tip.
+    Arc lengths are those of terms.lumen.arc_lengths; samples more than there are stand at the innermost tip.
     """
+    # Sample number j of tube i is at beta_{i-1} + (j + 1) / count (beta_i - beta_{i-1}): shares 1 - f and f
+    # of two neighbouring extensions, the first of which is beta_0 = 0 and has no column.
     tube, part = np.divmod(np.arange(LANES * samples).clip(max=d * count - 1), count)
     fraction, found = (part + 1.0) / count, np.zeros((LANES * samples, d + 1))
     np.put_along_axis(found, tube[:, None], 1 - fraction[:, None], axis=1)
@@ -164,16 +185,16 @@ def _shares(d: int, count: int, samples: int) -> Array:
 
 @functools.lru_cache(maxsize=64)
 def _points_in_c(model: Model, structure: Structure, samples: int) -> tuple[ca.Function, Library]:
-    """The function points_at, and its library."""
+    """The function points_at, and its library for LANES samples side by side."""
     points = points_at(model, structure, samples)
     return points, Library(points.serialize(), functools.partial(tuple, (points,)), LANES)
 
 
 @functools.lru_cache(maxsize=64)
 def points_at(model: Model, structure: Structure, samples: int) -> ca.Function:
-    """(x, shares (samples, d) of extensions, numbers) -> points (samples, 3), mm, as a program has them.
+    """A function (x, shares (samples, d) of extensions, numbers) -> points (samples, 3), mm.
 
-    Of models that know loads the function is given the numbers of one, too.
+    They are the points that programs have. On models with loads the function takes the numbers of one, too.
     """
     shares, numbers = ca.SX.sym("shares", samples, structure.d), ca.SX.sym("numbers", structure.d, len(NUMBERS))
     tubes = symbolic_tubes(structure, numbers)

@@ -1,4 +1,9 @@
-"""A frame's program from a model and terms, built once for robots that differ in numbers alone."""
+"""A frame's program from a model and terms, built once for robots that differ in numbers alone.
+
+Unknowns are the model's x (rad, mm), then numbers of tubes that are freed, then slacks. Constraints begin with
+what x does not hold of the configuration q, eq. (5), then those of the terms. Numbers of tubes, targets and
+weights are parameters: a program is found again by its structure, model and terms.
+"""
 
 from __future__ import annotations
 
@@ -21,23 +26,24 @@ from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
 KEPT = 64
-"""Programs kept in a process."""
+"""Number of programs kept in a process."""
 
 
 def program(
     name: str, structure: Structure, model: Model, terms: Sequence[Term], freed: tuple[str, ...] | None = None
 ) -> Nlp:
-    """The program of one frame: the model's unknowns, what these do not hold of q as rows, and what the terms add.
+    """The program of one frame: the model's unknowns, the rest of q as rows, and what the terms add.
 
-    freed: for robots that share their motors, numbers of the tubes that are unknowns, too, after the model's
-    (structure.freed_places), or none; the motors' angles are then rows on any model, and the tilt, which they
-    share, is an unknown. Raises OptionError where two terms have parameters of one name.
+    name: of the program, for messages. freed: for robots that share their motors, names of tubes' numbers that are
+    unknowns, too, after the model's (structure.freed_places), or empty; the motors' angles are then rows on any
+    model, and the tilt, which they share, is an unknown. None for a robot of its own. Raises OptionError where two
+    terms have parameters of one name.
     """
     return _program(name, structure, model.form, _Keyed(terms), freed)
 
 
 def robot_values(robot: Robot) -> dict[str, Any]:
-    """The parameters of every program that describe the robot."""
+    """The parameters of every program that describe the robot, by name."""
     return {"tubes": robot.numbers}
 
 
@@ -47,20 +53,22 @@ def filled(robot: Robot, terms: Sequence[Term], frame: Frame) -> dict[str, Any]:
 
 
 def packed(nlp: Nlp, values: Sequence[Mapping[str, Any]]) -> Array:
-    """Parameters of many frames (frames, n_p): a row of each is what Nlp.pack makes of its values.
+    """Parameters of many frames, by name in values, as rows (frames, n_p), each as Nlp.pack would make it.
 
-    Raises ValueError as Nlp.pack, or where frames differ in their parameters.
+    Raises ValueError as Nlp.pack does, or where frames differ in their parameters.
     """
     found = [nlp.pack(values[0])[None, :0].repeat(len(values), axis=0)]
     for name in nlp.parameters:
         stacked = np.array([each[name] for each in values], dtype=float)
+        # All frames in one step instead of a call of pack for each: columns of a matrix follow each other,
+        # as in pack.
         matrices = stacked.reshape(*stacked.shape, *(1,) * (3 - stacked.ndim))
         found.append(matrices.transpose(0, 2, 1).reshape(len(values), -1))
     return np.concatenate(found, axis=1)
 
 
 class _Keyed(tuple[Term, ...]):
-    """Terms that are equal where their keys are."""
+    """Terms that are equal where their keys are, so that lru_cache finds programs that differ in numbers alone."""
 
     @property
     def keys(self) -> tuple[Hashable, ...]:
@@ -75,17 +83,23 @@ class _Keyed(tuple[Term, ...]):
 
 @functools.lru_cache(maxsize=KEPT)
 def _program(name: str, structure: Structure, model: Model, terms: _Keyed, freed: tuple[str, ...] | None) -> Nlp:
+    """Build the program; arguments as in `program`."""
     numbers = ca.SX.sym("tubes", structure.d, len(NUMBERS))
     parameters = {"tubes": numbers} | _parameters(structure, terms)
     places_freed = freed_places(structure, freed or ())
     unknown, known = ca.SX.sym("freed", len(places_freed)), ca.SX(numbers)
     for k, (i, columns) in enumerate(places_freed):
         for column in columns:
+            # An arc's curvature stands in two columns, at root and tip: one unknown takes the place of
+            # both.
             known[i, column] = unknown[k]
     tubes = symbolic_tubes(structure, known)
     counts = list[int]()
 
+    # All terms' samples in one column: the model computes its shape once. counts tells which samples are
+    # whose.
     def places(beta: Sequence[ca.SX]) -> ca.SX:
+        """Arc lengths of the samples of all terms, mm, one term after another."""
         found = [ca.SX(term.places(beta)) for term in terms]
         counts[:] = [each.numel() for each in found]
         return ca.vertcat(*found)
@@ -104,6 +118,7 @@ def _program(name: str, structure: Structure, model: Model, terms: _Keyed, freed
 
 
 def _parameters(structure: Structure, terms: Sequence[Term]) -> dict[str, ca.SX]:
+    """Symbols for the parameters of all terms, by name."""
     found = dict[str, ca.SX]()
     for term in terms:
         for name, size in term.parameters(structure).items():
@@ -114,7 +129,7 @@ def _parameters(structure: Structure, terms: Sequence[Term]) -> dict[str, ca.SX]
 
 
 def _configuration(shape: Shape, d: int) -> ca.SX:
-    """Q (2d + 2, 1)."""
+    """The configuration q (2d + 2, 1), from x and the rows."""
     if shape.picks is None:
         return shape.x
     return ca.vertcat(shape.x, *shape.rows.values())[list(shape.picks[: 2 * d + 2])]
@@ -128,17 +143,21 @@ def _joined(
     freed: ca.SX,
     motors_shared: bool,
 ) -> Nlp:
-    """Freed numbers and then slacks come after the model's unknowns, and what these do not hold of the
-    configuration first among the rows; so do the motors' angles where several robots share them.
+    """The Nlp of a shape and the terms' parts.
+
+    Freed numbers and then slacks come after the model's unknowns, and the part of the configuration that these do
+    not hold comes first among the rows; so do the motors' angles where several robots share them (motors_shared).
     """
     slacks = [part.slack for part in parts if part.slack is not None]
     motors = list[Constraint]()
     n, more, picks = shape.x.numel(), freed.numel(), shape.picks
     if picks is not None or motors_shared:
         for row, value in shape.rows.items():
+            # Rows without bounds here: the robot's limits are put on them solve by solve (Nlp.row_bounds).
             free = np.full(value.numel(), np.inf)
             motors.append(Constraint(row, value, -free, free))
     if picks is not None:
+        # The model counts picks through x and then rows; freed numbers and slacks stand between both.
         picks = tuple(pick + (pick >= n) * (len(slacks) + more) for pick in picks)
     own = np.full(n + more, np.inf)
     return Nlp(

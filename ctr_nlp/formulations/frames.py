@@ -1,4 +1,8 @@
-"""How one frame is asked for and answered, whatever solves it; and where a search without a past begins."""
+"""The interface of solvers of single frames, and starts for a search without a previous frame.
+
+Steering frame by frame is the paper's eq. (6): q(t) for the target of time t, from the configuration before it.
+Configurations q (2d + 2,) are in rad and mm, objectives in mm^2, times in s.
+"""
 
 from __future__ import annotations
 
@@ -15,17 +19,17 @@ from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
 DISTINCT = 1e-3
-"""Two answers are distinct where their objectives differ by more than this part."""
+"""Part by which the objectives of two answers must differ to count as distinct."""
 
 
 @dataclass(frozen=True)
 class FrameResult:
-    """The configuration of one frame.
+    """The configuration found for one frame.
 
-    q (2d + 2,), and where success is False the one to fall back to, never a solution. objective: mm^2.
-    kkt: NaN for methods without multipliers. iterations: of the solver, or evaluations of the shape.
-    status: the solver's own word. warm: what the next frame may start from, known to the solver only.
-    x: the unknowns of a model whose q does not determine them.
+    q (2d + 2,): the answer, and where success is False the one to fall back to, never a solution. objective: mm^2.
+    kkt: NaN for methods without multipliers. iterations: of the solver, or evaluations of the shape. status: the
+    solver's own word. warm: what the next frame may start from, known to the solver only. x: the unknowns of a
+    model whose q does not determine them.
     """
 
     q: Array
@@ -39,15 +43,15 @@ class FrameResult:
 
 
 class FrameSolver(Protocol):
-    """Solves frames of one problem; these count from 0."""
+    """Solver of the frames of one problem, which count from 0."""
 
     @property
     def build_seconds(self) -> float:
-        """What building it took, s."""
+        """Seconds that building the solver took."""
 
     @property
     def description(self) -> dict[str, Any]:
-        """For a plan's meta: formulation, model, solver, options."""
+        """Metadata of plans: formulation, model, solver, options."""
 
     def search(self, frame: int) -> list[FrameResult]:
         """Distinct answers for a frame without a past, best first; at least one."""
@@ -60,16 +64,17 @@ class FrameSolver(Protocol):
 
 
 class Restartable(FrameSolver, Protocol):
-    """One that can begin a run anew near to another one's answer."""
+    """A frame solver that can start a run again near another one's answer."""
 
     def again(self, frame: int, known: FrameResult) -> FrameResult:
         """The answer for a frame without a past, near a known one."""
 
 
 def distinct(results: Sequence[FrameResult]) -> list[FrameResult]:
-    """Those of results whose objectives differ, best first."""
+    """The results whose objectives differ by more than DISTINCT, best first."""
     found = list[FrameResult]()
     for result in sorted(results, key=lambda one: one.objective):
+        # 1e-9 mm^2: objectives that are 0 but for rounding are the same.
         if not found or result.objective > found[-1].objective * (1 + DISTINCT) + 1e-9:
             found.append(result)
     return found
@@ -78,7 +83,7 @@ def distinct(results: Sequence[FrameResult]) -> list[FrameResult]:
 def one_by_one(
     step: Callable[[int, FrameResult], FrameResult], frames: Sequence[int], before: FrameResult
 ) -> Iterator[tuple[FrameResult, float]]:
-    """What FrameSolver.run gives, step by step."""
+    """FrameSolver.run by a solver's `step`, one frame after another."""
     for frame in frames:
         begin = time.perf_counter()
         before = step(frame, before)
@@ -92,12 +97,17 @@ def starts(robot: Robot, target: Frame, count: int, seed: int = 0) -> Array:
     """
     d = robot.d
     unit = sobol(count, 2 * d + 2, seed)
+    # The tilt that points the base along the target's first tangent: R_y R_x e_z = (sin(ty) cos(tx),
+    # -sin(tx), cos(ty) cos(tx)), eq. (4).
     x, y, z = target.tangents[0]
     tilt = np.array([-np.arcsin(np.clip(y, -1, 1)), np.arctan2(x, z)])
     middle = np.concatenate([np.zeros(d), np.full(d, target.length / 2), tilt])
+    # Half widths of the box around `middle`: pi for alpha, half of the target's length for beta, 0.5 rad
+    # for the tilt.
     spread = np.concatenate([np.full(d, np.pi), np.full(d, target.length / 2), np.full(2, 0.5)])
     lower, upper = (np.clip(middle + side * spread, robot.lower, robot.upper) for side in (-1, 1))
     q = lower + unit * (upper - lower)
+    # Eq. (2): extensions must not decrease from tube to tube, and the innermost is as long as the target.
     beta = np.maximum.accumulate(q[:, d : 2 * d], axis=1)
     beta[:, -1] = target.length
     q[:, d : 2 * d] = np.clip(beta, robot.lower[d : 2 * d], robot.upper[d : 2 * d])
@@ -109,4 +119,5 @@ def reachable(robot: Robot, previous: Array | None, dt: float) -> tuple[Array, A
     if previous is None:
         return robot.lower, robot.upper
     step = robot.speed * dt
+    # Eq. (3) and the speed limits as one box around the frame before.
     return np.maximum(robot.lower, previous - step), np.minimum(robot.upper, previous + step)

@@ -1,4 +1,8 @@
-"""Joint formulation: all of q in one program, eq. (9) with the distance (8) at equal sigma."""
+"""Joint formulation: all of q in one program, eq. (9) with the distance (8) at equal sigma.
+
+Limits (2), (3) and speeds |q - q_before| <= v dt are bounds and constraints of the same program, instead of two
+programs one after another as in the paper: errors are smaller, since beta and alpha can make up for each other.
+"""
 
 from __future__ import annotations
 
@@ -15,18 +19,24 @@ from ctr_nlp.robot import Robot
 from ctr_nlp.typing import Array
 
 TIP_STEP, TIP_SPEED = 0.5, 2.0
-"""Where there are several equilibria, tips may turn by the first, rad, from frame to frame, or by this times what
-motors may."""
+"""Where there are several equilibria, tips may turn from frame to frame by TIP_STEP, rad, or by TIP_SPEED times
+what motors may, whichever is more.
+"""
 
 
 def terms_of(
     robot: Robot, model: Model, margin: float | None, extra: Sequence[Term] = (), walled: bool = False
 ) -> tuple[Term, ...]:
-    """The terms of a frame without neighbours, and those given; one of these may take the place of the shape's.
+    """The terms of a frame without neighbours, and those given; a ShapeDistance among these replaces the usual
+    one.
 
-    margin: the least stability margin, on models that can snap. walled: kept within a lumen, as far as that goes.
+    margin: the least stability margin, on models that can snap; None for any. extra: further terms. walled:
+    whether the lumen's wall counts, as a soft constraint.
     """
+    # A user's ShapeDistance, with weights along sigma, takes the place of the usual one instead of adding
+    # to it.
     own: list[Term] = [] if any(isinstance(term, ShapeDistance) for term in extra) else [ShapeDistance()]
+    # A model whose equilibria are always stable has nothing to constrain.
     held: list[Term] = [Margin(margin)] if margin is not None and model.can_snap else []
     wall: list[Term] = [Lumen(robot.d)] if walled else []
     load: list[Term] = [] if model.bears is None else [Bears(model.bears, robot.d)]
@@ -34,14 +44,20 @@ def terms_of(
 
 
 def tip_steps(robot: Robot, dt: float) -> Array:
-    """What tips (d,) may turn by in a frame of dt s, rad: more than motors, and less than where a robot snaps."""
+    """Angles (d,) in rad that tips may turn by in a frame of dt s: more than motors, and less than where a robot
+    snaps.
+    """
     return np.maximum(TIP_STEP, TIP_SPEED * robot.speed[: robot.d] * dt)
 
 
 def joint(
     robot: Robot, settings: Settings, model: Model, extra: Sequence[Term] = (), walled: bool = False
 ) -> tuple[Stage, ...]:
-    """One stage that decides all of q, so that bounds and step limits are bounds of the program; as terms_of."""
+    """One stage that decides all of q, so that bounds and step limits are bounds of the program.
+
+    extra, walled: as in terms_of.
+    """
     terms = (*terms_of(robot, model, settings.stability_margin, extra, walled), Motion(robot.d))
+    # The program depends on the structure alone; the robot's numbers enter as parameters in `filled`.
     nlp = program("joint", robot.structure, model, terms)
     return (Stage(nlp, np.arange(len(robot.axes)), lambda frame, q: filled(robot, terms, frame)),)

@@ -1,4 +1,4 @@
-"""Numbers a user may set for a frame formulation."""
+"""Numbers a user may set for a frame formulation, and the thresholds by which plans are judged."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ ARRIVAL_WEIGHT = 50.0
 THRESHOLDS_MM = "arrival_tolerance", "error_allowed", "contact_allowed"
 """Settings in mm by which plans are judged."""
 THRESHOLDS = *THRESHOLDS_MM, "share"
-"""All settings by which plans are judged. A plan can be judged again by others without planning it again."""
+"""All settings by which plans are judged; a plan can be judged by other thresholds without planning it again."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +85,7 @@ class Settings:
         )
         if whole_number(OptionError, "seed", self.seed, 0) >= 2**32:
             raise OptionError(f"seed is {self.seed}; it must be a whole number in [0, 2^32)")
+        # At a margin of 1 no tube could act on another.
         if self.stability_margin is not None:
             allowed = "lie in [0, 1), or be None"
             number(OptionError, "stability_margin", self.stability_margin, lambda x: 0 <= x < 1, allowed)
@@ -101,7 +102,7 @@ class Settings:
 
 
 def check_motion_weight(weight: float) -> float:
-    """Lambda of eq. (9) in s^2, or OptionError."""
+    """The weight lambda of eq. (9) in s^2, or OptionError."""
     return number(
         OptionError, "motion_weight", weight, lambda x: 0 <= x < math.inf, "be a finite number >= 0", " s^2"
     )

@@ -1,4 +1,4 @@
-"""What a formulation is made of."""
+"""A stage of a formulation: one program, and how its parameters are filled."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Stage:
     decides: indices into q, in the order of the program's configuration. fill: (target frame, q) -> parameters by
     name, among them `previous` (the decided entries one frame before) and `motion_root` (sqrt(lambda) / dt), which
     a step overrides. schedule: values of further parameters, solved for one after the other, each from the last
-    solution.
+    solution (continuation).
     """
 
     nlp: Nlp

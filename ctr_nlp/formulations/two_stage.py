@@ -1,4 +1,10 @@
-"""The paper's two stages: curvature to extensions, eqs. (10)-(11), then extensions to rotations, eq. (12)."""
+"""The paper's two stages: curvature to extensions, eqs. (10)-(11), then extensions to rotations, eq. (12).
+
+On the dominant model the curvature along the robot depends on beta alone. Stage one finds beta from it
+(curvature.py), with a term for the robot's length, which eq. (11) does not see; stage two finds alpha and theta at
+this beta from the distance (8). Both have the motion term of eq. (9). Objectives are in mm^2, unknowns in rad and
+mm.
+"""
 
 from __future__ import annotations
 
@@ -32,11 +38,14 @@ from ctr_nlp.typing import Array
 TIGHTENING = (6.0, 2.5, 1.0)
 """Widths of the smoothed jumps of curvature, in units of the last, solved for one after the other."""
 LENGTH_WEIGHT = 100.0
-"""Weight of (beta_d - length)^2 in stage one: eq. (11) does not see how far the robot is out."""
+"""Weight of (beta_d - length)^2 in stage one: eq. (11) does not depend on how far the robot is out."""
 
 
 def two_stage(robot: Robot, settings: Settings, model: Model, extra: Sequence[Term] = ()) -> tuple[Stage, ...]:
-    """Extension with smoothed jumps of curvature, tightened to settings.jump_width; then rotation."""
+    """Stages with smoothed jumps of curvature, tightened to settings.jump_width, and then rotation.
+
+    model: one where alpha does not change curvatures. extra: must be empty. Raises OptionError.
+    """
     _check(model, extra)
     return _extension(robot, tuple(factor * settings.jump_width for factor in TIGHTENING)), _rotation(robot)
 
@@ -44,12 +53,16 @@ def two_stage(robot: Robot, settings: Settings, model: Model, extra: Sequence[Te
 def two_stage_exact(
     robot: Robot, settings: Settings, model: Model, extra: Sequence[Term] = ()
 ) -> tuple[Stage, ...]:
-    """Extension with the integral (11) itself, through the target's cumulative integrals; then rotation."""
+    """Stages with the integral (11) itself, through the target's cumulative integrals, and then rotation.
+
+    model, extra: as in two_stage. Raises OptionError.
+    """
     _check(model, extra)
     return _extension(robot, None), _rotation(robot)
 
 
 def _check(model: Model, extra: Sequence[Term]) -> None:
+    """Raise OptionError for a model whose curvature depends on alpha, and for further terms."""
     if not model.bends_by_extension:
         allowed = ", ".join(repr(name) for name, each in MODELS.items() if each.bends_by_extension)
         raise OptionError(
@@ -64,24 +77,31 @@ def _check(model: Model, extra: Sequence[Term]) -> None:
 
 
 def _extension(robot: Robot, widths: tuple[float, ...] | None) -> Stage:
-    """Stage one decides beta; widths = None takes the exact form."""
+    """Stage one, which decides beta; widths of smoothed jumps in mm, one after another, or None for the exact
+    form.
+    """
     gap = robot.carriage_gap
 
     def fill(frame: Frame, q: Array) -> dict[str, Any]:
+        """Parameters for a target frame; q is not needed."""
         values = robot_values(robot) | {"reach": robot.reach, "turning": frame.turning, "length": frame.length}
         values |= {} if gap is None else {"gap": gap}
         return values | {"kappa": frame.curvature} if widths is None else values
 
     schedule = ({},) if widths is None else tuple({"width": width} for width in widths)
     nlp = _extension_program(robot.structure, widths is None)
+    # beta are the entries d to 2 d of q, eq. (5).
     return Stage(nlp, np.arange(robot.d, 2 * robot.d), fill, schedule)
 
 
 @functools.lru_cache(maxsize=KEPT)
 def _extension_program(structure: Structure, exact: bool) -> Nlp:
+    """The program of stage one over beta (d,), smoothed or exact."""
     d = structure.d
     sizes: dict[str, Any] = {"tubes": (d, len(NUMBERS)), "reach": 1, "turning": len(SIGMA), "length": 1}
+    # A robot without a least gap has a program without that constraint and its parameter.
     sizes |= {"gap": 1} if structure.gap else {}
+    # The exact form takes the target's curvature itself, the smoothed one a width.
     sizes |= {"previous": d, "motion_root": 1} | ({"kappa": len(SIGMA)} if exact else {"width": 1})
     p = {name: ca.SX.sym(name, *np.atleast_1d(size).tolist()) for name, size in sizes.items()}
     beta, tubes = ca.SX.sym("beta", d), symbolic_tubes(structure, p["tubes"])
@@ -90,6 +110,8 @@ def _extension_program(structure: Structure, exact: bool) -> Nlp:
         cost = curvature.curvature_exact(tubes, entries, p["reach"], p["kappa"], *target)
     else:
         cost = curvature.curvature(tubes, entries, p["reach"], *target, p["width"])
+    # Length and motion are least squares; the curvature is a cost of its own (curvature.curvature says
+    # why).
     residuals = (
         curvature.length(entries[-1], p["length"], LENGTH_WEIGHT),
         change(beta, p["previous"], mm_per_unit(d)[d : 2 * d], p["motion_root"]),
@@ -99,20 +121,27 @@ def _extension_program(structure: Structure, exact: bool) -> Nlp:
 
 
 def _rotation(robot: Robot) -> Stage:
-    """Stage two decides alpha and theta at given beta, sampled at the ends and midpoint of every segment."""
+    """Stage two, which decides alpha and theta at given beta, sampled at the ends and the middle of every
+    segment.
+    """
     d = robot.d
 
     def fill(frame: Frame, q: Array) -> dict[str, Any]:
+        """Parameters for a target frame, with beta taken from q."""
         extensions = robot.split(q)[1]
+        # The target's points are computed here, in numbers: they depend on beta, which is no unknown.
         sigma, _ = _samples(extensions, np)
         return robot_values(robot) | {"beta": extensions, "target": frame.at(np.array(sigma))}
 
+    # alpha and theta: the entries of q before and after beta.
     return Stage(_rotation_program(robot.structure), np.r_[0:d, 2 * d : 2 * d + 2], fill)
 
 
 @functools.lru_cache(maxsize=KEPT)
 def _rotation_program(structure: Structure) -> Nlp:
-    """Simpson's rule over the samples is the distance (8); each is opposite the target's point of equal sigma."""
+    """The program of stage two: Simpson's rule over the samples is the distance (8), each at the target's equal
+    sigma.
+    """
     d = structure.d
     numbers, beta = ca.SX.sym("tubes", d, len(NUMBERS)), ca.SX.sym("beta", d)
     x, previous = ca.SX.sym("alpha_theta", d + 2), ca.SX.sym("previous", d + 2)
@@ -128,6 +157,7 @@ def _rotation_program(structure: Structure) -> Nlp:
         free,
         {"tubes": numbers, "beta": beta, "target": target, "previous": previous, "motion_root": root},
         residuals=(
+            # Square roots of the weights: the residual is squared.
             distance(points, columns_of(target), ca.sqrt(ca.vertcat(*quadrature))),
             change(x, previous, scale, root),
         ),
@@ -135,14 +165,15 @@ def _rotation_program(structure: Structure) -> Nlp:
 
 
 def _samples(beta: Any, xp: Any) -> tuple[list[Any], list[Any]]:
-    """Sigma at the midpoints, then the ends of all segments, and Simpson's weights there.
+    """Sigma at the middles, then the ends of all segments, and Simpson's weights there.
 
-    The base point never moves and is left out. A solver's beta may break the order by its tolerance, and
-    weights must not become negative.
+    The base point never moves and is left out. A solver's beta may break the order by its tolerance, and weights
+    must not become negative.
     """
     edges = [0 * beta[0], *(beta[i] for i in range(len(beta)))]
     widths = [xp.fmax(high - low, 0) / beta[-1] for low, high in itertools.pairwise(edges)]
     middles = [(low + high) / 2 / beta[-1] for low, high in itertools.pairwise(edges)]
+    # An end belongs to the segments on both of its sides; beyond the last there is none.
     at_ends = [(low + high) / 6 for low, high in itertools.pairwise([*widths, 0])]
     sigma = [*middles, *(edge / beta[-1] for edge in edges[1:])]
     return sigma, [*(4 * width / 6 for width in widths), *at_ends]

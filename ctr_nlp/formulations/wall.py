@@ -1,9 +1,10 @@
-"""Where on the robot the lumen's wall is looked at, and what it is like there.
+"""A lumen's wall as programs see it: at some places along the robot, linearised near its configuration.
 
-Every tube's visible part is looked at in terms.lumen.PLACES places, each with the path near to it to second order
-and the wall to first. Where there is less room between two places, the room at the second is made as much less.
-This holds near a configuration only: a solution is looked at again, and the program solved again, until nothing
-changes.
+Every tube's visible part is looked at in terms.lumen.PLACES places, each with the lumen's path nearby to second
+order and the wall's radius to first order. Where there is less room between two places, the room at the second is
+reduced to it. This holds near a configuration only: a solution is looked at again, and the program solved again,
+until nothing changes. Clearance is r(p) - |C - p| - rho in mm, with the radius r at the path's nearest point p and
+the outer radius rho of the outermost tube (docs/method.md, "The lumen's wall").
 """
 
 from __future__ import annotations
@@ -29,22 +30,26 @@ from ctr_nlp.target.target import Frame
 from ctr_nlp.typing import Array
 
 FINER = 5
-"""Samples a place."""
+"""Number of samples for each place, from the place before up to this one."""
 ROUNDS = 12
-"""Times that a program is solved around its own solution."""
+"""Most times that a program is solved around its own solution."""
 SETTLED = 0.01
-"""mm by which the slack of a solution may differ from what it needs."""
+"""Difference in mm up to which the slack of a solution counts as the one that it needs."""
 PLANNED_PART = 0.8
-"""Part of the contact that is allowed, beyond which it costs more in planning: penalties give a little, and
-programs look at the wall in fewer places than the verdict does."""
+"""Part of the allowed contact beyond which it costs more in planning: penalties give a little, and programs look
+at the wall in fewer places than the verdict does.
+"""
 TINY = 1e-9
-"""mm, 1/mm: what stands for nothing in a denominator."""
+"""Replaces 0 in denominators, mm and 1/mm."""
 
 
 def wall_of(
     robot: Robot, lumen: Lumen | None, model: Model, settings: Settings, finer: int = FINER
 ) -> Wall | None:
-    """That of a lumen, None where there is none or it does not count; finer: as of Wall."""
+    """The wall of a lumen; None where there is no lumen or contact costs nothing.
+
+    settings: weight, clearance and allowed contact. finer: samples a place, see Wall.
+    """
     if lumen is None or not settings.contact_weight:
         return None
     return Wall(robot, lumen, model, settings.contact_weight, settings.clearance, settings.contact_allowed, finer)
@@ -52,10 +57,10 @@ def wall_of(
 
 @dataclass(frozen=True)
 class Wall:
-    """That of a lumen around a robot on a model.
+    """The wall of a lumen around a robot on a model.
 
-    weight: what a mm of contact costs, mm^2. clearance: mm that are to be kept. contact_allowed: mm beyond the
-    wall from which contact costs more. finer: samples a place, between it and the one before.
+    weight: cost of a mm of contact, mm^2. clearance: mm that are to be kept. contact_allowed: mm beyond the wall
+    from which contact costs more. finer: samples for each place, between it and the one before.
     """
 
     robot: Robot
@@ -67,7 +72,7 @@ class Wall:
     finer: int = FINER
 
     def cost(self, slack: Array) -> Array:
-        """Of slacks, mm^2."""
+        """Cost of slacks, mm^2, each as in terms.lumen.contact."""
         return np.asarray(ca.DM(contact(ca.DM(slack), self.weight, self.allowed)).full().reshape(np.shape(slack)))
 
     @property
@@ -77,16 +82,19 @@ class Wall:
 
     @cached_property
     def around(self) -> Around | None:
-        """The same in C; None where nothing can be compiled."""
+        """The wall in C; None where nothing can be compiled."""
         if cache.missing():
             return None
         return Around(self.robot, self.lumen, self.model, self.clearance, self.finer, TINY)
 
     def __getstate__(self) -> dict[str, Any]:
+        # Cached objects of C cannot be pickled; another process finds its own.
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
     def during(self, frames: Sequence[Frame]) -> Callable[[Array], tuple[dict[str, Array], Array]]:
-        """What gives the surroundings of unknowns x (T, n) in these frames, under the load of their time."""
+        """A function of unknowns x (T, n) in these frames that returns their surroundings, under the load of their
+        time.
+        """
         bears = self.model.bears
         acting = None if bears is None else bears.over(self.robot.d, np.array([frame.part for frame in frames]))
         return partial(self.surroundings, loads=acting)
@@ -94,19 +102,20 @@ class Wall:
     def surroundings(
         self, x: Array, numbers: Array | None = None, loads: Array | None = None
     ) -> tuple[dict[str, Array], Array]:
-        """Parameters (T, ..) of frames near to unknowns x (T, n) of the model, and slacks (T,) needed, mm.
+        """Parameters (T, ..) of frames near unknowns x (T, n) of the model, by name, and slacks (T,) needed, mm.
 
-        numbers (d, 8): of the tubes, where they are not the robot's. loads (T, 17 + 3d): on models that know some.
+        numbers (d, 8): of the tubes, where they are not the robot's. loads (T, 17 + 3d): on models with loads.
         """
         found = self.around
         wall, slack = (self.described if found is None or not found.ready() else found)(x, numbers, loads)
+        # A row a frame, as Chain.with_parameters and the scenarios take them.
         weight, allowed = np.full(len(x), self.weight), np.full(len(x), self.allowed)
         return {"wall": wall, "contact_weight": weight, "contact_allowed": allowed}, slack
 
     def of_scenarios(self, x: Array, numbers: Array, loads: Array | None = None) -> dict[str, Array]:
-        """Parameters (T, S, ..) near to unknowns x (T, S, n) of robots whose tubes have numbers (S, d, 8).
+        """Parameters (T, S, ..) near unknowns x (T, S, n) of robots whose tubes have numbers (S, d, 8), by name.
 
-        loads (T, S, 17 + 3d): on models that know some.
+        loads (T, S, 17 + 3d): on models with loads.
         """
         found = [
             self.surroundings(x[:, k], own, None if loads is None else loads[:, k])[0]
@@ -115,23 +124,31 @@ class Wall:
         return {name: np.stack([each[name] for each in found], axis=1) for name in found[0]}
 
     def described(self, x: Array, numbers: Array | None = None, loads: Array | None = None) -> tuple[Array, Array]:
-        """What describes the wall (T, d PLACES, COLUMNS), and slacks (T,), without compiled code.
+        """Numbers that describe the wall (T, d PLACES, COLUMNS), and slacks (T,), without compiled code.
 
-        As surroundings. Bends sharper than the lumen is wide are noise of the path's points.
+        Arguments as in surroundings. Bends sharper than the lumen is wide are noise of the path's points.
         """
         beta = columns_of(self.model.extensions(self.robot, x))
+        # Arc lengths over beta_d; a robot that is not out at all has samples at 0.
         sigma = np.hstack(arc_lengths(beta, PLACES * self.finer)) / np.maximum(beta[-1], TINY)
         near = self.lumen.near(self._points(x, sigma, numbers, loads))
         room = near.radius - np.repeat(outer_radius(self.robot), PLACES * self.finer) - self.clearance
+        # The same rounded distance as in the program (terms.lumen.left), so that both agree on the slack.
         left = room - np.hypot(near.distance, CENTRED)
+        # The room at a place is reduced by what is less between the place before and it: the least of its
+        # samples.
         room -= left - np.repeat(left.reshape(len(x), -1, self.finer).min(axis=-1), self.finer, axis=-1)
         numbers = np.stack([room, near.taper, near.behind, near.ahead], axis=-1)
+        # Curvature of the path at most 1 / r.
         sharpest = 1.0 / near.radius / np.maximum(np.linalg.norm(near.bend, axis=-1), TINY)
         bend = near.bend * np.minimum(sharpest, 1.0)[..., None]
+        # In the order of terms.lumen.COLUMNS: three vectors, then four numbers.
         wall = np.concatenate([near.centre, near.tangent, bend, numbers], axis=-1)
+        # The last sample of each place is the place itself.
         return wall[:, self.finer - 1 :: self.finer], np.maximum(-left.min(axis=1), 0.0)
 
     def _points(self, x: Array, sigma: Array, numbers: Array | None, loads: Array | None) -> Array:
+        """Points (T, m, 3) in mm of the robot at x and sigma (T, m)."""
         tubes = (self.robot.numbers if numbers is None else numbers)[None]
         if loads is not None:
             return self.model.points_under(loads, self.robot.structure, tubes, x, sigma)
